@@ -1,0 +1,1 @@
+"""Block library; every file defines one block."""

@@ -1,0 +1,1 @@
+"""Diagrams that come with rotorsim."""

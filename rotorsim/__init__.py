@@ -1,0 +1,1 @@
+"""Block diagrams, FMUs and diagnosis for rotors in active magnetic bearings."""

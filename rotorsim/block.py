@@ -1,0 +1,308 @@
+"""What a block is: declared ports, parameters and states, and equations written once.
+
+A block is a class whose attributes declare what it has and whose ``equations`` say what it does.
+The equations are traced with CasADi symbols; numbers, C code, Jacobians and FMUs all come from
+that one trace. This module imports nothing else of rotorsim, so that a block file needs only it.
+
+Contract for whoever writes a block:
+
+1. ``equations`` is pure: it reads ``p``, ``u``, ``x``, ``t`` and returns `Equations`; no state is kept.
+2. Scalars are 1x1 symbols, shape ``(n,)`` is an n x 1 column, shape ``(n, m)`` an n x m matrix.
+3. Decisions on numbers use `where`, never ``if``; decisions on options and on wiring may use ``if``.
+4. SI units inside; units are declared, never part of a name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import casadi as ca
+import numpy as np
+
+__all__ = [
+    "Block", "Declaration", "DiscreteState", "Equations", "In", "Option", "Out", "Param", "Random", "State",
+    "absolute", "arctan2", "concatenate", "cos", "exp", "floor", "log", "matrix", "maximum", "minimum", "mod",
+    "rows", "sign", "sin", "solve", "sqrt", "sum_of", "tan", "tanh", "vec", "where", "zeros",
+]  # fmt: skip
+
+Symbol = Any  # a CasADi SX expression; CasADi has no type information
+Shape = tuple[int, ...]
+ShapeDeclaration = int | str | tuple[Any, ...] | Callable[[Any], Shape]
+
+sin, cos, tan, exp, log, sqrt, tanh = ca.sin, ca.cos, ca.tan, ca.exp, ca.log, ca.sqrt, ca.tanh
+absolute, sign, floor, mod = ca.fabs, ca.sign, ca.floor, ca.fmod
+minimum, maximum, arctan2, where = ca.fmin, ca.fmax, ca.atan2, ca.if_else
+
+
+def vec(*items: Symbol) -> Symbol:
+    """Stack scalars or columns into one column."""
+    return ca.vertcat(*items)
+
+
+def concatenate(items: list[Symbol]) -> Symbol:
+    """Stack the row-major entries of every item into one column."""
+    return ca.vertcat(*[flatten(ca.SX(item)) for item in items])
+
+
+def matrix(table: Any) -> Symbol:
+    """Return a nested list of scalar expressions as a matrix, shape (rows, columns)."""
+    return ca.vertcat(*[ca.horzcat(*row) for row in table])
+
+
+def rows(value: Symbol) -> list[Symbol]:
+    """Return the rows of a column or matrix as a list (scalars for a column)."""
+    return ca.vertsplit(ca.SX(value))  # type: ignore[no-any-return]
+
+
+def sum_of(value: Symbol) -> Symbol:
+    """Return the sum of all entries, shape ()."""
+    return ca.sum1(ca.sum2(value))
+
+
+def solve(a: Symbol, b: Symbol) -> Symbol:
+    """Return the solution y of the small dense system a y = b."""
+    return ca.solve(a, b)
+
+
+def zeros(*shape: int) -> Symbol:
+    """Return zeros of shape (), (n,) or (n, m)."""
+    return ca.SX(np.zeros(matrix_shape(tuple(shape))))
+
+
+def matrix_shape(shape: Shape) -> tuple[int, int]:
+    """Return the rows and columns of the symbol that holds a value of this shape."""
+    padded = (*shape, 1, 1)[:2]
+    return int(padded[0]), int(padded[1])
+
+
+def size_of(shape: Shape) -> int:
+    """Return the number of entries of a value of this shape."""
+    return int(np.prod(shape, dtype=int))
+
+
+def flatten(value: Symbol) -> Symbol:
+    """Return the entries in row-major order (the order of names, files and vectors) as one column."""
+    return value if value.shape[1] == 1 else ca.vec(value.T)
+
+
+def unflatten(column: Symbol, shape: Shape) -> Symbol:
+    """Invert `flatten`."""
+    n_rows, n_columns = matrix_shape(shape)
+    return column if n_columns == 1 else ca.reshape(column, n_columns, n_rows).T
+
+
+@dataclass(frozen=True, kw_only=True)
+class Declaration:
+    """Common part of every declaration; ``name`` is filled in by the class body.
+
+    shape: ``()`` scalar, ``n``, ``(n, m)``; an entry may be the name of an option (its value, or its
+    length if a list) or any other word, a dimension found from wires and parameter values; a bare word
+    instead of a tuple is a whole shape found in the same way; a function of the options is allowed.
+    unit: SI unit text (``"N s/m"``), ``"1"`` for a pure number, ``None`` for whatever is wired.
+    """
+
+    shape: ShapeDeclaration = ()
+    unit: str | None = "1"
+    doc: str = ""
+    name: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class In(Declaration):
+    """Declare an input port.
+
+    optional: may be left unwired; ``u.<name>`` is then ``None``.
+    additive: any number of wires, also none; their sum is the input (forces on a rotor).
+    many: name of an option that says how many ports there are: a whole number n (or a text of n letters,
+    such as signs "+-") gives name1..namen, a list of strings gives ports of these names; ``u.<name>`` is
+    then a list.
+    """
+
+    optional: bool = False
+    additive: bool = False
+    many: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Out(Declaration):
+    """Declare an output port; ``many`` as for `In`."""
+
+    many: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Param(Declaration):
+    default: Any = None
+    low: float | None = None
+    high: float | None = None
+    above: float | None = None
+
+
+def Param(default: Any = None, /, **kwargs: Any) -> Any:  # noqa: N802 - reads as a declaration beside In and Out
+    """Declare a numeric parameter: a run-time argument, changed without compiling again.
+
+    default None: must be given. low, high: closed bounds; above: open lower bound.
+    """
+    return _Param(default=default, **kwargs)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Option(Declaration):
+    default: Any = None
+    choices: tuple[Any, ...] | None = None
+    kind: type | tuple[type, ...] | None = None
+    low: int | None = None
+    high: int | None = None
+
+
+def Option(default: Any = None, /, **kwargs: Any) -> Any:  # noqa: N802
+    """Declare an option that fixes structure (a count, a list of nodes, a law by name); it is compiled in.
+
+    kind: type of the value, or of the entries when the default is a list; choices: allowed values;
+    low, high: bounds of integers (or of each entry of a list of integers).
+    """
+    return _Option(default=default, **kwargs)
+
+
+@dataclass(frozen=True, kw_only=True)
+class State(Declaration):
+    """Declare a continuous state; ``init`` is a number or the name of a parameter.
+
+    unless_wired: the state exists only while this optional input is not wired.
+    when: function of the options; the state exists only where it returns True.
+    """
+
+    init: float | str = 0.0
+    unless_wired: str | None = None
+    when: Callable[[Any], bool] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscreteState(State):
+    """Declare a state that changes only at the hits of the block's sample time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Random(Declaration):
+    """Declare independent standard normal draws, new at every hit; ``seed`` names the parameter."""
+
+    seed: str = "seed"
+
+
+@dataclass(frozen=True)
+class Equations:
+    """What ``Block.equations`` returns, by declared name.
+
+    outputs: every output port (a list for ``many`` ports). derivatives: every continuous state.
+    update: the value after a hit of every discrete state. events: expressions whose zero crossing
+    an adaptive solver must locate (the right-hand side has a kink or a jump there).
+    """
+
+    outputs: Mapping[str, Symbol] = field(default_factory=dict)
+    derivatives: Mapping[str, Symbol] = field(default_factory=dict)
+    update: Mapping[str, Symbol] = field(default_factory=dict)
+    events: Mapping[str, Symbol] = field(default_factory=dict)
+
+
+_KINDS: dict[str, tuple[type, ...]] = {
+    "inputs": (In,), "outputs": (Out,), "parameters": (_Param,), "options": (_Option,),
+    "states": (State,), "randoms": (Random,),
+}  # fmt: skip
+
+
+class Block:
+    """Base of all blocks: subclasses declare ports, parameters and states and define ``equations``.
+
+    ``type_name`` (default: the class name in snake_case) is the ``"type"`` of diagram JSON.
+    ``sample_time`` names the parameter that holds the sample period [s] of a discrete block.
+    ``source`` cites where the equations are from. Subclasses are final: reuse by functions.
+    """
+
+    type_name: ClassVar[str] = ""
+    sample_time: ClassVar[str | None] = None
+    source: ClassVar[str] = ""
+    category: ClassVar[str] = "elementary"
+
+    inputs: ClassVar[dict[str, In]] = {}
+    outputs: ClassVar[dict[str, Out]] = {}
+    parameters: ClassVar[dict[str, _Param]] = {}
+    options: ClassVar[dict[str, _Option]] = {}
+    states: ClassVar[dict[str, State]] = {}
+    randoms: ClassVar[dict[str, Random]] = {}
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if "type_name" not in cls.__dict__:
+            cls.type_name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
+        base: Any = cls.__mro__[1]
+        found: dict[str, dict[str, Any]] = {kind: dict(getattr(base, kind)) for kind in _KINDS}
+        for name, value in list(cls.__dict__.items()):
+            for kind, types in _KINDS.items():
+                if isinstance(value, types):
+                    found[kind][name] = _named(value, name)
+        for kind, declarations in found.items():
+            setattr(cls, kind, declarations)
+
+    def __init__(self, option_values: Mapping[str, Any] | None = None, wired: frozenset[str] = frozenset()) -> None:
+        """Hold option values (complete, already validated) and the names of the wired inputs."""
+        values = {name: option.default for name, option in self.options.items()}
+        values.update(option_values or {})
+        self.option = SimpleNamespace(**values)
+        self.wired = wired
+
+    def equations(self, p: Any, u: Any, x: Any, t: Symbol) -> Equations:
+        """Return outputs, derivatives, updates and events as expressions of p, u, x and t.
+
+        p: parameters, u: inputs, x: states (continuous, discrete, random), each by attribute; t: time [s].
+        """
+        raise NotImplementedError
+
+    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+        """Return messages on options and parameter values that contradict one another (default: none)."""
+        return []
+
+    def port_names(self, declaration: In | Out) -> list[str]:
+        """Return the names of the ports that a declaration stands for under the current options."""
+        if declaration.many is None:
+            return [declaration.name]
+        count = getattr(self.option, declaration.many)
+        if isinstance(count, int | str):
+            number = count if isinstance(count, int) else len(count)
+            return [f"{declaration.name}{k}" for k in range(1, number + 1)]
+        return [str(name) for name in count]
+
+    def active_states(self) -> dict[str, State]:
+        """Return the states that exist under the current options and wiring."""
+        return {
+            name: state
+            for name, state in self.states.items()
+            if not (state.unless_wired and state.unless_wired in self.wired)
+            and (state.when is None or state.when(self.option))
+        }
+
+    def declared_shape(self, declaration: Declaration) -> Any:
+        """Return the shape with options filled in: a tuple of whole numbers and words, or one word."""
+        shape = declaration.shape
+        if callable(shape):
+            shape = shape(self.option)
+        if isinstance(shape, str):
+            return shape
+        if isinstance(shape, int):
+            shape = (shape,)
+        return tuple(self._dimension(entry) for entry in shape)
+
+    def _dimension(self, entry: Any) -> int | str:
+        if isinstance(entry, str) and hasattr(self.option, entry):
+            value = getattr(self.option, entry)
+            return int(value) if isinstance(value, int) else len(value)
+        return int(entry) if isinstance(entry, int | np.integer) else str(entry)
+
+
+def _named(declaration: Declaration, name: str) -> Declaration:
+    from dataclasses import replace
+
+    return replace(declaration, name=name)

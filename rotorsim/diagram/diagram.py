@@ -1,0 +1,117 @@
+"""The validated diagram: blocks with resolved shapes and SI values, wires, solver, what to record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import networkx as nx
+import numpy as np
+
+from rotorsim.block import Block, In, Out, Shape
+from rotorsim.errors import Place
+
+__all__ = ["Diagram", "Endpoint", "Node", "Port", "Solver", "Wire"]
+
+
+@dataclass(frozen=True)
+class Port:
+    """A port of one block in one diagram, with its resolved shape."""
+
+    block: str
+    name: str
+    shape: Shape
+    unit: str | None
+    declaration: In | Out
+
+    def __str__(self) -> str:
+        return f"{self.block}.{self.name}"
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """One end of a wire, or a recorded signal: a port, or the part of it that ``index`` selects.
+
+    index: counted from 0 here, from 1 in JSON and on the screen; fewer entries than the port has
+    dimensions select a row (``rotor.displacement[3]`` of shape (nodes, 2) has shape (2,)).
+    """
+
+    block: str
+    port: str
+    index: tuple[int, ...] = ()
+
+    def __str__(self) -> str:
+        inside = ",".join(str(i + 1) for i in self.index)
+        return f"{self.block}.{self.port}" + (f"[{inside}]" if inside else "")
+
+
+@dataclass(frozen=True)
+class Wire:
+    """A connection; ``place`` is where it is written."""
+
+    source: Endpoint
+    target: Endpoint
+    place: Place = field(default_factory=Place)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A block in a diagram.
+
+    values: every parameter as an SI array of its resolved shape. references: parameter -> name of the
+    diagram parameter it follows. inputs, outputs: every port, also unwired ones. state_shapes,
+    random_shapes: of the active states and random draws.
+    """
+
+    name: str
+    block: Block
+    values: Mapping[str, np.ndarray]
+    references: Mapping[str, str]
+    inputs: Mapping[str, Port]
+    outputs: Mapping[str, Port]
+    state_shapes: Mapping[str, Shape]
+    random_shapes: Mapping[str, Shape]
+    place: Place = field(default_factory=Place)
+
+
+@dataclass(frozen=True)
+class Solver:
+    """How to simulate: method ``rk4`` or an adaptive one, step [s], stop time [s], tolerances."""
+
+    method: str = "rk4"
+    step: float = 1e-4
+    stop: float = 1.0
+    record_every: int = 1
+    rtol: float = 1e-8
+    atol: float = 1e-12
+
+
+@dataclass(frozen=True)
+class Diagram:
+    """A validated diagram; made by `rotorsim.diagram.load`, never by hand.
+
+    parameters: diagram parameters as SI arrays. cut: input ports cut by ``--without`` (they read zero).
+    document: the JSON it came from (for fmt, swap, diff and provenance). folder: where it was found.
+    """
+
+    name: str
+    parameters: Mapping[str, np.ndarray]
+    parameter_units: Mapping[str, str]
+    nodes: Mapping[str, Node]
+    wires: tuple[Wire, ...]
+    solver: Solver
+    record: tuple[Endpoint, ...]
+    solve_loops: bool = False
+    cut: frozenset[tuple[str, str]] = frozenset()
+    document: Mapping[str, Any] = field(default_factory=dict)
+    file: str = ""
+
+    @cached_property
+    def graph(self) -> nx.MultiDiGraph:
+        """The blocks and wires as a networkx graph; every edge carries its `Wire`."""
+        graph = nx.MultiDiGraph()
+        graph.add_nodes_from((name, {"node": node}) for name, node in self.nodes.items())
+        graph.add_edges_from((w.source.block, w.target.block, {"wire": w}) for w in self.wires)
+        return graph

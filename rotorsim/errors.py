@@ -1,0 +1,55 @@
+"""Errors as part of the product: place, what is wrong, what was expected, and a hint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+__all__ = ["Place", "Problem", "RotorsimError"]
+
+
+@dataclass(frozen=True, order=True)
+class Place:
+    """Where a problem is: file, line and column (counted from 1; 0 when unknown)."""
+
+    file: str = ""
+    line: int = 0
+    column: int = 0
+
+    def __str__(self) -> str:
+        if not self.file:
+            return ""
+        return f"{self.file}:{self.line}:{self.column}" if self.line else self.file
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One mistake: ``what`` is wrong at ``place`` / ``subject`` (block.port), and how to cure it (``hint``).
+
+    severity: ``"error"`` or ``"warning"``.
+    """
+
+    what: str
+    subject: str = ""
+    place: Place = field(default_factory=Place)
+    hint: str = ""
+    severity: str = "error"
+
+    def __str__(self) -> str:
+        head = ": ".join(part for part in (str(self.place), self.severity, self.subject) if part)
+        text = f"{head}: {self.what}"
+        return f"{text}\n\nhint: {self.hint}" if self.hint else text
+
+
+class RotorsimError(Exception):
+    """Base of all errors of rotorsim: carries every problem found, not only the first.
+
+    problems: tuple of `Problem`; exit_code: 2 for misuse or bad input, 1 for a failure in the data.
+    """
+
+    exit_code = 2
+
+    def __init__(self, *problems: Problem | str, exit_code: int | None = None) -> None:
+        self.problems = tuple(p if isinstance(p, Problem) else Problem(what=p) for p in problems)
+        if exit_code is not None:
+            self.exit_code = exit_code
+        super().__init__("\n".join(str(problem) for problem in self.problems))
