@@ -1,0 +1,245 @@
+"""A compiled diagram: its functions as CasADi functions and as a C library, its parameters by name."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+
+from rotorsim.compile.emit import Kernel, build_kernel, emit_c
+from rotorsim.compile.toolchain import Compiler, compile_c, find_compiler
+from rotorsim.compile.trace import Signal, Trace, flat_indices, trace_diagram
+from rotorsim.diagram.diagram import Diagram, Endpoint
+from rotorsim.errors import Problem, RotorsimError
+
+__all__ = ["Library", "Model", "compile_diagram"]
+
+
+def _pointer(array: np.ndarray) -> Any:
+    import ctypes
+
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+class Library:
+    """The C functions of one diagram (see runtime.c), and how they came about."""
+
+    def __init__(self, kernel: Kernel, compiler: Compiler) -> None:
+        import ctypes
+
+        self.kernel = kernel
+        self.source = emit_c(kernel)
+        self.compiler = compiler.name
+        self.handle, self.cached = compile_c(self.source, compiler)
+        i64, f64, ptr = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+        for name, arguments, result in (
+            ("rs_size", [], i64),
+            ("rs_prepare", [ptr, ptr], None),
+            ("rs_start", [f64, ptr, ptr], None),
+            ("rs_sample", [f64, ptr, ptr], None),
+            ("rs_derivative", [f64, ptr, ptr, ptr, ptr, ptr], None),
+            ("rs_record", [f64, ptr, ptr, ptr, ptr, ptr], None),
+            ("rs_derivatives", [i64, ptr, ptr, ptr, ptr, i64, ptr, ptr], None),
+            ("rs_run", [ptr, ptr, i64, i64, f64, f64, i64, ptr], i64),
+        ):
+            function = getattr(self.handle, name)
+            function.argtypes, function.restype = arguments, result
+            setattr(self, name[3:], function)
+        if kernel.trace.samplers:
+            self.handle.rs_next.argtypes, self.handle.rs_next.restype = [ptr, ptr], f64
+
+    def memory(self) -> np.ndarray:
+        """Return zeroed memory of one instance."""
+        return np.zeros(int(self.handle.rs_size()))
+
+
+class Model:
+    """A diagram ready to be simulated and analysed.
+
+    Vectors: x (n_x,) continuous states, z (n_z,) discrete states, p parameters, all row-major.
+    """
+
+    def __init__(self, diagram: Diagram, trace: Trace) -> None:
+        self.diagram = diagram
+        self.trace = trace
+        self.states: Mapping[str, Signal] = trace.states
+        self.signals: Mapping[str, Signal] = trace.ports
+        self.parameters = {name: signal.part for name, signal in trace.parameters.items()}
+        self.n_x = trace.x.numel()
+        self.n_z = trace.z.numel()
+        self.n_p = trace.p.numel()
+        self._outputs: dict[tuple[str, ...], ca.Function] = {}
+        self._libraries: dict[tuple[str, ...], Library | None] = {}
+        self.p0 = np.zeros(self.n_p)
+        for name, node in diagram.nodes.items():
+            for key, value in node.values.items():
+                self.p0[self.parameters[f"{name}.{key}"]] = np.ravel(value)
+
+    def parameter_vector(self, overrides: Mapping[str, Any] | None = None) -> np.ndarray:
+        """Return p with some values replaced (SI; diagram parameters by name set all that refer to them).
+
+        Raises RotorsimError for unknown names and wrong shapes.
+        """
+        p = self.p0.copy()
+        problems = []
+        for name, value in (overrides or {}).items():
+            parts = self._parts_of(name)
+            if not parts:
+                known = [*self.diagram.parameters, *self.parameters]
+                near = difflib.get_close_matches(name, known, 1)
+                hint = f"did you mean '{near[0]}'?" if near else "`rotorsim blocks TYPE` lists parameters"
+                problems.append(Problem(what="no such parameter", subject=name, hint=hint))
+                continue
+            for part in parts:
+                given = np.ravel(np.asarray(value, float))
+                if given.size not in (1, part.stop - part.start):
+                    what = f"{given.size} values given, {part.stop - part.start} expected"
+                    problems.append(Problem(what=what, subject=name))
+                else:
+                    p[part] = given
+        if problems:
+            raise RotorsimError(*problems)
+        return p
+
+    def _parts_of(self, name: str) -> list[slice]:
+        if name in self.diagram.parameters:
+            return self.references.get(name, []) or [slice(0, 0)]
+        return [self.parameters[name]] if name in self.parameters else []
+
+    @cached_property
+    def references(self) -> dict[str, list[slice]]:
+        """Diagram parameter -> the parts of p that follow it."""
+        found: dict[str, list[slice]] = {}
+        for block, node in self.diagram.nodes.items():
+            for key, reference in node.references.items():
+                found.setdefault(reference, []).append(self.parameters[f"{block}.{key}"])
+        return found
+
+    @cached_property
+    def _initial(self) -> ca.Function:
+        return ca.Function("initial", [self.trace.p], [ca.densify(self.trace.x0), ca.densify(self.trace.z0)])
+
+    def x0(self, p: np.ndarray | None = None) -> np.ndarray:
+        """Return the initial continuous states, shape (n_x,)."""
+        return np.array(self._initial(self.p0 if p is None else p)[0]).ravel()
+
+    def z0(self, p: np.ndarray | None = None) -> np.ndarray:
+        """Return the initial discrete states, shape (n_z,)."""
+        return np.array(self._initial(self.p0 if p is None else p)[1]).ravel()
+
+    @property
+    def _arguments(self) -> list[Any]:
+        return [self.trace.t, self.trace.x, self.trace.z, self.trace.p]
+
+    @cached_property
+    def rhs(self) -> ca.Function:
+        """dx/dt as a CasADi function of (t, x, z, p)."""
+        return ca.Function("rhs", self._arguments, [ca.densify(self._closed(self.trace.xdot))])
+
+    @cached_property
+    def jacobian_expression(self) -> Any:
+        """Sparse d(dx/dt)/dx as an expression of the trace's symbols."""
+        return ca.jacobian(self._closed(self.trace.xdot), self.trace.x)
+
+    @cached_property
+    def jacobian(self) -> ca.Function:
+        """d(dx/dt)/dx, sparse (n_x, n_x), as a CasADi function of (t, x, z, p)."""
+        return ca.Function("jacobian", self._arguments, [self.jacobian_expression])
+
+    @cached_property
+    def linear(self) -> bool:
+        """Whether dx/dt is linear in x with constant coefficients (its Jacobian has neither x nor t)."""
+        return not ca.depends_on(self.jacobian_expression, ca.vertcat(self.trace.x, self.trace.t))
+
+    def _closed(self, expression: Any) -> Any:
+        """Return an expression with the external inputs (if any were asked for) at zero."""
+        v = self.trace.v
+        return ca.substitute(expression, v, ca.SX.zeros(*v.shape)) if v.numel() else expression
+
+    def output(self, names: Sequence[str]) -> ca.Function:
+        """Return the named signals, stacked row-major, as a CasADi function of (t, x, z, p).
+
+        A name may select a part: ``rotor.displacement[3]`` (counted from 1).
+        """
+        key = tuple(names)
+        if key not in self._outputs:
+            column = ca.vertcat(*[self.expression(name) for name in key]) if key else ca.SX(0, 1)
+            self._outputs[key] = ca.Function("output", self._arguments, [ca.densify(self._closed(column))])
+        return self._outputs[key]
+
+    def expression(self, name: str) -> Any:
+        """Return the column of a signal (or of a part of it) as an expression of the trace's symbols."""
+        signal, positions = self.select(name)
+        column = self.trace.signals[signal.name]
+        return column if len(positions) == column.shape[0] else column[positions.tolist()]
+
+    def select(self, name: str) -> tuple[Signal, np.ndarray]:
+        """Return the signal of a name such as ``rotor.displacement[3,1]`` and the row-major entries it selects."""
+        base, bracket, inside = name.partition("[")
+        signal = self.signals.get(base)
+        if signal is None:
+            near = difflib.get_close_matches(base, list(self.signals), 1)
+            hint = f"did you mean '{near[0]}'?" if near else f"signals: {', '.join(list(self.signals)[:8])}"
+            raise RotorsimError(Problem(what="no such signal", subject=name, hint=hint))
+        try:
+            index = tuple(int(part) - 1 for part in inside.rstrip("]").split(",")) if bracket else ()
+            if any(i < 0 for i in index):
+                raise IndexError
+            return signal, flat_indices(signal.shape, index)
+        except (ValueError, IndexError):
+            shape = " x ".join(map(str, signal.shape)) or "scalar"
+            what = f"no such entry; '{base}' has shape {shape}, counted from 1"
+            raise RotorsimError(Problem(what=what, subject=name)) from None
+
+    def record_names(self, record: Iterable[str | Endpoint] | None = None) -> tuple[str, ...]:
+        """Return what a run records, by name: what is asked for, else what the diagram says."""
+        return tuple(str(item) for item in (self.diagram.record if record is None else record))
+
+    def shape_of(self, name: str) -> tuple[int, ...]:
+        """Return the shape of a signal or of the part that a name selects."""
+        signal, _ = self.select(name)
+        dropped = name.count(",") + 1 if "[" in name else 0
+        return signal.shape[dropped:]
+
+    def kernel(self, record: Sequence[str]) -> Kernel:
+        """Return the scalar programs that record the named signals."""
+        return build_kernel(self.trace, [self.expression(name) for name in record])
+
+    def library(self, record: Sequence[str] = ()) -> Library | None:
+        """Return the compiled C functions that record the named signals, or None without a compiler."""
+        key = tuple(record)
+        if key not in self._libraries:
+            compiler = find_compiler()
+            self._libraries[key] = Library(self.kernel(key), compiler) if compiler else None
+        return self._libraries[key]
+
+    def rhs_batch(self, t: np.ndarray, x: np.ndarray, z: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Return dx/dt of n instants: t (n,), x (n, n_x), z (n_z,), p (n, n_p) -> (n, n_x)."""
+        t, x, p, z = (np.ascontiguousarray(a, float) for a in (t, x, p, z))
+        library = self.library()
+        if library is None:
+            columns = self.rhs(t[None, :], x.T, np.repeat(z[:, None], len(t), 1), p.T)
+            return np.array(columns).T
+        out = np.empty((len(t), self.n_x))
+        m = library.memory()
+        library.derivatives(len(t), _pointer(t), _pointer(x), _pointer(z), _pointer(p), self.n_p, _pointer(m), _pointer(out))  # type: ignore[attr-defined]
+        return out
+
+    def block_of_state(self, position: int) -> str:
+        """Return the name of the block that owns an entry of x."""
+        return self.trace.state_blocks[position]
+
+
+def compile_diagram(diagram: Diagram, *, inject: Iterable[str] = (), replace: Iterable[str] = ()) -> Model:
+    """Trace a diagram and return its model; C is generated and compiled when first needed.
+
+    inject, replace: see `trace_diagram`. Raises RotorsimError.
+    """
+    return Model(diagram, trace_diagram(diagram, inject, replace))
+
+

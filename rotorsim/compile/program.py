@@ -1,0 +1,269 @@
+"""Scalar programs: the traced expressions as a list of operations that can be rewritten and emitted.
+
+A `Program` is a directed acyclic graph in evaluation order. Equal operations are one node (hash
+consing), constants are folded, and every node has a level that says what it depends on, so that what
+does not change in the time loop is computed outside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import casadi as ca
+
+__all__ = ["CONSTANT", "INPUT", "LEVEL_CONSTANT", "LEVEL_PARAMETER", "LEVEL_STATE", "LEVEL_TIME", "Program"]
+
+INPUT, CONSTANT = ca.OP_INPUT, ca.OP_CONST
+LEVEL_CONSTANT, LEVEL_PARAMETER, LEVEL_TIME, LEVEL_STATE = 0, 1, 2, 3
+_LEVEL_OF_VECTOR = {"p": LEVEL_PARAMETER, "t": LEVEL_TIME}
+
+ADD, SUB, MUL, DIV, NEG = ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG
+SQ, TWICE, INV, SIN, COS = ca.OP_SQ, ca.OP_TWICE, ca.OP_INV, ca.OP_SIN, ca.OP_COS
+_COMMUTATIVE = frozenset({ADD, MUL, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_FMIN, ca.OP_FMAX, ca.OP_HYPOT})
+_UNARY = frozenset(
+    {
+        NEG, ca.OP_EXP, ca.OP_LOG, ca.OP_SQRT, SQ, TWICE, SIN, COS, ca.OP_TAN, ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATAN,
+        ca.OP_NOT, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FABS, ca.OP_SIGN, ca.OP_ERF, INV, ca.OP_SINH, ca.OP_COSH,
+        ca.OP_TANH, ca.OP_ASINH, ca.OP_ACOSH, ca.OP_ATANH, ca.OP_LOG1P, ca.OP_EXPM1, ca.OP_ASSIGN,
+    }
+)  # fmt: skip
+_FOLD: dict[int, Callable[[float, float], float]] = {
+    ADD: lambda a, b: a + b,
+    SUB: lambda a, b: a - b,
+    MUL: lambda a, b: a * b,
+    DIV: lambda a, b: a / b,
+    NEG: lambda a, _: -a,
+    SQ: lambda a, _: a * a,
+    TWICE: lambda a, _: 2 * a,
+    INV: lambda a, _: 1 / a,
+    SIN: lambda a, _: math.sin(a),
+    COS: lambda a, _: math.cos(a),
+    ca.OP_SQRT: lambda a, _: math.sqrt(a),
+    ca.OP_EXP: lambda a, _: math.exp(a),
+}
+Node = tuple[int, int | str | float, int]
+
+
+class Program:
+    """Operations in evaluation order.
+
+    nodes[k] = (op, a, b): for INPUT a is the vector's name and b the position; for CONSTANT a is the
+    value; else a, b are node numbers (b = -1 for one operand). levels[k]: what it depends on.
+    ``reassociate`` allows sums and products to be regrouped so that what changes less often is joined first.
+    """
+
+    def __init__(self, reassociate: bool = True) -> None:
+        self.nodes: list[Node] = []
+        self.levels: list[int] = []
+        self.reassociate = reassociate
+        self._known: dict[Node, int] = {}
+
+    def _add(self, node: Node, level: int) -> int:
+        number = self._known.get(node)
+        if number is None:
+            number = self._known[node] = len(self.nodes)
+            self.nodes.append(node)
+            self.levels.append(level)
+        return number
+
+    def constant(self, value: float) -> int:
+        """Return the node of a constant."""
+        return self._add((CONSTANT, float(value) + 0.0, -1), LEVEL_CONSTANT)
+
+    def input(self, vector: str, position: int) -> int:
+        """Return the node of an input; its level follows from the vector's name."""
+        return self._add((INPUT, vector, position), _LEVEL_OF_VECTOR.get(vector, LEVEL_STATE))
+
+    def is_constant(self, number: int, value: float | None = None) -> bool:
+        """Return whether a node is a constant (of this value)."""
+        op, a, _ = self.nodes[number]
+        return op == CONSTANT and (value is None or a == value)
+
+    def value(self, number: int) -> float:
+        """Return the value of a constant node."""
+        return float(self.nodes[number][1])
+
+    def apply(self, op: int, a: int, b: int = -1) -> int:
+        """Return the node of an operation, simplified."""
+        if op in _UNARY:
+            b = -1
+        fold = _FOLD.get(op)
+        if fold is not None and self.is_constant(a) and (b < 0 or self.is_constant(b)):
+            try:
+                folded = fold(self.value(a), self.value(b) if b >= 0 else 0.0)
+            except (ArithmeticError, ValueError):
+                folded = math.nan
+            if math.isfinite(folded):
+                return self.constant(folded)
+        simple = self._simplified(op, a, b)
+        if simple is not None:
+            return simple
+        if op in _COMMUTATIVE and b < a:
+            a, b = b, a
+        level = max(self.levels[a], self.levels[b] if b >= 0 else 0)
+        return self._add((op, a, b), level)
+
+    def _simplified(self, op: int, a: int, b: int) -> int | None:
+        zero = self.is_constant
+        if op == ca.OP_ASSIGN:
+            return a
+        if op == NEG:
+            return self._operand(a, NEG)
+        if op == ADD:
+            if zero(a, 0.0) or zero(b, 0.0):
+                return b if zero(a, 0.0) else a
+            for one, other in ((a, b), (b, a)):
+                inner = self._operand(other, NEG)
+                if inner is not None:
+                    return self.apply(SUB, one, inner)
+        elif op == SUB:
+            if zero(b, 0.0):
+                return a
+            if zero(a, 0.0):
+                return self.apply(NEG, b)
+            inner = self._operand(b, NEG)
+            if inner is not None:
+                return self.apply(ADD, a, inner)
+        elif op == MUL:
+            for one, other in ((a, b), (b, a)):
+                if zero(one, 0.0):
+                    return one
+                if zero(one, 1.0):
+                    return other
+                if zero(one, -1.0):
+                    return self.apply(NEG, other)
+        elif op == DIV:
+            if zero(b, 1.0) or zero(a, 0.0):
+                return a
+            if self.levels[b] <= LEVEL_PARAMETER < self.levels[a]:  # one reciprocal outside the time loop
+                return self.apply(MUL, a, self.apply(INV, b))
+        if self.reassociate and op in (ADD, SUB, MUL):
+            return self._regrouped(op, a, b)
+        return None
+
+    def _operand(self, number: int, op: int) -> int | None:
+        node = self.nodes[number]
+        return int(node[1]) if node[0] == op else None
+
+    def _regrouped(self, op: int, a: int, b: int) -> int | None:
+        """Join operands that change less often: (s + q) + r = s + (q + r) when q and r are below s."""
+        for high, low, swapped in ((a, b, False), (b, a, True)):
+            inner_op, c, d = self.nodes[high]
+            level = self.levels[high]
+            if inner_op in (INPUT, CONSTANT) or not isinstance(c, int) or self.levels[low] >= level or d < 0:
+                continue
+            if self.is_constant(low) and op != MUL:
+                continue
+            if op == MUL and inner_op == MUL:
+                for s, q in ((c, d), (d, c)):
+                    if self.levels[q] < level:
+                        return self.apply(MUL, s, self.apply(MUL, q, low))
+            elif op in (ADD, SUB) and inner_op in (ADD, SUB):
+                found = self._regrouped_sum(op, inner_op, c, d, low, level, swapped)
+                if found is not None:
+                    return found
+        return None
+
+    def _regrouped_sum(self, op: int, inner: int, c: int, d: int, r: int, level: int, swapped: bool) -> int | None:
+        sign_c, sign_d, sign_r = 1, (1 if inner == ADD else -1), 1
+        if op == SUB:
+            if swapped:
+                sign_c, sign_d = -sign_c, -sign_d
+            else:
+                sign_r = -1
+        for s, sign_s, q, sign_q in ((c, sign_c, d, sign_d), (d, sign_d, c, sign_c)):
+            if self.levels[q] < level:
+                low = self._signed_sum(q, sign_q, r, sign_r)
+                if low is None:
+                    return None
+                return self._signed_sum(s, sign_s, low, 1)
+        return None
+
+    def _signed_sum(self, a: int, sign_a: int, b: int, sign_b: int) -> int | None:
+        if sign_a > 0:
+            return self.apply(ADD if sign_b > 0 else SUB, a, b)
+        if sign_b > 0:
+            return self.apply(SUB, b, a)
+        return self.apply(NEG, self.apply(ADD, a, b))
+
+    def load(self, function: ca.Function, leaves: Sequence[Callable[[int], int]]) -> list[list[int]]:
+        """Add the operations of a CasADi SX function; return the nodes of its outputs.
+
+        leaves[k](i) gives the node of entry i of argument k.
+        """
+        work: list[int] = [0] * function.sz_w()
+        outputs = [[self.constant(0.0)] * function.numel_out(k) for k in range(function.n_out())]
+        rows = [_dense_positions(function.sparsity_out(k)) for k in range(function.n_out())]
+        for k in range(function.n_instructions()):
+            op = function.instruction_id(k)
+            into, out = function.instruction_input(k), function.instruction_output(k)
+            if op == INPUT:
+                work[out[0]] = leaves[into[0]](into[1])
+            elif op == CONSTANT:
+                work[out[0]] = self.constant(function.instruction_constant(k))
+            elif op == ca.OP_OUTPUT:
+                outputs[out[0]][rows[out[0]][out[1]]] = work[into[0]]
+            else:
+                work[out[0]] = self.apply(op, work[into[0]], work[into[1]] if len(into) > 1 else -1)
+        return outputs
+
+    def inline(self, other: Program, outputs: Iterable[int], leaf: Callable[[Node], int]) -> list[int]:
+        """Copy the operations that ``outputs`` of another program need; ``leaf`` maps its inputs."""
+        wanted = list(outputs)
+        new: dict[int, int] = {}
+        for number in other.needed(wanted):
+            node = other.nodes[number]
+            op, a, b = node
+            if op == INPUT:
+                new[number] = leaf(node)
+            elif op == CONSTANT:
+                new[number] = self.constant(float(a))
+            else:
+                new[number] = self.apply(op, new[int(a)], new[b] if b >= 0 else -1)
+        return [new[number] for number in wanted]
+
+    def needed(self, outputs: Iterable[int], given: Mapping[int, object] | None = None) -> list[int]:
+        """Return the nodes that outputs depend on, in evaluation order, not looking behind given nodes."""
+        seen: set[int] = set()
+        stack = list(outputs)
+        while stack:
+            number = stack.pop()
+            if number in seen:
+                continue
+            seen.add(number)
+            if given is not None and number in given:
+                continue
+            op, a, b = self.nodes[number]
+            if op not in (INPUT, CONSTANT):
+                stack.append(int(a))
+                if b >= 0:
+                    stack.append(b)
+        return sorted(seen)
+
+    def boundary(self, outputs: Iterable[int], level: int) -> list[int]:
+        """Return the computed nodes of at most this level that outputs need directly (hoisting points)."""
+        found: set[int] = set()
+        stack, seen = list(outputs), set()
+        while stack:
+            number = stack.pop()
+            if number in seen:
+                continue
+            seen.add(number)
+            op, a, b = self.nodes[number]
+            if op == CONSTANT or self.levels[number] <= level:
+                if op not in (INPUT, CONSTANT) or (op == INPUT and self.levels[number] == level):
+                    found.add(number)
+                continue
+            if op != INPUT:
+                stack.append(int(a))
+                if b >= 0:
+                    stack.append(b)
+        return sorted(found)
+
+
+def _dense_positions(sparsity: ca.Sparsity) -> list[int]:
+    """Return the row-major dense position of every nonzero (outputs here are columns)."""
+    rows, columns = sparsity.get_triplet()
+    width = sparsity.size2()
+    return [r * width + c for r, c in zip(rows, columns, strict=True)]

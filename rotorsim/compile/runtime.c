@@ -1,0 +1,193 @@
+/* The C runtime of rotorsim: time loop, sample hits, random draws, finite check.
+ *
+ * It is appended to the generated functions of one diagram and is the same in process and in an FMU.
+ * Generated before it: RS_NX states, RS_NZ discrete states, RS_NC values that depend on parameters only,
+ * RS_NG values that depend on time and parameters only, RS_NY recorded values, RS_NS samplers,
+ * RS_NW random draws, RS_WORK work space, RS_UNROLLED (1: rs_step is generated), and the functions
+ * rs_constants, rs_forcing, rs_rhs, rs_outputs, rs_update, rs_step.
+ *
+ * One instance is one block of doubles m, laid out as below; nothing else holds state.
+ */
+#define RS_AT_X 0
+#define RS_AT_Z (RS_AT_X + RS_NX)
+#define RS_AT_G (RS_AT_Z + RS_NZ)
+#define RS_AT_C (RS_AT_G + 3 * RS_NG)
+#define RS_AT_K (RS_AT_C + RS_NC)
+#define RS_AT_W (RS_AT_K + 4 * RS_NX)
+#define RS_AT_HIT (RS_AT_W + RS_NW)
+#define RS_AT_COUNT (RS_AT_HIT + RS_NS)
+#define RS_AT_NEW (RS_AT_COUNT + RS_NS)
+#define RS_AT_ROW (RS_AT_NEW + RS_NZ)
+#define RS_AT_WORK (RS_AT_ROW + RS_NY)
+#define RS_SIZE (RS_AT_WORK + RS_WORK + 1)
+
+#if defined(_WIN32)
+#define RS_EXPORT __declspec(dllexport)
+#else
+#define RS_EXPORT __attribute__((visibility("default")))
+#endif
+
+RS_EXPORT int64_t rs_size(void) { return RS_SIZE; }
+
+/* Compute everything that depends on parameters only. */
+RS_EXPORT void rs_prepare(const double *p, double *m) { rs_constants(p, m + RS_AT_C, m + RS_AT_WORK); }
+
+/* Right-hand side dx/dt at one instant. */
+RS_EXPORT void rs_derivative(double t, const double *x, const double *z, const double *p, double *m, double *xdot) {
+  rs_forcing(t, p, m + RS_AT_C, m + RS_AT_G, m + RS_AT_WORK);
+  rs_rhs(x, z, p, m + RS_AT_C, m + RS_AT_G, xdot, m + RS_AT_WORK);
+}
+
+/* Recorded values at one instant. */
+RS_EXPORT void rs_record(double t, const double *x, const double *z, const double *p, double *m, double *y) {
+  rs_forcing(t, p, m + RS_AT_C, m + RS_AT_G, m + RS_AT_WORK);
+  rs_outputs(x, z, p, m + RS_AT_C, m + RS_AT_G, y, m + RS_AT_WORK);
+}
+
+/* Right-hand sides of n instants: t (n), x (n, NX), z (NZ), p (n, NP) -> xdot (n, NX). */
+RS_EXPORT void rs_derivatives(int64_t n, const double *t, const double *x, const double *z, const double *p, int64_t np,
+                              double *m, double *xdot) {
+  const double *known = 0;
+  for (int64_t k = 0; k < n; ++k) {
+    const double *pk = p + k * np;
+    int same = known != 0;
+    for (int64_t i = 0; same && i < np; ++i) same = pk[i] == known[i];
+    if (!same) rs_prepare(pk, m);
+    known = pk;
+    rs_derivative(t[k], x + k * RS_NX, z, pk, m, xdot + k * RS_NX);
+  }
+}
+
+#if RS_NS > 0
+static uint64_t rs_mix(uint64_t s) {
+  s = (s ^ (s >> 30)) * 0xbf58476d1ce4e5b9ULL;
+  s = (s ^ (s >> 27)) * 0x94d049bb133111ebULL;
+  return s ^ (s >> 31);
+}
+
+/* Standard normal draw number j of hit k: a counter-based generator (splitmix64, Box-Muller). */
+static double rs_normal(uint64_t seed, uint64_t k, uint64_t j) {
+  const uint64_t base = rs_mix(rs_mix(seed + 0x9e3779b97f4a7c15ULL) + k) + 2 * j;
+  const double u = ((double)(rs_mix(rs_mix(base)) >> 11) + 0.5) * 0x1p-53;
+  const double v = (double)(rs_mix(rs_mix(base + 1)) >> 11) * 0x1p-53;
+  return sqrt(-2.0 * log(u)) * cos(6.283185307179586 * v);
+}
+
+/* Time of the next hit at or after now, of all samplers. */
+static double rs_next_hit(const double *p, const double *m) {
+  double next = HUGE_VAL;
+  for (int s = 0; s < RS_NS; ++s) {
+    const double at = m[RS_AT_COUNT + s] * p[rs_period[s]];
+    if (at < next) next = at;
+  }
+  return next;
+}
+
+/* Carry out the hits that are due at time t (g of this instant is in place); tolerance: 1e-9 of the period. */
+static void rs_hit(double t, const double *p, double *m, const double *g) {
+  int any = 0;
+  for (int s = 0; s < RS_NS; ++s) {
+    const double period = p[rs_period[s]];
+    const int due = m[RS_AT_COUNT + s] * period <= t + 1e-9 * period;
+    m[RS_AT_HIT + s] = due;
+    if (!due) continue;
+    any = 1;
+    for (int j = rs_draw_begin[s]; j < rs_draw_end[s]; ++j)
+      m[RS_AT_W + j] = rs_normal((uint64_t)(int64_t)p[rs_seed[s]], (uint64_t)m[RS_AT_COUNT + s], (uint64_t)(j - rs_draw_begin[s]));
+    m[RS_AT_COUNT + s] += 1.0;
+  }
+  if (!any) return;
+  rs_update(m + RS_AT_X, m + RS_AT_Z, p, m + RS_AT_C, g, m + RS_AT_W, m + RS_AT_HIT, m + RS_AT_NEW, m + RS_AT_WORK);
+  memcpy(m + RS_AT_Z, m + RS_AT_NEW, RS_NZ * sizeof(double));
+}
+RS_EXPORT double rs_next(const double *p, const double *m) { return rs_next_hit(p, m); }
+#endif
+
+/* Begin at time t: forcing of this instant, sample hits due. The states are in m already. */
+RS_EXPORT void rs_start(double t, const double *p, double *m) {
+  rs_forcing(t, p, m + RS_AT_C, m + RS_AT_G, m + RS_AT_WORK);
+#if RS_NS > 0
+  for (int s = 0; s < RS_NS; ++s) m[RS_AT_COUNT + s] = ceil(t / p[rs_period[s]] - 1e-9);
+  rs_hit(t, p, m, m + RS_AT_G);
+#endif
+}
+
+/* Carry out the hits due at time t (for solvers that step outside). */
+RS_EXPORT void rs_sample(double t, const double *p, double *m) {
+#if RS_NS > 0
+  rs_forcing(t, p, m + RS_AT_C, m + RS_AT_G, m + RS_AT_WORK);
+  rs_hit(t, p, m, m + RS_AT_G);
+#else
+  (void)t, (void)p, (void)m;
+#endif
+}
+
+#if !RS_UNROLLED
+/* Classical Runge-Kutta step of order 4 (Kutta 1901) over generated right-hand sides. */
+static void rs_step(double *restrict x, const double *z, const double *p, const double *c, const double *g0,
+                    const double *gm, const double *g1, double h, double *y, double *k, double *work) {
+  double *restrict slope = k, *restrict sum = k + RS_NX, *restrict at = k + 2 * RS_NX;
+  rs_outputs(x, z, p, c, g0, y, work);
+  rs_rhs(x, z, p, c, g0, slope, work);
+  for (int i = 0; i < RS_NX; ++i) sum[i] = slope[i], at[i] = x[i] + 0.5 * h * slope[i];
+  rs_rhs(at, z, p, c, gm, slope, work);
+  for (int i = 0; i < RS_NX; ++i) sum[i] += 2.0 * slope[i], at[i] = x[i] + 0.5 * h * slope[i];
+  rs_rhs(at, z, p, c, gm, slope, work);
+  for (int i = 0; i < RS_NX; ++i) sum[i] += 2.0 * slope[i], at[i] = x[i] + h * slope[i];
+  rs_rhs(at, z, p, c, g1, slope, work);
+  for (int i = 0; i < RS_NX; ++i) x[i] += h / 6.0 * (sum[i] + slope[i]);
+}
+#endif
+
+/* Run steps n0..n1-1 of size h from t0; a row is recorded at the start of every step divisible by `every`.
+ * Returns the number of the step reached: less than n1 when a state is no longer finite. */
+RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, double t0, double h, int64_t every,
+                         double *rows) {
+  double *x = m + RS_AT_X, *z = m + RS_AT_Z, *c = m + RS_AT_C, *work = m + RS_AT_WORK, *k = m + RS_AT_K;
+  double *g0 = m + RS_AT_G, *gm = g0 + RS_NG, *g1 = gm + RS_NG;
+  int64_t n = n0, until_row = (every - n0 % every) % every;
+  for (; n < n1; ++n) {
+    double *row = m + RS_AT_ROW;
+    if (until_row == 0) row = rows, rows += RS_NY, until_row = every;
+    --until_row;
+#if RS_NS > 0
+    double t = t0 + (double)n * h;
+    const double end = t0 + (double)(n + 1) * h;
+    for (;;) {
+      double stop = rs_next_hit(p, m);
+      if (stop > end - 1e-9 * h) stop = end;
+      rs_forcing(t + 0.5 * (stop - t), p, c, gm, work);
+      rs_forcing(stop, p, c, g1, work);
+      rs_step(x, z, p, c, g0, gm, g1, stop - t, row, k, work);
+      double *swap = g0;
+      g0 = g1, g1 = swap;
+      rs_hit(stop, p, m, g0);
+      if (stop == end) break;
+      t = stop, row = m + RS_AT_ROW;
+    }
+#else
+    rs_forcing(t0 + ((double)n + 0.5) * h, p, c, gm, work);
+    rs_forcing(t0 + (double)(n + 1) * h, p, c, g1, work);
+    rs_step(x, z, p, c, g0, gm, g1, h, row, k, work);
+    double *swap = g0;
+    g0 = g1, g1 = swap;
+#endif
+    if ((n & 7) == 7) {
+      double a = 0.0, b = 0.0;
+      int i = 0;
+      for (; i + 1 < RS_NX; i += 2) a += x[i], b += x[i + 1];
+      if (i < RS_NX) a += x[i];
+      if (!((a + b) * 0.0 == 0.0)) {
+        ++n;
+        break;
+      }
+    }
+  }
+  if (g0 != m + RS_AT_G) { /* the forcing of the current instant stays in front */
+    for (int i = 0; i < RS_NG; ++i) {
+      const double swap = g0[i];
+      g0[i] = m[RS_AT_G + i], m[RS_AT_G + i] = swap;
+    }
+  }
+  return n;
+}
