@@ -97,7 +97,9 @@ def unflatten(column: Symbol, shape: Shape) -> Symbol:
 
 @dataclass(frozen=True, kw_only=True)
 class Declaration:
-    """Common part of every declaration; ``name`` is filled in by the class body.
+    """Common part of every declaration.
+
+    name: the attribute's name, unless given (a parameter and a port may then have one name).
 
     shape: ``()`` scalar, ``n``, ``(n, m)``; an entry may be the name of an option (its value, or its
     length if a list) or any other word, a dimension found from wires and parameter values; a bare word
@@ -119,7 +121,7 @@ class In(Declaration):
     additive: any number of wires, also none; their sum is the input (forces on a rotor).
     many: name of an option that says how many ports there are: a whole number n (or a text of n letters,
     such as signs "+-") gives name1..namen, a list of strings gives ports of these names; ``u.<name>`` is
-    then a list.
+    then a list. Words in its shape that end in "*" stand for something else at each of these ports.
     """
 
     optional: bool = False
@@ -218,7 +220,8 @@ class Block:
     """Base of all blocks: subclasses declare ports, parameters and states and define ``equations``.
 
     ``type_name`` (default: the class name in snake_case) is the ``"type"`` of diagram JSON.
-    ``sample_time`` names the parameter that holds the sample period [s] of a discrete block.
+    ``sample_time`` names the parameter that holds the sample period [s] of a discrete block; a parameter
+    declared as ``sample_time`` is that one.
     ``source`` cites where the equations are from. Subclasses are final: reuse by functions.
     """
 
@@ -243,9 +246,12 @@ class Block:
         for name, value in list(cls.__dict__.items()):
             for kind, types in _KINDS.items():
                 if isinstance(value, types):
-                    found[kind][name] = _named(value, name)
+                    declared = value if value.name else _named(value, name)
+                    found[kind][declared.name] = declared
         for kind, declarations in found.items():
             setattr(cls, kind, declarations)
+        if "sample_time" in cls.__dict__.get("parameters", {}) and not isinstance(cls.sample_time, str):
+            cls.sample_time = "sample_time"  # the parameter took the name of this class attribute
 
     def __init__(self, option_values: Mapping[str, Any] | None = None, wired: frozenset[str] = frozenset()) -> None:
         """Hold option values (complete, already validated) and the names of the wired inputs."""
@@ -294,6 +300,19 @@ class Block:
         if isinstance(shape, int):
             shape = (shape,)
         return tuple(self._dimension(entry) for entry in shape)
+
+    def port_shape(self, declaration: In | Out, port: str) -> Any:
+        """Return `declared_shape` for one port of a declaration: words that end in "*" are made its own."""
+
+        def own(entry: Any) -> Any:
+            return f"{entry}{port}" if isinstance(entry, str) and entry.endswith("*") else entry
+
+        shape = self.declared_shape(declaration)
+        return own(shape) if isinstance(shape, str) else tuple(own(entry) for entry in shape)
+
+    def output_shapes(self, inputs: Mapping[str, Shape]) -> dict[str, Shape]:
+        """Return shapes of outputs that follow from those of the wired inputs as no word can say (default: none)."""
+        return {}
 
     def _dimension(self, entry: Any) -> int | str:
         if isinstance(entry, str) and hasattr(self.option, entry):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-__all__ = ["Place", "Problem", "RotorsimError"]
+__all__ = ["Place", "Problem", "RotorsimError", "near_miss"]
 
 
 @dataclass(frozen=True, order=True)
@@ -53,3 +54,20 @@ class RotorsimError(Exception):
         if exit_code is not None:
             self.exit_code = exit_code
         super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+def near_miss(word: str, known: Iterable[str], *, list_all: bool = True) -> str:
+    """Return a hint for a misspelt word: the closest known ones, else the list of all (if short enough)."""
+    from difflib import get_close_matches
+
+    names = sorted({str(name) for name in known})
+    folded = {name.lower(): name for name in reversed(names)}
+    if word.lower() in folded:
+        return f"did you mean '{folded[word.lower()]}'?"
+    close = get_close_matches(word, names, n=3, cutoff=0.6)
+    if close:
+        return "did you mean " + " or ".join(f"'{name}'" for name in close) + "?"
+    if not list_all or not names:
+        return ""
+    shown = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
+    return f"known: {shown}"

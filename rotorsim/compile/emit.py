@@ -23,7 +23,7 @@ from rotorsim.compile.trace import Trace
 __all__ = ["Kernel", "build_kernel", "emit_c"]
 
 UNROLL_LIMIT = 1500  # operations of the right-hand side above which the step is not unrolled
-CHUNK = 400  # statements per C function of large diagrams (compilers are slow on long functions)
+CHUNK = 200  # statements per C function of large diagrams (compilers are slow on long functions)
 
 _INFIX = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 _COMPARE = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!=", ca.OP_AND: "&&", ca.OP_OR: "||"}

@@ -35,7 +35,7 @@ class Library:
         self.kernel = kernel
         self.source = emit_c(kernel)
         self.compiler = compiler.name
-        self.handle, self.cached = compile_c(self.source, compiler)
+        self.handle, self.cached = compile_c(self.source, compiler, "-O3" if kernel.unrolled else "-O2")
         i64, f64, ptr = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
         for name, arguments, result in (
             ("rs_size", [], i64),

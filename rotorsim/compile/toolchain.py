@@ -18,7 +18,7 @@ from rotorsim.errors import Problem, RotorsimError
 
 __all__ = ["Compiler", "cache_folder", "compile_c", "find_compiler"]
 
-FLAGS = ("-std=c99", "-O3", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off")
+FLAGS = ("-std=c99", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off")
 TIME_LIMIT = 600.0  # s; a compiler that takes longer is taken for hung
 
 
@@ -73,13 +73,13 @@ def cache_folder() -> Path:
     return base / "rotorsim"
 
 
-def compile_c(source: str, compiler: Compiler) -> tuple[ctypes.CDLL, bool]:
+def compile_c(source: str, compiler: Compiler, optimise: str = "-O3") -> tuple[ctypes.CDLL, bool]:
     """Return the library of a C source and whether it came from the cache.
 
     The file's name is the hash of source, compiler and flags; it appears by atomic rename, so that
-    runs in parallel never see half a library. Raises RotorsimError with what the compiler said.
+    runs in parallel never see half a library. optimise: -O3, or -O2 for long sources (half the time). Raises RotorsimError with what the compiler said.
     """
-    key = hashlib.sha256("\0".join([source, compiler.identity(), *FLAGS]).encode()).hexdigest()[:32]
+    key = hashlib.sha256("\0".join([source, compiler.identity(), optimise, *FLAGS]).encode()).hexdigest()[:32]
     suffix = ".dll" if sys.platform == "win32" else ".so"
     folder = cache_folder()
     library = folder / f"{key}{suffix}"
@@ -91,23 +91,23 @@ def compile_c(source: str, compiler: Compiler) -> tuple[ctypes.CDLL, bool]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder, prefix="build-") as build:
-            return _build(source, compiler, Path(build), library), False
+            return _build(source, [*compiler.command, optimise], Path(build), library), False
     except OSError:  # no cache can be written: compile for this process only
         with tempfile.TemporaryDirectory(prefix="rotorsim-", ignore_cleanup_errors=True) as build:
-            return _build(source, compiler, Path(build), Path(build) / library.name), False
+            return _build(source, [*compiler.command, optimise], Path(build), Path(build) / library.name), False
 
 
-def _build(source: str, compiler: Compiler, build: Path, library: Path) -> ctypes.CDLL:
+def _build(source: str, compiler: list[str], build: Path, library: Path) -> ctypes.CDLL:
     text, target = build / "diagram.c", build / "diagram.out"
     text.write_text(source, encoding="utf-8")
-    command = [*compiler.command, *FLAGS, "-o", str(target), str(text), "-lm"]
+    command = [*compiler, *FLAGS, "-o", str(target), str(text), "-lm"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
     except subprocess.TimeoutExpired:
         raise RotorsimError(
             Problem(
                 what=f"the C compiler took longer than {TIME_LIMIT:.0f} s",
-                subject=compiler.name,
+                subject=compiler[0],
                 hint="run with --no-compiler (slower, needs no compiler)",
             ),
             exit_code=1,
@@ -117,7 +117,7 @@ def _build(source: str, compiler: Compiler, build: Path, library: Path) -> ctype
         raise RotorsimError(
             Problem(
                 what=f"the C compiler failed: {said}",
-                subject=compiler.name,
+                subject=compiler[0],
                 hint="run with --no-compiler (slower, needs no compiler), or name another one in ROTORSIM_CC",
             ),
             exit_code=1,

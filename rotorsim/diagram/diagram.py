@@ -11,7 +11,8 @@ import networkx as nx
 import numpy as np
 
 from rotorsim.block import Block, In, Out, Shape
-from rotorsim.errors import Place
+from rotorsim.diagram.traced import BlockTrace
+from rotorsim.errors import Place, Problem, RotorsimError
 
 __all__ = ["Diagram", "Endpoint", "Node", "Port", "Solver", "Wire"]
 
@@ -93,7 +94,8 @@ class Diagram:
     """A validated diagram; made by `rotorsim.diagram.load`, never by hand.
 
     parameters: diagram parameters as SI arrays. cut: input ports cut by ``--without`` (they read zero).
-    document: the JSON it came from (for fmt, swap, diff and provenance). folder: where it was found.
+    document: the JSON it came from, with ``set`` in it (for fmt, swap, diff and provenance). file: its name.
+    warnings: what is odd but no mistake.
     """
 
     name: str
@@ -107,6 +109,17 @@ class Diagram:
     cut: frozenset[tuple[str, str]] = frozenset()
     document: Mapping[str, Any] = field(default_factory=dict)
     file: str = ""
+    warnings: tuple[Problem, ...] = ()
+
+    @cached_property
+    def traces(self) -> Mapping[str, BlockTrace]:
+        """The traced equations of every block; like blocks share one trace."""
+        from rotorsim.diagram.order import trace_blocks
+
+        traces, problems = trace_blocks(self)
+        if problems:
+            raise RotorsimError(*problems)
+        return traces
 
     @cached_property
     def graph(self) -> nx.MultiDiGraph:

@@ -1,0 +1,34 @@
+"""Time simulation, harmonic balance, linear analyses and their results."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_HOME = {
+    "simulate": "run",
+    "Result": "result",
+    "save": "files",
+    "load_result": "files",
+    "periodic": "periodic",
+    "linearise": "linear",
+    "equilibrium": "linear",
+    "modes": "modes",
+    "campbell": "modes",
+    "frequency_response": "frequency",
+    "sensitivity": "frequency",
+    "design_state_feedback": "design",
+    "full_spectrum": "spectrum",
+    "harmonics": "spectrum",
+    "envelope": "spectrum",
+}
+__all__ = list(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used: scipy need not be loaded to run a fixed-step simulation."""
+    if name in _HOME:
+        value = getattr(import_module(f"rotorsim.simulate.{_HOME[name]}"), name)
+        globals()[name] = value  # a module of the same name must not hide it
+        return value
+    raise AttributeError(f"module 'rotorsim.simulate' has no attribute '{name}'")

@@ -1,0 +1,112 @@
+"""Matrices of a beam element, and a banded solver; plain arithmetic on numbers or CasADi symbols.
+
+Degrees of freedom of one plane: [u_1, slope_1, u_2, slope_2]. Entries are plain Python lists.
+Source: Friswell, Penny, Garvey & Lees, Dynamics of Rotating Machines (2010), sec. 5.4;
+thesis Appendix B is the case without shear and rotary inertia.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+Table = list[list[Any]]
+BAND = 3  # off-diagonals of a chain of beam elements in one plane
+
+
+def shear_coefficient(poisson_ratio: Any, inner: Any, outer: Any) -> Any:
+    """Return kappa of a hollow circular section (Cowper 1966, table 1)."""
+    m2 = (inner / outer) ** 2
+    nu, full = poisson_ratio, (1 + m2) ** 2
+    return 6 * (1 + nu) * full / ((7 + 6 * nu) * full + (20 + 12 * nu) * m2)
+
+
+def stiffness(ei: Any, length: Any, phi: Any) -> Table:
+    """Return the stiffness matrix; phi = 12 E I / (kappa G A l^2), zero for Euler-Bernoulli."""
+    k = ei / ((1 + phi) * length**3)
+    a, b = 12 * k, 6 * length * k
+    c, d = (4 + phi) * length**2 * k, (2 - phi) * length**2 * k
+    return [[a, b, -a, b], [b, c, -b, d], [-a, -b, a, -b], [b, d, -b, c]]
+
+
+def translation_mass(mass: Any, length: Any, phi: Any) -> Table:
+    """Return the consistent mass matrix of translation; mass = rho A l."""
+    k = mass / (840 * (1 + phi) ** 2)
+    m1 = (312 + 588 * phi + 280 * phi**2) * k
+    m2 = (44 + 77 * phi + 35 * phi**2) * length * k
+    m3 = (108 + 252 * phi + 140 * phi**2) * k
+    m4 = -(26 + 63 * phi + 35 * phi**2) * length * k
+    m5 = (8 + 14 * phi + 7 * phi**2) * length**2 * k
+    m6 = -(6 + 14 * phi + 7 * phi**2) * length**2 * k
+    return [[m1, m2, m3, m4], [m2, m5, -m4, m6], [m3, -m4, m1, -m2], [m4, m6, -m2, m5]]
+
+
+def rotary_mass(rho_i: Any, length: Any, phi: Any) -> Table:
+    """Return the consistent mass matrix of rotary inertia; rho_i = rho I. Twice it is the gyroscopic matrix."""
+    k = rho_i / (30 * (1 + phi) ** 2 * length)
+    m7, m8 = 36 * k, (3 - 15 * phi) * length * k
+    m9 = (4 + 5 * phi + 10 * phi**2) * length**2 * k
+    m10 = (-1 - 5 * phi + 5 * phi**2) * length**2 * k
+    return [[m7, m8, -m7, m8], [m8, m9, -m8, m10], [-m7, -m8, m7, -m8], [m8, m10, -m8, m9]]
+
+
+class Banded:
+    """A symmetric matrix of `BAND` off-diagonals: rows[i][k] is entry (i, i - k)."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.rows: Table = [[0.0] * (min(i, BAND) + 1) for i in range(size)]
+
+    def add(self, i: int, j: int, value: Any) -> None:
+        """Add to entry (i, j) and (j, i); entries above the diagonal are ignored."""
+        if i >= j:
+            self.rows[i][i - j] = self.rows[i][i - j] + value
+
+    def times(self, v: Sequence[Any]) -> list[Any]:
+        """Return the product with a vector."""
+        out = []
+        for i in range(self.size):
+            total = 0.0
+            for j in range(max(i - BAND, 0), min(i + BAND, self.size - 1) + 1):
+                entry = self.rows[max(i, j)][abs(i - j)]
+                if not _is_zero(entry):
+                    total = total + entry * v[j]
+            out.append(total)
+        return out
+
+    def factor(self) -> tuple[Table, list[Any]]:
+        """Return L (unit lower, rows as here without the diagonal) and the reciprocals of D of L D L^T."""
+        lower: Table = []
+        d: list[Any] = []
+        for i in range(self.size):
+            raw: dict[int, Any] = {}
+            for j in range(max(i - BAND, 0), i):
+                value = self.rows[i][i - j]
+                for k in range(max(i - BAND, 0), j):
+                    if j - k <= BAND:
+                        value = value - raw[k] * lower[j][j - k - 1]
+                raw[j] = value
+            row = [raw[i - k] / d[i - k] for k in range(1, min(i, BAND) + 1)]
+            diagonal = self.rows[i][0]
+            for k, entry in enumerate(row, 1):
+                diagonal = diagonal - entry * raw[i - k]
+            lower.append(row)
+            d.append(diagonal)
+        return lower, [1 / value for value in d]
+
+
+def solve_factored(lower: Table, inverse_d: Sequence[Any], b: Sequence[Any]) -> list[Any]:
+    """Return the solution of L D L^T y = b in O(size) operations."""
+    y = list(b)
+    for i, row in enumerate(lower):
+        for k, entry in enumerate(row, 1):
+            y[i] = y[i] - entry * y[i - k]
+    y = [value * inverse for value, inverse in zip(y, inverse_d, strict=True)]
+    for i in reversed(range(len(y))):
+        for k, entry in enumerate(lower[i], 1):
+            y[i - k] = y[i - k] - entry * y[i]
+    return y
+
+
+def _is_zero(value: Any) -> bool:
+    return isinstance(value, float) and value == 0.0

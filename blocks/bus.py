@@ -1,0 +1,36 @@
+"""Bus: signals of any shape in one vector."""
+
+from collections.abc import Mapping
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from rotorsim.block import Block, Equations, In, Option, Out, Shape, concatenate
+
+
+class Bus(Block):
+    """Put signals of any shape one after another into one vector.
+
+    output = [entries of the first signal, entries of the second, ...]        each in row-major order
+    """
+
+    source = "thesis Figures 2-5, 3-2, 4-4, 5-3 (bus creator); Simulink: Bus Creator, Vector Concatenate"
+
+    input = In(shape="signal*", unit=None, many="names", doc="one port for each name, of any shape")
+    output = Out(shape=("total",), unit=None, doc="all entries, shape (total,)")
+    names = Option(["input1", "input2"], kind=str, doc="names of the input ports, in the order of the output")
+
+    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+        """Refuse missing and repeated names."""
+        names = self.option.names
+        if not names:
+            return ["names is empty: a bus needs at least one input"]
+        return [f"name '{name}' is given twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+
+    def output_shapes(self, inputs: Mapping[str, Shape]) -> dict[str, Shape]:
+        """Add up the entries of the inputs."""
+        return {"output": (sum(prod(shape) for shape in inputs.values()),)}
+
+    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+        return Equations(outputs={"output": concatenate(u.input)})

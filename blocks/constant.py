@@ -1,0 +1,20 @@
+"""Constant source."""
+
+from typing import Any
+
+from rotorsim.block import Block, Equations, Out, Param
+
+
+class Constant(Block):
+    """Output a constant of any shape.
+
+    output = value
+    """
+
+    source = "Simulink: Constant"
+
+    output = Out(shape="signal", unit=None, doc="the value")
+    value = Param(1.0, shape="signal", unit=None, doc="value of the output, of any shape")
+
+    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+        return Equations(outputs={"output": p.value})

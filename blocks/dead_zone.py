@@ -1,0 +1,25 @@
+"""Dead zone."""
+
+from typing import Any
+
+from rotorsim.block import Block, Equations, In, Out, Param, maximum, minimum
+
+
+class DeadZone(Block):
+    """Pass only what exceeds a zone about zero, entry by entry.
+
+    output = input - width/2  above the zone,  input + width/2  below it,  0 inside [-width/2, width/2]
+    """
+
+    source = "Simulink: Dead Zone"
+
+    input = In(shape="signal", unit=None, doc="signal")
+    output = Out(shape="signal", unit=None, doc="excess over the zone, shape of the input")
+    width = Param(1.0, unit=None, low=0.0, doc="full width of the zone (twice a clearance)")
+
+    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+        half = p.width / 2
+        return Equations(
+            outputs={"output": maximum(u.input - half, 0.0) + minimum(u.input + half, 0.0)},
+            events={"upper": u.input - half, "lower": u.input + half},
+        )

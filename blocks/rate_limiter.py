@@ -1,0 +1,43 @@
+"""Rate limiter."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rotorsim.block import Block, Equations, In, Out, Param, State, maximum, minimum
+
+
+class RateLimiter(Block):
+    """Follow a signal no faster than at given rates, entry by entry.
+
+    d value / dt = min(max((input - value) / time_constant, falling), rising),  value(0) = initial,  output = value
+
+    Below the limits the output follows as a first-order lag with `time_constant`.
+    """
+
+    source = "Simulink: Rate Limiter (here continuous, with a lag)"
+
+    input = In(shape="signal", unit=None, doc="signal to follow")
+    output = Out(shape="signal", unit=None, doc="limited signal, shape of the input")
+    rising = Param(1.0, unit=None, low=0.0, doc="largest rate upwards, per second")
+    falling = Param(-1.0, unit=None, high=0.0, doc="largest rate downwards, per second, not positive")
+    time_constant = Param(1e-3, unit="s", above=0.0, doc="time constant of the lag")
+    initial = Param(0.0, shape="signal", unit=None, doc="output at the start")
+    value = State(shape="signal", unit=None, init="initial", doc="output")
+
+    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+        """Refuse a limiter that can never move."""
+        return (
+            ["rising and falling are both 0: the output could never move"]
+            if (float(values["rising"]) == 0.0 and float(values["falling"]) == 0.0)
+            else []
+        )
+
+    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+        wanted = (u.input - x.value) / p.time_constant
+        return Equations(
+            outputs={"output": x.value},
+            derivatives={"value": minimum(maximum(wanted, p.falling), p.rising)},
+            events={"rising": wanted - p.rising, "falling": wanted - p.falling},
+        )

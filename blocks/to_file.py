@@ -1,0 +1,39 @@
+"""To file: signals to record in a file of their own."""
+
+from collections.abc import Mapping
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from rotorsim.block import Block, Equations, In, Option
+
+_ENDINGS = (".csv", ".h5", ".npz")
+
+
+class ToFile(Block):
+    """Mark signals of any shape to be recorded in a file of their own.
+
+    It has no output and changes nothing. The file lies inside the folder of the diagram; its ending says the format.
+    """
+
+    source = "thesis Figures 2-5, 3-2, 4-4, 5-3 (to workspace); Simulink: To File, To Workspace"
+
+    input = In(shape="signal*", unit=None, many="names", doc="one port for each name, of any shape")
+    names = Option(["input"], kind=str, doc="names of the input ports; the names of the columns")
+    file = Option("signals.csv", kind=str, doc="file name ending in .csv, .h5 or .npz, relative to the diagram")
+
+    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+        """Refuse missing and repeated names, other formats, and files outside the folder of the diagram."""
+        names, file = self.option.names, self.option.file
+        messages = [] if names else ["names is empty: a file needs at least one input"]
+        messages += [f"name '{name}' is given twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+        if not file.endswith(_ENDINGS) or file in _ENDINGS:
+            messages.append(f"file '{file}' must end in one of {', '.join(_ENDINGS)}")
+        path = PurePosixPath(file)
+        if path.is_absolute() or ".." in path.parts or "\\" in file or ":" in file:
+            messages.append(f"file '{file}' must be a relative name inside the folder of the diagram")
+        return messages
+
+    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+        return Equations()

@@ -1,0 +1,29 @@
+"""Unbalance force of a disc."""
+
+from typing import Any
+
+from rotorsim.block import Block, Equations, In, Out, Param, cos, sin, vec
+
+
+class Unbalance(Block):
+    """Give the rotating force of a mass eccentricity.
+
+    f = mass eccentricity W^2 [cos(theta + phase), sin(theta + phase)]        thesis eq. (2.2), (4.6)
+
+    The term with the angular acceleration of a run-up, mass eccentricity W', is left out, as in the thesis.
+    One block for each disc.
+    """
+
+    source = "thesis eq. (2.2), (4.6)"
+    category = "excitation"
+
+    theta = In(unit="rad", doc="shaft angle")
+    speed = In(unit="rad/s", doc="shaft speed W")
+    force = Out(shape=2, unit="N", doc="force on the rotor [x, y]")
+    mass = Param(2.0, unit="kg", low=0.0, doc="mass of the disc")
+    eccentricity = Param(24e-6, unit="m", low=0.0, doc="distance of the centre of mass from the shaft centre")
+    phase = Param(0.5235987755982988, unit="rad", doc="angle of the unbalance against the phase reference")
+
+    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+        angle = u.theta + p.phase
+        return Equations(outputs={"force": p.mass * p.eccentricity * u.speed**2 * vec(cos(angle), sin(angle))})

@@ -1,0 +1,199 @@
+"""The command ``rotorsim``: finds the verb, runs it, and turns every failure into words and an exit code.
+
+Exit codes: 0 fine, 1 finding or failure in the data, 2 misuse or bad input, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, NoReturn, TextIO
+
+import click
+
+from rotorsim.errors import Problem, RotorsimError
+
+__all__ = ["VERBS", "main", "problem_data", "rotorsim"]
+
+# Verb -> one line of help. The verb's module is imported only when the verb is called: --help stays instant.
+VERBS = {
+    "run": "Simulate a diagram; write, plot and summarise the recorded signals.",
+    "check": "Find every mistake in diagrams.",
+    "fmt": "Write diagrams in canonical form.",
+    "blocks": "List the blocks, or show one: ports, parameters, equation, source.",
+    "draw": "Draw a diagram as SVG.",
+    "swap": "Replace a block by another type with the same ports.",
+    "diff": "Say what differs between two diagrams, apart from layout and spelling.",
+    "modes": "Natural frequencies, damping ratios and whirl of the linearised diagram.",
+    "campbell": "Natural frequencies against speed, tracked.",
+    "periodic": "The settled motion at one or many speeds by harmonic balance.",
+    "spectrum": "Full spectrum of two-axis signals of a result or a diagram.",
+    "cache": "Show or clear the cache of compiled models.",
+    "version": "Print the version.",
+}
+
+
+class _Verbs(click.Group):
+    """Group whose commands are modules, imported when called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in VERBS:
+            return None
+        module = import_module(f"rotorsim.cli.{cmd_name}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Verbs"):
+            formatter.write_dl(list(VERBS.items()))
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and not args[0].startswith("-") and args[0] not in VERBS:
+            near = difflib.get_close_matches(args[0], VERBS, n=1)
+            raise RotorsimError(
+                Problem(
+                    what=f"unknown verb '{args[0]}'",
+                    hint=f"did you mean '{near[0]}'?" if near else "'rotorsim --help' lists the verbs",
+                )
+            )
+        return super().resolve_command(ctx, args)
+
+    def main(self, args: Sequence[str] | None = None, *_: Any, **extra: Any) -> NoReturn:
+        """Run the verb; print every problem on stderr; leave with the exit code."""
+        arguments = list(sys.argv[1:] if args is None else args)
+        debug = "--debug" in arguments
+        arguments = [argument for argument in arguments if argument != "--debug"]
+        previous = warnings.showwarning
+        warnings.showwarning = _show_warning
+        try:
+            extra.pop("standalone_mode", None)
+            extra["prog_name"] = "rotorsim"
+            code = super().main(arguments, standalone_mode=False, **extra)
+            _flush()
+        except BrokenPipeError:
+            code = _broken_pipe()
+        except BaseException as error:
+            if debug and not isinstance(error, click.exceptions.Exit):
+                import traceback
+
+                traceback.print_exc()
+            code = _explain(error, as_json="--json" in arguments)
+        finally:
+            warnings.showwarning = previous
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def _explain(error: BaseException, as_json: bool) -> int:
+    """Print what went wrong; return the exit code."""
+    if isinstance(error, click.exceptions.Exit):
+        return error.exit_code
+    if isinstance(error, SystemExit):
+        return error.code if isinstance(error.code, int) else 1
+    if isinstance(error, click.exceptions.Abort | KeyboardInterrupt):
+        click.echo("interrupted", err=True)
+        return 130
+    if isinstance(error, RotorsimError):
+        problems, code = error.problems, error.exit_code
+    elif isinstance(error, click.UsageError):
+        problems, code = (_usage_problem(error),), 2
+    elif isinstance(error, click.ClickException):
+        problems, code = (Problem(what=error.format_message()),), 2
+    elif isinstance(error, MemoryError):
+        problems, code = (Problem(what="not enough memory", hint="record less, or shorten the run with --stop"),), 1
+    elif isinstance(error, OSError) and error.filename is not None:
+        problems, code = (Problem(what=f"{error.filename}: {(error.strerror or str(error)).lower()}"),), 2
+    else:
+        text = " ".join(str(error).split())[:300]
+        hint = "this is a fault of rotorsim: please report it with the command and the traceback that --debug prints"
+        problems, code = (Problem(what=f"internal error: {type(error).__name__}: {text}", hint=hint),), 1
+    show_problems(problems)
+    if as_json:
+        import json
+
+        click.echo(json.dumps({"problems": [problem_data(problem) for problem in problems]}, indent=2))
+    return code
+
+
+def _usage_problem(error: click.UsageError) -> Problem:
+    """Return a usage error of click in our words, with the near miss as hint."""
+    verb = error.ctx.command_path if error.ctx else "rotorsim"
+    hint = f"'{verb} --help' shows how it is used"
+    if isinstance(error, click.NoSuchOption):
+        near = list(error.possibilities or [])
+        if not near and error.ctx:
+            known = [name for parameter in error.ctx.command.params for name in parameter.opts]
+            near = difflib.get_close_matches(error.option_name, known, n=1)
+        if near:
+            hint = f"did you mean '{near[0]}'?"
+        return Problem(what=f"unknown option '{error.option_name}'", hint=hint)
+    text = error.format_message().rstrip(".")
+    return Problem(what=text[:1].lower() + text[1:], hint=hint)
+
+
+def show_problems(problems: Sequence[Problem], file: TextIO | None = None) -> None:
+    """Print problems on stderr, one after the other, with the severity coloured on a terminal."""
+    stream = file or sys.stderr
+    coloured = stream.isatty() and not os.environ.get("NO_COLOR")
+    for index, problem in enumerate(problems):
+        text = str(problem)
+        if coloured:
+            colour = "red" if problem.severity == "error" else "yellow"
+            text = text.replace(f"{problem.severity}:", click.style(f"{problem.severity}:", fg=colour, bold=True), 1)
+        separator = "" if index == len(problems) - 1 else "\n" if problem.hint else ""
+        click.echo(text + separator, file=stream, color=coloured)
+
+
+def problem_data(problem: Problem) -> dict[str, Any]:
+    """Return a problem as plain data for ``--json``."""
+    return {
+        "file": problem.place.file,
+        "line": problem.place.line,
+        "column": problem.place.column,
+        "severity": problem.severity,
+        "subject": problem.subject,
+        "what": problem.what,
+        "hint": problem.hint,
+    }
+
+
+def _show_warning(message: Any, category: Any, *_: Any, **__: Any) -> None:
+    show_problems([Problem(what=str(message), severity="warning")])
+
+
+def _flush() -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+
+
+def _broken_pipe() -> int:
+    """Leave quietly when the reader of a pipe has gone (``rotorsim blocks | head``)."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+@click.command(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.option("--debug", is_flag=True, expose_value=False, help="Show the traceback of a failure (with any verb).")
+@click.version_option(package_name="rotorsim", message="rotorsim %(version)s")
+def rotorsim() -> None:
+    """Block diagrams of rotors in active magnetic bearings: edit JSON, run, compare.
+
+    DIAGRAM is a file, or the name of a diagram that comes with rotorsim (jeffcott, fe_rigid, ...).
+    Data goes to stdout, progress and messages to stderr.
+    Exit codes: 0 fine, 1 a finding or a failure in the data, 2 misuse or bad input.
+    """
+
+
+def main() -> NoReturn:
+    """Run the command line of this process."""
+    rotorsim.main()

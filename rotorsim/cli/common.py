@@ -1,0 +1,192 @@
+"""What the verbs share: options, opening a diagram, printing, progress."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from rotorsim.errors import Problem, RotorsimError
+
+if TYPE_CHECKING:
+    pass
+
+__all__ = [
+    "diagram_options",
+    "echo_json",
+    "json_option",
+    "note",
+    "open_diagram",
+    "parse_settings",
+    "plain",
+    "progress_bar",
+    "progress_option",
+    "speeds_of",
+    "table",
+    "write_text",
+]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print machine-readable JSON.")
+progress_option = click.option(
+    "--progress/--no-progress", default=None, help="Show progress on stderr (default: only on a terminal)."
+)
+diagram_argument = click.argument("diagram", metavar="DIAGRAM")
+set_option = click.option(
+    "--set", "settings", multiple=True, metavar="NAME=VALUE",
+    help="Give a parameter another value: speed='3000 rpm' or controller.KP=14000; repeatable.",
+)  # fmt: skip
+without_option = click.option(
+    "--without", multiple=True, metavar="BLOCK", help="Cut the wires of this block (no crack, no AMB, ...); repeatable."
+)
+trust_option = click.option(
+    "--trust-blocks", is_flag=True, help="Load the block files in the folders that the diagram names: they are code."
+)
+
+
+def diagram_options(function: F) -> F:
+    """Add DIAGRAM, --set, --without and --trust-blocks to a verb."""
+    for decorate in (trust_option, without_option, set_option, diagram_argument):
+        function = decorate(function)
+    return function
+
+
+def parse_settings(settings: Sequence[str]) -> dict[str, Any]:
+    """Return ``NAME=VALUE`` texts as a mapping; a value is JSON (number, list, true) or text with a unit."""
+    values: dict[str, Any] = {}
+    problems = []
+    for text in settings:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or not name or not value:
+            problems.append(Problem(what=f"--set {text}: not NAME=VALUE", hint="for example --set controller.KP=14000"))
+            continue
+        try:
+            values[name] = json.loads(value, parse_constant=lambda constant: constant)
+        except (ValueError, RecursionError):
+            values[name] = value
+    if problems:
+        raise RotorsimError(*problems)
+    return values
+
+
+def echo_json(data: Any) -> None:
+    """Print data as JSON on stdout; numbers that JSON cannot hold become null."""
+    click.echo(json.dumps(plain(data), indent=2, allow_nan=False))
+
+
+def plain(value: Any) -> Any:
+    """Return arrays, NumPy numbers and complex numbers as plain data ([re, im] for a complex number)."""
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, complex):
+        return [plain(value.real), plain(value.imag)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def note(text: str) -> None:
+    """Say something about the work, on stderr."""
+    click.echo(text, err=True)
+
+
+def table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Return columns aligned: the first to the left, the others to the right."""
+    rows = [list(header), *[list(line) for line in lines]]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
+    text = []
+    for row in rows:
+        cells = [row[0].ljust(widths[0]), *[cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]]
+        text.append("  ".join(cells).rstrip())
+    return "\n".join(text)
+
+
+@contextmanager
+def progress_bar(label: str, wanted: bool | None) -> Iterator[Callable[[float], None] | None]:
+    """Give a function that takes the fraction done (0..1), or None where no bar is wanted."""
+    if not (sys.stderr.isatty() if wanted is None else wanted):
+        yield None
+        return
+    from tqdm import tqdm
+
+    form = "{l_bar}{bar}| {elapsed} < {remaining}"
+    with tqdm(total=1.0, desc=label, bar_format=form, file=sys.stderr, leave=False, delay=0.0) as bar:
+
+        def show(fraction: float) -> None:
+            bar.update(max(0.0, min(1.0, fraction) - bar.n))
+
+        yield show
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file whole or not at all."""
+    import os
+    import tempfile
+
+    target = Path(path)
+    if not target.parent.is_dir():
+        raise RotorsimError(Problem(what=f"cannot write {target}: there is no folder {target.parent}"))
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
+            stream.write(text)
+        mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
+        os.chmod(name, mode)
+        os.replace(name, target)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _umask() -> int:
+    import os
+
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def quantity(text: str, unit: str, option: str) -> float:
+    """Return the SI value of an option such as ``--stop "5 s"``; a bare number is in SI."""
+    from rotorsim.units import UnitError, parse_quantity
+
+    try:
+        return parse_quantity(text, unit, bare=True)
+    except UnitError as error:
+        raise RotorsimError(Problem(what=f"{option} {text}: {error.what}", hint=error.hint)) from None
+
+
+MAX_SPEEDS = 100_000
+
+
+def speeds_of(text: str, option: str = "--speeds") -> np.ndarray:
+    """Return the speeds [rad/s] of ``"900 rpm:100 rpm:6000 rpm"`` (start:step:stop), a list ``a,b,c``, or one.
+
+    The stop is included where whole steps reach it.
+    """
+    import numpy as np
+
+    hint = "write start:step:stop, as in '900 rpm:100 rpm:6000 rpm', or a list as in '900 rpm, 1200 rpm'"
+    if ":" not in text:
+        return np.array([quantity(part.strip(), "rad/s", option) for part in text.split(",")])
+    parts = [quantity(part.strip(), "rad/s", option) for part in text.split(":")]
+    if len(parts) != 3:
+        raise RotorsimError(Problem(what=f"{option} {text}: {len(parts)} parts, 3 expected", hint=hint))
+    start, step, stop = parts
+    if step == 0 or (stop - start) / step < -1e-9:
+        raise RotorsimError(Problem(what=f"{option} {text}: these steps never reach the stop", hint=hint))
+    count = math.floor((stop - start) / step * (1 + 1e-12) + 1e-9) + 1
+    if count > MAX_SPEEDS:
+        raise RotorsimError(Problem(what=f"{option} {text}: {count} speeds, at most {MAX_SPEEDS}", hint="use a larger step"))
+    return start + step * np.arange(count)

@@ -1,0 +1,386 @@
+"""Blocks of a diagram from their JSON: type, options, parameter values, and shapes found for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rotorsim.block import Block, Declaration, In, Out, Shape, _Option, _Param
+from rotorsim.diagram.diagram import Node, Port
+from rotorsim.diagram.document import NAME, FlatDocument, Parameter, RawBlock
+from rotorsim.diagram.registry import Registry
+from rotorsim.diagram.shapes import ShapeTerm, Unifier, text_of
+from rotorsim.diagram.values import ValueProblem, bounds_problem, numeric, option_value
+from rotorsim.errors import Place, Problem, near_miss
+from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
+
+__all__ = ["Builder", "Template", "Work"]
+
+
+class Template:
+    """What all blocks of one class with the same options and wired inputs share."""
+
+    def __init__(self, cls: type[Block], options: Mapping[str, Any], wired: frozenset[str]) -> None:
+        self.block = block = cls(options, wired)
+        self.inputs: dict[str, In] = {n: d for d in cls.inputs.values() for n in block.port_names(d)}
+        self.outputs: dict[str, Out] = {n: d for d in cls.outputs.values() for n in block.port_names(d)}
+        self.parameters: dict[str, _Param] = cls.parameters
+        shape = block.declared_shape
+        self.input_shapes = {name: block.port_shape(d, name) for name, d in self.inputs.items()}
+        self.output_shapes = {name: block.port_shape(d, name) for name, d in self.outputs.items()}
+        self.parameter_shapes = {name: shape(d) for name, d in cls.parameters.items()}
+        self.state_shapes = {name: shape(d) for name, d in block.active_states().items()}
+        self.random_shapes = {name: shape(d) for name, d in cls.randoms.items()}
+        groups = (self.input_shapes, self.output_shapes, self.parameter_shapes, self.state_shapes, self.random_shapes)
+        every = [s for group in groups for s in group.values()]
+        self.words = any(isinstance(s, str) or any(isinstance(d, str) for d in s) for s in every)
+        self.defaults = {
+            name: numeric(d.default, d.unit) for name, d in cls.parameters.items() if d.default is not None
+        }
+        self.required = [name for name, d in cls.parameters.items() if d.default is None]
+        self.needed_inputs = [name for name, d in self.inputs.items() if not d.optional and not d.additive]
+        self.additive = tuple(name for name, d in self.inputs.items() if d.additive)
+        self.fixed = {} if self.words else {name: _full(v, self.parameter_shapes[name]) for name, v in self.defaults.items()}
+        self.has_check = cls.check is not Block.check
+
+
+def _full(value: np.ndarray, shape: Shape) -> np.ndarray:
+    result = np.full(shape, value) if value.ndim == 0 and shape else value
+    result.setflags(write=False)  # like blocks share it
+    return result
+
+
+@dataclass
+class Work:
+    """One block while it is checked. given: SI arrays of given parameters, of any shape still."""
+
+    raw: RawBlock
+    cls: type[Block]
+    options: dict[str, Any]
+    key: Any
+    template: Template
+    given: dict[str, np.ndarray] = field(default_factory=dict)
+    references: dict[str, str] = field(default_factory=dict)
+    wired: set[str] = field(default_factory=set)
+    variables: dict[str, Any] | None = None
+
+    def term(self, declared: Any, unifier: Unifier) -> ShapeTerm:
+        """Return the shape term of a declared shape, with the variables of this block for its words."""
+        if isinstance(declared, tuple) and not any(isinstance(d, str) for d in declared):
+            return declared
+        if self.variables is None:
+            self.variables = {}
+        found = self.variables
+        if isinstance(declared, str):
+            key = declared
+            if key not in found:
+                found[key] = unifier.new_shape()
+            return found[key]  # type: ignore[no-any-return]
+        result = []
+        for entry in declared:
+            if isinstance(entry, str):
+                key = "#" + entry
+                if key not in found:
+                    found[key] = unifier.new_dimension()
+                entry = found[key]
+            result.append(entry)
+        return tuple(result)
+
+
+class Builder:
+    """Makes `Work` of raw blocks and `Node` of work; mistakes go to ``problems``."""
+
+    def __init__(self, flat: FlatDocument, registry: Registry) -> None:
+        self.flat, self.registry, self.problems = flat, registry, flat.problems
+        self.templates: dict[Any, Template] = {}
+        self.unifier = Unifier()
+        self.converted: dict[tuple[int, str | None], np.ndarray | ValueProblem] = {}
+        self.parameter_units: dict[str, str] = {}
+
+    def error(self, what: str, subject: str, place: Place, hint: str = "") -> None:
+        self.problems.append(Problem(what, subject=subject, place=place, hint=hint))
+
+    def template(self, cls: type[Block], options: Mapping[str, Any], key: Any, wired: frozenset[str]) -> Template:
+        """Return the shared template; raises whatever the code of the block raises."""
+        found = self.templates.get((cls, key, wired))
+        if found is None:
+            found = self.templates[cls, key, wired] = Template(cls, options, wired)
+        return found
+
+    def start(self, raw: RawBlock) -> Work | None:
+        """Find the class and options of a block and read the parameters given to it."""
+        before = len(self.problems)
+        cls = self.registry.find(raw.type_name)
+        if cls is None:
+            hint = self.registry.hint(raw.type_name)
+            self.error(f"unknown block type '{raw.type_name}'", raw.name, raw.place("type"), hint)
+            return None
+        options: dict[str, Any] = {}
+        numbers: dict[str, Any] = {}
+        for name, value in raw.parameters.items():
+            if name in cls.options:
+                options[name] = value
+            elif name in cls.parameters:
+                numbers[name] = value
+            else:
+                hint = near_miss(name, [*cls.parameters, *cls.options])
+                if not cls.parameters and not cls.options:
+                    hint = f"type '{cls.type_name}' has no parameters"
+                self.error(f"unknown parameter '{name}'", raw.name, raw.place_of(name, key=True), hint)
+        if raw.file is not None:
+            if "file" in cls.options:
+                options.setdefault("file", raw.file)
+            else:
+                hint = "only sub-diagrams and blocks that read a file have it"
+                self.error("unknown key 'file'", raw.name, raw.place("file", key=True), hint)
+        for name, option in cls.options.items():
+            self.option(raw, name, option, options)
+        if len(self.problems) > before:
+            return None
+        key = tuple((name, _freeze(value)) for name, value in options.items()) if options else ()
+        try:
+            template = self.template(cls, options, key, frozenset())
+        except Exception as error:
+            self.error(f"block type '{cls.type_name}' fails: {type(error).__name__}: {error}", raw.name, raw.place())
+            return None
+        self.port_names(raw, template)
+        work = Work(raw, cls, options, key, template)
+        for name in template.required:
+            if name not in numbers:
+                unit = cls.parameters[name].unit
+                hint = f'write "{name}": a number' + ("" if unit in (None, "1") else f" [{unit}]")
+                self.error(f"parameter '{name}' is missing", raw.name, raw.place(key=True), hint)
+        for name, value in numbers.items():
+            self.parameter(work, name, value, cls.parameters[name])
+        return work
+
+    def option(self, raw: RawBlock, name: str, declared: _Option, options: dict[str, Any]) -> None:
+        if name not in options:
+            if declared.default is None and declared.kind is not None:
+                self.error(f"parameter '{name}' is missing", raw.name, raw.place(key=True), declared.doc)
+            return
+        value = options[name]
+        try:
+            if isinstance(value, str) and value.startswith("$"):
+                value = self.referred(raw, name, value).value
+            options[name] = option_value(value, declared)
+        except ValueProblem as problem:
+            self.value_problem(raw, name, problem)
+
+    def referred(self, raw: RawBlock, name: str, text: str) -> Parameter:
+        found = raw.scope.parameters.get(text[1:])
+        if found is None:
+            raise ValueProblem(f"no diagram parameter '{text[1:]}'", near_miss(text[1:], raw.scope.parameters))
+        found.used = True
+        return found
+
+    def value_problem(self, raw: RawBlock, name: str, problem: ValueProblem, place: Place | None = None) -> None:
+        place = place or (
+            Place("--set") if name in raw.overrides else raw.place("parameters", name, *problem.path)
+        )
+        self.error(problem.what, f"{raw.name}.{name}", place, problem.hint)
+
+    def port_names(self, raw: RawBlock, template: Template) -> None:
+        names = [n for group in (template.block.inputs, template.block.outputs) for d in group.values()
+                 if d.many for n in template.block.port_names(d)]  # fmt: skip
+        for name in dict.fromkeys(names):
+            if not NAME.fullmatch(name):
+                self.error(f"'{name}' is not a name of a port", raw.name, raw.place("parameters"), "letters, digits and _")
+
+    def parameter(self, work: Work, name: str, value: Any, declared: _Param) -> None:
+        raw = work.raw
+        try:
+            if isinstance(value, str) and value.startswith("$"):
+                parameter = self.referred(raw, name, value)
+                array = self.follow(parameter, declared, (raw.name, name))
+                work.references[name] = parameter.name
+            else:
+                array = numeric(value, declared.unit, bare=name in raw.overrides)
+            if declared.low is not None or declared.above is not None or declared.high is not None:
+                outside = bounds_problem(array, declared)
+                if outside is not None:
+                    raise outside
+        except ValueProblem as problem:
+            if problem.what:
+                self.value_problem(raw, name, problem)
+            return
+        work.given[name] = array
+
+    def follow(self, parameter: Parameter, declared: _Param, user: tuple[str, str]) -> np.ndarray:
+        """Return the value of a diagram parameter in the unit of the block parameter that follows it."""
+        key = (id(parameter), declared.unit)
+        if key not in self.converted:
+            self.converted[key] = self.convert(parameter, declared.unit, user)
+        result = self.converted[key]
+        if isinstance(result, ValueProblem):
+            raise ValueProblem("")  # reported where it was found first
+        parameter.users.append(user)
+        return result
+
+    def convert(self, parameter: Parameter, unit: str | None, user: tuple[str, str]) -> np.ndarray | ValueProblem:
+        name = ".".join(user)
+        try:
+            known = self.parameter_units.get(parameter.name)
+            fit = compatible(known, unit)
+            if fit not in ("same", "angle"):
+                other = ".".join(parameter.users[0])
+                raise ValueProblem(f"is used in {known} by {other} and in {unit} by {name}", "use two diagram parameters")
+            bare = parameter.place.file == "--set"
+            if isinstance(parameter.value, str) and parameter.value.startswith("$"):
+                hint = "a value for a sub-diagram may name a parameter of the outer diagram"
+                raise ValueProblem(f"'{parameter.value}' is no diagram parameter", hint)
+            value = numeric(parameter.value, unit, bare=bare)
+        except ValueProblem as problem:
+            hint = problem.hint or f"it is used by {name}"
+            self.error(problem.what, parameter.name, self.inside(parameter, problem.path), hint)
+            return problem
+        if unit is not None:
+            self.parameter_units.setdefault(parameter.name, unit)
+        return value
+
+    def inside(self, parameter: Parameter, path: tuple[int, ...]) -> Place:
+        return self.flat.source.locate(("parameters", parameter.name, *path)) if path and parameter.place.line else parameter.place
+
+    def diagram_parameters(self) -> dict[str, np.ndarray]:
+        """Return every numeric diagram parameter as an SI array; warn of those that nothing uses."""
+        result: dict[str, np.ndarray] = {}
+        for name, parameter in self.flat.parameters.items():
+            if not parameter.used:
+                what = "diagram parameter is not used"
+                self.problems.append(Problem(what, name, parameter.place, f'refer to it as "${name}"', "warning"))
+            unit = self.parameter_units.get(name)
+            found = self.converted.get((id(parameter), unit))
+            if found is None:
+                found = next((v for (i, _), v in self.converted.items() if i == id(parameter)), None)
+            if isinstance(found, np.ndarray):
+                result[name] = found
+            elif found is None:
+                try:
+                    result[name] = numeric(parameter.value, unit, bare=parameter.place.file == "--set")
+                except ValueProblem as problem:
+                    if not parameter.used:  # options may follow texts and other values
+                        self.error(problem.what, name, parameter.place, problem.hint)
+                    continue
+            self.parameter_units.setdefault(name, _unit_of(parameter.value))
+        return result
+
+    # --- shapes -----------------------------------------------------------------------------------
+
+    def bind_given(self, works: Iterable[Work]) -> None:
+        """Let given lists fix the dimensions of their blocks, and say where they do not fit."""
+        for work in works:
+            shapes = work.template.parameter_shapes
+            for name, value in work.given.items():
+                if value.ndim or shapes[name] != ():
+                    self._bind(work, name, value, "")
+
+    def _bind(self, work: Work, name: str, value: np.ndarray, origin: str) -> None:
+        if value.ndim == 0:
+            return
+        term = work.term(work.template.parameter_shapes[name], self.unifier)
+        wanted = text_of(term, self.unifier)
+        fits = value.ndim == len(term) if isinstance(term, tuple) else True
+        if not fits or not self.unifier.unify(term, value.shape):
+            hint = "write one number" if wanted == "scalar" else _list_hint(wanted)
+            what = f"{origin}shape is {text_of(value.shape)}, expected {wanted}"
+            self.value_problem(work.raw, name, ValueProblem(what, hint))
+            work.given[name] = np.array(value.flat[0])
+
+    def bind_defaults(self, works: Iterable[Work]) -> None:
+        """Let default lists fix what wires and given values left open."""
+        for work in works:
+            if work.template.words:
+                for name, value in work.template.defaults.items():
+                    if value.ndim and name not in work.given:
+                        term = work.term(work.template.parameter_shapes[name], self.unifier)
+                        if self.unifier.resolved(term) is None:
+                            self._bind(work, name, value, "default ")
+
+    def bind_rest(self, works: Iterable[Work]) -> None:
+        """Take whole shapes that are still unknown as scalars, and dimensions of given scalars as 1."""
+        for work in works:
+            if not work.variables:
+                continue
+            for key, variable in work.variables.items():
+                if not key.startswith("#") and isinstance(self.unifier.shape(variable), int):
+                    self.unifier.unify(variable, ())
+            for name in work.given:
+                term = work.term(work.template.parameter_shapes[name], self.unifier)
+                if isinstance(term, tuple) and self.unifier.resolved(term) is None:
+                    for dimension in term:
+                        self.unifier.unify_dimension(dimension, 1)
+            for key, variable in work.variables.items():
+                if key.startswith("#") and self.unifier.dimension(variable) < 0:
+                    self.unifier.unify_dimension(variable, 1)
+                    shapes = {**work.template.input_shapes, **work.template.output_shapes, **work.template.parameter_shapes}
+                    of = [n for n, s in shapes.items() if isinstance(s, tuple) and key[1:] in s]
+                    what = f"size '{key[1:]}' of {', '.join(of)} is not known"
+                    self.error(what, work.raw.name, work.raw.place(key=True), "wire it, or give a parameter that has this size")
+
+    def shape(self, work: Work, declared: Any) -> Shape:
+        """Return a resolved shape."""
+        if not work.template.words:
+            return declared  # type: ignore[no-any-return]
+        found = self.unifier.resolved(work.term(declared, self.unifier))
+        return found if found is not None else ()
+
+    def node(self, work: Work) -> Node:
+        """Return the finished block."""
+        template, name, fixed = work.template, work.raw.name, not work.template.words
+        values: dict[str, np.ndarray] = {}
+        for key, declared in template.parameter_shapes.items():
+            if key in work.given:
+                shape = self.shape(work, declared)
+                value = work.given[key]
+                values[key] = _full(value, shape) if value.ndim == 0 else value
+            elif fixed and key in template.fixed:
+                values[key] = template.fixed[key]
+            elif key in template.defaults:
+                values[key] = self.default(work, key, self.shape(work, declared))
+        ports: list[dict[str, Port]] = []
+        for declarations, shapes in (
+            (template.inputs, template.input_shapes), (template.outputs, template.output_shapes),
+        ):  # fmt: skip
+            group: Mapping[str, Declaration] = declarations
+            ports.append({
+                n: Port(name, n, shapes[n] if fixed else self.shape(work, shapes[n]), d.unit, d)  # type: ignore[arg-type]
+                for n, d in group.items()
+            })  # fmt: skip
+        states, randoms = template.state_shapes, template.random_shapes
+        if not fixed:
+            states = {n: self.shape(work, s) for n, s in states.items()}
+            randoms = {n: self.shape(work, s) for n, s in randoms.items()}
+        place = work.raw.place(key=True)
+        return Node(name, template.block, values, work.references, ports[0], ports[1], states, randoms, place)
+
+    def default(self, work: Work, name: str, shape: Shape) -> np.ndarray:
+        value = work.template.defaults[name]
+        if value.ndim and value.shape != shape:
+            what = f"default of '{name}' has shape {text_of(value.shape)}, but {text_of(shape)} is needed here"
+            self.error(what, work.raw.name, work.raw.place(key=True), f'give "{name}"')
+            return np.zeros(shape)
+        return _full(value, shape)
+
+
+def _list_hint(wanted: str) -> str:
+    return "write a list of rows [[...], ...]" if wanted.count(",") > 1 or wanted.endswith("?)") else "write a list [...]"
+
+
+def _freeze(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return tuple(_freeze(item) for item in value)
+    if isinstance(value, dict):
+        return tuple((key, _freeze(item)) for key, item in value.items())
+    return (type(value).__name__, value)
+
+
+def _unit_of(value: Any) -> str:
+    while isinstance(value, list) and value:
+        value = value[0]
+    try:
+        return parse_unit(split_quantity(value)[1]).si if isinstance(value, str) else "1"
+    except UnitError:
+        return "1"

@@ -1,0 +1,241 @@
+"""Load a diagram: JSON to a validated `Diagram`, with all mistakes at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from rotorsim.diagram.build import Builder, Work
+from rotorsim.diagram.diagram import Diagram, Endpoint, Solver
+from rotorsim.diagram.document import FlatDocument, flatten_document
+from rotorsim.diagram.order import evaluation_order, trace_blocks
+from rotorsim.diagram.registry import Registry
+from rotorsim.diagram.source import Source, read_document
+from rotorsim.diagram.values import ValueProblem, numeric
+from rotorsim.diagram.wiring import Wiring
+from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+
+__all__ = ["METHODS", "load", "shipped_diagrams"]
+
+METHODS = ("rk4", "dop853", "rk45", "radau", "bdf", "lsoda")
+_SOLVER = {"step": "s", "stop": "s", "record_every": "1", "rtol": "1", "atol": "1"}
+_SINKS = ("scope", "to_file")
+
+
+def shipped_diagrams() -> dict[str, Path]:
+    """Return the diagrams that come with rotorsim: name -> file."""
+    folder = Path(str(resources.files("rotorsim.diagrams")))
+    return {file.stem: file for file in sorted(folder.glob("*.json")) if not file.stem.endswith(".schema")}
+
+
+def load(
+    source: str | Path | Mapping[str, Any],
+    *,
+    set: Mapping[str, Any] | None = None,
+    without: Iterable[str] = (),
+    trust_blocks: bool = False,
+    folder: str | Path | None = None,
+) -> Diagram:
+    """Load a diagram from a file, the name of a shipped diagram, or a document in memory.
+
+    set: "speed", "block.param" or "solver.step" -> number or text with a unit. without: blocks removed
+    with their wires; inputs cut that way read zero. trust_blocks: run the block files of
+    ``block_folders``. folder: of the files that a document in memory names.
+    Raises RotorsimError with every mistake found; warnings are in ``diagram.warnings``.
+    """
+    document, root = _source(source, folder)
+    parameters, blocks, solver = _overrides(set or {})
+    flat = flatten_document(document, root, parameters, blocks)
+    problems = flat.problems
+    registry = Registry(_block_folders(flat, root, trust_blocks))
+    builder = Builder(flat, registry)
+    removed = _removed(flat, without)
+    _check_overrides(flat, parameters, blocks)
+    works: dict[str, Work] = {}
+    for name, raw in flat.blocks.items():
+        if name not in removed:
+            work = builder.start(raw)
+            if work is not None:
+                works[name] = work
+        else:
+            _mark_used(raw.parameters, raw.scope.parameters)
+    if not flat.blocks and isinstance(document.data, dict) and isinstance(document.data.get("blocks"), dict):
+        problems.append(Problem("the diagram has no blocks", place=document.locate(("blocks",)), hint="see `rotorsim blocks`"))
+    wiring = Wiring(flat, builder, works, removed)
+    wiring.connect()
+    wiring.unify()
+    settings = _solver(flat, solver)
+    record = _record(flat, wiring, works, removed)
+    values = builder.diagram_parameters()
+    problems += registry.problems
+    _raise_errors(problems)
+
+    nodes = {name: builder.node(work) for name, work in works.items()}
+    for name, work in works.items():
+        if work.template.has_check:
+            for message in nodes[name].block.check(nodes[name].values):
+                problems.append(Problem(message, name, work.raw.place(key=True), f"`rotorsim blocks {work.cls.type_name}`"))
+    _raise_errors(problems)
+    diagram = Diagram(
+        name=flat.name,
+        parameters=values,
+        parameter_units={name: builder.parameter_units.get(name, "1") for name in values},
+        nodes=nodes,
+        wires=tuple(wiring.wires),
+        solver=settings,
+        record=record,
+        solve_loops=flat.data.get("algebraic_loops") == "solve",
+        cut=frozenset(wiring.cut),
+        document=flat.data,
+        file=document.file,
+        warnings=tuple(p for p in problems if p.severity == "warning"),
+    )
+    traces, failed = trace_blocks(diagram)
+    _raise_errors([*problems, *failed])
+    diagram.__dict__["traces"] = traces  # the cached property, filled where its problems can be placed
+    evaluation_order(diagram)
+    return diagram
+
+
+def _raise_errors(problems: list[Problem]) -> None:
+    if any(problem.severity == "error" for problem in problems):
+        unique = list(dict.fromkeys(problems))
+        raise RotorsimError(*[p if p.hint or p.severity == "warning" else replace(p, hint=_HINT) for p in unique])
+
+
+_HINT = "docs/diagrams.md describes the format; `rotorsim blocks TYPE` lists ports and parameters"
+
+
+def _source(source: str | Path | Mapping[str, Any], folder: str | Path | None) -> tuple[Source, Path | None]:
+    if isinstance(source, Mapping):
+        return Source(dict(source)), Path(folder) if folder is not None else None
+    path = Path(source)
+    shipped = shipped_diagrams()
+    if str(source) in shipped and not path.exists():
+        path = shipped[str(source)]
+    elif not path.suffix and not path.exists():
+        hint = near_miss(str(source), shipped)
+        raise RotorsimError(Problem("no such file and no diagram of this name", place=Place(str(source)), hint=hint))
+    try:
+        found = read_document(path)
+    except RotorsimError as error:
+        raise RotorsimError(*[p if p.hint else replace(p, hint="give the JSON file of a diagram") for p in error.problems]) from None
+    return found, path.parent
+
+
+def _overrides(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, dict[str, Any]], dict[str, Any]]:
+    parameters: dict[str, Any] = {}
+    blocks: dict[str, dict[str, Any]] = {}
+    solver: dict[str, Any] = {}
+    for name, value in given.items():
+        block, dot, parameter = name.rpartition(".")
+        if not dot:
+            parameters[name] = value
+        elif block == "solver":
+            solver[parameter] = value
+        else:
+            blocks.setdefault(block, {})[parameter] = value
+    return parameters, blocks, solver
+
+
+def _check_overrides(flat: FlatDocument, parameters: Mapping[str, Any], blocks: Mapping[str, Any]) -> None:
+    place = Place("--set")
+    for name in parameters:
+        if name not in flat.parameters:
+            known = [*flat.parameters, *(f"{b}.{p}" for b, raw in flat.blocks.items() for p in raw.parameters)]
+            flat.problems.append(Problem(f"no diagram parameter '{name}'", name, place, near_miss(name, known)))
+    for name in blocks:
+        if name not in flat.blocks and name not in flat.sub_diagrams:
+            known = [*flat.blocks, *flat.sub_diagrams]
+            flat.problems.append(Problem(f"no block '{name}'", name, place, near_miss(name, known)))
+
+
+def _removed(flat: FlatDocument, without: Iterable[str]) -> frozenset[str]:
+    removed: list[str] = []
+    for name in without:
+        inside = [block for block in flat.blocks if block == name or block.startswith(f"{name}/")]
+        if not inside:
+            hint = near_miss(name, [*flat.blocks, *flat.sub_diagrams])
+            flat.problems.append(Problem(f"no block '{name}'", name, Place("--without"), hint))
+        removed += inside
+    return frozenset(removed)
+
+
+def _mark_used(parameters: Mapping[str, Any], scope: Mapping[str, Any]) -> None:
+    for value in parameters.values():
+        if isinstance(value, str) and value[:1] == "$" and value[1:] in scope:
+            scope[value[1:]].used = True
+
+
+def _block_folders(flat: FlatDocument, root: Path | None, trusted: bool) -> list[Path]:
+    folders: list[Path] = []
+    for k, name in enumerate(flat.data.get("block_folders") or []) if isinstance(flat.data.get("block_folders"), list) else ():
+        place = flat.source.place(("block_folders", k))
+        hint = "name a folder inside the folder of the diagram"
+        if not isinstance(name, str):
+            flat.problems.append(Problem("must be the name of a folder", "block_folders", place, hint))
+            continue
+        if root is None:
+            flat.problems.append(Problem("a document in memory has no folder", name, place, "pass folder="))
+            continue
+        path = (root / name).resolve()
+        if Path(name).is_absolute() or "\0" in name or not path.is_relative_to(root.resolve()):
+            flat.problems.append(Problem("folder is outside the folder of the diagram", name, place, hint))
+        elif not trusted:
+            what = "block files are programs; they are not run unless you say so"
+            flat.problems.append(Problem(what, name, place, "read them, then add --trust-blocks (trust_blocks=True)"))
+        else:
+            folders.append(path)
+    return folders
+
+
+def _solver(flat: FlatDocument, overrides: Mapping[str, Any]) -> Solver:
+    given = flat.data.get("solver")
+    merged = {**(given if isinstance(given, dict) else {}), **overrides}
+    found: dict[str, Any] = {}
+    for key, value in merged.items():
+        place = Place("--set") if key in overrides else flat.source.place(("solver", key))
+        subject = f"solver.{key}"
+
+        def error(what: str, hint: str = "", subject: str = subject, place: Place = place) -> None:
+            flat.problems.append(Problem(what, subject, place, hint))
+
+        if key == "method":
+            if not isinstance(value, str) or value.lower() not in METHODS:
+                error(f"unknown method {value!r}" if not isinstance(value, dict | list) else "must be a text", near_miss(str(value)[:50], METHODS))
+            else:
+                found[key] = value.lower()
+        elif key not in _SOLVER:
+            error(f"unknown key '{key}'", near_miss(str(key), ["method", *_SOLVER]))
+        else:
+            try:
+                number = numeric(value, _SOLVER[key], bare=key in overrides)
+            except ValueProblem as problem:
+                error(problem.what, problem.hint)
+                continue
+            if number.ndim or not float(number) > 0:
+                error("must be one positive number", f"the default is {getattr(Solver, key):g}")
+            elif key == "record_every" and float(number) != int(number):
+                error("must be a whole number", "1 records every step")
+            else:
+                found[key] = int(number) if key == "record_every" else float(number)
+    settings = Solver(**found)
+    if settings.stop / settings.step > 1e10:
+        place = flat.source.place(("solver",))
+        flat.problems.append(Problem(f"{settings.stop / settings.step:.0e} steps", "solver", place, "at most 1e10: a larger step"))
+    return settings
+
+
+def _record(flat: FlatDocument, wiring: Wiring, works: Mapping[str, Work], removed: frozenset[str]) -> tuple[Endpoint, ...]:
+    if flat.record is not None:
+        wanted = [(end, place) for end, place in flat.record if end.block not in removed]
+        ends = [end for end, place in wanted if wiring.part_shape(end, place)]
+    else:
+        domain = {name for name, work in works.items() if work.cls.category != "elementary"} or set(works)
+        ends = [Endpoint(name, port) for name, work in works.items() if name in domain for port in work.template.outputs]
+    sinks = {name for name, work in works.items() if work.cls.type_name in _SINKS}
+    ends += [wire.source for wire in wiring.wires if wire.target.block in sinks]
+    return tuple(dict.fromkeys(ends))

@@ -1,0 +1,105 @@
+"""In which order the outputs of blocks can be computed, and where that is a circle (algebraic loops)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import networkx as nx
+import numpy as np
+
+from rotorsim.diagram.traced import BlockTrace, TraceError, trace_block
+from rotorsim.errors import Problem, RotorsimError
+
+if TYPE_CHECKING:
+    from rotorsim.diagram.diagram import Diagram, Node
+
+__all__ = ["evaluation_order", "feedthrough_graph", "trace_blocks"]
+
+Key = tuple[str, str]
+
+
+def trace_blocks(diagram: Diagram) -> tuple[dict[str, BlockTrace], list[Problem]]:
+    """Return the trace of every block (like blocks share one) and what went wrong."""
+    wired: dict[str, set[str]] = {}
+    for wire in diagram.wires:
+        wired.setdefault(wire.target.block, set()).add(wire.target.port)
+    traces: dict[str, BlockTrace] = {}
+    problems: list[Problem] = []
+    known: dict[object, BlockTrace] = {}
+    for name, node in diagram.nodes.items():
+        inputs = {
+            port: declared.shape
+            for port, declared in node.inputs.items()
+            if port in wired.get(name, ())
+            or getattr(declared.declaration, "additive", False)
+            or (name, port) in diagram.cut
+        }
+        shapes = {key: np.shape(value) for key, value in node.values.items()}
+        outputs = {port: declared.shape for port, declared in node.outputs.items()}
+        key = (id(node.block), *(tuple(s.items()) for s in (inputs, outputs, shapes, node.state_shapes, node.random_shapes)))
+        try:
+            if key not in known:
+                known[key] = trace_block(node.block, inputs, outputs, shapes, node.state_shapes, node.random_shapes)
+            traces[name] = known[key]
+        except Exception as error:  # the equations are foreign code
+            problems.append(_failed(node, error))
+    return traces, problems
+
+
+def _failed(node: Node, error: Exception) -> Problem:
+    kind = type(node.block)
+    if isinstance(error, TraceError):
+        return Problem(f"block type '{kind.type_name}': {error}", node.name, node.place, "correct the block file")
+    text = str(error).strip().split("\n")[-1][:200]
+    what = f"equations of block type '{kind.type_name}' fail: {type(error).__name__}: {text}"
+    return Problem(what, node.name, node.place, "check options and shapes, or the block file")
+
+
+def feedthrough_graph(diagram: Diagram, traces: Mapping[str, BlockTrace]) -> nx.DiGraph:
+    """Return the graph of (block, output port): an edge where one is needed to compute the other at once.
+
+    Every edge carries ``via``: the input port through which it acts.
+    """
+    into: dict[Key, list[Key]] = {}
+    for wire in diagram.wires:
+        into.setdefault((wire.target.block, wire.target.port), []).append((wire.source.block, wire.source.port))
+    graph = nx.DiGraph()
+    for name, trace in traces.items():
+        for port, feeding in trace.feedthrough.items():
+            graph.add_node((name, port))
+            for fed in feeding:
+                for source in into.get((name, fed), ()):
+                    graph.add_edge(source, (name, port), via=fed)
+    return graph
+
+
+def evaluation_order(diagram: Diagram) -> tuple[tuple[Key, ...], ...]:
+    """Return groups of (block, output port) in evaluation order; a group of several, or of one that feeds
+    itself, is an algebraic loop.
+
+    Raises RotorsimError that prints every loop hop by hop unless the diagram solves its loops.
+    """
+    graph = feedthrough_graph(diagram, diagram.traces)
+    try:
+        return tuple((key,) for key in nx.topological_sort(graph))
+    except nx.NetworkXUnfeasible:
+        pass
+    condensed = nx.condensation(graph)
+    position = {key: k for k, key in enumerate(graph)}
+    groups = tuple(
+        tuple(sorted(condensed.nodes[k]["members"], key=position.__getitem__)) for k in nx.topological_sort(condensed)
+    )
+    loops = [group for group in groups if len(group) > 1 or graph.has_edge(group[0], group[0])]
+    if loops and not diagram.solve_loops:
+        raise RotorsimError(*[_loop_problem(diagram, graph, loop) for loop in loops])
+    return groups
+
+
+def _loop_problem(diagram: Diagram, graph: nx.DiGraph, loop: tuple[Key, ...]) -> Problem:
+    cycle = nx.find_cycle(graph.subgraph(loop), loop[0])
+    hops = [f"{block}.{port} -> {after}.{graph.edges[(block, port), (after, out)]['via']}" for (block, port), (after, out) in cycle]
+    more = f" (and {len(loop) - len(cycle)} more outputs in the same loop)" if len(loop) > len(cycle) else ""
+    what = "algebraic loop: " + ", ".join(hops) + more
+    hint = 'put a state into it (integrator, derivative filter, delay), or write "algebraic_loops": "solve"'
+    return Problem(what, cycle[0][0][0], diagram.nodes[cycle[0][0][0]].place, hint)

@@ -1,0 +1,129 @@
+"""JSON values to option values and SI numbers, with every mistake said by kind, unit and bound."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from rotorsim.block import _Option, _Param
+from rotorsim.errors import near_miss
+from rotorsim.units import UnitError, format_quantity, parse_quantity
+
+__all__ = ["ValueProblem", "bounds_problem", "numeric", "option_value"]
+
+
+class ValueProblem(Exception):
+    """What is wrong with a value, where in it (indices), and a hint."""
+
+    def __init__(self, what: str, hint: str = "", path: tuple[int, ...] = ()) -> None:
+        super().__init__(what)
+        self.what, self.hint, self.path = what, hint, path
+
+
+def numeric(value: Any, unit: str | None, *, bare: bool = False, path: tuple[int, ...] = ()) -> np.ndarray:
+    """Return a number, a text with a unit, or a nested list of those as an SI array.
+
+    bare: a text without a unit is a number in ``unit`` (values from the command line).
+    Raises ValueProblem.
+    """
+    if isinstance(value, float | int) and not isinstance(value, bool):
+        return _finite(value, path)
+    if isinstance(value, list | tuple):
+        if all(type(item) is float and math.isfinite(item) for item in value) and value:
+            return np.array(value)
+        parts = [numeric(item, unit, bare=bare, path=(*path, k)) for k, item in enumerate(value)]
+        if not parts:
+            raise ValueProblem("the list is empty", path=path)
+        shapes = {np.shape(part) for part in parts}
+        if len(shapes) > 1:
+            raise ValueProblem("the rows of the list differ in length", path=path)
+        return np.array(parts, dtype=float)
+    if isinstance(value, str):
+        try:
+            return np.array(parse_quantity(value, unit, bare=bare))
+        except UnitError as error:
+            raise ValueProblem(error.what, error.hint, path) from None
+    if isinstance(value, np.ndarray | np.number):
+        return numeric(value.tolist(), unit, path=path)
+    shown = {None: "null", True: "true", False: "false"}.get(value, "an object") if not isinstance(value, dict) else "an object"
+    fitting = "" if unit in (None, "1") else f", or a text such as '1 {unit}'"
+    raise ValueProblem(f"must be a number, not {shown}", f"write a number{fitting}", path)
+
+
+def _finite(value: float, path: tuple[int, ...]) -> np.ndarray:
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueProblem("must be a finite number", path=path)
+    return np.array(number)
+
+
+def bounds_problem(value: np.ndarray, declared: _Param) -> ValueProblem | None:
+    """Return what is wrong if an entry is outside the declared bounds."""
+    smallest, largest = float(value.min()), float(value.max())
+    unit = declared.unit
+    if declared.above is not None and smallest <= declared.above:
+        return ValueProblem(f"{_show(smallest, unit)} must be greater than {_show(declared.above, unit)}")
+    if declared.low is not None and smallest < declared.low:
+        return ValueProblem(f"{_show(smallest, unit)} must be at least {_show(declared.low, unit)}")
+    if declared.high is not None and largest > declared.high:
+        return ValueProblem(f"{_show(largest, unit)} must be at most {_show(declared.high, unit)}")
+    return None
+
+
+def _show(value: float, unit: str | None) -> str:
+    return format_quantity(value, unit)
+
+
+_KIND_WORDS = {int: "a whole number", float: "a number", str: "a text", bool: "true or false", list: "a list", dict: "an object"}
+
+
+def option_value(value: Any, declared: _Option) -> Any:
+    """Return an option value of the declared kind, choices and bounds; raise ValueProblem."""
+    is_list = isinstance(declared.default, list | tuple)
+    kinds = declared.kind
+    if kinds is None:
+        sample = declared.default[0] if is_list and declared.default else declared.default
+        kinds = () if is_list and not declared.default else type(sample) if sample is not None else ()
+    kinds = kinds if isinstance(kinds, tuple) else (kinds,)
+    if is_list and not (list in kinds and declared.kind is not None):
+        if not isinstance(value, list | tuple):
+            raise ValueProblem(f"must be a list, not {_kind_of(value)}", "write [...]")
+        return [_entry(item, kinds, declared, (k,)) for k, item in enumerate(value)]
+    return _entry(value, kinds, declared, ())
+
+
+def _entry(value: Any, kinds: tuple[type, ...], declared: _Option, path: tuple[int, ...]) -> Any:
+    if kinds and float in kinds and isinstance(value, int | float | str) and not isinstance(value, bool) and str not in kinds:
+        value = float(numeric(value, declared.unit, path=path))
+    fits = not kinds or (type(value) in kinds) or (isinstance(value, tuple) and list in kinds)
+    if not fits:
+        words = " or ".join(_KIND_WORDS.get(kind, kind.__name__) for kind in kinds)
+        hint = f"write {int(value)}" if isinstance(value, float) and int in kinds and value == int(value) else ""
+        raise ValueProblem(f"must be {words}, not {_kind_of(value)}", hint, path)
+    if declared.choices is not None and value not in declared.choices:
+        shown = ", ".join(str(choice) for choice in declared.choices)
+        hint = near_miss(str(value), [str(c) for c in declared.choices], list_all=False) or f"one of: {shown}"
+        raise ValueProblem(f"'{value}' is not a choice", hint, path)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if declared.low is not None and value < declared.low:
+            raise ValueProblem(f"{value} must be at least {declared.low}", path=path)
+        if declared.high is not None and value > declared.high:
+            raise ValueProblem(f"{value} must be at most {declared.high}", path=path)
+    return value
+
+
+def _kind_of(value: Any) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, str):
+        return f"the text '{value if len(value) < 40 else value[:37] + '...'}'"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return f"the number {value}"
+    return {list: "a list", tuple: "a list", dict: "an object"}.get(type(value), type(value).__name__)

@@ -1,0 +1,219 @@
+"""Check wires and find the shapes that they carry from block to block."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rotorsim.block import Block
+from rotorsim.diagram.build import Builder, Work
+from rotorsim.diagram.diagram import Endpoint, Wire
+from rotorsim.diagram.document import FlatDocument, RawWire
+from rotorsim.diagram.shapes import ShapeTerm, text_of
+from rotorsim.errors import Place, Problem, near_miss
+from rotorsim.units import UnitError, compatible
+
+__all__ = ["Wiring"]
+
+
+class Wiring:
+    """Connects works along wires; mistakes go to the problems of the builder."""
+
+    def __init__(self, flat: FlatDocument, builder: Builder, works: Mapping[str, Work], removed: frozenset[str]) -> None:
+        self.flat, self.builder, self.works, self.removed = flat, builder, works, removed
+        self.problems = flat.problems
+        self.wires: list[Wire] = []
+        self.first: dict[tuple[str, str], Place] = {}
+        self.cut: set[tuple[str, str]] = set()
+        self.broken = {name for name in flat.blocks if name not in works and name not in removed}
+
+    def error(self, what: str, place: Place, subject: str, hint: str = "") -> None:
+        self.problems.append(Problem(what, subject=subject, place=place, hint=hint))
+
+    def connect(self) -> None:
+        """Check that both ends of every wire exist, that inputs have one wire, and note which are wired."""
+        for raw in self.flat.wires:
+            ends = raw.source, raw.target
+            if any(end.block in self.removed for end in ends):
+                self._cut(raw)
+                continue
+            if any(end.block in self.broken for end in ends):
+                for end in ends:
+                    if end.block in self.works:
+                        self.works[end.block].wired.add(end.port)
+                continue
+            good_source = self._exists(raw.source, False, raw.place)
+            good_target = self._exists(raw.target, True, raw.place)
+            if good_target:
+                self._take(raw)
+            if good_source and good_target:
+                self.wires.append(Wire(raw.source, raw.target, raw.place))
+        for name, work in self.works.items():
+            self._unwired(name, work)
+            optional = frozenset(p for p in work.wired if p in work.template.inputs and work.template.inputs[p].optional)
+            if optional:
+                work.template = self.builder.template(work.cls, work.options, work.key, optional)
+
+    def _cut(self, raw: RawWire) -> None:
+        work = self.works.get(raw.target.block)
+        if work is None or raw.target.port not in work.template.inputs:
+            return
+        declared = work.template.inputs[raw.target.port]
+        if not declared.additive and not declared.optional:
+            self.cut.add((raw.target.block, raw.target.port))
+
+    def _exists(self, end: Endpoint, is_input: bool, place: Place) -> bool:
+        work = self.works.get(end.block)
+        if work is None:
+            known = [*self.works, *self.broken]
+            hint = near_miss(end.block, known) if known else 'declare it under "blocks"'
+            self.error(f"no block '{end.block}'", place, str(end), hint)
+            return False
+        template = work.template
+        ports: Mapping[str, Any] = template.inputs if is_input else template.outputs
+        if end.port in ports:
+            return True
+        kind, other = ("input", template.outputs) if is_input else ("output", template.inputs)
+        if end.port in other:
+            hint = "wires run from an output to an input; swap the two ends?"
+            self.error(f"'{end.port}' is an {'output' if is_input else 'input'}, not an {kind}", place, str(end), hint)
+            return False
+        what = f"block type '{work.cls.type_name}' has no {kind} '{end.port}'"
+        self.error(what, place, str(end), near_miss(end.port, ports) if ports else f"it has no {kind}s")
+        return False
+
+    def _take(self, raw: RawWire) -> None:
+        work = self.works[raw.target.block]
+        key = raw.target.block, raw.target.port
+        work.wired.add(raw.target.port)
+        if work.template.inputs[raw.target.port].additive:
+            return
+        if raw.target.index:
+            what = "an input that takes one wire cannot be wired by parts"
+            self.error(what, raw.place, str(raw.target), "put the parts together with a mux or bus block")
+        elif key in self.first:
+            what = f"this input has a wire already, at {self.first[key]}" if self.first[key].line else "this input has two wires"
+            self.error(what, raw.place, str(raw.target), "add the signals with a sum block, or remove one wire")
+        self.first.setdefault(key, raw.place)
+
+    def _unwired(self, name: str, work: Work) -> None:
+        for port in work.template.needed_inputs:
+            if port not in work.wired and (name, port) not in self.cut and (name, port) not in self.flat.exposed:
+                unit = work.template.inputs[port].unit
+                hint = f'add a wire ["block.port", "{name}.{port}"]' + (f" that carries {unit}" if unit not in (None, "1") else "")
+                self.error("input is not wired", work.raw.place(key=True), f"{name}.{port}", hint)
+            elif port not in work.wired:
+                self.cut.add((name, port))
+
+    # --- shapes and units ---------------------------------------------------------------------------
+
+    def unify(self) -> None:
+        """Carry shapes along the wires to a fixed point; report ends that do not fit."""
+        self.builder.bind_given(self.works.values())
+        waiting = [wire for wire in self.wires if not self._join(wire)]
+        hooked = [w for w in self.works.values() if w.cls.output_shapes is not Block.output_shapes]
+        for last_resort in (lambda: None, lambda: self.builder.bind_defaults(self.works.values()), self._bind_rest):
+            last_resort()
+            progress = True
+            while progress:
+                before = len(waiting), len(hooked)
+                hooked = [work for work in hooked if not self._derive(work)]
+                waiting = [wire for wire in waiting if not self._join(wire)]
+                progress = (len(waiting), len(hooked)) != before
+
+    def _bind_rest(self) -> None:
+        self.builder.bind_rest(self.works.values())
+
+    def _term(self, end: Endpoint, is_input: bool) -> ShapeTerm:
+        work = self.works[end.block]
+        shapes = work.template.input_shapes if is_input else work.template.output_shapes
+        return self.builder.unifier.shape(work.term(shapes[end.port], self.builder.unifier))
+
+    def _join(self, wire: Wire) -> bool:
+        """Make the shapes of both ends equal; return False if a part is taken of a shape not known yet."""
+        unifier = self.builder.unifier
+        terms = []
+        for end, is_input in ((wire.source, False), (wire.target, True)):
+            term = self._term(end, is_input)
+            if end.index:
+                if isinstance(term, int):
+                    return False
+                if not self._inside(end, term, wire.place):
+                    return True
+                term = term[len(end.index) :]
+            terms.append(term)
+        before = [text_of(term, unifier) for term in terms] if terms[0] != terms[1] else []
+        if not unifier.unify(terms[0], terms[1]):
+            self._misfit(wire, before)
+        self._units(wire)
+        return True
+
+    def _inside(self, end: Endpoint, term: tuple[int, ...], place: Place) -> bool:
+        shape = text_of(term, self.builder.unifier)
+        if len(end.index) > len(term):
+            self.error(f"shape is {shape}: too many indices", place, str(end), "entries count from 1, one index a dimension")
+            return False
+        for i, dimension in zip(end.index, term, strict=False):
+            n = self.builder.unifier.dimension(dimension)
+            if 0 <= n <= i:
+                self.error(f"index {i + 1} is out of range", place, str(end), f"shape is {shape}, counted from 1")
+                return False
+        return True
+
+    def _describe(self, end: Endpoint, is_input: bool, shape: str) -> str:
+        template = self.works[end.block].template
+        declared = (template.inputs if is_input else template.outputs)[end.port]
+        unit = "" if declared.unit in (None, "1") else f" [{declared.unit}]"
+        return f"{end}: {shape}{unit}"
+
+    def _misfit(self, wire: Wire, shapes: list[str]) -> None:
+        ends = self._describe(wire.source, False, shapes[0]), self._describe(wire.target, True, shapes[1])
+        whole = self._term(wire.source, False)
+        hint = "shapes of both ends must be equal"
+        if isinstance(whole, tuple) and len(whole) == 2 and not wire.source.index:
+            hint = f"take one row: \"{wire.source}[1]\" (nodes count from 1)"
+        target = self._term(wire.target, True)
+        if isinstance(target, tuple) and len(target) == 2 and not wire.target.index:
+            hint = f"wire it to one row: \"{wire.target}[1]\" (nodes count from 1)"
+        self.error(f"shapes differ: {ends[0]} -> {ends[1]}", wire.place, "wire", hint)
+
+    def _units(self, wire: Wire) -> None:
+        source = self.works[wire.source.block].template.outputs[wire.source.port].unit
+        target = self.works[wire.target.block].template.inputs[wire.target.port].unit
+        if source is None or target is None or source == target:
+            return
+        try:
+            fit = compatible(source, target)
+        except UnitError:
+            return  # the block's declaration is at fault, and its own tests say so
+        if fit == "different":
+            what = f"units differ: {wire.source} [{source}] -> {wire.target} [{target}]"
+            self.error(what, wire.place, "wire", "wire a signal of that unit, or convert it with a gain block")
+
+    def _derive(self, work: Work) -> bool:
+        """Let a block find the shapes of its outputs from those of its inputs; return whether it could."""
+        template, unifier = work.template, self.builder.unifier
+        inputs = {}
+        for name in template.inputs:
+            if name in work.wired:
+                shape = unifier.resolved(work.term(template.input_shapes[name], unifier))
+                if shape is None:
+                    return False
+                inputs[name] = shape
+        for name, shape in template.block.output_shapes(inputs).items():
+            if name in template.output_shapes:
+                unifier.unify(work.term(template.output_shapes[name], unifier), shape)
+        return True
+
+    def part_shape(self, end: Endpoint, place: Place) -> bool:
+        """Check a recorded signal: it exists and its index is inside."""
+        if end.block in self.broken:
+            return False
+        work = self.works.get(end.block)
+        if work is not None and end.port in work.template.inputs and work.template.inputs[end.port].additive:
+            term = self._term(end, True)
+        elif self._exists(end, False, place):
+            term = self._term(end, False)
+        else:
+            return False
+        return not end.index or (isinstance(term, tuple) and self._inside(end, term, place))

@@ -1,0 +1,99 @@
+"""The settled periodic motion of a diagram at one or many speeds, as harmonics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rotorsim.errors import Problem, RotorsimError, near_miss
+
+__all__ = ["Periodic"]
+
+
+@dataclass(frozen=True)
+class Periodic:
+    """Harmonics of the settled motion: signal(t) = sum over k of R_k exp(i orders[k] W t).
+
+    speeds (n,) [rad/s]; orders (2H+1,): -H..H, divided by the number of turns of one period.
+    harmonics: name -> complex array (n, 2H+1), peak values in SI units. A two-axis signal
+    (``rotor.displacement``, ``rotor.displacement[3]``) is x + iy: positive orders turn with the rotor. A single
+    channel (``rotor.displacement[1]``) has conjugate coefficients at -k. units: name -> unit.
+    status: one text per speed, "settled" or what is wrong; a speed without a solution is NaN throughout, and a
+    signal that drifts has order 0 NaN. stable: per speed, None where it was not examined. truncation (n,):
+    size of the harmonics of the states that are left out, relative to the largest but the mean.
+    drifting: flat names of states without a mean.
+    """
+
+    speeds: np.ndarray
+    orders: np.ndarray
+    harmonics: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+    status: tuple[str, ...]
+    stable: tuple[bool | None, ...]
+    truncation: np.ndarray
+    drifting: tuple[str, ...] = ()
+    counters: Mapping[str, int] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def settled(self) -> np.ndarray:
+        """Whether there is a solution at each speed, shape (n,)."""
+        return np.array([not text.startswith("failed") for text in self.status], bool)
+
+    def harmonic(self, signal: str, order: float) -> np.ndarray:
+        """Return R_order of a signal at every speed, shape (n,). Raises RotorsimError for unknown names."""
+        values = self._values(signal)
+        place = np.flatnonzero(np.isclose(self.orders, order, rtol=0, atol=1e-9))
+        if not len(place):
+            what = f"no harmonic of order {order:g}; orders run from {self.orders[0]:g} to {self.orders[-1]:g}"
+            raise RotorsimError(Problem(what=what, subject=signal))
+        return np.asarray(values[:, place[0]])
+
+    def time_history(self, signal: str, n: int = 256) -> tuple[np.ndarray, np.ndarray]:
+        """Return times (speeds, n) [s] over one period and the signal there, complex for two axes, else real."""
+        values = np.nan_to_num(self._values(signal), nan=0.0) if self.drifting else self._values(signal)
+        turns = self._turns
+        angle = np.arange(n) * (2 * np.pi * turns / n)
+        motion = values @ np.exp(1j * np.outer(self.orders, angle))
+        real = np.allclose(values, values[:, ::-1].conj(), rtol=1e-9, atol=0, equal_nan=True)
+        return angle[None] / self.speeds[:, None], motion.real if real else motion
+
+    @property
+    def _turns(self) -> int:
+        return 1 if len(self.orders) < 2 else round(1 / float(self.orders[1] - self.orders[0]))
+
+    def _values(self, signal: str) -> np.ndarray:
+        if signal not in self.harmonics:
+            raise RotorsimError(
+                Problem(what="no such signal in this result", subject=signal, hint=near_miss(signal, self.harmonics))
+            )
+        return self.harmonics[signal]
+
+    def to_table(self, *, threshold: float = 0.0) -> list[dict[str, Any]]:
+        """Return one row per speed, signal and order whose amplitude is above ``threshold`` of the largest.
+
+        Columns: speed [rad/s], signal, order, real, imag, amplitude (in unit), phase [rad], unit.
+        """
+        rows = []
+        for j, speed in enumerate(self.speeds):
+            for name, values in self.harmonics.items():
+                amplitude = np.abs(values[j])
+                limit = threshold * np.nanmax(amplitude) if np.isfinite(amplitude).any() else np.inf
+                for order, value, size in zip(self.orders, values[j], amplitude, strict=True):
+                    if size > limit:
+                        rows.append(
+                            {
+                                "speed": float(speed),
+                                "signal": name,
+                                "order": float(order),
+                                "real": float(value.real),
+                                "imag": float(value.imag),
+                                "amplitude": float(size),
+                                "phase": float(np.angle(value)),
+                                "unit": self.units[name],
+                            }
+                        )
+        return rows

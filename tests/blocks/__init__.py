@@ -1,0 +1,1 @@
+"""Tests of the block library: every equation against an independent formula."""

@@ -1,0 +1,1 @@
+"""Published numbers, at the tolerance of their source."""

@@ -1,0 +1,1 @@
+"""Whole diagrams against independent programs."""

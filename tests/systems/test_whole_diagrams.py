@@ -1,0 +1,69 @@
+"""Whole diagrams against independent programs, exact solutions, and one analysis against another."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rotorsim.simulate import simulate
+from tests.reference.rotor import Rotor
+from tests.systems import figures
+from tests.systems.references import fe_flexible, fe_rigid, offset_disc
+from tests.systems.shipped import shipped
+
+
+def test_elementary_blocks_give_the_same_signals() -> None:
+    assert figures.elementary(stop=1.0) <= 1e-9
+
+
+def test_jeffcott_against_independent_integration() -> None:
+    """RK4 at the diagram's step errs by 1e-6, so the step is refined until the equations are what is compared."""
+    displacement, current = figures.independent(stop=0.5, step=2e-5)
+    assert displacement <= 1e-8
+    assert current <= 1e-8
+
+
+def test_rk4_is_of_order_four() -> None:
+    for order in figures.orders([2e-4, 1e-4, 5e-5, 2.5e-5], stop=0.5):
+        assert order == pytest.approx(4.0, abs=0.05)
+
+
+@pytest.mark.parametrize("power", [1, 2, 3])
+def test_rk4_integrates_a_cubic_exactly(power: int) -> None:
+    assert figures.polynomial_error(power) <= 4e-16 * 8
+
+
+def test_rk4_does_not_integrate_a_quartic_exactly() -> None:
+    errors = [figures.polynomial_error(4, step) for step in (0.25, 0.125)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "reference", "node", "stop"),
+    [("offset_disc", offset_disc, None, 0.5), ("fe_rigid", fe_rigid, 3, 0.2), ("fe_flexible", fe_flexible, 4, 0.2)],
+)
+def test_rotors_against_exact_solution(name: str, reference: object, node: int | None, stop: float) -> None:
+    rotor: Rotor = reference()  # type: ignore[operator]
+    signal = "rotor.displacement" + (f"[{node}]" if node else "")
+    model = shipped(name)
+    step = 2e-5 if node is None else 5e-6
+    result = simulate(model, stop=stop, step=step, record_every=20, record=[signal, "controller.current"])
+    y = rotor.exact(result.time)
+    dof = rotor.translations[0] if node is None else figures.dof_of(rotor, node)
+    assert figures.relative(figures.as_complex(result[signal]), rotor.displacement(y, dof)) <= 1e-8
+    assert figures.relative(figures.as_complex(result["controller.current"]), rotor.current(y)) <= 1e-8
+
+
+@pytest.mark.parametrize("name", list(figures.SETTLED))
+def test_periodic_equals_settled_simulation(name: str) -> None:
+    """With a hundred times the integral gain, so that 3 s settle; benchmarks.evidence has the thesis' own gain."""
+    signals, _, step = figures.SETTLED[name]
+    found = figures.settled_difference(shipped(name), signals, 3.0, step, figures.QUICK_INTEGRAL)
+    assert max(found.values()) <= 1e-6, found
+
+
+@pytest.mark.parametrize("name", list(figures.NONLINEAR))
+def test_periodic_equals_settled_simulation_of_nonlinear_models(name: str) -> None:
+    model = figures.nonlinear_model(name)
+    found = figures.settled_difference(model, figures.JEFFCOTT_SIGNALS, 3.0, 1e-4, figures.QUICK_INTEGRAL)
+    assert max(found.values()) <= 1e-4, found
