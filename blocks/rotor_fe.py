@@ -5,10 +5,10 @@ from math import pi
 from typing import Any
 
 import numpy as np
-
-from rotorsim.block import Block, Equations, In, Option, Out, Param, State, matrix
 from rotorsim.blocks import _beam
 from rotorsim.blocks._beam import Banded, solve_factored
+
+from rotorsim.block import Block, Equations, In, Option, Out, Param, State, matrix
 
 
 def _nodes(option: Any) -> tuple[int, int]:

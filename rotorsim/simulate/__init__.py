@@ -14,7 +14,7 @@ _HOME = {
     "linearise": "linear",
     "equilibrium": "linear",
     "modes": "modes",
-    "campbell": "modes",
+    "campbell": "campbell",
     "frequency_response": "frequency",
     "sensitivity": "frequency",
     "design_state_feedback": "design",

@@ -16,9 +16,9 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import expm
 
 from rotorsim.simulate import linear
+from rotorsim.simulate.floquet import is_stable
 from rotorsim.simulate.periodic_linear import (
     LARGEST_HARMONIC,
     Motion,
@@ -83,6 +83,11 @@ class _Problem:
         """Return the exact Fourier coefficients of dx/dt at x = 0, (H+1, n_x)."""
         return forcing_series(self.setup, np.array([self.base]), self.p[None], H)[0][0, : H + 1]
 
+    def local_jacobians(self, x: np.ndarray) -> np.ndarray:
+        """Return the rows E and columns S of `jacobians`, (m, E, S)."""
+        times = np.arange(len(x)) * (2 * np.pi / self.base / len(x))
+        return self.setup.local_jacobian(self.E, self.S)(times[None, :], x.T, self.setup.z, self.p)
+
     def set_linear_part(self, J: np.ndarray) -> None:
         """Take the mean Jacobian as A, so that (i k W I - A) is regular where the motion itself is."""
         self.A = J.mean(axis=0)
@@ -121,7 +126,7 @@ def balance(setup: Setup, base: np.ndarray, p: np.ndarray, settings: Settings) -
     stable: list[bool | None] = []
     for j, problem in enumerate(problems):
         found = solved[j]
-        ok = _is_stable(problem, found) if settings.stability and not found.failure else None
+        ok = is_stable(setup, problem.base, problem.p, found.X) if settings.stability and not found.failure else None
         stable.append(ok)
         text = "settled" if ok is not False else "unstable: this motion is never reached"
         status.append(f"failed: {found.failure}" if found.failure else text)
@@ -276,9 +281,10 @@ def _newton(problem: _Problem, start: np.ndarray | None, H: int) -> _Solution:
     for step in range(1, MOST_STEPS + 1):
         if not np.isfinite(R).all():
             break
-        J = problem.jacobians(x)[:, problem.E[:, None], S] - problem.A[problem.E[:, None], S]
+        J = problem.local_jacobians(x) - problem.A[problem.E[:, None], S]
         try:
-            delta = real.newton_step(G[:, S[:, None], problem.E], J, R)
+            U, J = _compressed(J)
+            delta = real.newton_step(G[:, S[:, None], problem.E] @ U, J, R)
         except np.linalg.LinAlgError:
             break
         scale = np.maximum(np.abs(C).max(axis=0), 1e-300)
@@ -309,6 +315,17 @@ def _shortened(
         if after < (1 - 0.1 * length) * before or length <= SMALLEST_LENGTH or before <= 1e-9:
             return new, R1, X1, x1, length
         length /= 2
+
+
+def _compressed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return U (E, r) and V (m, r, S) with J = U V: one force may act in many rows (a coupled mass matrix)."""
+    rows = J.transpose(1, 0, 2).reshape(J.shape[1], -1)
+    size = np.linalg.norm(rows, axis=1)
+    scaled = rows / np.where(size > 0, size, 1.0)[:, None]
+    values, vectors = np.linalg.eigh(scaled @ scaled.T)
+    kept = vectors[:, values > 1e-14 * values.max(initial=0.0)]
+    V = (kept.T @ scaled).reshape(kept.shape[1], J.shape[0], J.shape[2]).transpose(1, 0, 2)
+    return size[:, None] * kept, V
 
 
 def _samples(C: np.ndarray, m: int) -> np.ndarray:
@@ -359,32 +376,3 @@ class _Real:
         w_k = w[: H + 1].astype(complex)
         w_k[1:] = (w[1 : H + 1] - 1j * w[H + 1 :]) / 2
         return np.asarray(R + np.einsum("kse,ke->ks", G, w_k))
-
-
-def _is_stable(problem: _Problem, found: _Solution) -> bool:
-    """Return whether all Floquet multipliers lie in the unit circle.
-
-    The transition matrix over one period is a product of exponentials of the Jacobian along the motion,
-    two Gauss points a step (Magnus, order 4). Source: Blanes et al., Physics Reports 470 (2009), eq. (253).
-    """
-    multipliers = floquet_multipliers(problem, found.X)
-    return bool(np.abs(multipliers).max(initial=0.0) <= 1 + 1e-7)
-
-
-def floquet_multipliers(problem: _Problem, X: np.ndarray) -> np.ndarray:
-    """Return the eigenvalues of the transition matrix over one period; X (H+1, n_x)."""
-    H = len(X) - 1
-    steps = max(64, 4 * H)
-    h = 2 * np.pi / problem.base / steps
-    root = np.sqrt(3) / 6
-    nodes = ((np.arange(steps)[:, None] + 0.5 + np.array([-root, root])) * h).ravel()
-    wave = np.exp(1j * problem.base * np.outer(nodes, np.arange(H + 1)))
-    wave[:, 1:] *= 2
-    x = (wave @ X).real
-    J = problem.setup.jacobian(nodes[None, :], x.T, problem.setup.z, problem.p)
-    first, second = J[0::2], J[1::2]
-    exponent = h / 2 * (first + second) + np.sqrt(3) / 12 * h * h * (second @ first - first @ second)
-    product = np.eye(J.shape[1])
-    for factor in expm(exponent):
-        product = factor @ product
-    return np.asarray(np.linalg.eigvals(product))

@@ -17,33 +17,15 @@ from rotorsim.block import Shape
 from rotorsim.compile import Model, compile_diagram
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.simulate.matrix_function import MatrixFunction
 
 __all__ = [
-    "LinearSystem", "MatrixFunction", "as_model", "drifting_states", "equilibrium", "flat_names", "linearise",
+    "LinearSystem", "as_model", "drifting_states", "equilibrium", "flat_names", "linearise",
     "refuse_sampled", "speed_of", "state_names",
 ]  # fmt: skip
 
 TURN_SAMPLES = 64  # instants for averages over one turn
 SINGULAR = 1e-14  # reciprocal condition number below which a group of states is taken to have a pole at zero
-
-
-class MatrixFunction:
-    """A matrix expression evaluated at many points at once; only its nonzeros are computed."""
-
-    def __init__(self, arguments: Sequence[Any], expression: Any) -> None:
-        expression = ca.sparsify(ca.SX(expression))
-        rows, columns = expression.sparsity().get_triplet()
-        self.shape: tuple[int, int] = expression.shape
-        self.rows, self.columns = np.array(rows, int), np.array(columns, int)
-        self._function = ca.Function("f", list(arguments), [expression.nz[:]]) if rows else None
-
-    def __call__(self, *columns: Any) -> np.ndarray:
-        """Return values, shape (n, rows, columns); each argument is a column or n columns side by side."""
-        n = max((np.shape(c)[1] for c in columns if np.ndim(c) == 2), default=1)
-        out = np.zeros((n, *self.shape))
-        if self._function is not None:
-            out[:, self.rows, self.columns] = self._function(*columns).full().T
-        return out
 
 
 @dataclass(frozen=True)

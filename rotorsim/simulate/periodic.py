@@ -15,6 +15,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate import linear, periodic_linear
 from rotorsim.simulate.harmonic_balance import Settings, balance
+from rotorsim.simulate.matrix_function import MatrixFunction
 from rotorsim.simulate.modes import checked_speeds, require_speed
 from rotorsim.simulate.periodic_linear import Motion, Setup
 from rotorsim.simulate.periodic_result import Periodic
@@ -30,9 +31,9 @@ class _Outputs:
     channels: tuple[str, ...]
     pairs: tuple[tuple[str, int], ...]
     is_linear: bool
-    matrix: linear.MatrixFunction
+    matrix: MatrixFunction
     matrix_varies: bool
-    constant: linear.MatrixFunction
+    constant: MatrixFunction
     timed: bool
     units: dict[str, str] = field(default_factory=dict)
 
@@ -131,9 +132,9 @@ def _prepared(setup: Setup, names: tuple[str, ...]) -> _Outputs:
         channels=tuple(channels),
         pairs=tuple(pairs),
         is_linear=is_linear,
-        matrix=linear.MatrixFunction(arguments, jacobian),
+        matrix=MatrixFunction(arguments, jacobian),
         matrix_varies=bool(ca.depends_on(jacobian, speed)),
-        constant=linear.MatrixFunction(arguments, at_rest),
+        constant=MatrixFunction(arguments, at_rest),
         timed=bool(ca.depends_on(at_rest, trace.t)),
         units=units,
     )

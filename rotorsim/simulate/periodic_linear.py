@@ -12,6 +12,7 @@ from rotorsim.compile import Model
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate import linear
 from rotorsim.simulate.forcing import Jumps
+from rotorsim.simulate.matrix_function import MatrixFunction
 
 __all__ = ["FIRST_SAMPLES", "LARGEST_HARMONIC", "Motion", "Setup", "solve"]
 
@@ -55,6 +56,7 @@ class Setup:
         self.jacobian_varies = bool(ca.depends_on(model.jacobian_expression, speed))
         self.jumps = Jumps(model)
         self.samples = FIRST_SAMPLES
+        self._local: MatrixFunction | None = None
         self._patterns: dict[bytes, tuple[list[int], list[int]]] = {}
 
     def instants(self, base: np.ndarray, n: int) -> np.ndarray:
@@ -65,6 +67,14 @@ class Setup:
         """Return A of a linear model at every speed, shape (speeds, n_x, n_x), or (1, ...) where it is the same."""
         few = p if self.jacobian_varies else p[:1]
         return self.jacobian(0.0, np.zeros(self.n_x), self.z, few.T)
+
+    def local_jacobian(self, rows: np.ndarray, columns: np.ndarray) -> MatrixFunction:
+        """Return the function of some rows and columns of the Jacobian."""
+        if self._local is None:
+            trace = self.model.trace
+            part = self.model.jacobian_expression[rows.tolist(), columns.tolist()]
+            self._local = MatrixFunction([trace.t, trace.x, trace.z, trace.p], part)
+        return self._local
 
     def drift(self, A: np.ndarray) -> tuple[list[int], list[int]]:
         """Return the states without a mean and those that they drive (see `linear.drifting_states`)."""

@@ -56,20 +56,26 @@ class Result:
         if name in self.signals:
             return self.signals[name]
         base, bracket, inside = name.rstrip("]").partition("[")
-        if bracket and base in self.signals:
-            array = self.signals[base]
-            try:
-                index = tuple(int(part) - 1 for part in inside.split(","))
-                if min(index) < 0:
-                    raise IndexError
-                return array[(slice(None), *index)]
-            except (ValueError, IndexError):
-                shape = " x ".join(map(str, array.shape[1:])) or "scalar"
-                what = f"no such entry; '{base}' has shape {shape}, counted from 1"
-                raise RotorsimError(Problem(what=what, subject=name)) from None
+        parts = inside.split(",") if bracket else []
+        for kept in range(len(parts)):  # a part of a recorded part: displacement[4,1] of displacement[4]
+            recorded = f"{base}[{','.join(parts[:kept])}]" if kept else base
+            if recorded in self.signals:
+                return self._part(name, recorded, parts[kept:])
         near = difflib.get_close_matches(name, list(self.signals), 1)
         hint = f"did you mean '{near[0]}'?" if near else f"recorded: {', '.join(self.signals)}"
         raise RotorsimError(Problem(what="this signal was not recorded", subject=name, hint=hint))
+
+    def _part(self, name: str, recorded: str, parts: list[str]) -> np.ndarray:
+        array = self.signals[recorded]
+        try:
+            index = tuple(int(part) - 1 for part in parts)
+            if min(index) < 0:
+                raise IndexError
+            return array[(slice(None), *index)]
+        except (ValueError, IndexError):
+            shape = " x ".join(map(str, array.shape[1:])) or "scalar"
+            what = f"no such entry; '{recorded}' has shape {shape}, counted from 1"
+            raise RotorsimError(Problem(what=what, subject=name)) from None
 
     def __contains__(self, name: object) -> bool:
         return name in self.signals

@@ -46,7 +46,8 @@ class Prepared:
 
     block: Block
     trace: BlockTrace
-    shapes: dict[str, Shape]
+    shapes: dict[str, Shape]  # of inputs, outputs and random draws
+    state_shapes: dict[str, Shape]
     parameters: dict[str, np.ndarray]
     initial: dict[str, np.ndarray]
 
@@ -54,18 +55,26 @@ class Prepared:
         self, inputs: Values | None = None, states: Values | None = None, time: float = 0.0
     ) -> SimpleNamespace:
         """Return outputs, derivatives, update and events; states not given are at their start."""
-        given = {**dict.fromkeys(self.trace.inputs, 0.0), **self.parameters, **self.initial}
-        given |= dict.fromkeys(self.trace.randoms, 0.0) | dict(inputs or {}) | dict(states or {})
-        symbols = self.trace.inputs | self.trace.parameters | self.trace.states | self.trace.randoms
-        assert given.keys() <= symbols.keys(), given.keys() - symbols.keys()
-        arguments = [np.broadcast_to(given[name], self.shapes[name]).ravel() for name in symbols]
+        zeros = {name: np.zeros(self.shapes[name]) for name in (*self.trace.inputs, *self.trace.randoms)}
+        at_ports = {name: zeros[name] for name in self.trace.inputs} | dict(inputs or {})
+        draws = {name: zeros[name] for name in self.trace.randoms}
+        inside = {**self.initial, **draws, **(states or {})}
+        assert at_ports.keys() == self.trace.inputs.keys()
+        assert inside.keys() == self.trace.states.keys() | self.trace.randoms.keys()
+        arguments = [np.broadcast_to(at_ports[name], self.shapes[name]).ravel() for name in self.trace.inputs]
+        arguments += [self.parameters[name].ravel() for name in self.trace.parameters]
+        arguments += [np.broadcast_to(inside[name], self.state_shapes[name]).ravel() for name in self.trace.states]
+        arguments += [np.broadcast_to(inside[name], self.shapes[name]).ravel() for name in self.trace.randoms]
+        symbols = [*self.trace.inputs.values(), *self.trace.parameters.values()]
+        symbols += [*self.trace.states.values(), *self.trace.randoms.values(), self.trace.time]
+        shapes = {"outputs": self.shapes, "derivatives": self.state_shapes, "update": self.state_shapes, "events": {}}
         kinds: dict[str, dict[str, np.ndarray]] = {}
         for kind in ("outputs", "derivatives", "update", "events"):
             columns = getattr(self.trace, kind)
-            function = ca.Function("f", [*symbols.values(), self.trace.time], list(columns.values()))
+            function = ca.Function("f", symbols, list(columns.values()))
             values = function.call([*arguments, time])
             kinds[kind] = {
-                name: np.array(value).ravel().reshape(self.shapes[name] if kind != "events" else (-1,))
+                name: np.array(value).ravel().reshape(shapes[kind].get(name, (-1,)))
                 for name, value in zip(columns, values, strict=True)
             }
         return SimpleNamespace(**kinds)
@@ -129,8 +138,7 @@ def prepare_class(
         for name, state in block.active_states().items()
     }
     trace = trace_block(block, present, out_shapes, parameter_shapes, state_shapes, random_shapes)
-    shapes = present | out_shapes | parameter_shapes | state_shapes | random_shapes
-    return Prepared(block, trace, shapes, values, initial)
+    return Prepared(block, trace, present | out_shapes | random_shapes, state_shapes, values, initial)
 
 
 def state_space_of(prepared: Prepared, port: str, output: str) -> tuple[np.ndarray, ...]:

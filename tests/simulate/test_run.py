@@ -64,7 +64,7 @@ def bouncing(law: str) -> dict:
             "gravity": ("constant", {"value": -10.0}),
             "balance": ("sum", {"signs": "+-"}),
             "velocity": ("integrator", {}),
-            "position": ("integrator", {"initial": -0.02}),
+            "position": ("integrator", {"initial": -0.002}),
             "contact": ("saturation", {"lower": -1e9, "upper": 0.0}),
             "spring": ("gain", {"gain": 1e5}),
         },

@@ -1,0 +1,89 @@
+"""Edit diagram documents: put another block in the place of one, keeping its wires."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+from rotorsim.block import Block
+from rotorsim.diagram.document import endpoint
+from rotorsim.diagram.registry import Registry
+from rotorsim.errors import Problem, RotorsimError, near_miss
+
+__all__ = ["fitting_types", "swap"]
+
+
+def swap(
+    data: Mapping[str, Any],
+    block: str,
+    new_type: str,
+    parameters: Mapping[str, Any] | None = None,
+    registry: Registry | None = None,
+) -> dict[str, Any]:
+    """Return the document with ``block`` replaced by one of ``new_type``; its wires stay.
+
+    Parameters that both types have keep their values; ``parameters`` are set on top.
+    Raises RotorsimError when the ports that are wired do not exist in the new type, or when the new type
+    needs inputs that are not wired, with the types that would fit.
+    """
+    registry = registry or Registry()
+    blocks = data.get("blocks", {})
+    if block not in blocks:
+        raise RotorsimError(Problem(f"no block '{block}'", block, hint=near_miss(block, blocks)))
+    kind = registry.find(new_type)
+    if kind is None:
+        raise RotorsimError(Problem(f"unknown block type '{new_type}'", block, hint=registry.hint(new_type)))
+    before = blocks[block]
+    kept = {
+        name: value
+        for name, value in before.get("parameters", {}).items()
+        if name in kind.parameters or name in kind.options
+    }
+    for name in parameters or {}:
+        if name not in kind.parameters and name not in kind.options:
+            hint = near_miss(name, [*kind.parameters, *kind.options])
+            raise RotorsimError(Problem(f"type '{new_type}' has no parameter '{name}'", f"{block}.{name}", hint=hint))
+    values = {**kept, **(parameters or {})}
+    problems = _misfits(data, block, kind, values)
+    if problems:
+        fits = [name for name in fitting_types(data, block, registry) if name != before.get("type")]
+        hint = f"types that fit: {', '.join(fits)}" if fits else "no other type has these ports"
+        raise RotorsimError(*[Problem(p.what, p.subject, p.place, hint) for p in problems])
+    result = copy.deepcopy(dict(data))
+    result["blocks"][block] = {"type": new_type, **({"parameters": values} if values else {})}
+    return result
+
+
+def fitting_types(data: Mapping[str, Any], block: str, registry: Registry | None = None) -> list[str]:
+    """Return the types that have every port of ``block`` that is wired, and need no other input."""
+    registry = registry or Registry()
+    return [name for name, kind in registry.all_types().items() if not _misfits(data, block, kind, {})]
+
+
+def _misfits(data: Mapping[str, Any], block: str, kind: type[Block], values: Mapping[str, Any]) -> list[Problem]:
+    try:
+        made = kind({name: value for name, value in values.items() if name in kind.options})
+        inputs = {n: d for d in kind.inputs.values() for n in made.port_names(d)}
+        outputs = {n for d in kind.outputs.values() for n in made.port_names(d)}
+    except Exception as error:  # options of the wrong kind: the loader says it better
+        return [Problem(f"type '{kind.type_name}' cannot be made: {error}", block)]
+    problems: list[Problem] = []
+    used: set[str] = set()
+    for wire in data.get("wires", []):
+        ends = [endpoint(end) for end in wire] if isinstance(wire, list) and len(wire) == 2 else [None, None]
+        for end, known, word in ((ends[0], outputs, "output"), (ends[1], inputs, "input")):
+            if end is not None and end.block == block:
+                used.add(end.port)
+                if end.port not in known:
+                    what = f"type '{kind.type_name}' has no {word} '{end.port}', which is wired"
+                    problems.append(Problem(what, f"{block}.{end.port}"))
+    for text in data.get("record", []):
+        end = endpoint(text)
+        if end is not None and end.block == block and end.port not in outputs and end.port not in used:
+            what = f"type '{kind.type_name}' has no output '{end.port}', which is recorded"
+            problems.append(Problem(what, f"{block}.{end.port}"))
+    for name, declared in inputs.items():
+        if not declared.optional and not declared.additive and name not in used:
+            problems.append(Problem(f"type '{kind.type_name}' needs input '{name}', which is not wired", f"{block}.{name}"))
+    return list(dict.fromkeys(problems))

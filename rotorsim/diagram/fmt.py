@@ -1,0 +1,53 @@
+"""The canonical form of a diagram document: one wire a line, so that differences are small."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+__all__ = ["format_document"]
+
+_KEYS = (
+    "$schema", "schema_version", "name", "description", "parameters", "blocks", "wires", "solver", "record",
+    "algebraic_loops", "block_folders", "ports", "layout",
+)  # fmt: skip
+_BLOCK_KEYS = ("type", "file", "description", "parameters")
+WIDTH = 120
+
+
+def format_document(data: Mapping[str, Any]) -> str:
+    """Return the canonical text of a document; values and the order of blocks and wires stay as they are."""
+    lines = []
+    for key in _ordered(data, _KEYS):
+        value = data[key]
+        if key == "blocks" and isinstance(value, Mapping):
+            value = {name: _block(block) for name, block in value.items()}
+        by_line = key in ("parameters", "blocks", "layout", "wires", "ports")
+        lines.append(f"  {_text(key)}: {_value(value, '  ', len(key) + 6, by_line)}")
+    return "{\n" + ",\n".join(lines) + "\n}\n" if lines else "{}\n"
+
+
+def _ordered(data: Mapping[str, Any], known: tuple[str, ...]) -> list[str]:
+    return [*(k for k in known if k in data), *(k for k in data if k not in known)]
+
+
+def _block(block: Any) -> Any:
+    return {key: block[key] for key in _ordered(block, _BLOCK_KEYS)} if isinstance(block, Mapping) else block
+
+
+def _text(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _value(value: Any, indent: str, used: int, by_line: bool = False) -> str:
+    """Return a value on one line if it fits (and need not be broken), else one entry a line."""
+    flat = _text(value)
+    if not isinstance(value, Mapping | list) or not value or (len(flat) + used + 1 <= WIDTH and not by_line):
+        return flat
+    inner = indent + "  "
+    if isinstance(value, Mapping):
+        entries = [f"{inner}{_text(k)}: {_value(v, inner, len(inner) + len(k) + 4)}" for k, v in value.items()]
+        return "{\n" + ",\n".join(entries) + f"\n{indent}}}"
+    entries = [inner + _value(v, inner, len(inner)) for v in value]
+    return "[\n" + ",\n".join(entries) + f"\n{indent}]"
