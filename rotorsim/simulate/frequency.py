@@ -156,6 +156,9 @@ def sensitivity(
     model = as_model(diagram, inject=(port,))
     speed = speed_of(model, model.parameter_vector(parameters)) or 0.0
     system = linearise(model, parameters=parameters, inputs=(port,), outputs=(port,), at=at)
+    if not np.any(system.D) and not np.any(system.response([1.0, 10.0, 100.0])):
+        hint = "name the block whose output the bearing takes"
+        raise RotorsimError(Problem(what="no loop passes through this port", subject=port, hint=hint))
     hz = _grid(system, speed) if frequencies is None else np.atleast_1d(np.asarray(frequencies, float)).ravel()
     m = len(system.inputs)
 

@@ -76,12 +76,15 @@ def periodic(
     setup = _SETUPS.get(model) or _SETUPS.setdefault(model, Setup(model))
     p0 = model.parameter_vector(parameters)
     own = linear.speed_of(model, p0)
+    if speeds is None and not own:
+        what = "the diagram's own speed is zero: there is no turn to be periodic in"
+        raise RotorsimError(Problem(what=what, subject="speed", hint="give speeds, and a clock that does not accelerate"))
     values = checked_speeds([own or 0.0] if speeds is None else speeds, zero=False)
     p = np.repeat(p0[None], len(values), 0)
     p[:, setup.speed_entries] = values[:, None]
 
-    outputs = _prepared(setup, model.record_names(signals))
     base = values / subharmonic
+    outputs = _prepared(setup, _returning(setup, signals, float(base[0]), p[0]))
     if model.linear:
         motion = periodic_linear.solve(setup, base, p, harmonics, tolerance, stability)
     else:
@@ -89,6 +92,33 @@ def periodic(
         motion = balance(setup, base, p, settings)
     channels = _evaluate(setup, outputs, base, p, motion)
     return _result(model, outputs, values, motion, channels, subharmonic, parameters)
+
+
+def _returning(setup: Setup, signals: Sequence[str] | None, base: float, p: np.ndarray) -> tuple[str, ...]:
+    """Return the signals asked for; of those that the diagram records, the ones that return after one period.
+
+    An angle grows from turn to turn. Raises RotorsimError where such a signal is asked for by name.
+    """
+    model = setup.model
+    key = None if signals is None else tuple(signals)
+    if key not in setup.returning:
+        names = model.record_names(key)
+        x = np.sin(1.0 + np.arange(setup.n_x)) * 1e-6
+        turn = 2 * np.pi / base
+        kept = []
+        for name in names:
+            first, then = (
+                np.array(model.output((name,))(t, x, setup.z, p)).ravel()
+                for t in (periodic_linear.PROBE * turn, (1 + periodic_linear.PROBE) * turn)
+            )
+            if np.all(np.abs(then - first) <= 1e-7 * (np.abs(first) + np.abs(then)).max(initial=0.0)):
+                kept.append(name)
+            elif key is not None:
+                raise RotorsimError(
+                    Problem(what="this signal does not return after one period: it has no harmonics", subject=name)
+                )
+        setup.returning[key] = tuple(kept)
+    return setup.returning[key]
 
 
 def _prepared(setup: Setup, names: tuple[str, ...]) -> _Outputs:

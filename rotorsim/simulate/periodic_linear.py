@@ -56,6 +56,7 @@ class Setup:
         self.jacobian_varies = bool(ca.depends_on(model.jacobian_expression, speed))
         self.jumps = Jumps(model)
         self.samples = FIRST_SAMPLES
+        self.returning: dict[tuple[str, ...] | None, tuple[str, ...]] = {}
         self._local: MatrixFunction | None = None
         self._patterns: dict[bytes, tuple[list[int], list[int]]] = {}
 

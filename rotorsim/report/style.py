@@ -1,0 +1,61 @@
+"""One look for all figures: colours that colour-blind readers can tell apart, display units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+__all__ = ["AXES", "BLUE", "GREEN", "GREY", "ORANGE", "RED", "display", "figure", "rpm", "styled"]
+
+# Okabe & Ito (2008), "Color universal design"
+BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#6b6b6b"
+AXES = {"x": BLUE, "y": ORANGE}
+
+_STYLE = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#d9d9d9",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.2,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "savefig.dpi": 150,
+    "axes.prop_cycle": mpl.cycler(color=[BLUE, ORANGE, GREEN, RED, PURPLE, GREY]),
+}
+_DISPLAY = {"m": (1e6, "um"), "rad": (1e6, "urad"), "m/s": (1e3, "mm/s"), "rad/s": (1.0, "rad/s")}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw in the style of rotorsim, leaving the user's matplotlib settings alone."""
+    with mpl.rc_context(_STYLE):
+        yield
+
+
+def figure(width: float, height: float, title: str) -> Figure:
+    """Return an empty figure with a title; it belongs to no window and no global state."""
+    made = Figure(figsize=(width, height), layout="constrained")
+    if title:
+        made.suptitle(title, fontsize=11, fontweight="bold")
+    return made
+
+
+def display(values: Any, unit: str) -> tuple[np.ndarray, str]:
+    """Return values and unit as shown: metres in um, tilts in urad."""
+    factor, shown = _DISPLAY.get(unit, (1.0, unit or "1"))
+    return np.asarray(values) * factor, shown
+
+
+def rpm(speed: Any) -> Any:
+    """Return rad/s in revolutions per minute."""
+    return np.asarray(speed) * 30 / np.pi
