@@ -32,7 +32,7 @@ def floquet_multipliers(setup: Setup, base: float, p: np.ndarray, X: np.ndarray)
     wave = np.exp(1j * base * np.outer(nodes, np.arange(H + 1)))
     wave[:, 1:] *= 2
     x = (wave @ X).real
-    J = setup.jacobian(nodes[None, :], x.T, setup.z, p)
+    J = setup.nonlinear(p).jacobian(nodes[None, :], x.T, setup.z, p)
     first, second = J[0::2], J[1::2]
     exponent = h / 2 * (first + second) + np.sqrt(3) / 12 * h * h * (second @ first - first @ second)
     product = np.eye(J.shape[1])

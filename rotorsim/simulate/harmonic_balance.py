@@ -14,13 +14,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
 
 from rotorsim.simulate import linear
 from rotorsim.simulate.floquet import is_stable
 from rotorsim.simulate.periodic_linear import (
-    LARGEST_HARMONIC,
     Motion,
     Setup,
     forcing_series,
@@ -31,6 +29,7 @@ from rotorsim.simulate.periodic_linear import (
 __all__ = ["Settings", "balance"]
 
 FIRST_HARMONICS = 15
+MOST_HARMONICS = 127
 MOST_STEPS = 25
 SMALLEST_LENGTH = 2.0**-7
 HALVINGS = 3  # of a step in speed, before a speed is given up
@@ -77,7 +76,7 @@ class _Problem:
     def jacobians(self, x: np.ndarray) -> np.ndarray:
         """Return d(dx/dt)/dx at equal instants over the period, (m, n_x, n_x)."""
         times = np.arange(len(x)) * (2 * np.pi / self.base / len(x))
-        return self.setup.jacobian(times[None, :], x.T, self.setup.z, self.p)
+        return self.setup.nonlinear(self.p).jacobian(times[None, :], x.T, self.setup.z, self.p)
 
     def forced(self, H: int) -> np.ndarray:
         """Return the exact Fourier coefficients of dx/dt at x = 0, (H+1, n_x)."""
@@ -86,7 +85,7 @@ class _Problem:
     def local_jacobians(self, x: np.ndarray) -> np.ndarray:
         """Return the rows E and columns S of `jacobians`, (m, E, S)."""
         times = np.arange(len(x)) * (2 * np.pi / self.base / len(x))
-        return self.setup.local_jacobian(self.E, self.S)(times[None, :], x.T, self.setup.z, self.p)
+        return self.setup.nonlinear(self.p).part(times[None, :], x.T, self.setup.z, self.p)
 
     def set_linear_part(self, J: np.ndarray) -> None:
         """Take the mean Jacobian as A, so that (i k W I - A) is regular where the motion itself is."""
@@ -111,9 +110,9 @@ def balance(setup: Setup, base: np.ndarray, p: np.ndarray, settings: Settings) -
     """
     jumps = setup.jumps.exist
     forcing_series(setup, base[:1], p[:1], 1 if jumps else None)  # refuses forcing that is not periodic
-    rows, columns = _nonlinear(setup)
+    parts = setup.nonlinear(p[0])
     problems = [
-        _Problem(setup, float(W), parameters, rows, columns, np.zeros((setup.n_x, setup.n_x)))
+        _Problem(setup, float(W), parameters, parts.E, parts.S, np.zeros((setup.n_x, setup.n_x)))
         for W, parameters in zip(base, p, strict=True)
     ]
     solved: dict[int, _Solution] = {}
@@ -165,17 +164,6 @@ def _sweep(problems: list[_Problem], order: list[int], solved: dict[int, _Soluti
             guess, at = solved[j], (problems[j].base, problems[j].p)
 
 
-def _nonlinear(setup: Setup) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows and columns of the Jacobian's entries that depend on x or t."""
-    trace = setup.model.trace
-    expression = ca.sparsify(setup.model.jacobian_expression)
-    depends = ca.Function("d", [ca.vertcat(trace.x, trace.t)], [expression.nz[:]], {"allow_free": True})
-    pattern = depends.sparsity_jac(0, 0) if expression.nnz() else ca.Sparsity(0, 0)
-    varying = np.unique(np.array(pattern.row(), int))
-    found_rows, found_columns = (np.array(a, int) for a in expression.sparsity().get_triplet())
-    return np.unique(found_rows[varying]), np.unique(found_columns[varying])
-
-
 def _reach(
     problem: _Problem, guess: _Solution | None, at: tuple[float, np.ndarray], settings: Settings, near: bool
 ) -> _Solution:
@@ -223,7 +211,7 @@ def _refined(problem: _Problem, start: np.ndarray | None, settings: Settings) ->
         size = np.abs(found.X[1:])
         largest = np.maximum(size.max(axis=0), 1e-300)
         tail = (size[-max(2, H // 8) :] / largest)[:, largest > 1e-12 * largest.max()].max(initial=0.0)
-        if tail <= settings.tolerance or 2 * H + 1 > LARGEST_HARMONIC:
+        if tail <= settings.tolerance or 2 * H + 1 > MOST_HARMONICS:
             return found
         H, start = 2 * H + 1, found.S
 

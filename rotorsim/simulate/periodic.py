@@ -78,7 +78,9 @@ def periodic(
     own = linear.speed_of(model, p0)
     if speeds is None and not own:
         what = "the diagram's own speed is zero: there is no turn to be periodic in"
-        raise RotorsimError(Problem(what=what, subject="speed", hint="give speeds, and a clock that does not accelerate"))
+        raise RotorsimError(
+            Problem(what=what, subject="speed", hint="give speeds, and a clock that does not accelerate")
+        )
     values = checked_speeds([own or 0.0] if speeds is None else speeds, zero=False)
     p = np.repeat(p0[None], len(values), 0)
     p[:, setup.speed_entries] = values[:, None]

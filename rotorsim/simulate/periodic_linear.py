@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -41,6 +42,26 @@ class Motion:
     counters: Mapping[str, int] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Nonlinear:
+    """Rows E and columns S in which the Jacobian is not constant; the whole of it, and that part."""
+
+    E: np.ndarray
+    S: np.ndarray
+    jacobian: MatrixFunction
+    part: MatrixFunction
+
+
+def _varying(jacobian: Any, variables: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows and columns of the entries of a sparse Jacobian that depend on the variables."""
+    if not jacobian.nnz():
+        return np.zeros(0, int), np.zeros(0, int)
+    depends = ca.Function("d", [variables], [jacobian.nz[:]], {"allow_free": True})
+    entries = np.unique(np.array(depends.sparsity_jac(0, 0).row(), int))
+    rows, columns = (np.array(places, int) for places in jacobian.sparsity().get_triplet())
+    return np.unique(rows[entries]), np.unique(columns[entries])
+
+
 class Setup:
     """What periodic motion needs of a model, made once: Jacobian over speeds, forcing, jumps."""
 
@@ -57,7 +78,7 @@ class Setup:
         self.jumps = Jumps(model)
         self.samples = FIRST_SAMPLES
         self.returning: dict[tuple[str, ...] | None, tuple[str, ...]] = {}
-        self._local: MatrixFunction | None = None
+        self._nonlinear: tuple[np.ndarray, Nonlinear] | None = None
         self._patterns: dict[bytes, tuple[list[int], list[int]]] = {}
 
     def instants(self, base: np.ndarray, n: int) -> np.ndarray:
@@ -69,13 +90,26 @@ class Setup:
         few = p if self.jacobian_varies else p[:1]
         return self.jacobian(0.0, np.zeros(self.n_x), self.z, few.T)
 
-    def local_jacobian(self, rows: np.ndarray, columns: np.ndarray) -> MatrixFunction:
-        """Return the function of some rows and columns of the Jacobian."""
-        if self._local is None:
-            trace = self.model.trace
-            part = self.model.jacobian_expression[rows.tolist(), columns.tolist()]
-            self._local = MatrixFunction([trace.t, trace.x, trace.z, trace.p], part)
-        return self._local
+    def nonlinear(self, p: np.ndarray) -> Nonlinear:
+        """Return the Jacobian along a motion, with every parameter of p but the speed as a number.
+
+        What depends on parameters only, such as the inverse of a mass matrix, is then computed once.
+        """
+        fixed = np.where(self.speed_entries, 0.0, p)
+        if self._nonlinear is None or not np.array_equal(self._nonlinear[0], fixed):
+            self._nonlinear = (fixed, self._with_numbers(fixed))
+        return self._nonlinear[1]
+
+    def _with_numbers(self, fixed: np.ndarray) -> Nonlinear:
+        trace = self.model.trace
+        numbers = ca.SX(fixed)
+        places = np.flatnonzero(self.speed_entries).tolist()
+        numbers[places] = trace.p[places]
+        jacobian = ca.sparsify(ca.substitute(self.model.jacobian_expression, trace.p, numbers))
+        arguments = [trace.t, trace.x, trace.z, trace.p]
+        E, S = _varying(jacobian, ca.vertcat(trace.x, trace.t))
+        part = jacobian[E.tolist(), S.tolist()] if len(E) else ca.SX(0, 0)
+        return Nonlinear(E, S, MatrixFunction(arguments, jacobian), MatrixFunction(arguments, part))
 
     def drift(self, A: np.ndarray) -> tuple[list[int], list[int]]:
         """Return the states without a mean and those that they drive (see `linear.drifting_states`)."""

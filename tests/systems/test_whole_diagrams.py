@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rotorsim.simulate import simulate
+from tests.reference.jeffcott import Jeffcott
 from tests.reference.rotor import Rotor
 from tests.systems import figures
 from tests.systems.references import fe_flexible, fe_rigid, offset_disc
@@ -69,3 +70,25 @@ def test_periodic_equals_settled_simulation_of_nonlinear_models(name: str) -> No
     model = figures.nonlinear_model(name)
     found = figures.settled_difference(model, figures.JEFFCOTT_SIGNALS, 3.0, 1e-4, figures.QUICK_INTEGRAL)
     assert max(found.values()) <= 1e-4, found
+
+
+@pytest.mark.parametrize(
+    ("name", "reference"),
+    [
+        ("nonlinear AMB", Jeffcott(bias_current=1.0, gap=4.0015e-4)),
+        ("breathing crack", Jeffcott(breathing_width=2e-6)),
+    ],
+)
+def test_nonlinear_models_against_independent_integration(name: str, reference: Jeffcott) -> None:
+    result = simulate(figures.nonlinear_model(name), stop=0.2, step=1e-5, record_every=10)
+    y = reference.solve(result.time)
+    displacement = figures.as_complex(result["rotor.displacement"])
+    assert figures.relative(displacement, y[:, 2] + 1j * y[:, 3]) <= 1e-8
+    assert figures.relative(figures.as_complex(result["controller.current"]), reference.current(y)) <= 1e-8
+
+
+def test_a_small_error_would_be_seen() -> None:
+    """The comparison has teeth: 0.1 % of one parameter is a thousand times the tolerance."""
+    result = simulate(shipped("jeffcott"), stop=0.2, step=2e-5, record_every=5, parameters={"viscous_damping": 76.076})
+    exact, _ = Jeffcott().exact(result.time)
+    assert figures.relative(figures.as_complex(result["rotor.displacement"]), exact) > 1e-5
