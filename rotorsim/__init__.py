@@ -1,8 +1,8 @@
 """Block diagrams, FMUs and diagnosis for rotors in active magnetic bearings.
 
-    import rotorsim
-    diagram = rotorsim.load("jeffcott")
-    result = rotorsim.simulate(diagram, parameters={"speed": 2 * np.pi * 25})
+import rotorsim
+diagram = rotorsim.load("jeffcott")
+result = rotorsim.simulate(diagram, parameters={"speed": 2 * np.pi * 25})
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _HOME = {
     "RotorsimError": "rotorsim.errors",
     "Block": "rotorsim.block",
 }
-__all__ = ["__version__", *_HOME]  # noqa: PLE0604 - names are resolved on first use
+__all__ = ["__version__", *_HOME]
 __version__ = "0.1.0"
 
 

@@ -217,7 +217,9 @@ def split_quantity(text: str) -> tuple[float, str]:
     """Return the number and the unit text (may be empty) of ``"24 um"``; raise UnitError if there is no number."""
     match = _NUMBER.fullmatch(text)
     if match is None:
-        raise UnitError(f"'{_short(text)}' is not a quantity", "write a number and a unit, such as '24 um' or '1500 rpm'")
+        raise UnitError(
+            f"'{_short(text)}' is not a quantity", "write a number and a unit, such as '24 um' or '1500 rpm'"
+        )
     value = float(match[1])
     if not math.isfinite(value):
         raise UnitError(f"'{_short(text)}' is too large for a number")
@@ -239,7 +241,9 @@ def parse_quantity(text: str, unit: str | None = "1", *, bare: bool = False) -> 
     if not given:
         if bare or unit is None or unit == "1" or parse_unit(unit).dimension == _NONE:
             return value
-        raise UnitError(f"'{_short(text)}' has no unit", f"write '{text.strip()} {unit}', or a number without quotes (SI)")
+        raise UnitError(
+            f"'{_short(text)}' has no unit", f"write '{text.strip()} {unit}', or a number without quotes (SI)"
+        )
     result = _scaled(value, conversion(given, unit))
     if not math.isfinite(result):
         raise UnitError(f"'{_short(text)}' is too large for a number")

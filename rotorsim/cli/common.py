@@ -12,13 +12,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Place, Problem, RotorsimError
 
 if TYPE_CHECKING:
     pass
 
 __all__ = [
+    "check_target",
     "diagram_options",
+    "display_unit",
+    "document_of",
     "echo_json",
     "json_option",
     "note",
@@ -27,9 +30,9 @@ __all__ = [
     "plain",
     "progress_bar",
     "progress_option",
+    "quantity",
     "speeds_of",
     "table",
-    "write_text",
 ]
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -129,32 +132,51 @@ def progress_bar(label: str, wanted: bool | None) -> Iterator[Callable[[float], 
         yield show
 
 
-def write_text(path: str | Path, text: str) -> None:
-    """Write a text file whole or not at all."""
-    import os
-    import tempfile
+def open_diagram(diagram: str, settings: Sequence[str], without: Sequence[str], trust_blocks: bool) -> Diagram:
+    """Load a diagram with its settings; show its warnings on stderr."""
+    from rotorsim.cli.app import show_problems
+    from rotorsim.diagram.load import load
 
-    target = Path(path)
-    if not target.parent.is_dir():
-        raise RotorsimError(Problem(what=f"cannot write {target}: there is no folder {target.parent}"))
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
-            stream.write(text)
-        mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
-        os.chmod(name, mode)
-        os.replace(name, target)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    loaded = load(diagram, set=parse_settings(settings), without=without, trust_blocks=trust_blocks)
+    show_problems(loaded.warnings)
+    return loaded
 
 
-def _umask() -> int:
-    import os
+def document_of(diagram: str) -> tuple[Path, dict[str, Any]]:
+    """Return the file and the JSON of a diagram (a file, or the name of a shipped one), not validated."""
+    from rotorsim.diagram.load import shipped_diagrams
+    from rotorsim.diagram.source import read_document
+    from rotorsim.errors import near_miss
 
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+    path = Path(diagram)
+    shipped = shipped_diagrams()
+    if not path.exists():
+        if diagram in shipped:
+            path = shipped[diagram]
+        elif not path.suffix:
+            hint = near_miss(diagram, shipped)
+            raise RotorsimError(Problem("no such file and no diagram of this name", place=Place(diagram), hint=hint))
+    source = read_document(path)
+    if not isinstance(source.data, dict):
+        raise RotorsimError(Problem("a diagram is a JSON object {...}", place=source.locate()))
+    return path, source.data
+
+
+def check_target(option: str, file: str | None, suffixes: Sequence[str]) -> None:
+    """Refuse a file that cannot be written, before the work is done."""
+    if file is None:
+        return
+    path = Path(file)
+    if path.suffix.lower() not in suffixes:
+        what = f"unknown format '{path.suffix}'" if path.suffix else "the name has no suffix that says the format"
+        hint = f"one of {', '.join(suffixes)}"
+        raise RotorsimError(Problem(what=f"{option} {file}: {what}", hint=hint))
+    if path.is_dir():
+        raise RotorsimError(Problem(what=f"{option} {file}: is a folder", hint="give the name of a file"))
+    if not path.parent.is_dir():
+        raise RotorsimError(
+            Problem(what=f"{option} {file}: folder {path.parent} does not exist", hint="create it first")
+        )
 
 
 def quantity(text: str, unit: str, option: str) -> float:
@@ -165,6 +187,11 @@ def quantity(text: str, unit: str, option: str) -> float:
         return parse_quantity(text, unit, bare=True)
     except UnitError as error:
         raise RotorsimError(Problem(what=f"{option} {text}: {error.what}", hint=error.hint)) from None
+
+
+def display_unit(unit: str) -> tuple[str, float]:
+    """Return the unit to show and the factor from SI: micrometres for metres, else as it is."""
+    return ("um", 1e6) if unit == "m" else (unit or "1", 1.0)
 
 
 MAX_SPEEDS = 100_000
@@ -188,5 +215,7 @@ def speeds_of(text: str, option: str = "--speeds") -> np.ndarray:
         raise RotorsimError(Problem(what=f"{option} {text}: these steps never reach the stop", hint=hint))
     count = math.floor((stop - start) / step * (1 + 1e-12) + 1e-9) + 1
     if count > MAX_SPEEDS:
-        raise RotorsimError(Problem(what=f"{option} {text}: {count} speeds, at most {MAX_SPEEDS}", hint="use a larger step"))
+        raise RotorsimError(
+            Problem(what=f"{option} {text}: {count} speeds, at most {MAX_SPEEDS}", hint="use a larger step")
+        )
     return start + step * np.arange(count)

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import os
-from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from rotorsim.cli import common
-from rotorsim.errors import Problem, RotorsimError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from rotorsim.simulate.result import Result
 
 __all__ = ["command"]
@@ -47,7 +41,7 @@ def command(
     no_compiler: bool,
     progress: bool | None,
     as_json: bool,
-) -> None:
+) -> int:
     """Simulate a diagram; write, plot and summarise the recorded signals.
 
     Prints the peak of every recorded signal and, at constant speed, the harmonics of two-axis signals.
@@ -61,20 +55,93 @@ def command(
     times = {name: common.quantity(text, "s", f"--{name}") for name, text in (("step", step), ("stop", stop)) if text}
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
 
+    clock = _clock(loaded)
+    shown = [*map(str, loaded.record), *record]
+    hidden = [f"{clock}.theta", *([f"{clock}.speed"] if plot else [])] if clock else []
+    signals = tuple(dict.fromkeys([*shown, *hidden]))
+
     from rotorsim.simulate.run import simulate
 
-    signals = [*map(str, loaded.record), *(name for name in record if name not in set(map(str, loaded.record)))]
     with common.progress_bar(loaded.name, progress) as show:
         # With a function to call, the run is cut into pieces, so that Ctrl-C is heard between them.
         result = simulate(
             loaded, **times, method=solver, record=signals, use_compiler=not no_compiler, progress=show or _silent
         )
-    _report(result, out, plot, as_json)
+    angle = f"{clock}.theta" if clock else ""
+    return _report(result, [name for name in signals if name in set(shown)], angle, out, plot, as_json)
 
 
 def _silent(fraction: float) -> None:
     """Take the place of a progress bar."""
 
 
-def _report(result: Result, out: str | None, plot: str | None, as_json: bool) -> None:
-    raise NotImplementedError
+def _clock(diagram: Diagram) -> str | None:
+    """Return the block that gives the shaft angle: the only clock, or the one named so."""
+    found = [name for name, node in diagram.nodes.items() if node.block.type_name == "clock"]
+    return "clock" if "clock" in found else found[0] if len(found) == 1 else None
+
+
+def _report(result: Result, shown: list[str], angle: str, out: str | None, plot: str | None, as_json: bool) -> int:
+    """Write, draw and print a result; return the exit code."""
+    from rotorsim.cli import summary
+
+    common.note(summary.run_line(result))
+    asked = replace(result, signals={name: result.signals[name] for name in shown})
+    files = {}
+    if out:
+        from rotorsim.simulate.files import save
+
+        save(asked, out)
+        files["out"] = out
+    if plot and len(result.time) > 1:
+        from rotorsim.report.figures import overview, save_figure
+
+        save_figure(overview(result), plot)
+        files["plot"] = plot
+    if files:
+        common.note("written: " + ", ".join(files.values()))
+    found = summary.harmonics_of(result, angle)
+    found = [item for item in found if item.signal.partition("[")[0] in {name.partition("[")[0] for name in shown}]
+    if as_json:
+        common.echo_json(_data(asked, found, files))
+    else:
+        tables = [summary.peaks_table(asked, angle), *(item.table() for item in found)]
+        click.echo("\n\n".join(text for text in tables if text))
+    if result.status == "finished":
+        return 0
+    show_problems(
+        [Problem(what=result.message, subject=str(result.provenance.get("diagram", "")), hint=_hint(result, out))]
+    )
+    return 130 if result.status == "stopped" else 1
+
+
+def _hint(result: Result, out: str | None) -> str:
+    kept = f"what was computed until then is in {out}" if out else "--out FILE keeps what was computed until then"
+    if result.status == "stopped":
+        return kept
+    return f"{kept}; 'rotorsim modes' shows which modes grow"
+
+
+def _data(result: Result, found: list[Harmonics], files: dict[str, str]) -> dict[str, Any]:
+    from rotorsim.cli.summary import peaks
+
+    return {
+        "diagram": result.provenance.get("diagram"),
+        "status": result.status,
+        "message": result.message,
+        "time": {"stop": float(result.time[-1]) if len(result.time) else None, "samples": len(result.time)},
+        "signals": peaks(result),
+        "harmonics": {
+            item.signal: {
+                "unit": item.unit,
+                "orders": list(item.orders),
+                "real": item.values.real,
+                "imag": item.values.imag,
+                "residual": item.residual,
+            }
+            for item in found
+        },
+        "counters": dict(result.counters),
+        "provenance": dict(result.provenance),
+        "files": files,
+    }

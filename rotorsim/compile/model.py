@@ -10,7 +10,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-
 from rotorsim.compile.emit import Kernel, build_kernel, emit_c
 from rotorsim.compile.toolchain import Compiler, compile_c, find_compiler
 from rotorsim.compile.trace import Signal, Trace, flat_indices, trace_diagram
@@ -227,7 +226,9 @@ class Model:
             return np.array(columns).T
         out = np.empty((len(t), self.n_x))
         m = library.memory()
-        library.derivatives(len(t), _pointer(t), _pointer(x), _pointer(z), _pointer(p), self.n_p, _pointer(m), _pointer(out))  # type: ignore[attr-defined]
+        library.derivatives(
+            len(t), _pointer(t), _pointer(x), _pointer(z), _pointer(p), self.n_p, _pointer(m), _pointer(out)
+        )  # type: ignore[attr-defined]
         return out
 
     def block_of_state(self, position: int) -> str:
@@ -241,5 +242,3 @@ def compile_diagram(diagram: Diagram, *, inject: Iterable[str] = (), replace: It
     inject, replace: see `trace_diagram`. Raises RotorsimError.
     """
     return Model(diagram, trace_diagram(diagram, inject, replace))
-
-

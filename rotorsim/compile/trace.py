@@ -158,7 +158,9 @@ class _Tracer:
                 self.samplers.append(Sampler(name, period, draws, seeds[0] if seeds else None))
             self.arguments[name] = symbols
 
-    def block_arguments(self, name: str, inputs: Mapping[str, Any], states: Mapping[str, Any] | None = None) -> list[Any]:
+    def block_arguments(
+        self, name: str, inputs: Mapping[str, Any], states: Mapping[str, Any] | None = None
+    ) -> list[Any]:
         """Return the arguments of the functions of a block; inputs not yet known are zero."""
         trace = self.traces[name]
         own = self.arguments[name]
@@ -213,7 +215,9 @@ class _Tracer:
         inputs = self.known_inputs(block, trace.feedthrough[port], signals)
         return trace.function("outputs", (port,)).call(self.block_arguments(block, inputs))[0]
 
-    def propagate(self, groups: Iterable[tuple[Key, ...]], output: Callable[..., Any], residuals: list[Any]) -> dict[Key, Any]:
+    def propagate(
+        self, groups: Iterable[tuple[Key, ...]], output: Callable[..., Any], residuals: list[Any]
+    ) -> dict[Key, Any]:
         """Evaluate every output port in order; solve the groups that are loops."""
         signals: dict[Key, Any] = {}
         for group in groups:
@@ -225,12 +229,12 @@ class _Tracer:
 
     def _self_loop(self, key: Key) -> bool:
         feeding = self.traces[key[0]].feedthrough[key[1]]
-        sources = {
-            (s.block, s.port) for port in feeding for s, _ in self.wires_into.get((key[0], port), ())
-        }
+        sources = {(s.block, s.port) for port in feeding for s, _ in self.wires_into.get((key[0], port), ())}
         return key in sources and key not in self.replace
 
-    def _solve_loop(self, group: tuple[Key, ...], signals: dict[Key, Any], output: Callable[..., Any], residuals: list[Any]) -> None:
+    def _solve_loop(
+        self, group: tuple[Key, ...], signals: dict[Key, Any], output: Callable[..., Any], residuals: list[Any]
+    ) -> None:
         """Solve r(v) = F(v) - v = 0 for the torn signals v of one loop by Newton's method.
 
         Every signal of the group is torn that no later one can be computed without; the rest follow.
@@ -256,7 +260,9 @@ class _Tracer:
             value = newton.call([value, *others])[0]
         if not linear:
             residuals.append(newton.call([value, *others])[1] / (1 + ca.fabs(value)))
-        found = dict(zip(torn, ca.vertsplit(value, np.cumsum([0, *(g.shape[0] for g in guess.values())]).tolist()), strict=True))
+        found = dict(
+            zip(torn, ca.vertsplit(value, np.cumsum([0, *(g.shape[0] for g in guess.values())]).tolist()), strict=True)
+        )
         known = {**signals, **found}
         for key in order:
             known[key] = output(key, known)

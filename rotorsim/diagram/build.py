@@ -43,7 +43,9 @@ class Template:
         self.required = [name for name, d in cls.parameters.items() if d.default is None]
         self.needed_inputs = [name for name, d in self.inputs.items() if not d.optional and not d.additive]
         self.additive = tuple(name for name, d in self.inputs.items() if d.additive)
-        self.fixed = {} if self.words else {name: _full(v, self.parameter_shapes[name]) for name, v in self.defaults.items()}
+        self.fixed = (
+            {} if self.words else {name: _full(v, self.parameter_shapes[name]) for name, v in self.defaults.items()}
+        )
         self.has_check = cls.check is not Block.check
 
 
@@ -178,9 +180,7 @@ class Builder:
         return found
 
     def value_problem(self, raw: RawBlock, name: str, problem: ValueProblem, place: Place | None = None) -> None:
-        place = place or (
-            Place("--set") if name in raw.overrides else raw.place("parameters", name, *problem.path)
-        )
+        place = place or (Place("--set") if name in raw.overrides else raw.place("parameters", name, *problem.path))
         self.error(problem.what, f"{raw.name}.{name}", place, problem.hint)
 
     def port_names(self, raw: RawBlock, template: Template) -> None:
@@ -188,7 +188,9 @@ class Builder:
                  if d.many for n in template.block.port_names(d)]  # fmt: skip
         for name in dict.fromkeys(names):
             if not NAME.fullmatch(name):
-                self.error(f"'{name}' is not a name of a port", raw.name, raw.place("parameters"), "letters, digits and _")
+                self.error(
+                    f"'{name}' is not a name of a port", raw.name, raw.place("parameters"), "letters, digits and _"
+                )
 
     def parameter(self, work: Work, name: str, value: Any, declared: _Param) -> None:
         raw = work.raw
@@ -227,7 +229,9 @@ class Builder:
             fit = compatible(known, unit)
             if fit not in ("same", "angle"):
                 other = ".".join(parameter.users[0])
-                raise ValueProblem(f"is used in {known} by {other} and in {unit} by {name}", "use two diagram parameters")
+                raise ValueProblem(
+                    f"is used in {known} by {other} and in {unit} by {name}", "use two diagram parameters"
+                )
             bare = parameter.place.file == "--set"
             if isinstance(parameter.value, str) and parameter.value.startswith("$"):
                 hint = "a value for a sub-diagram may name a parameter of the outer diagram"
@@ -242,7 +246,11 @@ class Builder:
         return value
 
     def inside(self, parameter: Parameter, path: tuple[int, ...]) -> Place:
-        return self.flat.source.locate(("parameters", parameter.name, *path)) if path and parameter.place.line else parameter.place
+        return (
+            self.flat.source.locate(("parameters", parameter.name, *path))
+            if path and parameter.place.line
+            else parameter.place
+        )
 
     def diagram_parameters(self) -> dict[str, np.ndarray]:
         """Return every numeric diagram parameter as an SI array; warn of those that nothing uses."""
@@ -315,10 +323,16 @@ class Builder:
             for key, variable in work.variables.items():
                 if key.startswith("#") and self.unifier.dimension(variable) < 0:
                     self.unifier.unify_dimension(variable, 1)
-                    shapes = {**work.template.input_shapes, **work.template.output_shapes, **work.template.parameter_shapes}
+                    shapes = {
+                        **work.template.input_shapes,
+                        **work.template.output_shapes,
+                        **work.template.parameter_shapes,
+                    }
                     of = [n for n, s in shapes.items() if isinstance(s, tuple) and key[1:] in s]
                     what = f"size '{key[1:]}' of {', '.join(of)} is not known"
-                    self.error(what, work.raw.name, work.raw.place(key=True), "wire it, or give a parameter that has this size")
+                    self.error(
+                        what, work.raw.name, work.raw.place(key=True), "wire it, or give a parameter that has this size"
+                    )
 
     def shape(self, work: Work, declared: Any) -> Shape:
         """Return a resolved shape."""
@@ -366,7 +380,9 @@ class Builder:
 
 
 def _list_hint(wanted: str) -> str:
-    return "write a list of rows [[...], ...]" if wanted.count(",") > 1 or wanted.endswith("?)") else "write a list [...]"
+    return (
+        "write a list of rows [[...], ...]" if wanted.count(",") > 1 or wanted.endswith("?)") else "write a list [...]"
+    )
 
 
 def _freeze(value: Any) -> Any:

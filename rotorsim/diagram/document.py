@@ -126,7 +126,10 @@ def endpoint(text: Any, prefix: str = "") -> Endpoint | None:
 
 
 def flatten_document(
-    source: Source, folder: Path | None, parameter_overrides: Mapping[str, Any], block_overrides: Mapping[str, Mapping[str, Any]]
+    source: Source,
+    folder: Path | None,
+    parameter_overrides: Mapping[str, Any],
+    block_overrides: Mapping[str, Mapping[str, Any]],
 ) -> FlatDocument:
     """Return the flat form of a document.
 
@@ -288,7 +291,9 @@ class _Flattener:
         if raw.file is None:
             raise RotorsimError(Problem("sub-diagram without key 'file'", raw.name, raw.place()))
         if folder is None or self.root is None:
-            raise RotorsimError(Problem("a document in memory has no folder to read from", raw.name, hint="pass folder="))
+            raise RotorsimError(
+                Problem("a document in memory has no folder to read from", raw.name, hint="pass folder=")
+            )
         hint = "name a file inside the folder of the diagram, such as 'parts/sub.json'"
         parts = re.split(r"[/\\]", raw.file)
         if ".." in parts or "\\" in raw.file or Path(raw.file).is_absolute() or ":" in raw.file or "\0" in raw.file:
@@ -317,7 +322,12 @@ class _Flattener:
         for key, group in data["ports"].items():
             path: JsonPath = ("ports", key)
             if key not in ("inputs", "outputs"):
-                self.error(f"unknown key '{key}'", source.locate(path, key=True), "ports", near_miss(key, ("inputs", "outputs")))
+                self.error(
+                    f"unknown key '{key}'",
+                    source.locate(path, key=True),
+                    "ports",
+                    near_miss(key, ("inputs", "outputs")),
+                )
                 continue
             if not isinstance(group, dict):
                 self.error("must be an object {...}", source.locate(path), f"ports.{key}")
@@ -373,7 +383,9 @@ class _Flattener:
                 hint = '["block.output", "block.input"]'
                 self.error("a wire is a list of two ports", place, f"wires[{k + 1}]", hint)
                 continue
-            ends = [self.end(text, scope, source.place(("wires", k, i)), f"wires[{k + 1}]") for i, text in enumerate(pair)]
+            ends = [
+                self.end(text, scope, source.place(("wires", k, i)), f"wires[{k + 1}]") for i, text in enumerate(pair)
+            ]
             if ends[0] is None or ends[1] is None:
                 continue
             if not self.flat.sub_ports:

@@ -85,5 +85,7 @@ def _misfits(data: Mapping[str, Any], block: str, kind: type[Block], values: Map
             problems.append(Problem(what, f"{block}.{end.port}"))
     for name, declared in inputs.items():
         if not declared.optional and not declared.additive and name not in used:
-            problems.append(Problem(f"type '{kind.type_name}' needs input '{name}', which is not wired", f"{block}.{name}"))
+            problems.append(
+                Problem(f"type '{kind.type_name}' needs input '{name}', which is not wired", f"{block}.{name}")
+            )
     return list(dict.fromkeys(problems))

@@ -63,7 +63,9 @@ def load(
         else:
             _mark_used(raw.parameters, raw.scope.parameters)
     if not flat.blocks and isinstance(document.data, dict) and isinstance(document.data.get("blocks"), dict):
-        problems.append(Problem("the diagram has no blocks", place=document.locate(("blocks",)), hint="see `rotorsim blocks`"))
+        problems.append(
+            Problem("the diagram has no blocks", place=document.locate(("blocks",)), hint="see `rotorsim blocks`")
+        )
     wiring = Wiring(flat, builder, works, removed)
     wiring.connect()
     wiring.unify()
@@ -77,7 +79,9 @@ def load(
     for name, work in works.items():
         if work.template.has_check:
             for message in nodes[name].block.check(nodes[name].values):
-                problems.append(Problem(message, name, work.raw.place(key=True), f"`rotorsim blocks {work.cls.type_name}`"))
+                problems.append(
+                    Problem(message, name, work.raw.place(key=True), f"`rotorsim blocks {work.cls.type_name}`")
+                )
     _raise_errors(problems)
     diagram = Diagram(
         name=flat.name,
@@ -122,7 +126,9 @@ def _source(source: str | Path | Mapping[str, Any], folder: str | Path | None) -
     try:
         found = read_document(path)
     except RotorsimError as error:
-        raise RotorsimError(*[p if p.hint else replace(p, hint="give the JSON file of a diagram") for p in error.problems]) from None
+        raise RotorsimError(
+            *[p if p.hint else replace(p, hint="give the JSON file of a diagram") for p in error.problems]
+        ) from None
     return found, path.parent
 
 
@@ -172,7 +178,9 @@ def _mark_used(parameters: Mapping[str, Any], scope: Mapping[str, Any]) -> None:
 
 def _block_folders(flat: FlatDocument, root: Path | None, trusted: bool) -> list[Path]:
     folders: list[Path] = []
-    for k, name in enumerate(flat.data.get("block_folders") or []) if isinstance(flat.data.get("block_folders"), list) else ():
+    for k, name in (
+        enumerate(flat.data.get("block_folders") or []) if isinstance(flat.data.get("block_folders"), list) else ()
+    ):
         place = flat.source.place(("block_folders", k))
         hint = "name a folder inside the folder of the diagram"
         if not isinstance(name, str):
@@ -205,7 +213,10 @@ def _solver(flat: FlatDocument, overrides: Mapping[str, Any]) -> Solver:
 
         if key == "method":
             if not isinstance(value, str) or value.lower() not in METHODS:
-                error(f"unknown method {value!r}" if not isinstance(value, dict | list) else "must be a text", near_miss(str(value)[:50], METHODS))
+                error(
+                    f"unknown method {value!r}" if not isinstance(value, dict | list) else "must be a text",
+                    near_miss(str(value)[:50], METHODS),
+                )
             else:
                 found[key] = value.lower()
         elif key not in _SOLVER:
@@ -225,17 +236,23 @@ def _solver(flat: FlatDocument, overrides: Mapping[str, Any]) -> Solver:
     settings = Solver(**found)
     if settings.stop / settings.step > 1e10:
         place = flat.source.place(("solver",))
-        flat.problems.append(Problem(f"{settings.stop / settings.step:.0e} steps", "solver", place, "at most 1e10: a larger step"))
+        flat.problems.append(
+            Problem(f"{settings.stop / settings.step:.0e} steps", "solver", place, "at most 1e10: a larger step")
+        )
     return settings
 
 
-def _record(flat: FlatDocument, wiring: Wiring, works: Mapping[str, Work], removed: frozenset[str]) -> tuple[Endpoint, ...]:
+def _record(
+    flat: FlatDocument, wiring: Wiring, works: Mapping[str, Work], removed: frozenset[str]
+) -> tuple[Endpoint, ...]:
     if flat.record is not None:
         wanted = [(end, place) for end, place in flat.record if end.block not in removed]
         ends = [end for end, place in wanted if wiring.part_shape(end, place)]
     else:
         domain = {name for name, work in works.items() if work.cls.category != "elementary"} or set(works)
-        ends = [Endpoint(name, port) for name, work in works.items() if name in domain for port in work.template.outputs]
+        ends = [
+            Endpoint(name, port) for name, work in works.items() if name in domain for port in work.template.outputs
+        ]
     sinks = {name for name, work in works.items() if work.cls.type_name in _SINKS}
     ends += [wire.source for wire in wiring.wires if wire.target.block in sinks]
     return tuple(dict.fromkeys(ends))

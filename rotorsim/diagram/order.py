@@ -37,7 +37,10 @@ def trace_blocks(diagram: Diagram) -> tuple[dict[str, BlockTrace], list[Problem]
         }
         shapes = {key: np.shape(value) for key, value in node.values.items()}
         outputs = {port: declared.shape for port, declared in node.outputs.items()}
-        key = (id(node.block), *(tuple(s.items()) for s in (inputs, outputs, shapes, node.state_shapes, node.random_shapes)))
+        key = (
+            id(node.block),
+            *(tuple(s.items()) for s in (inputs, outputs, shapes, node.state_shapes, node.random_shapes)),
+        )
         try:
             if key not in known:
                 known[key] = trace_block(node.block, inputs, outputs, shapes, node.state_shapes, node.random_shapes)
@@ -98,7 +101,10 @@ def evaluation_order(diagram: Diagram) -> tuple[tuple[Key, ...], ...]:
 
 def _loop_problem(diagram: Diagram, graph: nx.DiGraph, loop: tuple[Key, ...]) -> Problem:
     cycle = nx.find_cycle(graph.subgraph(loop), loop[0])
-    hops = [f"{block}.{port} -> {after}.{graph.edges[(block, port), (after, out)]['via']}" for (block, port), (after, out) in cycle]
+    hops = [
+        f"{block}.{port} -> {after}.{graph.edges[(block, port), (after, out)]['via']}"
+        for (block, port), (after, out) in cycle
+    ]
     more = f" (and {len(loop) - len(cycle)} more outputs in the same loop)" if len(loop) > len(cycle) else ""
     what = "algebraic loop: " + ", ".join(hops) + more
     hint = 'put a state into it (integrator, derivative filter, delay), or write "algebraic_loops": "solve"'

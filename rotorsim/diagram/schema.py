@@ -52,7 +52,7 @@ def json_schema() -> dict[str, Any]:
             "properties": {
                 "method": {"enum": list(METHODS)},
                 "record_every": {"type": "integer", "minimum": 1},
-                **{key: quantity for key in ("step", "stop", "rtol", "atol")},
+                **dict.fromkeys(("step", "stop", "rtol", "atol"), quantity),
             },
         },
         "record": {"type": "array", "items": {"$ref": "#/$defs/port"}},

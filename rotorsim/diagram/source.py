@@ -15,7 +15,7 @@ from typing import Any
 
 from rotorsim.errors import Place, Problem, RotorsimError
 
-__all__ = ["MAX_BYTES", "MAX_DEPTH", "LazyPlace", "JsonPath", "Source", "parse_document", "read_document"]
+__all__ = ["MAX_BYTES", "MAX_DEPTH", "JsonPath", "LazyPlace", "Source", "parse_document", "read_document"]
 
 MAX_BYTES = 20_000_000
 MAX_DEPTH = 64
@@ -113,7 +113,9 @@ def read_document(path: str | Path) -> Source:
         raise RotorsimError(Problem(f"file cannot be read: {why}", place=Place(file))) from None
     if len(content) > MAX_BYTES:
         raise RotorsimError(
-            Problem(f"file is larger than {MAX_BYTES // 1_000_000} MB", place=Place(file), hint="split it by sub-diagrams")
+            Problem(
+                f"file is larger than {MAX_BYTES // 1_000_000} MB", place=Place(file), hint="split it by sub-diagrams"
+            )
         )
     try:
         text = content.decode("utf-8-sig")
@@ -224,7 +226,7 @@ def _syntax_problem(error: json.JSONDecodeError, source: Source) -> Problem:
     before = text[:at].rstrip()
     what, hint = f"not valid JSON: {error.msg[0].lower()}{error.msg[1:]}", ""
     if not text.strip():
-        what, hint = "file is empty", "a diagram is a JSON object: {\"blocks\": {...}, \"wires\": [...]}"
+        what, hint = "file is empty", 'a diagram is a JSON object: {"blocks": {...}, "wires": [...]}'
     elif error.msg.startswith("Unterminated string"):
         what, hint = "not valid JSON: text is not closed", 'close it with "'
     elif error.msg.startswith("Extra data"):
@@ -247,7 +249,7 @@ def _syntax_problem(error: json.JSONDecodeError, source: Source) -> Problem:
         at = len(before) if rest[0] in '"{[-0123456789tfn' else at
         what, hint = "not valid JSON: comma or closing bracket expected", "a comma is missing?"
     elif error.msg.startswith("Expecting ':' delimiter"):
-        what, hint = "not valid JSON: ':' expected after the key", "write \"key\": value"
+        what, hint = "not valid JSON: ':' expected after the key", 'write "key": value'
     elif error.msg.startswith("Expecting property name"):
         what, hint = "not valid JSON: key expected", "write keys in double quotes"
     elif error.msg.startswith("Expecting value"):

@@ -47,7 +47,11 @@ def numeric(value: Any, unit: str | None, *, bare: bool = False, path: tuple[int
             raise ValueProblem(error.what, error.hint, path) from None
     if isinstance(value, np.ndarray | np.number):
         return numeric(value.tolist(), unit, path=path)
-    shown = {None: "null", True: "true", False: "false"}.get(value, "an object") if not isinstance(value, dict) else "an object"
+    shown = (
+        {None: "null", True: "true", False: "false"}.get(value, "an object")
+        if not isinstance(value, dict)
+        else "an object"
+    )
     fitting = "" if unit in (None, "1") else f", or a text such as '1 {unit}'"
     raise ValueProblem(f"must be a number, not {shown}", f"write a number{fitting}", path)
 
@@ -79,7 +83,14 @@ def _show(value: float, unit: str | None) -> str:
     return format_quantity(value, unit)
 
 
-_KIND_WORDS = {int: "a whole number", float: "a number", str: "a text", bool: "true or false", list: "a list", dict: "an object"}
+_KIND_WORDS = {
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+    bool: "true or false",
+    list: "a list",
+    dict: "an object",
+}
 
 
 def option_value(value: Any, declared: _Option) -> Any:
@@ -98,7 +109,13 @@ def option_value(value: Any, declared: _Option) -> Any:
 
 
 def _entry(value: Any, kinds: tuple[type, ...], declared: _Option, path: tuple[int, ...]) -> Any:
-    if kinds and float in kinds and isinstance(value, int | float | str) and not isinstance(value, bool) and str not in kinds:
+    if (
+        kinds
+        and float in kinds
+        and isinstance(value, int | float | str)
+        and not isinstance(value, bool)
+        and str not in kinds
+    ):
         value = float(numeric(value, declared.unit, path=path))
     fits = not kinds or (type(value) in kinds) or (isinstance(value, tuple) and list in kinds)
     if not fits:

@@ -19,7 +19,9 @@ __all__ = ["Wiring"]
 class Wiring:
     """Connects works along wires; mistakes go to the problems of the builder."""
 
-    def __init__(self, flat: FlatDocument, builder: Builder, works: Mapping[str, Work], removed: frozenset[str]) -> None:
+    def __init__(
+        self, flat: FlatDocument, builder: Builder, works: Mapping[str, Work], removed: frozenset[str]
+    ) -> None:
         self.flat, self.builder, self.works, self.removed = flat, builder, works, removed
         self.problems = flat.problems
         self.wires: list[Wire] = []
@@ -50,7 +52,9 @@ class Wiring:
                 self.wires.append(Wire(raw.source, raw.target, raw.place))
         for name, work in self.works.items():
             self._unwired(name, work)
-            optional = frozenset(p for p in work.wired if p in work.template.inputs and work.template.inputs[p].optional)
+            optional = frozenset(
+                p for p in work.wired if p in work.template.inputs and work.template.inputs[p].optional
+            )
             if optional:
                 work.template = self.builder.template(work.cls, work.options, work.key, optional)
 
@@ -92,7 +96,11 @@ class Wiring:
             what = "an input that takes one wire cannot be wired by parts"
             self.error(what, raw.place, str(raw.target), "put the parts together with a mux or bus block")
         elif key in self.first:
-            what = f"this input has a wire already, at {self.first[key]}" if self.first[key].line else "this input has two wires"
+            what = (
+                f"this input has a wire already, at {self.first[key]}"
+                if self.first[key].line
+                else "this input has two wires"
+            )
             self.error(what, raw.place, str(raw.target), "add the signals with a sum block, or remove one wire")
         self.first.setdefault(key, raw.place)
 
@@ -100,7 +108,9 @@ class Wiring:
         for port in work.template.needed_inputs:
             if port not in work.wired and (name, port) not in self.cut and (name, port) not in self.flat.exposed:
                 unit = work.template.inputs[port].unit
-                hint = f'add a wire ["block.port", "{name}.{port}"]' + (f" that carries {unit}" if unit not in (None, "1") else "")
+                hint = f'add a wire ["block.port", "{name}.{port}"]' + (
+                    f" that carries {unit}" if unit not in (None, "1") else ""
+                )
                 self.error("input is not wired", work.raw.place(key=True), f"{name}.{port}", hint)
             elif port not in work.wired:
                 self.cut.add((name, port))
@@ -151,7 +161,9 @@ class Wiring:
     def _inside(self, end: Endpoint, term: tuple[int, ...], place: Place) -> bool:
         shape = text_of(term, self.builder.unifier)
         if len(end.index) > len(term):
-            self.error(f"shape is {shape}: too many indices", place, str(end), "entries count from 1, one index a dimension")
+            self.error(
+                f"shape is {shape}: too many indices", place, str(end), "entries count from 1, one index a dimension"
+            )
             return False
         for i, dimension in zip(end.index, term, strict=False):
             n = self.builder.unifier.dimension(dimension)
@@ -171,10 +183,10 @@ class Wiring:
         whole = self._term(wire.source, False)
         hint = "shapes of both ends must be equal"
         if isinstance(whole, tuple) and len(whole) == 2 and not wire.source.index:
-            hint = f"take one row: \"{wire.source}[1]\" (nodes count from 1)"
+            hint = f'take one row: "{wire.source}[1]" (nodes count from 1)'
         target = self._term(wire.target, True)
         if isinstance(target, tuple) and len(target) == 2 and not wire.target.index:
-            hint = f"wire it to one row: \"{wire.target}[1]\" (nodes count from 1)"
+            hint = f'wire it to one row: "{wire.target}[1]" (nodes count from 1)'
         self.error(f"shapes differ: {ends[0]} -> {ends[1]}", wire.place, "wire", hint)
 
     def _units(self, wire: Wire) -> None:

@@ -143,7 +143,9 @@ def _running(result: Result, window: tuple[float, float] | None) -> float:
     return rate
 
 
-def spectrum_figure(result: Result, signal: str, *, window: tuple[float, float] | None = None, orders: int = 8) -> Figure:
+def spectrum_figure(
+    result: Result, signal: str, *, window: tuple[float, float] | None = None, orders: int = 8
+) -> Figure:
     """Return amplitude and phase of the full spectrum over orders of the running speed."""
     window = window or last_turns(result)
     with styled():

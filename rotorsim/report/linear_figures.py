@@ -45,7 +45,9 @@ def campbell_figure(found: Campbell, title: str = "", *, orders: Sequence[int] =
             axes.plot(rpm(crossing.speed), crossing.frequency_hz, "o", ms=5, mfc="white", mec=RED, zorder=4)
             label = f"{float(rpm(crossing.speed)):.0f}"
             at = (float(rpm(crossing.speed)), crossing.frequency_hz)
-            axes.annotate(label, at, xytext=(5, -9), textcoords="offset points", fontsize=8, color=RED, annotation_clip=True)
+            axes.annotate(
+                label, at, xytext=(5, -9), textcoords="offset points", fontsize=8, color=RED, annotation_clip=True
+            )
         axes.set(xlabel="speed [rpm]", ylabel="damped natural frequency [Hz]", ylim=(0, top))
         axes.margins(x=0)
         axes.legend(loc="upper left", title="whirl (critical speeds in rpm)")

@@ -42,7 +42,9 @@ def load_result(path: str | Path) -> Result:
     path = Path(path)
     _check_suffix(path)
     if not path.is_file():
-        raise RotorsimError(Problem("file does not exist", place=Place(str(path)), hint="`rotorsim run ... --out FILE`"))
+        raise RotorsimError(
+            Problem("file does not exist", place=Place(str(path)), hint="`rotorsim run ... --out FILE`")
+        )
     try:
         if path.suffix == ".csv":
             return _load_csv(path)

@@ -76,7 +76,9 @@ def _window(result: Result, window: tuple[float, float] | None) -> slice:
     inside = np.flatnonzero((result.time >= window[0] - 1e-12) & (result.time < window[1] - 1e-12))
     if len(inside) < 4:
         what = f"window {window[0]:g}..{window[1]:g} s holds {len(inside)} samples"
-        raise RotorsimError(Problem(what, "window", hint=f"the result covers {result.time[0]:g}..{result.time[-1]:g} s"))
+        raise RotorsimError(
+            Problem(what, "window", hint=f"the result covers {result.time[0]:g}..{result.time[-1]:g} s")
+        )
     return slice(int(inside[0]), int(inside[-1]) + 1)
 
 
@@ -150,7 +152,11 @@ def run_up(result: Result, signal: str, *, speed: str = "clock.speed", edge: flo
     """
     samples = np.asarray(result[signal], float)
     if samples.ndim != 1:
-        hint = f"name one entry: '{signal}[1]'" if "[" not in signal else "name one entry, such as 'rotor.displacement[4,1]'"
+        hint = (
+            f"name one entry: '{signal}[1]'"
+            if "[" not in signal
+            else "name one entry, such as 'rotor.displacement[4,1]'"
+        )
         raise RotorsimError(Problem("not a scalar signal", signal, hint=hint))
     speeds = np.asarray(result[speed], float)
     if not (np.diff(speeds) >= 0).all() or speeds[-1] <= speeds[0]:

@@ -65,7 +65,8 @@ def test_runs_in_parallel_share_one_cache(fresh_cache):
         "print(simulate(load(oscillator()), stop=0.01)['position.output'][-1])"
     )
     runs = [
-        subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, env=os.environ.copy()) for _ in range(3)
+        subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, env=os.environ.copy())
+        for _ in range(3)
     ]
     values = {run.communicate(timeout=120)[0] for run in runs}
     assert len(values) == 1

@@ -83,8 +83,14 @@ def test_a_part_of_a_recorded_part_is_found():
             "rotor.displacemnt",
             "error: rotor.displacemnt: this signal was not recorded\n\nhint: did you mean 'rotor.displacement'?",
         ),
-        ("rotor.displacement[3]", "error: rotor.displacement[3]: no such entry; 'rotor.displacement' has shape 2, counted from 1"),
-        ("rotor.displacement[0]", "error: rotor.displacement[0]: no such entry; 'rotor.displacement' has shape 2, counted from 1"),
+        (
+            "rotor.displacement[3]",
+            "error: rotor.displacement[3]: no such entry; 'rotor.displacement' has shape 2, counted from 1",
+        ),
+        (
+            "rotor.displacement[0]",
+            "error: rotor.displacement[0]: no such entry; 'rotor.displacement' has shape 2, counted from 1",
+        ),
     ],
 )
 def test_wrong_names_are_explained(name, text):

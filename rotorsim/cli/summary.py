@@ -1,0 +1,101 @@
+"""What `rotorsim run` says about a result: peaks, and harmonics of two-axis signals at constant speed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rotorsim.cli import common
+
+if TYPE_CHECKING:
+    from rotorsim.simulate.result import Result
+    from rotorsim.simulate.spectrum import Harmonics
+
+__all__ = ["constant_speed", "harmonics_of", "peaks", "peaks_table", "run_line", "two_axis"]
+
+CONSTANT = 1e-6  # relative change of speed below which it is constant
+
+
+def two_axis(result: Result) -> list[str]:
+    """Return the signals [x, y] by name; of [node, xy] ones the node that moves most."""
+    found = []
+    for name, array in result.signals.items():
+        if array.ndim == 2 and array.shape[1] == 2:
+            found.append(name)
+        elif array.ndim == 3 and array.shape[2] == 2 and len(array):
+            late = array[len(array) // 2 :]
+            found.append(f"{name}[{int(np.argmax(np.ptp(late, axis=0).max(axis=1))) + 1}]")
+    return found
+
+
+def constant_speed(result: Result, angle: str) -> float | None:
+    """Return the speed [rad/s] if it is constant and the shaft turned at least once, else None."""
+    if angle not in result or len(result.time) < 8:
+        return None
+    theta, time = result[angle], result.time
+    if theta.ndim != 1 or not np.isfinite(theta).all():
+        return None
+    middle = len(time) // 2
+    first = (theta[middle] - theta[0]) / (time[middle] - time[0])
+    second = (theta[-1] - theta[middle]) / (time[-1] - time[middle])
+    whole = float((theta[-1] - theta[0]) / (time[-1] - time[0]))
+    if whole <= 0 or abs(second - first) > CONSTANT * whole or theta[-1] - theta[0] < 2 * np.pi * (1 - 1e-9):
+        return None
+    return whole
+
+
+def harmonics_of(result: Result, angle: str) -> list[Harmonics]:
+    """Return the harmonics of every two-axis signal over the last whole turns, if the speed is constant."""
+    if result.status != "finished" or constant_speed(result, angle) is None:
+        return []
+    from rotorsim.simulate.spectrum import harmonics, last_turns
+
+    window = last_turns(result, angle)
+    return [harmonics(result, name, angle=angle, window=window) for name in two_axis(result)]
+
+
+def peaks(result: Result) -> dict[str, dict[str, Any]]:
+    """Return shape, unit, peak and rms of every entry of the signals."""
+    found = {}
+    with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged ends with huge numbers
+        for name, array in result.signals.items():
+            flat = np.asarray(array, float)
+            empty = np.full(array.shape[1:], np.nan)
+            found[name] = {
+                "unit": result.units.get(name, ""),
+                "shape": list(array.shape[1:]),
+                "peak": np.abs(flat).max(axis=0) if len(flat) else empty,
+                "rms": np.sqrt(np.mean(flat**2, axis=0)) if len(flat) else empty,
+                "final": flat[-1] if len(flat) else empty,
+            }
+    return found
+
+
+def peaks_table(result: Result, angle: str) -> str:
+    """Return peak and rms of every signal as text: of the entry with the largest peak, where there are several."""
+    lines = []
+    for name, found in peaks(result).items():
+        if name == angle:
+            continue
+        peak, rms = np.ravel(found["peak"]), np.ravel(found["rms"])
+        if not peak.size:
+            continue
+        largest = int(np.nanargmax(peak)) if np.isfinite(peak).any() else 0
+        index = np.unravel_index(largest, found["shape"]) if found["shape"] else ()
+        inside = f"[{','.join(str(int(k) + 1) for k in index)}]" if index else ""
+        base = f"{name[:-1]},{inside[1:]}" if name.endswith("]") and inside else name + inside
+        unit, scale = common.display_unit(found["unit"])
+        lines.append((base, f"{peak[largest] * scale:.6g}", f"{rms[largest] * scale:.6g}", unit))
+    return common.table(("signal", "peak", "rms", "unit"), lines) if lines else ""
+
+
+def run_line(result: Result) -> str:
+    """Return one line on how the run was made."""
+    counters, provenance = result.counters, result.provenance
+    end = f"{result.time[-1]:.6g} s" if len(result.time) else "nothing"
+    seconds = float(counters.get("run_cpu_seconds", 0.0))
+    return (
+        f"{provenance.get('diagram')}: {counters.get('steps', 0)} {provenance.get('method')} steps to {end}, "
+        f"{seconds:.3g} s CPU, {provenance.get('path')}"
+    )
