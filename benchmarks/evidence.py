@@ -108,14 +108,13 @@ def settled() -> list[Line]:
 
 def swapping() -> list[Line]:
     """Swapping controllers: the diagram runs, all levitate."""
-    lines = []
     with tempfile.TemporaryDirectory() as folder:
-        path = controllers.swapped("jeffcott", "state_feedback", Path(folder))
-        done = run_process([TOOL, "run", str(path)])
-        figure = f"exit {done.code}"
-        lines.append(
-            Line("rotorsim swap jeffcott controller state_feedback, then run", figure, "exit 0", done.code == 0)
-        )
+        path = str(Path(folder) / "swapped.json")
+        swap = run_process([TOOL, "swap", "diagrams/jeffcott.json", "controller", "state_feedback", "-o", path])
+        done = run_process([TOOL, "run", path])
+        figure = f"exit {swap.code}, {done.code}"
+    ok = swap.code == done.code == 0
+    lines = [Line("rotorsim swap jeffcott controller state_feedback, then run", figure, "exit 0, 0", ok)]
     for model, rows in controllers.measure().items():
         up = [row.controller for row in rows if row.levitates]
         down = [f"{row.controller} ({row.note or row.peak})" for row in rows if not row.levitates]

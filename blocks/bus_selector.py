@@ -1,6 +1,7 @@
 """Bus selector: parts of a vector by name."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -34,5 +35,5 @@ class BusSelector(Block):
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
         ends = np.cumsum([0, *self.option.widths])
-        parts = [u.input[int(a) : int(b)] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        parts = [u.input[int(a) : int(b)] for a, b in pairwise(ends)]
         return Equations(outputs={"output": parts})

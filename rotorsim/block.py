@@ -55,7 +55,7 @@ def matrix(table: Any) -> Symbol:
 
 def rows(value: Symbol) -> list[Symbol]:
     """Return the rows of a column or matrix as a list (scalars for a column)."""
-    return ca.vertsplit(ca.SX(value))  # type: ignore[no-any-return]
+    return list(ca.vertsplit(ca.SX(value)))
 
 
 def sum_of(value: Symbol) -> Symbol:
@@ -245,7 +245,7 @@ class Block:
         found: dict[str, dict[str, Any]] = {kind: dict(getattr(base, kind)) for kind in _KINDS}
         for name, value in list(cls.__dict__.items()):
             for kind, types in _KINDS.items():
-                if isinstance(value, types):
+                if isinstance(value, types) and isinstance(value, Declaration):
                     declared = value if value.name else _named(value, name)
                     found[kind][declared.name] = declared
         for kind, declarations in found.items():

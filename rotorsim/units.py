@@ -91,7 +91,7 @@ def parse_unit(text: str) -> Unit:
     stack: list[tuple[float, list[int], int]] = []  # outer products, with the sign that the bracket gets
     factor, dimension, sign = 1.0, [0] * 6, 1
     last: tuple[float, Dimension, int] | None = None  # the factor that a power would apply to
-    for caret, exponent, slash, opening, closing, times, symbol, other in tokens:
+    for caret, exponent, slash, opening, closing, _star, symbol, other in tokens:
         if other:
             raise UnitError(f"'{text}' is not a unit: unexpected '{other}'", "write units like 'N s/m' or 'kg m^2'")
         if symbol:

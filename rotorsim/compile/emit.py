@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import resources
 
 import casadi as ca
@@ -136,7 +137,7 @@ def _constants_behind(program: Program, moving: Sequence[int]) -> list[int]:
 class _Writer:
     """Writes one C function (several, when it is long)."""
 
-    def __init__(self, program: Program, given: Mapping[int, str], leaf: Callable[[ir.Node], str]) -> None:  # type: ignore[name-defined]
+    def __init__(self, program: Program, given: Mapping[int, str], leaf: Callable[[ir.Node], str]) -> None:
         self.program = program
         self.given = given
         self.leaf = leaf
@@ -178,7 +179,7 @@ class _Writer:
         for chunk in range(n_chunks):
             lines = []
             for k in order[chunk * CHUNK : (chunk + 1) * CHUNK]:
-                expression = self._expression(k, lambda q, c=chunk: self._chunk_operand(q, where, slots, c))
+                expression = self._expression(k, partial(self._chunk_operand, where, slots, chunk))
                 lines.append(f"  const double {self._name(k)} = {expression};")
                 if last_use[k] > chunk:
                     if free:
@@ -190,7 +191,7 @@ class _Writer:
                     lines.append(f"  work[{slot}] = {self._name(k)};")
             free += released.pop(chunk, [])  # reusable from the next chunk on
             text.append(f"static void {name}_{chunk}({arguments}) {{\n" + "\n".join(lines) + "\n}\n")
-        final = [f"  {t} = {self._chunk_operand(node, where, slots, n_chunks)};" for t, node in targets]
+        final = [f"  {t} = {self._chunk_operand(where, slots, n_chunks, node)};" for t, node in targets]
         for start in range(0, len(final), CHUNK):
             body = "\n".join(final[start : start + CHUNK])
             text.append(f"static void {name}_out{start // CHUNK}({arguments}) {{\n{body}\n}}\n")
@@ -199,7 +200,7 @@ class _Writer:
         text.append(f"static void {name}({arguments}) {{\n" + "\n".join(calls) + "\n}\n")
         return "\n".join(text), size
 
-    def _chunk_operand(self, node: int, where: Mapping[int, int], slots: Mapping[int, int], chunk: int) -> str:
+    def _chunk_operand(self, where: Mapping[int, int], slots: Mapping[int, int], chunk: int, node: int) -> str:
         if node in where and where[node] < chunk and node not in self.given:
             return f"work[{slots[node]}]"
         return self._operand(node)

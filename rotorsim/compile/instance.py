@@ -67,27 +67,27 @@ class CompiledInstance:
         self._x, self._z = self.x.ctypes.data, self._m + 8 * model.n_x
         self._point = np.empty(max(model.n_x, 1))
         self._slope, self._row = np.empty(model.n_x), np.empty(self.n_y)
-        self.library.prepare(self._p, self._m)  # type: ignore[attr-defined]
+        self.library.prepare(self._p, self._m)
         self.x[:], self.z[:] = model.x0(self.p), model.z0(self.p)
 
     def start(self, t: float) -> None:
-        self.library.start(t, self._p, self._m)  # type: ignore[attr-defined]
+        self.library.start(t, self._p, self._m)
 
     def run(self, n0: int, n1: int, t0: float, h: float, every: int, rows: np.ndarray) -> int:
-        return int(self.library.run(self._p, self._m, n0, n1, t0, h, every, rows.ctypes.data))  # type: ignore[attr-defined]
+        return int(self.library.run(self._p, self._m, n0, n1, t0, h, every, rows.ctypes.data))
 
     def derivative(self, t: float, x: np.ndarray) -> np.ndarray:
         self._point[: len(x)] = x
-        self.library.derivative(t, self._point.ctypes.data, self._z, self._p, self._m, self._slope.ctypes.data)  # type: ignore[attr-defined]
+        self.library.derivative(t, self._point.ctypes.data, self._z, self._p, self._m, self._slope.ctypes.data)
         return self._slope.copy()
 
     def record(self, t: float, x: np.ndarray) -> np.ndarray:
         self._point[: len(x)] = x
-        self.library.record(t, self._point.ctypes.data, self._z, self._p, self._m, self._row.ctypes.data)  # type: ignore[attr-defined]
+        self.library.record(t, self._point.ctypes.data, self._z, self._p, self._m, self._row.ctypes.data)
         return self._row.copy()
 
     def sample(self, t: float) -> None:
-        self.library.sample(t, self._p, self._m)  # type: ignore[attr-defined]
+        self.library.sample(t, self._p, self._m)
 
     def next_hit(self) -> float:
         return float(self.library.handle.rs_next(self._p, self._m)) if self.samplers else np.inf

@@ -28,6 +28,15 @@ def _pointer(array: np.ndarray) -> Any:
 class Library:
     """The C functions of one diagram (see runtime.c), and how they came about."""
 
+    size: Any
+    prepare: Any
+    start: Any
+    sample: Any
+    derivative: Any
+    derivatives: Any
+    record: Any
+    run: Any
+
     def __init__(self, kernel: Kernel, compiler: Compiler) -> None:
         import ctypes
 
@@ -226,9 +235,8 @@ class Model:
             return np.array(columns).T
         out = np.empty((len(t), self.n_x))
         m = library.memory()
-        library.derivatives(
-            len(t), _pointer(t), _pointer(x), _pointer(z), _pointer(p), self.n_p, _pointer(m), _pointer(out)
-        )  # type: ignore[attr-defined]
+        addresses = [_pointer(a) for a in (t, x, z, p)]
+        library.derivatives(len(t), *addresses, self.n_p, _pointer(m), _pointer(out))
         return out
 
     def block_of_state(self, position: int) -> str:

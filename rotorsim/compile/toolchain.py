@@ -77,7 +77,8 @@ def compile_c(source: str, compiler: Compiler, optimise: str = "-O3") -> tuple[c
     """Return the library of a C source and whether it came from the cache.
 
     The file's name is the hash of source, compiler and flags; it appears by atomic rename, so that
-    runs in parallel never see half a library. optimise: -O3, or -O2 for long sources (half the time). Raises RotorsimError with what the compiler said.
+    runs in parallel never see half a library. optimise: -O3, or -O2 for long sources (half the time).
+    Raises RotorsimError with what the compiler said.
     """
     key = hashlib.sha256("\0".join([source, compiler.identity(), optimise, *FLAGS]).encode()).hexdigest()[:32]
     suffix = ".dll" if sys.platform == "win32" else ".so"

@@ -108,7 +108,7 @@ class _Tracer:
 
     def __init__(self, diagram: Diagram, inject: Iterable[str], replace: Iterable[str]) -> None:
         self.diagram = diagram
-        self.traces: Mapping[str, BlockTrace] = diagram.traces  # type: ignore[attr-defined]
+        self.traces: Mapping[str, BlockTrace] = diagram.traces
         self.t = ca.SX.sym("t")
         self.p, self.x, self.z, self.w, self.v = _Layout(), _Layout(), _Layout(), _Layout(), _Layout()
         self.arguments: dict[str, dict[str, Any]] = {}

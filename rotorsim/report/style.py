@@ -8,6 +8,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from cycler import cycler
 from matplotlib.figure import Figure
 
 __all__ = ["AXES", "BLUE", "GREEN", "GREY", "ORANGE", "RED", "display", "figure", "rpm", "styled"]
@@ -16,7 +17,7 @@ __all__ = ["AXES", "BLUE", "GREEN", "GREY", "ORANGE", "RED", "display", "figure"
 BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#6b6b6b"
 AXES = {"x": BLUE, "y": ORANGE}
 
-_STYLE = {
+_STYLE: Any = {
     "font.size": 9.0,
     "axes.titlesize": 9.5,
     "axes.labelsize": 9.0,
@@ -30,7 +31,7 @@ _STYLE = {
     "legend.frameon": False,
     "legend.fontsize": 8.5,
     "savefig.dpi": 150,
-    "axes.prop_cycle": mpl.cycler(color=[BLUE, ORANGE, GREEN, RED, PURPLE, GREY]),
+    "axes.prop_cycle": cycler(color=[BLUE, ORANGE, GREEN, RED, PURPLE, GREY]),
 }
 _DISPLAY = {"m": (1e6, "um"), "rad": (1e6, "urad"), "m/s": (1e3, "mm/s"), "rad/s": (1.0, "rad/s")}
 

@@ -98,7 +98,7 @@ def _events(model: Model, p: np.ndarray, instance: Instance) -> list[Callable[[f
             memo["key"], memo["value"] = key, np.array(function(t, x, instance.z, p)).ravel()
         return float(memo["value"][k])
 
-    found = []
+    found: list[Any] = []
     for k in range(trace.events.numel()):
 
         def crossing(t: float, x: np.ndarray, k: int = k) -> float:

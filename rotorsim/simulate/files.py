@@ -52,7 +52,8 @@ def load_result(path: str | Path) -> Result:
     except RotorsimError:
         raise
     except Exception as error:
-        what = f"not a result of rotorsim: {type(error).__name__}: {str(error).splitlines()[0][:120] if str(error) else ''}"
+        said = (str(error).splitlines() or [""])[0][:120]
+        what = f"not a result of rotorsim: {type(error).__name__}: {said}"
         hint = "`rotorsim run ... --out FILE` writes one"
         raise RotorsimError(Problem(what, place=Place(str(path)), hint=hint)) from None
 

@@ -28,6 +28,12 @@ def flat_name(name: str, index: tuple[int, ...]) -> str:
     return f"{base}[{','.join(parts)}]" if parts else base
 
 
+def _entry(array: np.ndarray, index: tuple[int, ...]) -> np.ndarray:
+    """Return one entry (or row) of a signal at every instant."""
+    place: Any = (slice(None), *index)
+    return np.asarray(array[place])
+
+
 @dataclass(frozen=True)
 class Result:
     """Recorded signals of one run.
@@ -71,7 +77,7 @@ class Result:
             index = tuple(int(part) - 1 for part in parts)
             if min(index) < 0:
                 raise IndexError
-            return array[(slice(None), *index)]
+            return _entry(array, index)
         except (ValueError, IndexError):
             shape = " x ".join(map(str, array.shape[1:])) or "scalar"
             what = f"no such entry; '{recorded}' has shape {shape}, counted from 1"
@@ -96,7 +102,7 @@ class Result:
         """Yield every entry of every signal by its flat name, row-major."""
         for name, array in self.signals.items():
             for index in product(*(range(n) for n in array.shape[1:])):
-                yield flat_name(name, index), array[(slice(None), *index)]
+                yield flat_name(name, index), _entry(array, index)
 
     def flat_names(self) -> list[str]:
         """Return the flat names of `columns`."""

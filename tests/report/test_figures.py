@@ -5,7 +5,7 @@ import pytest
 
 from rotorsim.diagram import load
 from rotorsim.errors import RotorsimError
-from rotorsim.report.figures import overview, orbit, run_up_figure, save_figure, spectrum_figure, time_histories
+from rotorsim.report.figures import orbit, overview, run_up_figure, save_figure, spectrum_figure, time_histories
 from rotorsim.report.linear_figures import campbell_figure, sensitivity_figure
 from rotorsim.simulate.campbell import campbell
 from rotorsim.simulate.frequency import sensitivity
