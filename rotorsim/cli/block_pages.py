@@ -143,7 +143,7 @@ def block_list(classes: Iterable[type[Block]]) -> str:
     """Return one line for each block, by category."""
     groups = by_category(classes)
     width = max((len(cls.type_name) for group in groups.values() for cls in group), default=0)
-    lines = []
+    lines: list[str] = []
     for category, group in groups.items():
         lines += ["", category] if lines else [category]
         lines += [f"  {cls.type_name.ljust(width)}  {_summary(cls)}" for cls in group]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import math
 
 import click
 
 from rotorsim.cli import common
+from rotorsim.errors import Problem, RotorsimError
 
 __all__ = ["command"]
 
@@ -14,41 +15,48 @@ __all__ = ["command"]
 @click.command("campbell")
 @common.diagram_options
 @click.option(
-    "--speeds", metavar="START:STEP:STOP", default="0 rpm:100 rpm:6000 rpm", show_default=True, help="Speeds."
+    "--speeds",
+    metavar="SPEEDS",
+    default="0 rpm:250 rpm:12000 rpm",
+    show_default=True,
+    help="start:step:stop, or a list.",
 )
-@click.option("--plot", metavar="FILE", help="Draw the diagram: .png, .svg or .pdf.")
+@click.option("--orders", metavar="LIST", default="1,2", show_default=True, help="Orders whose crossings are wanted.")
+@click.option("--plot", metavar="FILE", help="Draw the Campbell diagram: .png, .svg or .pdf.")
 @common.json_option
 def command(
-    diagram: str,
-    settings: tuple[str, ...],
-    without: tuple[str, ...],
-    trust_blocks: bool,
-    speeds: str,
-    plot: str | None,
-    as_json: bool,
-) -> None:
-    """Natural frequencies against speed, followed by mode shape, and critical speeds.
+    diagram: str, settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, speeds: str, orders: str,
+    plot: str | None, as_json: bool,
+) -> None:  # fmt: skip
+    """Natural frequencies against speed, each mode followed by its shape, and the critical speeds.
 
     \b
     rotorsim campbell fe_rigid --without amb --speeds "0 rpm:100 rpm:6000 rpm" --plot campbell.png
     """
-    common.check_target("--plot", plot, (".png", ".svg", ".pdf"))
+    common.check_target("--plot", plot, common.FIGURES)
     chosen = common.speeds_of(speeds)
+    multiples = _whole_numbers(orders)
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
     from rotorsim.simulate.campbell import campbell
 
-    found = campbell(loaded, chosen)
+    found = campbell(loaded, chosen, orders=multiples)
     if plot:
         from rotorsim.report.figures import save_figure
         from rotorsim.report.linear_figures import campbell_figure
 
-        save_figure(campbell_figure(found, loaded.name), plot)
-        common.note(f"wrote {plot}")
-    crossings = [asdict(crossing) for crossing in found.crossings]
+        save_figure(campbell_figure(found, loaded.name, orders=multiples), plot)
+        common.note(f"written: {plot}")
     if as_json:
+        crossings = [
+            {"order": c.order, "speed": c.speed, "speed_rpm": common.rpm(c.speed), "frequency_hz": c.frequency_hz,
+             "mode": c.mode + 1, "whirl": c.whirl, "damping_ratio": c.damping_ratio}
+            for c in found.crossings
+        ]  # fmt: skip
         common.echo_json(
             {
+                "diagram": loaded.name,
                 "speeds": found.speeds,
+                "speeds_rpm": [common.rpm(float(speed)) for speed in found.speeds],
                 "frequency_hz": found.frequency_hz,
                 "damping_ratio": found.damping_ratio,
                 "whirl": found.whirl,
@@ -56,15 +64,24 @@ def command(
             }
         )
         return
-    rpm = 30 / 3.141592653589793
+    count = found.frequency_hz.shape[1]
     rows = [
-        [
-            f"{c['order']}X",
-            f"{c['speed'] * rpm:.1f}",
-            f"{c['frequency_hz']:.3f}",
-            f"{c['damping_ratio']:.5f}",
-            c["whirl"],
-        ]
-        for c in crossings
+        (f"{common.rpm(float(speed)):.6g}", *(f"{f:.4f}" if math.isfinite(f) else "-" for f in frequencies))
+        for speed, frequencies in zip(found.speeds, found.frequency_hz, strict=True)
     ]
-    click.echo(common.table(["order", "critical speed [rpm]", "frequency [Hz]", "damping ratio", "whirl"], rows))
+    click.echo(common.table(("speed [rpm]", *(f"mode {k + 1} [Hz]" for k in range(count))), rows))
+    if found.crossings:
+        rows = [
+            (f"{c.order}X", f"{common.rpm(c.speed):.2f}", f"{c.frequency_hz:.4f}", f"{c.damping_ratio:.5f}", c.whirl)
+            for c in found.crossings
+        ]
+        click.echo()
+        click.echo(common.table(("order", "critical speed [rpm]", "frequency [Hz]", "damping ratio", "whirl"), rows))
+
+
+def _whole_numbers(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError:
+        what = f"--orders {text}: not a list of whole numbers"
+        raise RotorsimError(Problem(what=what, hint="for example --orders 1,2")) from None

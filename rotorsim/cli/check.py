@@ -7,38 +7,47 @@ from typing import Any
 import click
 
 from rotorsim.cli import common
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import RotorsimError
 
 __all__ = ["command"]
 
 
 @click.command("check")
 @click.argument("diagrams", metavar="DIAGRAM...", nargs=-1, required=True)
-@click.option("--trust-blocks", is_flag=True, help="Load the block files in the folders that the diagrams name.")
+@common.set_option
+@common.without_option
+@common.trust_option
 @common.json_option
-def command(diagrams: tuple[str, ...], trust_blocks: bool, as_json: bool) -> None:
-    """Find every mistake in diagrams; exit code 2 if there is one."""
+def command(
+    diagrams: tuple[str, ...], settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, as_json: bool
+) -> int:
+    """Find every mistake in diagrams: file:line:column, what is wrong, how to cure it.
+
+    Exit code 2 if there is any mistake; warnings do not count.
+    """
     from rotorsim.cli.app import problem_data, show_problems
     from rotorsim.diagram.load import load
 
-    mistakes: list[Problem] = []
+    values = common.parse_settings(settings)
     report: list[dict[str, Any]] = []
+    mistakes = 0
     for name in diagrams:
+        entry: dict[str, Any] = {"diagram": name, "valid": True}
         try:
-            found = load(name, trust_blocks=trust_blocks)
-            problems: tuple[Problem, ...] = found.warnings
-            summary = {"blocks": len(found.nodes), "wires": len(found.wires)}
+            loaded = load(name, set=values, without=without, trust_blocks=trust_blocks)
+            problems = loaded.warnings
+            entry |= {"blocks": len(loaded.nodes), "wires": len(loaded.wires)}
         except RotorsimError as error:
-            problems, summary = error.problems, {}
-            mistakes += [problem for problem in problems if problem.severity == "error"]
-        report.append({"diagram": name, **summary, "problems": [problem_data(problem) for problem in problems]})
-        if not as_json:
-            show_problems(problems)
-            if summary:
-                click.echo(f"{name}: {summary['blocks']} blocks, {summary['wires']} wires: fine")
+            problems = error.problems
+            entry["valid"] = False
+            mistakes += sum(problem.severity == "error" for problem in problems)
+        entry["problems"] = [problem_data(problem) for problem in problems]
+        report.append(entry)
+        show_problems(problems)
+        if entry["valid"] and not as_json:
+            click.echo(f"{name}: {entry['blocks']} blocks, {entry['wires']} wires, no mistakes")
     if as_json:
         common.echo_json({"diagrams": report})
     if mistakes:
-        word = "mistake" if len(mistakes) == 1 else "mistakes"
-        common.note(f"{len(mistakes)} {word}")
-        raise click.exceptions.Exit(2)
+        common.note(f"\n{mistakes} mistake{'s' if mistakes > 1 else ''}")
+    return 0 if all(entry["valid"] for entry in report) else 2

@@ -15,7 +15,9 @@ import click
 from rotorsim.errors import Place, Problem, RotorsimError
 
 if TYPE_CHECKING:
-    pass
+    import numpy as np
+
+    from rotorsim.diagram.diagram import Diagram
 
 __all__ = [
     "check_target",
@@ -34,6 +36,8 @@ __all__ = [
     "speeds_of",
     "table",
 ]
+
+FIGURES = (".png", ".svg", ".pdf")
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -192,6 +196,22 @@ def quantity(text: str, unit: str, option: str) -> float:
 def display_unit(unit: str) -> tuple[str, float]:
     """Return the unit to show and the factor from SI: micrometres for metres, else as it is."""
     return ("um", 1e6) if unit == "m" else (unit or "1", 1.0)
+
+
+def rpm(speed: float) -> float:
+    """Return a speed [rad/s] in rpm."""
+    return speed * 30 / math.pi
+
+
+def degrees(value: complex) -> float:
+    """Return the phase of a complex amplitude in degrees."""
+    return math.degrees(math.atan2(value.imag, value.real))
+
+
+def clock_of(diagram: Diagram) -> str | None:
+    """Return the block that gives the shaft angle: the only clock, or the one named so."""
+    found = [name for name, node in diagram.nodes.items() if node.block.type_name == "clock"]
+    return "clock" if "clock" in found else found[0] if len(found) == 1 else None
 
 
 MAX_SPEEDS = 100_000

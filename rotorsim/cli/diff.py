@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import click
 
 from rotorsim.cli import common
@@ -14,19 +16,17 @@ __all__ = ["command"]
 @click.argument("new", metavar="NEW")
 @click.option("--layout", is_flag=True, help="Compare layout and descriptions too.")
 @common.json_option
-def command(old: str, new: str, layout: bool, as_json: bool) -> None:
+def command(old: str, new: str, layout: bool, as_json: bool) -> int:
     """Say what differs between two diagrams by meaning; exit code 1 if anything does.
 
     '24 um' and 2.4e-5 are equal; the order of blocks and wires has no meaning.
     """
     from rotorsim.diagram.diff import diff
 
-    changes = diff(common.read_data(old)[0], common.read_data(new)[0], layout=layout)
+    changes = diff(common.document_of(old)[1], common.document_of(new)[1], layout=layout)
     if as_json:
-        rows = [{"kind": c.kind, "where": c.where, "old": c.old, "new": c.new} for c in changes]
-        common.echo_json({"changes": rows})
+        common.echo_json({"equal": not changes, "changes": [asdict(change) for change in changes]})
     else:
         for change in changes:
             click.echo(str(change))
-    if changes:
-        raise click.exceptions.Exit(1)
+    return 1 if changes else 0

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from rotorsim.cli import common
+from rotorsim.errors import Problem, RotorsimError
 
 __all__ = ["command"]
 
@@ -15,25 +16,37 @@ __all__ = ["command"]
 @click.argument("files", metavar="FILE...", nargs=-1, required=True)
 @click.option("--check", is_flag=True, help="Write nothing; exit code 1 if a file is not in canonical form.")
 @common.json_option
-def command(files: tuple[str, ...], check: bool, as_json: bool) -> None:
-    """Write diagrams in canonical form, so that differences are small; meaning and order stay."""
-    from rotorsim.diagram.fmt import format_document
+def command(files: tuple[str, ...], check: bool, as_json: bool) -> int:
+    """Write diagrams in canonical form, in place: one block and one wire a line, so that differences are small.
 
-    changed = []
-    texts = {}
+    Values and the order of blocks and wires stay as they are.
+    """
+    from rotorsim.diagram.files import write_atomically
+    from rotorsim.diagram.fmt import format_document
+    from rotorsim.diagram.source import read_document
+
+    texts: dict[str, str] = {}
+    problems: list[Problem] = []
     for name in files:
-        data, path = common.read_data(name)
-        text = format_document(data)
-        if path.read_text(encoding="utf-8-sig") != text:
-            changed.append(str(path))
-            texts[path] = text
+        try:
+            source = read_document(name)
+            if isinstance(source.data, dict):
+                texts[name] = format_document(source.data)
+            else:
+                problems.append(Problem("a diagram is a JSON object {...}", place=source.locate()))
+        except RotorsimError as error:
+            problems += error.problems
+    if problems:
+        raise RotorsimError(*problems)
+    changed = [name for name, text in texts.items() if Path(name).read_bytes() != text.encode()]
     if not check:
-        for path, text in texts.items():
-            common.write_text(Path(path), text)
+        for name in changed:
+            write_atomically(Path(name).resolve(), texts[name])
     if as_json:
-        common.echo_json({"changed": changed, "written": not check})
+        common.echo_json({"changed": changed, "written": not check, "files": len(files)})
     else:
         for name in changed:
-            click.echo(f"{'not canonical' if check else 'formatted'}: {name}")
-    if check and changed:
-        raise click.exceptions.Exit(1)
+            click.echo(name)
+        verb = "would change" if check else "changed"
+        common.note(f"{len(changed)} of {len(files)} file{'s' if len(files) > 1 else ''} {verb}")
+    return 1 if check and changed else 0

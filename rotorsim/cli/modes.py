@@ -8,6 +8,8 @@ from rotorsim.cli import common
 
 __all__ = ["command"]
 
+ROUNDING = 1e-9  # damping ratio of an undamped mode, but for rounding
+
 
 @click.command("modes")
 @common.diagram_options
@@ -26,22 +28,25 @@ def command(
     found = modes(loaded)
     for text in found.notes:
         common.note(text)
+    if not found.stable:
+        common.note("unstable: a pole has a positive real part")
     if as_json:
         common.echo_json(
-            {"modes": found.to_table(), "real_poles": found.real_poles, "speed": found.speed, "stable": found.stable}
+            {
+                "diagram": loaded.name,
+                "speed": found.speed,
+                "stable": found.stable,
+                "modes": found.to_table(),
+                "real_poles": found.real_poles,
+            }
         )
         return
     rows = [
-        [
-            str(k),
-            f"{row['frequency_hz']:.4f}",
-            f"{row['natural_frequency_hz']:.4f}",
-            f"{row['damping_ratio']:.6f}",
-            f"{row['whirl']}{'  UNSTABLE' if row['damping_ratio'] < 0 else ''}",
-        ]
-        for k, row in enumerate(found.to_table(), 1)
-    ]
-    click.echo(common.table(["mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl"], rows))
+        (str(k), f"{mode.frequency_hz:.4f}", f"{mode.natural_frequency_hz:.4f}", f"{round(mode.damping_ratio, 6) + 0.0:.6f}",
+         mode.whirl + (", grows" if mode.damping_ratio < -ROUNDING else ""))
+        for k, mode in enumerate(found.modes, 1)
+    ]  # fmt: skip
+    click.echo(common.table(("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl"), rows))
     if len(found.real_poles):
         poles = ", ".join(f"{pole:.4g}" for pole in found.real_poles)
         click.echo(f"\npoles that do not oscillate [1/s]: {poles}")

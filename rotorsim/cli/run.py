@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rotorsim.cli import common
+from rotorsim.cli.app import show_problems
+from rotorsim.errors import Problem
 
 if TYPE_CHECKING:
+    from rotorsim.diagram.diagram import Diagram
     from rotorsim.simulate.result import Result
+    from rotorsim.simulate.spectrum import Harmonics
 
 __all__ = ["command"]
 
@@ -44,20 +49,22 @@ def command(
 ) -> int:
     """Simulate a diagram; write, plot and summarise the recorded signals.
 
-    Prints the peak of every recorded signal and, at constant speed, the harmonics of two-axis signals.
+    Prints the peak of every recorded signal; of two-axis signals the harmonics at constant speed, and the
+    resonance in a run-up.
 
     \b
     rotorsim run jeffcott --plot jeffcott.png
     rotorsim run diagrams/jeffcott.json --set "speed=1800 rpm" --stop "8 s" --out run.csv
     """
     common.check_target("--out", out, (".csv", ".h5", ".npz"))
-    common.check_target("--plot", plot, (".png", ".svg", ".pdf"))
+    common.check_target("--plot", plot, common.FIGURES)
     times = {name: common.quantity(text, "s", f"--{name}") for name, text in (("step", step), ("stop", stop)) if text}
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
 
-    clock = _clock(loaded)
+    clock = common.clock_of(loaded)
     shown = [*map(str, loaded.record), *record]
-    hidden = [f"{clock}.theta", *([f"{clock}.speed"] if plot else [])] if clock else []
+    rising = clock is not None and loaded.nodes[clock].block.option.profile != "constant"
+    hidden = [f"{clock}.theta", *([f"{clock}.speed"] if rising else [])] if clock else []
     signals = tuple(dict.fromkeys([*shown, *hidden]))
 
     from rotorsim.simulate.run import simulate
@@ -65,47 +72,51 @@ def command(
     with common.progress_bar(loaded.name, progress) as show:
         # With a function to call, the run is cut into pieces, so that Ctrl-C is heard between them.
         result = simulate(
-            loaded, **times, method=solver, record=signals, use_compiler=not no_compiler, progress=show or _silent
+            loaded,
+            stop=times.get("stop"),
+            step=times.get("step"),
+            method=solver,
+            record=signals,
+            use_compiler=not no_compiler,
+            progress=show or _silent,
         )
     angle = f"{clock}.theta" if clock else ""
-    return _report(result, [name for name in signals if name in set(shown)], angle, out, plot, as_json)
+    return _report(loaded, result, [name for name in signals if name in set(shown)], angle, out, plot, as_json)
 
 
 def _silent(fraction: float) -> None:
     """Take the place of a progress bar."""
 
 
-def _clock(diagram: Diagram) -> str | None:
-    """Return the block that gives the shaft angle: the only clock, or the one named so."""
-    found = [name for name, node in diagram.nodes.items() if node.block.type_name == "clock"]
-    return "clock" if "clock" in found else found[0] if len(found) == 1 else None
-
-
-def _report(result: Result, shown: list[str], angle: str, out: str | None, plot: str | None, as_json: bool) -> int:
+def _report(
+    diagram: Diagram, result: Result, shown: list[str], angle: str, out: str | None, plot: str | None, as_json: bool
+) -> int:
     """Write, draw and print a result; return the exit code."""
     from rotorsim.cli import summary
+    from rotorsim.simulate.sinks import write_sinks
 
     common.note(summary.run_line(result))
     asked = replace(result, signals={name: result.signals[name] for name in shown})
-    files = {}
+    files = [str(path) for path in write_sinks(diagram, result)]
     if out:
         from rotorsim.simulate.files import save
 
         save(asked, out)
-        files["out"] = out
+        files.append(out)
     if plot and len(result.time) > 1:
         from rotorsim.report.figures import overview, save_figure
 
         save_figure(overview(result), plot)
-        files["plot"] = plot
+        files.append(plot)
     if files:
-        common.note("written: " + ", ".join(files.values()))
+        common.note("written: " + ", ".join(files))
     found = summary.harmonics_of(result, angle)
     found = [item for item in found if item.signal.partition("[")[0] in {name.partition("[")[0] for name in shown}]
     if as_json:
-        common.echo_json(_data(asked, found, files))
+        common.echo_json(_data(asked, found, files) | {"run_up": summary.run_ups(result, angle, shown)})
     else:
         tables = [summary.peaks_table(asked, angle), *(item.table() for item in found)]
+        tables.append(summary.run_up_table(result, angle, shown))
         click.echo("\n\n".join(text for text in tables if text))
     if result.status == "finished":
         return 0
@@ -122,7 +133,7 @@ def _hint(result: Result, out: str | None) -> str:
     return f"{kept}; 'rotorsim modes' shows which modes grow"
 
 
-def _data(result: Result, found: list[Harmonics], files: dict[str, str]) -> dict[str, Any]:
+def _data(result: Result, found: list[Harmonics], files: list[str]) -> dict[str, Any]:
     from rotorsim.cli.summary import peaks
 
     return {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
     from rotorsim.simulate.result import Result
     from rotorsim.simulate.spectrum import Harmonics
 
-__all__ = ["constant_speed", "harmonics_of", "peaks", "peaks_table", "run_line", "two_axis"]
+__all__ = ["constant_speed", "harmonics_of", "peaks", "peaks_table", "run_line", "run_up_table", "run_ups", "two_axis"]
 
 CONSTANT = 1e-6  # relative change of speed below which it is constant
 
@@ -53,6 +54,39 @@ def harmonics_of(result: Result, angle: str) -> list[Harmonics]:
 
     window = last_turns(result, angle)
     return [harmonics(result, name, angle=angle, window=window) for name in two_axis(result)]
+
+
+def run_ups(result: Result, angle: str, shown: Collection[str]) -> list[dict[str, Any]]:
+    """Return speed and peak of the largest Hilbert envelope of both axes of two-axis signals in a run-up."""
+    speed = angle.replace(".theta", ".speed")
+    if not angle or result.status != "finished" or speed not in result or np.ptp(result[speed]) == 0.0:
+        return []
+    from rotorsim.simulate.spectrum import run_up
+
+    if not (np.diff(result[speed]) >= 0).all() or len(result.time) < 100:
+        return []
+    rows = []
+    for name in two_axis(result):
+        if name.partition("[")[0] not in {item.partition("[")[0] for item in shown}:
+            continue
+        for axis in (1, 2):
+            entry = f"{name[:-1]},{axis}]" if name.endswith("]") else f"{name}[{axis}]"
+            found = run_up(result, entry, speed=speed)
+            rows.append(
+                {"signal": entry, "unit": result.units.get(name, found.unit), "resonance": found.resonance,
+                 "resonance_rpm": common.rpm(found.resonance), "peak": found.peak}
+            )  # fmt: skip
+    return rows
+
+
+def run_up_table(result: Result, angle: str, shown: Collection[str]) -> str:
+    """Return `run_ups` as text."""
+    lines = []
+    for row in run_ups(result, angle, shown):
+        unit, scale = common.display_unit(row["unit"])
+        lines.append((row["signal"], f"{row['resonance_rpm']:.1f}", f"{row['peak'] * scale:.6g}", unit))
+    header = ("run-up, Hilbert envelope", "largest at [rpm]", "0-peak", "unit")
+    return common.table(header, lines) if lines else ""
 
 
 def peaks(result: Result) -> dict[str, dict[str, Any]]:

@@ -2,87 +2,110 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
 
 from rotorsim.cli import common
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, near_miss
 
 __all__ = ["command"]
 
 DESIGNED = "state_feedback"
+WEIGHTS = {"current_weight": float, "noise_weight": float, "integral": bool, "states": int}
 
 
 @click.command("swap")
 @click.argument("diagram", metavar="DIAGRAM")
 @click.argument("block", metavar="BLOCK")
 @click.argument("new_type", metavar="TYPE")
-@common.set_option
-@click.option("-o", "--out", metavar="FILE", help="Write the new diagram here (default: print it).")
+@click.option(
+    "--set", "settings", multiple=True, metavar="NAME=VALUE",
+    help="Parameter of the new block, or weight of the design; repeatable.",
+)  # fmt: skip
+@click.option("-o", "--out", metavar="FILE", help="Write the new diagram here (default: to stdout).")
 @click.option("--in-place", is_flag=True, help="Write the new diagram over the old one.")
+@common.trust_option
 @common.json_option
 def command(
-    diagram: str, block: str, new_type: str, settings: tuple[str, ...], out: str | None, in_place: bool, as_json: bool
-) -> None:
+    diagram: str, block: str, new_type: str, settings: tuple[str, ...], out: str | None, in_place: bool,
+    trust_blocks: bool, as_json: bool,
+) -> None:  # fmt: skip
     """Replace a block by another type with the same ports; its wires and parameters of equal name stay.
 
-    state_feedback is designed from the linearised plant; --set gives its weights (current_weight, noise_weight,
-    integral, states) or, for other types, parameters of the new block.
+    A state_feedback controller is designed for the diagram (LQG, from the linearised plant) unless its
+    matrices are given; --set then takes current_weight, noise_weight, integral and states.
 
     \b
-    rotorsim swap diagrams/jeffcott.json controller state_feedback -o sf.json
+    rotorsim swap jeffcott controller state_feedback -o mine.json
+    rotorsim swap mine.json controller pd --in-place --set KP=12200
     """
     from rotorsim.diagram.diff import diff
     from rotorsim.diagram.edit import swap
+    from rotorsim.diagram.files import write_atomically
     from rotorsim.diagram.fmt import format_document
     from rotorsim.diagram.load import load
+    from rotorsim.diagram.registry import Registry
 
     if out and in_place:
         raise RotorsimError(Problem(what="--out and --in-place exclude each other", hint="give one of them"))
-    data, path = common.read_data(diagram)
-    target = str(path) if in_place else out
     common.check_target("--out", out, (".json",))
+    path, old = common.document_of(diagram)
+    if in_place and not Path(diagram).exists():
+        raise RotorsimError(Problem(what=f"{diagram} comes with rotorsim and stays as it is", hint="use -o FILE"))
     given = {name.removeprefix(f"{block}."): value for name, value in common.parse_settings(settings).items()}
-    parameters = given
-    if new_type == DESIGNED and not {"A", "B", "C"} & set(given):
-        parameters = _designed(diagram, block, given)
-    new = swap(data, block, new_type, parameters)
-    load(new, folder=path.parent)  # a swap that does not check is not written
-    if as_json:
-        changes = diff(data, new)
-        rows = [{"kind": c.kind, "where": c.where, "old": c.old, "new": c.new} for c in changes]
-        common.echo_json({"file": target, "changes": rows, "diagram": new})
-    elif target is None:
-        click.echo(format_document(new), nl=False)
+    load(diagram, trust_blocks=trust_blocks)  # mistakes of the diagram itself, with their places
+    folders = old.get("block_folders", []) if trust_blocks else []
+    registry = Registry([path.parent / folder for folder in folders])
+    designed = new_type == DESIGNED and not {"A", "B", "C", "D"} & set(given)
+    parameters = _designed(diagram, block, given, trust_blocks) if designed else given
+    new = swap(old, block, new_type, parameters, registry)
+    load(new, trust_blocks=trust_blocks, folder=path.parent)  # a swap that does not check is not written
+
+    target = str(path) if in_place else out
     if target is not None:
-        common.write_text(target, format_document(new))
-        common.note(f"wrote {target}")
+        _refuse_other_folder(new, path, Path(target))
+        write_atomically(Path(target).resolve(), format_document(new))
+    elif not as_json:
+        click.echo(format_document(new), nl=False)
+    changes = diff(old, new)
+    if as_json:
+        rows = [{"kind": c.kind, "where": c.where, "old": c.old, "new": c.new} for c in changes]
+        common.echo_json({"file": target, "designed": designed, "changes": rows, "diagram": new})
+    words = [f"{block}: {old['blocks'][block]['type']} -> {new_type}"]
+    words += ["designed from the linearised plant"] if designed else []
+    words += [f"written: {target}"] if target else []
+    common.note("; ".join(words))
 
 
-def _designed(diagram: str, block: str, given: dict[str, Any]) -> dict[str, Any]:
+def _designed(diagram: str, block: str, given: dict[str, Any], trust_blocks: bool) -> dict[str, Any]:
     """Design the controller from the linearised rest of the diagram; return its matrices as lists."""
     from rotorsim.diagram.load import load
-    from rotorsim.errors import near_miss
     from rotorsim.simulate.design import design_state_feedback
 
-    weights = {"current_weight": float, "noise_weight": float, "integral": bool, "states": int}
-    unknown = [name for name in given if name not in weights]
+    unknown = [
+        Problem(what=f"the design has no weight '{name}'", subject=block, hint=near_miss(name, WEIGHTS))
+        for name in given
+        if name not in WEIGHTS
+    ]
     if unknown:
-        raise RotorsimError(
-            *[
-                Problem(what=f"no weight '{name}' of the design", subject=name, hint=near_miss(name, weights))
-                for name in unknown
-            ]
-        )
+        raise RotorsimError(*unknown)
     try:
-        chosen = {name: weights[name](value) for name, value in given.items()}
+        chosen = {name: WEIGHTS[name](value) for name, value in given.items()}
     except (TypeError, ValueError):
-        raise RotorsimError(
-            Problem(what="the weights of the design are numbers", hint="--set current_weight=2")
-        ) from None
-    loaded = load(diagram)
-    if block not in loaded.nodes:
-        raise RotorsimError(Problem(what=f"no block '{block}'", subject=block, hint=near_miss(block, loaded.nodes)))
-    matrices = design_state_feedback(loaded, block, **chosen)
-    return {name: [[float(f"{v:.12g}") for v in row] for row in matrix.tolist()] for name, matrix in matrices.items()}
+        what = "the weights of the design are numbers"
+        raise RotorsimError(Problem(what=what, subject=block, hint="for example --set current_weight=2")) from None
+    matrices = design_state_feedback(load(diagram, trust_blocks=trust_blocks), block, **chosen)
+    return {
+        name: [[float(f"{v:.12g}") + 0.0 for v in row] for row in matrix.tolist()] for name, matrix in matrices.items()
+    }
+
+
+def _refuse_other_folder(document: dict[str, Any], source: Path, target: Path) -> None:
+    """Refuse to move a diagram away from the parts that it names relative to its own folder."""
+    parts = [block["file"] for block in document["blocks"].values() if isinstance(block.get("file"), str)]
+    parts += document.get("block_folders", [])
+    if parts and target.resolve().parent != source.resolve().parent:
+        what = f"--out {target}: the diagram names {parts[0]}, which is not there"
+        raise RotorsimError(Problem(what=what, hint=f"write it to the folder {source.parent}"))

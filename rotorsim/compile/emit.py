@@ -17,13 +17,16 @@ from importlib import resources
 import casadi as ca
 
 from rotorsim.compile import program as ir
+from rotorsim.compile.affine import collapse_linear
 from rotorsim.compile.harmonics import share_harmonics
+from rotorsim.compile.pairing import paired_constants, paired_states
 from rotorsim.compile.program import Program
 from rotorsim.compile.trace import Trace
 
 __all__ = ["Kernel", "build_kernel", "emit_c"]
 
 UNROLL_LIMIT = 1500  # operations of the right-hand side above which the step is not unrolled
+LARGEST_PAIRED = 200  # states up to which axes of one form are laid out side by side
 CHUNK = 200  # statements per C function of large diagrams (compilers are slow on long functions)
 
 _INFIX = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
@@ -52,6 +55,7 @@ class Kernel:
     """The programs of one diagram, cut by what they depend on.
 
     constants, forcing: nodes of ``program`` computed per run and per instant; xdot, outputs, update: nodes.
+    order: the states as the unrolled step lays them out.
     """
 
     program: Program
@@ -61,6 +65,7 @@ class Kernel:
     outputs: tuple[int, ...]
     update: tuple[int, ...]
     trace: Trace
+    order: tuple[int, ...] = ()
     sizes: Mapping[str, int] = field(default_factory=dict)
 
     @property
@@ -86,6 +91,7 @@ def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
     raw.reassociate = True
     program, nodes = share_harmonics(raw, [*xdot, *outputs, *update])
     n, m = len(xdot), len(outputs)
+    program, nodes = collapse_linear(program, nodes[:n], nodes[n:])
     forcing = program.boundary(nodes, ir.LEVEL_TIME)
     moving = [k for k in forcing if program.levels[k] == ir.LEVEL_TIME]
     constants = [
@@ -94,14 +100,17 @@ def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
         if program.levels[k] == ir.LEVEL_PARAMETER and program.nodes[k][0] != ir.INPUT
     ]
     extra = _constants_behind(program, moving)
+    ordered = sorted({*constants, *extra})
+    groups = paired_states(program, nodes[:n]) if n <= LARGEST_PAIRED else [list(range(n))]
     return Kernel(
         program=program,
-        constants=tuple(sorted({*constants, *extra})),
+        constants=tuple(paired_constants(program, nodes[:n], groups, ordered)),
         forcing=tuple(moving),
         xdot=tuple(nodes[:n]),
         outputs=tuple(nodes[n : n + m]),
         update=tuple(nodes[n + m :]),
         trace=trace,
+        order=tuple(state for group in groups for state in group),
         sizes={
             "RS_NX": n,
             "RS_NZ": len(update),
@@ -297,6 +306,8 @@ def emit_c(kernel: Kernel) -> str:
     }
     head = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
     head += [f"#define {name} {value}" for name, value in sizes.items()]
+    order = ", ".join(map(str, kernel.order)) or "0"
+    head.append(f"static const int rs_order[] = {{{order}}};")
     samplers = kernel.trace.samplers
     if samplers:
         for name, values in (
@@ -353,9 +364,10 @@ def _unrolled_step(kernel: Kernel) -> tuple[str, int]:
         _, vector, position = node
         return "h" if vector == "h" else f"{vector}[{position}]"
 
-    loads = "".join(f"  const double x_{i} = x[{i}];\n" for i in range(n))
+    loads = "".join(f"  const double x_{i} = x[{k}];\n" for k, i in enumerate(kernel.order))
     given = {x[i]: f"x_{i}" for i in range(n)}
-    targets = [(f"y[{k}]", node) for k, node in enumerate(y)] + [(f"x[{i}]", node) for i, node in enumerate(new)]
+    targets = [(f"y[{k}]", node) for k, node in enumerate(y)]
+    targets += [(f"x[{k}]", new[i]) for k, i in enumerate(kernel.order)]
     arguments = (
         "double *restrict x, const double *restrict z, const double *restrict p, const double *restrict c, "
         "const double *restrict g0, const double *restrict gm, const double *restrict g1, double h, "

@@ -3,7 +3,8 @@
  * It is appended to the generated functions of one diagram and is the same in process and in an FMU.
  * Generated before it: RS_NX states, RS_NZ discrete states, RS_NC values that depend on parameters only,
  * RS_NG values that depend on time and parameters only, RS_NY recorded values, RS_NS samplers,
- * RS_NW random draws, RS_WORK work space, RS_UNROLLED (1: rs_step is generated), and the functions
+ * RS_NW random draws, RS_WORK work space, RS_UNROLLED (1: rs_step is generated, its states laid out as
+ * rs_order says), and the functions
  * rs_constants, rs_forcing, rs_rhs, rs_outputs, rs_update, rs_step.
  *
  * One instance is one block of doubles m, laid out as below; nothing else holds state.
@@ -143,7 +144,13 @@ static void rs_step(double *restrict x, const double *z, const double *p, const 
  * Returns the number of the step reached: less than n1 when a state is no longer finite. */
 RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, double t0, double h, int64_t every,
                          double *rows) {
-  double *x = m + RS_AT_X, *z = m + RS_AT_Z, *c = m + RS_AT_C, *work = m + RS_AT_WORK, *k = m + RS_AT_K;
+#if RS_UNROLLED && RS_NX > 0
+  double x[RS_NX]; /* in the order of the generated step */
+  for (int i = 0; i < RS_NX; ++i) x[i] = m[RS_AT_X + rs_order[i]];
+#else
+  double *x = m + RS_AT_X;
+#endif
+  double *z = m + RS_AT_Z, *c = m + RS_AT_C, *work = m + RS_AT_WORK, *k = m + RS_AT_K;
   double *g0 = m + RS_AT_G, *gm = g0 + RS_NG, *g1 = gm + RS_NG;
   int64_t n = n0, until_row = (every - n0 % every) % every;
   for (; n < n1; ++n) {
@@ -161,6 +168,9 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
       rs_step(x, z, p, c, g0, gm, g1, stop - t, row, k, work);
       double *swap = g0;
       g0 = g1, g1 = swap;
+#if RS_UNROLLED
+      for (int i = 0; i < RS_NX; ++i) m[RS_AT_X + rs_order[i]] = x[i];
+#endif
       rs_hit(stop, p, m, g0);
       if (stop == end) break;
       t = stop, row = m + RS_AT_ROW;
@@ -183,6 +193,9 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
       }
     }
   }
+#if RS_UNROLLED
+  for (int i = 0; i < RS_NX; ++i) m[RS_AT_X + rs_order[i]] = x[i];
+#endif
   if (g0 != m + RS_AT_G) { /* the forcing of the current instant stays in front */
     for (int i = 0; i < RS_NG; ++i) {
       const double swap = g0[i];

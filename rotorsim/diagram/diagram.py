@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -120,6 +122,12 @@ class Diagram:
         if problems:
             raise RotorsimError(*problems)
         return traces
+
+    @cached_property
+    def sha256(self) -> str:
+        """The hash of the document, by which a result says what was run."""
+        text = json.dumps(self.document, sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()
 
     @cached_property
     def graph(self) -> nx.MultiDiGraph:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import hashlib
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -177,19 +175,20 @@ def make_result(
             message = f"an algebraic loop did not converge: largest residual {residual:.2g}"
             status = "diverged"
     diagram = model.diagram
-    changed = {
-        name: p[part].tolist() if part.stop - part.start > 1 else float(p[part.start])
-        for name, part in model.parameters.items()
-        if not np.array_equal(p[part], model.p0[part])
-    }
-    document = json.dumps(diagram.document, sort_keys=True, default=str)
+    changed = {}
+    if not np.array_equal(p, model.p0):
+        changed = {
+            name: p[part].tolist() if part.stop - part.start > 1 else float(p[part.start])
+            for name, part in model.parameters.items()
+            if not np.array_equal(p[part], model.p0[part])
+        }
     from rotorsim import __version__
 
     provenance = {
         "rotorsim": __version__,
         "diagram": diagram.name,
         "file": diagram.file,
-        "document_sha256": hashlib.sha256(document.encode()).hexdigest(),
+        "document_sha256": diagram.sha256,
         "parameters_changed": changed,
         "method": method,
         "step": step,
