@@ -107,6 +107,30 @@ def run_process(command: Sequence[str], environment: Mapping[str, str] | None = 
     return Process(wall, cpu, peak / scale, code, output)
 
 
+def reset_peak() -> float:
+    """Forget the peak memory of this process where the system can (Linux); return what it occupies now [MB]."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+        return _status("VmRSS")
+    except OSError:
+        return own_peak()
+
+
+def peak_since_reset() -> float:
+    """Return the peak resident memory [MB] since `reset_peak`, or of the whole life of the process."""
+    try:
+        return _status("VmHWM")
+    except OSError:
+        return own_peak()
+
+
+def _status(key: str) -> float:
+    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+        if line.startswith(key + ":"):
+            return float(line.split()[1]) / 1024
+    raise OSError(key)
+
+
 def own_peak() -> float:
     """Return the peak resident memory of this process [MB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)

@@ -89,10 +89,10 @@ def sized_beam(elements: int) -> dict[str, Any]:
 
 def measure_size(elements: int) -> None:
     """Print time per step, memory and preparation of one size as JSON (run in a process of its own)."""
-    from benchmarks.harness import own_peak
+    from benchmarks.harness import own_peak, peak_since_reset, reset_peak
     from rotorsim.compile import compile_diagram
 
-    before = own_peak()
+    before = reset_peak()
     begun = time.perf_counter()
     model = compile_diagram(load_document(sized_beam(elements)))
     steps = max(200, 400_000 // elements)
@@ -103,7 +103,8 @@ def measure_size(elements: int) -> None:
     assert run().status == "finished"
     ready = time.perf_counter() - begun
     seconds = statistics.median(cpu_seconds(run) for _ in range(5))
-    print(json.dumps({"step": seconds / steps, "peak": own_peak(), "before": before, "ready": ready, "n_x": model.n_x}))
+    used = peak_since_reset() - before
+    print(json.dumps({"step": seconds / steps, "peak": own_peak(), "used": used, "ready": ready, "n_x": model.n_x}))
 
 
 def sizes() -> list[Line]:
@@ -120,8 +121,9 @@ def sizes() -> list[Line]:
                 return [Line(f"FE with {n} elements", f"failed: {done.output.strip()[-200:]}", "runs", False)]
     logs = np.log([[n, found[n]["step"]] for n in SIZES])
     exponent = float(np.polyfit(logs[:, 0], logs[:, 1], 1)[0])
-    memory = np.array([found[n]["peak"] - found[n]["before"] for n in SIZES])
+    memory = np.array([found[n]["used"] for n in SIZES])
     last, first = (memory[-1] - memory[-2]) / 100, (memory[-2] - memory[-3]) / 50
+    used = ", ".join(f"{n}: {found[n]['used']:.1f}" for n in SIZES)
     own = ", ".join(f"{n}: {found[n]['peak']:.0f}" for n in SIZES)
     whole = ", ".join(f"{n}: {found[n]['whole']:.0f}" for n in SIZES)
     per_step = ", ".join(f"{n}: {found[n]['step'] * 1e6:.3g}" for n in SIZES)
@@ -130,6 +132,7 @@ def sizes() -> list[Line]:
         at_most("FE with 5..200 elements: exponent of time per step", exponent, 1.3, "{:.2f}"),
         Line("   time per step [us]", per_step),
         at_most("FE: memory per element, 100..200 beside 50..100 (linear: 1)", last / max(first, 1e-9), 1.3, "{:.2f}"),
+        Line("   memory to load, trace, compile and run [MB]", used),
         Line("   peak memory of the process [MB]", own),
         Line("   the larger of process and compiler [MB]", whole),
         Line("   to trace, compile and run first, cold [s]", ready),

@@ -68,7 +68,7 @@ class CompiledInstance:
         self._point = np.empty(max(model.n_x, 1))
         self._slope, self._row = np.empty(model.n_x), np.empty(self.n_y)
         self.library.prepare(self._p, self._m)
-        self.x[:], self.z[:] = model.x0(self.p), model.z0(self.p)
+        self.x[:], self.z[:] = model.initial(self.p)
 
     def start(self, t: float) -> None:
         self.library.start(t, self._p, self._m)
@@ -109,7 +109,7 @@ class InterpretedInstance:
         self.p = np.asarray(p, float)
         trace = model.trace
         self.samplers = trace.samplers
-        self.x, self.z = model.x0(self.p), model.z0(self.p)
+        self.x, self.z = model.initial(self.p)
         self.counts = np.zeros(len(self.samplers))
         columns = [model._closed(model.expression(name)) for name in record]
         y = ca.densify(ca.vertcat(*columns, trace.loop_residuals)) if columns else ca.SX(0, 1)

@@ -82,6 +82,7 @@ class Model:
         self.n_z = trace.z.numel()
         self.n_p = trace.p.numel()
         self._outputs: dict[tuple[str, ...], ca.Function] = {}
+        self._selected: dict[str, tuple[Signal, np.ndarray]] = {}
         self._libraries: dict[tuple[str, ...], Library | None] = {}
         self.p0 = np.zeros(self.n_p)
         for name, node in diagram.nodes.items():
@@ -132,13 +133,18 @@ class Model:
     def _initial(self) -> ca.Function:
         return ca.Function("initial", [self.trace.p], [ca.densify(self.trace.x0), ca.densify(self.trace.z0)])
 
+    def initial(self, p: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the initial states x (n_x,) and z (n_z,)."""
+        x, z = self._initial(self.p0 if p is None else p)
+        return np.array(x).ravel(), np.array(z).ravel()
+
     def x0(self, p: np.ndarray | None = None) -> np.ndarray:
         """Return the initial continuous states, shape (n_x,)."""
-        return np.array(self._initial(self.p0 if p is None else p)[0]).ravel()
+        return self.initial(p)[0]
 
     def z0(self, p: np.ndarray | None = None) -> np.ndarray:
         """Return the initial discrete states, shape (n_z,)."""
-        return np.array(self._initial(self.p0 if p is None else p)[1]).ravel()
+        return self.initial(p)[1]
 
     @property
     def _arguments(self) -> list[Any]:
@@ -188,6 +194,11 @@ class Model:
 
     def select(self, name: str) -> tuple[Signal, np.ndarray]:
         """Return the signal of a name such as ``rotor.displacement[3,1]`` and the row-major entries it selects."""
+        if name not in self._selected:
+            self._selected[name] = self._select(name)
+        return self._selected[name]
+
+    def _select(self, name: str) -> tuple[Signal, np.ndarray]:
         base, bracket, inside = name.partition("[")
         signal = self.signals.get(base)
         if signal is None:

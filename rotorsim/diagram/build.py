@@ -3,93 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from rotorsim.block import Block, Declaration, In, Out, Shape, _Option, _Param
+from rotorsim.block import Block, Declaration, Shape, _Option, _Param
 from rotorsim.diagram.diagram import Node, Port
-from rotorsim.diagram.document import NAME, FlatDocument, Parameter, RawBlock
+from rotorsim.diagram.document import FlatDocument, Parameter, RawBlock
 from rotorsim.diagram.registry import Registry
-from rotorsim.diagram.shapes import ShapeTerm, Unifier, text_of
+from rotorsim.diagram.shapes import Unifier, text_of
+from rotorsim.diagram.template import Template, Work, filled
 from rotorsim.diagram.values import ValueProblem, bounds_problem, numeric, option_value
 from rotorsim.errors import Place, Problem, near_miss
 from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
 
-__all__ = ["Builder", "Template", "Work"]
-
-
-class Template:
-    """What all blocks of one class with the same options and wired inputs share."""
-
-    def __init__(self, cls: type[Block], options: Mapping[str, Any], wired: frozenset[str]) -> None:
-        self.block = block = cls(options, wired)
-        self.inputs: dict[str, In] = {n: d for d in cls.inputs.values() for n in block.port_names(d)}
-        self.outputs: dict[str, Out] = {n: d for d in cls.outputs.values() for n in block.port_names(d)}
-        self.parameters: dict[str, _Param] = cls.parameters
-        shape = block.declared_shape
-        self.input_shapes = {name: block.port_shape(d, name) for name, d in self.inputs.items()}
-        self.output_shapes = {name: block.port_shape(d, name) for name, d in self.outputs.items()}
-        self.parameter_shapes = {name: shape(d) for name, d in cls.parameters.items()}
-        self.state_shapes = {name: shape(d) for name, d in block.active_states().items()}
-        self.random_shapes = {name: shape(d) for name, d in cls.randoms.items()}
-        groups = (self.input_shapes, self.output_shapes, self.parameter_shapes, self.state_shapes, self.random_shapes)
-        every = [s for group in groups for s in group.values()]
-        self.words = any(isinstance(s, str) or any(isinstance(d, str) for d in s) for s in every)
-        self.defaults = {
-            name: numeric(d.default, d.unit) for name, d in cls.parameters.items() if d.default is not None
-        }
-        self.required = [name for name, d in cls.parameters.items() if d.default is None]
-        self.needed_inputs = [name for name, d in self.inputs.items() if not d.optional and not d.additive]
-        self.additive = tuple(name for name, d in self.inputs.items() if d.additive)
-        self.fixed = (
-            {} if self.words else {name: _full(v, self.parameter_shapes[name]) for name, v in self.defaults.items()}
-        )
-        self.has_check = cls.check is not Block.check
-
-
-def _full(value: np.ndarray, shape: Shape) -> np.ndarray:
-    result = np.full(shape, value) if value.ndim == 0 and shape else value
-    result.setflags(write=False)  # like blocks share it
-    return result
-
-
-@dataclass
-class Work:
-    """One block while it is checked. given: SI arrays of given parameters, of any shape still."""
-
-    raw: RawBlock
-    cls: type[Block]
-    options: dict[str, Any]
-    key: Any
-    template: Template
-    given: dict[str, np.ndarray] = field(default_factory=dict)
-    references: dict[str, str] = field(default_factory=dict)
-    wired: set[str] = field(default_factory=set)
-    variables: dict[str, Any] | None = None
-
-    def term(self, declared: Any, unifier: Unifier) -> ShapeTerm:
-        """Return the shape term of a declared shape, with the variables of this block for its words."""
-        if isinstance(declared, tuple) and not any(isinstance(d, str) for d in declared):
-            return declared
-        if self.variables is None:
-            self.variables = {}
-        found = self.variables
-        if isinstance(declared, str):
-            key = declared
-            if key not in found:
-                found[key] = unifier.new_shape()
-            return found[key]  # type: ignore[no-any-return]
-        result = []
-        for entry in declared:
-            if isinstance(entry, str):
-                key = "#" + entry
-                if key not in found:
-                    found[key] = unifier.new_dimension()
-                entry = found[key]
-            result.append(entry)
-        return tuple(result)
+__all__ = ["Builder"]
 
 
 class Builder:
@@ -114,50 +42,70 @@ class Builder:
 
     def start(self, raw: RawBlock) -> Work | None:
         """Find the class and options of a block and read the parameters given to it."""
-        before = len(self.problems)
         cls = self.registry.find(raw.type_name)
         if cls is None:
             hint = self.registry.hint(raw.type_name)
             self.error(f"unknown block type '{raw.type_name}'", raw.name, raw.place("type"), hint)
             return None
         options: dict[str, Any] = {}
-        numbers: dict[str, Any] = {}
+        given: dict[str, np.ndarray] = {}
+        references: dict[str, str] = {}
         for name, value in raw.parameters.items():
             if name in cls.options:
                 options[name] = value
             elif name in cls.parameters:
-                numbers[name] = value
+                array = self.parameter(raw, name, value, cls.parameters[name], references)
+                if array is not None:
+                    given[name] = array
             else:
-                hint = near_miss(name, [*cls.parameters, *cls.options])
-                if not cls.parameters and not cls.options:
-                    hint = f"type '{cls.type_name}' has no parameters"
-                self.error(f"unknown parameter '{name}'", raw.name, raw.place_of(name, key=True), hint)
+                self.unknown_parameter(raw, name, cls)
+        for name, declared in cls.parameters.items():
+            if declared.default is None and name not in raw.parameters:
+                unit = "" if declared.unit in (None, "1") else f" [{declared.unit}]"
+                self.error(
+                    f"parameter '{name}' is missing", raw.name, raw.place(key=True), f'write "{name}": a number{unit}'
+                )
         if raw.file is not None:
             if "file" in cls.options:
                 options.setdefault("file", raw.file)
             else:
                 hint = "only sub-diagrams and blocks that read a file have it"
                 self.error("unknown key 'file'", raw.name, raw.place("file", key=True), hint)
+        before = len(self.problems)
         for name, option in cls.options.items():
             self.option(raw, name, option, options)
         if len(self.problems) > before:
             return None
-        key = tuple((name, _freeze(value)) for name, value in options.items()) if options else ()
+        return self.work(raw, cls, options, given, references)
+
+    def work(
+        self,
+        raw: RawBlock,
+        cls: type[Block],
+        options: dict[str, Any],
+        given: dict[str, np.ndarray],
+        references: dict[str, str],
+    ) -> Work | None:
+        key = tuple((name, freeze(value)) for name, value in options.items()) if options else ()
         try:
             template = self.template(cls, options, key, frozenset())
-        except Exception as error:
-            self.error(f"block type '{cls.type_name}' fails: {type(error).__name__}: {error}", raw.name, raw.place())
+        except Exception as error:  # the code of the block is foreign
+            what = f"block type '{cls.type_name}' fails with these options: {type(error).__name__}: {error}"
+            self.error(what, raw.name, raw.place(), f"see `rotorsim blocks {cls.type_name}`")
             return None
-        self.port_names(raw, template)
-        work = Work(raw, cls, options, key, template)
-        for name in template.required:
-            if name not in numbers:
-                unit = cls.parameters[name].unit
-                hint = f'write "{name}": a number' + ("" if unit in (None, "1") else f" [{unit}]")
-                self.error(f"parameter '{name}' is missing", raw.name, raw.place(key=True), hint)
-        for name, value in numbers.items():
-            self.parameter(work, name, value, cls.parameters[name])
-        return work
+        for name in template.bad_names:
+            self.error(
+                f"'{name}' cannot be the name of a port",
+                raw.name,
+                raw.place("parameters"),
+                "each name once; letters, digits and _, not a digit first",
+            )
+        return Work(raw, cls, options, key, template, given, references)
+
+    def unknown_parameter(self, raw: RawBlock, name: str, cls: type[Block]) -> None:
+        known = [*cls.parameters, *cls.options]
+        hint = near_miss(name, known) or f"type '{cls.type_name}' has no parameters"
+        self.error(f"unknown parameter '{name}'", raw.name, raw.place_of(name, key=True), hint)
 
     def option(self, raw: RawBlock, name: str, declared: _Option, options: dict[str, Any]) -> None:
         if name not in options:
@@ -183,22 +131,14 @@ class Builder:
         place = place or (Place("--set") if name in raw.overrides else raw.place("parameters", name, *problem.path))
         self.error(problem.what, f"{raw.name}.{name}", place, problem.hint)
 
-    def port_names(self, raw: RawBlock, template: Template) -> None:
-        names = [n for group in (template.block.inputs, template.block.outputs) for d in group.values()
-                 if d.many for n in template.block.port_names(d)]  # fmt: skip
-        for name in dict.fromkeys(names):
-            if not NAME.fullmatch(name):
-                self.error(
-                    f"'{name}' is not a name of a port", raw.name, raw.place("parameters"), "letters, digits and _"
-                )
-
-    def parameter(self, work: Work, name: str, value: Any, declared: _Param) -> None:
-        raw = work.raw
+    def parameter(
+        self, raw: RawBlock, name: str, value: Any, declared: _Param, references: dict[str, str]
+    ) -> np.ndarray | None:
         try:
             if isinstance(value, str) and value.startswith("$"):
                 parameter = self.referred(raw, name, value)
                 array = self.follow(parameter, declared, (raw.name, name))
-                work.references[name] = parameter.name
+                references[name] = parameter.name
             else:
                 array = numeric(value, declared.unit, bare=name in raw.overrides)
             if declared.low is not None or declared.above is not None or declared.high is not None:
@@ -208,8 +148,8 @@ class Builder:
         except ValueProblem as problem:
             if problem.what:
                 self.value_problem(raw, name, problem)
-            return
-        work.given[name] = array
+            return None
+        return array
 
     def follow(self, parameter: Parameter, declared: _Param, user: tuple[str, str]) -> np.ndarray:
         """Return the value of a diagram parameter in the unit of the block parameter that follows it."""
@@ -349,7 +289,7 @@ class Builder:
             if key in work.given:
                 shape = self.shape(work, declared)
                 value = work.given[key]
-                values[key] = _full(value, shape) if value.ndim == 0 else value
+                values[key] = filled(value, shape) if value.ndim == 0 else value
             elif fixed and key in template.fixed:
                 values[key] = template.fixed[key]
             elif key in template.defaults:
@@ -376,7 +316,7 @@ class Builder:
             what = f"default of '{name}' has shape {text_of(value.shape)}, but {text_of(shape)} is needed here"
             self.error(what, work.raw.name, work.raw.place(key=True), f'give "{name}"')
             return np.zeros(shape)
-        return _full(value, shape)
+        return filled(value, shape)
 
 
 def _list_hint(wanted: str) -> str:
@@ -385,11 +325,12 @@ def _list_hint(wanted: str) -> str:
     )
 
 
-def _freeze(value: Any) -> Any:
+def freeze(value: Any) -> Any:
+    """Return an option value as something that can be a key."""
     if isinstance(value, list | tuple):
-        return tuple(_freeze(item) for item in value)
+        return tuple(freeze(item) for item in value)
     if isinstance(value, dict):
-        return tuple((key, _freeze(item)) for key, item in value.items())
+        return tuple((key, freeze(item)) for key, item in value.items())
     return (type(value).__name__, value)
 
 

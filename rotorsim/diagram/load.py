@@ -8,12 +8,14 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from rotorsim.diagram.build import Builder, Work
+from rotorsim.diagram.build import Builder
 from rotorsim.diagram.diagram import Diagram, Endpoint, Solver
-from rotorsim.diagram.document import FlatDocument, flatten_document
+from rotorsim.diagram.document import FlatDocument
+from rotorsim.diagram.flatten import flatten_document
 from rotorsim.diagram.order import evaluation_order, trace_blocks
 from rotorsim.diagram.registry import Registry
 from rotorsim.diagram.source import Source, read_document
+from rotorsim.diagram.template import Work
 from rotorsim.diagram.values import ValueProblem, numeric
 from rotorsim.diagram.wiring import Wiring
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss

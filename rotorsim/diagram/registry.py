@@ -18,7 +18,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import rotorsim.blocks
 from rotorsim.block import Block
 from rotorsim.errors import Place, Problem, near_miss
 
@@ -83,7 +82,7 @@ class Registry:
         if self._scanned:
             return
         self._scanned = True
-        for info in pkgutil.iter_modules(rotorsim.blocks.__path__):
+        for info in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__):
             if _NAME.fullmatch(info.name):
                 self._import_built_in(info.name)
         for entry in importlib.metadata.entry_points(group=_PACKAGE):

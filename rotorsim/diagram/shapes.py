@@ -80,7 +80,8 @@ class Unifier:
             if not b and len(a) == 1:
                 return self.unify_dimension(a[0], 1)
             return False
-        return all([self.unify_dimension(x, y) for x, y in zip(a, b, strict=True)])
+        fits = [self.unify_dimension(x, y) for x, y in zip(a, b, strict=True)]
+        return all(fits)
 
     def unify_dimension(self, a: DimensionTerm, b: DimensionTerm) -> bool:
         """Make two dimensions equal; return False if they are different numbers."""

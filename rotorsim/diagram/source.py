@@ -65,19 +65,27 @@ class Source:
 class LazyPlace(Place):
     """A `Place` that looks up its line and column on first use (a large valid diagram needs none)."""
 
+    _source: Source
+    _path: JsonPath
+    _key: bool
+
     def __init__(self, source: Source, path: JsonPath, key: bool = False) -> None:
         self.__dict__.update(_source=source, _path=path, _key=key)
 
+    def part(self, *steps: str | int) -> LazyPlace:
+        """Return the place of a part of the value at this place."""
+        return LazyPlace(self._source, (*self._path, *steps))
+
     @property
     def _real(self) -> Place:
-        found = self.__dict__.get("_found")
-        if found is None:
-            found = self.__dict__["_found"] = self._source.locate(self._path, key=self._key)
-        return found  # type: ignore[no-any-return]
+        if "_found" not in self.__dict__:
+            self.__dict__["_found"] = self._source.locate(self._path, key=self._key)
+        found: Place = self.__dict__["_found"]
+        return found
 
-    file = property(lambda self: self.__dict__["_source"].file)  # type: ignore[assignment]
-    line = property(lambda self: self._real.line)  # type: ignore[assignment]
-    column = property(lambda self: self._real.column)  # type: ignore[assignment]
+    file = property(lambda self: self._source.file)
+    line = property(lambda self: self._real.line)
+    column = property(lambda self: self._real.column)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Place) and self._tuple == (other.file, other.line, other.column)
@@ -88,7 +96,7 @@ class LazyPlace(Place):
     def __repr__(self) -> str:
         return repr(self._real)
 
-    def __reduce__(self) -> Any:
+    def __reduce__(self) -> tuple[type[Place], tuple[str, int, int]]:
         return Place, self._tuple
 
     @property

@@ -14,7 +14,7 @@ from rotorsim.units import UnitError, format_quantity, parse_quantity
 __all__ = ["ValueProblem", "bounds_problem", "numeric", "option_value"]
 
 
-class ValueProblem(Exception):
+class ValueProblem(Exception):  # noqa: N818 - it carries a problem, and is caught where it can be placed
     """What is wrong with a value, where in it (indices), and a hint."""
 
     def __init__(self, what: str, hint: str = "", path: tuple[int, ...] = ()) -> None:
@@ -47,11 +47,7 @@ def numeric(value: Any, unit: str | None, *, bare: bool = False, path: tuple[int
             raise ValueProblem(error.what, error.hint, path) from None
     if isinstance(value, np.ndarray | np.number):
         return numeric(value.tolist(), unit, path=path)
-    shown = (
-        {None: "null", True: "true", False: "false"}.get(value, "an object")
-        if not isinstance(value, dict)
-        else "an object"
-    )
+    shown = {"NoneType": "null", "bool": str(value).lower(), "dict": "an object"}.get(type(value).__name__, "this")
     fitting = "" if unit in (None, "1") else f", or a text such as '1 {unit}'"
     raise ValueProblem(f"must be a number, not {shown}", f"write a number{fitting}", path)
 
@@ -143,4 +139,4 @@ def _kind_of(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, int | float):
         return f"the number {value}"
-    return {list: "a list", tuple: "a list", dict: "an object"}.get(type(value), type(value).__name__)
+    return "a list" if isinstance(value, list | tuple) else "an object" if isinstance(value, dict) else "this"

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from rotorsim.block import Block
-from rotorsim.diagram.build import Builder, Work
+from rotorsim.diagram.build import Builder
 from rotorsim.diagram.diagram import Endpoint, Wire
 from rotorsim.diagram.document import FlatDocument, RawWire
 from rotorsim.diagram.shapes import ShapeTerm, text_of
+from rotorsim.diagram.template import Work
 from rotorsim.errors import Place, Problem, near_miss
 from rotorsim.units import UnitError, compatible
 

@@ -1,0 +1,109 @@
+"""``rotorsim modes``, ``campbell`` and ``periodic``."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorsim.cli.common import speeds_of
+from rotorsim.errors import RotorsimError
+from tests.reference.published import FE_RIGID_AT_3000_RPM, as_printed
+
+UNDAMPED = ["--set", "rotor.mass_damping=0", "--set", "rotor.stiffness_damping=0"]
+
+
+def test_modes_of_the_thesis_by_one_command(run) -> None:
+    result = run("modes", "fe_rigid", "--without", "amb", "--set", "speed=3000 rpm", *UNDAMPED, "--json")
+    rows = json.loads(result.stdout)["modes"]
+    assert as_printed([row["frequency_hz"] for row in rows[:4]], FE_RIGID_AT_3000_RPM)
+    assert [row["whirl"] for row in rows[:4]] == ["backward", "forward"] * 2
+    assert {"frequency_hz", "natural_frequency_hz", "damping_ratio", "whirl"} <= set(rows[0])
+
+
+def test_modes_as_text(run) -> None:
+    lines = run("modes", "jeffcott").stdout.splitlines()
+    assert lines[0].split("  ") == [text for text in lines[0].split("  ") if text.strip() or not text]
+    # k + k_i KP - k_s, both axes alike: f = sqrt((7.6e5 - 105210 + 42.1 * 12200) / 2) / 2 pi, less the crack's share 0
+    assert lines[1].split()[0] == "1"
+    assert float(lines[1].split()[2]) == pytest.approx(121.65, abs=0.01)
+
+
+def test_campbell(run) -> None:
+    arguments = ["campbell", "fe_rigid", "--without", "amb", "--speeds", "0,3000 rpm", "--orders", "1", *UNDAMPED]
+    data = json.loads(run(*arguments, "--json", "--plot", "c.svg").stdout)
+    assert data["speeds_rpm"] == pytest.approx([0.0, 3000.0])
+    assert data["frequency_hz"][0][0] == pytest.approx(54.3005, abs=5e-5)
+    assert Path("c.svg").read_text().startswith("<?xml")
+    assert run(*arguments).stdout.startswith("speed [rpm]")
+
+
+def test_campbell_orders(run) -> None:
+    result = run("campbell", "jeffcott", "--orders", "one")
+    assert result.exit_code == 2
+    assert result.stderr == "error: --orders one: not a list of whole numbers\n\nhint: for example --orders 1,2\n"
+
+
+def test_periodic_is_where_a_long_run_settles(run) -> None:
+    data = json.loads(run("periodic", "jeffcott", "--speeds", "1500 rpm, 25 Hz", "--json").stdout)
+    assert data["status"] == ["settled", "settled"]
+    found = data["harmonics"]["rotor.displacement"]
+    value = np.array(found["real"]) + 1j * np.array(found["imag"])
+    at = data["orders"].index(3.0)
+    assert found["unit"] == "m"
+    np.testing.assert_allclose(value[0], value[1], rtol=0, atol=1e-15)
+    assert abs(value[0, at]) == pytest.approx(1.133e-6, rel=2e-3)
+    assert math.degrees(np.angle(value[0, at])) == pytest.approx(-7.49, abs=0.1)
+
+
+def test_periodic_as_text_and_figure(run) -> None:
+    result = run("periodic", "jeffcott", "--speeds", "1400 rpm:100 rpm:1600 rpm", "--plot", "p.png")
+    assert result.exit_code == 0
+    assert Path("p.png").exists()
+    lines = result.stdout.splitlines()
+    assert lines[0] == "rotor.displacement"
+    assert {line.split()[0] for line in lines[2:] if line[:1].isdigit()} == {"1400", "1500", "1600"}
+
+
+def test_periodic_figure_of_one_speed(run) -> None:
+    result = run("periodic", "jeffcott", "--plot", "p.png")
+    assert result.exit_code == 2
+    assert result.stderr.endswith("--plot needs several speeds and a two-axis signal\n\nhint: give --speeds\n")
+
+
+RPM = math.pi / 30
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("900 rpm:100 rpm:1200 rpm", [900 * RPM, 1000 * RPM, 1100 * RPM, 1200 * RPM]),
+        ("900 rpm : 200 rpm : 1200 rpm", [900 * RPM, 1100 * RPM]),
+        ("157", [157.0]),
+        ("25 Hz, 10", [50 * math.pi, 10.0]),
+        ("3:-1:1", [3.0, 2.0, 1.0]),
+        ("0 rpm:0.1 rpm:0.3 rpm", [0.0, 0.1 * RPM, 0.2 * RPM, 0.3 * RPM]),
+    ],
+)
+def test_speeds(text: str, expected: list[float]) -> None:
+    np.testing.assert_allclose(speeds_of(text), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("1:2", "--speeds 1:2: 2 parts, 3 expected"),
+        ("1:0:2", "--speeds 1:0:2: these steps never reach the stop"),
+        ("1:-1:2", "--speeds 1:-1:2: these steps never reach the stop"),
+        ("0:1e-9:1", "--speeds 0:1e-9:1: 1000000001 speeds, at most 100000"),
+        ("fast", "--speeds fast: 'fast' is not a quantity"),
+        ("3 m", "--speeds 3 m: unit 'm' does not fit 'rad/s'"),
+    ],
+)
+def test_wrong_speeds(text: str, what: str) -> None:
+    with pytest.raises(RotorsimError) as caught:
+        speeds_of(text)
+    assert caught.value.problems[0].what == what

@@ -1,0 +1,172 @@
+"""``rotorsim check``, ``fmt``, ``diff``, ``swap``, ``blocks``, ``draw`` and ``cache``."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from rotorsim.diagram import shipped_diagrams
+from rotorsim.diagram.registry import all_types
+
+DIAGRAMS = sorted(shipped_diagrams())
+
+
+def test_every_shipped_diagram_is_right_and_canonical(run) -> None:
+    assert run("check", *DIAGRAMS).exit_code == 0
+    result = run("fmt", "--check", *(str(file) for file in shipped_diagrams().values()))
+    assert (result.exit_code, result.stdout) == (0, "")
+
+
+def test_check_finds_all_mistakes_of_all_files(run, oscillator) -> None:
+    text = oscillator.read_text()
+    Path("bad.json").write_text(text.replace('"gain"', '"gian"').replace("rate.input", "rate.inptu"))
+    result = run("check", str(oscillator), "bad.json")
+    assert result.exit_code == 2
+    assert result.stdout == f"{oscillator}: 2 blocks, 2 wires, no mistakes\n"
+    places = [line.split(": ")[0] for line in result.stderr.splitlines() if line.startswith("bad.json")]
+    assert len(places) >= 2
+    assert all(place.count(":") == 2 for place in places)
+    data = json.loads(run("check", str(oscillator), "bad.json", "--json").stdout)["diagrams"]
+    assert [entry["valid"] for entry in data] == [True, False]
+    assert all(problem["hint"] for problem in data[1]["problems"])
+
+
+def test_fmt_is_idempotent_and_changes_no_meaning(run, oscillator) -> None:
+    before = json.loads(oscillator.read_text())
+    assert run("fmt", "--check", str(oscillator)).exit_code == 1
+    first = run("fmt", str(oscillator))
+    assert (first.exit_code, first.stdout, first.stderr) == (0, f"{oscillator}\n", "1 of 1 file changed\n")
+    assert json.loads(oscillator.read_text()) == before
+    assert run("fmt", str(oscillator)).stderr == "0 of 1 file changed\n"
+    assert run("fmt", "--check", str(oscillator)).exit_code == 0
+
+
+def test_fmt_refuses_what_is_not_json_and_leaves_it(run) -> None:
+    Path("x.json").write_text('{"blocks": {},}')
+    result = run("fmt", "x.json")
+    assert result.exit_code == 2
+    assert result.stderr == "x.json:1:14: error: not valid JSON: comma before '}'\n\nhint: remove the comma\n"
+    assert Path("x.json").read_text() == '{"blocks": {},}'
+
+
+def test_diff_compares_meaning(run, oscillator) -> None:
+    other = json.loads(oscillator.read_text())
+    other["wires"].reverse()
+    other["description"] = "the same"
+    Path("same.json").write_text(json.dumps(other))
+    assert run("diff", str(oscillator), "same.json").exit_code == 0
+    assert run("diff", str(oscillator), "same.json", "--layout").exit_code == 1
+    other["blocks"]["rate"]["parameters"]["gain"] = -2.0
+    Path("other.json").write_text(json.dumps(other))
+    result = run("diff", str(oscillator), "other.json")
+    assert (result.exit_code, result.stdout) == (1, "~ blocks.rate.parameters.gain: -1.0 -> -2.0\n")
+    data = json.loads(run("diff", str(oscillator), "other.json", "--json").stdout)
+    assert data == {
+        "equal": False,
+        "changes": [{"kind": "~", "where": "blocks.rate.parameters.gain", "old": -1.0, "new": -2.0}],
+    }
+
+
+def test_swap_designs_a_state_feedback_that_levitates(run) -> None:
+    result = run("swap", "jeffcott", "controller", "state_feedback", "-o", "new.json")
+    assert (result.exit_code, result.stdout) == (0, "")
+    assert result.stderr == (
+        "controller: pid -> state_feedback; designed from the linearised plant; written: new.json\n"
+    )
+    assert run("check", "new.json").exit_code == 0
+    assert json.loads(run("modes", "new.json", "--json").stdout)["stable"]
+    assert run("run", "new.json", "--stop", "0.5 s").exit_code == 0
+    assert run("fmt", "--check", "new.json").exit_code == 0
+
+
+def test_swap_to_stdout_and_in_place(run) -> None:
+    text = run("swap", "jeffcott", "controller", "pd").stdout
+    assert json.loads(text)["blocks"]["controller"]["type"] == "pd"
+    Path("mine.json").write_text(text)
+    assert run("swap", "mine.json", "controller", "pid", "--in-place", "--set", "KI=7").exit_code == 0
+    controller = json.loads(Path("mine.json").read_text())["blocks"]["controller"]
+    assert controller["type"] == "pid"
+    assert controller["parameters"]["KI"] == 7
+    assert controller["parameters"]["KP"] == "12200 A/m"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["controler", "pd"], "error: controler: no block 'controler'\n\nhint: did you mean 'controller'?\n"),
+        (["controller", "pdd"], "error: controller: unknown block type 'pdd'\n\nhint: did you mean 'pd'?\n"),
+        (
+            ["controller", "pd", "--in-place"],
+            "error: jeffcott comes with rotorsim and stays as it is\n\nhint: use -o FILE\n",
+        ),
+        (
+            ["controller", "state_feedback", "--set", "weight=2"],
+            "error: controller: the design has no weight 'weight'\n\n"
+            "hint: did you mean 'noise_weight' or 'current_weight'?\n",
+        ),
+    ],
+)
+def test_wrong_swaps(run, arguments, text) -> None:
+    result = run("swap", "jeffcott", *arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == text
+
+
+def test_swap_to_a_block_with_other_ports_names_what_fits(run) -> None:
+    result = run("swap", "jeffcott", "controller", "gain")
+    assert result.exit_code == 2
+    assert "error: controller.displacement: type 'gain' has no input 'displacement', which is wired" in result.stderr
+    assert "hint: types that fit: " in result.stderr
+
+
+def test_blocks_lists_every_type(run) -> None:
+    listed = {line.split()[0] for line in run("blocks").stdout.splitlines() if line.startswith("  ")}
+    assert listed == set(all_types())
+    assert set(json.loads(run("blocks", "--json").stdout)["blocks"]) == set(all_types())
+
+
+def test_one_block(run) -> None:
+    lines = run("blocks", "sum").stdout.splitlines()
+    assert lines[0] == "sum (elementary)"
+    assert "  signs  one sign, + or -, for each input; default ++" in lines
+    assert lines[-1] == "source: Simulink: Sum"
+
+
+def test_unknown_block(run) -> None:
+    result = run("blocks", "pidd")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: unknown block type 'pidd'\n\nhint: did you mean 'pid'")
+
+
+@pytest.mark.parametrize("name", all_types())
+def test_every_block_says_what_it_is_and_where_it_is_from(run, name: str) -> None:
+    data = json.loads(run("blocks", name, "--json").stdout)["blocks"][name]
+    assert data["summary"].endswith(".")
+    assert data["source"]
+    for kind in ("inputs", "outputs", "parameters", "options"):
+        for item, declared in data[kind].items():
+            assert declared["doc"], f"{name}.{item} has no doc"
+
+
+@pytest.mark.parametrize("name", DIAGRAMS)
+def test_draw_names_every_block(run, name: str) -> None:
+    result = run("draw", name, "-o", "d.svg")
+    assert (result.exit_code, result.stdout) == (0, "")
+    text = "".join(ET.parse("d.svg").getroot().itertext())
+    blocks = json.loads(shipped_diagrams()[name].read_text())["blocks"]
+    assert [block for block in blocks if block not in text] == []
+    assert run("draw", name).stdout.strip() == Path("d.svg").read_text().strip()
+
+
+def test_cache_counts_and_clears(run, monkeypatch, tmp_path, oscillator) -> None:
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("ROTORSIM_CACHE", str(folder))
+    assert json.loads(run("cache", "--json").stdout)["files"] == 0
+    ran = run("run", str(oscillator))
+    expected = 0 if "virtual machine" in ran.stderr else 1  # no compiler here
+    data = json.loads(run("cache", "--clear", "--json").stdout)
+    assert (data["folder"], data["files"]) == (str(folder), expected)
+    assert json.loads(run("cache", "--json").stdout)["files"] == 0
