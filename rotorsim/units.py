@@ -97,13 +97,13 @@ def parse_unit(text: str) -> Unit:
         if symbol:
             value, powers = _symbol(symbol, text)
             last = (value, powers, sign)
-            factor, dimension, sign = _times(factor, dimension, value, powers, sign), _sum(dimension, powers, sign), 1
+            factor, dimension, sign = _times(factor, value, sign), _sum(dimension, powers, sign), 1
         elif caret:
             n = int(exponent)
-            if last is None or abs(n) > 12:
+            if last is None or abs(n) > 99:
                 raise UnitError(f"'{text}' is not a unit: power {n} has no base or is too large")
             value, powers, how = last
-            factor = _times(factor, dimension, value, powers, how * (n - 1))
+            factor = _times(factor, value, how * (n - 1))
             dimension, last = _sum(dimension, powers, how * (n - 1)), None
         elif slash:
             if sign < 0:
@@ -118,7 +118,7 @@ def parse_unit(text: str) -> Unit:
             value, powers = factor, tuple(dimension)
             factor, dimension, how = stack.pop()
             last = (value, powers, how)
-            factor, dimension = _times(factor, dimension, value, powers, how), _sum(dimension, powers, how)
+            factor, dimension = _times(factor, value, how), _sum(dimension, powers, how)
         else:
             last = None
     if stack or sign < 0:
@@ -128,7 +128,7 @@ def parse_unit(text: str) -> Unit:
     return Unit(factor, tuple(dimension))
 
 
-def _times(factor: float, _dimension: list[int], value: float, _powers: Dimension, n: int) -> float:
+def _times(factor: float, value: float, n: int) -> float:
     try:
         return factor * value**n
     except OverflowError:

@@ -42,10 +42,15 @@ def command(
         )
         return
     rows = [
-        (str(k), f"{mode.frequency_hz:.4f}", f"{mode.natural_frequency_hz:.4f}", f"{round(mode.damping_ratio, 6) + 0.0:.6f}",
-         mode.whirl + (", grows" if mode.damping_ratio < -ROUNDING else ""))
+        (
+            str(k),
+            f"{mode.frequency_hz:.4f}",
+            f"{mode.natural_frequency_hz:.4f}",
+            f"{round(mode.damping_ratio, 6) + 0.0:.6f}",
+            mode.whirl + (", grows" if mode.damping_ratio < -ROUNDING else ""),
+        )
         for k, mode in enumerate(found.modes, 1)
-    ]  # fmt: skip
+    ]
     click.echo(common.table(("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl"), rows))
     if len(found.real_poles):
         poles = ", ".join(f"{pole:.4g}" for pole in found.real_poles)

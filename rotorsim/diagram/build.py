@@ -12,6 +12,7 @@ from rotorsim.diagram.diagram import Node, Port
 from rotorsim.diagram.document import FlatDocument, Parameter, RawBlock
 from rotorsim.diagram.registry import Registry
 from rotorsim.diagram.shapes import Unifier, text_of
+from rotorsim.diagram.source import LazyPlace
 from rotorsim.diagram.template import Template, Work, filled
 from rotorsim.diagram.values import ValueProblem, bounds_problem, numeric, option_value
 from rotorsim.errors import Place, Problem, near_miss
@@ -179,39 +180,40 @@ class Builder:
             value = numeric(parameter.value, unit, bare=bare)
         except ValueProblem as problem:
             hint = problem.hint or f"it is used by {name}"
-            self.error(problem.what, parameter.name, self.inside(parameter, problem.path), hint)
+            place = parameter.place
+            if problem.path and isinstance(place, LazyPlace):
+                place = place.part(*problem.path)
+            self.error(problem.what, parameter.name, place, hint)
             return problem
         if unit is not None:
             self.parameter_units.setdefault(parameter.name, unit)
         return value
 
-    def inside(self, parameter: Parameter, path: tuple[int, ...]) -> Place:
-        return (
-            self.flat.source.locate(("parameters", parameter.name, *path))
-            if path and parameter.place.line
-            else parameter.place
-        )
-
     def diagram_parameters(self) -> dict[str, np.ndarray]:
         """Return every numeric diagram parameter as an SI array; warn of those that nothing uses."""
         result: dict[str, np.ndarray] = {}
+        following: dict[int, list[np.ndarray | ValueProblem]] = {}
+        for (key, _), value in self.converted.items():
+            following.setdefault(key, []).append(value)
         for name, parameter in self.flat.parameters.items():
             if not parameter.used:
                 what = "diagram parameter is not used"
                 self.problems.append(Problem(what, name, parameter.place, f'refer to it as "${name}"', "warning"))
-            unit = self.parameter_units.get(name)
-            found = self.converted.get((id(parameter), unit))
+            found = following.get(id(parameter))
             if found is None:
-                found = next((v for (i, _), v in self.converted.items() if i == id(parameter)), None)
-            if isinstance(found, np.ndarray):
-                result[name] = found
-            elif found is None:
                 try:
-                    result[name] = numeric(parameter.value, unit, bare=parameter.place.file == "--set")
+                    bare = parameter.place.file == "--set"
+                    found = [numeric(parameter.value, self.parameter_units.get(name), bare=bare)]
                 except ValueProblem as problem:
-                    if not parameter.used:  # options may follow texts and other values
+                    if not parameter.used:  # what only options follow may be a text
                         self.error(problem.what, name, parameter.place, problem.hint)
                     continue
+            values = [value for value in found if isinstance(value, np.ndarray)]
+            if values:
+                result[name] = values[0]
+            if any(not np.array_equal(value, values[0]) for value in values[1:]):  # one in rad/s, one in Hz
+                what = "is used by blocks that take it in different units"
+                self.error(what, name, parameter.place, "use two diagram parameters")
             self.parameter_units.setdefault(name, _unit_of(parameter.value))
         return result
 

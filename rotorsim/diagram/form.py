@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from rotorsim.diagram.document import NAME
@@ -71,7 +70,7 @@ class _Form:
                 place = self.source.locate(("layout", name), key=True)
                 self.problems.append(Problem(f"no block '{name}'", subject, place, hint, "warning"))
             numbers = isinstance(at, list | tuple) and all(
-                isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x) for x in at
+                isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e9 for x in at
             )
             if not numbers or len(at) != 2:
                 self.error("must be two numbers", ("layout", name), subject, "write [column, row]")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorsim.diagram.build import Builder
-from rotorsim.diagram.diagram import Diagram, Endpoint, Solver
+from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Solver
 from rotorsim.diagram.document import FlatDocument
 from rotorsim.diagram.flatten import flatten_document
 from rotorsim.diagram.order import evaluation_order, trace_blocks
@@ -62,8 +62,6 @@ def load(
             work = builder.start(raw)
             if work is not None:
                 works[name] = work
-        else:
-            _mark_used(raw.parameters, raw.scope.parameters)
     if not flat.blocks and isinstance(document.data, dict) and isinstance(document.data.get("blocks"), dict):
         problems.append(
             Problem("the diagram has no blocks", place=document.locate(("blocks",)), hint="see `rotorsim blocks`")
@@ -80,10 +78,7 @@ def load(
     nodes = {name: builder.node(work) for name, work in works.items()}
     for name, work in works.items():
         if work.template.has_check:
-            for message in nodes[name].block.check(nodes[name].values):
-                problems.append(
-                    Problem(message, name, work.raw.place(key=True), f"`rotorsim blocks {work.cls.type_name}`")
-                )
+            problems += _contradictions(work, nodes[name])
     _raise_errors(problems)
     diagram = Diagram(
         name=flat.name,
@@ -95,7 +90,7 @@ def load(
         record=record,
         solve_loops=flat.data.get("algebraic_loops") == "solve",
         cut=frozenset(wiring.cut),
-        document=flat.data,
+        document=_with_settings(flat.data, parameters, blocks, solver),
         file=document.file,
         warnings=tuple(p for p in problems if p.severity == "warning"),
     )
@@ -115,9 +110,40 @@ def _raise_errors(problems: list[Problem]) -> None:
 _HINT = "docs/diagrams.md describes the format; `rotorsim blocks TYPE` lists ports and parameters"
 
 
+def _contradictions(work: Work, node: Node) -> list[Problem]:
+    hint = f"see `rotorsim blocks {work.cls.type_name}`"
+    try:
+        messages = list(node.block.check(node.values))
+    except Exception as error:  # the code of the block is foreign
+        messages = [f"check of block type '{work.cls.type_name}' fails: {type(error).__name__}: {error}"]
+    return [Problem(message, node.name, work.raw.place(key=True), hint) for message in messages]
+
+
+def _with_settings(
+    data: Mapping[str, Any], parameters: Mapping[str, Any], blocks: Mapping[str, Any], solver: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return a document with ``set`` in it; what is set inside sub-diagrams is kept under the key "set"."""
+    result = dict(data)
+    if parameters:
+        result["parameters"] = {**result["parameters"], **parameters}
+    if solver:
+        result["solver"] = {**result.get("solver", {}), **solver}
+    own = {name: values for name, values in blocks.items() if name in data["blocks"]}
+    if own:
+        result["blocks"] = dict(result["blocks"])
+        for name, values in own.items():
+            block = result["blocks"][name]
+            result["blocks"][name] = {**block, "parameters": {**block.get("parameters", {}), **values}}
+    inside = {f"{name}.{key}": v for name, values in blocks.items() if name not in own for key, v in values.items()}
+    return {**result, "set": inside} if inside else result
+
+
 def _source(source: str | Path | Mapping[str, Any], folder: str | Path | None) -> tuple[Source, Path | None]:
     if isinstance(source, Mapping):
         return Source(dict(source)), Path(folder) if folder is not None else None
+    if not isinstance(source, str | Path):
+        what = f"a diagram is a file, a name or a mapping, not {type(source).__name__}"
+        raise RotorsimError(Problem(what, hint='load("diagram.json")'))
     path = Path(source)
     shipped = shipped_diagrams()
     if str(source) in shipped and not path.exists():
@@ -170,12 +196,6 @@ def _removed(flat: FlatDocument, without: Iterable[str]) -> frozenset[str]:
             flat.problems.append(Problem(f"no block '{name}'", name, Place("--without"), hint))
         removed += inside
     return frozenset(removed)
-
-
-def _mark_used(parameters: Mapping[str, Any], scope: Mapping[str, Any]) -> None:
-    for value in parameters.values():
-        if isinstance(value, str) and value[:1] == "$" and value[1:] in scope:
-            scope[value[1:]].used = True
 
 
 def _block_folders(flat: FlatDocument, root: Path | None, trusted: bool) -> list[Path]:
@@ -236,6 +256,11 @@ def _solver(flat: FlatDocument, overrides: Mapping[str, Any]) -> Solver:
             else:
                 found[key] = int(number) if key == "record_every" else float(number)
     settings = Solver(**found)
+    if settings.step > settings.stop:
+        what = f"step {settings.step:g} s is longer than stop {settings.stop:g} s"
+        flat.problems.append(Problem(what, "solver", flat.source.place(("solver",)), "choose a smaller step"))
+    if settings.rtol >= 1:
+        flat.problems.append(Problem("must be less than 1", "solver.rtol", flat.source.place(("solver", "rtol"))))
     if settings.stop / settings.step > 1e10:
         place = flat.source.place(("solver",))
         flat.problems.append(

@@ -109,14 +109,14 @@ def trace_block(
     equations = block.equations(p, u, x, time)
 
     given: dict[str, Any] = {}
-    for declaration in block.outputs.values():
-        if declaration.name not in equations.outputs:
-            raise TraceError(f"equations give no output '{declaration.name}'")
-        value = equations.outputs[declaration.name]
-        ports = block.port_names(declaration)
-        values = list(value) if declaration.many else [value]
+    for port_declaration in block.outputs.values():
+        if port_declaration.name not in equations.outputs:
+            raise TraceError(f"equations give no output '{port_declaration.name}'")
+        value = equations.outputs[port_declaration.name]
+        ports = block.port_names(port_declaration)
+        values = list(value) if port_declaration.many else [value]
         if len(values) != len(ports):
-            raise TraceError(f"output '{declaration.name}' gives {len(values)} values for {len(ports)} ports")
+            raise TraceError(f"output '{port_declaration.name}' gives {len(values)} values for {len(ports)} ports")
         given.update(zip(ports, values, strict=True))
     _refuse_unknown("output", equations.outputs, block.outputs)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rotorsim.block import Block
+from rotorsim.block import Block, Shape
 from rotorsim.diagram.build import Builder
 from rotorsim.diagram.diagram import Endpoint, Wire
 from rotorsim.diagram.document import FlatDocument, RawWire
@@ -26,9 +26,9 @@ class Wiring:
         self.flat, self.builder, self.works, self.removed = flat, builder, works, removed
         self.problems = flat.problems
         self.wires: list[Wire] = []
-        self.first: dict[tuple[str, str], Place] = {}
+        self.first: dict[tuple[str, str], tuple[Endpoint, Place]] = {}
         self.cut: set[tuple[str, str]] = set()
-        self.broken = {name for name in flat.blocks if name not in works and name not in removed}
+        self.broken = flat.broken | {name for name in flat.blocks if name not in works and name not in removed}
 
     def error(self, what: str, place: Place, subject: str, hint: str = "") -> None:
         self.problems.append(Problem(what, subject=subject, place=place, hint=hint))
@@ -45,8 +45,10 @@ class Wiring:
                     if end.block in self.works:
                         self.works[end.block].wired.add(end.port)
                 continue
-            good_source = self._exists(raw.source, False, raw.place)
-            good_target = self._exists(raw.target, True, raw.place)
+            if self._backwards(raw):
+                continue
+            good_source = self._exists(raw.source, False, raw.end_place(0))
+            good_target = self._exists(raw.target, True, raw.end_place(1))
             if good_target:
                 self._take(raw)
             if good_source and good_target:
@@ -67,10 +69,22 @@ class Wiring:
         if not declared.additive and not declared.optional:
             self.cut.add((raw.target.block, raw.target.port))
 
+    def _backwards(self, raw: RawWire) -> bool:
+        source, target = self.works.get(raw.source.block), self.works.get(raw.target.block)
+        if source is None or target is None or raw.source.port in source.template.outputs:
+            return False
+        if raw.source.port not in source.template.inputs or raw.target.port not in target.template.outputs:
+            return False
+        what = f"the wire runs backwards: '{raw.source.port}' is an input and '{raw.target.port}' an output"
+        hint = f'write ["{raw.target}", "{raw.source}"]'
+        self.error(what, raw.place, f"{raw.source} -> {raw.target}", hint)
+        source.wired.add(raw.source.port)
+        return True
+
     def _exists(self, end: Endpoint, is_input: bool, place: Place) -> bool:
         work = self.works.get(end.block)
         if work is None:
-            known = [*self.works, *self.broken]
+            known = [*self.works, *self.broken, *self.flat.sub_diagrams]
             hint = near_miss(end.block, known) if known else 'declare it under "blocks"'
             self.error(f"no block '{end.block}'", place, str(end), hint)
             return False
@@ -78,10 +92,12 @@ class Wiring:
         ports: Mapping[str, Any] = template.inputs if is_input else template.outputs
         if end.port in ports:
             return True
-        kind, other = ("input", template.outputs) if is_input else ("output", template.inputs)
+        kind, other, others = (
+            ("input", template.outputs, "an output") if is_input else ("output", template.inputs, "an input")
+        )
         if end.port in other:
-            hint = "wires run from an output to an input; swap the two ends?"
-            self.error(f"'{end.port}' is an {'output' if is_input else 'input'}, not an {kind}", place, str(end), hint)
+            hint = "wires run from an output to an input" + (f"; {kind}s: {', '.join(ports)}" if ports else "")
+            self.error(f"'{end.port}' is {others}", place, str(end), hint)
             return False
         what = f"block type '{work.cls.type_name}' has no {kind} '{end.port}'"
         self.error(what, place, str(end), near_miss(end.port, ports) if ports else f"it has no {kind}s")
@@ -95,26 +111,41 @@ class Wiring:
             return
         if raw.target.index:
             what = "an input that takes one wire cannot be wired by parts"
-            self.error(what, raw.place, str(raw.target), "put the parts together with a mux or bus block")
+            self.error(what, raw.end_place(1), str(raw.target), "put the parts together with a mux block")
         elif key in self.first:
-            what = (
-                f"this input has a wire already, at {self.first[key]}"
-                if self.first[key].line
-                else "this input has two wires"
-            )
+            source, place = self.first[key]
+            where = f" at {place}" if place.line else ""
+            what = f"input is wired twice: from {source}{where}, and from {raw.source}"
             self.error(what, raw.place, str(raw.target), "add the signals with a sum block, or remove one wire")
-        self.first.setdefault(key, raw.place)
+        self.first.setdefault(key, (raw.source, raw.place))
 
     def _unwired(self, name: str, work: Work) -> None:
         for port in work.template.needed_inputs:
-            if port not in work.wired and (name, port) not in self.cut and (name, port) not in self.flat.exposed:
-                unit = work.template.inputs[port].unit
-                hint = f'add a wire ["block.port", "{name}.{port}"]' + (
-                    f" that carries {unit}" if unit not in (None, "1") else ""
-                )
-                self.error("input is not wired", work.raw.place(key=True), f"{name}.{port}", hint)
-            elif port not in work.wired:
+            if port in work.wired:
+                continue
+            if (name, port) in self.flat.exposed:
+                what = "input reads zero unless this diagram is a part of another"
+                place = self.flat.exposed[name, port]
+                hint = "a diagram that runs by itself wires all its inputs"
+                self.problems.append(Problem(what, f"{name}.{port}", place, hint, "warning"))
                 self.cut.add((name, port))
+            elif (name, port) not in self.cut:
+                hint = f'add the wire ["{self._candidate(work, port)}", "{name}.{port}"]'
+                self.error("input is not wired", work.raw.place(key=True), f"{name}.{port}", hint)
+
+    def _candidate(self, work: Work, port: str) -> str:
+        """Return an output that would suit an input: one of the same unit, best of the same name."""
+        unit = work.template.inputs[port].unit
+        if unit in (None, "1"):
+            return "block.output"
+        fitting = [
+            f"{name}.{output}"
+            for name, other in self.works.items()
+            for output, declared in other.template.outputs.items()
+            if other is not work and declared.unit == unit
+        ]
+        named = [name for name in fitting if name.endswith(f".{port}")]
+        return (named or fitting or ["block.output"])[0]
 
     # --- shapes and units ---------------------------------------------------------------------------
 
@@ -123,17 +154,15 @@ class Wiring:
         self.builder.bind_given(self.works.values())
         waiting = [wire for wire in self.wires if not self._join(wire)]
         hooked = [w for w in self.works.values() if w.cls.output_shapes is not Block.output_shapes]
-        for last_resort in (lambda: None, lambda: self.builder.bind_defaults(self.works.values()), self._bind_rest):
-            last_resort()
+        for last_resort in (None, self.builder.bind_defaults, self.builder.bind_rest):
+            if last_resort is not None:
+                last_resort(self.works.values())
             progress = True
             while progress:
                 before = len(waiting), len(hooked)
                 hooked = [work for work in hooked if not self._derive(work)]
                 waiting = [wire for wire in waiting if not self._join(wire)]
                 progress = (len(waiting), len(hooked)) != before
-
-    def _bind_rest(self) -> None:
-        self.builder.bind_rest(self.works.values())
 
     def _term(self, end: Endpoint, is_input: bool) -> ShapeTerm:
         work = self.works[end.block]
@@ -181,17 +210,32 @@ class Wiring:
 
     def _misfit(self, wire: Wire, shapes: list[str]) -> None:
         ends = self._describe(wire.source, False, shapes[0]), self._describe(wire.target, True, shapes[1])
-        whole = self._term(wire.source, False)
-        hint = "shapes of both ends must be equal"
-        if isinstance(whole, tuple) and len(whole) == 2 and not wire.source.index:
-            hint = f'take one row: "{wire.source}[1]" (nodes count from 1)'
-        target = self._term(wire.target, True)
-        if isinstance(target, tuple) and len(target) == 2 and not wire.target.index:
-            hint = f'wire it to one row: "{wire.target}[1]" (nodes count from 1)'
-        self.error(f"shapes differ: {ends[0]} -> {ends[1]}", wire.place, "wire", hint)
+        hint = self._shape_cure(wire)
+        self.error(f"shapes differ: {ends[0]}, but {ends[1]}", wire.place, f"{wire.source} -> {wire.target}", hint)
+
+    def _shape_cure(self, wire: Wire) -> str:
+        source, target = (self._numbers(wire.source, False), self._numbers(wire.target, True))
+        additive = self.works[wire.target.block].template.inputs[wire.target.port].additive
+        if source[: len(source) - len(target)] + target == source and not wire.source.index:
+            ones = ",".join("1" for _ in source[len(target) :]) if not target else "1"
+            return f'take a part: "{wire.source}[{ones}]" (counted from 1)'
+        if additive and target[len(target) - len(source) :] == source and not wire.target.index:
+            ones = ",".join("1" for _ in target[len(source) :])
+            return f'name the part that it adds to: "{wire.target}[{ones}]" (counted from 1)'
+        if not source:
+            return "stack scalars to a vector with a mux block"
+        if len(source) == len(target) == 1:
+            return "take some entries with a selector block, or stack signals with a mux block"
+        return "both ends must have one shape"
+
+    def _numbers(self, end: Endpoint, is_input: bool) -> tuple[int, ...]:
+        term = self._term(end, is_input)
+        numbers = tuple(self.builder.unifier.dimension(d) for d in term) if isinstance(term, tuple) else ()
+        return numbers[len(end.index) :]
 
     def _units(self, wire: Wire) -> None:
-        source = self.works[wire.source.block].template.outputs[wire.source.port].unit
+        outputs = self.works[wire.source.block].template.outputs
+        source = outputs[wire.source.port].unit
         target = self.works[wire.target.block].template.inputs[wire.target.port].unit
         if source is None or target is None or source == target:
             return
@@ -199,23 +243,43 @@ class Wiring:
             fit = compatible(source, target)
         except UnitError:
             return  # the block's declaration is at fault, and its own tests say so
-        if fit == "different":
-            what = f"units differ: {wire.source} [{source}] -> {wire.target} [{target}]"
-            self.error(what, wire.place, "wire", "wire a signal of that unit, or convert it with a gain block")
+        if fit == "same":
+            return
+        what = f"units differ: {wire.source} [{source}], but {wire.target} [{target}]"
+        fitting = [name for name, declared in outputs.items() if declared.unit == target]
+        hint = "convert it with a gain block"
+        if fitting:
+            hint = f"{wire.source.block}.{fitting[0]} is in {target}"
+        elif fit == "different":
+            hint = f"wire a signal in {target}, or convert it with a gain block"
+        severity = "warning" if fit == "angle" else "error"
+        subject = f"{wire.source} -> {wire.target}"
+        self.problems.append(Problem(what, subject, wire.place, hint, severity))
 
     def _derive(self, work: Work) -> bool:
         """Let a block find the shapes of its outputs from those of its inputs; return whether it could."""
         template, unifier = work.template, self.builder.unifier
-        inputs = {}
+        inputs: dict[str, Shape] = {}
         for name in template.inputs:
             if name in work.wired:
                 shape = unifier.resolved(work.term(template.input_shapes[name], unifier))
                 if shape is None:
                     return False
                 inputs[name] = shape
-        for name, shape in template.block.output_shapes(inputs).items():
+        place = work.raw.place(key=True)
+        try:
+            derived = dict(template.block.output_shapes(inputs))
+        except Exception as error:  # the code of the block is foreign
+            what = f"block type '{work.cls.type_name}' cannot tell its shapes: {type(error).__name__}: {error}"
+            self.error(what, place, work.raw.name, f"see `rotorsim blocks {work.cls.type_name}`")
+            return True
+        for name, shape in derived.items():
             if name in template.output_shapes:
-                unifier.unify(work.term(template.output_shapes[name], unifier), shape)
+                term = work.term(template.output_shapes[name], unifier)
+                before = text_of(term, unifier)
+                if not unifier.unify(term, shape):
+                    what = f"shapes differ: the block gives {text_of(shape)}, but what is wired to it takes {before}"
+                    self.error(what, place, f"{work.raw.name}.{name}", "change its options or the wire")
         return True
 
     def part_shape(self, end: Endpoint, place: Place) -> bool:

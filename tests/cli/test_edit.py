@@ -22,7 +22,7 @@ def test_every_shipped_diagram_is_right_and_canonical(run) -> None:
 
 def test_check_finds_all_mistakes_of_all_files(run, oscillator) -> None:
     text = oscillator.read_text()
-    Path("bad.json").write_text(text.replace('"gain"', '"gian"').replace("rate.input", "rate.inptu"))
+    Path("bad.json").write_text(text.replace('"gain",', '"gian",').replace('"stop": 1.0', '"stop": "1 m"'))
     result = run("check", str(oscillator), "bad.json")
     assert result.exit_code == 2
     assert result.stdout == f"{oscillator}: 2 blocks, 2 wires, no mistakes\n"
@@ -97,7 +97,7 @@ def test_swap_to_stdout_and_in_place(run) -> None:
     ("arguments", "text"),
     [
         (["controler", "pd"], "error: controler: no block 'controler'\n\nhint: did you mean 'controller'?\n"),
-        (["controller", "pdd"], "error: controller: unknown block type 'pdd'\n\nhint: did you mean 'pd'?\n"),
+        (["controller", "pdd"], "error: controller: unknown block type 'pdd'\n\nhint: did you mean 'pd' or 'pid'?\n"),
         (
             ["controller", "pd", "--in-place"],
             "error: jeffcott comes with rotorsim and stays as it is\n\nhint: use -o FILE\n",

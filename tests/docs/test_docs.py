@@ -47,9 +47,8 @@ def test_every_command_runs(page: str, tmp_path: Path) -> None:
     work = tmp_path / "work"
     shutil.copytree(ROOT / "diagrams", work / "diagrams", ignore=shutil.ignore_patterns("__pycache__"))
     text = commands(page)
-    done = subprocess.run(
-        ["sh", "-ec", text], cwd=work, env=environment(tmp_path), capture_output=True, text=True, timeout=300, check=False
-    )  # fmt: skip
+    options = {"cwd": work, "env": environment(tmp_path), "capture_output": True, "text": True}
+    done = subprocess.run(["sh", "-ec", text], timeout=300, check=False, **options)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
 

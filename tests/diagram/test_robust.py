@@ -1,0 +1,86 @@
+"""Whatever the document holds, loading ends with a diagram or a `RotorsimError`, never with a traceback."""
+
+import copy
+import json
+from typing import Any
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rotorsim.diagram import Diagram, load, shipped_diagrams
+from rotorsim.diagram.source import parse_document
+from rotorsim.errors import RotorsimError
+
+SHIPPED = {name: json.loads(file.read_text()) for name, file in shipped_diagrams().items() if "runup" not in name}
+ODD = st.one_of(
+    st.none(), st.booleans(), st.integers(-3, 3), st.floats(), st.just(10**400), st.text(max_size=5),
+    st.sampled_from(["$speed", "$nothing", "1 m", "1500 rpm", "rotor.force", "a.b[0]", "rotor.displacement[9,9]", "x" * 500]),
+    st.lists(st.one_of(st.integers(-1, 1), st.text(max_size=3), st.lists(st.floats(), max_size=2)), max_size=3),
+    st.dictionaries(st.text(max_size=5), st.integers(), max_size=2),
+)  # fmt: skip
+
+
+def spots(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Return the path of every value inside a document."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [path, *(spot for key, item in items for spot in spots(item, (*path, key)))]
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.data())
+def test_a_damaged_document_gives_an_error_and_no_traceback(data: st.DataObject) -> None:
+    document: Any = copy.deepcopy(SHIPPED[data.draw(st.sampled_from(["jeffcott", "fe_rigid", "offset_disc"]))])
+    for _ in range(data.draw(st.integers(1, 4))):
+        path = data.draw(st.sampled_from(spots(document)[1:]))
+        parent = document
+        for step in path[:-1]:
+            parent = parent[step]
+        kind = data.draw(st.sampled_from(["replace", "delete", "double"]))
+        if kind == "replace":
+            parent[path[-1]] = data.draw(ODD)
+        elif kind == "delete":
+            del parent[path[-1]]
+        elif isinstance(parent, list):
+            parent.append(copy.deepcopy(parent[path[-1]]))
+        else:
+            parent[f"{path[-1]}2"] = copy.deepcopy(parent[path[-1]])
+        if not spots(document)[1:]:
+            break
+    try:
+        assert isinstance(load(document), Diagram)
+    except RotorsimError as error:
+        assert error.problems
+        assert all(problem.what for problem in error.problems)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.text(alphabet="{}[]\",:\\ \n1e-.truefalsn/#'x", max_size=40))
+def test_any_text_is_parsed_as_json_or_refused_with_a_place(text: str) -> None:
+    try:
+        expected = json.loads(text)
+    except ValueError:
+        expected = None
+    try:
+        source = parse_document(text, "f.json")
+    except RotorsimError as error:
+        assert all(problem.place.file == "f.json" and problem.place.line >= 1 for problem in error.problems)
+        lines = text.split("\n")
+        assert all(problem.place.column <= len(lines[problem.place.line - 1]) + 1 for problem in error.problems)
+    else:
+        assert source.data == expected
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.dictionaries(
+        st.sampled_from(["speed", "rotor.mass", "crack.terms", "crack.opening", "solver.step", "x.y", "rotor"]),
+        ODD,
+        max_size=3,
+    )
+)
+def test_any_setting_is_taken_or_refused(values: dict[str, Any]) -> None:
+    try:
+        load("jeffcott", set=values)
+    except RotorsimError as error:
+        assert error.problems
+        assert all(str(problem) for problem in error.problems)
