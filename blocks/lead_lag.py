@@ -24,7 +24,7 @@ class LeadLag(Block):
     current = Out(shape=2, unit="A", doc="control current [x, y]")
     gain = Param(12200.0, unit="A/m", doc="gain at rest")
     lead_time_constant = Param(2.5e-4, unit="s", low=0.0, doc="time constant of the numerator")
-    lag_time_constant = Param(2.5e-5, unit="s", above=0.0, doc="time constant of the denominator")
+    lag_time_constant = Param(5e-5, unit="s", above=0.0, doc="time constant of the denominator")
     filtered = State(shape=2, unit="m", doc="error behind the lag")
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:

@@ -33,7 +33,8 @@ UNIT = st.lists(
         ("1 kg/s", "N s/m", 1.0), ("3 N s^2/m", "kg", 3.0), ("5 g mm", "kg m", 5e-6), ("2 N/(A m)", "N/m/A", 2.0),
         ("1 kg m²/s²", "J", 1.0), ("1 N**2", "N^2", 1.0), ("5 %", "1", 0.05), ("5", "1", 5.0), ("-.5e1 V", "V", -5.0),
         ("1 mil", "m", 2.54e-5), ("1 lbf", "N", 4.4482216152605), ("25 Hz", "Hz", 25.0), ("1500 rpm", "Hz", 25.0),
-        ("3 T", "V s/m^2", 3.0), ("2 MPa", "N/mm^2", 2.0), ("7 kg", None, 7.0), ("7 g", None, 7e-3), ("1 h", "s", 3600.0),
+        ("3 T", "V s/m^2", 3.0), ("2 MPa", "N/mm^2", 2.0), ("7 kg", None, 7.0), ("7 g", None, 7e-3),
+        ("1 h", "s", 3600.0),
     ],
 )  # fmt: skip
 def test_a_quantity_is_the_si_value(text: str, unit: str | None, value: float) -> None:
@@ -56,7 +57,11 @@ def test_a_decimal_prefix_gives_the_same_float_as_writing_the_exponent(text: str
         ("1500 RPM", "rad/s", "unknown unit 'RPM'; did you mean 'rpm'?"),
         ("30 degrees", "rad", "unknown unit 'degrees'; did you mean 'deg'?"),
         ("5 kNn/m", "N/m", "unknown unit 'kNn' in 'kNn/m'; did you mean 'kN'?"),
-        ("1 1/s", "rad/s", "unit '1/s' does not fit 'rad/s'; give an angular speed in rad/s, rpm or Hz (revolutions per second)"),
+        (
+            "1 1/s",
+            "rad/s",
+            "unit '1/s' does not fit 'rad/s'; give an angular speed in rad/s, rpm or Hz (revolutions per second)",
+        ),
         ("3 m", "rad", "unit 'm' does not fit 'rad'; give an angle in rad or deg"),
         ("3 rad", "1", "unit 'rad' does not fit '1'; give a pure number"),
         ("3 kg", "N/m", "unit 'kg' does not fit 'N/m'; give it in N/m"),
@@ -88,7 +93,8 @@ def test_a_number_without_unit_is_si_only_where_that_is_allowed() -> None:
 @pytest.mark.parametrize(
     ("a", "b", "fit"),
     [
-        ("m", "m", "same"), ("N", "kg m/s^2", "same"), ("N m", "J", "same"), ("mm", "m", "scaled"), ("Hz", "rad/s", "scaled"),
+        ("m", "m", "same"), ("N", "kg m/s^2", "same"), ("N m", "J", "same"), ("mm", "m", "scaled"),
+        ("Hz", "rad/s", "scaled"),
         ("rad", "1", "angle"), ("N m/rad", "N m", "angle"), ("1/s", "rad/s", "angle"), ("m", "m/s", "different"),
         (None, "m", "same"), ("rad", None, "same"), (None, None, "same"),
     ],
@@ -136,16 +142,18 @@ def test_what_is_displayed_reads_back_as_the_same_value(value: float, unit: str)
 @given(st.text(max_size=30))
 def test_any_text_is_a_quantity_or_a_unit_error(text: str) -> None:
     try:
-        assert math.isfinite(parse_quantity(text, None))
-    except UnitError as error:
-        assert error.what
+        value = parse_quantity(text, None)
+    except UnitError:
+        return
+    assert math.isfinite(value)
 
 
 @pytest.mark.parametrize(
     ("value", "unit", "text"),
     [
         (24e-6, "m", "24 um"), (105210.0, "N/m", "105.21 kN/m"), (999.9999999, "m", "1 km"), (0.0, "m", "0 m"),
-        (3.0, "kg", "3 kg"), (157.08, "rad/s", "157.08 rad/s"), (1e-4, "s", "100 us"), (0.5, "1", "0.5"), (0.5, None, "0.5"),
+        (3.0, "kg", "3 kg"), (157.08, "rad/s", "157.08 rad/s"), (1e-4, "s", "100 us"), (0.5, "1", "0.5"),
+        (0.5, None, "0.5"),
         (2e4, "m^2", "20000 m^2"), (-24e-6, "m", "-24 um"), (1e20, "N", "1e+11 GN"), (math.inf, "m", "inf m"),
     ],
 )  # fmt: skip

@@ -37,7 +37,7 @@ def command(
     chosen = common.speeds_of(speeds)
     multiples = _whole_numbers(orders)
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
-    from rotorsim.simulate.campbell import campbell
+    from rotorsim.simulate.campbell_diagram import campbell
 
     found = campbell(loaded, chosen, orders=multiples)
     if plot:

@@ -41,7 +41,7 @@ def command(
     chosen = common.speeds_of(speeds) if speeds else None
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
     from rotorsim.cli.app import show_problems
-    from rotorsim.simulate.periodic import periodic
+    from rotorsim.simulate.periodic_motion import periodic
 
     found = periodic(loaded, speeds=chosen, harmonics=harmonics, subharmonic=subharmonic, signals=record or None)
     for name in found.drifting:

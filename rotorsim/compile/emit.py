@@ -101,10 +101,13 @@ def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
     ]
     extra = _constants_behind(program, moving)
     ordered = sorted({*constants, *extra})
-    groups = paired_states(program, nodes[:n]) if n <= LARGEST_PAIRED else [list(range(n))]
+    groups = [[state] for state in range(n)]
+    if n <= LARGEST_PAIRED:
+        groups = paired_states(program, nodes[:n])
+        ordered = paired_constants(program, nodes[:n], groups, ordered)
     return Kernel(
         program=program,
-        constants=tuple(paired_constants(program, nodes[:n], groups, ordered)),
+        constants=tuple(ordered),
         forcing=tuple(moving),
         xdot=tuple(nodes[:n]),
         outputs=tuple(nodes[n : n + m]),

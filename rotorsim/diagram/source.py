@@ -229,7 +229,8 @@ def _check_number(word: str, offset: int, problems: list[tuple[int, str, str]]) 
 
 def _syntax_problem(error: json.JSONDecodeError, source: Source) -> Problem:
     text, at = source.text, error.pos
-    rest = text[at:].lstrip()
+    in_text = error.msg.startswith(("Invalid", "Unterminated"))
+    rest = text[at:] if in_text else text[at:].lstrip()
     at = len(text) - len(rest)
     before = text[:at].rstrip()
     what, hint = f"not valid JSON: {error.msg[0].lower()}{error.msg[1:]}", ""
@@ -241,6 +242,8 @@ def _syntax_problem(error: json.JSONDecodeError, source: Source) -> Problem:
         what, hint = "not valid JSON: something follows the end of the document", "a bracket is closed too early?"
     elif error.msg.startswith("Invalid control character"):
         what, hint = "not valid JSON: line break or control character in a text", 'close the text with ", or write \\n'
+    elif in_text:
+        what, hint = "not valid JSON: wrong escape in a text", "write \\\\ for a backslash"
     elif not rest:
         at = len(before)
         what, hint = "not valid JSON: file ends too early", "a bracket is not closed"

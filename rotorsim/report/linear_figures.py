@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from rotorsim.report.style import BLUE, GREEN, GREY, ORANGE, RED, display, figure, rpm, styled
 
 if TYPE_CHECKING:
-    from rotorsim.simulate.campbell import Campbell
+    from rotorsim.simulate.campbell_diagram import Campbell
     from rotorsim.simulate.frequency import FrequencyResponse, Sensitivity
     from rotorsim.simulate.periodic_result import Periodic
 

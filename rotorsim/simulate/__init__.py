@@ -10,11 +10,11 @@ _HOME = {
     "Result": "result",
     "save": "files",
     "load_result": "files",
-    "periodic": "periodic",
+    "periodic": "periodic_motion",
     "linearise": "linear",
     "equilibrium": "linear",
-    "modes": "modes",
-    "campbell": "campbell",
+    "modes": "eigenmodes",
+    "campbell": "campbell_diagram",
     "frequency_response": "frequency",
     "sensitivity": "frequency",
     "design_state_feedback": "design",
@@ -29,6 +29,6 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used: scipy need not be loaded to run a fixed-step simulation."""
     if name in _HOME:
         value = getattr(import_module(f"rotorsim.simulate.{_HOME[name]}"), name)
-        globals()[name] = value  # a module of the same name must not hide it
+        globals()[name] = value  # found at once next time
         return value
     raise AttributeError(f"module 'rotorsim.simulate' has no attribute '{name}'")

@@ -26,12 +26,20 @@ from rotorsim.errors import Place, RotorsimError
         ("{a: 1}", "1:2: error: not valid JSON: key expected | write keys in double quotes"),
         ('{"a": True}', "1:7: error: not valid JSON: value expected, found 'True' | write true"),
         ('{"a": None}', "1:7: error: not valid JSON: value expected, found 'None' | write null"),
-        ('{"a": foo}', "1:7: error: not valid JSON: value expected, found 'foo' | write texts in double quotes \"...\""),
+        ("[foo]", "1:2: error: not valid JSON: value expected, found 'foo' | write texts in double quotes \"...\""),
         ("[1, 2", "1:6: error: not valid JSON: file ends too early | a bracket is not closed"),
         ('{"a": "x', '1:7: error: not valid JSON: text is not closed | close it with "'),
-        ('{"a": 1}}', "1:9: error: not valid JSON: something follows the end of the document | a bracket is closed too early?"),
+        (
+            '{"a": 1}}',
+            "1:9: error: not valid JSON: something follows the end of the document | a bracket is closed too early?",
+        ),
         ('{"a" 1}', "1:6: error: not valid JSON: ':' expected after the key | write \"key\": value"),
-        ('"a\nb"', "1:3: error: not valid JSON: line break or control character in a text | close the text with \", or write \\n"),
+        (
+            '"a\nb"',
+            "1:3: error: not valid JSON: line break or control character in a text "
+            '| close the text with ", or write \\n',
+        ),
+        ('{"a": "C:\\x"}', "1:10: error: not valid JSON: wrong escape in a text | write \\\\ for a backslash"),
         ('{"a": 1e400}', "1:7: error: number 1e400 is too large | numbers must be finite"),
         ('{"a": -Infinity}', "1:7: error: -Infinity is not allowed | numbers must be finite"),
         ('{"a": ' + "9" * 400 + "}", "1:7: error: number of 400 digits is too long | numbers must fit a float"),
@@ -123,8 +131,10 @@ def test_every_value_and_key_is_found_where_it_is_written(data: Any, indent: int
 def test_a_place_looked_up_late_is_a_place() -> None:
     source = parse_document('{\n "a": [1, 2]}', "d.json")
     late = source.place(("a", 1))
-    assert late == Place("d.json", 2, 10)
-    assert hash(late) == hash(Place("d.json", 2, 10))
-    assert Place("d.json", 2, 10) == late
-    assert str(late) == "d.json:2:10"
-    assert source.locate(("a", 7)) == source.locate(("a",)) == Place("d.json", 2, 7)  # what is missing is where it belongs
+    assert late == Place("d.json", 2, 11)
+    assert hash(late) == hash(Place("d.json", 2, 11))
+    assert Place("d.json", 2, 11) == late
+    assert str(late) == "d.json:2:11"
+    assert (
+        source.locate(("a", 7)) == source.locate(("a",)) == Place("d.json", 2, 7)
+    )  # what is missing is where it belongs

@@ -7,7 +7,7 @@ from rotorsim.diagram import load
 from rotorsim.errors import RotorsimError
 from rotorsim.report.figures import orbit, overview, run_up_figure, save_figure, spectrum_figure, time_histories
 from rotorsim.report.linear_figures import campbell_figure, sensitivity_figure
-from rotorsim.simulate.campbell import campbell
+from rotorsim.simulate.campbell_diagram import campbell
 from rotorsim.simulate.frequency import sensitivity
 from rotorsim.simulate.run import simulate
 

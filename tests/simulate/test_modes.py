@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorsim.errors import RotorsimError
-from rotorsim.simulate.campbell import campbell
-from rotorsim.simulate.modes import modes
+from rotorsim.simulate.campbell_diagram import campbell
+from rotorsim.simulate.eigenmodes import modes
 from tests.simulate.handmade import gyroscopic, handmade, jeffcott
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorsim.errors import RotorsimError
-from rotorsim.simulate.periodic import periodic
+from rotorsim.simulate.periodic_motion import periodic
 from tests.reference.jeffcott import Jeffcott
 from tests.simulate.handmade import handmade, jeffcott
 from tests.simulate.settle import settled_by_shooting

@@ -16,7 +16,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate import linear, periodic_linear
 from rotorsim.simulate.harmonic_balance import Settings, balance
 from rotorsim.simulate.matrix_function import MatrixFunction
-from rotorsim.simulate.modes import checked_speeds, require_speed
+from rotorsim.simulate.eigenmodes import checked_speeds, require_speed
 from rotorsim.simulate.periodic_linear import Motion, Setup
 from rotorsim.simulate.periodic_result import Periodic
 
