@@ -21,9 +21,7 @@ Form = tuple[dict[int, int], int]  # atom -> coefficient node, and the node of t
 
 def state_operations(program: Program, outputs: Sequence[int]) -> int:
     """Return the number of operations that must be carried out for every state."""
-    return sum(
-        program.levels[k] == ir.LEVEL_STATE and program.nodes[k][0] != ir.INPUT for k in program.needed(outputs)
-    )
+    return sum(program.levels[k] == ir.LEVEL_STATE and program.nodes[k][0] != ir.INPUT for k in program.needed(outputs))
 
 
 def collapse_linear(old: Program, rates: Sequence[int], others: Sequence[int]) -> tuple[Program, list[int]]:

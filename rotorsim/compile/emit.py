@@ -23,7 +23,7 @@ from rotorsim.compile.pairing import paired_constants, paired_states
 from rotorsim.compile.program import Program
 from rotorsim.compile.trace import Trace
 
-__all__ = ["Kernel", "build_kernel", "emit_c"]
+__all__ = ["Kernel", "StepProgram", "build_kernel", "emit_c", "step_program"]
 
 UNROLL_LIMIT = 1500  # operations of the right-hand side above which the step is not unrolled
 LARGEST_PAIRED = 200  # states up to which axes of one form are laid out side by side
@@ -324,8 +324,22 @@ def emit_c(kernel: Kernel) -> str:
     return "\n".join([*head, *(text for text, _ in parts), runtime])
 
 
-def _unrolled_step(kernel: Kernel) -> tuple[str, int]:
-    """Write the classical Runge-Kutta step (Kutta 1901) as one function with shared terms."""
+@dataclass(frozen=True)
+class StepProgram:
+    """The classical Runge-Kutta step (Kutta 1901) as one program with shared terms.
+
+    Its inputs are x, z, p, c (constants of the run), g0, gm, g1 (forcing at t, t + h/2, t + h) and h.
+    x: nodes of the states; y: recorded at the start of the step; new: the states after it.
+    """
+
+    program: Program
+    x: tuple[int, ...]
+    y: tuple[int, ...]
+    new: tuple[int, ...]
+
+
+def step_program(kernel: Kernel) -> StepProgram:
+    """Put the four stages of a step into one program, so that terms they share are computed once."""
     step = Program(reassociate=False)
     old = kernel.program
     h = step.input("h", 0)
@@ -362,20 +376,26 @@ def _unrolled_step(kernel: Kernel) -> tuple[str, int]:
         middle = step.apply(ir.TWICE, step.apply(ir.ADD, k2[i], k3[i]))
         total = step.apply(ir.ADD, step.apply(ir.ADD, k1[i], k4[i]), middle)
         new.append(step.apply(ir.ADD, x[i], step.apply(ir.MUL, sixth, total)))
+    return StepProgram(step, tuple(x), tuple(y), tuple(new))
+
+
+def _unrolled_step(kernel: Kernel) -> tuple[str, int]:
+    """Write the step as one C function."""
+    step = step_program(kernel)
 
     def leaf(node: tuple[int, object, int]) -> str:
         _, vector, position = node
         return "h" if vector == "h" else f"{vector}[{position}]"
 
     loads = "".join(f"  const double x_{i} = x[{k}];\n" for k, i in enumerate(kernel.order))
-    given = {x[i]: f"x_{i}" for i in range(n)}
-    targets = [(f"y[{k}]", node) for k, node in enumerate(y)]
-    targets += [(f"x[{k}]", new[i]) for k, i in enumerate(kernel.order)]
+    given = {node: f"x_{i}" for i, node in enumerate(step.x)}
+    targets = [(f"y[{k}]", node) for k, node in enumerate(step.y)]
+    targets += [(f"x[{k}]", step.new[i]) for k, i in enumerate(kernel.order)]
     arguments = (
         "double *restrict x, const double *restrict z, const double *restrict p, const double *restrict c, "
         "const double *restrict g0, const double *restrict gm, const double *restrict g1, double h, "
         "double *restrict y, double *restrict k, double *restrict work"
     )
-    writer = _Writer(step, given, leaf)
+    writer = _Writer(step.program, given, leaf)
     text, size = writer.text("rs_step", arguments, "x, z, p, c, g0, gm, g1, h, y, k, work", targets, whole=True)
     return text.replace("{\n", "{\n" + loads + "  (void)k;\n", 1), size

@@ -17,7 +17,9 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
+from rotorsim.compile.emit import Kernel, step_program
 from rotorsim.compile.model import Library, Model
+from rotorsim.compile.program import INPUT
 
 __all__ = ["CompiledInstance", "Instance", "InterpretedInstance", "make_instance"]
 
@@ -116,21 +118,43 @@ class InterpretedInstance:
         self.n_y = y.numel()
         arguments = [trace.x, trace.t, trace.z, trace.p]
         self._f = ca.Function("f", arguments, [ca.densify(model._closed(trace.xdot)), y], {"cse": True})
-        self._step = self._trace_step(trace)
+        self._prepare_step(model.kernel(record), trace)
         self._many: dict[int, ca.Function] = {}
+        self._repeated: dict[int, list[ca.DM]] = {}
         self._update = ca.Function(
             "update", [*arguments, trace.w, trace.hit], [ca.densify(model._closed(trace.z_next))]
         )
 
-    def _trace_step(self, trace: Any) -> ca.Function:
-        h = ca.SX.sym("h")
-        x, t, z, p = trace.x, trace.t, trace.z, trace.p
-        k1, y = self._f.call([x, t, z, p])
-        k2 = self._f.call([x + h / 2 * k1, t + h / 2, z, p])[0]
-        k3 = self._f.call([x + h / 2 * k2, t + h / 2, z, p])[0]
-        k4 = self._f.call([x + h * k3, t + h, z, p])[0]
-        new = x + h / 6 * ((k1 + k4) + 2 * (k2 + k3))
-        return ca.Function("step", [x, t, z, p, h], [new, y], {"cse": True})
+    def _prepare_step(self, kernel: Kernel, trace: Any) -> None:
+        """Make functions of the constants of the run, the forcing of an instant, and the step, as the C code has."""
+        step = step_program(kernel)
+        sizes = {
+            "x": len(step.x),
+            "z": trace.z.numel(),
+            "p": trace.p.numel(),
+            "c": len(kernel.constants),
+            "t": 1,
+            "h": 1,
+        }
+        symbols = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+        symbols.update({name: ca.SX.sym(name, len(kernel.forcing)) for name in ("g0", "gm", "g1")})
+        zeros = {
+            name: ca.SX.zeros(column.numel()) for name, column in (("v", trace.v), ("w", trace.w), ("hit", trace.hit))
+        }
+        known = {node: symbols["c"][k] for k, node in enumerate(kernel.constants)}
+        used = sorted({b for op, a, b in (*kernel.program.nodes, *step.program.nodes) if op == INPUT and a == "p"})
+        self._used = np.array(used, int)  # the others would only be copied from step to step
+        few = ca.SX.sym("p", len(used))
+        everything: dict[str, Any] = {**zeros, **symbols, "p": {b: few[k] for k, b in enumerate(used)}}
+        t, c = symbols["t"], symbols["c"]
+        symbols["p"] = few
+        program = kernel.program
+        constants = ca.Function("constants", [few], [program.to_casadi(kernel.constants, everything, {})])
+        self._c = np.array(constants(self.p[self._used])).ravel()
+        self._forcing = ca.Function("forcing", [t, few, c], [program.to_casadi(kernel.forcing, everything, known)])
+        order = ("x", "z", "p", "c", "g0", "gm", "g1", "h")
+        results = [step.program.to_casadi(nodes, everything, {}) for nodes in (step.new, step.y)]
+        self._step = ca.Function("step", [symbols[name] for name in order], results)
 
     def start(self, t: float) -> None:
         self.counts = np.array([np.ceil(t / self.p[s.period] - HIT_TOLERANCE) for s in self.samplers])
@@ -174,11 +198,21 @@ class InterpretedInstance:
     def _steps(self, n: int, count: int, t0: float, h: float) -> np.ndarray:
         if count not in self._many:
             self._many[count] = self._step.mapaccum(f"steps{count}", count)
-        times = t0 + np.arange(n, n + count) * h
-        fixed = [np.repeat(a[:, None], count, 1) for a in (self.z, self.p)]
-        states, y = self._many[count](self.x, times[None, :], *fixed, np.full((1, count), h))
+            self._repeated[count] = [ca.DM(np.repeat(a[:, None], count, 1)) for a in (self.p[self._used], self._c)]
+        g = self._forcing_at(t0 + (n + 0.5 * np.arange(2 * count + 1)) * h)
+        z = ca.repmat(ca.DM(self.z), 1, count)
+        parts = [ca.DM(np.ascontiguousarray(g[:, k : k + 2 * count : 2])) for k in range(3)]
+        arguments = (self.x, z, *self._repeated[count], *parts, ca.repmat(ca.DM(h), 1, count))
+        states, y = self._many[count](*arguments)
         self.x = np.array(states)[:, -1]
         return np.array(y).T
+
+    def _forcing_at(self, instants: np.ndarray) -> np.ndarray:
+        """Return the forcing at many instants, shape (n_g, n)."""
+        n = len(instants)
+        if n not in self._repeated:
+            self._repeated[n] = [ca.DM(np.repeat(a[:, None], n, 1)) for a in (self.p[self._used], self._c)]
+        return np.array(self._forcing(ca.DM(instants).T, *self._repeated[n])).reshape(-1, n)
 
     def _one(self, n: int, t0: float, h: float) -> np.ndarray:
         t, end, row = t0 + n * h, t0 + (n + 1) * h, None
@@ -186,7 +220,8 @@ class InterpretedInstance:
             stop = self.next_hit()
             if stop > end - HIT_TOLERANCE * h:
                 stop = end
-            new, y = self._step(self.x, t, self.z, self.p, stop - t)
+            g = self._forcing_at(np.array([t, t + 0.5 * (stop - t), stop]))
+            new, y = self._step(self.x, self.z, self.p[self._used], self._c, g[:, 0], g[:, 1], g[:, 2], stop - t)
             self.x = np.array(new).ravel()
             row = np.array(y).reshape(1, -1) if row is None else row
             self.sample(stop)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 import casadi as ca
 
@@ -222,6 +223,24 @@ class Program:
             else:
                 new[number] = self.apply(op, new[int(a)], new[b] if b >= 0 else -1)
         return [new[number] for number in wanted]
+
+    def to_casadi(self, outputs: Iterable[int], symbols: Mapping[str, Any], given: Mapping[int, ca.SX]) -> ca.SX:
+        """Return nodes as one CasADi column; symbols: vector name -> column, given: nodes that are known already."""
+        wanted = list(outputs)
+        value: dict[int, ca.SX] = dict(given)
+        for number in self.needed(wanted, given):
+            if number in value:
+                continue
+            op, a, b = self.nodes[number]
+            if op == INPUT:
+                value[number] = symbols[str(a)][b]
+            elif op == CONSTANT:
+                value[number] = ca.SX(float(a))
+            elif b >= 0:
+                value[number] = ca.SX.binary(op, value[int(a)], value[b])
+            else:
+                value[number] = ca.SX.unary(op, value[int(a)])
+        return ca.densify(ca.vertcat(*[value[k] for k in wanted])) if wanted else ca.SX(0, 1)
 
     def needed(self, outputs: Iterable[int], given: Mapping[int, object] | None = None) -> list[int]:
         """Return the nodes that outputs depend on, in evaluation order, not looking behind given nodes."""

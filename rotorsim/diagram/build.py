@@ -46,6 +46,8 @@ class Builder:
         cls = self.registry.find(raw.type_name)
         if cls is None:
             hint = self.registry.hint(raw.type_name)
+            if not hint.startswith("did") and self.flat.data.get("block_folders") and not self.registry.folders:
+                hint = 'is it in "block_folders"? Their files are run only with --trust-blocks (trust_blocks=True)'
             self.error(f"unknown block type '{raw.type_name}'", raw.name, raw.place("type"), hint)
             return None
         options: dict[str, Any] = {}
@@ -62,10 +64,8 @@ class Builder:
                 self.unknown_parameter(raw, name, cls)
         for name, declared in cls.parameters.items():
             if declared.default is None and name not in raw.parameters:
-                unit = "" if declared.unit in (None, "1") else f" [{declared.unit}]"
-                self.error(
-                    f"parameter '{name}' is missing", raw.name, raw.place(key=True), f'write "{name}": a number{unit}'
-                )
+                hint = f'write "{name}": {_expected(declared)}'
+                self.error(f"parameter '{name}' is missing", raw.name, raw.place(key=True), hint)
         if raw.file is not None:
             if "file" in cls.options:
                 options.setdefault("file", raw.file)
@@ -198,7 +198,8 @@ class Builder:
         for name, parameter in self.flat.parameters.items():
             if not parameter.used:
                 what = "diagram parameter is not used"
-                self.problems.append(Problem(what, name, parameter.place, f'refer to it as "${name}"', "warning"))
+                hint = f'refer to it as "${name.rpartition("/")[2]}"'
+                self.problems.append(Problem(what, name, parameter.place, hint, "warning"))
             found = following.get(id(parameter))
             if found is None:
                 try:
@@ -265,6 +266,10 @@ class Builder:
             for key, variable in work.variables.items():
                 if key.startswith("#") and self.unifier.dimension(variable) < 0:
                     self.unifier.unify_dimension(variable, 1)
+                    if any(
+                        name not in work.given and name not in work.template.defaults for name in work.cls.parameters
+                    ):
+                        continue  # a parameter that is missing or wrong would tell the size
                     shapes = {
                         **work.template.input_shapes,
                         **work.template.output_shapes,
@@ -319,6 +324,12 @@ class Builder:
             self.error(what, work.raw.name, work.raw.place(key=True), f'give "{name}"')
             return np.zeros(shape)
         return filled(value, shape)
+
+
+def _expected(declared: _Param) -> str:
+    rank = len(declared.shape) if isinstance(declared.shape, tuple) else int(isinstance(declared.shape, int))
+    kind = ("a number", "a list [...]", "a list of rows [[...], ...]")[min(rank, 2)]
+    return kind if declared.unit in (None, "1") else f"{kind} in {declared.unit}"
 
 
 def _list_hint(wanted: str) -> str:

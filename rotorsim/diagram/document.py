@@ -81,7 +81,8 @@ class FlatDocument:
     """What `flatten_document` found; ``problems`` has errors and warnings.
 
     broken: blocks of a wrong form, and sub-diagrams that could not be read. exposed: inputs that the ``ports``
-    of the outermost diagram name. sub_ports: of every sub-diagram, by its flat name.
+    of the outermost diagram name. port_ends: every end that ``ports`` name, and whether it is an input.
+    sub_ports: of every sub-diagram, by its flat name.
     """
 
     source: Source
@@ -92,6 +93,7 @@ class FlatDocument:
     wires: list[RawWire] = field(default_factory=list)
     record: list[tuple[Endpoint, Place]] | None = None
     exposed: dict[tuple[str, str], Place] = field(default_factory=dict)
+    port_ends: list[tuple[Endpoint, bool, Place]] = field(default_factory=list)
     sub_diagrams: set[str] = field(default_factory=set)
     broken: set[str] = field(default_factory=set)
     sub_ports: dict[str, SubPorts] = field(default_factory=dict)

@@ -37,8 +37,10 @@ class _Box:
 
     def port_y(self, name: str, *, is_input: bool) -> float:
         names = self.inputs if is_input else self.outputs
-        return self.y + (self.height if self.plain else self.height + HEAD) / 2 + PORT * (
-            names.index(name) - (len(names) - 1) / 2
+        return (
+            self.y
+            + (self.height if self.plain else self.height + HEAD) / 2
+            + PORT * (names.index(name) - (len(names) - 1) / 2)
         )
 
     @property

@@ -136,12 +136,14 @@ class _Flattener:
     def read(self, path: Path, raw: RawBlock) -> Source:
         assert self.folder is not None
         shown = str(Path(self.flat.source.file).parent / path.relative_to(self.folder))
+        hint = "the path is relative to the folder of the diagram that names it"
         try:
             source = read_document(path)
         except RotorsimError as error:
+            place = raw.place("file")
             raise RotorsimError(*[
                 replace(p, place=replace(p.place, file=shown)) if p.place.line
-                else replace(p, what=f"{shown}: {p.what}", subject=raw.name, place=raw.place("file"))
+                else Problem(f"{shown}: {p.what}", raw.name, place, p.hint or hint)
                 for p in error.problems
             ]) from None  # fmt: skip
         source.file = shown
@@ -210,6 +212,8 @@ class _Flattener:
             end = self.end(text, scope, place, subject)
             if end is not None:
                 ends += self.resolve(end, is_input, place)
+                if end.block not in self.flat.sub_ports:
+                    self.flat.port_ends.append((end, is_input, place))
             self.limit(len(ends), MAX_BLOCKS, "ends of one port")
         if is_input:
             ports.inputs[name] = ends

@@ -103,7 +103,7 @@ def load(
 
 def _raise_errors(problems: list[Problem]) -> None:
     if any(problem.severity == "error" for problem in problems):
-        unique = list(dict.fromkeys(problems))
+        unique = sorted(dict.fromkeys(problems), key=lambda p: (p.place.file, p.place.line, p.place.column))
         raise RotorsimError(*[p if p.hint or p.severity == "warning" else replace(p, hint=_HINT) for p in unique])
 
 
@@ -217,6 +217,8 @@ def _block_folders(flat: FlatDocument, root: Path | None, trusted: bool) -> list
         elif not trusted:
             what = "block files are programs; they are not run unless you say so"
             flat.problems.append(Problem(what, name, place, "read them, then add --trust-blocks (trust_blocks=True)"))
+        elif not path.is_dir():
+            flat.problems.append(Problem("folder does not exist", name, place, hint))
         else:
             folders.append(path)
     return folders
@@ -260,7 +262,8 @@ def _solver(flat: FlatDocument, overrides: Mapping[str, Any]) -> Solver:
         what = f"step {settings.step:g} s is longer than stop {settings.stop:g} s"
         flat.problems.append(Problem(what, "solver", flat.source.place(("solver",)), "choose a smaller step"))
     if settings.rtol >= 1:
-        flat.problems.append(Problem("must be less than 1", "solver.rtol", flat.source.place(("solver", "rtol"))))
+        place, hint = flat.source.place(("solver", "rtol")), f"the default is {Solver.rtol:g}"
+        flat.problems.append(Problem("must be less than 1", "solver.rtol", place, hint))
     if settings.stop / settings.step > 1e10:
         place = flat.source.place(("solver",))
         flat.problems.append(

@@ -49,10 +49,11 @@ class Wiring:
                 continue
             good_source = self._exists(raw.source, False, raw.end_place(0))
             good_target = self._exists(raw.target, True, raw.end_place(1))
-            if good_target:
-                self._take(raw)
-            if good_source and good_target:
+            if good_target and self._take(raw, good_source) and good_source:
                 self.wires.append(Wire(raw.source, raw.target, raw.place))
+        for end, is_input, place in self.flat.port_ends:
+            if end.block not in self.broken and end.block not in self.removed:
+                self._exists(end, is_input, place)
         for name, work in self.works.items():
             self._unwired(name, work)
             optional = frozenset(
@@ -103,21 +104,26 @@ class Wiring:
         self.error(what, place, str(end), near_miss(end.port, ports) if ports else f"it has no {kind}s")
         return False
 
-    def _take(self, raw: RawWire) -> None:
+    def _take(self, raw: RawWire, counts: bool) -> bool:
+        """Note that an input is wired; return whether it may be (a wire from nowhere does not count)."""
         work = self.works[raw.target.block]
         key = raw.target.block, raw.target.port
         work.wired.add(raw.target.port)
         if work.template.inputs[raw.target.port].additive:
-            return
+            return True
         if raw.target.index:
             what = "an input that takes one wire cannot be wired by parts"
             self.error(what, raw.end_place(1), str(raw.target), "put the parts together with a mux block")
-        elif key in self.first:
+            return False
+        if key in self.first:
             source, place = self.first[key]
             where = f" at {place}" if place.line else ""
             what = f"input is wired twice: from {source}{where}, and from {raw.source}"
             self.error(what, raw.place, str(raw.target), "add the signals with a sum block, or remove one wire")
-        self.first.setdefault(key, (raw.source, raw.place))
+            return False
+        if counts:
+            self.first[key] = (raw.source, raw.place)
+        return True
 
     def _unwired(self, name: str, work: Work) -> None:
         for port in work.template.needed_inputs:
@@ -130,14 +136,18 @@ class Wiring:
                 self.problems.append(Problem(what, f"{name}.{port}", place, hint, "warning"))
                 self.cut.add((name, port))
             elif (name, port) not in self.cut:
-                hint = f'add the wire ["{self._candidate(work, port)}", "{name}.{port}"]'
+                unit = work.template.inputs[port].unit
+                found = self._candidate(work, port)
+                hint = f'add the wire ["{found or "block.output"}", "{name}.{port}"]'
+                if not found and unit not in (None, "1"):
+                    hint += f" from an output in {unit}"
                 self.error("input is not wired", work.raw.place(key=True), f"{name}.{port}", hint)
 
     def _candidate(self, work: Work, port: str) -> str:
-        """Return an output that would suit an input: one of the same unit, best of the same name."""
+        """Return an output that would suit an input: one of the same unit, best of the same name; or none."""
         unit = work.template.inputs[port].unit
         if unit in (None, "1"):
-            return "block.output"
+            return ""
         fitting = [
             f"{name}.{output}"
             for name, other in self.works.items()
@@ -145,7 +155,7 @@ class Wiring:
             if other is not work and declared.unit == unit
         ]
         named = [name for name in fitting if name.endswith(f".{port}")]
-        return (named or fitting or ["block.output"])[0]
+        return (named or fitting or [""])[0]
 
     # --- shapes and units ---------------------------------------------------------------------------
 

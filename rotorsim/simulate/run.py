@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -56,7 +57,7 @@ def simulate(
     prepared = clock.process_time()
     if initial is not None:
         instance.x[:] = initial
-    n_steps = max(round(end / h), 1)
+    n_steps = max(math.ceil(end / h - 1e-9), 1)  # a stop between two steps is covered
     size = (n_steps // every + 1) * (instance.n_y + 1) * 8
     if size > LARGEST_RECORD:
         raise RotorsimError(
