@@ -40,7 +40,8 @@ def jeffcott() -> list[Line]:
         actions[f"hand{k}"] = baselines.jeffcott(JEFFCOTT_STEPS, 1e-4, by_hand=True, flags=flags)
     for name in ("jeffcott", "jeffcott_elementary"):
         actions[name] = runner(name, JEFFCOTT_STEPS, step=1e-4, record=record, record_every=1)
-    times = medians(actions, repeats=15)
+    machine = runner("jeffcott", JEFFCOTT_STEPS, step=1e-4, record=record, record_every=1, use_compiler=False)
+    times = {**medians(actions, repeats=15), **medians({"machine": machine}, repeats=3)}
     plain = min(times["plain0"], times["plain1"])
     hand = min(times["hand0"], times["hand1"])
     ratio, elementary = times["jeffcott"] / plain, times["jeffcott_elementary"] / times["jeffcott"]
@@ -48,6 +49,7 @@ def jeffcott() -> list[Line]:
         at_most("jeffcott, simulate(), CPU time / plain C (aim 0.30)", ratio, 0.42, also=f" ({plain * 1e3:.1f} ms C)"),
         Line("   limit by hand (series by recurrence, shared forcing) / plain C", f"{hand / plain:.3g}"),
         at_most("jeffcott_elementary / jeffcott", elementary, 1.05, "{:.3f}"),
+        Line("   without a compiler (CasADi's virtual machine) / plain C", f"{times['machine'] / plain:.3g}"),
     ]
 
 

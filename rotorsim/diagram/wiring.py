@@ -41,8 +41,8 @@ class Wiring:
                 self._cut(raw)
                 continue
             if any(end.block in self.broken for end in ends):
-                for end in ends:
-                    if end.block in self.works:
+                for k, end in enumerate(ends):
+                    if end.block in self.works and self._exists(end, k == 1, raw.end_place(k)):
                         self.works[end.block].wired.add(end.port)
                 continue
             if self._backwards(raw):
@@ -271,8 +271,11 @@ class Wiring:
         template, unifier = work.template, self.builder.unifier
         inputs: dict[str, Shape] = {}
         for name in template.inputs:
-            if name in work.wired:
+            is_cut = (work.raw.name, name) in self.cut
+            if name in work.wired or is_cut:
                 shape = unifier.resolved(work.term(template.input_shapes[name], unifier))
+                if shape is None and is_cut:
+                    shape = ()  # it reads zero
                 if shape is None:
                     return False
                 inputs[name] = shape

@@ -11,8 +11,8 @@ from scipy.optimize import brentq, linear_sum_assignment
 
 from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.simulate.linear import as_model, linearise
 from rotorsim.simulate.eigenmodes import Eigen, _shape_signals, checked_speeds, eigen, require_speed, whirl
+from rotorsim.simulate.linear import as_model, linearise
 
 __all__ = ["Campbell", "Crossing", "campbell"]
 

@@ -14,9 +14,9 @@ from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate import linear, periodic_linear
+from rotorsim.simulate.eigenmodes import checked_speeds, require_speed
 from rotorsim.simulate.harmonic_balance import Settings, balance
 from rotorsim.simulate.matrix_function import MatrixFunction
-from rotorsim.simulate.eigenmodes import checked_speeds, require_speed
 from rotorsim.simulate.periodic_linear import Motion, Setup
 from rotorsim.simulate.periodic_result import Periodic
 

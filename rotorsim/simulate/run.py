@@ -84,11 +84,14 @@ def simulate(
 def _check(h: float, end: float, every: int) -> None:
     problems = []
     if not (np.isfinite(h) and h > 0):
-        problems.append(Problem(what=f"the step must be positive, got {h:g} s", subject="solver.step"))
+        hint = "a fraction of the shortest period, such as 1e-4 s"
+        problems.append(Problem(what=f"the step must be positive, got {h:g} s", subject="solver.step", hint=hint))
     if not (np.isfinite(end) and end > 0):
-        problems.append(Problem(what=f"the stop time must be positive, got {end:g} s", subject="solver.stop"))
+        hint = "runs begin at t = 0"
+        problems.append(Problem(what=f"the stop time must be positive, got {end:g} s", subject="solver.stop", hint=hint))
     if every < 1:
-        problems.append(Problem(what=f"must be at least 1, got {every}", subject="solver.record_every"))
+        hint = "1 records every step"
+        problems.append(Problem(what=f"must be at least 1, got {every}", subject="solver.record_every", hint=hint))
     if not problems and end / h > 1e10:
         problems.append(Problem(what=f"{end / h:.0e} steps; at most 1e10", subject="solver.step", hint="a larger step"))
     if problems:

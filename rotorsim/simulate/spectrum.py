@@ -168,4 +168,11 @@ def run_up(result: Result, signal: str, *, speed: str = "clock.speed", edge: flo
 
 
 def _unit(result: Result, signal: str) -> str:
-    return result.units.get(signal, result.units.get(signal.partition("[")[0], ""))
+    """Return the unit of a signal, of the recorded part that it is a part of, or of the whole port."""
+    parts = signal.rstrip("]").replace("[", ",").split(",")
+    for kept in range(len(parts), 0, -1):
+        inside = ",".join(parts[1:kept])
+        name = f"{parts[0]}[{inside}]" if inside else parts[0]
+        if name in result.units:
+            return result.units[name]
+    return ""

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from rotorsim.compile import compile_diagram
-from rotorsim.compile import emit
+from rotorsim.compile import compile_diagram, emit
 from rotorsim.compile.affine import state_operations
 from rotorsim.compile.instance import CompiledInstance, InterpretedInstance
 from rotorsim.compile.pairing import paired_states
@@ -59,9 +58,7 @@ def test_axes_of_one_form_are_neighbours():
     kernel = compile_diagram(load("jeffcott_elementary")).kernel(())
     names = list(kernel.trace.states)
     pairs = [[names[k] for k in group] for group in paired_states(kernel.program, kernel.xdot)]
-    assert pairs == [
-        [f"{state}_{axis}.value" for axis in "xy"] for state in ("velocity", "displacement", "integral")
-    ]
+    assert pairs == [[f"{state}_{axis}.value" for axis in "xy"] for state in ("velocity", "displacement", "integral")]
 
 
 def test_a_finite_element_rotor_keeps_its_banded_solution():

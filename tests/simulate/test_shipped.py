@@ -9,8 +9,8 @@ from rotorsim.compile import compile_diagram
 from rotorsim.diagram.load import load, shipped_diagrams
 from rotorsim.errors import RotorsimError
 from rotorsim.simulate.design import closed_loop, design_state_feedback, plant_of
-from rotorsim.simulate.frequency import sensitivity
 from rotorsim.simulate.eigenmodes import modes
+from rotorsim.simulate.frequency import sensitivity
 from rotorsim.simulate.periodic_motion import periodic
 from tests.reference.jeffcott import Jeffcott
 from tests.simulate.settle import settled_by_shooting
