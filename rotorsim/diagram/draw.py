@@ -153,7 +153,7 @@ def _layered(diagram: Diagram) -> dict[str, tuple[float, float]]:
 def _route(
     boxes: Mapping[str, _Box], source: Endpoint, target: Endpoint, channels: list[_Lanes], streets: list[_Lanes]
 ) -> tuple[Key, tuple[int, int, int], Endpoint, Endpoint]:
-    """Reserve lanes: the channel right of the source, a street where columns are crossed, the one left of the target."""
+    """Reserve lanes: the channel right of the source, a street across columns, the one left of the target."""
     signal = source.block, source.port
     start, stop = boxes[source.block], boxes[target.block]
     first, last = start.column + 1, stop.column

@@ -88,7 +88,8 @@ def _check(h: float, end: float, every: int) -> None:
         problems.append(Problem(what=f"the step must be positive, got {h:g} s", subject="solver.step", hint=hint))
     if not (np.isfinite(end) and end > 0):
         hint = "runs begin at t = 0"
-        problems.append(Problem(what=f"the stop time must be positive, got {end:g} s", subject="solver.stop", hint=hint))
+        what = f"the stop time must be positive, got {end:g} s"
+        problems.append(Problem(what=what, subject="solver.stop", hint=hint))
     if every < 1:
         hint = "1 records every step"
         problems.append(Problem(what=f"must be at least 1, got {every}", subject="solver.record_every", hint=hint))

@@ -22,7 +22,7 @@ def test_a_loop_is_printed_hop_by_hop() -> None:
         )
     )  # fmt: skip
     assert mistakes(text) == [
-        f"1:42: s: algebraic loop: s.output -> g.input, g.output -> s.input2 | {CURE}",
+        f"1:40: s: algebraic loop: s.output -> g.input, g.output -> s.input2 | {CURE}",
     ]
 
 

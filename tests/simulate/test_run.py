@@ -92,7 +92,8 @@ def test_wrong_arguments_are_all_reported_at_once():
     with pytest.raises(RotorsimError) as caught:
         simulate(load(oscillator()), stop=-1.0, step=0.0, record_every=0)
     assert [str(p) for p in caught.value.problems] == [
-        "error: solver.step: the step must be positive, got 0 s\n\nhint: a fraction of the shortest period, such as 1e-4 s",
+        "error: solver.step: the step must be positive, got 0 s\n\n"
+        "hint: a fraction of the shortest period, such as 1e-4 s",
         "error: solver.stop: the stop time must be positive, got -1 s\n\nhint: runs begin at t = 0",
         "error: solver.record_every: must be at least 1, got 0\n\nhint: 1 records every step",
     ]
