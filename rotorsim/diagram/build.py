@@ -46,8 +46,8 @@ class Builder:
         cls = self.registry.find(raw.type_name)
         if cls is None:
             hint = self.registry.hint(raw.type_name)
-            if not hint.startswith("did") and self.flat.data.get("block_folders") and not self.registry.folders:
-                hint = 'is it in "block_folders"? Their files are run only with --trust-blocks (trust_blocks=True)'
+            if self.flat.data.get("block_folders") and not self.registry.folders:
+                hint += ' If it is in "block_folders", add --trust-blocks'
             self.error(f"unknown block type '{raw.type_name}'", raw.name, raw.place("type"), hint)
             return None
         options: dict[str, Any] = {}
@@ -128,8 +128,14 @@ class Builder:
         found.used = True
         return found
 
-    def value_problem(self, raw: RawBlock, name: str, problem: ValueProblem, place: Place | None = None) -> None:
-        place = place or (Place("--set") if name in raw.overrides else raw.place("parameters", name, *problem.path))
+    def value_problem(self, raw: RawBlock, name: str, problem: ValueProblem) -> None:
+        place: Place = raw.place("parameters", name, *problem.path)
+        value = raw.parameters.get(name)
+        followed = raw.scope.parameters.get(value[1:]) if isinstance(value, str) and value[:1] == "$" else None
+        if followed is not None:
+            place = followed.place  # the number is written there
+        elif name in raw.overrides:
+            place = Place("--set")
         self.error(problem.what, f"{raw.name}.{name}", place, problem.hint)
 
     def parameter(

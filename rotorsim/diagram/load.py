@@ -62,7 +62,7 @@ def load(
             work = builder.start(raw)
             if work is not None:
                 works[name] = work
-    if not flat.blocks and isinstance(document.data, dict) and isinstance(document.data.get("blocks"), dict):
+    if not (flat.blocks or flat.broken or flat.sub_diagrams) and "blocks" in flat.data:
         problems.append(
             Problem("the diagram has no blocks", place=document.locate(("blocks",)), hint="see `rotorsim blocks`")
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 from rotorsim.block import Block, Shape
@@ -16,6 +17,8 @@ from rotorsim.units import UnitError, compatible
 
 __all__ = ["Wiring"]
 
+MAX_HINTS = 50
+
 
 class Wiring:
     """Connects works along wires; mistakes go to the problems of the builder."""
@@ -28,6 +31,7 @@ class Wiring:
         self.wires: list[Wire] = []
         self.first: dict[tuple[str, str], tuple[Endpoint, Place]] = {}
         self.cut: set[tuple[str, str]] = set()
+        self.hints: dict[str, str] = {}
         self.broken = flat.broken | {name for name in flat.blocks if name not in works and name not in removed}
 
     def error(self, what: str, place: Place, subject: str, hint: str = "") -> None:
@@ -85,9 +89,7 @@ class Wiring:
     def _exists(self, end: Endpoint, is_input: bool, place: Place) -> bool:
         work = self.works.get(end.block)
         if work is None:
-            known = [*self.works, *self.broken, *self.flat.sub_diagrams]
-            hint = near_miss(end.block, known) if known else 'declare it under "blocks"'
-            self.error(f"no block '{end.block}'", place, str(end), hint)
+            self.error(f"no block '{end.block}'", place, str(end), self._known_block(end.block))
             return False
         template = work.template
         ports: Mapping[str, Any] = template.inputs if is_input else template.outputs
@@ -103,6 +105,14 @@ class Wiring:
         what = f"block type '{work.cls.type_name}' has no {kind} '{end.port}'"
         self.error(what, place, str(end), near_miss(end.port, ports) if ports else f"it has no {kind}s")
         return False
+
+    def _known_block(self, name: str) -> str:
+        """Return the near miss of a block; after many, none (each takes a look at every block)."""
+        if name not in self.hints:
+            known = [*self.works, *self.broken, *self.flat.sub_diagrams]
+            few = len(self.hints) < MAX_HINTS
+            self.hints[name] = near_miss(name, known) if few and known else 'declare it under "blocks"'
+        return self.hints[name]
 
     def _take(self, raw: RawWire, counts: bool) -> bool:
         """Note that an input is wired; return whether it may be (a wire from nowhere does not count)."""
@@ -148,14 +158,21 @@ class Wiring:
         unit = work.template.inputs[port].unit
         if unit in (None, "1"):
             return ""
-        fitting = [
-            f"{name}.{output}"
-            for name, other in self.works.items()
-            for output, declared in other.template.outputs.items()
-            if other is not work and declared.unit == unit
-        ]
-        named = [name for name in fitting if name.endswith(f".{port}")]
-        return (named or fitting or [""])[0]
+        own = f"{work.raw.name}."
+        fitting = (name for key in ((unit, port), (unit, "")) for name in self.carriers.get(key, ()))
+        return next((name for name in fitting if not name.startswith(own)), "")
+
+    @cached_property
+    def carriers(self) -> dict[tuple[str | None, str], list[str]]:
+        """The first outputs of every unit, of any name ("") and of every name."""
+        found: dict[tuple[str | None, str], list[str]] = {}
+        for name, work in self.works.items():
+            for output, declared in work.template.outputs.items():
+                for key in ((declared.unit, output), (declared.unit, "")):
+                    names = found.setdefault(key, [])
+                    if len(names) < 10:  # more than one block can have outputs of one unit
+                        names.append(f"{name}.{output}")
+        return found
 
     # --- shapes and units ---------------------------------------------------------------------------
 

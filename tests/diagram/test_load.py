@@ -127,6 +127,73 @@ def test_an_input_of_a_diagram_of_its_own_reads_zero_and_says_so() -> None:
         ": warning: g.input: input reads zero unless this diagram is a part of another "
         "| a diagram that runs by itself wires all its inputs"
     ]
+    wrong = diagram({"g": "gain"}, ports={"inputs": {"u": "q.input"}, "outputs": {"y": "g.outputt"}, "x": {}})
+    assert mistakes(wrong)[:3] == [
+        ": ports: unknown key 'x' | known: inputs, outputs",
+        ": q.input: no block 'q' | known: g",
+        ": g.outputt: block type 'gain' has no output 'outputt' | did you mean 'output'?",
+    ]
+
+
+def test_places_survive_pickling_and_do_not_keep_the_text() -> None:
+    wire = load("jeffcott").wires[0]
+    assert pickle.loads(pickle.dumps(wire)).place == wire.place
+
+
+# --- shapes -----------------------------------------------------------------------------------------
+
+
+def shape_of(loaded: Diagram, port: str) -> tuple[int, ...]:
+    name, _, key = port.partition(".")
+    node = loaded.nodes[name]
+    return (node.outputs | node.inputs)[key].shape
+
+
+def test_a_shape_runs_along_wires_in_both_directions() -> None:
+    document = diagram(
+        {"a": "gain", "s": "sum", "i": "integrator", "b": "gain", "v": block("constant", value=[1, 2, 3])},
+        ("i.output", "a.input"), ("a.output", "s.input1"), ("b.output", "s.input2"), ("v.output", "b.input"),
+        ("s.output", "i.input"),
+    )  # fmt: skip
+    loaded = load(document)
+    for port in ("a.input", "a.output", "s.input1", "s.output", "i.input", "i.output", "b.output"):
+        assert shape_of(loaded, port) == (3,)
+    assert loaded.nodes["i"].state_shapes == {"value": (3,)}
+
+
+def test_a_scalar_value_fills_the_shape_that_its_wires_ask_for() -> None:
+    document = diagram({"c": block("constant", value="2 kN"), "r": "rotor_2dof"}, ("c.output", "r.force"))
+    loaded = load(document)
+    np.testing.assert_array_equal(loaded.nodes["c"].values["value"], [2000.0, 2000.0])
+
+
+def test_what_nothing_determines_is_a_scalar() -> None:
+    document = diagram({"i": "integrator", "g": "gain"}, ("i.output", "g.input"), ("g.output", "i.input"))
+    assert shape_of(load(document), "i.output") == ()
+
+
+def test_rows_and_entries_of_wider_signals() -> None:
+    document = diagram(
+        {"c": "clock", "fe": block("rotor_fe"), "p": "pid", "g": "gain", "a": block("constant", value=[1, 2])},
+        ("c.speed", "fe.speed"), ("fe.displacement[3]", "p.displacement"), ("fe.displacement[3,2]", "g.input"),
+        ("a.output", "fe.force[2]"), ("g.output", "fe.force[6,1]"),
+    )  # fmt: skip
+    loaded = load(document)
+    assert shape_of(loaded, "g.input") == ()
+    assert Endpoint("fe", "force", (5, 0)) in [wire.target for wire in loaded.wires]
+
+
+def test_matrices_give_the_sizes_of_a_state_space_block() -> None:
+    matrices = {"A": [[0, 1], [-1, 0]], "B": [[0], [1]], "C": [[1, 0], [0, 1], [1, 1]]}
+    document = diagram(
+        {"s": block("state_space", **matrices), "g": "gain", "c": "constant"},
+        ("c.output", "s.input"), ("s.output", "g.input"),
+    )  # fmt: skip
+    loaded = load(document)
+    assert shape_of(loaded, "s.input") == (1,)  # one entry fits the scalar constant
+    assert shape_of(loaded, "g.output") == (3,)
+    assert loaded.nodes["s"].state_shapes == {"value": (2,)}
+    assert loaded.nodes["s"].values["D"].shape == (3, 1)
     wrong = diagram({"c": "constant", "s": block("state_space", **{**matrices, "B": [[0]]})}, ("c.output", "s.input"))
     assert mistakes(wrong) == [
         ": s.B: shape is (1, 1), expected (2, ?) | write a list of rows [[...], ...]",
