@@ -170,7 +170,7 @@ class Wiring:
             for output, declared in work.template.outputs.items():
                 for key in ((declared.unit, output), (declared.unit, "")):
                     names = found.setdefault(key, [])
-                    if len(names) < 10:  # more than one block can have outputs of one unit
+                    if len(names) < 10:  # some may be of the block that looks for one
                         names.append(f"{name}.{output}")
         return found
 
