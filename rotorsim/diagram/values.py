@@ -116,7 +116,7 @@ def _entry(value: Any, kinds: tuple[type, ...], declared: _Option, path: tuple[i
     fits = not kinds or (type(value) in kinds) or (isinstance(value, tuple) and list in kinds)
     if not fits:
         words = " or ".join(_KIND_WORDS.get(kind, kind.__name__) for kind in kinds)
-        hint = f"write {int(value)}" if isinstance(value, float) and int in kinds and value == int(value) else ""
+        hint = f"write {int(value)}" if isinstance(value, float) and int in kinds and value.is_integer() else ""
         raise ValueProblem(f"must be {words}, not {_kind_of(value)}", hint, path)
     if declared.choices is not None and value not in declared.choices:
         shown = ", ".join(str(choice) for choice in declared.choices)
