@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rotorsim.blocks import _beam
 from scipy.linalg import eigh, solve
 
-from rotorsim.blocks import _beam
 from tests.blocks.evaluation import prepare
 
 E, RHO, D, L = 2.1e11, 7850.0, 0.016, 0.5
