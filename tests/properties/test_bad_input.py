@@ -192,7 +192,8 @@ def test_diagrams_read_nothing_outside_their_folder(tmp_path, file):
     path.write_text(json.dumps({"blocks": {"s": {"type": "diagram", "file": file}}}))
     with pytest.raises(RotorsimError) as caught:
         load(path)
-    assert caught.value.problems[0].what == f"file {file!r} is not inside the folder of the diagram".replace("\\\\", "\\")
+    expected = f"file {file!r} is not inside the folder of the diagram".replace("\\\\", "\\")
+    assert caught.value.problems[0].what == expected
 
 
 def test_diagrams_run_no_code_unless_trusted(tmp_path):
