@@ -30,6 +30,7 @@ class Builder:
         self.unifier = Unifier()
         self.converted: dict[tuple[int, str | None], np.ndarray | ValueProblem] = {}
         self.parameter_units: dict[str, str] = {}
+        self.misfits: set[str] = set()  # blocks whose defaults do not fit, so that their values mean nothing
 
     def error(self, what: str, subject: str, place: Place, hint: str = "") -> None:
         self.problems.append(Problem(what, subject=subject, place=place, hint=hint))
@@ -328,6 +329,7 @@ class Builder:
         if value.ndim and value.shape != shape:
             what = f"default of '{name}' has shape {text_of(value.shape)}, but {text_of(shape)} is needed here"
             self.error(what, work.raw.name, work.raw.place(key=True), f'give "{name}"')
+            self.misfits.add(work.raw.name)
             return np.zeros(shape)
         return filled(value, shape)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib import resources
@@ -14,7 +15,7 @@ from rotorsim.diagram.document import FlatDocument
 from rotorsim.diagram.flatten import flatten_document
 from rotorsim.diagram.order import evaluation_order, trace_blocks
 from rotorsim.diagram.registry import Registry
-from rotorsim.diagram.source import Source, read_document
+from rotorsim.diagram.source import MAX_DEPTH, Source, is_too_deep, read_document
 from rotorsim.diagram.template import Work
 from rotorsim.diagram.values import ValueProblem, numeric
 from rotorsim.diagram.wiring import Wiring
@@ -49,7 +50,7 @@ def load(
     Raises RotorsimError with every mistake found; warnings are in ``diagram.warnings``.
     """
     document, root = _source(source, folder)
-    parameters, blocks, solver = _overrides(set or {})
+    parameters, blocks, solver = _overrides({} if set is None else set)
     flat = flatten_document(document, root, parameters, blocks)
     problems = flat.problems
     registry = Registry(_block_folders(flat, root, trust_blocks))
@@ -77,7 +78,7 @@ def load(
 
     nodes = {name: builder.node(work) for name, work in works.items()}
     for name, work in works.items():
-        if work.template.has_check:
+        if work.template.has_check and name not in builder.misfits:
             problems += _contradictions(work, nodes[name])
     _raise_errors(problems)
     diagram = Diagram(
@@ -140,15 +141,19 @@ def _with_settings(
 
 def _source(source: str | Path | Mapping[str, Any], folder: str | Path | None) -> tuple[Source, Path | None]:
     if isinstance(source, Mapping):
+        if is_too_deep(dict(source)):
+            what = f"the document is nested deeper than {MAX_DEPTH} levels"
+            raise RotorsimError(Problem(what, hint="a diagram needs no more than ten; use sub-diagrams"))
         return Source(dict(source)), Path(folder) if folder is not None else None
     if not isinstance(source, str | Path):
         what = f"a diagram is a file, a name or a mapping, not {type(source).__name__}"
         raise RotorsimError(Problem(what, hint='load("diagram.json")'))
     path = Path(source)
     shipped = shipped_diagrams()
-    if str(source) in shipped and not path.exists():
+    exists = os.path.lexists(path)
+    if str(source) in shipped and not exists:
         path = shipped[str(source)]
-    elif not path.suffix and not path.exists():
+    elif not path.suffix and not exists:
         hint = near_miss(str(source), shipped)
         raise RotorsimError(Problem("no such file and no diagram of this name", place=Place(str(source)), hint=hint))
     try:
@@ -161,13 +166,15 @@ def _source(source: str | Path | Mapping[str, Any], folder: str | Path | None) -
 
 
 def _overrides(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, dict[str, Any]], dict[str, Any]]:
+    if not isinstance(given, Mapping) or is_too_deep(dict(given)):
+        raise RotorsimError(Problem("settings are a mapping of names to values", hint='set={"speed": "1500 rpm"}'))
     parameters: dict[str, Any] = {}
     blocks: dict[str, dict[str, Any]] = {}
     solver: dict[str, Any] = {}
     for name, value in given.items():
-        block, dot, parameter = name.rpartition(".")
+        block, dot, parameter = str(name).rpartition(".")
         if not dot:
-            parameters[name] = value
+            parameters[str(name)] = value
         elif block == "solver":
             solver[parameter] = value
         else:
@@ -189,7 +196,7 @@ def _check_overrides(flat: FlatDocument, parameters: Mapping[str, Any], blocks: 
 
 def _removed(flat: FlatDocument, without: Iterable[str]) -> frozenset[str]:
     removed: list[str] = []
-    for name in without:
+    for name in [without] if isinstance(without, str) else map(str, without):
         inside = [block for block in flat.blocks if block == name or block.startswith(f"{name}/")]
         if not inside:
             hint = near_miss(name, [*flat.blocks, *flat.sub_diagrams])
@@ -211,17 +218,28 @@ def _block_folders(flat: FlatDocument, root: Path | None, trusted: bool) -> list
         if root is None:
             flat.problems.append(Problem("a document in memory has no folder", name, place, "pass folder="))
             continue
-        path = (root / name).resolve()
-        if Path(name).is_absolute() or "\0" in name or not path.is_relative_to(root.resolve()):
+        path = _inside(root, name)
+        if path is None:
             flat.problems.append(Problem("folder is outside the folder of the diagram", name, place, hint))
         elif not trusted:
             what = "block files are programs; they are not run unless you say so"
             flat.problems.append(Problem(what, name, place, "read them, then add --trust-blocks (trust_blocks=True)"))
-        elif not path.is_dir():
+        elif not os.path.isdir(path):  # unlike Path.is_dir, no error for a name that is too long
             flat.problems.append(Problem("folder does not exist", name, place, hint))
         else:
             folders.append(path)
     return folders
+
+
+def _inside(root: Path, name: str) -> Path | None:
+    """Return the folder of this name below ``root``, or None if it is not below it."""
+    if Path(name).is_absolute() or "\0" in name:
+        return None
+    try:
+        path = (root / name).resolve()
+    except (OSError, RuntimeError):  # a link to itself
+        return None
+    return path if path.is_relative_to(root.resolve()) else None
 
 
 def _solver(flat: FlatDocument, overrides: Mapping[str, Any]) -> Solver:

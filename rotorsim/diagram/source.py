@@ -9,13 +9,15 @@ import json
 import math
 import re
 from functools import cached_property
-from itertools import accumulate
+from itertools import accumulate, islice
 from pathlib import Path
 from typing import Any
 
 from rotorsim.errors import Place, Problem, RotorsimError
 
-__all__ = ["MAX_BYTES", "MAX_DEPTH", "JsonPath", "LazyPlace", "Source", "parse_document", "read_document"]
+__all__ = [
+    "MAX_BYTES", "MAX_DEPTH", "JsonPath", "LazyPlace", "Source", "is_too_deep", "parse_document", "read_document",
+]  # fmt: skip
 
 MAX_BYTES = 20_000_000
 MAX_DEPTH = 64
@@ -25,6 +27,7 @@ JsonPath = tuple[str | int, ...]
 _STRING = r'"[^"\\]*+(?:\\.[^"\\]*+)*+"?'  # possessive: linear time also for hostile text
 _STRINGS = re.compile(_STRING, re.DOTALL)
 _OTHER = re.compile(r"[^\[\]{}]+")
+_BRACKET_OR_STRING = re.compile(rf"[\[\]{{}}]|{_STRING}", re.DOTALL)
 _TOKEN = re.compile(rf"\s*(?:({_STRING})|([\[\]{{}},:])|([^\s\[\]{{}},:\"]+))", re.DOTALL)
 
 
@@ -139,8 +142,11 @@ def read_document(path: str | Path) -> Source:
 def parse_document(text: str, file: str = "", path: Path | None = None) -> Source:
     """Parse JSON text under the limits of `read_document`."""
     source = Source(None, text, file, path)
-    if _deeper_than(text, MAX_DEPTH):
-        raise RotorsimError(Problem(f"JSON is nested deeper than {MAX_DEPTH} levels", place=Place(file)))
+    deep = _first_too_deep(text)
+    if deep is not None:
+        what = f"JSON is nested deeper than {MAX_DEPTH} levels"
+        hint = "a diagram needs no more than ten; use sub-diagrams"
+        raise RotorsimError(Problem(what, place=Place(file, *source._line_column(deep)), hint=hint))
     suspects: list[str] = []
 
     def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -177,9 +183,28 @@ def parse_document(text: str, file: str = "", path: Path | None = None) -> Sourc
     return source
 
 
-def _deeper_than(text: str, depth: int) -> bool:
+def _first_too_deep(text: str) -> int | None:
+    """Return the offset of the first bracket that is nested too deeply."""
     brackets = _OTHER.sub("", _STRINGS.sub("", text))
-    return max(accumulate(map({"[": 1, "{": 1, "]": -1, "}": -1}.__getitem__, brackets)), default=0) > depth
+    levels = accumulate(map({"[": 1, "{": 1, "]": -1, "}": -1}.__getitem__, brackets))
+    number = next((k for k, level in enumerate(levels) if level > MAX_DEPTH), None)
+    if number is None:
+        return None
+    found = (match for match in _BRACKET_OR_STRING.finditer(text) if match[0][0] != '"')
+    return next(islice(found, number, None)).start()
+
+
+def is_too_deep(value: Any) -> bool:
+    """Return whether a value made in memory is nested deeper than a file may be (or holds itself)."""
+    level = [value]
+    for _ in range(MAX_DEPTH + 1):
+        level = [
+            item for part in level if isinstance(part, dict | list | tuple)
+            for item in (part.values() if isinstance(part, dict) else part)
+        ]  # fmt: skip
+        if not level:
+            return False
+    return True
 
 
 def _scan(text: str) -> tuple[Any, list[tuple[int, str, str]]]:

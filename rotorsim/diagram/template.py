@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -49,8 +50,8 @@ def _bad_names(block: Block) -> list[str]:
     bad: list[str] = []
     for group in (block.inputs, block.outputs):
         names = [(name, d.many) for d in group.values() for name in block.port_names(d)]
-        plain = [name for name, _ in names]
-        bad += [name for name, many in names if many and (plain.count(name) > 1 or not NAME.fullmatch(name))]
+        count = Counter(name for name, _ in names)
+        bad += [name for name, many in names if many and (count[name] > 1 or not NAME.fullmatch(name))]
     return list(dict.fromkeys(bad))
 
 

@@ -13,6 +13,8 @@ from rotorsim.units import UnitError, format_quantity, parse_quantity
 
 __all__ = ["ValueProblem", "bounds_problem", "numeric", "option_value"]
 
+MAX_DIMENSIONS = 8
+
 
 class ValueProblem(Exception):  # noqa: N818 - it carries a problem, and is caught where it can be placed
     """What is wrong with a value, where in it (indices), and a hint."""
@@ -31,6 +33,8 @@ def numeric(value: Any, unit: str | None, *, bare: bool = False, path: tuple[int
     if isinstance(value, float | int) and not isinstance(value, bool):
         return _finite(value, path)
     if isinstance(value, list | tuple):
+        if len(path) >= MAX_DIMENSIONS:
+            raise ValueProblem("the list is nested too deeply", "write one number, [...] or [[...], ...]", path)
         if all(type(item) is float and math.isfinite(item) for item in value) and value:
             return np.array(value)
         parts = [numeric(item, unit, bare=bare, path=(*path, k)) for k, item in enumerate(value)]

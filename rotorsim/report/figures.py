@@ -13,14 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.report.style import AXES, BLUE, GREY, ORANGE, RED, display, figure, rpm, styled
+from rotorsim.report.style import AXES, BLUE, GREY, INK, ORANGE, RED, display, figure, rpm, styled
 from rotorsim.simulate.result import Result
-from rotorsim.simulate.spectrum import FullSpectrum, RunUp, full_spectrum, last_turns, run_up
+from rotorsim.simulate.spectrum import FullSpectrum, RunUp, angle_of, full_spectrum, last_turns, run_up
 
-__all__ = ["orbit", "overview", "run_up_figure", "spectrum_figure", "time_histories", "two_axis_signals"]
+__all__ = ["orbit", "overview", "run_up_figure", "save_figure", "spectrum_figure", "time_histories", "two_axis_signals"]
 
-ANGLE, SPEED = "clock.theta", "clock.speed"
 TURNS = 4.0  # shown in time histories
+HUGE = 1e100  # the axes of matplotlib overflow far beyond
 
 
 def two_axis_signals(result: Result) -> list[str]:
@@ -36,49 +36,70 @@ def two_axis_signals(result: Result) -> list[str]:
     return found
 
 
+def speed_of(result: Result) -> str | None:
+    """Return the recorded shaft speed: the one of the clock that gives the angle, else ``clock.speed``, else None."""
+    name = (angle_of(result) or "clock.theta").removesuffix("theta") + "speed"
+    return name if name in result else None
+
+
 def title_of(result: Result) -> str:
-    """Return the title of a run: diagram and constant speed."""
-    name = str(result.provenance.get("diagram", ""))
-    if ANGLE not in result or len(result.time) < 3:
+    """Return the title of a run: diagram, speed or range of speeds, and what went wrong with it."""
+    name = str(result.provenance.get("diagram", "")) or "run"
+    if result.status != "finished":
+        name += f" ({result.status})"
+    angle, speed = angle_of(result), speed_of(result)
+    if len(result.time) < 3 or (angle is None and speed is None):
         return name
-    rates = np.diff(result[ANGLE]) / np.diff(result.time)
-    if np.ptp(rates) > 1e-3 * abs(rates[-1]):
+    rates = result[speed] if speed else np.diff(result[angle or ""]) / np.diff(result.time)
+    if np.ptp(rates) > 1e-3 * np.abs(rates).max():
         return f"{name}, {rpm(rates[0]):.0f} to {rpm(rates[-1]):.0f} rpm"
-    return f"{name}, {rpm(rates.mean()):.0f} rpm"
+    return f"{name}, {rpm(np.mean(rates)):.0f} rpm"
 
 
 def _last(result: Result, turns: float) -> slice:
-    if ANGLE in result:
-        theta = result[ANGLE]
+    angle = angle_of(result)
+    if angle is not None:
+        theta = np.abs(result[angle])
         start = int(np.searchsorted(theta, theta[-1] - 2 * np.pi * turns - 1e-9))
         if len(theta) - start > 8:
             return slice(start, len(theta))
     return slice(max(len(result.time) - 2000, 0), len(result.time))
 
 
-def _unit(result: Result, signal: str) -> str:
-    return result.units.get(signal, result.units.get(signal.partition("[")[0], ""))
+def _key(axes: Axes, columns: int = 1) -> None:
+    """Put the legend above the axes, at the right, where it hides no curve."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.0, handlelength=1.4,
+                columnspacing=1.0)  # fmt: skip
 
 
 def _draw_time(axes: Axes, result: Result, signal: str, part: slice) -> None:
-    values, unit = display(result[signal][part], _unit(result, signal))
+    values = result[signal][part]
+    grown = result.status == "diverged" or bool(np.abs(values).max(initial=0.0) > HUGE)
+    if grown:  # growth without bound is a straight line on a logarithmic scale
+        size = np.abs(values)
+        values = np.where((size > 0) & (size < HUGE), size, np.nan)
+    values, unit = display(values, result.unit(signal))
     if values.ndim == 2 and values.shape[1] == 2:
         for k, axis in enumerate("xy"):
-            axes.plot(result.time[part], values[:, k], color=AXES[axis], label=axis)
+            axes.plot(result.time[part], values[:, k], color=AXES[axis], label=f"|{axis}|" if grown else axis)
     else:
         flat = values.reshape(len(values), -1)
         for k in range(flat.shape[1]):
             axes.plot(result.time[part], flat[:, k], label=f"[{k + 1}]" if flat.shape[1] > 1 else None)
-    axes.set(title=signal, ylabel=f"[{unit}]", xlabel="time [s]")
+    if grown and np.isfinite(values).any():
+        axes.set_yscale("log")
+    axes.set_title(signal, loc="left")
+    axes.set(ylabel=f"[{unit}]", xlabel="time [s]")
     axes.margins(x=0)
     handles, labels = axes.get_legend_handles_labels()
     if handles and len(labels) <= 8:
-        axes.legend(loc="upper right", ncols=len(labels))
+        _key(axes, len(labels))
 
 
 def time_histories(result: Result, signals: list[str] | None = None, *, turns: float | None = None) -> Figure:
     """Return the signals against time, one panel each (all of the run, or its last turns)."""
-    names = signals or [n for n in result.signals if n not in (ANGLE, SPEED)]
+    hidden = (angle_of(result), speed_of(result))
+    names = signals or [n for n in result.signals if n not in hidden] or list(result.signals)
     part = slice(0, len(result.time)) if turns is None else _last(result, turns)
     with styled():
         made = figure(8.0, 1.2 + 1.8 * len(names), title_of(result))
@@ -87,15 +108,27 @@ def time_histories(result: Result, signals: list[str] | None = None, *, turns: f
     return made
 
 
-def _draw_orbit(axes: Axes, result: Result, signal: str, part: slice) -> None:
-    r, unit = display(result.complex(signal)[part], _unit(result, signal))
+def _key_phasor(result: Result, signal: str, part: slice) -> np.ndarray:
+    """Return the complex signal where the shaft angle is a whole number of turns, between samples too."""
+    angle = angle_of(result)
+    if angle is None:
+        return np.empty(0, complex)
+    turns, r = result[angle][part] / (2 * np.pi), result.complex(signal)[part]
+    if turns[-1] < turns[0]:
+        turns = -turns
+    whole = np.arange(np.floor(turns[0] + 1e-9), np.floor(turns[-1] + 1e-9)) + 1
+    return np.asarray(np.interp(whole, turns, r.real) + 1j * np.interp(whole, turns, r.imag))
+
+
+def _draw_orbit(axes: Axes, result: Result, signal: str, part: slice, title: str) -> None:
+    r, unit = display(result.complex(signal)[part], result.unit(signal))
     axes.plot(r.real, r.imag, color=BLUE, lw=1.0)
-    if ANGLE in result:
-        theta = result[ANGLE][part] / (2 * np.pi)
-        at = np.flatnonzero(np.diff(np.floor(theta + 1e-9)) > 0) + 1
-        axes.plot(r.real[at], r.imag[at], "o", ms=4.5, color=RED, label="theta = 0", zorder=3)
-        axes.legend(loc="upper right")
-    axes.set(title=f"orbit of {signal}", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
+    marks, _ = display(_key_phasor(result, signal, part), result.unit(signal))
+    if len(marks):
+        axes.plot(marks.real, marks.imag, "o", ms=5, color=RED, label="theta = 0", zorder=3)
+        _key(axes)
+    axes.set_title(title, loc="left")
+    axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
     axes.set_aspect("equal", adjustable="datalim")
 
 
@@ -103,11 +136,16 @@ def orbit(result: Result, signal: str, *, turns: float = TURNS) -> Figure:
     """Return the orbit of a two-axis signal over the last turns, with the key phasor (theta = 0) marked."""
     with styled():
         made = figure(5.0, 5.0, title_of(result))
-        _draw_orbit(made.add_subplot(), result, signal, _last(result, turns))
+        _draw_orbit(made.add_subplot(), result, signal, _last(result, turns), f"orbit of {signal}")
     return made
 
 
-def _draw_spectrum(axes: Axes, phase: Axes | None, found: FullSpectrum, running: float, orders: int) -> None:
+def _colour(order: float) -> str:
+    return GREY if abs(order) <= 0.5 else BLUE if order > 0 else ORANGE
+
+
+def _draw_spectrum(axes: Axes, phase: Axes | None, found: FullSpectrum, orders: int, title: str) -> None:
+    running = found.running or 1.0
     amplitude, unit = display(found.amplitude, found.unit)
     order = found.frequency / running
     inside = np.abs(order) <= orders + 0.5
@@ -115,43 +153,52 @@ def _draw_spectrum(axes: Axes, phase: Axes | None, found: FullSpectrum, running:
     peaks = [int(np.argmin(np.abs(order - k))) for k in range(-orders, orders + 1)]
     peaks = [k for k in peaks if size[k] > 1e-4 * size.max()]
     axes.plot(order[inside], size[inside], color=GREY, lw=0.6)
-    axes.vlines(order[peaks], 0, size[peaks], color=[BLUE if order[k] >= 0 else ORANGE for k in peaks], lw=2.2)
-    axes.set(title=f"full spectrum of {found.signal}", ylabel=f"[{unit}, 0-peak]")
-    axes.set_xlabel("order of running speed:  backward < 0 < forward")
+    for colour, name, chosen in (
+        (ORANGE, "backward", [k for k in peaks if order[k] < -0.5]),
+        (GREY, "_mean", [k for k in peaks if abs(order[k]) <= 0.5]),
+        (BLUE, "forward", [k for k in peaks if order[k] > 0.5]),
+    ):
+        axes.vlines(order[chosen], 0, size[chosen], color=colour, lw=2.2, label=name)
+    axes.set_title(title, loc="left")
+    axes.set(ylabel=f"[{unit}, 0-peak]")
     axes.set_xticks(range(-orders, orders + 1), minor=True)
     axes.set_xticks(range(-orders + 1, orders, 2))
-    axes.set_ylim(bottom=0)
+    axes.set_xlim(-orders - 0.5, orders + 0.5)
+    axes.set_ylim(0, float(size[inside].max()) * 1.05 or 1.0)
+    _key(axes, 3)
+    (axes if phase is None else phase).set_xlabel("order of running speed")
     if phase is not None:
         angle = np.degrees(np.angle(amplitude[peaks]))
         phase.axhline(0, color=GREY, lw=0.6)
         for k, value in zip(peaks, angle, strict=True):
-            phase.plot(order[k], value, "o", ms=4, color=BLUE if order[k] >= 0 else ORANGE)
+            phase.plot(order[k], value, "o", ms=4, color=_colour(float(order[k])))
         phase.set(ylabel="phase [deg]", ylim=(-190, 190), yticks=range(-180, 181, 90))
-        phase.set_xlabel("order of running speed")
-        phase.set_xticks(range(-orders + 1, orders, 2))
 
 
-def _running(result: Result, window: tuple[float, float] | None) -> float:
-    if ANGLE not in result:
-        hint = f"record {ANGLE}"
-        raise RotorsimError(Problem("the shaft angle was not recorded", ANGLE, hint=hint))
-    theta, time = result[ANGLE], result.time
-    start, stop = (0, -1) if window is None else np.searchsorted(time, window) - (0, 1)
-    rate = float((theta[stop] - theta[start]) / (time[stop] - time[start]) / (2 * np.pi))
-    if rate <= 0:
-        raise RotorsimError(Problem("the shaft does not turn", ANGLE, hint="set a speed above zero"))
-    return rate
+def _spectrum(result: Result, signal: str, window: tuple[float, float] | None) -> FullSpectrum:
+    angle = angle_of(result)
+    if angle is None:
+        hint = "record clock.theta"
+        raise RotorsimError(Problem("the shaft angle was not recorded", signal, hint=hint))
+    found = full_spectrum(result, signal, window=window or last_turns(result, angle), angle=angle)
+    if not found.running:
+        raise RotorsimError(Problem("the shaft does not turn", angle, hint="set a speed other than zero"))
+    return found
 
 
 def spectrum_figure(
     result: Result, signal: str, *, window: tuple[float, float] | None = None, orders: int = 8
 ) -> Figure:
-    """Return amplitude and phase of the full spectrum over orders of the running speed."""
-    window = window or last_turns(result)
+    """Return amplitude and phase of the full spectrum over orders of the running speed.
+
+    window: times [s] (default: the last whole turns). Phases count from shaft angle zero.
+    Raises RotorsimError when the shaft angle was not recorded or the shaft does not turn.
+    """
+    found = _spectrum(result, signal, window)
     with styled():
         made = figure(7.5, 5.0, title_of(result))
         axes, phase = made.subplots(2, 1, height_ratios=(2, 1), sharex=True)
-        _draw_spectrum(axes, phase, full_spectrum(result, signal, window=window), _running(result, window), orders)
+        _draw_spectrum(axes, phase, found, orders, f"full spectrum of {signal}")
     return made
 
 
@@ -160,47 +207,56 @@ def _draw_run_up(axes: Axes, found: RunUp) -> None:
     samples, unit = display(found.samples, found.unit)
     curve, _ = display(found.envelope, found.unit)
     peak, _ = display(found.peak, found.unit)
-    axes.plot(speed, samples, color=BLUE, lw=0.3, alpha=0.5, rasterized=True)
-    axes.plot(speed, curve, color=RED, lw=1.4, label="Hilbert envelope")
-    label = f"largest at {rpm(found.resonance):.0f} rpm: {float(peak):.4g} {unit}, 0-peak"
-    axes.axvline(rpm(found.resonance), color=GREY, ls="--", lw=0.9, label=label)
-    axes.set(title=f"run-up: {found.signal}", xlabel="speed [rpm]", ylabel=f"[{unit}, 0-peak]")
+    axes.plot(speed, samples, color=BLUE, lw=0.3, alpha=0.35, rasterized=True)
+    axes.plot(speed, curve, color=RED, lw=0.8, label="Hilbert envelope", rasterized=True)
+    for one, mark in zip(found.resonances(), "ov^", strict=False):
+        height, _ = display(one.peak, found.unit)
+        name = "largest" if one.order == 1 else f"met by {one.order}X"
+        label = f"{name} at {rpm(one.speed):.0f} rpm: {float(height):.4g} {unit}, 0-peak"
+        axes.plot(rpm(one.speed), height, mark, ms=6, mfc="white", mec=INK, ls="none", label=label, zorder=4)
+    top = 1.12 * max(float(peak), float(np.abs(samples[len(samples) // 50 :]).max()))
+    axes.set_title(f"run-up: {found.signal}", loc="left")
+    axes.set(xlabel="speed [rpm]", ylabel=f"[{unit}, 0-peak]", ylim=(-top, top))
     axes.margins(x=0)
     axes.legend(loc="upper left")
 
 
 def run_up_figure(result: Result, signal: str) -> Figure:
     """Return one axis of a run-up with its Hilbert envelope against the speed."""
+    found = run_up(result, signal, speed=speed_of(result) or "clock.speed")
     with styled():
         made = figure(8.0, 4.0, title_of(result))
-        _draw_run_up(made.add_subplot(), run_up(result, signal))
+        _draw_run_up(made.add_subplot(), found)
     return made
 
 
 def overview(result: Result) -> Figure:
     """Return one page of a run: time histories, orbit, full spectrum; of a run-up its envelopes.
 
-    Signals without two axes are drawn against time only.
+    Signals without two axes are drawn against time only, and so is everything of a run that did not finish.
     """
-    pairs = two_axis_signals(result)
-    if SPEED in result and len(result.time) > 100 and np.ptp(result[SPEED]) > 1e-6 * np.abs(result[SPEED]).max():
+    pairs, speed, angle = two_axis_signals(result), speed_of(result), angle_of(result)
+    if not pairs or result.status != "finished" or len(result.time) < 100:
+        return time_histories(result)
+    if speed is not None and np.ptp(result[speed]) > 1e-6 * np.abs(result[speed]).max():
+        if not (np.diff(result[speed]) >= 0).all():
+            return time_histories(result)
         with styled():
             made = figure(9.0, 1.0 + 2.8 * len(pairs), title_of(result))
             for k, name in enumerate(pairs):
                 entry = name[:-1] + ",1]" if name.endswith("]") else f"{name}[1]"
-                _draw_run_up(made.add_subplot(len(pairs), 1, k + 1), run_up(result, entry))
+                _draw_run_up(made.add_subplot(len(pairs), 1, k + 1), run_up(result, entry, speed=speed))
         return made
-    if not pairs or ANGLE not in result or len(result.time) < 100:
+    if angle is None or abs(float(result[angle][-1] - result[angle][0])) < 2 * np.pi:
         return time_histories(result)
-    part, window = _last(result, TURNS), last_turns(result)
+    part = _last(result, TURNS)
     with styled():
         made = figure(11.0, 1.0 + 3.0 * len(pairs), title_of(result))
         grid = made.add_gridspec(len(pairs), 3, width_ratios=(1.5, 1.0, 1.5))
         for k, name in enumerate(pairs):
             _draw_time(made.add_subplot(grid[k, 0]), result, name, part)
-            _draw_orbit(made.add_subplot(grid[k, 1]), result, name, part)
-            axes = made.add_subplot(grid[k, 2])
-            _draw_spectrum(axes, None, full_spectrum(result, name, window=window), _running(result, window), 8)
+            _draw_orbit(made.add_subplot(grid[k, 1]), result, name, part, "orbit")
+            _draw_spectrum(made.add_subplot(grid[k, 2]), None, _spectrum(result, name, None), 8, "full spectrum")
     return made
 
 

@@ -3,21 +3,60 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 
 from rotorsim.report.style import BLUE, GREEN, GREY, ORANGE, RED, display, figure, rpm, styled
 
 if TYPE_CHECKING:
-    from rotorsim.simulate.campbell_diagram import Campbell
+    from rotorsim.simulate.campbell_diagram import Campbell, Crossing
     from rotorsim.simulate.frequency import FrequencyResponse, Sensitivity
     from rotorsim.simulate.periodic_result import Periodic
 
 __all__ = ["campbell_figure", "frequency_response_figure", "periodic_figure", "sensitivity_figure"]
 
 _WHIRL = {"forward": (BLUE, "-"), "backward": (ORANGE, "--"), "planar": (GREEN, ":")}
+
+
+def _stretches(whirl: np.ndarray) -> list[tuple[int, int, str]]:
+    """Return (first, last, whirl) of every stretch of a mode between two speeds that whirls alike.
+
+    The kind of the higher speed counts: at rest most modes are planar, or any combination of two equal ones.
+    """
+    found: list[tuple[int, int, str]] = []
+    for k in range(1, len(whirl)):
+        kind = str(whirl[k]) or str(whirl[k - 1])
+        if found and found[-1][2] == kind:
+            found[-1] = (found[-1][0], k, kind)
+        else:
+            found.append((k - 1, k, kind))
+    return found
+
+
+def _mark_crossings(axes: Axes, found: Campbell, width: float) -> None:
+    """Mark critical speeds; of those too close to be told apart the labels are joined."""
+    crossings = sorted(found.crossings, key=lambda c: (c.order, c.speed))
+    for crossing in crossings:
+        axes.plot(rpm(crossing.speed), crossing.frequency_hz, "o", ms=5, mfc="white", mec=RED, zorder=4)
+    groups: list[list[Crossing]] = []
+    for crossing in crossings:
+        last = groups[-1][-1] if groups else None
+        if last and last.order == crossing.order and rpm(crossing.speed - last.speed) < 0.08 * width:
+            groups[-1].append(crossing)
+        else:
+            groups.append([crossing])
+    for group in groups:
+        text = ", ".join(f"{float(rpm(one.speed)):.0f}" for one in group)
+        at = (float(rpm(group[-1].speed)), group[-1].frequency_hz)
+        box = {"fc": "white", "ec": "none", "pad": 0.5, "alpha": 0.8}
+        place: Any = {"xytext": (6, -11), "textcoords": "offset points", "annotation_clip": True, "bbox": box}
+        axes.annotate(text, at, fontsize=8, color=RED, **place)
+    if crossings:
+        axes.plot([], [], "o", ms=5, mfc="white", mec=RED, label="critical speed [rpm]")
 
 
 def campbell_figure(found: Campbell, title: str = "", *, orders: Sequence[int] = (1, 2)) -> Figure:
@@ -28,48 +67,65 @@ def campbell_figure(found: Campbell, title: str = "", *, orders: Sequence[int] =
         axes = made.add_subplot()
         shown: set[str] = set()
         for mode in range(found.frequency_hz.shape[1]):
-            kinds = [str(w) for w in found.whirl[:, mode]]
-            kind = max(set(kinds), key=kinds.count) if kinds else "planar"
-            colour, line = _WHIRL.get(kind, (GREY, "-"))
-            axes.plot(speed, found.frequency_hz[:, mode], line, color=colour, label=kind if kind not in shown else None)
-            shown.add(kind)
-        reach = 1.25 * max(orders) * float(found.speeds[-1]) / (2 * np.pi)  # modes far above are never excited
-        lowest = np.sort(found.frequency_hz[0][np.isfinite(found.frequency_hz[0])])
-        top = min(float(np.nanmax(found.frequency_hz)) * 1.08, max(reach, 1.2 * float(lowest[min(3, len(lowest) - 1)])))
+            for first, last, kind in _stretches(found.whirl[:, mode]):
+                colour, line = _WHIRL.get(kind, (GREY, "-"))
+                label = kind if kind and kind not in shown else None
+                part = slice(first, last + 1)
+                axes.plot(speed[part], found.frequency_hz[part, mode], line, color=colour, label=label)
+                shown.add(kind)
+        top = _top(found, orders)
         for order in orders:
             line_hz = order * np.asarray(found.speeds) / (2 * np.pi)
+            inside = np.flatnonzero(line_hz <= top)
             axes.plot(speed, np.where(line_hz <= top, line_hz, np.nan), color=GREY, lw=0.8)
-            last = int(np.flatnonzero(line_hz <= top)[-1])
-            axes.annotate(f"{order}X", (speed[last], line_hz[last]), color=GREY, ha="right", va="bottom")
-        for crossing in found.crossings:
-            axes.plot(rpm(crossing.speed), crossing.frequency_hz, "o", ms=5, mfc="white", mec=RED, zorder=4)
-            label = f"{float(rpm(crossing.speed)):.0f}"
-            at = (float(rpm(crossing.speed)), crossing.frequency_hz)
-            axes.annotate(
-                label, at, xytext=(5, -9), textcoords="offset points", fontsize=8, color=RED, annotation_clip=True
-            )
+            at = (speed[inside[-1]], line_hz[inside[-1]])
+            axes.annotate(f"{order}X", at, color=GREY, ha="right", va="bottom")
+        _mark_crossings(axes, found, float(speed[-1] - speed[0]))
         axes.set(xlabel="speed [rpm]", ylabel="damped natural frequency [Hz]", ylim=(0, top))
         axes.margins(x=0)
-        axes.legend(loc="upper left", title="whirl (critical speeds in rpm)")
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
     return made
 
 
+def _top(found: Campbell, orders: Sequence[int]) -> float:
+    """Return the highest frequency shown [Hz]: modes far above every order are never excited."""
+    if not np.isfinite(found.frequency_hz).any():
+        return max(max(orders) * float(found.speeds[-1]) / (2 * np.pi), 1.0)
+    reach = 1.25 * max(orders) * float(found.speeds[-1]) / (2 * np.pi)
+    first = found.frequency_hz[0]
+    lowest = np.sort(first[np.isfinite(first)])[:4]
+    return min(float(np.nanmax(found.frequency_hz)) * 1.08, max(reach, 1.2 * float(lowest.max(initial=0.0))))
+
+
 def frequency_response_figure(found: FrequencyResponse, title: str = "") -> Figure:
-    """Return magnitude and phase over frequency of every output to every input."""
+    """Return magnitude and phase over frequency of every output to every input (entries that are zero left out).
+
+    Of a loop that is not stable the figure says so: it would never settle to this response.
+    """
+    if not found.stable:
+        title = f"{title} (not stable: no settled response)".strip()
     with styled():
         made = figure(7.5, 5.0, title)
         upper, lower = made.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-        for o, output in enumerate(found.outputs):
-            for i, source in enumerate(found.inputs):
-                value = found.value[:, o, i]
-                if not np.abs(value).max() > 1e-12 * np.abs(found.value).max():
-                    continue
-                label = f"{output} / {source} [{found.units[o][i]}]"
-                upper.loglog(found.frequencies, np.abs(value), label=label)
-                lower.semilogx(found.frequencies, np.degrees(np.unwrap(np.angle(value))))
-        upper.set(ylabel="magnitude")
+        largest = float(np.nanmax(np.abs(found.value), initial=0.0))
+        pairs = list(np.ndindex(found.value.shape[1:]))
+        drawn = [(o, i) for o, i in pairs if np.nanmax(np.abs(found.value[:, o, i]), initial=0.0) > 1e-12 * largest]
+        for k, (o, i) in enumerate(drawn):
+            value, line = found.value[:, o, i], ("-", "--", ":", "-.")[k % 4]  # equal axes lie on each other
+            label = f"{found.outputs[o]} / {found.inputs[i]} [{found.units[o][i]}]"
+            upper.loglog(found.frequencies, np.abs(value), line, label=label)
+            angle = np.degrees(np.unwrap(np.angle(value)))
+            angle -= 360 * np.round(angle[0] / 360 - 1e-6)  # begin in -180..180
+            lower.semilogx(found.frequencies, angle, line)
+        units = {found.units[o][i] for o, i in drawn}
+        upper.set(ylabel=f"magnitude [{units.pop()}]" if len(units) == 1 else "magnitude")
         lower.set(ylabel="phase [deg]", xlabel="frequency [Hz]")
-        upper.legend()
+        lower.yaxis.set_major_locator(MultipleLocator(90))
+        for axes in (upper, lower):
+            axes.margins(x=0)
+        if drawn:
+            upper.legend(loc="lower left")
     return made
 
 
@@ -84,26 +140,43 @@ def sensitivity_figure(found: Sensitivity, title: str = "") -> Figure:
             axes.axhspan(low, high, color=colour, zorder=0)
             axes.annotate(name, (0.985, (low + high) / 2), xycoords=("axes fraction", "data"), ha="right", va="center")
         for k, name in enumerate(found.names):
+            line = ("-", "--", ":", "-.")[k % 4]  # equal axes lie on each other
             label = f"{name}: peak {found.peaks[k]:.2f} at {found.peak_frequencies[k]:.0f} Hz, zone {found.zones[k]}"
-            axes.semilogx(found.frequencies, np.abs(found.axes[:, k]), label=label)
-        axes.semilogx(found.frequencies, found.singular, color=GREY, ls="--", lw=1, label="largest singular value")
+            axes.semilogx(found.frequencies, np.abs(found.axes[:, k]), line, label=label)
+        axes.semilogx(found.frequencies, found.singular, color=GREY, lw=0.8, zorder=1.9, label="largest singular value")
         axes.set(xlabel="frequency [Hz]", ylabel="sensitivity |S|", ylim=(0, top))
         axes.margins(x=0)
         axes.legend(loc="upper left")
     return made
 
 
-def periodic_figure(found: Periodic, signal: str, title: str = "", *, orders: Sequence[int] = (1, 2, 3, -1)) -> Figure:
-    """Return the amplitude of harmonics of a two-axis signal over speed."""
-    values, unit = display(np.abs(found.harmonics[signal]), found.units.get(signal, ""))
-    middle = values.shape[1] // 2
+def periodic_figure(
+    found: Periodic, signal: str, title: str = "", *, orders: Sequence[float] = (1, 2, 3, -1)
+) -> Figure:
+    """Return the amplitude of harmonics of a two-axis signal over speed.
+
+    Speeds without a solution are gaps, unstable motions crosses. Raises RotorsimError for signals not in the result.
+    """
+    there = [k for k in orders if np.isclose(found.orders, k, rtol=0, atol=1e-9).any()]
+    speed = rpm(found.speeds)
+    unstable = np.array([stable is False for stable in found.stable], bool)
     with styled():
         made = figure(7.5, 4.5, title)
         axes = made.add_subplot()
-        for order in orders:
-            if abs(order) <= middle:
-                axes.semilogy(rpm(found.speeds), values[:, middle + order], label=f"{order:+d}X")
-        axes.set(title=f"harmonics of {signal}", xlabel="speed [rpm]", ylabel=f"[{unit}, 0-peak]")
+        largest = 0.0
+        for order in there:
+            values, unit = display(np.abs(found.harmonic(signal, order)), found.units.get(signal, ""))
+            largest = max(largest, float(np.nanmax(values, initial=0.0)))
+            mark = "-" if len(speed) > 1 else "o"
+            (line,) = axes.semilogy(speed, np.where(values > 0, values, np.nan), mark, label=f"{order:+g}X")
+            axes.plot(speed[unstable], values[unstable], "x", ms=5, color=line.get_color())
+            axes.set_ylabel(f"[{unit}, 0-peak]")
+        if largest > 0:  # what is zero but for rounding says nothing
+            axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-6 * largest))
+        if unstable.any():
+            axes.plot([], [], "x", ms=5, color=GREY, label="unstable")
+        axes.set_title(f"harmonics of {signal}", loc="left")
+        axes.set_xlabel("speed [rpm]")
         axes.margins(x=0)
-        axes.legend()
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(there) + 1, borderaxespad=0.0)
     return made

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from itertools import product
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, near_miss
 
 if TYPE_CHECKING:
     from rotorsim.compile import Model
+    from rotorsim.diagram.diagram import Diagram
 
 __all__ = ["Result", "flat_name", "make_result"]
 
@@ -32,13 +33,23 @@ def _entry(array: np.ndarray, index: tuple[int, ...]) -> np.ndarray:
     return np.asarray(array[place])
 
 
-@dataclass(frozen=True)
+def _read_only(values: Any) -> np.ndarray:
+    """Return a view that cannot be written; the caller's own array stays as it is."""
+    array = np.asarray(values).view()
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, eq=False)
 class Result:
-    """Recorded signals of one run.
+    """Recorded signals of one run; nothing in it can be changed.
 
     time: (n,) [s]. signals: name -> (n, *shape), SI. units: name -> unit. status: "finished",
     "diverged" (a state stopped being finite) or "stopped" (interrupted); message: advice.
     counters: steps, evaluations, CPU seconds. provenance: what was run, with what.
+
+    ``result["rotor.displacement"]`` is the whole signal, ``result["rotor.displacement[3,1]"]`` one entry of it.
+    Raises RotorsimError for signals that are not as long as time.
     """
 
     time: np.ndarray
@@ -50,36 +61,90 @@ class Result:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for array in (self.time, *self.signals.values()):
-            array.flags.writeable = False
+        time = _read_only(self.time)
+        signals = {name: _read_only(array) for name, array in self.signals.items()}
+        problems = [
+            Problem(what=f"{len(np.atleast_1d(array))} samples, but time has {time.size}", subject=name)
+            for name, array in signals.items()
+            if array.shape[:1] != time.shape
+        ]
+        if time.ndim != 1:
+            problems = [Problem(what=f"must have shape (n,), got {time.shape}", subject="time")]
+        if problems:
+            raise RotorsimError(*problems)
+        frozen = {"time": time, "signals": MappingProxyType(signals)}
+        frozen |= {name: MappingProxyType(dict(getattr(self, name))) for name in ("units", "counters", "provenance")}
+        for name, value in frozen.items():
+            object.__setattr__(self, name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as plain dictionaries: results travel between processes."""
+        maps = (dict(self.counters), dict(self.provenance))
+        return Result, (self.time, dict(self.signals), dict(self.units), self.status, self.message, *maps)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether everything is equal, to the last bit (NaN equals NaN)."""
+        if not isinstance(other, Result):
+            return NotImplemented
+        return (
+            list(self.signals) == list(other.signals)
+            and np.array_equal(self.time, other.time)
+            and all(np.array_equal(self.signals[k], other.signals[k], equal_nan=True) for k in self.signals)
+            and (self.units, self.status, self.message) == (other.units, other.status, other.message)
+            and (self.counters, self.provenance) == (other.counters, other.provenance)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a signal (n, *shape) or the part that a name such as ``rotor.displacement[3,1]`` selects."""
         if name == "time":
             return self.time
-        if name in self.signals:
-            return self.signals[name]
-        base, bracket, inside = name.rstrip("]").partition("[")
-        parts = inside.split(",") if bracket else []
-        for kept in range(len(parts)):  # a part of a recorded part: displacement[4,1] of displacement[4]
-            recorded = f"{base}[{','.join(parts[:kept])}]" if kept else base
-            if recorded in self.signals:
-                return self._part(name, recorded, parts[kept:])
-        near = difflib.get_close_matches(name, list(self.signals), 1)
-        hint = f"did you mean '{near[0]}'?" if near else f"recorded: {', '.join(self.signals)}"
-        raise RotorsimError(Problem(what="this signal was not recorded", subject=name, hint=hint))
+        recorded, index = self._find(name)
+        return _entry(self.signals[recorded], index)
 
-    def _part(self, name: str, recorded: str, parts: list[str]) -> np.ndarray:
-        array = self.signals[recorded]
-        try:
+    def column(self, name: str) -> np.ndarray:
+        """Return one entry of a signal by its flat name, shape (n,). Raises RotorsimError if there are several."""
+        values = self[name]
+        if values.ndim != 1:
+            first = flat_name(name, (0,) * (values.ndim - 1))
+            last = flat_name(name, tuple(n - 1 for n in values.shape[1:]))
+            hint = f"name one of them: '{first}' .. '{last}'"
+            what = f"has {np.prod(values.shape[1:])} entries"
+            raise RotorsimError(Problem(what=what, subject=name, hint=hint))
+        return values
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a signal or of a part of one ("" where it is not known)."""
+        return "s" if name == "time" else self.units.get(self._find(name)[0], "")
+
+    def _find(self, name: str) -> tuple[str, tuple[int, ...]]:
+        """Return the recorded signal and the place in it (from 0) that a name stands for."""
+        if name in self.signals:
+            return name, ()
+        base, bracket, inside = name.partition("[")
+        if bracket and inside.endswith("]"):
+            parts = inside[:-1].split(",")
+            for kept in range(len(parts)):  # a part of a recorded part: displacement[4,1] of displacement[4]
+                recorded = f"{base}[{','.join(parts[:kept])}]" if kept else base
+                if recorded in self.signals:
+                    return recorded, self._place(name, recorded, parts[kept:])
+        hint = near_miss(name, self.signals) or "nothing was recorded"
+        raise RotorsimError(
+            Problem(what="this signal was not recorded", subject=name, hint=hint.replace("known:", "recorded:"))
+        )
+
+    def _place(self, name: str, recorded: str, parts: list[str]) -> tuple[int, ...]:
+        shape = self.signals[recorded].shape[1:]
+        if len(parts) <= len(shape) and all(part.strip().isdecimal() for part in parts):
             index = tuple(int(part) - 1 for part in parts)
-            if min(index) < 0:
-                raise IndexError
-            return _entry(array, index)
-        except (ValueError, IndexError):
-            shape = " x ".join(map(str, array.shape[1:])) or "scalar"
-            what = f"no such entry; '{recorded}' has shape {shape}, counted from 1"
-            raise RotorsimError(Problem(what=what, subject=name)) from None
+            if all(0 <= at < size for at, size in zip(index, shape, strict=False)):
+                return index
+        text = " x ".join(map(str, shape)) or "scalar"
+        what = f"no such entry; '{recorded}' has shape {text}, counted from 1"
+        if not shape:
+            what = f"no such entry; '{recorded}' is a scalar"
+        raise RotorsimError(Problem(what=what, subject=name))
 
     def __contains__(self, name: object) -> bool:
         return name in self.signals
@@ -133,7 +198,10 @@ class Result:
 
     def __repr__(self) -> str:
         span = f"{self.time[0]:g}..{self.time[-1]:g} s" if len(self.time) else "empty"
-        return f"Result({self.provenance.get('diagram', '')}: {self.status}, {span}, {', '.join(self.signals)})"
+        names = ", ".join(list(self.signals)[:4]) + (
+            f", ... {len(self.signals)} signals" if len(self.signals) > 4 else ""
+        )
+        return f"Result({self.provenance.get('diagram', '')}: {self.status}, {span}, {names})"
 
     def _repr_html_(self) -> str:
         rows = "".join(
@@ -143,6 +211,16 @@ class Result:
         )
         head = "<tr><th>signal</th><th>shape</th><th>unit</th><th>peak</th></tr>"
         return f"<p>{escape(repr(self))}</p><table>{head}{rows}</table><p>{escape(self.message)}</p>"
+
+
+def _plain(values: np.ndarray) -> Any:
+    return float(values[0]) if values.size == 1 else values.tolist()
+
+
+def _without(diagram: Diagram) -> list[str]:
+    """Return the blocks of the document (sub-diagrams as a whole) that the diagram was loaded without."""
+    there = {name.partition("/")[0] for name in diagram.nodes}
+    return [str(name) for name in diagram.document.get("blocks", {}) if name not in there]
 
 
 def make_result(
@@ -159,7 +237,11 @@ def make_result(
     path: str,
     p: np.ndarray,
 ) -> Result:
-    """Cut the recorded rows (n, n_y) into signals and note what was run."""
+    """Cut the recorded rows (n, n_y) into signals and note what was run.
+
+    provenance: ``parameters`` are the diagram's in force; ``parameters_changed`` those given to the run, by
+    block; ``without`` the blocks that were left out. There is no date: the same run gives the same result.
+    """
     signals: dict[str, np.ndarray] = {}
     at = 0
     for name in names:
@@ -175,10 +257,12 @@ def make_result(
             message = f"an algebraic loop did not converge: largest residual {residual:.2g}"
             status = "diverged"
     diagram = model.diagram
+    values = {name: np.ravel(value) for name, value in diagram.parameters.items()}
+    values |= {name: p[parts[0]] for name, parts in model.references.items() if parts}
     changed = {}
     if not np.array_equal(p, model.p0):
         changed = {
-            name: p[part].tolist() if part.stop - part.start > 1 else float(p[part.start])
+            name: _plain(p[part])
             for name, part in model.parameters.items()
             if not np.array_equal(p[part], model.p0[part])
         }
@@ -189,7 +273,9 @@ def make_result(
         "diagram": diagram.name,
         "file": diagram.file,
         "document_sha256": diagram.sha256,
+        "parameters": {name: _plain(value) for name, value in values.items()},
         "parameters_changed": changed,
+        "without": _without(diagram),
         "method": method,
         "step": step,
         "path": path,

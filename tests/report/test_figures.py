@@ -1,20 +1,35 @@
 """Figures say what they show: units, titles, marks at the right place."""
 
+import subprocess
+import sys
+from dataclasses import replace
+
+import matplotlib as mpl
 import numpy as np
 import pytest
 
 from rotorsim.diagram import load
 from rotorsim.errors import RotorsimError
 from rotorsim.report.figures import orbit, overview, run_up_figure, save_figure, spectrum_figure, time_histories
-from rotorsim.report.linear_figures import campbell_figure, sensitivity_figure
-from rotorsim.simulate.campbell_diagram import campbell
-from rotorsim.simulate.frequency import sensitivity
+from rotorsim.report.style import BLUE, ORANGE
+from rotorsim.simulate.result import Result
 from rotorsim.simulate.run import simulate
 
 
 @pytest.fixture(scope="module")
 def result():
     return simulate(load("jeffcott"), stop=1.0)
+
+
+def drawn(made, path):
+    """Save a figure, so that its ticks and layout are made too; return it."""
+    save_figure(made, path)
+    assert path.stat().st_size > 5_000
+    return made
+
+
+def legend(axes) -> list[str]:
+    return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
 def test_the_overview_has_units_and_a_title_with_the_speed(result):
@@ -26,7 +41,7 @@ def test_the_overview_has_units_and_a_title_with_the_speed(result):
 
 def test_the_spectrum_figure_shows_the_amplitudes_of_the_harmonics(result):
     made = spectrum_figure(result, "rotor.displacement")
-    lines = made.axes[0].collections[0].get_segments()
+    lines = [line for drawn in made.axes[0].collections for line in drawn.get_segments()]
     height = {round(float(line[0][0])): float(line[1][1]) for line in lines}
     assert height[1] == pytest.approx(3.18, rel=0.01)  # um, thesis Table 2-2
     assert height[2] == pytest.approx(2.00, rel=0.01)
@@ -39,20 +54,20 @@ def test_the_orbit_marks_every_turn_of_the_shaft(result):
     assert np.ptp(marks.get_xdata()) < 0.1  # um: the same place every turn
 
 
-def test_a_run_up_figure_names_resonance_and_peak():
-    made = run_up_figure(simulate(load("jeffcott_runup"), record_every=5), "rotor.displacement[1]")
-    texts = [t.get_text() for t in made.axes[0].get_legend().get_texts()]
+def test_a_run_up_figure_names_resonances_and_peaks(tmp_path):
+    result = simulate(load("jeffcott_runup"), record_every=5)
+    made = drawn(run_up_figure(result, "rotor.displacement[1]"), tmp_path / "r.png")
+    texts = legend(made.axes[0])
     assert texts[1].startswith("largest at 73")
     assert texts[1].endswith("um, 0-peak")
+    assert texts[2].startswith("met by 2X at 36")
+    assert texts[3].startswith("met by 3X at 24")
     assert made.axes[0].get_xlabel() == "speed [rpm]"
-
-
-def test_campbell_and_sensitivity_figures_are_drawn(tmp_path):
-    found = campbell(load("fe_rigid", without=["amb"]), np.linspace(0.0, 700.0, 15))
-    made = campbell_figure(found, "fe_rigid")
-    assert made.axes[0].get_ylabel() == "damped natural frequency [Hz]"
-    save_figure(sensitivity_figure(sensitivity(load("jeffcott")), "jeffcott"), tmp_path / "s.png")
-    assert (tmp_path / "s.png").stat().st_size > 10_000
+    page = overview(result)
+    assert [axes.get_title("left") for axes in page.axes] == [
+        "run-up: rotor.displacement[1]", "run-up: controller.current[1]"
+    ]  # fmt: skip
+    assert page.get_suptitle() == f"jeffcott_runup, 0 to {result['clock.speed'][-1] * 30 / np.pi:.0f} rpm"
 
 
 def test_other_signals_are_drawn_against_time(result):
@@ -60,7 +75,96 @@ def test_other_signals_are_drawn_against_time(result):
     assert made.axes[0].get_xlabel() == "time [s]"
 
 
-def test_a_spectrum_without_the_shaft_angle_is_refused():
+def test_a_spectrum_without_a_turning_shaft_is_refused():
     found = simulate(load("jeffcott"), stop=0.1, record=["rotor.displacement"])
-    with pytest.raises(RotorsimError):
-        spectrum_figure(found, "rotor.displacement")
+    still = replace(found, signals={**found.signals, "clock.theta": np.ones(len(found.time))})
+    for result, text in (
+        (found, "rotor.displacement: the shaft angle was not recorded\n\nhint: record clock.theta"),
+        (still, "clock.theta: the shaft does not turn\n\nhint: set a speed other than zero"),
+    ):
+        with pytest.raises(RotorsimError) as caught:
+            spectrum_figure(result, "rotor.displacement")
+        assert str(caught.value) == f"error: {text}"
+        assert [axes.get_title("left") for axes in overview(result).axes] == ["rotor.displacement"]  # time histories
+
+
+def test_the_overview_shows_the_node_that_moves_most(tmp_path):
+    result = simulate(load("fe_rigid"), stop=0.5, record_every=10)
+    made = drawn(overview(result), tmp_path / "fe.png")
+    motion = np.ptp(result["rotor.displacement"][len(result.time) // 2 :], axis=0).max(axis=1)
+    assert made.axes[0].get_title("left") == f"rotor.displacement[{int(np.argmax(motion)) + 1}]"
+
+
+def test_every_panel_says_what_its_axes_are(result):
+    for made in (overview(result), orbit(result, "controller.current"), spectrum_figure(result, "controller.current")):
+        for axes in made.axes:
+            assert axes.get_ylabel()
+        assert made.axes[-1].get_xlabel()
+    assert overview(result).axes[1].get_aspect() == 1  # an orbit is not stretched
+
+
+def test_marks_of_the_key_phasor_lie_between_samples():
+    time = np.arange(1000) * 1e-3  # 7.3 Hz: theta = 0 falls between two samples
+    theta = 2 * np.pi * 7.3 * time
+    r = 1e-6 * np.exp(1j * (theta + 0.5))
+    result = Result(time, {"r.d": np.column_stack([r.real, r.imag]), "clock.theta": theta}, {"r.d": "m"})
+    marks = orbit(result, "r.d").axes[0].lines[1]
+    places = np.asarray(marks.get_xdata()) + 1j * np.asarray(marks.get_ydata())
+    assert places == pytest.approx(
+        np.full(4, np.exp(0.5j)), abs=2.7e-4
+    )  # below the arc between samples: 1 - cos(pi / 137)
+
+
+def test_forward_whirl_is_with_the_shaft_also_when_it_turns_backward():
+    time = np.arange(2000) * 1e-3
+    theta = -2 * np.pi * 10 * time
+    r = 2e-6 * np.exp(1j * theta) + 1e-6 * np.exp(-2j * theta)
+    result = Result(time, {"r.d": np.column_stack([r.real, r.imag]), "drive.theta": theta}, {"r.d": "m"})
+    made = spectrum_figure(result, "r.d")
+    height = {}
+    for lines in made.axes[0].collections:
+        for segment in lines.get_segments():
+            height[round(float(segment[0][0]))] = (
+                float(segment[1][1]),
+                mpl.colors.to_hex(lines.get_color()[0]).upper(),
+            )
+    assert height[1] == (pytest.approx(2.0, rel=1e-3), BLUE)
+    assert height[-2] == (pytest.approx(1.0, rel=1e-3), ORANGE)
+    assert made.get_suptitle() == "run, -600 rpm"
+
+
+def test_growth_without_bound_is_drawn_on_a_logarithmic_scale(tmp_path):
+    result = simulate(load("jeffcott", set={"controller.KP": 0.0, "controller.KD": -50.0}), stop=3.0)
+    assert result.status == "diverged"
+    made = drawn(overview(result), tmp_path / "diverged.png")
+    assert made.get_suptitle() == "jeffcott (diverged), 1500 rpm"
+    axes = made.axes[0]
+    assert axes.get_yscale() == "log"
+    x = axes.lines[0]
+    time, size = np.asarray(x.get_xdata()), np.asarray(x.get_ydata())
+    kept = np.isfinite(size) & (time > 0.05)
+    rate = np.polyfit(time[kept], np.log(size[kept]), 1)[0]
+    assert rate == pytest.approx(507.3, rel=0.02)  # the pole that the message names
+    assert "507.3 1/s" in result.message
+
+
+def test_short_and_empty_runs_are_drawn(tmp_path):
+    for n in (0, 1, 2, 5):
+        values = {"r.d": np.ones((n, 2)), "clock.theta": np.arange(float(n))}
+        drawn(overview(Result(np.arange(float(n)), values, {"r.d": "m"}, "stopped")), tmp_path / f"{n}.png")
+
+
+def test_figures_leave_matplotlib_as_it_was(result):
+    before = dict(mpl.rcParams)
+    overview(result)
+    assert dict(mpl.rcParams) == before
+    code = (
+        "import sys, rotorsim.report.figures, rotorsim.report.linear_figures; print('matplotlib.pyplot' in sys.modules)"
+    )
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "False"
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_figures_are_written_whole(result, tmp_path, suffix):
+    drawn(orbit(result, "rotor.displacement"), tmp_path / f"orbit.{suffix}")
+    assert [path.name for path in tmp_path.iterdir()] == [f"orbit.{suffix}"]

@@ -1,0 +1,113 @@
+"""Figures of linear analyses: curves, marks, zones and units are those of the numbers given."""
+
+import numpy as np
+import pytest
+
+from rotorsim.diagram import load
+from rotorsim.errors import RotorsimError
+from rotorsim.report.figures import save_figure
+from rotorsim.report.linear_figures import (
+    campbell_figure,
+    frequency_response_figure,
+    periodic_figure,
+    sensitivity_figure,
+)
+from rotorsim.report.style import BLUE, ORANGE
+from rotorsim.simulate.campbell_diagram import Campbell, Crossing, campbell
+from rotorsim.simulate.frequency import FrequencyResponse, frequency_response, sensitivity
+from rotorsim.simulate.periodic_result import Periodic
+
+RPM = np.pi / 30
+
+
+def drawn(made, path):
+    save_figure(made, path)
+    assert path.stat().st_size > 10_000
+    return made
+
+
+def legend(axes) -> list[str]:
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_a_campbell_diagram_of_the_rigid_rotor(tmp_path):
+    found = campbell(load("fe_rigid", without=["amb"]), np.linspace(0.0, 1000.0, 21))
+    axes = drawn(campbell_figure(found, "fe_rigid"), tmp_path / "c.png").axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("speed [rpm]", "damped natural frequency [Hz]")
+    assert legend(axes) == ["backward", "forward", "critical speed [rpm]"]
+    marks = {
+        round(float(line.get_xdata()[0])) for line in axes.lines if line.get_marker() == "o" and len(line.get_xdata())
+    }
+    assert marks == {round(float(c.speed / RPM)) for c in found.crossings}
+    texts = [text.get_text() for text in axes.texts]
+    assert "3248, 3267" in texts  # forward and backward critical speed, close together: one label
+
+
+def test_whirl_that_changes_with_speed_changes_its_line():
+    speeds = np.array([0.0, 100.0, 200.0, 300.0])
+    whirl = np.array([["planar"], ["backward"], ["forward"], ["forward"]])
+    crossings = (Crossing(1, 200.0, 31.8, 0, "forward", 0.01),)
+    found = Campbell(speeds, np.array([[30.0], [31.0], [32.0], [33.0]]), np.zeros((4, 1)), whirl, crossings)
+    axes = campbell_figure(found).axes[0]
+    stretches = [(line.get_color(), list(np.round(line.get_xdata() * RPM))) for line in axes.lines[:2]]
+    assert stretches == [(ORANGE, [0, 100]), (BLUE, [100, 200, 300])]
+
+
+def test_modes_that_do_not_oscillate_leave_an_empty_diagram(tmp_path):
+    nothing = np.full((2, 1), np.nan)
+    found = Campbell(np.array([0.0, 100.0]), nothing, nothing, np.array([[""], [""]]), ())
+    save_figure(campbell_figure(found, "rigid body"), tmp_path / "c.png")
+
+
+def test_a_frequency_response_has_magnitude_phase_and_unit(tmp_path):
+    hz = np.geomspace(1, 1000, 200)
+    found = frequency_response(load("jeffcott"), "controller.current", "rotor.displacement", hz)
+    upper, lower = drawn(frequency_response_figure(found, "jeffcott"), tmp_path / "f.png").axes
+    assert upper.get_ylabel() == "magnitude [m/A]"
+    assert (lower.get_ylabel(), lower.get_xlabel()) == ("phase [deg]", "frequency [Hz]")
+    assert legend(upper) == [f"rotor.displacement[{k}] / controller.current[{k}] [m/A]" for k in (1, 2)]
+    magnitude = np.asarray(upper.lines[0].get_ydata())
+    phase = np.radians(np.asarray(lower.lines[0].get_ydata()))
+    assert magnitude * np.exp(1j * phase) == pytest.approx(found.value[:, 0, 0], rel=1e-9)
+
+
+def test_phases_begin_within_half_a_turn():
+    hz = np.array([1.0, 2.0, 3.0])
+    value = np.exp(1j * np.radians([170.0, 250.0, 350.0]))[:, None, None]
+    made = frequency_response_figure(FrequencyResponse(hz, value, ("y",), ("u",), (("1",),), False), "x")
+    assert np.asarray(made.axes[1].lines[0].get_ydata()) == pytest.approx([170.0, 250.0, 350.0])
+    assert made.get_suptitle() == "x (not stable: no settled response)"
+
+
+def test_the_sensitivity_is_drawn_over_the_zones_of_the_standard(tmp_path):
+    found = sensitivity(load("jeffcott"))
+    axes = drawn(sensitivity_figure(found, "jeffcott"), tmp_path / "s.png").axes[0]
+    assert [text.get_text() for text in axes.texts] == ["A", "B", "C", "D"]
+    assert legend(axes)[0] == (
+        f"controller.current[1]: peak {found.peaks[0]:.2f} at {found.peak_frequencies[0]:.0f} Hz, zone {found.zones[0]}"
+    )
+    assert np.asarray(axes.lines[0].get_ydata()) == pytest.approx(found.axes[:, 0])
+
+
+def periodic_of(orders: np.ndarray, stable: tuple[bool | None, ...] = (True, False, None)) -> Periodic:
+    values = np.array([1e-6, 2e-6, 3e-6])[:, None] * (1 + np.arange(len(orders)))
+    values[2] = np.nan
+    status = ("settled", "settled", "failed: no solution")
+    speeds = np.array([100.0, 200.0, 300.0])
+    return Periodic(speeds, orders, {"r.d": values.astype(complex)}, {"r.d": "m"}, status, stable, np.zeros(3))
+
+
+def test_harmonics_over_speed_are_found_by_their_order(tmp_path):
+    halves = periodic_of(np.arange(-2, 2.5, 0.5))  # a period of two turns: -2, -1.5, ... 2
+    axes = drawn(periodic_figure(halves, "r.d", orders=(1, 0.5, 7)), tmp_path / "p.png").axes[0]
+    assert legend(axes) == ["+1X", "+0.5X", "unstable"]
+    assert np.asarray(axes.lines[0].get_ydata())[:2] == pytest.approx([7.0, 14.0])  # um: order 1 is the seventh
+    assert np.isnan(np.asarray(axes.lines[0].get_ydata())[2])
+    assert list(axes.lines[1].get_xdata() * RPM) == pytest.approx([200.0])
+    assert (axes.get_ylabel(), axes.get_xlabel()) == ("[um, 0-peak]", "speed [rpm]")
+
+
+def test_a_signal_that_was_not_computed_is_refused():
+    with pytest.raises(RotorsimError) as caught:
+        periodic_figure(periodic_of(np.arange(-1.0, 2.0)), "r.e")
+    assert str(caught.value) == "error: r.e: no such signal in this result\n\nhint: did you mean 'r.d'?"
