@@ -2,7 +2,9 @@
 
 from typing import Any
 
-from rotorsim.block import Block, Equations, In, Out, Param, State
+from rotorsim.blocks import _controller as control
+
+from rotorsim.block import Block, Equations, Param, State
 
 
 class ControllerStateSpace(Block):
@@ -17,10 +19,10 @@ class ControllerStateSpace(Block):
     source = "Simulink: State-Space; Franklin et al., Feedback Control of Dynamic Systems, chapter 7"
     category = "controller"
 
-    displacement = In(shape=2, unit="m", doc="rotor displacement [x, y] at the bearing")
-    velocity = In(shape=2, unit="m/s", optional=True, doc="rotor velocity [x, y]; not used")
-    reference = In(shape=2, unit="m", optional=True, doc="set-point of the displacement; unwired: zero")
-    current = Out(shape=2, unit="A", doc="control current [x, y]")
+    displacement = control.DISPLACEMENT
+    velocity = control.UNUSED_VELOCITY
+    reference = control.REFERENCE
+    current = control.CURRENT
     A = Param(shape=("n", "n"), unit="1/s", doc="state matrix, shape (n, n)")
     B = Param(shape=("n", 2), unit=None, doc="input matrix, shape (n, 2)")
     C = Param(shape=(2, "n"), unit=None, doc="output matrix, shape (2, n)")
@@ -29,8 +31,4 @@ class ControllerStateSpace(Block):
     value = State(shape=("n",), unit=None, init="initial", doc="state of the controller")
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
-        error = u.displacement if u.reference is None else u.displacement - u.reference
-        return Equations(
-            outputs={"current": p.C @ x.value + p.D @ error},
-            derivatives={"value": p.A @ x.value + p.B @ error},
-        )
+        return control.state_space_of(p, u, x)

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from rotorsim.blocks import _controller as control
+
 from rotorsim.block import Block, DiscreteState, Equations, In, Option, Out, Param, maximum, minimum, rows, vec, where
 
 
@@ -21,9 +23,9 @@ class DiscretePid(Block):
     source = "Astrom and Wittenmark, Computer-Controlled Systems, section 8.5; thesis, after eq. (2.30) (delay)"
     category = "controller"
 
-    displacement = In(shape=2, unit="m", doc="rotor displacement [x, y] at the bearing")
+    displacement = control.DISPLACEMENT
     velocity = In(shape=2, unit="m/s", optional=True, doc="rotor velocity [x, y]; unwired: filtered difference")
-    reference = In(shape=2, unit="m", optional=True, doc="set-point of the displacement; unwired: zero")
+    reference = control.REFERENCE
     current = Out(shape=2, unit="A", doc="control current [x, y], held between hits")
     KP = Param(12200.0, unit="A/m", doc="proportional gain")
     KI = Param(2000.0, unit="A/(m s)", doc="integral gain")
@@ -42,7 +44,7 @@ class DiscretePid(Block):
     line = DiscreteState(shape=lambda o: (o.delay_samples + 1, 2), unit="A", doc="computed currents, newest first")
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
-        error = u.displacement if u.reference is None else u.displacement - u.reference
+        error = control.error_of(u)
         update = {}
         velocity = u.velocity
         if velocity is None:

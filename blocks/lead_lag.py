@@ -2,7 +2,9 @@
 
 from typing import Any
 
-from rotorsim.block import Block, Equations, In, Out, Param, State
+from rotorsim.blocks import _controller as control
+
+from rotorsim.block import Block, Equations, Param, State
 
 
 class LeadLag(Block):
@@ -18,17 +20,17 @@ class LeadLag(Block):
     source = "Schweitzer and Maslen, Magnetic Bearings (2009), chapter 8; Franklin et al., Feedback Control, 6.7"
     category = "controller"
 
-    displacement = In(shape=2, unit="m", doc="rotor displacement [x, y] at the bearing")
-    velocity = In(shape=2, unit="m/s", optional=True, doc="rotor velocity [x, y]; not used")
-    reference = In(shape=2, unit="m", optional=True, doc="set-point of the displacement; unwired: zero")
-    current = Out(shape=2, unit="A", doc="control current [x, y]")
+    displacement = control.DISPLACEMENT
+    velocity = control.UNUSED_VELOCITY
+    reference = control.REFERENCE
+    current = control.CURRENT
     gain = Param(12200.0, unit="A/m", doc="gain at rest")
     lead_time_constant = Param(2.5e-4, unit="s", low=0.0, doc="time constant of the numerator")
     lag_time_constant = Param(5e-5, unit="s", above=0.0, doc="time constant of the denominator")
     filtered = State(shape=2, unit="m", doc="error behind the lag")
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
-        error = u.displacement if u.reference is None else u.displacement - u.reference
+        error = control.error_of(u)
         rate = (error - x.filtered) / p.lag_time_constant
         current = p.gain * (x.filtered + p.lead_time_constant * rate)
         return Equations(outputs={"current": current}, derivatives={"filtered": rate})

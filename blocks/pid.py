@@ -2,7 +2,9 @@
 
 from typing import Any
 
-from rotorsim.block import Block, Equations, In, Out, Param, State
+from rotorsim.blocks import _controller as control
+
+from rotorsim.block import Block, Equations, Param, State
 
 
 class Pid(Block):
@@ -18,27 +20,18 @@ class Pid(Block):
     source = "thesis eq. (2.24), Table 2-1"
     category = "controller"
 
-    displacement = In(shape=2, unit="m", doc="rotor displacement [x, y] at the bearing")
-    velocity = In(shape=2, unit="m/s", optional=True, doc="rotor velocity [x, y]; unwired: filtered derivative")
-    reference = In(shape=2, unit="m", optional=True, doc="set-point of the displacement; unwired: zero")
-    current = Out(shape=2, unit="A", doc="control current [x, y]")
+    displacement = control.DISPLACEMENT
+    velocity = control.VELOCITY
+    reference = control.REFERENCE
+    current = control.CURRENT
     KP = Param(12200.0, unit="A/m", doc="proportional gain")
     KI = Param(2000.0, unit="A/(m s)", doc="integral gain")
     KD = Param(3.0, unit="A s/m", doc="derivative gain")
-    derivative_time_constant = Param(1e-4, unit="s", above=0.0, doc="filter of the derivative if velocity is unwired")
-    initial_displacement = Param(
-        [0.0, 0.0], shape=2, unit="m", doc="displacement before the start, for the filter of the derivative"
-    )
+    derivative_time_constant = control.FILTER
+    initial_displacement = control.START
     integral = State(shape=2, unit="m s", doc="integral of e")
-    filtered = State(
-        shape=2, unit="m", init="initial_displacement", unless_wired="velocity", doc="displacement behind the filter"
-    )
+    filtered = control.FILTERED
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
-        error = u.displacement if u.reference is None else u.displacement - u.reference
-        derivatives = {"integral": error}
-        velocity = u.velocity
-        if velocity is None:
-            velocity = derivatives["filtered"] = (u.displacement - x.filtered) / p.derivative_time_constant
-        current = p.KP * error + p.KI * x.integral + p.KD * velocity
+        current, _, _, derivatives = control.pid_of(p, u, x)
         return Equations(outputs={"current": current}, derivatives=derivatives)

@@ -125,7 +125,7 @@ def _result(
     source: str, settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, signals: tuple[str, ...]
 ) -> tuple[Result, str | None]:
     """Return the saved or the computed result and the name of the shaft angle in it."""
-    if Path(source).suffix in RESULTS:
+    if Path(source).suffix.lower() in RESULTS:
         from rotorsim.simulate.files import load_result
 
         if settings or without:

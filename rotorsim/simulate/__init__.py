@@ -20,7 +20,10 @@ _HOME = {
     "design_state_feedback": "design",
     "full_spectrum": "spectrum",
     "harmonics": "spectrum",
-    "envelope": "spectrum",
+    "reconstruction_error": "spectrum",
+    "envelope": "envelopes",
+    "run_up": "envelopes",
+    "resonance_peaks": "envelopes",
 }
 __all__ = list(_HOME)
 

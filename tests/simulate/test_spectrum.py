@@ -69,9 +69,9 @@ def test_the_last_turns_are_whole_turns():
     assert (stop - start) * 7 == pytest.approx(14, abs=0.01)
 
 
-def with_reference(time: np.ndarray, theta: np.ndarray) -> Result:
-    """Return the known signal and the multi-harmonic reference of thesis eq. (2.48)."""
-    result = signal(theta, time)
+def with_reference(time: np.ndarray, theta: np.ndarray, parts: dict[int, complex] = KNOWN) -> Result:
+    """Return a signal of known harmonics and the multi-harmonic reference of thesis eq. (2.48)."""
+    result = signal(theta, time, parts)
     s = np.exp(1j * np.outer(theta, (-3, -1, 0, 1, 3)))
     return Result(time, {**result.signals, "reference.signal": np.stack([s.real, s.imag], axis=-1)}, {"r.d": "m"})
 
@@ -86,15 +86,22 @@ def test_the_reference_signal_compensates_as_the_angle_does(start):
         assert found.harmonics(tuple(KNOWN))[order] == pytest.approx(value, abs=1e-9)
 
 
-def test_the_reference_signal_takes_out_the_phase_that_leakage_adds():
-    # 5.2 turns: what leaks turns every phase by the same angle in signal and reference (thesis section 2.5)
+def test_lines_that_the_reference_does_not_have_are_turned_in_proportion():
     time = np.arange(20000) * 1e-4
-    theta = 2 * np.pi * 10.4 * time + 1.0
+    theta = 2 * np.pi * 10 * time
     s = np.exp(1j * theta)
-    value = 2.0 * np.exp(0.4j)
-    result = signal(theta, time, {1: value})
-    result = Result(time, {**result.signals, "s.s": np.column_stack([s.real, s.imag])}, {})
-    found = full_spectrum(result, "r.d", window=(0.1, 0.6), reference="s.s")
+    result = signal(theta, time)
+    result = Result(time, {**result.signals, "probe.s": np.column_stack([s.real, s.imag])}, {})
+    found = full_spectrum(result, "r.d", window=(0.3011, 0.8011), reference="probe.s").harmonics(tuple(KNOWN))
+    assert found.values == pytest.approx(np.array(list(KNOWN.values())), abs=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 3, -3])
+def test_the_reference_signal_takes_out_the_phase_that_leakage_adds(order):
+    # 5.2 turns: what leaks turns the same harmonic of signal and reference by the same angle (thesis section 2.5)
+    time = np.arange(20000) * 1e-4
+    result = with_reference(time, 2 * np.pi * 10.4 * time + 1.0, {order: 2.0 * np.exp(0.4j)})
+    found = full_spectrum(result, "r.d", window=(0.1, 0.6), reference="reference.signal")
     k = int(np.argmax(np.abs(found.amplitude)))
     assert np.angle(found.amplitude[k]) == pytest.approx(0.4, abs=1e-12)
 
