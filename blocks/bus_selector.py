@@ -20,7 +20,7 @@ class BusSelector(Block):
     input = In(shape=lambda option: (sum(option.widths),), unit=None, doc="vector, all widths together")
     output = Out(shape="part*", unit=None, many="names", doc="one port for each name")
     names = Option(["signal"], kind=str, doc="names of the output ports")
-    widths = Option([2], kind=int, low=1, doc="number of entries of each output")
+    widths = Option([2], kind=int, low=1, high=10000, doc="number of entries of each output")
 
     def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
         """Refuse names without a width and repeated names."""

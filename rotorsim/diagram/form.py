@@ -17,6 +17,7 @@ KEYS: dict[str, type] = {
     "layout": dict,
 }  # fmt: skip
 BLOCK_KEYS: dict[str, type] = {"type": str, "parameters": dict, "file": str, "description": str}
+MAX_HINTS = 1000  # a near miss takes a look at every known word
 _WORDS = {str: "a text", int: "a whole number", dict: "an object {...}", list: "a list [...]"}
 _NAMES = "names are letters, digits and _, and do not start with a digit"
 
@@ -31,9 +32,12 @@ class _Form:
 
     def document(self) -> dict[str, Any]:
         data: dict[str, Any] = {}
+        unknown = 0
         for key, value in self.source.data.items():
             if key not in KEYS:
-                self.error(f"unknown key '{key}'", (key,), hint=near_miss(str(key), KEYS), key=True)
+                unknown += 1
+                hint = near_miss(str(key), KEYS) if unknown <= MAX_HINTS else "see docs/diagrams.md"
+                self.error(f"unknown key '{key}'", (key,), hint=hint, key=True)
             elif not isinstance(value, KEYS[key]) or isinstance(value, bool):
                 self.error(f"must be {_WORDS[KEYS[key]]}", (key,), key)
             else:

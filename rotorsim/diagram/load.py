@@ -25,6 +25,7 @@ __all__ = ["METHODS", "load", "shipped_diagrams"]
 
 METHODS = ("rk4", "dop853", "rk45", "radau", "bdf", "lsoda")
 _SOLVER = {"step": "s", "stop": "s", "record_every": "1", "rtol": "1", "atol": "1"}
+MAX_PROBLEMS = 1000  # that one error carries
 _SINKS = ("scope", "to_file")
 
 
@@ -105,6 +106,10 @@ def load(
 def _raise_errors(problems: list[Problem]) -> None:
     if any(problem.severity == "error" for problem in problems):
         unique = sorted(dict.fromkeys(problems), key=lambda p: (p.place.file, p.place.line, p.place.column))
+        if len(unique) > MAX_PROBLEMS:
+            unique.sort(key=lambda p: p.severity != "error")  # stable: warnings go last
+            more = f"and {len(unique) - MAX_PROBLEMS} more problems"
+            unique[MAX_PROBLEMS:] = [Problem(more, place=unique[MAX_PROBLEMS].place, hint="correct these first")]
         raise RotorsimError(*[p if p.hint or p.severity == "warning" else replace(p, hint=_HINT) for p in unique])
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["evaluation_order", "feedthrough_graph", "trace_blocks"]
 
 Key = tuple[str, str]
+SHOWN_HOPS = 20  # at the start and at the end of a loop
 
 
 def trace_blocks(diagram: Diagram) -> tuple[dict[str, BlockTrace], list[Problem]]:
@@ -105,6 +106,8 @@ def _loop_problem(diagram: Diagram, graph: nx.DiGraph, loop: tuple[Key, ...]) ->
         f"{block}.{port} -> {after}.{graph.edges[(block, port), (after, out)]['via']}"
         for (block, port), (after, out) in cycle
     ]
+    if len(hops) > 2 * SHOWN_HOPS:
+        hops[SHOWN_HOPS:-SHOWN_HOPS] = [f"... {len(hops) - 2 * SHOWN_HOPS} more hops ..."]
     more = f" (and {len(loop) - len(cycle)} more outputs in the same loop)" if len(loop) > len(cycle) else ""
     what = "algebraic loop: " + ", ".join(hops) + more
     hint = 'put a state into it (integrator, derivative filter, delay), or write "algebraic_loops": "solve"'

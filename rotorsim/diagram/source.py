@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from bisect import bisect_left
 from functools import cached_property
 from itertools import accumulate, islice
 from pathlib import Path
@@ -28,6 +29,7 @@ _STRING = r'"[^"\\]*+(?:\\.[^"\\]*+)*+"?'  # possessive: linear time also for ho
 _STRINGS = re.compile(_STRING, re.DOTALL)
 _OTHER = re.compile(r"[^\[\]{}]+")
 _BRACKET_OR_STRING = re.compile(rf"[\[\]{{}}]|{_STRING}", re.DOTALL)
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")  # one half of a character: good only in pairs
 _TOKEN = re.compile(rf"\s*(?:({_STRING})|([\[\]{{}},:])|([^\s\[\]{{}},:\"]+))", re.DOTALL)
 
 
@@ -58,7 +60,12 @@ class Source:
         return LazyPlace(self, path, key)
 
     def _line_column(self, offset: int) -> tuple[int, int]:
-        return self.text.count("\n", 0, offset) + 1, offset - (self.text.rfind("\n", 0, offset) + 1) + 1
+        line = bisect_left(self._line_ends, offset)
+        return line + 1, offset - (self._line_ends[line - 1] if line else -1)
+
+    @cached_property
+    def _line_ends(self) -> list[int]:
+        return [match.start() for match in re.finditer("\n", self.text)]
 
     @cached_property
     def _positions(self) -> Any:
@@ -177,9 +184,11 @@ def parse_document(text: str, file: str = "", path: Path | None = None) -> Sourc
         )
     except json.JSONDecodeError as error:
         raise RotorsimError(_syntax_problem(error, source)) from None
-    if suspects:
-        raise RotorsimError(*[Problem(what, place=Place(file, *source._line_column(at)), hint=hint)
-                              for at, what, hint in _scan(text)[1]])  # fmt: skip
+    if suspects or _SURROGATE.search(text):
+        problems = _scan(text)[1]
+        if problems:
+            raise RotorsimError(*[Problem(what, place=Place(file, *source._line_column(at)), hint=hint)
+                                  for at, what, hint in problems])  # fmt: skip
     return source
 
 
@@ -224,6 +233,8 @@ def _scan(text: str) -> tuple[Any, list[tuple[int, str, str]]]:
             stack.pop()
             continue
         offset = match.start(1) if string else match.start(2) if mark else match.start(3)
+        if string and _SURROGATE.search(string) and not _is_text(json.loads(string)):
+            problems.append((offset, "half a character (\\ud800 to \\udfff)", "write the character itself"))
         if stack and stack[-1][1] and key is None:
             key = (json.loads(string), offset)
             if key[0] in stack[-1][0][2]:
@@ -241,6 +252,14 @@ def _scan(text: str) -> tuple[Any, list[tuple[int, str, str]]]:
         elif word and word not in ("true", "false", "null"):
             _check_number(word, offset, problems)
     return root, problems
+
+
+def _is_text(value: str) -> bool:
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _check_number(word: str, offset: int, problems: list[tuple[int, str, str]]) -> None:

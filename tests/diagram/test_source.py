@@ -51,6 +51,16 @@ def test_what_is_no_json_is_refused_with_place_and_cure(text: str, message: str)
     assert str(error.value).replace("\n\nhint: ", " | ") == "d.json:" + message
 
 
+def test_half_a_character_is_refused_and_a_whole_one_is_not() -> None:
+    assert parse_document('["\\ud83d\\ude00"]', "f.json").data == ["\N{GRINNING FACE}"]
+    with pytest.raises(RotorsimError) as error:
+        parse_document('{"a": ["b",\n "\\ud83d"], "\\uDE00": 1}', "f.json")
+    assert [str(problem) for problem in error.value.problems] == [
+        "f.json:2:2: error: half a character (\\ud800 to \\udfff)\n\nhint: write the character itself",
+        "f.json:2:13: error: half a character (\\ud800 to \\udfff)\n\nhint: write the character itself",
+    ]
+
+
 def test_all_doubtful_numbers_and_keys_are_found_at_once() -> None:
     text = '{\n  "a": NaN,\n  "b": {"c": 1, "c": 2},\n  "d": [1, 1e999],\n  "a": 3\n}'
     with pytest.raises(RotorsimError) as error:
