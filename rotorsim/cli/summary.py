@@ -100,10 +100,17 @@ def peaks(result: Result) -> dict[str, dict[str, Any]]:
                 "unit": result.units.get(name, ""),
                 "shape": list(array.shape[1:]),
                 "peak": np.abs(flat).max(axis=0) if len(flat) else empty,
-                "rms": np.sqrt(np.mean(flat**2, axis=0)) if len(flat) else empty,
+                "rms": _rms(flat) if len(flat) else empty,
                 "final": flat[-1] if len(flat) else empty,
             }
     return found
+
+
+def _rms(columns: np.ndarray) -> np.ndarray:
+    """Return the rms of every column; squares of a diverged run would overflow, shares of its peak do not."""
+    peak = np.abs(columns).max(axis=0)
+    scale = np.where(peak > 0, peak, 1.0)
+    return np.asarray(scale * np.sqrt(np.mean((columns / scale) ** 2, axis=0)))
 
 
 def peaks_table(result: Result, angle: str) -> str:

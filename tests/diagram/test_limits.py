@@ -63,7 +63,7 @@ def test_lists_have_few_dimensions() -> None:
     for _ in range(60):
         value = [value]
     assert mistakes(written(diagram({"c": block("constant", value=value)}))) == [
-        "1:66: c.value: the list is nested too deeply | write one number, [...] or [[...], ...]"
+        "1:71: c.value: the list is nested too deeply | write one number, [...] or [[...], ...]"
     ]
 
 

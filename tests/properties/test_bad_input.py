@@ -96,7 +96,7 @@ def damaged(draw: Any) -> str:
         path = draw(st.sampled_from(PLACES[name]))
         try:
             damage_tree(draw, data, path)
-        except (KeyError, IndexError, TypeError):  # an earlier damage removed that place
+        except (KeyError, IndexError, TypeError, AttributeError):  # an earlier damage removed that place
             continue
     text = json.dumps(data, indent=draw(st.sampled_from([None, 1])))
     return damage_text(draw, text) if draw(st.integers(0, 4)) == 0 else text
