@@ -28,7 +28,7 @@ from tests.systems.shipped import load_document
 
 MODELS = ("jeffcott", "offset_disc")
 CONTROLLERS = (
-    "pid", "pd", "lead_lag", "state_feedback", "controller_state_space", "discrete_pid", "notch_pid",
+    "pid", "pd", "lead_lag", "state_feedback", "state_space", "discrete_pid", "notch_pid",
     "cross_coupled_pid",
 )  # fmt: skip
 WINDOW = (4.0, 5.0)  # s
@@ -53,7 +53,7 @@ class Row:
 def swapped(model: str, controller: str, folder: Path) -> Path:
     """Return the file of a shipped diagram with another controller, made by ``rotorsim swap``."""
     path = folder / f"{model}_{controller}.json"
-    if controller == "controller_state_space":  # any matrices will do: those that were designed for state feedback
+    if controller == "state_space":  # any matrices will do: those that were designed for state feedback
         content = json.loads(swapped(model, "state_feedback", folder).read_text(encoding="utf-8"))
         content["blocks"]["controller"]["type"] = controller
         path.write_text(json.dumps(content), encoding="utf-8")

@@ -1,31 +1,34 @@
-"""Linear state-space system."""
+"""Linear controller given by its matrices."""
 
 from typing import Any
 
-from rotorsim.block import Block, Equations, In, Out, Param, State
+from rotorsim.blocks import _controller as control
+
+from rotorsim.block import Block, Equations, Param, State
 
 
 class StateSpace(Block):
-    """Pass a vector through a linear time-invariant system.
+    """Control a magnetic bearing by any linear controller in state space.
 
-    d value / dt = A value + B input,  output = C value + D input
+    d value / dt = A value + B e,  i = C value + D e        e = displacement - reference
 
-    Shapes: A (n, n), B (n, inputs), C (outputs, n), D (outputs, inputs).
+    Shapes: A (n, n), B (n, 2), C (2, n), D (2, 2). The velocity port is there so that controllers can be
+    swapped; it is not used.
     """
 
-    source = "Simulink: State-Space"
+    source = "Simulink: State-Space; Franklin et al., Feedback Control of Dynamic Systems, chapter 7"
+    category = "controller"
 
-    input = In(shape=("inputs",), unit=None, doc="vector, shape (inputs,)")
-    output = Out(shape=("outputs",), unit=None, doc="vector, shape (outputs,)")
-    A = Param(shape=("n", "n"), unit=None, doc="state matrix, shape (n, n)")
-    B = Param(shape=("n", "inputs"), unit=None, doc="input matrix, shape (n, inputs)")
-    C = Param(shape=("outputs", "n"), unit=None, doc="output matrix, shape (outputs, n)")
-    D = Param(0.0, shape=("outputs", "inputs"), unit=None, doc="feedthrough matrix, shape (outputs, inputs)")
+    displacement = control.DISPLACEMENT
+    velocity = control.UNUSED_VELOCITY
+    reference = control.REFERENCE
+    current = control.CURRENT
+    A = Param(shape=("n", "n"), unit="1/s", doc="state matrix, shape (n, n)")
+    B = Param(shape=("n", 2), unit=None, doc="input matrix, shape (n, 2)")
+    C = Param(shape=(2, "n"), unit=None, doc="output matrix, shape (2, n)")
+    D = Param([[0.0, 0.0], [0.0, 0.0]], shape=(2, 2), unit="A/m", doc="feedthrough matrix, shape (2, 2)")
     initial = Param(0.0, shape=("n",), unit=None, doc="state at the start, shape (n,)")
-    value = State(shape=("n",), unit=None, init="initial", doc="state")
+    value = State(shape=("n",), unit=None, init="initial", doc="state of the controller")
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
-        return Equations(
-            outputs={"output": p.C @ x.value + p.D @ u.input},
-            derivatives={"value": p.A @ x.value + p.B @ u.input},
-        )
+        return control.state_space_of(p, u, x)

@@ -18,6 +18,7 @@ FILL = {
     "rotor": "#dcebf7", "bearing": "#e2f2e6", "controller": "#fdeedb", "excitation": "#fbe4dd", "clock": "#efe7f5",
     "elementary": "#f4f4f2",
 }  # fmt: skip
+SIGNS = {"+": "+", "-": "\N{MINUS SIGN}", "*": "\N{MULTIPLICATION SIGN}", "/": "\N{DIVISION SIGN}"}
 Key = tuple[str, str]
 
 
@@ -47,6 +48,27 @@ class _Box:
     def plain(self) -> bool:
         """Whether port names say nothing: one unnamed input and output."""
         return not any(name.rstrip("0123456789") not in ("input", "output") for name in (*self.inputs, *self.outputs))
+
+    @property
+    def kind(self) -> str:
+        """The type, with the function that a block of several functions computes."""
+        function = getattr(self.node.block.option, "function", None)
+        return f"{self.node.block.type_name}: {function}" if isinstance(function, str) else self.node.block.type_name
+
+    @property
+    def marks(self) -> dict[str, str]:
+        """Input port -> its sign, where the letters of an option are signs (sum, product)."""
+        if not self.plain or len(self.inputs) < 2:
+            return {}
+        block = self.node.block
+        groups = [(d, getattr(block.option, d.many)) for d in block.inputs.values() if d.many]
+        return {
+            port: SIGNS[sign]
+            for declared, signs in groups
+            if isinstance(signs, str)
+            for port, sign in zip(block.port_names(declared), signs, strict=True)
+            if sign in SIGNS and port in self.inputs
+        }
 
 
 @dataclass
@@ -113,7 +135,8 @@ def _boxes(diagram: Diagram) -> dict[str, _Box]:
         box = _Box(node, inputs, outputs)
         count = max(len(inputs), len(outputs), 1)
         ports = 0.0 if box.plain else 6.2 * (max(map(len, inputs), default=0) + max(map(len, outputs), default=0)) + 26
-        box.width = max(7.6 * len(name) + 22, 6.2 * len(node.block.type_name) + 22, ports, 76)
+        room = 12.0 if box.marks else 0.0
+        box.width = max(7.6 * len(name) + 22 + room, 6.2 * len(box.kind) + 22 + room, ports, 76)
         box.height = max(HEAD, PORT * count + 8) if box.plain else HEAD + PORT * count + 6
         boxes[name] = box
     return boxes
@@ -246,7 +269,7 @@ def _box(box: _Box, frame: str | None) -> str:
     node = box.node
     fill = FILL.get(node.block.category, FILL["elementary"])
     stroke, line = (frame, 3.0) if frame else ("#444444", 1.1)
-    middle = box.x + box.width / 2
+    middle = box.x + (box.width + 8 if box.marks else box.width) / 2
     base = box.y + (box.height / 2 - 3 if box.plain else 16)
     parts = [
         f'<rect x="{box.x:.1f}" y="{box.y:.1f}" width="{box.width:.1f}" height="{box.height:.1f}" rx="5" '
@@ -254,7 +277,12 @@ def _box(box: _Box, frame: str | None) -> str:
         f'<text x="{middle:.1f}" y="{base:.1f}" font-size="12.5" font-weight="bold" text-anchor="middle">'
         f"{escape(node.name)}</text>",
         f'<text x="{middle:.1f}" y="{base + 14:.1f}" font-size="10.5" fill="#666666" text-anchor="middle">'
-        f"{escape(node.block.type_name)}</text>",
+        f"{escape(box.kind)}</text>",
+    ]
+    parts += [
+        f'<text x="{box.x + 4:.1f}" y="{box.port_y(name, is_input=True) + 3.5:.1f}" font-size="11" '
+        f'fill="#333333">{sign}</text>'
+        for name, sign in box.marks.items()
     ]
     if not box.plain:
         for names, is_input in ((box.inputs, True), (box.outputs, False)):

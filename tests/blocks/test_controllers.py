@@ -27,7 +27,7 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
     "notch_pid": {},
     "cross_coupled_pid": {},
     "discrete_pid": {},
-    "controller_state_space": MATRICES,
+    "state_space": MATRICES,
     "state_feedback": MATRICES,
 }
 
@@ -170,7 +170,7 @@ def test_cross_coupled_pid_without_cross_gains_is_pid() -> None:
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("type_name", ["controller_state_space", "state_feedback"])
+@pytest.mark.parametrize("type_name", ["state_space", "state_feedback"])
 def test_state_space_controllers_are_their_matrices(type_name: str) -> None:
     found = state_space_of(prepare(type_name, TWO, MATRICES), "displacement", "current")
     for value, expected in zip(found, MATRICES.values(), strict=True):

@@ -93,14 +93,14 @@ def test_transfer_function_refuses_what_is_not_proper() -> None:
 def test_state_space_is_itself() -> None:
     matrices = {"A": rng.normal(size=(3, 3)), "B": rng.normal(size=(3, 2)), "C": rng.normal(size=(4, 3))}
     matrices["D"] = rng.normal(size=(4, 2))
-    found = state_space_of(prepare("state_space", {"input": (2,)}, matrices), "input", "output")
+    found = state_space_of(prepare("linear_system", {"input": (2,)}, matrices), "input", "output")
     for value, expected in zip(found, matrices.values(), strict=True):
         np.testing.assert_allclose(value, expected, rtol=1e-14)
 
 
 def test_state_space_has_no_feedthrough_matrix_by_default() -> None:
     matrices = {"A": np.diag([-1.0, -2.0]), "B": [[1.0], [1.0]], "C": [[1.0, 0.0]], "initial": [3.0, 4.0]}
-    prepared = prepare("state_space", {"input": (1,)}, matrices)
+    prepared = prepare("linear_system", {"input": (1,)}, matrices)
     np.testing.assert_array_equal(prepared.evaluate({"input": [9.0]}).outputs["output"], [3.0])
 
 

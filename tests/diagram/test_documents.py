@@ -82,7 +82,7 @@ def test_a_default_written_out_is_no_difference():
 @pytest.mark.parametrize("name", ["jeffcott", "offset_disc", "fe_rigid", "fe_flexible"])
 def test_controllers_take_the_place_of_one_another(name):
     fits = fitting_types(DOCUMENTS[name], "controller")
-    expected = ["pid", "pd", "lead_lag", "state_feedback", "controller_state_space", "discrete_pid", "notch_pid"]
+    expected = ["pid", "pd", "lead_lag", "state_feedback", "state_space", "discrete_pid", "notch_pid"]
     assert set(expected) <= set(fits)
     swapped = swap(DOCUMENTS[name], "controller", "pd")
     assert swapped["blocks"]["controller"] == {"type": "pd", "parameters": {"KP": "12200 A/m", "KD": "3 A s/m"}}
@@ -127,6 +127,16 @@ def test_a_drawing_is_well_formed_and_names_every_block_and_index(name):
     indices = sum("[" in end for wire in DOCUMENTS[name]["wires"] for end in wire)
     assert sum(str(word).startswith("[") for word in words) == indices
     assert text.count('stroke="#ff0000"') == 1
+
+
+def test_signs_and_functions_of_elementary_blocks_are_shown():
+    text = draw_svg(load("jeffcott_elementary"))
+    words = [element.text for element in ET.fromstring(text).iter("{http://www.w3.org/2000/svg}text")]
+    assert words.count("trigonometric: cos") == 7
+    blocks = DOCUMENTS["jeffcott_elementary"]["blocks"].values()
+    signs = "".join(b["parameters"]["signs"] for b in blocks if b["type"] == "sum")
+    assert words.count("\N{MINUS SIGN}") == signs.count("-")
+    assert words.count("+") == signs.count("+")
 
 
 def test_blocks_without_a_layout_are_drawn_apart_and_feedback_goes_back():

@@ -186,7 +186,7 @@ def test_rows_and_entries_of_wider_signals() -> None:
 def test_matrices_give_the_sizes_of_a_state_space_block() -> None:
     matrices = {"A": [[0, 1], [-1, 0]], "B": [[0], [1]], "C": [[1, 0], [0, 1], [1, 1]]}
     document = diagram(
-        {"s": block("state_space", **matrices), "g": "gain", "c": "constant"},
+        {"s": block("linear_system", **matrices), "g": "gain", "c": "constant"},
         ("c.output", "s.input"), ("s.output", "g.input"),
     )  # fmt: skip
     loaded = load(document)
@@ -194,7 +194,7 @@ def test_matrices_give_the_sizes_of_a_state_space_block() -> None:
     assert shape_of(loaded, "g.output") == (3,)
     assert loaded.nodes["s"].state_shapes == {"value": (2,)}
     assert loaded.nodes["s"].values["D"].shape == (3, 1)
-    wrong = diagram({"c": "constant", "s": block("state_space", **{**matrices, "B": [[0]]})}, ("c.output", "s.input"))
+    wrong = diagram({"c": "constant", "s": block("linear_system", **{**matrices, "B": [[0]]})}, ("c.output", "s.input"))
     assert mistakes(wrong) == [
         ": s.B: shape is (1, 1), expected (2, ?) | write a list of rows [[...], ...]",
     ]

@@ -105,7 +105,7 @@ def test_a_value_inside_a_list_is_placed() -> None:
 
 
 def test_missing_parameters_say_what_is_expected() -> None:
-    assert mistakes(diagram({"c": "constant", "s": "state_space"}, ("c.output", "s.input"))) == [
+    assert mistakes(diagram({"c": "constant", "s": "linear_system"}, ("c.output", "s.input"))) == [
         ": s: parameter 'A' is missing | write \"A\": a list of rows [[...], ...]",
         ": s: parameter 'B' is missing | write \"B\": a list of rows [[...], ...]",
         ": s: parameter 'C' is missing | write \"C\": a list of rows [[...], ...]",
