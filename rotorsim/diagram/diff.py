@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from rotorsim.diagram.diagram import Solver
 from rotorsim.diagram.registry import find
 from rotorsim.diagram.values import ValueProblem, numeric
+from rotorsim.units import UnitError, compatible, split_quantity
 
 __all__ = ["Change", "diff"]
 
 _MISSING = object()
+_DEFAULTS: Mapping[str, Any] = {"algebraic_loops": "refuse", "schema_version": 1}
 
 
 @dataclass(frozen=True)
@@ -34,8 +38,9 @@ class Change:
 def diff(a: Mapping[str, Any], b: Mapping[str, Any], *, layout: bool = False) -> list[Change]:
     """Return the changes that lead from document a to b.
 
-    Quantities that are equal in SI ("24 um", 2.4e-5) are equal; the order of blocks, wires and keys has
-    no meaning; texts for readers (description, layout) are compared only with ``layout``.
+    Quantities that are equal in SI ("24 um", 2.4e-5) are equal, and so is a default written out or not; the
+    order of blocks, wires and keys has no meaning, but a force wired twice counts twice. What is for readers
+    ($schema, description, layout) is compared only with ``layout``.
     """
     changes: list[Change] = []
     readers = {"layout", "description", "$schema"}
@@ -47,9 +52,30 @@ def diff(a: Mapping[str, Any], b: Mapping[str, Any], *, layout: bool = False) ->
                 _block(f"blocks.{name}", old.get(name, _MISSING), new.get(name, _MISSING), changes)
         elif key == "wires" and isinstance(old, list) and isinstance(new, list):
             _wires(old, new, changes)
+        elif key == "solver" and all(value is _MISSING or isinstance(value, Mapping) for value in (old, new)):
+            _solver({} if old is _MISSING else old, {} if new is _MISSING else new, changes)
         else:
-            _compare(key, old, new, changes, None)
+            fallback = _DEFAULTS.get(key, _MISSING)
+            _compare(key, a.get(key, fallback), b.get(key, fallback), changes, None)
+    if layout:
+        for name, (old, new) in _both(a.get("blocks"), b.get("blocks")).items():
+            if isinstance(old, Mapping) and isinstance(new, Mapping):
+                texts = (block.get("description", _MISSING) for block in (old, new))
+                _compare(f"blocks.{name}.description", *texts, changes, None)
     return changes
+
+
+def _both(a: Any, b: Any) -> dict[str, tuple[Any, Any]]:
+    if not (isinstance(a, Mapping) and isinstance(b, Mapping)):
+        return {}
+    return {name: (a[name], b[name]) for name in a if name in b}
+
+
+def _solver(old: Mapping[str, Any], new: Mapping[str, Any], changes: list[Change]) -> None:
+    for key in dict.fromkeys([*old, *new]):
+        fallback = getattr(Solver, key, _MISSING)
+        values = old.get(key, fallback), new.get(key, fallback)
+        _compare(f"solver.{key}", *values, changes, None)
 
 
 def _block(where: str, old: Any, new: Any, changes: list[Change]) -> None:
@@ -61,8 +87,8 @@ def _block(where: str, old: Any, new: Any, changes: list[Change]) -> None:
     before, after = old.get("parameters", {}), new.get("parameters", {})
     if isinstance(before, Mapping) and isinstance(after, Mapping):
         for name in dict.fromkeys([*before, *after]):
-            declared = kind.parameters.get(name) if kind else None
-            unit = declared.unit if declared else None
+            declared = (kind.parameters.get(name) or kind.options.get(name)) if kind else None
+            unit = declared.unit if declared and kind and name in kind.parameters else None
             fallback = declared.default if declared and declared.default is not None else _MISSING
             values = before.get(name, fallback), after.get(name, fallback)
             _compare(f"{where}.parameters.{name}", *values, changes, unit)
@@ -72,9 +98,9 @@ def _block(where: str, old: Any, new: Any, changes: list[Change]) -> None:
 
 
 def _wires(old: list[Any], new: list[Any], changes: list[Change]) -> None:
-    before, after = ([_wire(pair) for pair in wires] for wires in (old, new))
-    changes += [Change("-", "wires", old=wire) for wire in dict.fromkeys(before) if wire not in set(after)]
-    changes += [Change("+", "wires", new=wire) for wire in dict.fromkeys(after) if wire not in set(before)]
+    before, after = (Counter(_wire(pair) for pair in wires) for wires in (old, new))
+    changes += [Change("-", "wires", old=wire) for wire in (before - after).elements()]
+    changes += [Change("+", "wires", new=wire) for wire in (after - before).elements()]
 
 
 def _wire(pair: Any) -> str:
@@ -100,7 +126,10 @@ def _equal(old: Any, new: Any, unit: str | None) -> bool:
         return False
     try:
         a, b = numeric(old, unit), numeric(new, unit)
-    except ValueProblem:
+        if isinstance(old, str) and isinstance(new, str):  # 2 kg is not 2 m, whatever the block takes
+            fit = compatible(split_quantity(old)[1] or None, split_quantity(new)[1] or None)
+            return fit in ("same", "scaled") and bool(a == b)
+    except (ValueProblem, UnitError):
         return False
     return a.shape == b.shape and bool((a == b).all())
 

@@ -6,6 +6,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from rotorsim.errors import Problem, RotorsimError
+
 __all__ = ["format_document"]
 
 _KEYS = (
@@ -17,7 +19,10 @@ WIDTH = 120
 
 
 def format_document(data: Mapping[str, Any]) -> str:
-    """Return the canonical text of a document; values and the order of blocks and wires stay as they are."""
+    """Return the canonical text of a document; values and the order of blocks and wires stay as they are.
+
+    Raises RotorsimError for what JSON cannot hold (NaN, an array).
+    """
     lines = []
     for key in _ordered(data, _KEYS):
         value = data[key]
@@ -37,7 +42,11 @@ def _block(block: Any) -> Any:
 
 
 def _text(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False)
+    try:
+        return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        hint = "use finite numbers, texts, lists and mappings"
+        raise RotorsimError(Problem(f"cannot be written as JSON: {error}", hint=hint)) from None
 
 
 def _value(value: Any, indent: str, used: int, by_line: bool = False) -> str:
