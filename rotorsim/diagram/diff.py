@@ -60,8 +60,8 @@ def diff(a: Mapping[str, Any], b: Mapping[str, Any], *, layout: bool = False) ->
     if layout:
         for name, (old, new) in _both(a.get("blocks"), b.get("blocks")).items():
             if isinstance(old, Mapping) and isinstance(new, Mapping):
-                texts = (block.get("description", _MISSING) for block in (old, new))
-                _compare(f"blocks.{name}.description", *texts, changes, None)
+                before, after = (block.get("description", _MISSING) for block in (old, new))
+                _compare(f"blocks.{name}.description", before, after, changes, None)
     return changes
 
 
