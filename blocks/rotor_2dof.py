@@ -17,7 +17,7 @@ class Rotor2dof(Block):
     source = "thesis eq. (2.21), (2.26)"
     category = "rotor"
 
-    force = In(shape=2, unit="N", additive=True, doc="sum of the forces on the disc [x, y]")
+    force = In(shape=2, unit="N", additive=True, conjugate="displacement", doc="sum of the forces on the disc [x, y]")
     displacement = Out(shape=2, unit="m", doc="displacement [x, y]")
     velocity_port = Out(name="velocity", shape=2, unit="m/s", doc="velocity [x, y]")
     mass = Param(2.0, unit="kg", above=0.0, doc="mass of the disc")

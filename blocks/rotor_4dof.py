@@ -20,8 +20,8 @@ class Rotor4dof(Block):
     source = "thesis eq. (3.19), Table 3-1; sign: Friswell et al. (2010), sec. 3.6"
     category = "rotor"
 
-    force = In(shape=2, unit="N", additive=True, doc="sum of the forces on the disc [x, y]")
-    moment = In(shape=2, unit="N m", additive=True, doc="sum of the moments in the planes of x and y")
+    force = In(shape=2, unit="N", additive=True, conjugate="displacement", doc="sum of the forces on the disc [x, y]")
+    moment = In(shape=2, unit="N m", additive=True, conjugate="tilt", doc="sum of the moments in the planes of x and y")
     speed = In(unit="rad/s", doc="shaft speed W")
     displacement = Out(shape=2, unit="m", doc="displacement [x, y]")
     tilt_port = Out(name="tilt", shape=2, unit="rad", doc="tilt in the planes of x and y")

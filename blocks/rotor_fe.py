@@ -35,8 +35,8 @@ class RotorFe(Block):
     source = "thesis eq. (4.9)-(4.16), (5.4), App. B, C; Friswell et al. (2010), ch. 5"
     category = "rotor"
 
-    force = In(shape=_nodes, unit="N", additive=True, doc="sum of the forces [node, xy]")
-    moment = In(shape=_nodes, unit="N m", additive=True, doc="sum of the moments in the planes of x and y [node, xy]")
+    force = In(shape=_nodes, unit="N", additive=True, conjugate="displacement", doc="sum of the forces [node, xy]")
+    moment = In(shape=_nodes, unit="N m", additive=True, conjugate="tilt", doc="sum of the moments [node, xy]")
     speed = In(unit="rad/s", doc="shaft speed W")
     displacement = Out(shape=_nodes, unit="m", doc="displacement [node, xy]")
     tilt = Out(shape=_nodes, unit="rad", doc="slope in the planes of x and y [node, xy]")

@@ -119,6 +119,8 @@ class In(Declaration):
 
     optional: may be left unwired; ``u.<name>`` is then ``None``.
     additive: any number of wires, also none; their sum is the input (forces on a rotor).
+    conjugate: output port on whose rate this input does work (displacement for a force, tilt for a moment):
+    there an equivalent force can be found from measured motion.
     many: name of an option that says how many ports there are: a whole number n (or a text of n letters,
     such as signs "+-") gives name1..namen, a list of strings gives ports of these names; ``u.<name>`` is
     then a list. Words in its shape that end in "*" stand for something else at each of these ports.
@@ -126,6 +128,7 @@ class In(Declaration):
 
     optional: bool = False
     additive: bool = False
+    conjugate: str | None = None
     many: str | None = None
 
 

@@ -32,7 +32,7 @@ def block_data(cls: type[Block]) -> dict[str, Any]:
 
 def _declaration(block: Block, item: Any) -> dict[str, Any]:
     data: dict[str, Any] = {"shape": _shape(block, item), "unit": item.unit, "doc": item.doc}
-    for key in ("default", "low", "high", "above", "optional", "additive", "many", "init", "seed"):
+    for key in ("default", "low", "high", "above", "optional", "additive", "conjugate", "many", "init", "seed"):
         value = getattr(item, key, None)
         if value is not None and value is not False:
             data[key] = value

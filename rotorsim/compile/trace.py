@@ -115,11 +115,12 @@ class _Tracer:
         self.wires_into: dict[Key, list[tuple[Endpoint, Endpoint]]] = {}
         for wire in diagram.wires:
             self.wires_into.setdefault((wire.target.block, wire.target.port), []).append((wire.source, wire.target))
-        self.inject = {self._port_key(name): name for name in inject}
+        self.inject = {self._port_key(name, additive=True): name for name in inject}
         self.replace = {self._port_key(name): name for name in replace}
         self.external: dict[Key, Any] = {}
         for key, name in {**self.inject, **self.replace}.items():
-            port = diagram.nodes[key[0]].outputs[key[1]]
+            node = diagram.nodes[key[0]]
+            port = node.outputs.get(key[1]) or node.inputs[key[1]]
             self.external[key] = ca.SX.sym("v", size_of(port.shape))
             self.v.add(name, self.external[key], port.shape, port.unit)
         self.samplers: list[Sampler] = []
@@ -127,11 +128,17 @@ class _Tracer:
         self._declare()
         self.hit = ca.SX.sym("hit", len(self.samplers))
 
-    def _port_key(self, name: str) -> Key:
+    def _port_key(self, name: str, additive: bool = False) -> Key:
         block, _, port = name.rpartition(".")
-        if block not in self.diagram.nodes or port not in self.diagram.nodes[block].outputs:
-            raise RotorsimError(Problem(what="no such output port", subject=name))
+        node = self.diagram.nodes.get(block)
+        if node is None or not (port in node.outputs or (additive and self._is_additive(block, port))):
+            ports = "output port or additive input" if additive else "output port"
+            raise RotorsimError(Problem(what=f"no such {ports}", subject=name))
         return block, port
+
+    def _is_additive(self, block: str, port: str) -> bool:
+        declared = self.diagram.nodes[block].inputs.get(port)
+        return declared is not None and isinstance(declared.declaration, In) and declared.declaration.additive
 
     def _declare(self) -> None:
         for name, node in self.diagram.nodes.items():
@@ -178,9 +185,7 @@ class _Tracer:
         """Return the value of an input port: its wire, the sum of its wires, or zero when it is cut."""
         declared = self.diagram.nodes[block].inputs[port]
         wires = self.wires_into.get((block, port), [])
-        declaration = declared.declaration
-        additive = isinstance(declaration, In) and declaration.additive
-        if not additive and len(wires) == 1 and not wires[0][1].index:
+        if not self._is_additive(block, port) and len(wires) == 1 and not wires[0][1].index:
             return self._taken(wires[0][0], signals)
         total = ca.SX.zeros(size_of(declared.shape))
         entries = ca.vertsplit(total) if declared.shape else [total]
@@ -192,7 +197,8 @@ class _Tracer:
                 parts = parts * len(where)
             for position, part in zip(where, parts, strict=True):
                 entries[position] = entries[position] + part
-        return ca.vertcat(*entries)
+        column = ca.vertcat(*entries)
+        return column + self.external[block, port] if (block, port) in self.inject else column
 
     def _taken(self, source: Endpoint, signals: Mapping[Key, Any]) -> Any:
         key = (source.block, source.port)
@@ -300,7 +306,8 @@ def trace_diagram(diagram: Diagram, inject: Iterable[str] = (), replace: Iterabl
     """Trace a diagram.
 
     inject, replace: output ports ("controller.current") whose consumers see the port's value plus an
-    external input, or only the external input (the loop is opened there). Raises RotorsimError.
+    external input, or only the external input (the loop is opened there). An additive input ("rotor.force")
+    can be injected into as well. Raises RotorsimError.
     """
     tracer = _Tracer(diagram, inject, replace)
     residuals: list[Any] = []

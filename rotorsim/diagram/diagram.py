@@ -16,7 +16,7 @@ from rotorsim.block import Block, In, Out, Shape
 from rotorsim.diagram.traced import BlockTrace
 from rotorsim.errors import Place, Problem, RotorsimError
 
-__all__ = ["Diagram", "Endpoint", "Node", "Port", "Solver", "Wire"]
+__all__ = ["Diagram", "Endpoint", "Free", "Node", "Port", "Solver", "Wire"]
 
 
 @dataclass(frozen=True)
@@ -92,12 +92,31 @@ class Solver:
 
 
 @dataclass(frozen=True)
+class Free:
+    """A parameter that is estimated from recordings: ``name`` with its index, or a diagram parameter.
+
+    base: the parameter without index; entry: which of its values, row-major. value: where the search starts
+    (SI). low, high: physical bounds. prior_mean, prior_std: of a normal prior, None without one.
+    """
+
+    name: str
+    base: str
+    entry: int
+    value: float
+    unit: str
+    low: float
+    high: float
+    prior_mean: float | None = None
+    prior_std: float | None = None
+
+
+@dataclass(frozen=True)
 class Diagram:
     """A validated diagram; made by `rotorsim.diagram.load`, never by hand.
 
     parameters: diagram parameters as SI arrays. cut: input ports cut by ``--without`` (they read zero).
     document: the JSON it came from, with ``set`` in it (for fmt, swap, diff and provenance). file: its name.
-    warnings: what is odd but no mistake.
+    warnings: what is odd but no mistake. free: what ``identify`` leaves to be estimated.
     """
 
     name: str
@@ -112,6 +131,7 @@ class Diagram:
     document: Mapping[str, Any] = field(default_factory=dict)
     file: str = ""
     warnings: tuple[Problem, ...] = ()
+    free: tuple[Free, ...] = ()
 
     @cached_property
     def traces(self) -> Mapping[str, BlockTrace]:

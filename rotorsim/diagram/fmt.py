@@ -12,7 +12,7 @@ __all__ = ["format_document"]
 
 _KEYS = (
     "$schema", "schema_version", "name", "description", "parameters", "blocks", "wires", "solver", "record",
-    "algebraic_loops", "block_folders", "ports", "layout",
+    "algebraic_loops", "block_folders", "ports", "identify", "layout",
 )  # fmt: skip
 _BLOCK_KEYS = ("type", "file", "description", "parameters")
 WIDTH = 120
@@ -28,7 +28,7 @@ def format_document(data: Mapping[str, Any]) -> str:
         value = data[key]
         if key == "blocks" and isinstance(value, Mapping):
             value = {name: _block(block) for name, block in value.items()}
-        by_line = key in ("parameters", "blocks", "layout", "wires", "ports")
+        by_line = key in ("parameters", "blocks", "layout", "wires", "ports", "identify")
         lines.append(f"  {_text(key)}: {_value(value, '  ', len(key) + 6, by_line)}")
     return "{\n" + ",\n".join(lines) + "\n}\n" if lines else "{}\n"
 

@@ -13,6 +13,7 @@ from rotorsim.diagram.build import Builder
 from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Solver
 from rotorsim.diagram.document import FlatDocument
 from rotorsim.diagram.flatten import flatten_document
+from rotorsim.diagram.free import free_parameters
 from rotorsim.diagram.order import evaluation_order, trace_blocks
 from rotorsim.diagram.registry import Registry
 from rotorsim.diagram.source import MAX_DEPTH, Source, is_too_deep, read_document
@@ -78,6 +79,9 @@ def load(
     _raise_errors(problems)
 
     nodes = {name: builder.node(work) for name, work in works.items()}
+    identify = flat.data.get("identify", {})
+    free, mistakes = free_parameters(document, identify, values, builder.parameter_units, nodes, removed)
+    problems += mistakes
     for name, work in works.items():
         if work.template.has_check and name not in builder.misfits:
             problems += _contradictions(work, nodes[name])
@@ -95,6 +99,7 @@ def load(
         document=_with_settings(flat.data, parameters, blocks, solver),
         file=document.file,
         warnings=tuple(p for p in problems if p.severity == "warning"),
+        free=free,
     )
     traces, failed = trace_blocks(diagram)
     _raise_errors([*problems, *failed])

@@ -63,6 +63,25 @@ def json_schema() -> dict[str, Any]:
             "additionalProperties": False,
             "properties": {"inputs": {"type": "object"}, "outputs": {"type": "object"}},
         },
+        "identify": {
+            "type": "object",
+            "description": "Parameters left free: estimated from recordings by `rotorsim identify`.",
+            "additionalProperties": {
+                "type": "object",
+                "additionalProperties": False,
+                "properties": {
+                    "low": quantity,
+                    "high": quantity,
+                    "description": {"type": "string"},
+                    "prior": {
+                        "type": "object",
+                        "additionalProperties": False,
+                        "properties": {"mean": quantity, "std": quantity},
+                        "required": ["std"],
+                    },
+                },
+            },
+        },
         "layout": {
             "type": "object",
             "additionalProperties": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
