@@ -33,6 +33,7 @@ VERBS = {
     "campbell": "Natural frequencies against speed, tracked.",
     "periodic": "The settled motion at one or many speeds by harmonic balance.",
     "spectrum": "Full spectrum of two-axis signals of a result or a diagram.",
+    "identify": "Estimate the free parameters of a diagram from a recording, with intervals and verdicts.",
     "cache": "Show or clear the cache of compiled models.",
     "version": "Print the version.",
 }

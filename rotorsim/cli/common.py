@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
 
 __all__ = [
+    "check_folder",
     "check_target",
     "diagram_options",
     "display_unit",
@@ -181,6 +182,18 @@ def check_target(option: str, file: str | None, suffixes: Sequence[str]) -> None
         raise RotorsimError(
             Problem(what=f"{option} {file}: folder {path.parent} does not exist", hint="create it first")
         )
+
+
+def check_folder(option: str, folder: str | None) -> None:
+    """Refuse a folder that cannot be made, before the work is done."""
+    if folder is None:
+        return
+    path = Path(folder)
+    if path.exists() and not path.is_dir():
+        raise RotorsimError(Problem(what=f"{option} {folder}: is a file", hint="give the name of a folder"))
+    parent = next((p for p in path.absolute().parents if p.exists()), None)
+    if parent is None or not parent.is_dir():
+        raise RotorsimError(Problem(what=f"{option} {folder}: cannot be made", hint="give the name of a folder"))
 
 
 def quantity(text: str, unit: str, option: str) -> float:

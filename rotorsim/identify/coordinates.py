@@ -1,0 +1,140 @@
+"""The coordinates of the search: parameters scaled, and an amplitude with its angle as two linear components."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorsim.diagram.diagram import Free
+from rotorsim.identify.functions import Equations
+
+__all__ = ["Coordinates", "amplitude_pairs"]
+
+ANGLE_UNIT = "rad"
+PROBES = (0.4, 1.9)
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """theta (m,) <-> q (m,): q = theta / scale, but (a cos phi, a sin phi) / scale for pairs (amplitude, angle)."""
+
+    scale: np.ndarray
+    pairs: tuple[tuple[int, int], ...]
+    low: np.ndarray
+    high: np.ndarray
+
+    def inside(self, theta: np.ndarray) -> np.ndarray:
+        """Return q of theta."""
+        q = theta / self.scale
+        for a, b in self.pairs:
+            q[a], q[b] = (theta[a] / self.scale[a]) * np.array([np.cos(theta[b]), np.sin(theta[b])])
+        return np.asarray(q)
+
+    def outside(self, q: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
+        """Return theta of q; angles within half a turn of ``near``, else of zero."""
+        theta = q * self.scale
+        for a, b in self.pairs:
+            theta[a] = np.hypot(q[a], q[b]) * self.scale[a]
+            theta[b] = np.arctan2(q[b], q[a])
+            if near is not None:
+                theta[b] = near[b] + np.angle(np.exp(1j * (theta[b] - near[b])))
+        return np.asarray(theta)
+
+    def slopes(self, theta: np.ndarray) -> np.ndarray:
+        """Return dtheta/dq (m, m)."""
+        J = np.diag(self.scale.copy())
+        for a, b in self.pairs:
+            c, s = np.cos(theta[b]), np.sin(theta[b])
+            amplitude = max(abs(theta[a]), 1e-12 * self.scale[a])
+            J[a, a], J[a, b] = c * self.scale[a], s * self.scale[a]
+            J[b, a], J[b, b] = -s * self.scale[a] / amplitude, c * self.scale[a] / amplitude
+        return J
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of q; a pair has none, for its amplitude cannot be negative."""
+        low, high = self.low / self.scale, self.high / self.scale
+        for pair in self.pairs:
+            low[list(pair)], high[list(pair)] = -np.inf, np.inf
+        return low, high
+
+
+def coordinates_of(
+    free: tuple[Free, ...], equations: Equations, p: np.ndarray, speeds: np.ndarray, *, bounded: bool = True
+) -> Coordinates:
+    """Return the coordinates of a search over the free parameters, within their bounds or not."""
+    theta = np.array([item.value for item in free])
+    scale = np.array([_scale(item) for item in free])
+    pairs = amplitude_pairs(free, equations, p, speeds, theta)
+    low, high = (np.array([getattr(item, end) for item in free]) for end in ("low", "high"))
+    if not bounded:
+        low, high = np.full(len(free), -np.inf), np.full(len(free), np.inf)
+    for _, b in pairs:
+        scale[b] = 1.0
+    for a, b in pairs:
+        scale[b] = scale[a]
+    return Coordinates(scale, pairs, low, high)
+
+
+def _scale(free: Free) -> float:
+    if free.unit == ANGLE_UNIT:
+        return 1.0
+    if free.value:
+        return abs(free.value)
+    if free.prior_std:
+        return free.prior_std
+    return abs(free.high) if np.isfinite(free.high) and free.high else 1.0
+
+
+def amplitude_pairs(
+    free: tuple[Free, ...], equations: Equations, p: np.ndarray, speeds: np.ndarray, theta: np.ndarray
+) -> tuple[tuple[int, int], ...]:
+    """Return the pairs (amplitude, angle) that enter as a cos phi and a sin phi, as an unbalance does.
+
+    Found from the traced forcing: with amplitude one, the force at every angle is made up of those at 0 and pi / 2.
+    Bounds other than "not negative", or priors, leave a pair as it is.
+    """
+    plain = [item.prior_std is None for item in free]
+    angles = [
+        j for j, item in enumerate(free)
+        if item.unit == ANGLE_UNIT and plain[j] and item.low == -np.inf and item.high == np.inf
+    ]  # fmt: skip
+    amplitudes = [j for j, item in enumerate(free) if plain[j] and item.low in (0.0, -np.inf) and item.high == np.inf]
+    amplitudes = [j for j in amplitudes if free[j].unit != ANGLE_UNIT]
+    if not angles or not amplitudes:
+        return ()
+    row, speed = p[:1], np.abs(speeds[:1])
+
+    def force(**values: float) -> np.ndarray:
+        changed = theta.copy()
+        for key, value in values.items():
+            changed[int(key[1:])] = value
+        return equations.forcing(row, changed[None], speed, 3)[0]
+
+    pairs: list[tuple[int, int]] = []
+    for b in angles:
+        for a in amplitudes:
+            if any(a in pair for pair in pairs) or _moves_matrices(equations, row, theta, (a, b)):
+                continue
+            unit = 3.0 * _scale(free[a])
+            none = force(**{f"t{a}": 0.0})
+            cosine = force(**{f"t{a}": unit, f"t{b}": 0.0}) - none
+            sine = force(**{f"t{a}": unit, f"t{b}": np.pi / 2}) - none
+            size = np.abs(cosine).max()
+            if not size > 0 or np.abs(force(**{f"t{a}": 0.0, f"t{b}": 1.0}) - none).max() > 1e-9 * size:
+                continue
+            probes = [
+                force(**{f"t{a}": unit / 3, f"t{b}": at}) - none - (np.cos(at) * cosine + np.sin(at) * sine) / 3
+                for at in PROBES
+            ]
+            if max(np.abs(probe).max() for probe in probes) < 1e-9 * size:
+                pairs.append((a, b))
+                break
+    return tuple(pairs)
+
+
+def _moves_matrices(equations: Equations, p: np.ndarray, theta: np.ndarray, which: tuple[int, int]) -> bool:
+    return any(
+        matrix(p, theta[None])[1][..., list(which)].any() for matrix in equations.matrices.values()
+    )  # fmt: skip

@@ -1,0 +1,221 @@
+"""The most likely parameters: starts, search within bounds, covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from rotorsim.diagram.diagram import Free
+from rotorsim.identify.coordinates import ANGLE_UNIT, Coordinates, coordinates_of
+from rotorsim.identify.likelihood import Evaluation, Likelihood
+from rotorsim.identify.regression import Regression
+
+__all__ = ["Estimate", "Search", "estimate"]
+
+TURN = 2 * np.pi
+STARTS = 12  # values over a turn of an angle that enters in several harmonics
+CLOSE = 1e-10
+AT_BOUND = 1e-6
+SINGULAR = 1e-13  # smallest eigenvalue of the information, of the largest, that counts
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The most likely parameters theta (m,) [SI], and what the data say about them.
+
+    information (m, m): J^T J of the whitened equations and priors, in the coordinates q. misfit: |r|^2 of the data;
+    freedom: equations less parameters. at_bound (m,): the search ended at a bound there.
+    """
+
+    free: tuple[Free, ...]
+    theta: np.ndarray
+    coordinates: Coordinates
+    evaluation: Evaluation
+    information: np.ndarray
+    at_bound: np.ndarray
+    misfit: float
+    freedom: int
+
+    @property
+    def goodness(self) -> float:
+        """Probability of a misfit at least so large if the model and the noise are right."""
+        return float(chi2.sf(self.misfit, max(self.freedom, 1)))
+
+    @property
+    def excess(self) -> float:
+        """Variance of the residual over what the noise explains; about 1 for a right model."""
+        return self.misfit / max(self.freedom, 1)
+
+    @cached_property
+    def eigen(self) -> tuple[np.ndarray, np.ndarray]:
+        """Eigenvalues (m,) of the information and its eigenvectors (m, m) in q; bounded parameters left out."""
+        information = self.information.copy()
+        information[self.at_bound], information[:, self.at_bound] = 0.0, 0.0
+        return np.linalg.eigh(information)
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of theta (m, m); infinite along directions that the data say nothing about."""
+        values, vectors = self.eigen
+        floor = SINGULAR * max(values[-1], 1e-300)
+        inverse = 1 / np.maximum(values, floor)
+        q = (vectors * inverse) @ vectors.T
+        q[self.at_bound], q[:, self.at_bound] = 0.0, 0.0
+        J = self.coordinates.slopes(self.theta)
+        return np.asarray(J @ q @ J.T)
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations of theta (m,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0))
+
+
+class Search:
+    """The residuals of data and priors in the coordinates of the search, with some parameters held."""
+
+    def __init__(self, likelihood: Likelihood | Regression) -> None:
+        experiment = likelihood.experiment
+        self.likelihood, self.free = likelihood, experiment.free
+        motion = experiment.motion
+        bounded = likelihood.absolute
+        self.coordinates = coordinates_of(self.free, motion.equations, motion.p, motion.speeds, bounded=bounded)
+        self.prior = [j for j, item in enumerate(self.free) if item.prior_std is not None and bounded]
+        self._known: tuple[bytes, tuple[Evaluation, np.ndarray, np.ndarray]] | None = None
+
+    def residual(self, q: np.ndarray) -> np.ndarray:
+        """Return whitened residuals of data and priors, (n,)."""
+        return self._at(q)[1]
+
+    def slopes(self, q: np.ndarray) -> np.ndarray:
+        """Return the derivatives of `residual` by q, (n, m)."""
+        return self._at(q)[2]
+
+    def evaluation(self, q: np.ndarray) -> Evaluation:
+        """Return the evaluation of the data at q."""
+        return self._at(q)[0]
+
+    def _at(self, q: np.ndarray) -> tuple[Evaluation, np.ndarray, np.ndarray]:
+        key = q.tobytes()
+        if self._known is None or self._known[0] != key:
+            theta = self.coordinates.outside(q)
+            found = self.likelihood.evaluate(theta)
+            residual, slopes = found.residual, found.slopes
+            if self.prior:
+                means = [self.free[j].prior_mean for j in self.prior]
+                stds = np.array([self.free[j].prior_std for j in self.prior])
+                residual = np.append(residual, (theta[self.prior] - means) / stds)
+                rows = np.zeros((len(self.prior), len(theta)))
+                rows[np.arange(len(self.prior)), self.prior] = 1 / stds
+                slopes = np.vstack([slopes, rows])
+            self._known = (key, (found, residual, slopes @ self.coordinates.slopes(theta)))
+        return self._known[1]
+
+    def starts(self) -> list[np.ndarray]:
+        """Return where to search from, best first: angles that are not part of a pair are tried all around.
+
+        At each of them the other parameters take one Gauss-Newton step, which is exact for forces.
+        """
+        start = self.likelihood.experiment.theta0
+        paired = {j for pair in self.coordinates.pairs for j in pair}
+        angles = [
+            j for j, item in enumerate(self.free)
+            if item.unit == ANGLE_UNIT and j not in paired and item.prior_std is None
+        ]  # fmt: skip
+        q0 = self.coordinates.inside(start)
+        if not angles:
+            return [q0]
+        candidates = [q0]
+        for j in angles:
+            grid = start[j] + np.arange(STARTS) * TURN / STARTS
+            ranked = []
+            for base in candidates:
+                for value in grid:
+                    if not self.free[j].low <= value <= self.free[j].high:
+                        continue
+                    q = base.copy()
+                    q[j] = value / self.coordinates.scale[j]
+                    ranked.append(self._one_step(q, angles))
+            ranked.sort(key=lambda pair: pair[0])
+            candidates = [q for _, q in ranked[:3]]
+        return candidates
+
+    def _one_step(self, q: np.ndarray, held: list[int]) -> tuple[float, np.ndarray]:
+        """Return the misfit that linear theory promises after one step of all but the held, and where it leads."""
+        others = [j for j in range(len(q)) if j not in held]
+        J = self.slopes(q)[:, others]
+        r = self.residual(q)
+        norm = np.linalg.norm(J, axis=0)
+        norm[norm == 0] = 1.0
+        scaled = J / norm
+        values, vectors = np.linalg.eigh(scaled.T @ scaled)
+        good = values > 1e-9 * values[-1]
+        step = -(vectors[:, good] / values[good]) @ (vectors[:, good].T @ (scaled.T @ r)) / norm
+        promised = r + J @ step
+        moved = q.copy()
+        moved[others] += step
+        low, high = self.coordinates.bounds
+        return float(promised @ promised), np.clip(moved, low, high)
+
+    def minimise(self, q: np.ndarray, held: tuple[int, ...] = ()) -> np.ndarray:
+        """Return q of least residual from a start, within bounds, some entries held."""
+        low, high = self.coordinates.bounds
+        moving = [j for j in range(len(q)) if j not in held]
+        if not moving:
+            return q
+
+        def full(part: np.ndarray) -> np.ndarray:
+            whole = q.copy()
+            whole[moving] = part
+            return whole
+
+        width = np.where(np.isfinite(high - low), high - low, 1.0)
+        inside = np.clip(q, low + 1e-9 * width, high - 1e-9 * width)
+        found = least_squares(
+            lambda part: self.residual(full(part)),
+            inside[moving],
+            lambda part: self.slopes(full(part))[:, moving],
+            bounds=(low[moving], high[moving]),
+            x_scale="jac",
+            ftol=CLOSE,
+            xtol=CLOSE,
+            gtol=1e-12,
+            max_nfev=60,
+        )
+        return full(found.x)
+
+
+def estimate(search: Search, start: np.ndarray | None = None) -> Estimate:
+    """Return the most likely parameters from one start, or from several where an angle is unknown."""
+    starts = search.starts() if start is None else [search.coordinates.inside(start)]
+    best: np.ndarray | None = None
+    least = np.inf
+    for q in starts:
+        found = search.minimise(q)
+        cost = float(search.residual(found) @ search.residual(found))
+        if cost < least * (1 - 1e-9):
+            best, least = found, cost
+        if search.likelihood.absolute and search.evaluation(found).misfit.sum() < 1.2 * search.evaluation(found).rows:
+            break  # it explains the data: another start can do no better
+    assert best is not None
+    return summary(search, best)
+
+
+def summary(search: Search, q: np.ndarray) -> Estimate:
+    """Return the estimate at q: information, bounds, misfit."""
+    coordinates, free = search.coordinates, search.free
+    theta = coordinates.outside(q, search.likelihood.experiment.theta0)
+    for j, item in enumerate(free):
+        if item.unit == ANGLE_UNIT and item.low == -np.inf and item.high == np.inf:
+            theta[j] = np.angle(np.exp(1j * theta[j]))
+    evaluation = search.evaluation(q)
+    J = search.slopes(q)
+    low, high = coordinates.bounds
+    at_bound = (q <= low + AT_BOUND) | (q >= high - AT_BOUND)
+    freedom = evaluation.rows - len(free)
+    return Estimate(
+        free, theta, coordinates, evaluation, J.T @ J, at_bound, float(evaluation.misfit.sum()), freedom
+    )  # fmt: skip

@@ -1,0 +1,209 @@
+"""What was measured, in the diagram's own terms: which entries of which ports, at which parameters, in each run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rotorsim.compile import Model, compile_diagram
+from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.diagram.values import ValueProblem, numeric
+from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.identify.functions import Equations, slots_of
+from rotorsim.identify.motion import Motion
+from rotorsim.recordings.harmonic_fit import HarmonicFit
+from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
+from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
+from rotorsim.simulate import linear
+
+__all__ = ["Experiment", "open_experiment"]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Measured harmonics of R runs beside the model that is to explain them.
+
+    free: the m free parameters that the measured signals can depend on. predicted: flat names of measured outputs
+    of the model; given: flat names of measured signals that the model takes as inputs (the loop is opened there).
+    order_of: columns of each fit in the order [predicted, given]. p (R, n_p); motion: the settled motion of
+    the runs. use_mean (c + V,): False where the mean of a channel means nothing.
+    """
+
+    diagram: Diagram
+    recording: Recording
+    model: Model
+    free: tuple[Free, ...]
+    predicted: tuple[str, ...]
+    given: tuple[str, ...]
+    runs: tuple[RunHarmonics, ...]
+    columns: np.ndarray
+    p: np.ndarray
+    motion: Motion
+    use_mean: np.ndarray
+
+    @property
+    def fits(self) -> list[HarmonicFit]:
+        """The harmonics of each run."""
+        return [item.fit for item in self.runs]
+
+    @property
+    def theta0(self) -> np.ndarray:
+        """The free parameters as the diagram has them, (m,)."""
+        return np.array([item.value for item in self.free])
+
+
+def open_experiment(
+    diagram: Diagram,
+    recording: Recording,
+    *,
+    runs: Sequence[Run] | None = None,
+    given: Sequence[str] = (),
+    inject: Sequence[str] = (),
+    free: Sequence[Free] | None = None,
+    harmonics: Sequence[RunHarmonics] | None = None,
+    drop: Sequence[str] = (),
+) -> Experiment:
+    """Return the measured harmonics of runs (default: those to identify from) beside the model of the diagram.
+
+    given: output ports ("controller.current") that are taken as they were measured, with their noise: what makes
+    them is cut off and need not be right. inject: additive inputs that take an external force. free: default what
+    the diagram's ``identify`` says. drop: flat names of measured entries that are left out.
+    Raises RotorsimError with all that does not fit: channels that the diagram does not have, settings, speeds.
+    """
+    chosen = tuple(recording.select("identify") if runs is None else runs)
+    problems: list[Problem] = []
+    if not chosen:
+        hint = '"use": "identify" marks the runs that parameters are taken from'
+        raise RotorsimError(Problem("no run to identify from", recording.name, hint=hint))
+    wanted = diagram.free if free is None else tuple(free)
+    if not wanted:
+        hint = 'add "identify": {"viscous_damping": {}, ...} to the diagram'
+        raise RotorsimError(Problem("no free parameters", diagram.name, Place(diagram.file), hint))
+    if "speed" not in diagram.parameters:
+        hint = 'add "parameters": {"speed": "1500 rpm"} and let the clock follow it: {"speed": "$speed"}'
+        raise RotorsimError(Problem("no diagram parameter 'speed'", diagram.name, Place(diagram.file), hint))
+    model = compile_diagram(diagram, inject=inject, replace=given)
+    names = _names(model, recording, problems)
+    taken = [name for name in names if name.partition("[")[0] in given]
+    for port in given:
+        missing = [name for name in linear.flat_names(model, port) if name not in taken]
+        if missing:
+            problems.append(Problem(f"not all of it was measured: {', '.join(missing)} is missing", port))
+    predicted = [name for name in names if name not in taken and name not in drop]
+    if problems:
+        raise RotorsimError(*problems)
+    if not predicted:
+        raise RotorsimError(Problem("nothing was measured that the diagram could be compared with", recording.name))
+    found = tuple(harmonics_of(recording, chosen) if harmonics is None else harmonics)
+    _refuse_unknown_phase(found)
+    p = _parameters(model, diagram, found)
+    kept = tuple(item for item in wanted if slots_of(model, item))
+    equations = Equations(model, predicted, kept)
+    K = min(int(item.fit.orders[-1]) for item in found)
+    windows = [float(item.run.time[-1] - item.run.time[0]) for item in found]
+    speeds = np.array([item.fit.speed for item in found])
+    motion = Motion(equations, p, speeds, K, windows, _clock_phase(model, p))
+    channels = {channel.name: channel for channel in recording.channels.values()}
+    order = [*predicted, *taken]
+    columns = np.array([[item.fit.names.index(name) for name in order] for item in found])
+    use_mean = np.array([channels[name].coupling == "dc" for name in order])
+    return Experiment(
+        diagram, recording, model, kept, tuple(predicted), tuple(taken), found, columns, p, motion, use_mean
+    )  # fmt: skip
+
+
+def _names(model: Model, recording: Recording, problems: list[Problem]) -> list[str]:
+    """Return the flat names of the channels that the model has; add what it does not have to the problems."""
+    found: list[str] = []
+    for column, channel in recording.channels.items():
+        if channel.signal in (ANGLE, TACHO):
+            continue
+        subject = f"channel {column}"
+        if channel.signal not in model.signals:
+            hint = near_miss(channel.signal, model.signals)
+            problems.append(Problem(f"the diagram has no signal '{channel.signal}'", subject, hint=hint))
+            continue
+        name = channel.name
+        shape = model.signals[channel.signal].shape
+        if shape and not _is_entry(channel, shape):
+            size = " x ".join(map(str, shape))
+            hint = "say node and axis" if len(shape) == 2 else "say axis"
+            what = f"'{name}' is not one entry of '{channel.signal}', which is {size}"
+            problems.append(Problem(what, subject, hint=hint))
+        elif name in found:
+            problems.append(Problem(f"'{name}' is measured by two channels", subject, hint="leave one of them out"))
+        else:
+            found.append(name)
+    return found
+
+
+def _is_entry(channel: Channel, shape: tuple[int, ...]) -> bool:
+    if channel.position is not None and channel.node is None:
+        return False
+    index = [channel.node] if channel.node is not None else []
+    index += [1 if channel.axis == "x" else 2] if channel.axis is not None else []
+    return len(index) == len(shape) and all(1 <= k <= n for k, n in zip(index, shape, strict=True))
+
+
+def _refuse_unknown_phase(runs: Sequence[RunHarmonics]) -> None:
+    problems = [
+        Problem(
+            "no phase reference: nothing says where shaft angle zero is",
+            f"run {item.run.id}",
+            item.run.place,
+            'add "tacho": [times of a once-per-turn pulse] or a channel "clock.theta"; or leave the run out',
+        )
+        for item in runs
+        if not item.angle.phase_known
+    ]
+    if problems:
+        raise RotorsimError(*problems)
+
+
+def _parameters(model: Model, diagram: Diagram, runs: Sequence[RunHarmonics]) -> np.ndarray:
+    """Return p of every run, (R, n_p): its settings and its measured speed."""
+    problems: list[Problem] = []
+    rows = []
+    for item in runs:
+        overrides: dict[str, Any] = {"speed": item.fit.speed}
+        for name, value in item.run.settings.items():
+            try:
+                overrides[name] = numeric(value, _unit(diagram, name))
+            except ValueProblem as problem:
+                problems.append(Problem(problem.what, f"run {item.run.id}: set {name}", item.run.place, problem.hint))
+        try:
+            rows.append(model.parameter_vector(overrides))
+        except RotorsimError as error:
+            problems += [
+                Problem(p.what, f"run {item.run.id}: set {p.subject}", item.run.place, p.hint) for p in error.problems
+            ]
+    if problems:
+        raise RotorsimError(*problems)
+    return np.array(rows)
+
+
+def _unit(diagram: Diagram, name: str) -> str | None:
+    if name in diagram.parameters:
+        return diagram.parameter_units.get(name)
+    block, _, key = name.rpartition(".")
+    node = diagram.nodes.get(block)
+    declared: Mapping[str, Any] = node.block.parameters if node is not None else {}
+    return declared[key].unit if key in declared else None
+
+
+def _clock_phase(model: Model, p: np.ndarray) -> np.ndarray:
+    """Return the shaft angle at t = 0 in every run, (R,) [rad]. Raises RotorsimError for a speed that changes."""
+    angles = [name for name in model.signals if name.endswith(".theta")]
+    if not angles:
+        return np.zeros(len(p))
+    name = "clock.theta" if "clock.theta" in angles else angles[0]
+    x, z = model.x0(model.p0), model.z0(model.p0)
+    output = model.output((name,))
+    at = [np.array([float(np.array(output(t, x, z, row))[0, 0]) for row in p]) for t in (0.0, 0.5, 1.0)]
+    if not np.allclose(at[2] - at[1], at[1] - at[0], rtol=1e-9, atol=1e-9):
+        hint = "identification needs a constant speed in each run: profile 'constant', acceleration 0"
+        raise RotorsimError(Problem("the shaft speed changes", name.rpartition(".")[0], hint=hint))
+    return at[0]

@@ -1,0 +1,139 @@
+"""The traced equations of a linear diagram, with their exact derivatives by the free parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rotorsim.compile import Model
+from rotorsim.diagram.diagram import Free
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.simulate.forcing import Jumps
+from rotorsim.simulate.matrix_function import MatrixFunction
+
+__all__ = ["Equations", "slots_of"]
+
+FIRST_SAMPLES = 32
+MOST_SAMPLES = 4096
+RESOLVED = 1e-11
+
+
+def slots_of(model: Model, free: Free) -> list[int]:
+    """Return the entries of p that a free parameter sets (several when blocks share a diagram parameter)."""
+    parts = model.references.get(free.base) if free.base in model.diagram.parameters else [model.parameters[free.base]]
+    return [part.start + free.entry for part in parts or []]
+
+
+@dataclass(frozen=True, eq=False)
+class _Matrix:
+    """A matrix of the equations and its derivatives by the free parameters, both only where they are not zero."""
+
+    value: MatrixFunction
+    derivative: MatrixFunction  # (nonzeros, m)
+
+    def __call__(self, p: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return values (R, rows, columns) and derivatives (R, rows, columns, m), for p (R, n_p), theta (R, m)."""
+        values = self.value(p.T, theta.T)
+        out = np.zeros((*values.shape, theta.shape[1]))
+        if len(self.value.rows):
+            out[:, self.value.rows, self.value.columns] = self.derivative(p.T, theta.T)
+        return values, out
+
+
+class Equations:
+    """dx/dt = A x + f(t) + B v, y = C x + g(t) + D v of a linear diagram, as functions of p and the free parameters.
+
+    Only the states that the outputs depend on are kept: ``kept`` (n,). v: external inputs of the model
+    (`inject`, `replace`). Raises RotorsimError for diagrams that are not linear in their states.
+    """
+
+    def __init__(self, model: Model, outputs: Sequence[str], free: Sequence[Free]) -> None:
+        self.model, self.outputs, self.free = model, tuple(outputs), tuple(free)
+        trace = model.trace
+        self.slots = [slots_of(model, item) for item in free]
+        theta = ca.SX.sym("theta", len(free))
+        entries = ca.vertsplit(trace.p) if trace.p.numel() > 1 else [trace.p]
+        for j, slots in enumerate(self.slots):
+            for slot in slots:
+                entries[slot] = theta[j]
+        z = ca.SX(model.z0(model.p0))
+        zeros_x, zeros_v = ca.SX.zeros(*trace.x.shape), ca.SX.zeros(*trace.v.shape)
+
+        def told(expression: Any, at_rest: bool = True) -> Any:
+            old = [trace.p, trace.z, trace.v, *([trace.x] if at_rest else [])]
+            new = [ca.vertcat(*entries), z, zeros_v, *([zeros_x] if at_rest else [])]
+            return ca.substitute([expression], old, new)[0]  # type: ignore[arg-type]
+
+        y = ca.vertcat(*[model.expression(name) for name in outputs])
+        columns = {"A": (trace.xdot, trace.x), "B": (trace.xdot, trace.v), "C": (y, trace.x), "D": (y, trace.v)}
+        jacobians = {key: ca.jacobian(of, by) for key, (of, by) in columns.items()}
+        varying = ca.vertcat(trace.x, trace.t, trace.v)
+        if any(ca.depends_on(jacobian, varying) for jacobian in jacobians.values()):
+            raise RotorsimError(Problem("the diagram is not linear in its states", model.diagram.name))
+        jacobians = {key: told(jacobian) for key, jacobian in jacobians.items()}
+        self.kept = _reached(jacobians["A"].sparsity(), jacobians["C"].sparsity())
+        keep = self.kept.tolist()
+        jacobians["A"], jacobians["B"] = jacobians["A"][keep, keep], jacobians["B"][keep, :]
+        jacobians["C"] = jacobians["C"][:, keep]
+        self.matrices = {key: _matrix(trace.p, theta, jacobian) for key, jacobian in jacobians.items()}
+        self.n_v = trace.v.numel()
+        arguments = [trace.t, trace.p, theta]
+        self._forcing = []
+        for at_rest in (told(trace.xdot)[keep], told(y)):
+            value = MatrixFunction(arguments, at_rest)
+            self._forcing.append((value, MatrixFunction(arguments, ca.jacobian(at_rest, theta))))
+        self.samples = FIRST_SAMPLES
+        self.jumps = Jumps(model)
+        self.theta0 = np.array([item.value for item in free])
+
+    def forcing(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return Fourier coefficients of [f; g] and their derivatives, orders 0..K.
+
+        p (R, n_p), theta (R, m), speeds (R,) [rad/s] -> (R, K+1, n + C) and (R, K+1, n + C, m), complex.
+        """
+        n = max(self.samples, 1 << (2 * K + 2).bit_length())
+        while True:
+            values, derivatives = self._sampled(p, theta, speeds, n)
+            coefficients = np.fft.rfft(values, axis=1) / n
+            size = np.abs(coefficients)
+            tail = size[:, -n // 8 :].max(initial=0.0)
+            if n >= MOST_SAMPLES or tail <= RESOLVED * size.max(initial=0.0):
+                break
+            n *= 2
+        self.samples = n
+        slopes = np.fft.rfft(derivatives, axis=1)[:, : K + 1] / n
+        return coefficients[:, : K + 1], slopes
+
+    def _sampled(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+        R, m = theta.shape
+        times = (2 * np.pi / np.abs(speeds)[:, None] * np.arange(n) / n).reshape(1, -1)
+        many_p, many_theta = np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T
+        values, derivatives = [], []
+        for value, derivative in self._forcing:
+            values.append(value(times, many_p, many_theta).reshape(R, n, -1))
+            derivatives.append(derivative(times, many_p, many_theta).reshape(R, n, -1, m))
+        return np.concatenate(values, axis=2), np.concatenate(derivatives, axis=2)
+
+
+def _matrix(p: ca.SX, theta: ca.SX, expression: ca.SX) -> _Matrix:
+    expression = ca.sparsify(expression)
+    nonzeros = expression.nz[:] if expression.nnz() else ca.SX(0, 1)
+    return _Matrix(MatrixFunction([p, theta], expression), MatrixFunction([p, theta], ca.jacobian(nonzeros, theta)))
+
+
+def _reached(A: ca.Sparsity, C: ca.Sparsity) -> np.ndarray:
+    """Return the states that the outputs depend on, directly or through others."""
+    n = A.size1()
+    pattern = np.zeros((n, n), bool)
+    pattern[np.array(A.row(), int), np.array(A.get_triplet()[1], int)] = True
+    reached = np.zeros(n, bool)
+    reached[np.array(C.get_triplet()[1], int)] = True
+    while True:
+        more = reached | pattern[reached].any(axis=0)
+        if (more == reached).all():
+            return np.flatnonzero(reached)
+        reached = more

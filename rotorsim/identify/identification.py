@@ -1,0 +1,301 @@
+"""From a diagram and a recording to parameters with intervals, verdicts and the next experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identify.advice import Advice, advise
+from rotorsim.identify.estimate import Estimate, Search, estimate
+from rotorsim.identify.experiment import open_experiment
+from rotorsim.identify.likelihood import Likelihood
+from rotorsim.identify.profile import Z90, profile_intervals
+from rotorsim.identify.regression import THESIS_ORDERS, Regression, open_regression
+from rotorsim.identify.verdict import PRECISION, Verdict, judge
+from rotorsim.recordings.checks import check_signals
+from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
+from rotorsim.recordings.recording import Recording, Run
+from rotorsim.simulate.linear import refuse_sampled
+
+__all__ = ["METHODS", "Identification", "Identified", "identify"]
+
+METHODS = ("likelihood", "regression")
+NOT_EXPLAINED = 1e-3  # probability of the misfit below which the model is said not to explain the data
+DRAWS = 40  # of the noise, for the bias and scatter of the regression
+
+
+@dataclass(frozen=True)
+class Identified:
+    """One identified parameter (SI): value, standard deviation, central 90 % interval, and the verdict on it."""
+
+    name: str
+    value: float
+    std: float
+    interval90: tuple[float, float]
+    unit: str
+    verdict: Verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What a recording says about the free parameters of a diagram.
+
+    correlation: (m, m). fit: "identify" and "hold_out" -> signal -> NRMSE; noise_floor: signal -> what no model can
+    undercut. excess: variance of the residual over that of the noise (1 for a right model); goodness: its
+    probability; None for the regression, which does not weigh. adequate: the model explains the data within noise.
+    """
+
+    method: str
+    parameters: Mapping[str, Identified]
+    correlation: np.ndarray
+    fit: Mapping[str, Mapping[str, float]]
+    noise_floor: Mapping[str, float]
+    goodness: float | None
+    excess: float | None
+    adequate: bool
+    statement: str
+    advice: tuple[Advice, ...]
+    warnings: tuple[Problem, ...]
+    diagram: Diagram
+    runs: tuple[RunHarmonics, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The identified values by name, SI."""
+        return {name: item.value for name, item in self.parameters.items()}
+
+    @property
+    def open(self) -> tuple[str, ...]:
+        """The parameters that the data do not determine."""
+        return tuple(name for name, item in self.parameters.items() if not item.verdict.identifiable)
+
+
+def identify(
+    diagram: Diagram,
+    recording: Recording,
+    *,
+    method: str = "likelihood",
+    given: Sequence[str] = (),
+    free: Sequence[Free] | None = None,
+    runs: Sequence[Run] | None = None,
+    orders: Sequence[int] = THESIS_ORDERS,
+    reduction: str = "exact",
+    precision: float = PRECISION,
+    profile: bool = True,
+    hold_out: Recording | None = None,
+    harmonics: Sequence[RunHarmonics] | None = None,
+) -> Identification:
+    """Estimate the free parameters of a diagram from the runs of a recording.
+
+    method: "likelihood" (errors in all measured signals, bounds, priors; intervals from the profile of the
+    likelihood), or "regression" (the thesis' least squares, eq. (2.64)-(2.66), (3.47), (4.34), (5.18)). given: ports
+    taken as measured inputs with their noise, so that what makes them need not be right. precision: half width of
+    the 90 % interval, as part of the value, that counts as identified. hold_out: further runs that are only scored.
+    orders, reduction: of the regression.
+
+    Raises RotorsimError for recordings with errors, channels or settings that the diagram does not have, runs
+    without phase reference, diagrams that are not linear in their states.
+    """
+    if method not in METHODS:
+        raise RotorsimError(Problem(f"no method '{method}'", hint=f"one of {', '.join(METHODS)}"))
+    warnings = _checked(recording)
+    chosen = tuple(recording.select("identify") if runs is None else runs)
+    with threadpool_limits(1, "blas"):  # many small matrices: threads cost more than they save
+        found = tuple(harmonics_of(recording, chosen) if harmonics is None else harmonics)
+        opened: Likelihood | Regression
+        if method == "likelihood":
+            experiment = open_experiment(diagram, recording, runs=chosen, given=given, free=free, harmonics=found)
+            if not given:
+                refuse_sampled(experiment.model, "identification with the loop closed")
+            opened = Likelihood(experiment)
+        else:
+            opened = open_regression(
+                diagram, recording, runs=chosen, free=free, orders=orders, reduction=reduction, harmonics=found
+            )
+        search = Search(opened)
+        result = estimate(search)
+        adequate = method == "regression" or result.goodness >= NOT_EXPLAINED
+        widen = 1.0 if adequate else float(np.sqrt(result.excess))
+        covariance = result.covariance * widen**2
+        if isinstance(opened, Regression):
+            covariance, bias = _scatter(opened, search, result)
+            result = _with_covariance(result, covariance)
+            intervals = _about(result, np.sqrt(np.diag(covariance)), bias)
+        elif profile:
+            intervals = profile_intervals(search, result, widen)
+        else:
+            intervals = _about(result, np.sqrt(np.diag(covariance)), np.zeros(len(result.theta)))
+        verdicts = judge(result, intervals, precision=precision, widen=widen if method == "likelihood" else 1.0)
+        left = [item.name for item, verdict in zip(result.free, verdicts, strict=True) if not verdict.identifiable]
+        advice: list[Advice] = []
+        if left and method == "likelihood":
+            advice = advise(opened.experiment, result, left, precision)
+        used = (
+            given
+            if method == "likelihood"
+            else tuple(dict.fromkeys(n.partition("[")[0] for n in opened.experiment.given))
+        )
+        fit, floor = _scores(diagram, recording, found, hold_out, result, used)
+    std = np.sqrt(np.diag(covariance))
+    parameters = {
+        item.name: Identified(
+            item.name, float(result.theta[j]), float(std[j]),
+            (float(intervals[j, 0]), float(intervals[j, 1])), item.unit, verdicts[j],
+        )
+        for j, item in enumerate(result.free)
+    }  # fmt: skip
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.nan_to_num(covariance / np.outer(std, std))
+    goodness = result.goodness if method == "likelihood" else None
+    excess = result.excess if method == "likelihood" else None
+    return Identification(
+        method=method,
+        parameters=parameters,
+        correlation=correlation,
+        fit=fit,
+        noise_floor=floor,
+        goodness=goodness,
+        excess=excess,
+        adequate=adequate,
+        statement=_statement(method, parameters, adequate, result, advice),
+        advice=tuple(advice),
+        warnings=tuple(warnings),
+        diagram=diagram,
+        runs=found,
+        settings={"given": list(used), "orders": list(orders), "reduction": reduction, "precision": precision},
+    )
+
+
+def _checked(recording: Recording) -> list[Problem]:
+    """Return the warnings about a recording. Raises RotorsimError with its errors."""
+    problems = [*recording.warnings, *check_signals(recording)]
+    if any(problem.severity == "error" for problem in problems):
+        raise RotorsimError(*problems)
+    return problems
+
+
+def _about(result: Estimate, std: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """Return intervals (m, 2) about the estimate, on the side of a bias wide enough to hold the unbiased value."""
+    low = result.theta - Z90 * std - np.maximum(bias, 0)
+    high = result.theta + Z90 * std - np.minimum(bias, 0)
+    return np.column_stack([low, high])
+
+
+def _scatter(regression: Regression, search: Search, result: Estimate) -> tuple[np.ndarray, np.ndarray]:
+    """Return covariance (m, m) and bias (m,) of the regression under the noise of the recording.
+
+    Noise drawn with the covariance of the harmonics is added to the measured ones and the regression repeated (one
+    Gauss-Newton step): noise in its columns biases it as much again.
+    """
+    random = np.random.default_rng(0)
+    measured = regression.data
+    roots = [_root(regression, r) for r in range(len(measured))]
+    q = search.coordinates.inside(result.theta)
+    estimates = np.empty((DRAWS, len(q)))
+    slopes = search.coordinates.slopes(result.theta)
+    for k in range(DRAWS):
+        shape = measured.shape[1:]
+        noise = [root @ random.standard_normal(root.shape[1]) for root in roots]
+        regression.data = measured + np.array([_complex(vector, shape) for vector in noise])
+        found = regression.evaluate(result.theta)
+        J = found.slopes @ slopes
+        step = np.linalg.lstsq(J, -found.residual, rcond=None)[0]
+        estimates[k] = result.theta + slopes @ step
+    regression.data = measured
+    bias = estimates.mean(axis=0) - result.theta
+    return np.cov(estimates.T).reshape(len(q), len(q)), bias
+
+
+def _root(regression: Regression, r: int) -> np.ndarray:
+    """Return a root of the covariance of the real harmonics (0..K) that the regression uses of one run."""
+    item, columns = regression.experiment.runs[r], regression.experiment.columns[r]
+    total = len(item.fit.names)
+    places = (np.arange(2 * regression.K + 1)[:, None] * total + columns).ravel()
+    covariance = item.fit.covariance[np.ix_(places, places)]
+    scale = np.sqrt(np.diag(covariance))
+    return np.asarray(scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale)))
+
+
+def _complex(vector: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    rows = vector.reshape(-1, shape[1])
+    return np.concatenate([rows[:1] + 0j, rows[1::2] + 1j * rows[2::2]])
+
+
+def _with_covariance(result: Estimate, covariance: np.ndarray) -> Estimate:
+    """Return an estimate whose information is the inverse of a covariance of theta."""
+    slopes = result.coordinates.slopes(result.theta)
+    changed = Estimate(
+        result.free, result.theta, result.coordinates, result.evaluation,
+        slopes.T @ np.linalg.pinv(covariance, hermitian=True) @ slopes,
+        np.zeros(len(result.theta), bool), result.misfit, result.freedom,
+    )  # fmt: skip
+    changed.__dict__["covariance"] = covariance
+    return changed
+
+
+def _scores(
+    diagram: Diagram,
+    recording: Recording,
+    found: Sequence[RunHarmonics],
+    hold_out: Recording | None,
+    result: Estimate,
+    given: Sequence[str],
+) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
+    """Return NRMSE per signal of the runs identified from and of those held out, and the noise floor."""
+    sets: list[tuple[str, Recording, Sequence[RunHarmonics]]] = [("identify", recording, found)]
+    outside = recording.select("hold_out")
+    if outside:
+        sets.append(("hold_out", recording, harmonics_of(recording, outside)))
+    if hold_out is not None:
+        sets.append(("hold_out", hold_out, harmonics_of(hold_out)))
+    squares: dict[str, dict[str, np.ndarray]] = {}
+    for use, source, runs in sets:
+        scored = open_experiment(
+            diagram, source, runs=[item.run for item in runs], given=given, free=result.free, harmonics=runs
+        )
+        likelihood = Likelihood(scored)
+        Y = likelihood.evaluate(result.theta).Y
+        for r, item in enumerate(runs):
+            columns = scored.columns[r][: len(scored.predicted)]
+            difference = np.abs(Y[r] - likelihood.data[r][:, : len(scored.predicted)]) ** 2
+            wrong = difference[0] * scored.use_mean[: len(scored.predicted)] + 2 * difference[1:].sum(axis=0)
+            for c, name in enumerate(scored.predicted):
+                port = name.partition("[")[0]
+                left, total = item.fit.residual[columns[c]] ** 2, item.fit.rms[columns[c]] ** 2
+                sums = squares.setdefault(use, {}).setdefault(port, np.zeros(3))
+                sums += (left + wrong[c], left, total)
+    fit = {
+        use: {p: float(np.sqrt(s[0] / s[2])) for p, s in ports.items() if s[2] > 0} for use, ports in squares.items()
+    }
+    floor = {p: float(np.sqrt(s[1] / s[2])) for p, s in squares["identify"].items() if s[2] > 0}
+    return fit, floor
+
+
+def _statement(
+    method: str, parameters: Mapping[str, Identified], adequate: bool, result: Estimate, advice: Sequence[Advice]
+) -> str:
+    """Return what was found in plain words."""
+    sure = [name for name, item in parameters.items() if item.verdict.identifiable]
+    parts = [f"{len(sure)} of {len(parameters)} parameters are identified" + (f": {', '.join(sure)}." if sure else ".")]
+    parts += [
+        f"{name} is not: {item.verdict.reason}." for name, item in parameters.items() if not item.verdict.identifiable
+    ]
+    if advice:
+        best = advice[0]
+        parts.append(f"Next experiment: {best.change}; it would determine {', '.join(best.solves)}.")
+    elif len(sure) < len(parameters) and method == "likelihood":
+        parts.append("No change of gains, speeds, length or excitation that was tried would determine them.")
+    if not adequate:
+        parts.append(
+            f"The model does not explain the data: what is left over has {result.excess:.3g} times the variance of the "
+            f"noise, so something is missing in it; the intervals are widened by {np.sqrt(result.excess):.2g}, and "
+            "`rotorsim diagnose` looks for what is missing."
+        )
+    return " ".join(parts)

@@ -1,0 +1,196 @@
+"""The likelihood of measured harmonics: errors in all measured signals, nuisances profiled out, exact slopes.
+
+minus twice the logarithm = |r|^2,  r = P W (y - y(theta)):  W whitens with the covariance of the harmonics,
+P projects out what is of no interest and enters linearly: the mean of slow states, and the true harmonics of
+signals that are taken as measured inputs (so that their noise does not bias the parameters).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from rotorsim.identify.experiment import Experiment
+from rotorsim.identify.motion import Response
+from rotorsim.recordings.harmonic_fit import real_vector
+
+__all__ = ["Evaluation", "Likelihood", "harmonics_of_time"]
+
+RESOLUTION = 1e-6  # of a signal's rms: no measuring chain is better, and no settled model either
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Whitened residual r (n,), slopes dr/dtheta (n, m), and the misfit |r|^2 of every run (R,).
+
+    Y: predicted harmonics (R, K+1, c) with the nuisances at their best. rows: number of real equations left
+    after the nuisances.
+    """
+
+    residual: np.ndarray
+    slopes: np.ndarray
+    misfit: np.ndarray
+    Y: np.ndarray
+    rows: int
+
+
+class Likelihood:
+    """Whitened residuals of an experiment: in units of their standard deviation."""
+
+    absolute = True
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.experiment = experiment
+        self.K = experiment.motion.K
+        self.c, self.V = len(experiment.predicted), len(experiment.given)
+        self.data = np.array([
+            harmonics_of_time(item.fit.values[: self.K + 1, columns], item.fit.speed)
+            for item, columns in zip(experiment.runs, experiment.columns, strict=True)
+        ])  # fmt: skip
+        keep = np.ones((2 * self.K + 1, self.c + self.V), bool)
+        keep[0] = experiment.use_mean
+        self.keep = np.flatnonzero(keep.ravel())
+        self.whiteners = [self._whitener(r) for r in range(len(experiment.runs))]
+        self.data_rows = [self.whiteners[r].apply(real_vector(self.data[r])) for r in range(len(self.data))]
+
+    def _whitener(self, r: int) -> _Whitener:
+        item, columns = self.experiment.runs[r], self.experiment.columns[r]
+        total = len(item.fit.names)
+        orders = 2 * self.K + 1
+        places = (np.arange(orders)[:, None] * total + columns).ravel()[self.keep]
+        covariance = item.fit.covariance[np.ix_(places, places)]
+        scale = np.tile(np.maximum(item.fit.rms[columns], np.abs(item.fit.values[0, columns])), orders)[self.keep]
+        covariance = covariance + np.diag((RESOLUTION * np.where(scale > 0, scale, 1.0)) ** 2)
+        if item.fit.speed < 0:
+            sign = np.ones((orders, self.c + self.V))
+            sign[2::2] = -1
+            sign = sign.ravel()[self.keep]
+            covariance = covariance * np.outer(sign, sign)
+        return _Whitener(covariance, self.keep)
+
+    def evaluate(self, theta: np.ndarray) -> Evaluation:
+        """Return the whitened residual and its slopes at theta (m,)."""
+        motion = self.experiment.motion
+        response = motion.response(theta)
+        given = self.data[:, :, self.c :]
+        X = response.states(given)
+        Y = response.outputs(X, given)
+        blocks = [self._nuisances(response, r) for r in range(len(self.data))]
+        inputs = given.copy()
+        residuals = []
+        spanned: dict[int, np.ndarray] = {}
+        for r, (white, raw) in enumerate(blocks):
+            e = self.data_rows[r] - self.whiteners[r].apply(real_vector(np.concatenate([Y[r], given[r]], axis=1)))
+            if white.shape[1]:
+                q, best = _fitted(white, e)
+                X[r], inputs[r] = self._moved(response, r, raw, best, X[r], given[r])
+                e = e - q @ (q.T @ e)
+                spanned[r] = q
+            residuals.append(e)
+        if any(raw.size or self.V for _, raw in blocks):
+            Y = response.outputs(X, inputs)
+        slopes = response.sensitivity(X, inputs if self.V else None)
+        rows = []
+        counted = 0
+        for r in range(len(blocks)):
+            J = np.zeros((self.K + 1, self.c + self.V, slopes.shape[-1]), complex)
+            J[:, : self.c] = slopes[r]
+            j = -self.whiteners[r].apply(np.moveaxis(real_vector(np.moveaxis(J, -1, 0)), 0, -1))
+            if r in spanned:
+                j = j - spanned[r] @ (spanned[r].T @ j)
+                counted -= spanned[r].shape[1]
+            rows.append(j)
+            counted += len(j)
+        misfit = np.array([float(e @ e) for e in residuals])
+        return Evaluation(np.concatenate(residuals), np.concatenate(rows), misfit, Y, counted)
+
+    def expected(self, theta: np.ndarray) -> np.ndarray:
+        """Return the slopes (n, m) that runs of these settings would have if they were as the model says."""
+        motion = self.experiment.motion
+        response = motion.response(theta)
+        self.data[:, :, : self.c] = response.outputs(response.states())
+        self.data_rows = [self.whiteners[r].apply(real_vector(self.data[r])) for r in range(len(self.data))]
+        return self.evaluate(theta).slopes
+
+    def white_at(self, r: int, order: int, values: np.ndarray) -> np.ndarray:
+        """Return complex columns (c, m) at one order of run r as whitened real rows (2 c, m), other orders ignored."""
+        item, columns = self.experiment.runs[r], self.experiment.columns[r][: self.c]
+        total = len(item.fit.names)
+        places = np.concatenate([(2 * order - 1) * total + columns, 2 * order * total + columns])
+        covariance = item.fit.covariance[np.ix_(places, places)]
+        scale = np.sqrt(np.diag(covariance))
+        factor = np.linalg.cholesky(covariance / np.outer(scale, scale))
+        return np.asarray(
+            solve_triangular(factor, np.concatenate([values.real, values.imag]) / scale[:, None], lower=True)
+        )
+
+    def _nuisances(self, response: Response, r: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the whitened columns of the nuisances of one run, and dX_0 by the slow states (n, s)."""
+        slow = response.slow_states(r)
+        orders, width = self.K + 1, self.c + self.V
+        columns = []
+        for k in range(slow.shape[1]):
+            effect = np.zeros((orders, width), complex)
+            effect[0, : self.c] = response.C[r] @ slow[:, k]
+            columns.append(real_vector(effect))
+        if self.V:
+            transfer = response.transfer()[r]
+            for k in range(orders):
+                for v in range(self.V):
+                    for part in (1.0, 1j) if k else (1.0,):
+                        effect = np.zeros((orders, width), complex)
+                        effect[k, : self.c] = transfer[k, :, v] * part
+                        effect[k, self.c + v] = part
+                        columns.append(real_vector(effect))
+        if not columns:
+            return np.zeros((len(self.keep), 0)), slow
+        return self.whiteners[r].apply(np.array(columns).T), slow
+
+    def _moved(
+        self, response: Response, r: int, slow: np.ndarray, best: np.ndarray, X: np.ndarray, given: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return states and inputs of one run with the nuisances at their best values."""
+        s = slow.shape[1]
+        X = X.copy()
+        X[0] += slow @ best[:s]
+        inputs = given.copy()
+        if self.V:
+            change = np.zeros_like(given)
+            rest = best[s:]
+            change[0] = rest[: self.V]
+            pairs = rest[self.V :].reshape(self.K, self.V, 2)
+            change[1:] = pairs[..., 0] + 1j * pairs[..., 1]
+            inputs = given + change
+            X = X + np.einsum("kij,jv,kv->ki", response.inverse[r], response.B[r], change)
+        return X, inputs
+
+
+def _fitted(columns: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return an orthonormal base of columns and their best factors; columns that are zero have none."""
+    size = np.linalg.norm(columns, axis=0)
+    used = size > 0
+    q, triangle = np.linalg.qr(columns[:, used] / size[used])
+    best = np.zeros(columns.shape[1])
+    best[used] = solve_triangular(triangle, q.T @ e) / size[used]
+    return q, best
+
+
+class _Whitener:
+    """Applies the inverse of the Cholesky factor of a covariance to kept rows."""
+
+    def __init__(self, covariance: np.ndarray, keep: np.ndarray) -> None:
+        self.keep = keep
+        scale = np.sqrt(np.diag(covariance))
+        factor = np.linalg.cholesky(covariance / np.outer(scale, scale))
+        self.matrix = solve_triangular(factor, np.diag(1 / scale), lower=True)
+
+    def apply(self, rows: np.ndarray) -> np.ndarray:
+        """Return whitened rows of a vector (all,) or of columns (all, j)."""
+        return np.asarray(self.matrix @ rows[self.keep])
+
+
+def harmonics_of_time(values: np.ndarray, speed: float) -> np.ndarray:
+    """Return harmonics of time, from harmonics of the angle: a shaft that turns back counts them the other way."""
+    return values if speed > 0 else values.conj()

@@ -1,0 +1,106 @@
+"""Profile-likelihood intervals: how far one parameter can go while all others follow as well as they can."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import norm
+
+from rotorsim.identify.estimate import Estimate, Search
+
+__all__ = ["Z90", "profile_intervals"]
+
+Z90 = float(norm.ppf(0.95))  # half width of a central 90 % interval, in standard deviations
+NORMAL = 0.02  # the profile agrees so well with a parabola that its end points are those of the parabola
+STEPS = 8
+WIDEST = 1e3  # standard widths beyond which an interval is called unbounded
+
+
+def profile_intervals(search: Search, found: Estimate, widen: float = 1.0) -> np.ndarray:
+    """Return 90 % intervals (m, 2) [SI] at which the profile of minus twice the log likelihood rises by 2.71.
+
+    widen: factor on standard deviations where the model does not explain the data. Intervals end at the physical
+    bounds. Source: Pawitan, In All Likelihood (2001), ch. 3; Raue et al., Bioinformatics 25 (2009) 1923.
+    """
+    polar = _polar(search)
+    covariance = found.covariance
+    intervals = np.empty((len(found.free), 2))
+    best = polar.residual(polar.coordinates.inside(found.theta))
+    least = float(best @ best)
+    for j, item in enumerate(found.free):
+        std = float(np.sqrt(max(covariance[j, j], 0.0))) * widen
+        if not 0 < std < np.inf or found.at_bound[j]:
+            intervals[j] = item.low, item.high
+            continue
+        ridge = covariance[:, j] / covariance[j, j]
+        for side, sign in enumerate((-1.0, 1.0)):
+            end = _end(polar, found.theta, ridge, j, sign * Z90 * std, least, (Z90 * widen) ** 2)
+            intervals[j, side] = float(np.clip(end, item.low, item.high))
+    return intervals
+
+
+def _polar(search: Search) -> Search:
+    """Return the search in the parameters themselves, so that an amplitude or an angle can be held."""
+    other = object.__new__(Search)
+    other.__dict__.update(search.__dict__)
+    coordinates = search.coordinates
+    scale = coordinates.scale.copy()
+    for _, b in coordinates.pairs:
+        scale[b] = 1.0
+    other.coordinates = replace(coordinates, pairs=(), scale=scale)
+    other._known = None
+    return other
+
+
+def _end(
+    search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, step: float, least: float, rise: float
+) -> float:  # fmt: skip
+    """Return the value of parameter j at which the profile has risen so far."""
+    low, high = search.coordinates.low[j], search.coordinates.high[j]
+    share = 1.0
+    known = [(0.0, 0.0)]  # (share of the step, root of the rise)
+    for _ in range(STEPS):
+        value = float(np.clip(theta[j] + share * step, low, high))
+        reached = (value - theta[j]) / step
+        root = np.sqrt(max(_profile(search, theta, ridge, j, value) - least, 0.0) / rise)
+        known.append((reached, root))
+        if abs(root - 1) < NORMAL or (reached < share and root < 1):  # there, or at the bound
+            return float(theta[j] + reached * step / root) if abs(root - 1) < NORMAL else value
+        below = max((pair for pair in known if pair[1] < 1), key=lambda pair: pair[0])
+        above = min((pair for pair in known if pair[1] >= 1), key=lambda pair: pair[0], default=None)
+        if above is None:
+            share = min(2 * reached / max(root, 0.25), 4 * reached)
+            if share > WIDEST:
+                return float(high if step > 0 else low)
+        else:
+            share = below[0] + (1 - below[1]) / (above[1] - below[1]) * (above[0] - below[0])
+    return float(theta[j] + share * step)
+
+
+def _profile(search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, value: float) -> float:
+    """Return the least of minus twice the log likelihood with parameter j held at a value."""
+    start = theta + ridge * (value - theta[j])
+    low, high = search.coordinates.low, search.coordinates.high
+    start = np.clip(start, low, high)
+    start[j] = value
+    q = search.coordinates.inside(start)
+    others = [k for k in range(len(q)) if k != j]
+    r = search.residual(q)
+    cost = float(r @ r)
+    for _ in range(4):
+        J = search.slopes(q)[:, others]
+        step, *_ = np.linalg.lstsq(J, -r, rcond=1e-9)
+        trial = q.copy()
+        trial[others] += step
+        trial = np.clip(trial, *search.coordinates.bounds)
+        r_new = search.residual(trial)
+        lower = float(r_new @ r_new)
+        if lower > cost * (1 + 1e-9):
+            found = search.minimise(q, held=(j,))
+            r = search.residual(found)
+            return min(float(r @ r), cost)
+        gained, q, r, cost = cost - lower, trial, r_new, lower
+        if gained < 1e-3:
+            break
+    return cost

@@ -1,0 +1,235 @@
+"""Harmonics of measured signals about the measured shaft angle, with their covariance.
+
+For windows that are not whole turns and speeds that drift: least squares on cosines and sines of multiples of
+the angle, beside a slow drift of the mean. What is left over says how uncertain the harmonics are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.recordings.noise import Line, Noise, find_lines, noise_of
+
+__all__ = ["HarmonicFit", "fit_harmonics"]
+
+TURN = 2 * np.pi
+MOST_ORDERS = 16
+DRIFT = 2  # degree of the drift of the mean
+ROUNDING = 1e-10  # of a signal's rms: what numbers of seven to sixteen digits and the fit itself leave over
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicFit:
+    """Harmonics of the channels of one run: y_c(t) = sum over k = -K..K of values[|k|, c] e^{i k theta}.
+
+    The coefficient at -k is the conjugate. speed: mean [rad/s]. names: flat names of the channels, (C,).
+    orders: 0..K. values: (K+1, C) complex, SI, phase against shaft angle zero; order 0 is the mean over the window.
+    rms, residual: (C,) of the signal about its mean, and of what the fit leaves over. noise: cross-spectrum of the
+    latter. gram: (2K+1, 2K+1), covariance of the real coefficients for noise of variance one, drift marginalised.
+    angle_std: standard deviation of angle zero [rad]: it turns harmonic k by k times that.
+    lines: lines that do not follow the shaft. drift: (degree, C) Legendre coefficients of the slow drift.
+    """
+
+    run: str
+    speed: float
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    orders: np.ndarray
+    values: np.ndarray
+    rms: np.ndarray
+    residual: np.ndarray
+    noise: Noise
+    gram: np.ndarray
+    angle_std: float
+    turns: float
+    samples: int
+    lines: tuple[Line, ...] = ()
+    drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of `real_vector`, shape (m, m) with m = (2K+1) C: residual scatter and angle spacing."""
+        channels = len(self.names)
+        values, vectors = np.linalg.eigh(self.gram)
+        root = (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
+        m = len(root) * channels
+        middle = np.zeros((m, m))
+        for k in range(len(self.orders)):
+            block = self.noise.at_order(k)
+            if k == 0:
+                middle[:channels, :channels] = block.real
+                continue
+            at = (2 * k - 1) * channels
+            real, imag = slice(at, at + channels), slice(at + channels, at + 2 * channels)
+            middle[real, real] = middle[imag, imag] = block.real
+            middle[imag, real], middle[real, imag] = block.imag, -block.imag
+        spread = np.kron(root, np.eye(channels))
+        turned = real_vector(-1j * self.orders[:, None] * self.values) * self.angle_std
+        return np.asarray(spread @ middle @ spread.T + np.outer(turned, turned))
+
+    def real_vector(self, values: np.ndarray | None = None) -> np.ndarray:
+        """Return harmonics (..., K+1, C) as real numbers (..., m): order 0, then real and imaginary part per order."""
+        c = self.values if values is None else values
+        return real_vector(c)
+
+    @cached_property
+    def std(self) -> np.ndarray:
+        """Standard deviation of the real and imaginary part of each harmonic, complex (K+1, C)."""
+        return complex_values(np.sqrt(np.maximum(np.diag(self.covariance), 0)), len(self.names))
+
+    def two_axis(self, x: str, y: str) -> dict[int, complex]:
+        """Return the harmonics R_k of x + i y, k = -K..K: forward for k > 0, backward for k < 0."""
+        a, b = (self.values[:, self.names.index(name)] for name in (x, y))
+        forward = {int(k): complex(a[k] + 1j * b[k]) for k in self.orders}
+        return {**{-k: complex(a[k].conj() + 1j * b[k].conj()) for k in forward if k}, **forward}
+
+    def at(self, theta: np.ndarray) -> np.ndarray:
+        """Return what the harmonics make up at shaft angles (n,), shape (n, C), without the drift."""
+        wave = np.exp(1j * np.outer(theta, self.orders))
+        return np.asarray(self.values[0].real + 2 * (wave[:, 1:] @ self.values[1:]).real)
+
+
+def real_vector(values: np.ndarray) -> np.ndarray:
+    """Return harmonics (..., K+1, C) as real numbers (..., (2K+1) C): order 0, then real, imaginary per order."""
+    *lead, orders, channels = values.shape
+    out = np.empty((*lead, 2 * orders - 1, channels))
+    out[..., 0, :] = values[..., 0, :].real
+    out[..., 1::2, :] = values[..., 1:, :].real
+    out[..., 2::2, :] = values[..., 1:, :].imag
+    return out.reshape(*lead, -1)
+
+
+def complex_values(vector: np.ndarray, channels: int) -> np.ndarray:
+    """Return the harmonics (K+1, C) that a real vector holds."""
+    rows = vector.reshape(-1, channels)
+    return np.concatenate([rows[:1] + 0j, rows[1::2] + 1j * rows[2::2]])
+
+
+def fit_harmonics(
+    run: str,
+    time: np.ndarray,
+    theta: np.ndarray,
+    signals: Mapping[str, np.ndarray],
+    units: Mapping[str, str] | None = None,
+    *,
+    orders: int | None = None,
+    angle_std: float = 0.0,
+) -> HarmonicFit:
+    """Fit y = drift(t) + sum over |k| <= K of c_k e^{i k theta} to every channel by least squares.
+
+    time, theta: (n,), samples at any instants. orders: K; default as many as the window and the sampling can tell
+    apart, at most 16. angle_std: of angle zero [rad], from the jitter of pulses. Noise is taken as stationary; whether it is white is tested, and coloured noise is described
+    by its cross-spectrum. Lines beside the multiples of the speed are found, reported and fitted along.
+
+    Raises RotorsimError for less than a turn, signals that are not finite, or no room for one harmonic.
+    """
+    names = tuple(signals)
+    y = np.column_stack([signals[name] for name in names])
+    n = len(y)
+    _check(run, names, y, theta)
+    turns = float(abs(theta[-1] - theta[0]) / TURN) * n / max(n - 1, 1)
+    speed = float((theta[-1] - theta[0]) / (time[-1] - time[0]))
+    K = _orders(run, orders, n, turns)
+    drift = DRIFT if turns >= 1.5 else 0
+    basis = _basis(theta, time, K, drift)
+    coefficients, inverse = _solve(run, basis, y, turns)
+    left = y - basis @ coefficients
+    rms = np.sqrt(np.mean((y - y.mean(axis=0)) ** 2, axis=0))
+    lines = find_lines(time, left, speed, K, ROUNDING * (rms + np.abs(y.mean(axis=0))))
+    if lines:
+        basis = np.column_stack([basis, *(_line_columns(time, line) for line in lines if line.apart)])
+        coefficients, inverse = _solve(run, basis, y, turns)
+        left = y - basis @ coefficients
+    m = 2 * K + 1
+    scale = np.sqrt(np.mean(y**2, axis=0))
+    noise = noise_of(left, time, speed, K, n - basis.shape[1], ROUNDING * np.where(scale > 0, scale, 1.0), lines)
+    known = units or {}
+    return HarmonicFit(
+        run=run,
+        speed=speed,
+        names=names,
+        units=tuple(known.get(name, "") for name in names),
+        orders=np.arange(K + 1),
+        values=complex_values(coefficients[:m].ravel(), len(names)),
+        rms=rms,
+        residual=np.sqrt(np.mean(left**2, axis=0)),
+        noise=noise,
+        gram=inverse[:m, :m],
+        angle_std=angle_std,
+        turns=turns,
+        samples=n,
+        lines=tuple(lines),
+        drift=coefficients[m : m + drift],
+    )
+
+
+def _check(run: str, names: Sequence[str], y: np.ndarray, theta: np.ndarray) -> None:
+    problems = []
+    for k, name in enumerate(names):
+        bad = np.flatnonzero(~np.isfinite(y[:, k]))
+        if len(bad):
+            what = f"{len(bad)} samples are not finite, first at sample {bad[0] + 1}"
+            problems.append(Problem(what, f"run {run}: {name}"))
+    turned = abs(float(theta[-1] - theta[0])) / TURN if len(theta) > 1 else 0.0
+    if not turned >= 1 - 1e-6 * max(turned, 1) - 2 / max(len(theta), 1):
+        what = f"only {turned:.3g} turns of the shaft were recorded"
+        problems.append(Problem(what, f"run {run}", hint="harmonics need at least one turn"))
+    if problems:
+        raise RotorsimError(*problems)
+
+
+def _orders(run: str, wanted: int | None, n: int, turns: float) -> int:
+    """Return the highest order that n samples over these turns can carry, at most what is wanted."""
+    room = min(int(0.45 * n / turns), (n - DRIFT - 8) // 4)
+    if room < 1:
+        what = f"{n} samples over {turns:.3g} turns cannot carry a harmonic"
+        raise RotorsimError(Problem(what, f"run {run}", hint="sample more often"))
+    if wanted is not None and wanted > room:
+        what = f"order {wanted} cannot be told from {n} samples over {turns:.3g} turns; at most {room}"
+        raise RotorsimError(Problem(what, f"run {run}", hint="fewer orders, or sample more often"))
+    return min(room, MOST_ORDERS) if wanted is None else wanted
+
+
+def _basis(theta: np.ndarray, time: np.ndarray, K: int, drift: int) -> np.ndarray:
+    """Return the columns 1, 2 cos k theta, -2 sin k theta, and Legendre polynomials of time, (n, 2K+1+drift)."""
+    columns = np.empty((len(theta), 2 * K + 1 + drift))
+    columns[:, 0] = 1.0
+    first = np.exp(1j * theta)
+    power = np.ones_like(first)
+    for k in range(1, K + 1):
+        power = power * first
+        columns[:, 2 * k - 1], columns[:, 2 * k] = 2 * power.real, -2 * power.imag
+    u = 2 * (time - time[0]) / (time[-1] - time[0]) - 1
+    for degree in range(1, drift + 1):
+        columns[:, 2 * K + degree] = u if degree == 1 else 1.5 * u**2 - 0.5
+    return columns
+
+
+def _line_columns(time: np.ndarray, line: Line) -> np.ndarray:
+    phase = TURN * line.frequency * time
+    return np.column_stack([np.cos(phase), np.sin(phase)])
+
+
+def _solve(run: str, basis: np.ndarray, y: np.ndarray, turns: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return least-squares coefficients and the inverse of the normal matrix (scaled columns: well conditioned)."""
+    size = np.sqrt(np.einsum("ij,ij->j", basis, basis))
+    scaled = basis / size
+    normal = scaled.T @ scaled
+    try:
+        factor = cho_factor(normal, lower=True)
+        diagonal = np.diag(factor[0])
+        if diagonal.min() < 1e-5:
+            raise np.linalg.LinAlgError
+    except np.linalg.LinAlgError:
+        what = f"{basis.shape[1]} harmonics and drifts cannot be told apart in {turns:.3g} turns"
+        raise RotorsimError(Problem(what, f"run {run}", hint="a longer run, or fewer orders")) from None
+    coefficients = cho_solve(factor, scaled.T @ y)
+    coefficients += cho_solve(factor, scaled.T @ (y - scaled @ coefficients))  # once refined: to rounding
+    root = solve_triangular(factor[0], np.diag(1 / size), lower=True)
+    return coefficients / size[:, None], root.T @ root

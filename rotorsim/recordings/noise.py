@@ -1,0 +1,159 @@
+"""What a harmonic fit leaves over: lines that do not follow the shaft, and noise with its cross-spectrum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+__all__ = ["Line", "Noise", "find_lines", "noise_of"]
+
+TURN = 2 * np.pi
+FALSE_ALARM = 1e-3  # chance that noise alone shows a line somewhere in one run
+MOST_LINES = 20
+GAP, NEIGHBOURS = 3, 24  # the level of the noise at a line: the mean of so many others, these next to it left out
+BANDS = 16
+NOT_WHITE = 1e-4  # probability below which noise is not called white
+SMOOTHING = 12  # lines on each side over which a coloured spectrum is averaged, at least
+
+
+@dataclass(frozen=True)
+class Line:
+    """A spectral line beside the fitted harmonics: frequency [Hz], in orders of the speed, amplitude (C,) 0-peak.
+
+    apart: it is far enough from the multiples of the speed to be fitted along with them.
+    """
+
+    frequency: float
+    order: float
+    amplitude: tuple[float, ...]
+    apart: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Cross-spectrum of the noise at the harmonics: spectrum (K+1, C, C), or (1, C, C) where it is white.
+
+    Scaled so that white noise of covariance S has spectrum S. freedom: degrees of freedom it was estimated with.
+    """
+
+    spectrum: np.ndarray
+    white: bool
+    freedom: float
+
+    def at_order(self, k: int) -> np.ndarray:
+        """Return the cross-spectrum (C, C), Hermitian, at order k."""
+        return np.asarray(self.spectrum[0 if self.white else k])
+
+
+def find_lines(time: np.ndarray, left: np.ndarray, speed: float, K: int, floor: np.ndarray) -> list[Line]:
+    """Return the lines that stand out of the residual (n, C) of a harmonic fit, largest first.
+
+    Noise alone shows one in a thousand runs. floor: (C,) amplitudes below which nothing counts.
+    """
+    n = len(left)
+    if n < 64:
+        return []
+    step = (time[-1] - time[0]) / (n - 1)
+    power = np.abs(np.fft.rfft(left, axis=0)[1:-1]) ** 2 / n
+    mean = power.mean(axis=0)
+    threshold = np.log(power.size / FALSE_ALARM)
+    if not (power > threshold * mean).any() and _is_white(power):
+        return []
+    level = np.maximum(_beside(power), floor**2)
+    # power over the mean of its neighbours has an F distribution with 2 and 2 NEIGHBOURS degrees of freedom
+    threshold = NEIGHBOURS * np.expm1(threshold / NEIGHBOURS)
+    ratio = np.divide(power, level, out=np.zeros_like(power), where=level > 0)
+    lines: list[Line] = []
+    running = abs(speed) / TURN
+    resolution = 1 / (n * step)
+    while len(lines) < MOST_LINES:
+        at, channel = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+        if ratio[at, channel] <= threshold:
+            break
+        frequency = _refined(left[:, channel], time, (at + 1) * resolution, resolution)
+        columns = np.exp(-1j * TURN * frequency * time)
+        amplitude = 2 * np.abs(columns @ left) / n
+        order = frequency / running if running else np.inf
+        nearest = round(order)
+        apart = nearest > K or abs(order - nearest) * running > 1.5 * resolution
+        lines.append(Line(float(frequency), float(order), tuple(float(a) for a in amplitude), bool(apart)))
+        reach = 4 if ratio[at, channel] < 1e4 else 40  # skirts of a strong line
+        ratio[max(0, at - reach) : at + reach + 1] = 0.0
+    return lines
+
+
+def _beside(power: np.ndarray) -> np.ndarray:
+    """Return the mean of the NEIGHBOURS on both sides of every line, those within GAP left out, (n, C)."""
+    half = NEIGHBOURS // 2
+    padded = np.pad(power, ((half + GAP, half + GAP), (0, 0)), mode="reflect")
+    total = np.vstack([np.zeros((1, power.shape[1])), np.cumsum(padded, axis=0)])
+    at = np.arange(len(power))
+    left = total[at + half] - total[at]
+    right = total[at + 2 * (half + GAP) + 1] - total[at + half + 2 * GAP + 1]
+    return np.asarray((left + right) / NEIGHBOURS)
+
+
+def _refined(signal: np.ndarray, time: np.ndarray, frequency: float, resolution: float) -> float:
+    """Return the frequency at which the signal's Fourier integral is largest, near a line of its FFT."""
+    offsets = np.linspace(-0.75, 0.75, 13)
+    for scale in (1.0, 0.15):
+        trial = frequency + offsets * scale * resolution
+        size = np.abs(np.exp(-1j * TURN * np.outer(trial, time)) @ signal)
+        frequency = float(trial[int(np.argmax(size))])
+    return frequency
+
+
+def _is_white(power: np.ndarray) -> bool:
+    """Return whether the power of every channel is the same in all bands of frequency (chi-squared test)."""
+    starts = np.linspace(0, len(power), BANDS, endpoint=False).astype(int)
+    sizes = np.diff(np.append(starts, len(power)))
+    if sizes[0] < 4:
+        return True
+    sums = np.add.reduceat(power, starts, axis=0)
+    means, overall = sums / sizes[:, None], sums.sum(axis=0) / len(power)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        statistic = np.nansum(sizes[:, None] * (means / overall - 1) ** 2, axis=0)
+    return bool((statistic < chi2.isf(NOT_WHITE / power.shape[1], BANDS - 1)).all())
+
+
+def noise_of(
+    left: np.ndarray, time: np.ndarray, speed: float, K: int, freedom: int, floor: np.ndarray, lines: Sequence[Line]
+) -> Noise:
+    """Return the noise in a residual (n, C) with the given degrees of freedom, at orders 0..K of the speed.
+
+    White noise is one covariance. Coloured noise is averaged over lines about each order, lines found left out.
+    floor: (C,) standard deviation that is never undercut (rounding of the data).
+    """
+    n = len(left)
+    at_least = np.diag(floor**2)
+    transform = np.fft.rfft(left, axis=0) / np.sqrt(n)
+    inner = transform[1:-1]
+    if len(inner) < 8 or _is_white(np.abs(inner) ** 2):
+        return Noise((left.T @ left / max(freedom, 1) + at_least)[None], True, float(max(freedom, 1)))
+    step = (time[-1] - time[0]) / (n - 1)
+    resolution = 1 / (n * step)
+    usable = np.ones(len(transform), bool)
+    usable[0] = False
+    for line in lines:
+        at = round(line.frequency / resolution)
+        usable[max(0, at - 2) : at + 3] = False
+    spacing = abs(speed) / TURN / resolution
+    width = max(SMOOTHING, round(spacing / 2))
+    for k in range(1, K + 1):  # the fit has taken out what was there
+        usable[min(round(k * spacing), len(usable) - 1)] = False
+    spectrum = np.empty((K + 1, left.shape[1], left.shape[1]), complex)
+    share = n / max(freedom, 1)
+    for k in range(K + 1):
+        reach = width
+        while True:
+            low, high = max(0, round(k * spacing - reach)), min(len(transform), round(k * spacing + reach) + 1)
+            part = transform[low:high][usable[low:high]]
+            if len(part) >= min(2 * SMOOTHING, usable.sum()) or reach > len(transform):
+                break
+            reach *= 2
+        spectrum[k] = share * np.einsum("ni,nj->ij", part, part.conj()) / max(len(part), 1) + at_least
+    spectrum[0] = spectrum[0].real
+    return Noise(spectrum, False, float(4 * width))

@@ -1,0 +1,249 @@
+"""Simulated results as a recording: what a measurement of the diagram would look like."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorsim.diagram.files import atomic_target, write_atomically
+from rotorsim.diagram.source import Source
+from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.recordings.document import FILE, parse_recording
+from rotorsim.recordings.recording import ANGLE, AXES, Channel
+from rotorsim.simulate.result import Result, flat_name
+from rotorsim.units import UnitError, conversion
+
+__all__ = ["NewRun", "save_recording"]
+
+_SHORT = {"rotor.displacement": "", "controller.current": "i"}  # x, y and ix, iy; others by their full names
+_EVEN = 1e-6  # of a step: how even time must be to be said by a sample rate
+_ROWS = 4096  # of a CSV, written at a time
+
+
+@dataclass(frozen=True)
+class NewRun:
+    """A run to be written.
+
+    speed: nominal [rad/s]; None: the mean speed of clock.theta, where that was recorded. settings: values in force
+    in this run. use: "identify" or "hold_out". window: (t0, t1) [s], the part of the result that is kept.
+    """
+
+    id: str
+    result: Result
+    speed: float | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    use: str = "identify"
+    window: tuple[float, float] | None = None
+
+
+def save_recording(
+    folder: str | Path,
+    runs: Iterable[NewRun | Mapping[str, Any]],
+    *,
+    name: str,
+    source: str,
+    signals: Sequence[str] | None = None,
+    angle: bool = False,
+    suffix: str = ".npz",
+    overwrite: bool = False,
+) -> Path:
+    """Write simulated runs as a folder that `load_recording` reads back to the same numbers; return recording.json.
+
+    The clock of a run starts at 0 with a sample rate when the result is evenly sampled, else its time is a column.
+    Pulses of the tacho are where clock.theta passes multiples of 2 pi (linear between samples).
+    signals: what to write (None: all that every run has, but the clock's). angle: also write clock.theta.
+    suffix: ".npz" or ".csv" of the data files. overwrite: replace files that are there.
+    Raises RotorsimError; recording.json is written last, and every file as a whole or not at all.
+    """
+    folder = Path(folder)
+    new = [_new_run(run, k) for k, run in enumerate(runs)]
+    if suffix not in (".npz", ".csv"):
+        raise RotorsimError(Problem(f"'{suffix}' cannot be written", hint="suffix='.npz' or '.csv'"))
+    chosen = _signals(new, signals, angle)
+    channels = _channels(new[0].result, chosen) if new else {}
+    parts = [_part(run) for run in new]
+    document = {
+        "name": name,
+        "source": source,
+        "channels": {column: _entry(channel) for column, channel in channels.items()},
+        "runs": [_run_entry(run, part, suffix) for run, part in zip(new, parts, strict=True)],
+    }
+    _check(document, folder)
+    _make_folder(folder, [FILE, *(run.id + suffix for run in new)], overwrite)
+    for run, part in zip(new, parts, strict=True):
+        table = {"t": run.result.time[part]} if _rate(run.result.time[part]) is None else {}
+        for column, channel in channels.items():
+            table[column] = run.result.column(channel.name)[part]
+        _write_table(folder / (run.id + suffix), table)
+    path = folder / FILE
+    write_atomically(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    return path
+
+
+def _new_run(run: NewRun | Mapping[str, Any], k: int) -> NewRun:
+    if isinstance(run, NewRun):
+        return run
+    known = [part.name for part in fields(NewRun)]
+    unknown = [key for key in run if key not in known]
+    problems = [Problem(f"unknown key '{key}'", f"run {k + 1}", hint=near_miss(str(key), known)) for key in unknown]
+    problems += [Problem(f"key '{key}' is missing", f"run {k + 1}") for key in ("id", "result") if key not in run]
+    if problems:
+        raise RotorsimError(*problems)
+    return NewRun(**run)
+
+
+def _signals(runs: Sequence[NewRun], signals: Sequence[str] | None, angle: bool) -> list[str]:
+    """Return the signals to write, all recorded in every run with the same shape."""
+    if signals is None:
+        common = [name for name in (runs[0].result.signals if runs else ()) if not name.startswith("clock.")]
+        signals = [name for name in common if all(name in run.result for run in runs)]
+    chosen = [*dict.fromkeys(signals), *([ANGLE] if angle and ANGLE not in signals else [])]
+    problems: list[Problem] = []
+    for name in chosen:
+        shapes = {}
+        for run in runs:
+            try:
+                shapes[run.id] = run.result[name].shape[1:]
+            except RotorsimError as error:
+                problems += [Problem(p.what, f"{run.id}: {name}", hint=p.hint) for p in error.problems]
+        if len(set(shapes.values())) > 1:
+            text = ", ".join(f"{run} {shape}" for run, shape in shapes.items())
+            problems.append(Problem(f"the runs differ in shape: {text}", name))
+    if problems:
+        raise RotorsimError(*problems)
+    return chosen
+
+
+def _channels(result: Result, signals: Sequence[str]) -> dict[str, Channel]:
+    """Return column -> channel for every entry of the signals."""
+    found: dict[str, Channel] = {}
+    for signal in signals:
+        array, unit = result[signal], result.unit(signal) or "1"
+        for index in product(*(range(n) for n in array.shape[1:])):
+            base, numbers = _split(flat_name(signal, index))
+            axis = AXES[numbers[-1] - 1] if array.shape[1:] and array.shape[-1] == 2 else None
+            if axis is not None and len(numbers) <= 2:
+                node = numbers[0] if len(numbers) == 2 else None
+                channel = Channel("", base, axis, node, None, unit)
+            else:
+                channel = Channel("", flat_name(signal, index), None, None, None, unit)
+            column = channel.name
+            if base in _SHORT and channel.axis is not None:
+                column = f"{_SHORT[base]}{channel.axis}{channel.node or ''}"
+            found[column] = Channel(column, channel.signal, channel.axis, channel.node, None, _unit(unit, channel.name))
+    return found
+
+
+def _split(name: str) -> tuple[str, list[int]]:
+    base, _, inside = name.removesuffix("]").partition("[")
+    return base, [int(number) for number in inside.split(",")] if inside else []
+
+
+def _unit(unit: str, name: str) -> str:
+    """Return the unit of a signal, which must be SI since its numbers are."""
+    try:
+        if conversion(unit, None) == 1.0:
+            return unit
+    except UnitError as error:
+        raise RotorsimError(Problem(error.what, name, hint=error.hint)) from None
+    raise RotorsimError(Problem(f"unit '{unit}' is not SI", name, hint="results are in SI"))
+
+
+def _part(run: NewRun) -> slice:
+    """Return the samples inside the window."""
+    time = run.result.time
+    first, last = run.window if run.window is not None else (-math.inf, math.inf)
+    part = slice(int(np.searchsorted(time, first)), int(np.searchsorted(time, last, side="right")))
+    if part.stop - part.start < 2:
+        span = f"the result lasts from {time[0]:g} to {time[-1]:g} s" if len(time) else "the result is empty"
+        raise RotorsimError(Problem(f"window {first:g}..{last:g} s holds fewer than 2 samples", run.id, hint=span))
+    return part
+
+
+def _rate(time: np.ndarray) -> float | None:
+    """Return the sample rate [Hz] of evenly spaced time, None where it is not."""
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    if step <= 0 or float(np.abs(time - time[0] - step * np.arange(len(time))).max()) > _EVEN * step:
+        return None
+    rounded = float(f"{1.0 / step:.9g}")
+    return rounded if abs(rounded * step - 1.0) < 1e-11 else 1.0 / step
+
+
+def _run_entry(run: NewRun, part: slice, suffix: str) -> dict[str, Any]:
+    time = run.result.time[part]
+    rate = _rate(time)
+    entry: dict[str, Any] = {"id": run.id, "file": run.id + suffix}
+    entry |= {"time": "t"} if rate is None else {"sample_rate": rate}
+    speed = run.speed
+    if ANGLE in run.result:
+        theta = run.result[ANGLE][part]
+        if speed is None:
+            speed = float(theta[-1] - theta[0]) / float(time[-1] - time[0])
+        entry["tacho"] = _pulses(time if rate is None else time - time[0], theta)
+    if speed is not None:
+        entry["speed"] = float(speed)
+    if run.settings:
+        entry["set"] = {name: _number(value) for name, value in run.settings.items()}
+    return entry | {"use": run.use}
+
+
+def _pulses(time: np.ndarray, theta: np.ndarray) -> list[float]:
+    """Return the times [s] at which a steadily growing (or falling) angle passes multiples of 2 pi."""
+    turns = theta / (2.0 * math.pi)
+    if turns[-1] < turns[0]:
+        turns = -turns
+    if np.any(np.diff(turns) <= 0):
+        return []  # a rotor that stands or turns back
+    whole = np.arange(math.ceil(turns[0]), math.floor(turns[-1]) + 1)
+    return [float(at) for at in np.interp(whole, turns, time)]
+
+
+def _number(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def _entry(channel: Channel) -> dict[str, Any]:
+    parts = {"signal": channel.signal, "axis": channel.axis, "node": channel.node, "unit": channel.unit}
+    return {key: value for key, value in parts.items() if value is not None}
+
+
+def _check(document: dict[str, Any], folder: Path) -> None:
+    """Check the document as the reader will, and that it says the same after a trip through JSON."""
+    try:
+        data = json.loads(json.dumps(document, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise RotorsimError(Problem(f"cannot be written as JSON: {error}", place=Place(str(folder / FILE)))) from None
+    parse_recording(Source(data, file=str(folder / FILE)), folder, files=False)
+
+
+def _make_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
+    there = [name for name in files if (folder / name).exists()]
+    if there and not overwrite:
+        hint = "choose another folder, or overwrite=True"
+        what = f"{len(there)} file{'s' if len(there) > 1 else ''} would be replaced: {', '.join(there[:3])}"
+        raise RotorsimError(Problem(what, place=Place(str(folder)), hint=hint))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RotorsimError(Problem(f"folder cannot be made: {error.strerror}", place=Place(str(folder)))) from None
+
+
+def _write_table(path: Path, table: Mapping[str, np.ndarray]) -> None:
+    with atomic_target(path) as temporary:
+        if path.suffix == ".npz":
+            with temporary.open("wb") as stream:
+                arrays: dict[str, Any] = dict(table)
+                np.savez(stream, **arrays)
+            return
+        with temporary.open("w", encoding="utf-8", newline="\n") as text:
+            text.write(",".join(f'"{column}"' if "," in column else column for column in table) + "\n")
+            rows = np.column_stack(list(table.values()))
+            for start in range(0, len(rows), _ROWS):
+                text.write("".join(",".join(map(repr, row)) + "\n" for row in rows[start : start + _ROWS].tolist()))
