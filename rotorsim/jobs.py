@@ -282,6 +282,7 @@ def _local(workers: int, stack: ExitStack) -> Any:
             cluster = _distributed().LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, memory_limit=0,
                 dashboard_address=None, silence_logs=logging.CRITICAL,
+                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # else a second run warns of a taken port
             )  # fmt: skip
         except (RuntimeError, OSError) as error:
             what = f"the worker processes do not start: {error}"

@@ -34,6 +34,7 @@ VERBS = {
     "periodic": "The settled motion at one or many speeds by harmonic balance.",
     "spectrum": "Full spectrum of two-axis signals of a result or a diagram.",
     "identify": "Estimate the free parameters of a diagram from a recording, with intervals and verdicts.",
+    "locate": "Find the node at which a crack or another force acts, from a recording.",
     "cache": "Show or clear the cache of compiled models.",
     "version": "Print the version.",
 }

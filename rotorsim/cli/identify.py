@@ -58,13 +58,16 @@ def command(
     share = _share(precision)
     wanted = THESIS_ORDERS if orders is None else _orders(orders)
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
+    measured = load_recording(recording)
     found = identify(
-        loaded, load_recording(recording), method=method, given=given, orders=wanted, reduction=reduction,
+        loaded, measured, method=method, given=given, orders=wanted, reduction=reduction,
         precision=share, hold_out=None if hold_out is None else load_recording(hold_out),
     )  # fmt: skip
     show_problems(found.warnings)
     if out:
-        for file in save_identification(found, out):
+        from rotorsim.report.identification_figures import save_figures
+
+        for file in [*save_identification(found, out), *save_figures(found, measured, out)]:
             common.note(f"written: {file}")
     if as_json:
         common.echo_json(identification_data(found))

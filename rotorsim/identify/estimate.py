@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -85,6 +86,12 @@ class Search:
         self.coordinates = coordinates_of(self.free, motion.equations, motion.p, motion.speeds, bounded=bounded)
         self.prior = [j for j, item in enumerate(self.free) if item.prior_std is not None and bounded]
         self._known: tuple[bytes, tuple[Evaluation, np.ndarray, np.ndarray]] | None = None
+
+    def again(self, likelihood: Likelihood | Regression) -> Search:
+        """Return the search for the same parameters with other data."""
+        other = copy(self)
+        other.likelihood, other._known = likelihood, None
+        return other
 
     def residual(self, q: np.ndarray) -> np.ndarray:
         """Return whitened residuals of data and priors, (n,)."""
@@ -188,9 +195,9 @@ class Search:
         return full(found.x)
 
 
-def estimate(search: Search, start: np.ndarray | None = None) -> Estimate:
-    """Return the most likely parameters from one start, or from several where an angle is unknown."""
-    starts = search.starts() if start is None else [search.coordinates.inside(start)]
+def estimate(search: Search, start: np.ndarray | None = None, *, tries: int = 3) -> Estimate:
+    """Return the most likely parameters from one start, or from the best few where an angle is unknown."""
+    starts = search.starts()[:tries] if start is None else [search.coordinates.inside(start)]
     best: np.ndarray | None = None
     least = np.inf
     for q in starts:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,13 @@ class Experiment:
     def theta0(self) -> np.ndarray:
         """The free parameters as the diagram has them, (m,)."""
         return np.array([item.value for item in self.free])
+
+    def again(self, runs: Sequence[RunHarmonics] | None = None, p: np.ndarray | None = None) -> Experiment:
+        """Return the experiment with other harmonics of the same runs, or other known parameters p (R, n_p)."""
+        p = self.p if p is None else p
+        old = self.motion
+        motion = old if p is self.p else Motion(old.equations, p, old.speeds, old.K, list(old.windows), old.phase)
+        return replace(self, runs=self.runs if runs is None else tuple(runs), p=p, motion=motion)
 
 
 def open_experiment(

@@ -49,6 +49,7 @@ class Identification:
     correlation: (m, m). fit: "identify" and "hold_out" -> signal -> NRMSE; noise_floor: signal -> what no model can
     undercut. excess: variance of the residual over that of the noise (1 for a right model); goodness: its
     probability; None for the regression, which does not weigh. adequate: the model explains the data within noise.
+    free: the parameters as they were before, with start values and bounds.
     """
 
     method: str
@@ -65,6 +66,7 @@ class Identification:
     diagram: Diagram
     runs: tuple[RunHarmonics, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    free: tuple[Free, ...] = ()
 
     @property
     def values(self) -> dict[str, float]:
@@ -170,6 +172,7 @@ def identify(
         diagram=diagram,
         runs=found,
         settings={"given": list(used), "orders": list(orders), "reduction": reduction, "precision": precision},
+        free=result.free,
     )
 
 

@@ -107,10 +107,13 @@ class Likelihood:
         return Evaluation(np.concatenate(residuals), np.concatenate(rows), misfit, Y, counted)
 
     def expected(self, theta: np.ndarray) -> np.ndarray:
-        """Return the slopes (n, m) that runs of these settings would have if they were as the model says."""
+        """Return the slopes (n, m) that runs of these settings would have if they were as the model says.
+
+        Only the measured means stay: where slow states have not settled, they say how far they have come.
+        """
         motion = self.experiment.motion
         response = motion.response(theta)
-        self.data[:, :, : self.c] = response.outputs(response.states())
+        self.data[:, 1:, : self.c] = response.outputs(response.states())[:, 1:]
         self.data_rows = [self.whiteners[r].apply(real_vector(self.data[r])) for r in range(len(self.data))]
         return self.evaluate(theta).slopes
 

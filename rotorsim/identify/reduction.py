@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,12 @@ class Condensed:
     entries: np.ndarray
     masters: np.ndarray
     central: float
+
+    def again(self, experiment: Experiment) -> Condensed:
+        """Return the condensation of the same experiment with other known parameters."""
+        old, p = self.motion, experiment.p
+        motion = Motion(old.equations, p, old.speeds, old.K, list(old.windows), old.phase)
+        return replace(self, experiment=experiment, motion=motion)
 
     def forces(self, theta: np.ndarray, Y: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return forces (R, K+1, c) left over at harmonics Y (R, K+1, c), and slopes by central differences.

@@ -9,6 +9,7 @@ columns are slopes of the traced equations. No weights, as in the thesis.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 
@@ -51,12 +52,24 @@ class Regression:
         places = [flat for name in trace.external for flat in flat_names_of(experiment.model, name)]
         self.given_entries = np.array([places.index(name) for name in experiment.given])
         self.n_v = len(places)
-        self.data = np.array([
-            harmonics_of_time(item.fit.values[: self.K + 1, columns], item.fit.speed)
-            for item, columns in zip(experiment.runs, experiment.columns, strict=True)
-        ])  # fmt: skip
+        self.data = self._measured()
         self.rows = _selection(experiment.predicted, self.orders, experiment.use_mean[: self.c])
         self._condensed = reduced(experiment, self.force_entries) if reduction == "central" else None
+
+    def again(self, experiment: Experiment) -> Regression:
+        """Return the regression of the same experiment `again`."""
+        other = copy(self)
+        other.experiment = experiment
+        other.data = other._measured()
+        if self._condensed is not None and experiment.motion is not self.experiment.motion:
+            other._condensed = self._condensed.again(experiment)
+        return other
+
+    def _measured(self) -> np.ndarray:
+        return np.array([
+            harmonics_of_time(item.fit.values[: self.K + 1, columns], item.fit.speed)
+            for item, columns in zip(self.experiment.runs, self.experiment.columns, strict=True)
+        ])  # fmt: skip
 
     def evaluate(self, theta: np.ndarray) -> Evaluation:
         """Return the equivalent forces [N] and their slopes at theta (m,)."""

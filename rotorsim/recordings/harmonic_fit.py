@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.noise import Line, Noise, find_lines, noise_of
 
-__all__ = ["HarmonicFit", "fit_harmonics"]
+__all__ = ["Basis", "HarmonicFit", "fit_harmonics", "harmonic_basis"]
 
 TURN = 2 * np.pi
 MOST_ORDERS = 16
@@ -111,6 +111,50 @@ def complex_values(vector: np.ndarray, channels: int) -> np.ndarray:
     return np.concatenate([rows[:1] + 0j, rows[1::2] + 1j * rows[2::2]])
 
 
+class Basis:
+    """Columns (n, m) of a harmonic fit with the factor of their normal matrix: the same for all signals of a run.
+
+    orders: K. drift: degree of the drift. Raises RotorsimError when the columns cannot be told apart.
+    """
+
+    def __init__(self, run: str, columns: np.ndarray, orders: int, drift: int, turns: float) -> None:
+        self.columns, self.orders, self.drift, self.turns = columns, orders, drift, turns
+        self._size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+        self._scaled = columns / self._size
+        try:
+            self._factor = cho_factor(self._scaled.T @ self._scaled, lower=True)
+            if np.diag(self._factor[0]).min() < 1e-5:
+                raise np.linalg.LinAlgError
+        except np.linalg.LinAlgError:
+            what = f"{columns.shape[1]} harmonics and drifts cannot be told apart in {turns:.3g} turns"
+            raise RotorsimError(Problem(what, f"run {run}", hint="a longer run, or fewer orders")) from None
+
+    def solve(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least-squares coefficients (m, C) of signals (n, C), and what is left over (n, C)."""
+        coefficients = cho_solve(self._factor, self._scaled.T @ y)
+        coefficients += cho_solve(self._factor, self._scaled.T @ (y - self._scaled @ coefficients))  # to rounding
+        coefficients /= self._size[:, None]
+        return coefficients, y - self.columns @ coefficients
+
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """Inverse of the normal matrix (m, m) (of scaled columns: well conditioned)."""
+        root = solve_triangular(self._factor[0], np.diag(1 / self._size), lower=True)
+        return np.asarray(root.T @ root)
+
+
+def harmonic_basis(run: str, time: np.ndarray, theta: np.ndarray, *, orders: int | None = None) -> Basis:
+    """Return the columns of a harmonic fit at times and shaft angles (n,), for `fit_harmonics`.
+
+    orders: highest order K; default as many as the window and the sampling can tell apart, at most 16.
+    """
+    n = len(theta)
+    turns = float(abs(theta[-1] - theta[0]) / TURN) * n / max(n - 1, 1)
+    K = _orders(run, orders, n, turns)
+    drift = DRIFT if turns >= 1.5 else 0
+    return Basis(run, _columns(theta, time, K, drift), K, drift, turns)
+
+
 def fit_harmonics(
     run: str,
     time: np.ndarray,
@@ -120,12 +164,15 @@ def fit_harmonics(
     *,
     orders: int | None = None,
     angle_std: float = 0.0,
+    basis: Basis | None = None,
 ) -> HarmonicFit:
     """Fit y = drift(t) + sum over |k| <= K of c_k e^{i k theta} to every channel by least squares.
 
     time, theta: (n,), samples at any instants. orders: K; default as many as the window and the sampling can tell
-    apart, at most 16. angle_std: of angle zero [rad], from the jitter of pulses. Noise is taken as stationary; whether it is white is tested, and coloured noise is described
-    by its cross-spectrum. Lines beside the multiples of the speed are found, reported and fitted along.
+    apart, at most 16. angle_std: of angle zero [rad], from the jitter of pulses. basis: of an earlier fit at the same
+    times and angles, which saves most of the work. Noise is taken as stationary; whether it is white is tested, and
+    coloured noise is described by its cross-spectrum. Lines beside the multiples of the speed are found, reported
+    and fitted along.
 
     Raises RotorsimError for less than a turn, signals that are not finite, or no room for one harmonic.
     """
@@ -133,22 +180,21 @@ def fit_harmonics(
     y = np.column_stack([signals[name] for name in names])
     n = len(y)
     _check(run, names, y, theta)
-    turns = float(abs(theta[-1] - theta[0]) / TURN) * n / max(n - 1, 1)
+    if basis is None:
+        basis = harmonic_basis(run, time, theta, orders=orders)
+    turns, K, drift = basis.turns, basis.orders, basis.drift
     speed = float((theta[-1] - theta[0]) / (time[-1] - time[0]))
-    K = _orders(run, orders, n, turns)
-    drift = DRIFT if turns >= 1.5 else 0
-    basis = _basis(theta, time, K, drift)
-    coefficients, inverse = _solve(run, basis, y, turns)
-    left = y - basis @ coefficients
+    coefficients, left = basis.solve(y)
     rms = np.sqrt(np.mean((y - y.mean(axis=0)) ** 2, axis=0))
     lines = find_lines(time, left, speed, K, ROUNDING * (rms + np.abs(y.mean(axis=0))))
     if lines:
-        basis = np.column_stack([basis, *(_line_columns(time, line) for line in lines if line.apart)])
-        coefficients, inverse = _solve(run, basis, y, turns)
-        left = y - basis @ coefficients
+        columns = [basis.columns, *(_line_columns(time, line) for line in lines if line.apart)]
+        basis = Basis(run, np.column_stack(columns), K, drift, turns)
+        coefficients, left = basis.solve(y)
     m = 2 * K + 1
     scale = np.sqrt(np.mean(y**2, axis=0))
-    noise = noise_of(left, time, speed, K, n - basis.shape[1], ROUNDING * np.where(scale > 0, scale, 1.0), lines)
+    floor = ROUNDING * np.where(scale > 0, scale, 1.0)
+    noise = noise_of(left, time, speed, K, n - basis.columns.shape[1], floor, lines)
     known = units or {}
     return HarmonicFit(
         run=run,
@@ -160,7 +206,7 @@ def fit_harmonics(
         rms=rms,
         residual=np.sqrt(np.mean(left**2, axis=0)),
         noise=noise,
-        gram=inverse[:m, :m],
+        gram=basis.inverse[:m, :m],
         angle_std=angle_std,
         turns=turns,
         samples=n,
@@ -196,7 +242,7 @@ def _orders(run: str, wanted: int | None, n: int, turns: float) -> int:
     return min(room, MOST_ORDERS) if wanted is None else wanted
 
 
-def _basis(theta: np.ndarray, time: np.ndarray, K: int, drift: int) -> np.ndarray:
+def _columns(theta: np.ndarray, time: np.ndarray, K: int, drift: int) -> np.ndarray:
     """Return the columns 1, 2 cos k theta, -2 sin k theta, and Legendre polynomials of time, (n, 2K+1+drift)."""
     columns = np.empty((len(theta), 2 * K + 1 + drift))
     columns[:, 0] = 1.0
@@ -214,22 +260,3 @@ def _basis(theta: np.ndarray, time: np.ndarray, K: int, drift: int) -> np.ndarra
 def _line_columns(time: np.ndarray, line: Line) -> np.ndarray:
     phase = TURN * line.frequency * time
     return np.column_stack([np.cos(phase), np.sin(phase)])
-
-
-def _solve(run: str, basis: np.ndarray, y: np.ndarray, turns: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return least-squares coefficients and the inverse of the normal matrix (scaled columns: well conditioned)."""
-    size = np.sqrt(np.einsum("ij,ij->j", basis, basis))
-    scaled = basis / size
-    normal = scaled.T @ scaled
-    try:
-        factor = cho_factor(normal, lower=True)
-        diagonal = np.diag(factor[0])
-        if diagonal.min() < 1e-5:
-            raise np.linalg.LinAlgError
-    except np.linalg.LinAlgError:
-        what = f"{basis.shape[1]} harmonics and drifts cannot be told apart in {turns:.3g} turns"
-        raise RotorsimError(Problem(what, f"run {run}", hint="a longer run, or fewer orders")) from None
-    coefficients = cho_solve(factor, scaled.T @ y)
-    coefficients += cho_solve(factor, scaled.T @ (y - scaled @ coefficients))  # once refined: to rounding
-    root = solve_triangular(factor[0], np.diag(1 / size), lower=True)
-    return coefficients / size[:, None], root.T @ root

@@ -125,7 +125,7 @@ def _channels(result: Result, signals: Sequence[str]) -> dict[str, Channel]:
     """Return column -> channel for every entry of the signals."""
     found: dict[str, Channel] = {}
     for signal in signals:
-        array, unit = result[signal], result.unit(signal) or "1"
+        array, unit = result[signal], result.unit(signal) or ("rad" if signal == ANGLE else "1")
         for index in product(*(range(n) for n in array.shape[1:])):
             base, numbers = _split(flat_name(signal, index))
             axis = AXES[numbers[-1] - 1] if array.shape[1:] and array.shape[-1] == 2 else None

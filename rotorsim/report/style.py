@@ -11,7 +11,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.figure import Figure
 
-__all__ = ["AXES", "BLUE", "GREEN", "GREY", "INK", "ORANGE", "RED", "display", "figure", "rpm", "styled"]
+__all__ = ["AXES", "BLUE", "GREEN", "GREY", "INK", "ORANGE", "PURPLE", "RED", "display", "figure", "rpm", "styled"]
 
 # Okabe & Ito (2008), "Color universal design"
 BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#6b6b6b"
