@@ -30,6 +30,7 @@ def identification_data(found: Identification, *, diagram_file: str = DIAGRAM) -
             "value": item.value,
             "std": _finite(item.std),
             "interval90": [_finite(end) for end in item.interval90],
+            "joint90": [_finite(end) for end in item.joint90],
             "unit": item.unit,
         }
     identifiable = {}

@@ -15,7 +15,7 @@ from rotorsim.identify.advice import Advice, advise
 from rotorsim.identify.estimate import Estimate, Search, estimate
 from rotorsim.identify.experiment import open_experiment
 from rotorsim.identify.likelihood import Likelihood
-from rotorsim.identify.profile import Z90, profile_intervals
+from rotorsim.identify.profile import Z90, joint_factor, profile_intervals
 from rotorsim.identify.regression import THESIS_ORDERS, Regression, open_regression
 from rotorsim.identify.verdict import PRECISION, Verdict, judge
 from rotorsim.recordings.checks import check_signals
@@ -32,12 +32,16 @@ DRAWS = 40  # of the noise, for the bias and scatter of the regression
 
 @dataclass(frozen=True)
 class Identified:
-    """One identified parameter (SI): value, standard deviation, central 90 % interval, and the verdict on it."""
+    """One identified parameter (SI): value, standard deviation, central 90 % interval, and the verdict on it.
+
+    joint90: intervals that hold all parameters at once with 90 %.
+    """
 
     name: str
     value: float
     std: float
     interval90: tuple[float, float]
+    joint90: tuple[float, float]
     unit: str
     verdict: Verdict
 
@@ -146,15 +150,17 @@ def identify(
         )
         fit, floor = _scores(diagram, recording, found, hold_out, result, used)
     std = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.nan_to_num(covariance / np.outer(std, std))
+    joint = result.theta[:, None] + joint_factor(correlation) * (intervals - result.theta[:, None])
     parameters = {
         item.name: Identified(
             item.name, float(result.theta[j]), float(std[j]),
-            (float(intervals[j, 0]), float(intervals[j, 1])), item.unit, verdicts[j],
+            (float(intervals[j, 0]), float(intervals[j, 1])),
+            (max(float(joint[j, 0]), item.low), min(float(joint[j, 1]), item.high)), item.unit, verdicts[j],
         )
         for j, item in enumerate(result.free)
     }  # fmt: skip
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = np.nan_to_num(covariance / np.outer(std, std))
     goodness = result.goodness if method == "likelihood" else None
     excess = result.excess if method == "likelihood" else None
     return Identification(

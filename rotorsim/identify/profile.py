@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from rotorsim.identify.estimate import Estimate, Search
 
-__all__ = ["Z90", "profile_intervals"]
+__all__ = ["Z90", "joint_factor", "profile_intervals"]
 
 Z90 = float(norm.ppf(0.95))  # half width of a central 90 % interval, in standard deviations
 NORMAL = 0.02  # the profile agrees so well with a parabola that its end points are those of the parabola
@@ -38,6 +38,18 @@ def profile_intervals(search: Search, found: Estimate, widen: float = 1.0) -> np
             end = _end(polar, found.theta, ridge, j, sign * Z90 * std, least, (Z90 * widen) ** 2)
             intervals[j, side] = float(np.clip(end, item.low, item.high))
     return intervals
+
+
+def joint_factor(correlation: np.ndarray) -> float:
+    """Return by how much 90 % intervals of single parameters must be widened to hold all of them at once in 90 %.
+
+    From the largest of m correlated standard normal numbers, 20 000 draws.
+    """
+    m = len(correlation)
+    values, vectors = np.linalg.eigh(correlation)
+    root = vectors * np.sqrt(np.maximum(values, 0))
+    draws = np.random.default_rng(0).standard_normal((20_000, m)) @ root.T
+    return float(np.quantile(np.abs(draws).max(axis=1), 0.9) / Z90)
 
 
 def _polar(search: Search) -> Search:

@@ -21,7 +21,7 @@ from rotorsim.identify.experiment import Experiment, open_experiment
 from rotorsim.identify.likelihood import Evaluation, harmonics_of_time
 from rotorsim.identify.reduction import reduced
 from rotorsim.recordings.harmonics import RunHarmonics
-from rotorsim.recordings.recording import Recording, Run
+from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 from rotorsim.simulate.linear import flat_names
 
 __all__ = ["REDUCTIONS", "THESIS_ORDERS", "Regression", "open_regression"]
@@ -134,7 +134,8 @@ def open_regression(
         raise RotorsimError(Problem(f"no reduction '{reduction}'", hint=f"one of {', '.join(REDUCTIONS)}"))
     model = compile_diagram(diagram)
     conjugates = _conjugates(diagram)
-    measured = [c.name for c in recording.channels.values() if c.signal in model.signals]
+    angle = (ANGLE, TACHO)
+    measured = [c.name for c in recording.channels.values() if c.signal in model.signals and c.signal not in angle]
     places = [(name, name.replace(base, conjugates[base], 1)) for name in measured
               if (base := name.partition("[")[0]) in conjugates]  # fmt: skip
     places = [pair for pair in places if _moves(model, pair[0])]
