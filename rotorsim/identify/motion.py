@@ -62,8 +62,7 @@ class Response:
 
     def transfer(self) -> np.ndarray:
         """Return dY/dV (R, K+1, c, V)."""
-        through = np.einsum("rkij,rjv->rkiv", self.inverse, self.B)
-        return np.asarray(np.einsum("rcn,rknv->rkcv", self.C, through) + self.D[:, None])
+        return np.asarray(self.C[:, None] @ (self.inverse @ self.B[:, None]) + self.D[:, None])
 
     def slow_states(self, r: int) -> np.ndarray:
         """Return dX_0/dx_s of the slow states of run r, shape (n, s)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from rotorsim.identify.functions import Equations
 from rotorsim.identify.motion import Motion
 
 __all__ = ["Condensed", "reduced"]
+
+MOST_KNOWN = 64  # operators that are kept, for other data at the same parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +30,13 @@ class Condensed:
     entries: np.ndarray
     masters: np.ndarray
     central: float
+    known: dict[tuple[bytes, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     def again(self, experiment: Experiment) -> Condensed:
         """Return the condensation of the same experiment with other known parameters."""
         old, p = self.motion, experiment.p
         motion = Motion(old.equations, p, old.speeds, old.K, list(old.windows), old.phase)
-        return replace(self, experiment=experiment, motion=motion)
+        return replace(self, experiment=experiment, motion=motion, known={})
 
     def forces(self, theta: np.ndarray, Y: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return forces (R, K+1, c) left over at harmonics Y (R, K+1, c), and slopes by central differences.
@@ -51,14 +54,24 @@ class Condensed:
         return w, slopes
 
     def _forces(self, theta: np.ndarray, Y: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-        K = Y.shape[1] - 1
+        key = (theta.tobytes(), Y.shape[1])
+        if key not in self.known:
+            if len(self.known) >= MOST_KNOWN:
+                self.known.clear()
+            self.known[key] = self._operators(theta, Y.shape[1] - 1)
+        condensed, forcing, gain = self.known[key]
+        return np.asarray((condensed @ Y[..., None] - gain @ inputs[..., None])[..., 0] - forcing)
+
+    def _operators(self, theta: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return condensed stiffness (R, K+1, c, c), forces without inputs (R, K+1, c), forces by inputs (..., V)."""
         response = self.motion.response(theta, K)
-        stiffness = np.linalg.inv(response.transfer()[..., self.entries])
-        motion = response.outputs(response.states(inputs), inputs)
-        acting = np.einsum("rkij,rkj->rki", stiffness, motion)[..., self.masters]
+        transfer = response.transfer()
+        stiffness = np.linalg.inv(transfer[..., self.entries])
         T = self._transformation(theta)
         condensed = np.swapaxes(T, 1, 2)[:, None] @ stiffness @ T[:, None]
-        return np.asarray(np.einsum("rkij,rkj->rki", condensed, Y) - acting)
+        rows = stiffness[:, :, self.masters]
+        motion = response.outputs(response.states())
+        return condensed, (rows @ motion[..., None])[..., 0], rows @ transfer
 
     def _transformation(self, theta: np.ndarray) -> np.ndarray:
         """Return T of every run, (R, moving, masters)."""

@@ -102,7 +102,7 @@ _CHAPTER = {
 def _table(number: str, kind: str, first: float, last: float, *rows: Any) -> PublishedTable:
     diagram, reduction, groups = _CHAPTER[number[0]]
     title = f"sensitivity to {'noise' if kind == 'noise' else 'errors of known parameters'}, {first:g}-{last:g} rpm"
-    made = tuple(Row(*name, values, errors) for name, values, errors in rows)
+    made = tuple(Row(name[0], name[1], name[2], name[3], values, errors) for name, values, errors in rows)
     return PublishedTable(number, title, kind, diagram, (first, 60.0, last), reduction, groups, made)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from rotorsim.identify.experiment import Experiment, open_experiment
 from rotorsim.identify.identification import Identification
@@ -50,8 +51,8 @@ class Signal:
 class Harmonics:
     """Measured harmonics of one signal in one run, at signed orders (n,).
 
-    value (n,) complex [SI], amplitude 0-peak, phase against shaft angle zero; amplitude_std [SI], phase_std [rad]. noise (n,): amplitude
-    that noise alone exceeds in one case of twenty.
+    value (n,) complex [SI]: amplitude 0-peak, phase against shaft angle zero; amplitude_std [SI], phase_std [rad].
+    noise (n,): amplitude that noise alone exceeds in one case of twenty.
     """
 
     orders: np.ndarray
@@ -65,8 +66,8 @@ class Harmonics:
 class Comparison:
     """Runs of a recording beside the identified model.
 
-    theta (m,): the identified values of experiment.free. predicted (R, K+1, c): harmonics of the model about the shaft angle, what the model
-    leaves free (means of slow states, true values of measured inputs) at its best.
+    theta (m,): the identified values of experiment.free. predicted (R, K+1, c): harmonics of the model about the
+    shaft angle; what the model leaves open (means of slow states, true values of measured inputs) is at its best.
     """
 
     found: Identification
@@ -82,15 +83,15 @@ class Comparison:
         for name in names:
             port, _, inside = name.partition("[")
             index = inside.rstrip("]").split(",") if inside else []
-            two = len(self.experiment.model.signals[port].shape) and index[-1] in ("1", "2")
-            other = f"{name[:-2]}2]"
-            if two and index[-1] == "2" and f"{name[:-2]}1]" in names:
-                continue
-            partner = other if two and index[-1] == "1" and other in names else None
-            place = f", node {index[0]}" if len(index) == 2 else ""
-            single = f", {'xy'[int(index[-1]) - 1]}" if two and partner is None else ""
-            unit = self.experiment.model.signals[port].unit or ""
-            by_port.setdefault(port, []).append(Signal(f"{port}{place}{single}", name, partner, unit))
+            signal, partner, title = self.experiment.model.signals[port], None, name
+            if signal.shape[-1:] == (2,):
+                x, y = (f"{name[:-2]}{axis}]" for axis in "12")
+                if name == y and x in names:
+                    continue
+                partner = y if name == x and y in names else None
+                title = port + (f", node {index[0]}" if len(index) == 2 else "")
+                title += "" if partner else f", {'x' if name == x else 'y'}"
+            by_port.setdefault(port, []).append(Signal(title, name, partner, signal.unit or ""))
         return [max(some, key=self._motion) for some in by_port.values()]
 
     def _motion(self, signal: Signal) -> float:
@@ -162,9 +163,11 @@ class Comparison:
             if not parts or (p[:, parts[0]] == p[0, parts[0]]).all():
                 continue
             block, _, key = name.rpartition(".")
-            unit = model.diagram.nodes[block].block.parameters[key].unit if block else model.diagram.parameter_units[name]
+            unit = (
+                model.diagram.nodes[block].block.parameters[key].unit if block else model.diagram.parameter_units[name]
+            )
             values = p[r, parts[0]]
-            given = format_quantity(float(values[0]), unit, 5) if len(values) == 1 else str(values.tolist())
+            given = _quantity(float(values[0]), unit) if len(values) == 1 else str(values.tolist())
             texts[name] = (key, given)
         keys = [key for key, _ in texts.values()]
         return ", ".join(f"{key if keys.count(key) == 1 else name} = {v}" for name, (key, v) in texts.items())
@@ -197,7 +200,7 @@ class Comparison:
         return float(sum(fit.rms[fit.names.index(name)] ** 2 for name in (signal.x, signal.y) if name is not None))
 
     def curve(self, group: str, signal: Signal, orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return speeds (n,) [rad/s] over the range of all runs, and the model's harmonics (n, orders) there.
+        """Return ascending speeds (n,) [rad/s] over the range of all runs, and the model's harmonics (n, orders) there.
 
         nan where the model is not stable and so never settles. Empty when the model needs measured inputs: between
         the runs nobody knows them.
@@ -209,17 +212,18 @@ class Comparison:
             return np.zeros(0), np.zeros((0, len(orders)), complex)
         margin = 0.03 * np.ptp(side)
         low, high = np.abs(side).min() - margin, np.abs(side).max() + margin
-        speeds = np.linspace(max(low, 0.5 * np.abs(side).min()), high, SPEEDS) * np.sign(side[0])
-        values = self._at(runs[0], speeds, signal, orders)
-        for _ in range(REFINEMENTS):
-            size = np.maximum(np.abs(values), 1e-3 * np.nanmax(np.abs(values), axis=0, initial=1e-300))
-            change = (np.abs(np.diff(values, axis=0)) / np.minimum(size[1:], size[:-1])).max(axis=1)
-            where = np.flatnonzero(change > STEP)
-            if not len(where):
-                break
-            between = (speeds[where] + speeds[where + 1]) / 2
-            values = np.insert(values, where + 1, self._at(runs[0], between, signal, orders), axis=0)
-            speeds = np.insert(speeds, where + 1, between)
+        speeds = np.sort(np.linspace(max(low, 0.5 * np.abs(side).min()), high, SPEEDS) * np.sign(side[0]))
+        with threadpool_limits(1, "blas"):  # many small matrices
+            values = self._at(runs[0], speeds, signal, orders)
+            for _ in range(REFINEMENTS):
+                size = np.maximum(np.abs(values), 1e-3 * np.nan_to_num(np.abs(values)).max(axis=0) + 1e-300)
+                change = (np.abs(np.diff(values, axis=0)) / np.minimum(size[1:], size[:-1])).max(axis=1)
+                where = np.flatnonzero(change > STEP)
+                if not len(where):
+                    break
+                between = (speeds[where] + speeds[where + 1]) / 2
+                values = np.insert(values, where + 1, self._at(runs[0], between, signal, orders), axis=0)
+                speeds = np.insert(speeds, where + 1, between)
         return speeds, values
 
     def _at(self, r: int, speeds: np.ndarray, signal: Signal, orders: np.ndarray) -> np.ndarray:
@@ -233,6 +237,7 @@ class Comparison:
             windows = np.full(len(some), experiment.motion.windows[r])
             phase = np.full(len(some), experiment.motion.phase[r])
             motion = Motion(experiment.motion.equations, p, some, K, list(windows), phase)
+            motion.slow = [experiment.motion.slow[r]] * len(some) if experiment.motion.slow else None
             response = motion.response(self.theta)
             Y = harmonics_of_time(response.outputs(response.states()), some[0])
             grows = np.linalg.eigvals(response.A).real.max(axis=1) > 1e-6 * np.abs(response.A).max() ** 0.5
@@ -253,9 +258,17 @@ def compare(found: Identification, recording: Recording) -> Comparison:
         free=found.free, harmonics=found.runs,
     )  # fmt: skip
     theta = np.array([found.parameters[item.name].value for item in experiment.free])
-    Y = Likelihood(experiment).evaluate(theta).Y
+    with threadpool_limits(1, "blas"):
+        Y = Likelihood(experiment).evaluate(theta).Y
     predicted = np.array([harmonics_of_time(y, fit.speed) for y, fit in zip(Y, experiment.fits, strict=True)])
     return Comparison(found, recording, experiment, theta, predicted)
+
+
+def _quantity(value: float, unit: str | None) -> str:
+    """Return a setting as it is usually written: 12200 A/m, but 400 um."""
+    if unit in (None, "", "1"):
+        return f"{value:.6g}"
+    return f"{value:.6g} {unit}" if 0.1 <= abs(value) < 1e5 or not value else format_quantity(value, unit, 5)
 
 
 def _covariance(fit: HarmonicFit, covariance: np.ndarray, signal: Signal, k: int) -> np.ndarray:
