@@ -23,7 +23,7 @@ __all__ = ["VERBS", "main", "problem_data", "rotorsim"]
 # Verb -> one line of help. The verb's module is imported only when the verb is called: --help stays instant.
 VERBS = {
     "run": "Simulate a diagram; write, plot and summarise the recorded signals.",
-    "check": "Find every mistake in diagrams.",
+    "check": "Find every mistake in diagrams and recordings.",
     "fmt": "Write diagrams in canonical form.",
     "blocks": "List the blocks, or show one: ports, parameters, equation, source.",
     "draw": "Draw a diagram as SVG.",
@@ -32,8 +32,10 @@ VERBS = {
     "modes": "Natural frequencies, damping ratios and whirl of the linearised diagram.",
     "campbell": "Natural frequencies against speed, tracked.",
     "periodic": "The settled motion at one or many speeds by harmonic balance.",
-    "spectrum": "Full spectrum of two-axis signals of a result or a diagram.",
+    "spectrum": "Full spectrum and harmonics of two-axis signals of a recording, a result or a diagram.",
+    "record": "Simulate measurements of a diagram into a recording.",
     "identify": "Estimate the free parameters of a diagram from a recording, with intervals and verdicts.",
+    "sensitivity": "Move the identified parameters by noise and wrong known ones, over many seeds.",
     "locate": "Find the node at which a crack or another force acts, from a recording.",
     "cache": "Show or clear the cache of compiled models.",
     "version": "Print the version.",

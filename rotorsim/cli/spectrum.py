@@ -7,43 +7,68 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli import common
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.cli import common, recorded
+from rotorsim.errors import Place, Problem, RotorsimError
 
 if TYPE_CHECKING:
+    from rotorsim.recordings.two_axis import TwoAxis
     from rotorsim.simulate.result import Result
     from rotorsim.simulate.spectrum import FullSpectrum
 
-__all__ = ["command"]
+__all__ = ["command", "spectrum_text", "window_of"]
 
+HUGE = 1e100
 RESULTS = (".csv", ".h5", ".npz")
+METHODS = ("least-squares", "fft", "regression")  # those of rotorsim.recordings.two_axis
 
 
 @click.command("spectrum")
-@click.argument("source", metavar="RESULT|DIAGRAM")
+@click.argument("source", metavar="RECORDING|RESULT|DIAGRAM")
 @common.set_option
 @common.without_option
 @common.trust_option
 @click.option("--signal", "signals", multiple=True, metavar="SIGNAL", help="Two-axis signal (default: all).")
-@click.option("--window", metavar="START:STOP", help="Part of the run, as '4 s:5 s' (default: the last whole turns).")
+@click.option("--run", "runs", multiple=True, metavar="ID", help="Run of the recording (default: all); repeatable.")
+@click.option(
+    "--window",
+    metavar="START:STOP",
+    help="Part of the run, as '4 s:5 s' (default: a recording's whole run, else the last whole turns).",
+)
+@click.option(
+    "--harmonics",
+    "method",
+    type=click.Choice(METHODS),
+    help="Print harmonics of the shaft angle by this method (default for a recording: least-squares).",
+)
 @click.option("--threshold", type=click.FloatRange(0.0, 1.0), default=1e-3, show_default=True,
               help="Smallest line shown, as a share of the largest.")  # fmt: skip
 @click.option("--plot", metavar="FILE", help="Draw the full spectrum of the first signal: .png, .svg or .pdf.")
 @common.json_option
 def command(
     source: str, settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, signals: tuple[str, ...],
-    window: str | None, threshold: float, plot: str | None, as_json: bool,
+    runs: tuple[str, ...], window: str | None, method: str | None, threshold: float, plot: str | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """Full spectrum of two-axis signals of a saved result (.csv, .h5, .npz) or of a diagram that is run.
+    """Full spectrum and harmonics of two-axis signals: of a recording, a saved result, or a diagram that is run.
 
-    Positive frequencies turn forward, negative ones backward; phases count from shaft angle zero.
-    --json gives the whole spectrum and the harmonics fitted to the shaft angle.
+    RECORDING is a folder with recording.json, RESULT a file (.csv, .h5, .npz) of 'rotorsim run'. Positive
+    frequencies and orders turn forward, negative ones backward; phases count from shaft angle zero.
+    least-squares: with 90 % intervals and the lines that do not follow the shaft; any window, drifting speed.
+    fft: lines of the FFT over whole turns; regression: the thesis' least squares, both of its nine orders.
+    --json gives the whole spectrum and all harmonics.
 
     \b
     rotorsim spectrum jeffcott --window "4 s:5 s" --plot spectrum.png
+    rotorsim spectrum jeffcott --window "4 s:5 s" --harmonics fft
     """
     common.check_target("--plot", plot, common.FIGURES)
-    span = _span(window)
+    span = window_of(window) if window else None
+    if recorded.is_recording(source):
+        if settings or without:
+            raise RotorsimError(Problem(what="--set and --without need a diagram, not a recording", subject=source))
+        recorded.recording_spectrum(source, runs, signals, span, method, threshold, plot, as_json)
+        return
+    if runs:
+        raise RotorsimError(Problem(what="--run needs a recording", subject=source))
     result, angle = _result(source, settings, without, trust_blocks, signals)
     from rotorsim.cli.summary import two_axis
     from rotorsim.simulate.spectrum import full_spectrum, harmonics, last_turns
@@ -57,6 +82,7 @@ def command(
     span = span or (last_turns(result, angle) if angle else None)
     found = [full_spectrum(result, name, window=span, angle=angle) for name in names]
     running = _running(result, angle, span)
+    fits = _fits(result, names, method, span, angle) if method else None
     if plot:
         if running is None:
             raise RotorsimError(Problem(what="--plot needs the shaft angle", hint="record clock.theta"))
@@ -73,17 +99,32 @@ def command(
                 "real": item.amplitude.real,
                 "imag": item.amplitude.imag,
             }
-            if angle:
+            if fits:
+                data[item.signal]["harmonics"] = recorded.harmonics_data(fits[item.signal])
+            elif angle:
                 fit = harmonics(result, item.signal, angle=angle, window=span)
                 data[item.signal]["harmonics"] = {
                     "orders": fit.orders, "real": fit.values.real, "imag": fit.values.imag, "residual": fit.residual
                 }  # fmt: skip
         common.echo_json({"window": span, "running_hz": running, "signals": data})
+    elif fits:
+        click.echo("\n\n".join(recorded.harmonics_text(item, threshold) for item in fits.values()))
     else:
-        click.echo("\n\n".join(_lines(item, running, threshold) for item in found))
+        click.echo("\n\n".join(spectrum_text(item, running, threshold) for item in found))
 
 
-def _lines(found: FullSpectrum, running: float | None, threshold: float) -> str:
+def _fits(
+    result: Result, names: list[str], method: str, span: tuple[float, float] | None, angle: str | None
+) -> dict[str, TwoAxis]:
+    """Return the harmonics of the signals by method."""
+    from rotorsim.recordings.two_axis import two_axis_harmonics
+
+    if angle is None:
+        raise RotorsimError(Problem(what="--harmonics needs the shaft angle", hint="record clock.theta"))
+    return {name: two_axis_harmonics(result, name, method, window=span, angle=angle) for name in names}
+
+
+def spectrum_text(found: FullSpectrum, running: float | None, threshold: float) -> str:
     """Return the lines of a spectrum: what exceeds both neighbours and the threshold."""
     import numpy as np
 
@@ -112,13 +153,19 @@ def _running(result: Result, angle: str | None, span: tuple[float, float] | None
     return turns / (stop - start) if turns > 0 and stop > start else None
 
 
-def _span(window: str | None) -> tuple[float, float] | None:
-    if window is None:
-        return None
+def window_of(window: str) -> tuple[float, float]:
+    """Return the ends [s] of a text such as ``"4 s:5 s"``."""
     parts = [common.quantity(part.strip(), "s", "--window") for part in window.split(":")]
     if len(parts) != 2 or parts[1] <= parts[0]:
         raise RotorsimError(Problem(what=f"--window {window}: not START:STOP", hint="for example --window '4 s:5 s'"))
     return parts[0], parts[1]
+
+
+def _is_huge(result: Result) -> bool:
+    """Return whether values are beyond what a machine can do; a CSV of another program has no status."""
+    import numpy as np
+
+    return any(bool((np.abs(values) > HUGE).any()) for values in result.signals.values())
 
 
 def _result(
@@ -131,6 +178,10 @@ def _result(
         if settings or without:
             raise RotorsimError(Problem(what="--set and --without need a diagram, not a saved result", subject=source))
         result = load_result(source)
+        if result.status == "diverged" or _is_huge(result):
+            hint = "what was computed until then has no spectrum; 'rotorsim modes' shows which modes grow"
+            what = result.message if result.status == "diverged" else "this run diverged: its values are beyond 1e100"
+            raise RotorsimError(Problem(what, place=Place(source), hint=hint), exit_code=1)
         angles = [name for name in result.signals if name.endswith(".theta")]
         return result, "clock.theta" if "clock.theta" in angles else angles[0] if len(angles) == 1 else None
     loaded = common.open_diagram(source, settings, without, trust_blocks)

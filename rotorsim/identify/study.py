@@ -30,7 +30,9 @@ from rotorsim.identify.study_runs import NOISES, Bench
 from rotorsim.identify.thesis_tables import TABLES, PublishedTable
 from rotorsim.jobs import Failure, run_jobs
 
-__all__ = ["Case", "Study", "StudyResult", "StudyRow", "run_study", "study_data", "study_of_table", "write_study"]
+__all__ = [
+    "Case", "Study", "StudyResult", "StudyRow", "run_study", "study_data", "study_of_table", "study_rows", "write_rows",
+]  # fmt: skip
 
 CHUNK = 20  # estimates handed over at a time
 
@@ -106,7 +108,12 @@ class Study:
                 if not 0 <= level < 1
             ]
         if any(self.bias) and not self.groups:
-            problems.append(Problem("nothing says which known parameters are wrong", hint="--bias rotor.mass"))
+            problems.append(
+                Problem(
+                    "nothing says which known parameters are wrong",
+                    hint="for example --wrong rotor.mass,unbalance.mass",
+                )
+            )
         if not self.speeds or not all(abs(speed) > 0 for speed in self.speeds):
             problems.append(
                 Problem("a study needs speeds that are not zero", hint='--speeds "1140 rpm:60 rpm:1620 rpm"')
@@ -129,7 +136,7 @@ class Study:
     def text(self) -> str:
         """All that decides the estimate of one seed, as JSON."""
         left_out = ("seeds", "noise", "bias", "kinds", "table")
-        return json.dumps({k: v for k, v in vars(self).items() if k not in left_out}, sort_keys=True, default=str)
+        return json.dumps({k: v for k, v in vars(self).items() if k not in left_out}, default=str)
 
     def load(self) -> Diagram:
         """Return the diagram."""
@@ -205,7 +212,7 @@ def study_of_table(number: str, **changes: Any) -> Study:
         raise RotorsimError(Problem(f"no table '{number}'", hint=f"one of {', '.join(TABLES)}"))
     table = TABLES[number]
     levels = (0.0, 0.01, 0.02, 0.05)
-    varied: dict[str, Any] = {"noise": levels, "kinds": ("thesis", "white")}
+    varied: dict[str, Any] = {"noise": levels, "kinds": ("thesis", "uniform", "white")}
     if table.kind == "bias":
         varied = {"bias": levels, "groups": table.groups}
     fields = {
@@ -306,30 +313,33 @@ def _rows(
 
 def study_data(found: StudyResult) -> dict[str, Any]:
     """Return the result of a study as plain data."""
-    study = found.study
-    said = {name: value for name, value in vars(study).items() if name != "diagram"}
-    rows = [{**_flat(row), "case": str(row.case)} for row in found.rows]
-    return {"diagram": study.diagram.get("name"), "study": said, "rows": rows, "failed": list(found.failed)}
+    said = {name: value for name, value in vars(found.study).items() if name != "diagram"}
+    name = found.study.diagram.get("name")
+    return {"diagram": name, "study": said, "rows": study_rows(found), "failed": list(found.failed)}
 
 
-def _flat(row: StudyRow) -> dict[str, Any]:
-    return {
-        "parameter": row.parameter, "unit": row.unit, "true": row.true, "kind": row.case.kind, "noise": row.case.noise,
-        "bias": row.case.bias, "mean_error": row.mean_error, "mean_error_percent": row.mean_percent,
-        "rms_error": row.rms_error, "rms_error_percent": row.rms_percent, "thesis_error_percent": row.published,
-        "coverage90": row.coverage, "identified": row.identified, "seeds": row.seeds,
-    }  # fmt: skip
+def study_rows(found: StudyResult) -> list[dict[str, Any]]:
+    """Return the rows of a study as plain data, for a table."""
+    return [
+        {
+            "parameter": row.parameter, "unit": row.unit, "true": row.true, "kind": row.case.kind,
+            "noise": row.case.noise, "bias": row.case.bias, "mean_error": row.mean_error,
+            "mean_error_percent": row.mean_percent, "rms_error": row.rms_error, "rms_error_percent": row.rms_percent,
+            "thesis_error_percent": row.published, "coverage90": row.coverage, "identified": row.identified,
+            "seeds": row.seeds,
+        }
+        for row in found.rows
+    ]  # fmt: skip
 
 
-def write_study(found: StudyResult, file: str | Path) -> None:
-    """Write the rows of a study as .csv, or all of it as .json."""
+def write_rows(rows: Sequence[Mapping[str, Any]], data: Any, file: str | Path) -> None:
+    """Write rows as .csv, or all the data as .json."""
     file = Path(file)
     if file.suffix.lower() == ".json":
-        write_atomically(file, json.dumps(study_data(found), indent=2, default=str) + "\n")
+        write_atomically(file, json.dumps(data, indent=2, allow_nan=False) + "\n")
         return
-    rows = [_flat(row) for row in found.rows]
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     write_atomically(file, text.getvalue())
@@ -337,4 +347,4 @@ def write_study(found: StudyResult, file: str | Path) -> None:
 
 def with_document(study: Study, document: Mapping[str, Any], **changes: Any) -> Study:
     """Return a study of another diagram, whose figures the thesis does not print."""
-    return replace(study, diagram=document, **{"table": "", **changes})
+    return replace(study, diagram=document, table="", **changes)

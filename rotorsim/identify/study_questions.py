@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,18 @@ from rotorsim.diagram.registry import Registry
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.identify.files import with_values
 from rotorsim.identify.profile import Z90
-from rotorsim.identify.study import Case, Study, StudyResult, run_study, with_document
+from rotorsim.identify.study import Case, Study, StudyResult, run_study, study_rows, with_document
 from rotorsim.simulate.design import design_state_feedback
 
-__all__ = ["POWER", "Comparison", "Smallest", "compare_controllers", "smallest_size"]
+__all__ = [
+    "POWER",
+    "Comparison",
+    "Smallest",
+    "compare_controllers",
+    "comparison_rows",
+    "smallest_rows",
+    "smallest_size",
+]
 
 POWER = 0.9  # share of seeds in which the interval is to exclude zero
 STEP, STEPS = 1.1, 8  # of the search upwards
@@ -102,6 +110,18 @@ def smallest_size(
     return found
 
 
+def smallest_rows(sizes: Sequence[Smallest]) -> list[dict[str, Any]]:
+    """Return smallest sizes as plain data, for a table."""
+    return [
+        {
+            "parameter": size.parameter, "unit": size.unit, "kind": size.case.kind, "noise": size.case.noise,
+            "std_at_zero": size.std, "expected": size.expected, "size": size.size, "share": size.share,
+            "seeds": size.seeds, "taken_as_known": " ".join(size.left_out),
+        }
+        for size in sizes
+    ]  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """The same study with each controller; left_out: controller -> why."""
@@ -113,21 +133,17 @@ class Comparison:
 def compare_controllers(study: Study, progress: Progress = None, **jobs: Any) -> Comparison:
     """Return the study with each controller of the library in the place of the diagram's own.
 
-    Left out by name: controllers that do not levitate the rotor at all speeds, and those that need matrices of
-    their own. A sampled controller is no part of the harmonics: with the likelihood, its current is taken as measured.
+    Left out by name: controllers that do not levitate the rotor at all speeds, those that need matrices of their
+    own, and sampled ones (a current that is held between samples, recorded at the samples, is half a sample late).
     """
     diagram = study.load()
     block = next((name for name, node in diagram.nodes.items() if node.block.category == "controller"), None)
     if block is None:
         raise RotorsimError(Problem("no controller to compare", diagram.name))
-    registry = Registry()
-    types = [t for t in fitting_types(diagram.document, block, registry) if _is_controller(registry, t)]
+    types = [kind for kind in fitting_types(diagram.document, block) if _is_controller(kind)]
     results: dict[str, StudyResult] = {}
     left_out: dict[str, str] = {}
     for number, kind in enumerate(types):
-        if kind == BARE and diagram.nodes[block].block.type_name != BARE:
-            left_out[kind] = f"has no matrices of its own; with those of {DESIGNED} it is that controller"
-            continue
 
         def show(part: float, done: int = number) -> None:
             if progress:
@@ -135,50 +151,49 @@ def compare_controllers(study: Study, progress: Progress = None, **jobs: Any) ->
 
         try:
             changed = _swapped(study, diagram, block, kind)
-            why = _drops(changed)
-            if why:
-                left_out[kind] = why
-                continue
+            _refuse_fall(changed)
             results[kind] = run_study(changed, progress=show, **jobs)
         except RotorsimError as error:
             left_out[kind] = error.problems[0].what
     return Comparison(results, left_out)
 
 
-def _is_controller(registry: Registry, kind: str) -> bool:
-    found = registry.find(kind)
+def comparison_rows(compared: Comparison) -> list[dict[str, Any]]:
+    """Return the rows of all controllers as plain data, for a table."""
+    return [{"controller": name, **row} for name, found in compared.results.items() for row in study_rows(found)]
+
+
+def _is_controller(kind: str) -> bool:
+    found = Registry().find(kind)
     return found is not None and found.category == "controller"
 
 
 def _swapped(study: Study, diagram: Diagram, block: str, kind: str) -> Study:
-    """Return the study with another controller; gains that it does not have are refused by the loader."""
+    """Return the study with another controller, without the gains that it does not have."""
+    own = diagram.nodes[block].block.type_name
     parameters: dict[str, Any] = {}
-    if diagram.nodes[block].block.type_name == kind:
-        return study
-    if kind == DESIGNED:
+    if kind == BARE and own != BARE:
+        raise RotorsimError(Problem(f"has no matrices of its own; with those of {DESIGNED} it is that controller"))
+    if kind == DESIGNED and own != DESIGNED:
         designed = design_state_feedback(diagram, block)
         parameters = {name: matrix.tolist() for name, matrix in designed.items()}
-    document = swap(diagram.document, block, kind, parameters)
+    document = diagram.document if kind == own else swap(diagram.document, block, kind, parameters)
     changed = load(document, without=study.without, folder=study.folder)
-    sampled = bool(changed.nodes[block].block.sample_time)
-    given = tuple(f"{block}.{port}" for port in changed.nodes[block].outputs) if sampled else study.given
-    own = [{k: v for k, v in gains.items() if not _is_missing(k, block, changed)} for gains in study.gains]
-    kept = tuple(dict(pairs) for pairs in dict.fromkeys(tuple(gains.items()) for gains in own))
-    used = [name for name in given if any(f"{end.block}.{end.port}" == name for end in changed.record)]
-    return with_document(study, document, gains=kept, given=tuple(used), table=study.table)
+    if changed.nodes[block].block.sample_time:
+        raise RotorsimError(Problem("is sampled: its held current, recorded at the samples, is half a sample late"))
+    known = {f"{block}.{name}" for name in changed.nodes[block].values}
+    kept = [
+        {name: value for name, value in gains.items() if name.rpartition(".")[0] != block or name in known}
+        for gains in study.gains
+    ]
+    unique = tuple(dict(pairs) for pairs in dict.fromkeys(tuple(gains.items()) for gains in kept))
+    return with_document(study, document, gains=unique)
 
 
-def _is_missing(name: str, block: str, diagram: Diagram) -> bool:
-    owner, _, key = name.rpartition(".")
-    return owner == block and key not in diagram.nodes[block].values
-
-
-def _drops(study: Study) -> str:
-    """Return why a controller does not levitate the rotor, '' if it does."""
-    try:
-        bench = replace(study, method="regression").bench()
-    except RotorsimError as error:
-        return f"does not levitate: {error.problems[0].what}"
+def _refuse_fall(study: Study) -> None:
+    """Raise RotorsimError where a controller does not levitate the rotor."""
+    bench = study.bench()
     places = [k for k, unit in enumerate(bench.units.values()) if unit == "m"]
     largest = max(float(np.abs(item.values[:, places]).max(initial=0.0)) for item in bench.clean)
-    return "" if largest < TOUCH_DOWN else f"does not levitate: the rotor moves {largest * 1e3:.3g} mm"
+    if not largest < TOUCH_DOWN:
+        raise RotorsimError(Problem(f"does not levitate: the rotor moves {largest * 1e3:.3g} mm"))

@@ -33,7 +33,7 @@ from rotorsim.simulate.run import simulate
 
 __all__ = ["NOISES", "Bench", "Clean", "clean_runs"]
 
-NOISES = ("white", "thesis")
+NOISES = ("white", "thesis", "uniform")
 RATE = 1e4  # Hz, of the recordings; the thesis' step of 0.1 ms
 ANGLE = "clock.theta"
 NOT_EXPLAINED = 1e-3  # as in `identify`
@@ -211,14 +211,14 @@ class Bench:
         """Return the harmonics of the runs with noise.
 
         white: Gaussian, of ``level`` times the rms of each channel about its mean. thesis: eq. (2.67),
-        r (1 + (R - 0.5) level), R ~ N(0, 1) for every sample and channel.
+        r (1 + (R - 0.5) level), with R ~ N(0, 1) for every sample and channel, as the text says. uniform: the same with
+        R uniform from 0 to 1, as the printed figures look: they are not 0.5 ``level`` too small.
         """
         found = []
         for item in self.clean:
             values = item.values
             if level:
-                draw = random.standard_normal(values.shape)
-                values = values + draw * (level * item.rms) if kind == "white" else values * (1 + (draw - 0.5) * level)
+                values = _noisy(kind, values, level, item.rms, random)
             if self.method == "regression" and not item.fit.lines:  # it needs no covariance: a tenth of the work
                 fit = replace(item.fit, values=complex_values((item.projector @ values).ravel(), len(self.names)))
                 found.append(RunHarmonics(item.run, item.angle, fit))
@@ -321,6 +321,14 @@ class Bench:
         from rotorsim.identify.functions import slots_of
 
         return [(item, slot) for item in self.free for slot in slots_of(self.opened.experiment.model, item)]
+
+
+def _noisy(kind: str, r: np.ndarray, level: float, rms: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Return samples (n, C) with noise of a kind."""
+    if kind == "white":
+        return np.asarray(r + random.standard_normal(r.shape) * (level * rms))
+    draw = random.standard_normal(r.shape) if kind == "thesis" else random.random(r.shape)
+    return np.asarray(r * (1 + (draw - 0.5) * level))
 
 
 def _free(diagram: Diagram, names: Sequence[str]) -> tuple[Free, ...]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -11,13 +11,13 @@ from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.recordings.shaft_angle import ShaftAngle, shaft_angle
 from rotorsim.simulate.result import Result
-from rotorsim.units import conversion
+from rotorsim.units import conversion, parse_unit
 
 __all__ = ["as_result", "has_angle"]
 
 LARGEST = 4e9  # bytes of a stacked signal
 _EVEN = 1e-2  # of a step: rounding of a time column
-_SI = {"um": "m", "mm": "m", "mA": "A", "deg": "rad", "rev": "rad", "rpm": "rad/s"}
+_SI = ("m", "m/s", "m/s^2", "A", "V", "N", "rad", "rad/s", "1")
 
 
 def has_angle(recording: Recording, run: Run) -> bool:
@@ -81,7 +81,8 @@ def _stacked(base: str, parts: Mapping[tuple[int, ...], Channel], run: Run) -> n
         raise RotorsimError(Problem(what, base, run.place, "number the nodes from 1 without large gaps"))
     stacked = np.full((len(run.time), *shape), np.nan)
     for index, channel in parts.items():
-        stacked[(slice(None), *index)] = run.values[channel.column]
+        place: Any = (slice(None), *index)
+        stacked[place] = run.values[channel.column]
     return stacked
 
 
@@ -89,7 +90,8 @@ def _si(unit: str) -> str:
     """Return the name of the SI unit in which values stated in ``unit`` are kept."""
     if conversion(unit, None) == 1.0:
         return unit
-    return _SI.get(unit) or re.sub(r"\b[munk](?=[AVNm]\b)", "", unit)
+    dimension = parse_unit(unit).dimension
+    return next((name for name in _SI if parse_unit(name).dimension == dimension), parse_unit(unit).si)
 
 
 def _even(time: np.ndarray) -> np.ndarray:

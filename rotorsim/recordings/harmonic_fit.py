@@ -21,6 +21,7 @@ __all__ = ["Basis", "HarmonicFit", "fit_harmonics", "harmonic_basis"]
 TURN = 2 * np.pi
 MOST_ORDERS = 16
 DRIFT = 2  # degree of the drift of the mean
+NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something beside a harmonic is not told from it
 ROUNDING = 1e-10  # of a signal's rms: what numbers of seven to sixteen digits and the fit itself leave over
 
 
@@ -186,9 +187,10 @@ def fit_harmonics(
     speed = float((theta[-1] - theta[0]) / (time[-1] - time[0]))
     coefficients, left = basis.solve(y)
     rms = np.sqrt(np.mean((y - y.mean(axis=0)) ** 2, axis=0))
-    lines = find_lines(time, left, speed, K, ROUNDING * (rms + np.abs(y.mean(axis=0))))
+    reach = NEAR_JITTER if angle_std > 0 else NEAR  # an error of the speed spreads a harmonic to its sides
+    lines = find_lines(time, left, speed, K, ROUNDING * (rms + np.abs(y.mean(axis=0))), reach)
     if lines:
-        columns = [basis.columns, *(_line_columns(time, line) for line in lines if line.apart)]
+        columns = [basis.columns, *(_line_columns(time, line) for line in lines)]
         basis = Basis(run, np.column_stack(columns), K, drift, turns)
         coefficients, left = basis.solve(y)
     m = 2 * K + 1
@@ -216,14 +218,19 @@ def fit_harmonics(
 
 
 def _check(run: str, names: Sequence[str], y: np.ndarray, theta: np.ndarray) -> None:
+    if len(theta) < 4:
+        raise RotorsimError(
+            Problem(f"only {len(theta)} samples", f"run {run}", hint="harmonics need a turn of the shaft")
+        )
     problems = []
     for k, name in enumerate(names):
         bad = np.flatnonzero(~np.isfinite(y[:, k]))
         if len(bad):
-            what = f"{len(bad)} samples are not finite, first at sample {bad[0] + 1}"
+            count = "1 sample is" if len(bad) == 1 else f"{len(bad)} samples are"
+            what = f"{count} not finite, first at sample {bad[0] + 1}"
             problems.append(Problem(what, f"run {run}: {name}"))
     turned = abs(float(theta[-1] - theta[0])) / TURN if len(theta) > 1 else 0.0
-    if not turned >= 1 - 1e-6 * max(turned, 1) - 2 / max(len(theta), 1):
+    if not turned >= 1 - 1e-6 * max(turned, 1) - 2 / len(theta):
         what = f"only {turned:.3g} turns of the shaft were recorded"
         problems.append(Problem(what, f"run {run}", hint="harmonics need at least one turn"))
     if problems:

@@ -21,15 +21,11 @@ SMOOTHING = 12  # lines on each side over which a coloured spectrum is averaged,
 
 @dataclass(frozen=True)
 class Line:
-    """A spectral line beside the fitted harmonics: frequency [Hz], in orders of the speed, amplitude (C,) 0-peak.
-
-    apart: it is far enough from the multiples of the speed to be fitted along with them.
-    """
+    """A spectral line beside the fitted harmonics: frequency [Hz], in orders of the speed, amplitude (C,) 0-peak."""
 
     frequency: float
     order: float
     amplitude: tuple[float, ...]
-    apart: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +44,13 @@ class Noise:
         return np.asarray(self.spectrum[0 if self.white else k])
 
 
-def find_lines(time: np.ndarray, left: np.ndarray, speed: float, K: int, floor: np.ndarray) -> list[Line]:
-    """Return the lines that stand out of the residual (n, C) of a harmonic fit, largest first.
+def find_lines(
+    time: np.ndarray, left: np.ndarray, speed: float, K: int, floor: np.ndarray, near: float = 1.5
+) -> list[Line]:  # fmt: skip
+    """Return the lines that stand out of the residual (n, C) of a harmonic fit, largest first (of the residual's rms).
 
-    Noise alone shows one in a thousand runs. floor: (C,) amplitudes below which nothing counts.
+    Noise alone shows one in a thousand runs. floor: (C,) amplitudes below which nothing counts. near: so many lines of
+    the spectrum beside a fitted harmonic belong to it and are not reported.
     """
     n = len(left)
     if n < 64:
@@ -69,7 +68,8 @@ def find_lines(time: np.ndarray, left: np.ndarray, speed: float, K: int, floor: 
     lines: list[Line] = []
     running = abs(speed) / TURN
     resolution = 1 / (n * step)
-    while len(lines) < MOST_LINES:
+    skipped = 0
+    while len(lines) + skipped < MOST_LINES:
         at, channel = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
         if ratio[at, channel] <= threshold:
             break
@@ -78,11 +78,14 @@ def find_lines(time: np.ndarray, left: np.ndarray, speed: float, K: int, floor: 
         amplitude = 2 * np.abs(columns @ left) / n
         order = frequency / running if running else np.inf
         nearest = round(order)
-        apart = nearest > K or abs(order - nearest) * running > 1.5 * resolution
-        lines.append(Line(float(frequency), float(order), tuple(float(a) for a in amplitude), bool(apart)))
+        if nearest > K or abs(order - nearest) * running > near * resolution:
+            lines.append(Line(float(frequency), float(order), tuple(float(a) for a in amplitude)))
+        else:
+            skipped += 1
         reach = 4 if ratio[at, channel] < 1e4 else 40  # skirts of a strong line
         ratio[max(0, at - reach) : at + reach + 1] = 0.0
-    return lines
+    rms = np.maximum(np.sqrt(np.mean(left**2, axis=0)), np.maximum(floor, 1e-300))
+    return sorted(lines, key=lambda line: -float((np.array(line.amplitude) / rms).max()))
 
 
 def _beside(power: np.ndarray) -> np.ndarray:
@@ -119,6 +122,31 @@ def _is_white(power: np.ndarray) -> bool:
     return bool((statistic < chi2.isf(NOT_WHITE / power.shape[1], BANDS - 1)).all())
 
 
+def _is_together(transform: np.ndarray) -> bool:
+    """Return whether channels that are white are so together: the same cross-spectrum in all bands.
+
+    Noise that comes later in one channel, as behind a sampled controller, has a phase that turns with frequency.
+    """
+    C = transform.shape[1]
+    size = np.sqrt(np.mean(np.abs(transform) ** 2, axis=0))
+    used = np.flatnonzero(size > 0)
+    starts = np.linspace(0, len(transform), BANDS, endpoint=False).astype(int)
+    counts = np.diff(np.append(starts, len(transform)))
+    if len(used) < 2 or counts[0] < 4:
+        return True
+    scaled = transform[:, used] / size[used]
+    covariance = (scaled.T @ scaled.conj()).real / len(scaled)
+    values, vectors = np.linalg.eigh(covariance)
+    if values[0] < 1e-9:  # two channels carry the same noise: nothing is left to be tested
+        return True
+    independent = scaled @ (vectors / np.sqrt(values))
+    pairs = np.triu_indices(len(used), 1)
+    products = independent[:, pairs[0]] * independent[:, pairs[1]].conj()
+    bands = np.add.reduceat(products, starts, axis=0) / counts[:, None]
+    statistic = 2 * (counts[:, None] * np.abs(bands) ** 2).sum(axis=0)
+    return bool((statistic < chi2.isf(NOT_WHITE / (C * C), 2 * BANDS)).all())
+
+
 def noise_of(
     left: np.ndarray, time: np.ndarray, speed: float, K: int, freedom: int, floor: np.ndarray, lines: Sequence[Line]
 ) -> Noise:
@@ -131,7 +159,7 @@ def noise_of(
     at_least = np.diag(floor**2)
     transform = np.fft.rfft(left, axis=0) / np.sqrt(n)
     inner = transform[1:-1]
-    if len(inner) < 8 or _is_white(np.abs(inner) ** 2):
+    if len(inner) < 8 or (_is_white(np.abs(inner) ** 2) and _is_together(inner)):
         return Noise((left.T @ left / max(freedom, 1) + at_least)[None], True, float(max(freedom, 1)))
     step = (time[-1] - time[0]) / (n - 1)
     resolution = 1 / (n * step)

@@ -14,6 +14,7 @@ __all__ = ["ShaftAngle", "at_equal_angles", "pulse_times", "shaft_angle"]
 
 TURN = 2 * np.pi
 MOST_COEFFICIENTS = 8  # of the polynomial through the pulses
+WANDERS = 1e-3  # rad left over by it, correlated from pulse to pulse: then every pulse is followed
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +92,7 @@ def _from_pulses(run: Run, pulses: np.ndarray) -> ShaftAngle:
     centre, half = (pulses[-1] + pulses[0]) / 2, (pulses[-1] - pulses[0]) / 2
     u = (pulses - centre) / half
     sign = -1.0 if run.speed is not None and run.speed < 0 else 1.0
-    best: tuple[float, np.ndarray, float] | None = None
+    best: tuple[float, np.ndarray, float, np.ndarray] | None = None
     inside = (run.time - centre) / half
     for count in range(2, min(MOST_COEFFICIENTS, max(2, len(pulses) // 3)) + 1):
         fit = np.polynomial.Chebyshev.fit(u, turns, count - 1, domain=[-1, 1])
@@ -100,12 +101,14 @@ def _from_pulses(run: Run, pulses: np.ndarray) -> ShaftAngle:
         criterion = len(pulses) * np.log(variance) + count * np.log(len(pulses))
         if best is None or criterion < best[0] - 1e-9:
             freedom = max(len(pulses) - count, 1)
-            best = (criterion, fit(inside), float(np.sqrt(left @ left / freedom)))
+            best = (criterion, fit(inside), float(np.sqrt(left @ left / freedom)), left)
     assert best is not None
     theta, jitter = best[1], best[2]
-    if jitter > 0.02 * TURN:  # the speed wanders in a way that no low polynomial follows: trust every pulse
-        spline = CubicSpline(u, turns, bc_type="natural")
-        theta, jitter = spline(inside), 0.0
+    left = best[3]
+    follows = float(left[1:] @ left[:-1]) > 2 / np.sqrt(len(left)) * float(left @ left)
+    if follows and len(left) > 8 and jitter > WANDERS:  # the speed wanders in a way that no low polynomial follows: trust every pulse
+        theta = CubicSpline(u, turns, bc_type="natural")(inside)
+        jitter = float(np.sqrt(np.mean(np.diff(left, 2) ** 2) / 6))
     theta = sign * theta
     span = run.time[-1] - run.time[0]
     rate = np.gradient(theta, run.time) if len(theta) > 2 else np.zeros(len(theta))
