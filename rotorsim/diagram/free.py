@@ -98,7 +98,7 @@ class _Reader:
         self, base: str, index: tuple[int, ...], found: _Found, given: Mapping[str, Any], path: JsonPath
     ) -> Free | None:
         value = float(found.value[index])
-        low = max((bound for d in found.declared for bound in (d.low, d.above) if bound is not None), default=-math.inf)
+        low = max((bound for d in found.declared if (bound := _lowest(d, value)) is not None), default=-math.inf)
         high = min((d.high for d in found.declared if d.high is not None), default=math.inf)
         before = len(self.problems)
         low = self.number(given, "low", found.unit, path, low)
@@ -150,6 +150,13 @@ class _Reader:
         if not std > 0 and not math.isnan(std):
             self.error("the standard deviation must be positive", (*path, "std"))
         return mean, std
+
+
+def _lowest(declared: _Param, value: float) -> float | None:
+    """Return the closed lower bound; an open one is left by a thousandth of the way to the value."""
+    if declared.above is not None:
+        return declared.above + 1e-3 * max(value - declared.above, 0.0)
+    return declared.low
 
 
 def free_parameters(

@@ -20,7 +20,9 @@ __all__ = ["Estimate", "Search", "estimate"]
 TURN = 2 * np.pi
 STARTS = 12  # values over a turn of an angle that enters in several harmonics
 CLOSE = 1e-10
+EQUAL = 1e-6  # relative difference of two solutions that the data cannot tell apart
 AT_BOUND = 1e-6
+NOTHING = 1e-11  # of the largest slope: rounding
 SINGULAR = 1e-13  # smallest eigenvalue of the information, of the largest, that counts
 
 
@@ -156,7 +158,7 @@ class Search:
         J = self.slopes(q)[:, others]
         r = self.residual(q)
         norm = np.linalg.norm(J, axis=0)
-        norm[norm == 0] = 1.0
+        norm[norm <= NOTHING * norm.max(initial=0.0)] = np.inf
         scaled = J / norm
         values, vectors = np.linalg.eigh(scaled.T @ scaled)
         good = values > 1e-9 * values[-1]
@@ -165,12 +167,20 @@ class Search:
         moved = q.copy()
         moved[others] += step
         low, high = self.coordinates.bounds
-        return float(promised @ promised), np.clip(moved, low, high)
+        return float(promised @ promised) * self.preference(moved), np.clip(moved, low, high)
+
+    def preference(self, q: np.ndarray) -> float:
+        """Return 1 for physical values, a little more for others: of two equal solutions the physical one is taken."""
+        theta = self.coordinates.outside(q)
+        outside = any(not item.low <= value <= item.high for item, value in zip(self.free, theta, strict=True))
+        return 1 + EQUAL if outside else 1.0
 
     def minimise(self, q: np.ndarray, held: tuple[int, ...] = ()) -> np.ndarray:
         """Return q of least residual from a start, within bounds, some entries held."""
         low, high = self.coordinates.bounds
-        moving = [j for j in range(len(q)) if j not in held]
+        size = np.linalg.norm(self.slopes(q), axis=0)
+        idle = size <= NOTHING * size.max(initial=0.0)  # nothing depends on it: it stays where it is
+        moving = [j for j in range(len(q)) if j not in held and not idle[j]]
         if not moving:
             return q
 
@@ -202,7 +212,7 @@ def estimate(search: Search, start: np.ndarray | None = None, *, tries: int = 3)
     least = np.inf
     for q in starts:
         found = search.minimise(q)
-        cost = float(search.residual(found) @ search.residual(found))
+        cost = float(search.residual(found) @ search.residual(found)) * search.preference(found)
         if cost < least * (1 - 1e-9):
             best, least = found, cost
         if search.likelihood.absolute and search.evaluation(found).misfit.sum() < 1.2 * search.evaluation(found).rows:

@@ -99,7 +99,8 @@ def open_experiment(
         missing = [name for name in linear.flat_names(model, port) if name not in taken]
         if missing:
             problems.append(Problem(f"not all of it was measured: {', '.join(missing)} is missing", port))
-    predicted = [name for name in names if name not in taken and name not in drop]
+    still = _still(model, names, recording, chosen)
+    predicted = [name for name in names if name not in taken and name not in drop and name not in still]
     if problems:
         raise RotorsimError(*problems)
     if not predicted:
@@ -144,6 +145,19 @@ def _names(model: Model, recording: Recording, problems: list[Problem]) -> list[
             problems.append(Problem(f"'{name}' is measured by two channels", subject, hint="leave one of them out"))
         else:
             found.append(name)
+    return found
+
+
+def _still(model: Model, names: Sequence[str], recording: Recording, runs: Sequence[Run]) -> list[str]:
+    """Return the entries that cannot move (a pinned node) and were measured as zero: they say nothing."""
+    columns = {channel.name: column for column, channel in recording.channels.items()}
+    found = []
+    for name in names:
+        expression = model.expression(name)
+        if expression.is_constant() and float(expression) == 0.0:
+            measured = [run.values[columns[name]] for run in runs if columns[name] in run.values]
+            if not any(values.any() for values in measured):
+                found.append(name)
     return found
 
 

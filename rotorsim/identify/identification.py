@@ -17,6 +17,7 @@ from rotorsim.identify.experiment import open_experiment
 from rotorsim.identify.likelihood import Likelihood
 from rotorsim.identify.profile import Z90, joint_factor, profile_intervals
 from rotorsim.identify.regression import THESIS_ORDERS, Regression, open_regression
+from rotorsim.identify.scatter import scatter_of, with_covariance
 from rotorsim.identify.verdict import PRECISION, Verdict, judge
 from rotorsim.recordings.checks import check_signals
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
@@ -27,7 +28,6 @@ __all__ = ["METHODS", "Identification", "Identified", "identify"]
 
 METHODS = ("likelihood", "regression")
 NOT_EXPLAINED = 1e-3  # probability of the misfit below which the model is said not to explain the data
-DRAWS = 40  # of the noise, for the bias and scatter of the regression
 
 
 @dataclass(frozen=True)
@@ -131,9 +131,10 @@ def identify(
         widen = 1.0 if adequate else float(np.sqrt(result.excess))
         covariance = result.covariance * widen**2
         if isinstance(opened, Regression):
-            covariance, bias = _scatter(opened, search, result)
-            result = _with_covariance(result, covariance)
-            intervals = _about(result, np.sqrt(np.diag(covariance)), bias)
+            scatter = scatter_of(opened, search, result)
+            covariance, adequate = scatter.covariance, scatter.adequate
+            result = with_covariance(result, covariance)
+            intervals = _about(result, np.sqrt(np.diag(covariance)), scatter.bias)
         elif profile:
             intervals = profile_intervals(search, result, widen)
         else:
@@ -197,58 +198,6 @@ def _about(result: Estimate, std: np.ndarray, bias: np.ndarray) -> np.ndarray:
     return np.column_stack([low, high])
 
 
-def _scatter(regression: Regression, search: Search, result: Estimate) -> tuple[np.ndarray, np.ndarray]:
-    """Return covariance (m, m) and bias (m,) of the regression under the noise of the recording.
-
-    Noise drawn with the covariance of the harmonics is added to the measured ones and the regression repeated (one
-    Gauss-Newton step): noise in its columns biases it as much again.
-    """
-    random = np.random.default_rng(0)
-    measured = regression.data
-    roots = [_root(regression, r) for r in range(len(measured))]
-    q = search.coordinates.inside(result.theta)
-    estimates = np.empty((DRAWS, len(q)))
-    slopes = search.coordinates.slopes(result.theta)
-    for k in range(DRAWS):
-        shape = measured.shape[1:]
-        noise = [root @ random.standard_normal(root.shape[1]) for root in roots]
-        regression.data = measured + np.array([_complex(vector, shape) for vector in noise])
-        found = regression.evaluate(result.theta)
-        J = found.slopes @ slopes
-        step = np.linalg.lstsq(J, -found.residual, rcond=None)[0]
-        estimates[k] = result.theta + slopes @ step
-    regression.data = measured
-    bias = estimates.mean(axis=0) - result.theta
-    return np.cov(estimates.T).reshape(len(q), len(q)), bias
-
-
-def _root(regression: Regression, r: int) -> np.ndarray:
-    """Return a root of the covariance of the real harmonics (0..K) that the regression uses of one run."""
-    item, columns = regression.experiment.runs[r], regression.experiment.columns[r]
-    total = len(item.fit.names)
-    places = (np.arange(2 * regression.K + 1)[:, None] * total + columns).ravel()
-    covariance = item.fit.covariance[np.ix_(places, places)]
-    scale = np.sqrt(np.diag(covariance))
-    return np.asarray(scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale)))
-
-
-def _complex(vector: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    rows = vector.reshape(-1, shape[1])
-    return np.concatenate([rows[:1] + 0j, rows[1::2] + 1j * rows[2::2]])
-
-
-def _with_covariance(result: Estimate, covariance: np.ndarray) -> Estimate:
-    """Return an estimate whose information is the inverse of a covariance of theta."""
-    slopes = result.coordinates.slopes(result.theta)
-    changed = Estimate(
-        result.free, result.theta, result.coordinates, result.evaluation,
-        slopes.T @ np.linalg.pinv(covariance, hermitian=True) @ slopes,
-        np.zeros(len(result.theta), bool), result.misfit, result.freedom,
-    )  # fmt: skip
-    changed.__dict__["covariance"] = covariance
-    return changed
-
-
 def _scores(
     diagram: Diagram,
     recording: Recording,
@@ -301,7 +250,12 @@ def _statement(
         parts.append(f"Next experiment: {best.change}; it would determine {', '.join(best.solves)}.")
     elif len(sure) < len(parameters) and method == "likelihood":
         parts.append("No change of gains, speeds, length or excitation that was tried would determine them.")
-    if not adequate:
+    if not adequate and method == "regression":
+        parts.append(
+            "The model does not explain the data: the equations leave more over than noise can make; the intervals "
+            "mean nothing. `rotorsim diagnose` looks for what is missing."
+        )
+    elif not adequate:
         parts.append(
             f"The model does not explain the data: what is left over has {result.excess:.3g} times the variance of the "
             f"noise, so something is missing in it; the intervals are widened by {np.sqrt(result.excess):.2g}, and "

@@ -109,7 +109,7 @@ class Motion:
         A = found["A"][0]
         F, dF = self.equations.forcing(self.p, many, self.speeds, K)
         if self.phase.any():  # harmonics count from shaft angle zero, which the clock need not pass at t = 0
-            turn = np.exp(-1j * self.phase[:, None] * np.arange(K + 1))
+            turn = np.exp(-1j * (np.sign(self.speeds) * self.phase)[:, None] * np.arange(K + 1))
             F, dF = F * turn[:, :, None], dF * turn[:, :, None, None]
         if self.slow is None:
             self.slow = [slow_states(A[r], self.windows[r]) for r in range(R)]

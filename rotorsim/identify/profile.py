@@ -28,12 +28,14 @@ def profile_intervals(search: Search, found: Estimate, widen: float = 1.0) -> np
     intervals = np.empty((len(found.free), 2))
     best = polar.residual(polar.coordinates.inside(found.theta))
     least = float(best @ best)
+    whole = _unbounded(found)
     for j, item in enumerate(found.free):
-        std = float(np.sqrt(max(covariance[j, j], 0.0))) * widen
-        if not 0 < std < np.inf or found.at_bound[j]:
+        used = whole if found.at_bound[j] else covariance
+        std = float(np.sqrt(max(used[j, j], 0.0))) * widen
+        if not 0 < std < np.inf:
             intervals[j] = item.low, item.high
             continue
-        ridge = covariance[:, j] / covariance[j, j]
+        ridge = used[:, j] / used[j, j]
         for side, sign in enumerate((-1.0, 1.0)):
             end = _end(polar, found.theta, ridge, j, sign * Z90 * std, least, (Z90 * widen) ** 2)
             intervals[j, side] = float(np.clip(end, item.low, item.high))
@@ -50,6 +52,14 @@ def joint_factor(correlation: np.ndarray) -> float:
     root = vectors * np.sqrt(np.maximum(values, 0))
     draws = np.random.default_rng(0).standard_normal((20_000, m)) @ root.T
     return float(np.quantile(np.abs(draws).max(axis=1), 0.9) / Z90)
+
+
+def _unbounded(found: Estimate) -> np.ndarray:
+    """Return the covariance (m, m) of theta as it would be if no parameter were at its bound."""
+    if not found.at_bound.any():
+        return found.covariance
+    free = replace(found, at_bound=np.zeros(len(found.free), bool))
+    return free.covariance
 
 
 def _polar(search: Search) -> Search:

@@ -44,16 +44,24 @@ class Regression:
         reduction: str = "exact",
     ) -> None:  # fmt: skip
         self.experiment, self.reduction = experiment, reduction
-        self.K = min(experiment.motion.K, max(abs(k) for k in orders))
-        self.orders = [k for k in orders if abs(k) <= self.K]
+        self.orders = [k for k in orders if abs(k) <= experiment.motion.K]
+        if not self.orders:
+            hint = f"the runs carry orders up to {experiment.motion.K}"
+            raise RotorsimError(Problem("no order is left for the regression", experiment.recording.name, hint=hint))
+        self.K = max(abs(k) for k in self.orders)
         self.c, self.V = len(experiment.predicted), len(experiment.given)
         trace = experiment.model.trace
         self.force_entries = np.array([_entry(experiment.model, flat) for _, flat in forces])
         places = [flat for name in trace.external for flat in flat_names_of(experiment.model, name)]
-        self.given_entries = np.array([places.index(name) for name in experiment.given])
+        self.given_entries = np.array([places.index(name) for name in experiment.given], int)
         self.n_v = len(places)
         self.data = self._measured()
-        self.rows = _selection(experiment.predicted, self.orders, experiment.use_mean[: self.c])
+        # a mean that slow states have not let settle obeys no equation of balance
+        settled = not any(len(slow) for slow in experiment.motion.response(experiment.theta0, 0).slow)
+        use_mean = experiment.use_mean[: self.c] & experiment.use_mean[self.c :].all() & settled
+        self.rows = _selection(experiment.predicted, self.orders, use_mean)
+        if not len(self.rows[0]):
+            raise RotorsimError(Problem("no equation is left for the regression", experiment.recording.name))
         self._condensed = reduced(experiment, self.force_entries) if reduction == "central" else None
 
     def again(self, experiment: Experiment) -> Regression:

@@ -70,7 +70,10 @@ def judge(found: Estimate, intervals: np.ndarray, *, precision: float = PRECISIO
         value = float(found.theta[j])
         half = float(intervals[j, 1] - intervals[j, 0]) / 2
         width = relative_width(value, half, item.unit)
-        if found.at_bound[j]:
+        if not item.low <= value <= item.high:
+            text = f"{format_quantity(value, item.unit)} is outside its physical bounds: the data or the model are not"
+            verdicts.append(Verdict(False, text + " right for it"))
+        elif found.at_bound[j]:
             text = f"the search ended at its physical bound {format_quantity(value, item.unit)}"
             verdicts.append(Verdict(False, text + ": the data or the model are not right for it"))
         elif width <= precision:

@@ -16,6 +16,7 @@ MOST_LINES = 20
 GAP, NEIGHBOURS = 3, 24  # the level of the noise at a line: the mean of so many others, these next to it left out
 BANDS = 16
 NOT_WHITE = 1e-4  # probability below which noise is not called white
+MOST_LAGS = 8  # of an autoregression
 SMOOTHING = 12  # lines on each side over which a coloured spectrum is averaged, at least
 
 
@@ -122,6 +123,49 @@ def _is_white(power: np.ndarray) -> bool:
     return bool((statistic < chi2.isf(NOT_WHITE / power.shape[1], BANDS - 1)).all())
 
 
+def _autoregressive(left: np.ndarray, omega: np.ndarray, freedom: int) -> np.ndarray | None:
+    """Return the cross-spectrum (K+1, C, C) at angles per sample omega of an autoregression of the residual.
+
+    e_n = A_1 e_(n-1) + ... + A_p e_(n-p) + w_n by least squares, the order p up to 8 by the Bayesian information
+    criterion; None where w is not white or there are too few samples. Source: Lutkepohl, New Introduction to Multiple
+    Time Series Analysis (2005), ch. 3-4.
+    """
+    size = np.sqrt(np.mean(left**2, axis=0))
+    used = np.flatnonzero(size > 0)
+    n, C = len(left), len(used)
+    most = min(MOST_LAGS, (n // 20) // max(C, 1))
+    if most < 1:
+        return None
+    e = left[:, used] / size[used]
+    lagged = np.hstack([e[most - k : n - k] for k in range(1, most + 1)])
+    target = e[most:]
+    normal, right = lagged.T @ lagged, lagged.T @ target
+    best: tuple[float, int, np.ndarray, np.ndarray] | None = None
+    for p in range(1, most + 1):
+        coefficients = np.linalg.lstsq(normal[: p * C, : p * C], right[: p * C], rcond=None)[0]
+        rest = target - lagged[:, : p * C] @ coefficients
+        sign, logarithm = np.linalg.slogdet(rest.T @ rest / len(rest))
+        if sign <= 0:
+            return None
+        criterion = len(rest) * logarithm + p * C * C * np.log(len(rest))
+        if best is None or criterion < best[0]:
+            best = (criterion, p, coefficients, rest)
+    assert best is not None
+    _, p, coefficients, rest = best
+    transform = np.fft.rfft(rest, axis=0)[1:-1]
+    if not (_is_white(np.abs(transform) ** 2) and _is_together(transform)):
+        return None
+    covariance = rest.T @ rest / max(freedom - most - p * C, 1)
+    spectrum = np.zeros((len(omega), left.shape[1], left.shape[1]), complex)
+    for k, angle in enumerate(omega):
+        steps = np.exp(-1j * angle * np.arange(1, p + 1))
+        transfer = np.linalg.inv(np.eye(C) - np.einsum("p,pij->ji", steps, coefficients.reshape(p, C, C)))
+        inner = transfer @ covariance @ transfer.conj().T
+        spectrum[k][np.ix_(used, used)] = inner * np.outer(size[used], size[used])
+    spectrum[0] = spectrum[0].real
+    return spectrum
+
+
 def _is_together(transform: np.ndarray) -> bool:
     """Return whether channels that are white are so together: the same cross-spectrum in all bands.
 
@@ -152,7 +196,8 @@ def noise_of(
 ) -> Noise:
     """Return the noise in a residual (n, C) with the given degrees of freedom, at orders 0..K of the speed.
 
-    White noise is one covariance. Coloured noise is averaged over lines about each order, lines found left out.
+    White noise is one covariance. Coloured noise is that of an autoregression, where one of low order leaves white
+    noise over; else its spectrum is averaged over lines about each order, lines found left out.
     floor: (C,) standard deviation that is never undercut (rounding of the data).
     """
     n = len(left)
@@ -162,6 +207,9 @@ def noise_of(
     if len(inner) < 8 or (_is_white(np.abs(inner) ** 2) and _is_together(inner)):
         return Noise((left.T @ left / max(freedom, 1) + at_least)[None], True, float(max(freedom, 1)))
     step = (time[-1] - time[0]) / (n - 1)
+    modelled = _autoregressive(left, np.arange(K + 1) * speed * step, freedom)
+    if modelled is not None:
+        return Noise(modelled + at_least, False, float(max(freedom, 1)))
     resolution = 1 / (n * step)
     usable = np.ones(len(transform), bool)
     usable[0] = False
@@ -169,7 +217,8 @@ def noise_of(
         at = round(line.frequency / resolution)
         usable[max(0, at - 2) : at + 3] = False
     spacing = abs(speed) / TURN / resolution
-    width = max(SMOOTHING, round(spacing / 2))
+    channels = left.shape[1]
+    width = max(SMOOTHING, 2 * channels, round(spacing / 2))
     for k in range(1, K + 1):  # the fit has taken out what was there
         usable[min(round(k * spacing), len(usable) - 1)] = False
     spectrum = np.empty((K + 1, left.shape[1], left.shape[1]), complex)
@@ -179,9 +228,11 @@ def noise_of(
         while True:
             low, high = max(0, round(k * spacing - reach)), min(len(transform), round(k * spacing + reach) + 1)
             part = transform[low:high][usable[low:high]]
-            if len(part) >= min(2 * SMOOTHING, usable.sum()) or reach > len(transform):
+            if len(part) >= min(max(2 * SMOOTHING, 4 * channels), usable.sum()) or reach > len(transform):
                 break
             reach *= 2
-        spectrum[k] = share * np.einsum("ni,nj->ij", part, part.conj()) / max(len(part), 1) + at_least
+        # the inverse of a cross-spectrum estimated from N lines is too large by N / (N - channels) in the mean
+        unbiased = max(len(part) - channels, 1)
+        spectrum[k] = share * np.einsum("ni,nj->ij", part, part.conj()) / unbiased + at_least
     spectrum[0] = spectrum[0].real
     return Noise(spectrum, False, float(4 * width))

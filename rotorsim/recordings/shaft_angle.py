@@ -106,7 +106,7 @@ def _from_pulses(run: Run, pulses: np.ndarray) -> ShaftAngle:
     theta, jitter = best[1], best[2]
     left = best[3]
     follows = float(left[1:] @ left[:-1]) > 2 / np.sqrt(len(left)) * float(left @ left)
-    if follows and len(left) > 8 and jitter > WANDERS:  # the speed wanders in a way that no low polynomial follows: trust every pulse
+    if follows and len(left) > 8 and jitter > WANDERS:  # no low polynomial follows the speed: trust every pulse
         theta = CubicSpline(u, turns, bc_type="natural")(inside)
         jitter = float(np.sqrt(np.mean(np.diff(left, 2) ** 2) / 6))
     theta = sign * theta
