@@ -9,6 +9,7 @@ import argparse
 import json
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -163,8 +164,21 @@ def speed() -> list[Line]:
     return lines
 
 
+def study(seeds: int) -> list[Line]:
+    """Table 2-5, thesis noise of 0, 1, 2 and 5 %, regression: wall time on two cores."""
+    from dataclasses import replace
+
+    from rotorsim.identify.study import run_study, study_of_table
+
+    asked = replace(study_of_table("2-5"), seeds=seeds, kinds=("thesis",))
+    begun = time.perf_counter()
+    run_study(asked, workers=2)
+    wall = time.perf_counter() - begun
+    return [at_most(f"{seeds} seeds of Table 2-5, 4 levels, 2 processes", wall, 60.0, "{:.1f}", "s")]
+
+
 SECTIONS: dict[str, Callable[..., list[Line]]] = {
-    "clean": clean, "noisy": noisy, "development": development, "speed": speed,
+    "clean": clean, "noisy": noisy, "development": development, "speed": speed, "study": study,
 }  # fmt: skip
 
 
@@ -177,7 +191,7 @@ def main() -> None:
     missed = 0
     for name in given.only:
         print(f"\n{SECTIONS[name].__doc__}")
-        for line in SECTIONS[name](given.seeds) if name == "noisy" else SECTIONS[name]():
+        for line in SECTIONS[name](given.seeds) if name in ("noisy", "study") else SECTIONS[name]():
             print(line)
             missed += line.ok is False
     print(f"\n{missed} NOT")
