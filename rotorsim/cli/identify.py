@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -55,8 +56,11 @@ def command(
     from rotorsim.recordings.loading import load_recording
 
     common.check_folder("--out", out)
+    if out and Path(diagram).exists() and (Path(out) / "diagram.json").resolve() == Path(diagram).resolve():
+        raise RotorsimError(Problem(f"--out {out}: would overwrite {diagram}", hint="give another folder"))
     share = _share(precision)
     wanted = THESIS_ORDERS if orders is None else _orders(orders)
+    _refuse_unheard(method, orders, reduction, given)
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
     measured = load_recording(recording)
     found = identify(
@@ -75,6 +79,19 @@ def command(
         click.echo(_text(found))
     if found.open or not found.adequate:
         sys.exit(1)
+
+
+def _refuse_unheard(method: str, orders: str | None, reduction: str, given: tuple[str, ...]) -> None:
+    """Refuse options that belong to the other method."""
+    problems = []
+    if method == "likelihood":
+        options = [("--orders", orders is not None), ("--reduction", reduction != "exact")]
+        problems = [Problem(f"{name} belongs to --method regression") for name, used in options if used]
+    elif given:
+        hint = "it takes every port that was measured whole as it was"
+        problems = [Problem("--measured-input belongs to --method likelihood", hint=hint)]
+    if problems:
+        raise RotorsimError(*problems)
 
 
 def _text(found: Identification) -> str:

@@ -16,10 +16,12 @@ from rotorsim.diagram.source import JsonPath, Source
 from rotorsim.diagram.values import ValueProblem, numeric
 from rotorsim.errors import Place, Problem, near_miss
 
-__all__ = ["KEYS", "free_parameters"]
+__all__ = ["KEYS", "free_parameters", "unknown_names"]
 
+SPEED = "speed"
 KEYS = ("low", "high", "prior", "description")
 PRIOR_KEYS = ("mean", "std")
+MOST = 1e100
 _NAME = re.compile(r"([A-Za-z_][\w./]*?)(?:\[\s*(\d{1,6}(?:\s*,\s*\d{1,6})*)\s*\])?")
 _PERCENT = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
 
@@ -69,6 +71,9 @@ class _Reader:
             hint = near_miss(name, [*self.parameters, *blocks], list_all=False)
             self.error("no such parameter", path, hint, key=True)
             return []
+        if match[1] == SPEED:
+            self.error("is measured, so that it cannot be free", path, key=True)
+            return []
         if not isinstance(given, Mapping):
             self.error("must be an object", path, '{} leaves it free; {"low": 0, "prior": {"std": "5 %"}} says more')
             return []
@@ -101,8 +106,15 @@ class _Reader:
         low = max((bound for d in found.declared if (bound := _lowest(d, value)) is not None), default=-math.inf)
         high = min((d.high for d in found.declared if d.high is not None), default=math.inf)
         before = len(self.problems)
+        declared = low, high
         low = self.number(given, "low", found.unit, path, low)
         high = self.number(given, "high", found.unit, path, high)
+        if low < declared[0] or high > declared[1]:
+            hint = "bounds can only be narrowed"
+            what = f"the block allows {declared[0]:g} .. {declared[1]:g} {found.unit}"
+            self.error(what, (*path, "low" if low < declared[0] else "high"), hint)
+        if not isinstance(given.get("description", ""), str):
+            self.error("must be a text", (*path, "description"))
         mean = std = None
         if "prior" in given:
             mean, std = self.prior(given["prior"], value, found.unit, (*path, "prior"))
@@ -111,6 +123,8 @@ class _Reader:
             return None
         if not low < high:
             self.error(f"low {low:g} is not below high {high:g}", path)
+        elif mean is not None and not low <= mean <= high:
+            self.error(f"its mean {mean:g} {found.unit} is outside the bounds {low:g} .. {high:g}", (*path, "prior"))
         elif not low <= value <= high:
             self.error(f"the value {value:g} {found.unit} is outside its bounds {low:g} .. {high:g}", path)
         else:
@@ -147,8 +161,10 @@ class _Reader:
         except ValueError:
             self.error(f"cannot read '{given['std']}'", (*path, "std"), hint)
             return None, None
-        if not std > 0 and not math.isnan(std):
+        if std <= 0:
             self.error("the standard deviation must be positive", (*path, "std"))
+        elif std > MOST:
+            self.error("the standard deviation must be finite", (*path, "std"))
         return mean, std
 
 
@@ -157,6 +173,27 @@ def _lowest(declared: _Param, value: float) -> float | None:
     if declared.above is not None:
         return declared.above + 1e-3 * max(value - declared.above, 0.0)
     return declared.low
+
+
+def unknown_names(
+    source: Source, given: Mapping[str, Any], parameters: Collection[str], blocks: Mapping[str, Collection[str]]
+) -> list[Problem]:  # fmt: skip
+    """Return the names under ``identify`` that cannot be right, before blocks have values.
+
+    blocks: block -> names of its parameters; blocks that are not in it (broken, removed) are passed over.
+    """
+    problems = []
+    known = [*parameters, *(f"{block}.{key}" for block, keys in blocks.items() for key in keys)]
+    for name in given:
+        match = _NAME.fullmatch(str(name))
+        base = match[1] if match else ""
+        block, dot, key = base.rpartition(".")
+        if base in parameters or (dot and (block not in blocks or key in blocks[block])):
+            continue
+        place = source.place(("identify", name), key=True)
+        hint = near_miss(str(name), known, list_all=False)
+        problems.append(Problem("no such parameter", f"identify.{name}", place, hint))
+    return problems
 
 
 def free_parameters(
@@ -173,6 +210,9 @@ def free_parameters(
     found: dict[str, Free] = {}
     for name, value in given.items():
         if str(name).rpartition(".")[0] in removed:
+            continue
+        followed = any(name in node.references.values() for node in nodes.values())
+        if removed and name in parameters and not followed:
             continue
         for free in reader.one(str(name), value):
             if free.name in found:

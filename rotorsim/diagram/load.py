@@ -13,7 +13,7 @@ from rotorsim.diagram.build import Builder
 from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Solver
 from rotorsim.diagram.document import FlatDocument
 from rotorsim.diagram.flatten import flatten_document
-from rotorsim.diagram.free import free_parameters
+from rotorsim.diagram.free import free_parameters, unknown_names
 from rotorsim.diagram.order import evaluation_order, trace_blocks
 from rotorsim.diagram.registry import Registry
 from rotorsim.diagram.source import MAX_DEPTH, Source, is_too_deep, read_document
@@ -76,10 +76,14 @@ def load(
     record = _record(flat, wiring, works, removed)
     values = builder.diagram_parameters()
     problems += registry.problems
+    given = flat.data.get("identify")
+    identify: Mapping[str, Any] = given if isinstance(given, Mapping) else {}
+    if any(problem.severity == "error" for problem in problems):
+        declared = {name: work.cls.parameters.keys() for name, work in works.items()}
+        problems += unknown_names(document, identify, flat.parameters.keys(), declared)
     _raise_errors(problems)
 
     nodes = {name: builder.node(work) for name, work in works.items()}
-    identify = flat.data.get("identify", {})
     free, mistakes = free_parameters(document, identify, values, builder.parameter_units, nodes, removed)
     problems += mistakes
     for name, work in works.items():

@@ -9,7 +9,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Free
 from rotorsim.identify.functions import Equations
 
-__all__ = ["Coordinates", "amplitude_pairs"]
+__all__ = ["Coordinates", "amplitude_pairs", "coordinates_of", "moves_matrices"]
 
 ANGLE_UNIT = "rad"
 PROBES = (0.4, 1.9)
@@ -115,7 +115,7 @@ def amplitude_pairs(
     pairs: list[tuple[int, int]] = []
     for b in angles:
         for a in amplitudes:
-            if any(a in pair for pair in pairs) or _moves_matrices(equations, row, theta, (a, b)):
+            if any(a in pair for pair in pairs) or moves_matrices(equations, row, theta, (a, b)):
                 continue
             unit = 3.0 * _scale(free[a])
             none = force(**{f"t{a}": 0.0})
@@ -134,7 +134,8 @@ def amplitude_pairs(
     return tuple(pairs)
 
 
-def _moves_matrices(equations: Equations, p: np.ndarray, theta: np.ndarray, which: tuple[int, int]) -> bool:
+def moves_matrices(equations: Equations, p: np.ndarray, theta: np.ndarray, which: tuple[int, ...]) -> bool:
+    """Return whether one of these parameters changes the equations themselves, not only their forcing."""
     return any(
         matrix(p, theta[None])[1][..., list(which)].any() for matrix in equations.matrices.values()
     )  # fmt: skip

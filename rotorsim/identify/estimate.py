@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from rotorsim.diagram.diagram import Free
-from rotorsim.identify.coordinates import ANGLE_UNIT, Coordinates, coordinates_of
+from rotorsim.identify.coordinates import ANGLE_UNIT, Coordinates, coordinates_of, moves_matrices
 from rotorsim.identify.likelihood import Evaluation, Likelihood
 from rotorsim.identify.regression import Regression
 
@@ -64,7 +64,7 @@ class Estimate:
     def covariance(self) -> np.ndarray:
         """Covariance of theta (m, m); infinite along directions that the data say nothing about."""
         values, vectors = self.eigen
-        floor = SINGULAR * max(values[-1], 1e-300)
+        floor = max(SINGULAR * values[-1], 1e-100)
         inverse = 1 / np.maximum(values, floor)
         q = (vectors * inverse) @ vectors.T
         q[self.at_bound], q[:, self.at_bound] = 0.0, 0.0
@@ -87,6 +87,9 @@ class Search:
         bounded = likelihood.absolute
         self.coordinates = coordinates_of(self.free, motion.equations, motion.p, motion.speeds, bounded=bounded)
         self.prior = [j for j, item in enumerate(self.free) if item.prior_std is not None and bounded]
+        start = experiment.theta0
+        # the equations are linear in forces, not in stiffness: no step of that is to be trusted from afar
+        self.bends = [moves_matrices(motion.equations, motion.p[:1], start, (j,)) for j in range(len(self.free))]
         self._known: tuple[bytes, tuple[Evaluation, np.ndarray, np.ndarray]] | None = None
 
     def again(self, likelihood: Likelihood | Regression) -> Search:
@@ -126,7 +129,7 @@ class Search:
     def starts(self) -> list[np.ndarray]:
         """Return where to search from, best first: angles that are not part of a pair are tried all around.
 
-        At each of them the other parameters take one Gauss-Newton step, which is exact for forces.
+        At each of them the forces take one Gauss-Newton step, which is exact for them.
         """
         start = self.likelihood.experiment.theta0
         paired = {j for pair in self.coordinates.pairs for j in pair}
@@ -154,7 +157,10 @@ class Search:
 
     def _one_step(self, q: np.ndarray, held: list[int]) -> tuple[float, np.ndarray]:
         """Return the misfit that linear theory promises after one step of all but the held, and where it leads."""
-        others = [j for j in range(len(q)) if j not in held]
+        others = [j for j in range(len(q)) if j not in held and not self.bends[j]]
+        if not others:
+            r = self.residual(q)
+            return float(r @ r), q
         J = self.slopes(q)[:, others]
         r = self.residual(q)
         norm = np.linalg.norm(J, axis=0)

@@ -18,8 +18,11 @@ from rotorsim.recordings.harmonic_fit import HarmonicFit
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.simulate import linear
+from rotorsim.units import compatible
 
 __all__ = ["Experiment", "open_experiment"]
+
+SPEED = 0.02  # stated against measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +110,8 @@ def open_experiment(
         raise RotorsimError(Problem("nothing was measured that the diagram could be compared with", recording.name))
     found = tuple(harmonics_of(recording, chosen) if harmonics is None else harmonics)
     _refuse_unknown_phase(found)
-    p = _parameters(model, diagram, found)
-    kept = tuple(item for item in wanted if slots_of(model, item))
+    kept = _free(model, diagram, wanted)
+    p = _parameters(model, diagram, found, kept)
     equations = Equations(model, predicted, kept)
     K = min(int(item.fit.orders[-1]) for item in found)
     windows = [float(item.run.time[-1] - item.run.time[0]) for item in found]
@@ -135,6 +138,11 @@ def _names(model: Model, recording: Recording, problems: list[Problem]) -> list[
             problems.append(Problem(f"the diagram has no signal '{channel.signal}'", subject, hint=hint))
             continue
         name = channel.name
+        unit = model.signals[channel.signal].unit
+        if unit is not None and compatible(channel.unit, unit) not in ("same", "scaled"):
+            what = f"unit '{channel.unit}' does not fit '{channel.signal}', which is in {unit}"
+            problems.append(Problem(what, subject, hint="correct the unit, or the signal, in recording.json"))
+            continue
         shape = model.signals[channel.signal].shape
         if shape and not _is_entry(channel, shape):
             size = " x ".join(map(str, shape))
@@ -184,17 +192,47 @@ def _refuse_unknown_phase(runs: Sequence[RunHarmonics]) -> None:
         raise RotorsimError(*problems)
 
 
-def _parameters(model: Model, diagram: Diagram, runs: Sequence[RunHarmonics]) -> np.ndarray:
+def _free(model: Model, diagram: Diagram, wanted: Sequence[Free]) -> tuple[Free, ...]:
+    """Return the free parameters that a block follows."""
+    entries = linear.speed_entries(model)
+    speed = set() if entries is None else set(np.flatnonzero(entries).tolist())
+    problems = [
+        Problem("is measured, so that it cannot be free", f"identify.{item.name}", Place(diagram.file))
+        for item in wanted
+        if item.name == "speed" or speed & set(slots_of(model, item))
+    ]
+    kept = tuple(item for item in wanted if slots_of(model, item))
+    if not kept:
+        names = ", ".join(item.name for item in wanted)
+        problems.append(Problem(f"no block follows what is free: {names}", "identify", Place(diagram.file)))
+    if problems:
+        raise RotorsimError(*problems)
+    return kept
+
+
+def _parameters(model: Model, diagram: Diagram, runs: Sequence[RunHarmonics], free: Sequence[Free]) -> np.ndarray:
     """Return p of every run, (R, n_p): its settings and its measured speed."""
     problems: list[Problem] = []
     rows = []
+    bases = {item.base for item in free}
     for item in runs:
-        overrides: dict[str, Any] = {"speed": item.fit.speed}
+        overrides: dict[str, Any] = {}
         for name, value in item.run.settings.items():
+            if name in bases:
+                hint = "a parameter is either set or free: remove it from one of them"
+                what = f"set {name}: it is to be identified"
+                problems.append(Problem(what, f"run {item.run.id}", item.run.place, hint))
+                continue
             try:
                 overrides[name] = numeric(value, _unit(diagram, name))
             except ValueProblem as problem:
                 problems.append(Problem(problem.what, f"run {item.run.id}: set {name}", item.run.place, problem.hint))
+        stated = overrides.pop("speed", None)
+        if stated is not None and abs(float(stated) / item.fit.speed - 1) > SPEED:
+            said, seen = (f"{abs(speed) * 30 / np.pi:.6g} rpm" for speed in (float(stated), item.fit.speed))
+            what = f"set speed: {said}, but the shaft angle says {seen}"
+            problems.append(Problem(what, f"run {item.run.id}", item.run.place))
+        overrides["speed"] = item.fit.speed
         try:
             rows.append(model.parameter_vector(overrides))
         except RotorsimError as error:

@@ -77,8 +77,11 @@ def _finite(value: float) -> float | None:
 
 
 def with_values(diagram: Diagram, free: list[tuple[Free, float]]) -> dict[str, Any]:
-    """Return the document of a diagram with values put in place of free parameters (SI, with their unit)."""
-    document = copy.deepcopy(dict(diagram.document))
+    """Return the document of a diagram with values put in place of free parameters (SI, with their unit).
+
+    Blocks that were removed (``--without``) are left out, with their wires and what was free in them.
+    """
+    document = _without_removed(copy.deepcopy(dict(diagram.document)), diagram)
     for item, value in free:
         text = value if item.unit in ("", "1") else f"{value!r} {item.unit}"
         if item.base in diagram.parameters:
@@ -89,6 +92,32 @@ def with_values(diagram: Diagram, free: list[tuple[Free, float]]) -> dict[str, A
         block, _, key = item.base.rpartition(".")
         parameters = document["blocks"][block].setdefault("parameters", {})
         parameters[key] = _replaced(diagram.nodes[block].values[key], item, text, parameters.get(key))
+    return document
+
+
+def _without_removed(document: dict[str, Any], diagram: Diagram) -> dict[str, Any]:
+    def is_there(name: str) -> bool:
+        return name in diagram.nodes or any(node.startswith(f"{name}/") for node in diagram.nodes)
+
+    removed = {name for name in document["blocks"] if not is_there(name)}
+    if not removed:
+        return document
+
+    def touches(end: Any) -> bool:
+        return str(end).partition(".")[0].partition("/")[0] in removed
+
+    followed = {reference for node in diagram.nodes.values() for reference in node.references.values()}
+    document["blocks"] = {name: block for name, block in document["blocks"].items() if name not in removed}
+    document["wires"] = [wire for wire in document.get("wires", []) if not any(touches(end) for end in wire)]
+    for key in ("record",):
+        if key in document:
+            document[key] = [name for name in document[key] if not touches(name)]
+    idle = {name for name in document.get("parameters", {}) if name not in followed}
+    if "parameters" in document:
+        document["parameters"] = {n: v for n, v in document["parameters"].items() if n not in idle}
+    for key in ("identify", "layout"):
+        if key in document:
+            document[key] = {n: v for n, v in document[key].items() if not touches(n) and n not in idle}
     return document
 
 
@@ -116,7 +145,11 @@ def save_identification(found: Identification, folder: str | Path) -> list[Path]
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     known = {item.name: item for item in found.diagram.free}
-    values = [(known[name], item.value) for name, item in found.parameters.items() if name in known]
+    values = [
+        (known[name], item.value)
+        for name, item in found.parameters.items()
+        if name in known and known[name].low <= item.value <= known[name].high  # else the diagram would be refused
+    ]
     document = with_values(found.diagram, values)
     files = [folder / RESULT, folder / DIAGRAM]
     write_atomically(files[0], json.dumps(identification_data(found), indent=2, allow_nan=False) + "\n")

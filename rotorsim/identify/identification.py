@@ -111,7 +111,8 @@ def identify(
     """
     if method not in METHODS:
         raise RotorsimError(Problem(f"no method '{method}'", hint=f"one of {', '.join(METHODS)}"))
-    warnings = _checked(recording)
+    warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
+    wanted = diagram.free if free is None else free
     chosen = tuple(recording.select("identify") if runs is None else runs)
     with threadpool_limits(1, "blas"):  # many small matrices: threads cost more than they save
         found = tuple(harmonics_of(recording, chosen) if harmonics is None else harmonics)
@@ -150,6 +151,12 @@ def identify(
             else tuple(dict.fromkeys(n.partition("[")[0] for n in opened.experiment.given))
         )
         fit, floor = _scores(diagram, recording, found, hold_out, result, used)
+    kept = {item.name for item in result.free}
+    warnings += [
+        Problem("is left out: no block follows it", f"identify.{item.name}", severity="warning")
+        for item in wanted
+        if item.name not in kept
+    ]
     std = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = np.nan_to_num(covariance / np.outer(std, std))

@@ -122,7 +122,9 @@ class Likelihood:
         item, columns = self.experiment.runs[r], self.experiment.columns[r][: self.c]
         total = len(item.fit.names)
         places = np.concatenate([(2 * order - 1) * total + columns, 2 * order * total + columns])
+        size = np.tile(np.maximum(item.fit.rms[columns], np.abs(item.fit.values[0, columns])), 2)
         covariance = item.fit.covariance[np.ix_(places, places)]
+        covariance = covariance + np.diag((RESOLUTION * np.where(size > 0, size, 1.0)) ** 2)
         scale = np.sqrt(np.diag(covariance))
         factor = np.linalg.cholesky(covariance / np.outer(scale, scale))
         return np.asarray(

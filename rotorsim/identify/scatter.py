@@ -55,16 +55,18 @@ def scatter_of(regression: Regression, search: Search, result: Estimate) -> Scat
         change = found.residual - at_hand.residual
         made[k] = float(change @ change)
     regression.data = measured
-    undetermined = _undetermined(at_hand.slopes @ slopes, in_columns / DRAWS, slopes)
+    undetermined = _undetermined(
+        at_hand.slopes @ slopes, in_columns / DRAWS, slopes, search.coordinates.inside(result.theta)
+    )
     covariance = np.cov(estimates.T).reshape(len(result.theta), -1) + undetermined
     adequate = float(at_hand.residual @ at_hand.residual) <= TOLERANCE * float(made.max())
     return Scatter(covariance, estimates.mean(axis=0) - result.theta, adequate)
 
 
-def _undetermined(J: np.ndarray, noise: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+def _undetermined(J: np.ndarray, noise: np.ndarray, slopes: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Return the covariance along combinations of parameters that the equations do not hold, or only by their noise.
 
-    J: columns of the regression in q. noise (m, m): the part of J^T J that is noise. A combination v with
+    J: columns of the regression in q, at (m,). noise (m, m): the part of J^T J that is noise. A combination v with
     v^T noise v above a quarter of |J v|^2 is pulled to zero by about as much: it may be wrong by all of itself.
     """
     size = np.linalg.norm(J, axis=0)
@@ -80,8 +82,9 @@ def _undetermined(J: np.ndarray, noise: np.ndarray, slopes: np.ndarray) -> np.nd
         direction /= np.linalg.norm(direction)
         image = float(np.sum((used @ direction) ** 2))
         null = value <= UNDETERMINED * padded.max(initial=1e-300)
+        reach = max(1.0, float(np.abs(direction @ at)))
         if null or direction @ noise @ direction > ATTENUATED * image:
-            moved = slopes @ ((WIDE if null else 1.0) * direction)
+            moved = slopes @ ((WIDE if null else 1.0) * reach * direction)
             total += np.outer(moved, moved)
     return total
 

@@ -19,6 +19,7 @@ __all__ = ["check_signals"]
 
 _LARGE, _SMALL = 5e-3, 1e-9  # m, rms of a rotor's displacement
 _CURRENT = 1e3  # A
+_HUGE, _TINY = 1e50, 1e-50  # in any unit
 _GAP = 1.5  # of the usual step
 _RATE = 1e-3  # stated against found
 _PULSE = 0.3  # of the usual interval
@@ -30,9 +31,9 @@ _ALIKE = 1e-3  # two speeds
 def check_signals(recording: Recording) -> list[Problem]:
     """Return what is wrong or suspicious, each text beginning with the name of the finding.
 
-    Errors: "empty run", "not finite", "lost samples" (time that does not rise, a stated rate that does not fit),
-    "tacho", "two runs alike" (identical data). Warnings: "constant signal", "clipped signal", "flat stretch",
-    "lost samples" (gaps), "wrong unit?", "missing channel", "no phase reference", "speed wanders",
+    Errors: "empty run", "not finite", "impossible size", "lost samples" (time that does not rise, a stated rate that
+    does not fit), "tacho", "two runs alike" (identical data). Warnings: "constant signal", "clipped signal",
+    "flat stretch", "lost samples" (gaps), "wrong unit?", "missing channel", "no phase reference", "speed wanders",
     "two runs alike" (no new equations), "swapped axes?".
     """
     found = list(_missing_channels(recording))
@@ -42,10 +43,11 @@ def check_signals(recording: Recording) -> list[Problem]:
             what = f"empty run: {len(run.time)} samples" if len(run.time) != 1 else "empty run: 1 sample"
             found.append(Problem(what, run.id, Place(run.file)))
             continue
-        full.append(run)
         finder = _RunFinder(recording, run)
         finder.find()
         found += finder.found
+        if not any(problem.what.startswith("impossible size") for problem in finder.found):
+            full.append(run)
     found += _alike(full)
     found += _swapped(recording, full)
     return found
@@ -119,6 +121,10 @@ class _RunFinder:
         if len(bad):
             what = f"not finite: {len(bad)} of {len(values)} samples, first at {time[bad[0]]:.6g} s"
             self.say(what, column, "cut the run before it, or leave it out", error=True)
+            return
+        largest = float(np.abs(values).max())
+        if largest > _HUGE or 0 < largest < _TINY:
+            self.say(f"impossible size: the largest value is {largest:.3g} in SI", column, "check the unit", error=True)
             return
         if values.min() == values.max():
             self.say(f"constant signal: all samples are {_shown(values[0], channel)}", column)

@@ -94,7 +94,9 @@ def _from_pulses(run: Run, pulses: np.ndarray) -> ShaftAngle:
     sign = -1.0 if run.speed is not None and run.speed < 0 else 1.0
     best: tuple[float, np.ndarray, float, np.ndarray] | None = None
     inside = (run.time - centre) / half
-    for count in range(2, min(MOST_COEFFICIENTS, max(2, len(pulses) // 3)) + 1):
+    for count in range(
+        2, min(MOST_COEFFICIENTS, max(2, (len(pulses) + 1) // 2 if len(pulses) < 10 else len(pulses) // 3)) + 1
+    ):
         fit = np.polynomial.Chebyshev.fit(u, turns, count - 1, domain=[-1, 1])
         left = turns - fit(u)
         variance = max(float(left @ left) / len(pulses), (1e-9 * TURN) ** 2)

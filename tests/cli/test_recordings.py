@@ -218,7 +218,7 @@ def test_all_runs_are_tried_and_all_mistakes_said(run) -> None:
     assert result.exit_code in (1, 2)
     assert result.stdout.startswith("c: ")
     for text in (
-        "a: rotor.displacement: x: 1 samples are not finite, first at sample 701",
+        "a: rotor.displacement: x: 1 sample is not finite, first at sample 701",
         "b: only 0.759 turns of the shaft",
     ):
         assert f"error: {text}" in result.stderr

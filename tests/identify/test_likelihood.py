@@ -1,22 +1,19 @@
-"""Maximum likelihood: the truth on clean data, exact slopes, goodness and coverage under noise, priors, profiles."""
+"""Maximum likelihood: the truth on clean data, exact slopes, goodness and coverage under noise."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.stats import binom, chi2, norm
 
-from rotorsim.diagram.diagram import Diagram, Free
-from rotorsim.identify import Identification, identify
+from rotorsim.identify import identify
 from rotorsim.identify.estimate import Search, estimate
 from rotorsim.identify.experiment import open_experiment
 from rotorsim.identify.likelihood import Likelihood
-from rotorsim.identify.profile import Z90, profile_intervals
 from rotorsim.recordings import Recording
 from rotorsim.recordings.harmonics import harmonics_of
-from tests.identify import MAKERS, OTHER_GAINS, RATE, TRUTH, changed, errors, free, made, recorded, shipped
+from tests.identify import MAKERS, OTHER_GAINS, RATE, TRUTH, changed, errors, made, recorded, shipped
 from tests.reference.recordings import LOWER, THESIS_GAINS, UPPER, RecordedRun, Truth
 
 RANGES = [(model, name) for name, table in (("lower", LOWER), ("upper", UPPER)) for model in table]
@@ -78,6 +75,20 @@ def test_start_values_do_not_matter(start):
     assert max(errors(identify(diagram, recording, profile=False)).values()) < 1e-3
 
 
+def test_stiffness_far_from_what_was_measured():
+    """FAULT: the step that each start takes is linear in stiffness, too, and leaves the supports at zero or a hundred
+    times too stiff; from there a right model is said not to explain the data.
+
+    The truth has a goodness above 1e-3, and the search ends there or at something better.
+    """
+    runs = made("fe_flexible", LOWER["fe_flexible"][::2], duration=0.25, settled=True, level=1e-3)
+    likelihood = likelihood_of("fe_flexible", recorded([run.select(("x3", "y3", "ix", "iy")) for run in runs]))
+    truth = likelihood.evaluate(at(likelihood))
+    found = estimate(Search(likelihood))
+    assert chi2.sf(truth.misfit.sum(), truth.rows) > 1e-3
+    assert found.misfit <= truth.misfit.sum()
+
+
 @pytest.mark.parametrize("start", [{"force_current_factor": 0}, {"viscous_damping": 7600}])
 def test_a_search_that_ends_elsewhere_is_not_called_adequate(start):
     """Clean data and one set of gains make a rugged likelihood."""
@@ -97,7 +108,7 @@ def test_a_shaft_that_turns_back(model):
 
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_clock_that_does_not_start_at_angle_zero(way):
-    """FAULT: turning back, crack and unbalance are wrong by twice the phase of the clock."""
+    """Turning back, angle zero comes later, not earlier."""
     diagram = changed("jeffcott", lambda document: document["blocks"]["clock"]["parameters"].update(phase="40 deg"))
     recording = recorded(two_gains("jeffcott", [way * speed for speed in LOWER["jeffcott"][::4]]))
     assert max(errors(identify(diagram, recording, profile=False)).values()) < 1e-3
@@ -213,8 +224,7 @@ def with_noise(run: RecordedRun, level: float, seed: tuple[int, ...], kind: str)
 def test_goodness_and_errors_under_noise(kind):
     """12 recordings: the misfit is chi-squared, and so are the errors of the parameters.
 
-    FAULT (coloured): the spectrum of coloured noise comes from 24 lines or so; the inverse of that estimate is too
-    large by N / (N - C) in the mean, so that right models are said not to explain the data.
+    Coloured: the spectrum comes from N lines, and the inverse of such an estimate is too large by N / (N - C).
     """
     draws = 12
     clean = two_gains("jeffcott", LOWER["jeffcott"][::4])
@@ -236,7 +246,7 @@ def test_goodness_and_errors_under_noise(kind):
 
 
 def test_many_channels_with_coloured_noise():
-    """FAULT: as above with 14 channels: the excess variance of a right model is two."""
+    """As above with 14 channels."""
     runs = [
         with_noise(run, 0.02, (5, k), "coloured") for k, run in enumerate(made("fe_flexible", LOWER["fe_flexible"][:2]))
     ]
@@ -247,7 +257,7 @@ def test_many_channels_with_coloured_noise():
 
 
 def test_channels_that_cannot_move_do_not_count():
-    """FAULT: pinned nodes, measured and predicted zero, add to the degrees of freedom but not to the misfit."""
+    """Pinned nodes, measured and predicted zero, add nothing to the misfit, nor to the degrees of freedom."""
     likelihood = likelihood_of("fe_rigid", recorded(made("fe_rigid", LOWER["fe_rigid"], level=0.01)))
     found = likelihood.evaluate(at(likelihood))
     assert chi2.ppf(LEVEL, found.rows) < found.misfit.sum() < chi2.isf(LEVEL, found.rows)
@@ -293,124 +303,7 @@ def test_intervals_hold_the_truth_as_often_as_stated():
     assert 0.80 <= share <= 0.97
 
 
-# --- priors -----------------------------------------------------------------------------------------------------------
-
-
-def known(*names: str) -> Diagram:
-    """Return the diagram with the true values; the named parameters are free."""
-    values = {item.name: TRUTH[item.name] for item in shipped("jeffcott").free}
-
-    def change(document: dict[str, Any]) -> None:
-        document["parameters"].update(values)
-        document["identify"] = {name: document["identify"][name] for name in names}
-
-    return changed("jeffcott", change)
-
-
-def with_prior(std: float, mean: float | None = None, value: float = 76.0) -> Free:
-    return Free("viscous_damping", "viscous_damping", 0, value, "N s/m", 0.0, np.inf, mean or value, std)
-
-
-def test_a_prior_is_one_more_measurement():
-    """Weights of the inverse variances, analytic for a parameter that enters almost linearly."""
-    recording = recorded(two_gains("jeffcott", LOWER["jeffcott"][::4], level=0.02))
-    diagram = known("viscous_damping", "eccentricity")
-    plain = identify(diagram, recording)
-    before = plain.parameters["viscous_damping"]
-    std = 0.7 * before.std
-    prior = with_prior(std, before.value + 2 * std)
-    after = identify(diagram, recording, free=[prior, diagram.free[1]]).parameters["viscous_damping"]
-    weight = np.array([before.std**-2, std**-2])
-    expected = weight @ [before.value, before.value + 2 * std] / weight.sum()
-    assert after.value == pytest.approx(expected, abs=0.05 * before.std)
-    assert after.std == pytest.approx(weight.sum() ** -0.5, rel=0.02)
-    assert after.interval90 == pytest.approx((after.value - Z90 * after.std, after.value + Z90 * after.std), rel=2e-3)
-
-
-def test_a_known_mass_settles_what_the_data_leave_open():
-    """At one speed range and one set of gains, rotor.mass and the stiffness of the loop are one number."""
-    recording = recorded(two_gains("jeffcott", LOWER["jeffcott"][::4], level=0.01))
-    names = {item.name: {} for item in shipped("jeffcott").free}
-    known = free("jeffcott", **names, rotor__mass={"prior": {"std": "1 %"}})
-    found = identify(known, recording)
-    mass = found.parameters["rotor.mass"]
-    assert mass.verdict.identifiable
-    assert mass.std <= 0.02 * (1 + 1e-6)
-    assert abs(mass.value - 2.0) < norm.isf(LEVEL) * mass.std
-    assert found.adequate
-    for name, item in found.parameters.items():
-        if name != "rotor.mass":
-            assert abs(item.value - TRUTH[name]) < norm.isf(LEVEL) * item.std
-
-
-def test_a_mass_without_prior_stays_above_zero():
-    """FAULT: the bound "above zero" is taken as "zero or more", and a start at zero divides by it."""
-    recording = recorded(two_gains("jeffcott", LOWER["jeffcott"][::4], level=0.01))
-    names = {item.name: {} for item in shipped("jeffcott").free}
-    found = identify(free("jeffcott", **names, rotor__mass={}), recording, profile=False)
-    assert found.parameters["rotor.mass"].value > 0
-    assert found.adequate
-
-
-# --- profiles ---------------------------------------------------------------------------------------------------------
-
-
-def linear(recording: Recording, names: tuple[str, ...], **bounds: float) -> Identification:
-    """Return the identification of forces only: the residual is linear in crack_stiffness and eccentricity."""
-    diagram = known(*names)
-    items = [replace(item, **bounds) if item.name == "crack_stiffness" else item for item in diagram.free]
-    return identify(diagram, recording, free=items)
-
-
-def test_profile_intervals_of_a_linear_problem():
-    """They are those of the normal distribution: estimate +- 1.645 std, std from (J^T J)^-1."""
-    recording = recorded(made("jeffcott", LOWER["jeffcott"][::4], level=0.05))
-    found = linear(recording, ("crack_stiffness", "eccentricity"))
-    likelihood = likelihood_of("jeffcott", recording, found.diagram, free=found.free)
-    J = likelihood.evaluate(np.array(list(found.values.values()))).slopes
-    std = np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
-    for item, deviation in zip(found.parameters.values(), std, strict=True):
-        assert item.std == pytest.approx(deviation, rel=1e-6)
-        ends = (item.value - Z90 * deviation, item.value + Z90 * deviation)
-        assert item.interval90 == pytest.approx(ends, abs=1e-3 * deviation)
-
-
-def test_profile_interval_beside_a_bound():
-    """The bound cuts the interval, and the other end stays where it was."""
-    recording = recorded(made("jeffcott", LOWER["jeffcott"][::4], level=0.05))
-    whole = linear(recording, ("crack_stiffness", "eccentricity")).parameters["crack_stiffness"]
-    low = whole.value - 0.5 * whole.std
-    cut = linear(recording, ("crack_stiffness", "eccentricity"), low=low).parameters["crack_stiffness"]
-    assert cut.interval90[0] == low
-    assert cut.interval90[1] == pytest.approx(whole.interval90[1], abs=1e-3 * whole.std)
-
-
-def test_profile_interval_of_a_parameter_at_its_bound():
-    """The estimate is at the bound; the profile rises by 2.71 at a known place beyond it: (bound, that place).
-
-    With the others at their best the rise over the bound b is ((x - v)^2 - (b - v)^2) / std^2, v the free estimate.
-    FAULT: the interval is all that the bounds allow, up to infinity.
-    """
-    recording = recorded(made("jeffcott", LOWER["jeffcott"][::4], level=0.05))
-    whole = linear(recording, ("crack_stiffness", "eccentricity")).parameters["crack_stiffness"]
-    low = whole.value + 0.5 * whole.std
-    cut = linear(recording, ("crack_stiffness", "eccentricity"), low=low).parameters["crack_stiffness"]
-    assert cut.value == pytest.approx(low, rel=1e-5)
-    assert not cut.verdict.identifiable
-    assert "its physical bound" in cut.verdict.reason
-    expected = whole.value + whole.std * np.sqrt(Z90**2 + 0.5**2)
-    assert cut.interval90 == pytest.approx((low, expected), abs=0.02 * whole.std)
-
-
-def test_widened_profiles():
-    """Where the model does not explain the data the intervals are wider by the root of the excess."""
-    recording = recorded(made("jeffcott", LOWER["jeffcott"][::4], level=0.05))
-    likelihood = likelihood_of("jeffcott", recording)
-    search = Search(likelihood)
-    found = estimate(search, at(likelihood))
-    one, three = (profile_intervals(search, found, widen) for widen in (1.0, 3.0))
-    j = [item.name for item in found.free].index("crack_stiffness")
-    assert np.diff(three[j]) == pytest.approx(3 * np.diff(one[j]), rel=0.05)
+# --- odd recordings ---------------------------------------------------------------------------------------------------
 
 
 def test_rates_and_windows_may_differ():

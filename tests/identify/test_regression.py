@@ -59,7 +59,6 @@ def test_what_makes_the_current_need_not_be_right():
 
 @pytest.mark.parametrize("columns", [("x", "y"), ("x", "ix"), ("x", "y", "ix"), ("x",)], ids=" ".join)
 def test_currents_that_were_not_measured_follow_from_the_controller(columns):
-    """FAULT: without a port measured whole the regression ends with an IndexError (an empty index of type float)."""
     runs = [run.select(columns) for run in two_gains("jeffcott", LOWER["jeffcott"][::4])]
     found = identify(shipped("jeffcott"), recorded(runs), method="regression")
     assert max(errors(found).values()) < 1e-3
@@ -77,7 +76,6 @@ def test_currents_alone_are_refused():
 
 
 def test_an_angle_channel():
-    """FAULT: the channel of the shaft angle is taken for a measured input, and said to be missing."""
     runs = made("jeffcott", LOWER["jeffcott"][::2])
     plain = recorded(runs)
     recording = replace(
@@ -93,7 +91,6 @@ def test_an_angle_channel():
 
 @pytest.mark.parametrize("columns", [("ix", "iy"), ("x", "y"), ("x", "y", "ix", "iy"), ("iy",)], ids=" ".join)
 def test_channels_whose_mean_means_nothing(columns):
-    """FAULT (currents alone): the mean force balance is written with the mean current, which means nothing."""
     runs = made("jeffcott", LOWER["jeffcott"])
     runs = [
         replace(run, columns={c: v - v.mean() if c in columns else v for c, v in run.columns.items()}) for run in runs
@@ -247,7 +244,7 @@ def test_intervals_hold_the_truth_at_least_as_often_as_stated():
 
 
 def test_parameters_that_are_one_number_are_not_identified():
-    """FAULT: the least of all solutions is taken, its scatter is small, and both are said to be identified."""
+    """The least of all solutions scatters little; that does not make it known."""
     names = {item.name: {} for item in shipped("jeffcott").free}
     diagram = free("jeffcott", **names, unbalance__mass={})
     found = identify(diagram, recorded(made("jeffcott", LOWER["jeffcott"], level=1e-3)), method="regression")
@@ -257,7 +254,7 @@ def test_parameters_that_are_one_number_are_not_identified():
 
 @pytest.mark.parametrize(("orders", "runs"), [((0,), 9), ((-1,), 9), ((1,), 1)])
 def test_fewer_equations_than_parameters(orders, runs):
-    """FAULT: as above; the mean alone says nothing about an eccentricity, and gives 5 mm +- little."""
+    """The mean says nothing about an eccentricity; one odd harmonic is explained by (-k_c, phase + pi) as well."""
     recording = recorded(made("jeffcott", LOWER["jeffcott"][:runs], level=1e-3))
     found = identify(shipped("jeffcott"), recording, method="regression", orders=orders)
     wrong = [n for n, off in errors(found).items() if off > 0.2 and found.parameters[n].verdict.identifiable]
@@ -266,7 +263,6 @@ def test_fewer_equations_than_parameters(orders, runs):
 
 @pytest.mark.parametrize("orders", [(), (99,), (17, -20)])
 def test_orders_that_there_are_not(orders):
-    """FAULT: no order is a ValueError, order 99 an overflow."""
     with pytest.raises(RotorsimError):
         identify(shipped("jeffcott"), recorded(made("jeffcott", LOWER["jeffcott"][:2])), method="regression",
                  orders=orders)  # fmt: skip
@@ -281,7 +277,7 @@ def test_words_that_are_not_known():
 
 
 def test_a_wrong_model_is_not_called_adequate():
-    """FAULT: adequate is always true. Here the y axis has the wrong sign, and all seven are "identified".
+    """The y axis has the wrong sign, and all seven parameters can be computed all the same.
 
     The residual of a right model is what noise makes of it; this one is far above that of every draw.
     """

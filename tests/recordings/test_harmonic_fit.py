@@ -131,8 +131,8 @@ def test_real_vector_and_back(K, C, seed):
 def test_covariance_is_that_of_repeated_measurements(kind, n, hertz):
     """300 draws: the sample covariance of the errors against the mean of what the fits say.
 
-    The window is not a whole number of turns, the mean and the speed drift. FAULT (kind "late"): noise that is white
-    in each channel but later in one of them, as behind a sampled controller, is taken for uncorrelated.
+    The window is not a whole number of turns, the mean and the speed drift. Kind "late": white in each channel, as
+    behind a sampled controller, and correlated all the same.
     """
     K, draws = 3, 300
     time = np.arange(n) / RATE
@@ -223,7 +223,6 @@ def test_a_line_that_does_not_follow_the_shaft(kind, hertz):
 
 
 def test_several_lines_largest_first():
-    """FAULT: `find_lines` says "largest first" and orders by the ratio to what is beside each."""
     n = 4000
     time = np.arange(n) / RATE
     theta = TURN * 25 * time
@@ -272,7 +271,6 @@ def test_too_few_samples():
 
 @pytest.mark.parametrize("n", [0, 1, 2, 3])
 def test_hardly_any_samples(n):
-    """FAULT: no sample is an IndexError, one is a ZeroDivisionError."""
     assert refused(n, 5)[0][0] == "run run1"
 
 

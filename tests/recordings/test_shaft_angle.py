@@ -138,7 +138,7 @@ def test_jitter_and_noise_together_make_the_covariance_of_harmonics():
 
 
 def test_jitter_of_pulses_makes_no_lines():
-    """FAULT: an error of the speed turns harmonics while the run lasts, and this is reported as lines beside them.
+    """An error of the speed turns harmonics while the run lasts; these sides of a harmonic are no lines.
 
     30 runs; the stated chance of a false line is one in a thousand.
     """
@@ -155,7 +155,7 @@ def test_jitter_of_pulses_makes_no_lines():
 
 
 def test_large_jitter_is_not_called_exact():
-    """FAULT: jitter above 2 % of a turn is taken for a wandering speed, and angle zero for known exactly."""
+    """Jitter above 2 % of a turn is not a wandering speed that is known exactly."""
     exact = pulses_of(turned([0.4, SPEED]))
     angle = found(exact + 0.03 / 24.7 * np.random.default_rng(0).standard_normal(len(exact)))
     assert angle.std > 0
