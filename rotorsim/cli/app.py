@@ -37,6 +37,7 @@ VERBS = {
     "identify": "Estimate the free parameters of a diagram from a recording, with intervals and verdicts.",
     "sensitivity": "Move the identified parameters by noise and wrong known ones, over many seeds.",
     "locate": "Find the node at which a crack or another force acts, from a recording.",
+    "fmu": "Export diagrams as FMUs for other tools; look into FMUs.",
     "cache": "Show or clear the cache of compiled models.",
     "version": "Print the version.",
 }

@@ -1,0 +1,272 @@
+"""FMU and SSP archives: read and unpacked within limits of names, counts and sizes; nothing outside the folder.
+
+An archive is foreign data. Refused: names that leave the folder (``..``, absolute, drive, backslash), links and
+devices, encryption, methods other than stored and deflated, names that are there twice, too many files, too many
+bytes, and bombs (more bytes than `RATIO` times those of the archive). Sizes are counted while unpacking: what the
+archive says about itself is not trusted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import stat
+import struct
+import sys
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from rotorsim.errors import Place, Problem, RotorsimError
+
+__all__ = ["Archive", "Limits", "check_name"]
+
+_CHUNK = 1 << 18
+_DIRECTORY = 1 << 22  # bytes of the list of files at the end of an archive
+_SHOWN = 5  # problems of one kind
+_DRIVE = re.compile(r"[A-Za-z]:")
+_CONTROL = re.compile(r"[\x00-\x1f\x7f]")
+_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+_FOLDS_CASE = sys.platform in ("win32", "darwin")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What an archive may hold: files, bytes unpacked, and bytes unpacked over bytes packed beyond `free` bytes."""
+
+    files: int = 10_000
+    bytes: int = 2 << 30
+    ratio: float = 200.0
+    free: int = 16 << 20
+
+
+class Archive:
+    """An archive opened for reading; a context manager.
+
+    names: files, as the archive spells them. Raises RotorsimError with every mistake found.
+    """
+
+    def __init__(self, path: str | Path, limits: Limits | None = None) -> None:
+        self.path, self.limits = Path(path), limits or Limits()
+        self.place = Place(str(path))
+        self._stream = _open(self.path, self.place)
+        try:
+            with self._translated():
+                self._zip = zipfile.ZipFile(self._stream)
+                self.members = self._zip.infolist()
+            problems = list(self._problems())
+            if problems:
+                raise RotorsimError(*problems)
+        except BaseException:
+            self._stream.close()
+            raise
+        self._files = {member.filename: member for member in self.members if not member.is_dir()}
+        self.names = tuple(self._files)
+        self._left = self._allowed()
+
+    def __enter__(self) -> Archive:
+        return self
+
+    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._zip.close()
+        self._stream.close()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._files
+
+    def read(self, name: str, most: int) -> bytes:
+        """Return the bytes of a file of at most ``most`` bytes."""
+        if name not in self._files:
+            raise RotorsimError(Problem(f"there is no {name} in the archive", place=self.place, hint=_holds(self)))
+        with self._translated(), self._zip.open(self._files[name]) as stream:
+            data = stream.read(most + 1)
+        if len(data) > most:
+            raise RotorsimError(Problem(f"{name} has more than {most} bytes", place=self.place))
+        return data
+
+    def peek(self, name: str, count: int) -> bytes:
+        """Return the first bytes of a file."""
+        with self._translated(), self._zip.open(self._files[name]) as stream:
+            return stream.read(count)
+
+    def unpack(self, folder: Path, wanted: Callable[[str], bool] = lambda name: True) -> list[str]:
+        """Write the wanted files into an existing empty folder that is ours alone; return their names."""
+        self._left = self._allowed()
+        written = []
+        for name, member in self._files.items():
+            if wanted(name):
+                target = folder.joinpath(*name.split("/"))
+                target.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+                self._write(member, target)
+                written.append(name)
+        return written
+
+    def _write(self, member: zipfile.ZipInfo, target: Path) -> None:
+        descriptor = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o600)
+        with open(descriptor, "wb") as output, self._translated(), self._zip.open(member) as stream:
+            while data := stream.read(_CHUNK):
+                self._left -= len(data)
+                if self._left < 0:
+                    raise RotorsimError(self._too_large())
+                output.write(data)
+
+    def _allowed(self) -> int:
+        """Return how many bytes may be unpacked in all."""
+        packed = os.fstat(self._stream.fileno()).st_size
+        return int(min(self.limits.bytes, max(self.limits.free, self.limits.ratio * packed)))
+
+    def _too_large(self) -> Problem:
+        what = f"unpacks to more than {self._allowed()} bytes: taken for a bomb"
+        return Problem(what, place=self.place, hint="if it is not, allow more: Limits(bytes=..., ratio=...)")
+
+    def _problems(self) -> Iterator[Problem]:
+        """Yield what is wrong with the list of files."""
+        if len(self.members) > self.limits.files:
+            yield Problem(f"holds {len(self.members)} files; {self.limits.files} are allowed", place=self.place)
+            return
+        if sum(member.file_size for member in self.members) > self._allowed():
+            yield self._too_large()
+        wrong = [(m.orig_filename, why) for m in self.members if (why := _wrong(m))]
+        for name, why in wrong[:_SHOWN]:
+            yield Problem(f"{_shown(name)}: {why}", place=self.place, hint="this archive is hostile or damaged")
+        if len(wrong) > _SHOWN:
+            yield Problem(f"... and {len(wrong) - _SHOWN} more such files", place=self.place)
+        if not wrong:
+            yield from self._doubles()
+
+    def _doubles(self) -> Iterator[Problem]:
+        seen: dict[str, bool] = {}  # name -> it is a folder
+        for member in self.members:
+            name = member.filename.rstrip("/")
+            parts = (name.casefold() if _FOLDS_CASE else name).split("/")
+            above = ["/".join(parts[:k]) for k in range(1, len(parts))]
+            whole = "/".join(parts)
+            clash = whole in seen and not (seen[whole] and member.is_dir())
+            if clash or any(not seen.get(folder, True) for folder in above):
+                yield Problem(f"{_shown(name)}: is in the archive twice", place=self.place)
+                return
+            seen.update(dict.fromkeys(above, True))
+            seen[whole] = member.is_dir()
+
+    @contextlib.contextmanager
+    def _translated(self) -> Iterator[None]:
+        """Turn whatever the zip reader raises on damaged data into words."""
+        try:
+            yield
+        except (
+            zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError,
+            OverflowError, IndexError, KeyError, OSError,
+        ) as error:  # fmt: skip
+            if isinstance(error, OSError) and error.filename is not None:
+                raise
+            why = " ".join(str(error).split())[:200] or type(error).__name__
+            hint = "is the download complete? An FMU is a zip archive"
+            raise RotorsimError(Problem(f"not a readable archive: {why}", place=self.place, hint=hint)) from None
+
+
+def check_name(name: str) -> str:
+    """Return why a name inside an archive is refused, or "" if it is fine."""
+    parts = name.rstrip("/").split("/")
+    if not name or _CONTROL.search(name):
+        return "the name is empty or has control characters"
+    if "\\" in name:
+        return "the name has a backslash"
+    if name.startswith("/") or _DRIVE.match(name):
+        return "the name is absolute"
+    if any(part in ("", ".", "..") for part in parts):
+        return "the name leaves its folder"
+    if len(name) > 500 or any(len(part.encode("utf-8", "surrogatepass")) > 200 for part in parts) or len(parts) > 32:
+        return "the name is too long"
+    if any("\ud800" <= character <= "\udfff" for character in name):
+        return "the name is not text"
+    if sys.platform == "win32" and any(
+        _RESERVED.fullmatch(part) or part[-1] in ". " or set(part) & set('<>:"|?*') for part in parts
+    ):
+        return "the name cannot be used on Windows"
+    return ""
+
+
+def _wrong(member: zipfile.ZipInfo) -> str:
+    """Return why one entry is refused, or ""."""
+    wrong = check_name(member.orig_filename) or check_name(member.filename)
+    if wrong:
+        return wrong
+    kind = stat.S_IFMT(member.external_attr >> 16)
+    if kind == stat.S_IFLNK:
+        return "is a link"
+    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+        return "is not a plain file"
+    if member.flag_bits & 0x1:
+        return "is encrypted"
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        return "is packed by a method other than deflate"
+    return ""
+
+
+def _open(path: Path, place: Place) -> _Guarded:
+    try:
+        if path.is_dir():
+            raise RotorsimError(Problem("is a folder", place=place, hint="give the .fmu file itself"))
+        status = os.stat(path)
+        if not stat.S_ISREG(status.st_mode):
+            raise RotorsimError(Problem("is not a plain file", place=place))
+        return _Guarded(open(path, "rb"), place)
+    except FileNotFoundError:
+        raise RotorsimError(Problem("file does not exist", place=place)) from None
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise RotorsimError(Problem(f"file cannot be read: {why}", place=place)) from None
+
+
+class _Guarded(io.BufferedIOBase):
+    """A file that refuses to be read in large pieces: the list of files of a hostile archive may be one."""
+
+    def __init__(self, stream: IO[bytes], place: Place) -> None:
+        self._inner, self._place = stream, place
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        size = _DIRECTORY + 1 if size is None or size < 0 else size
+        data = self._inner.read(min(size, _DIRECTORY + 1))
+        if len(data) > _DIRECTORY:
+            raise RotorsimError(Problem("the list of its files is too long", place=self._place))
+        return data
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        return self._inner.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._inner.tell()
+
+    def seekable(self) -> bool:
+        return True
+
+    def readable(self) -> bool:
+        return True
+
+    def fileno(self) -> int:
+        return self._inner.fileno()
+
+    def close(self) -> None:
+        if not self._inner.closed:
+            self._inner.close()
+        super().close()
+
+
+def _shown(name: str) -> str:
+    text = name.encode("unicode_escape", "replace").decode("ascii")
+    return f"'{text}'" if len(text) <= 80 else f"'{text[:77]}...'"
+
+
+def _holds(archive: Any) -> str:
+    shown = ", ".join(_shown(name) for name in archive.names[:_SHOWN])
+    return f"it holds {shown}{', ...' if len(archive.names) > _SHOWN else ''}" if shown else "it is empty"

@@ -1,0 +1,201 @@
+"""Co-simulate a diagram: compiled parts and FMUs side by side, exchanging signals at communication points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from rotorsim.compile.part import open_part
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.fmi.coupling import Coupling
+from rotorsim.fmi.masters import Master, make_master
+from rotorsim.fmi.participant import CompiledParticipant, Participant
+from rotorsim.simulate.linear import entry_names
+from rotorsim.simulate.result import Result
+
+__all__ = ["cosimulate", "couple"]
+
+LARGEST_ADAPTIVE = 100  # the adaptive step over the one given
+
+
+def couple(
+    diagram: Diagram, groups: Sequence[Iterable[str]], *, parameters: Mapping[str, Any] | None = None,
+    participants: Mapping[str, Participant] | None = None, use_compiler: bool = True,
+) -> Coupling:  # fmt: skip
+    """Return a diagram cut into participants: one compiled part for each group of blocks, and the participants given.
+
+    participants: block -> a participant in its place (an FMU); its inputs and outputs are named as the block's ports,
+    "rotor.force[1]". Blocks that no group names make one more part. Raises RotorsimError for what does not fit.
+    """
+    given = dict(participants or {})
+    taken = [block for group in groups for block in group]
+    rest = [block for block in diagram.nodes if block not in taken and block not in given]
+    parts = [tuple(group) for group in groups] + ([tuple(rest)] if rest else [])
+    _refuse_doubles(diagram, [*taken, *given])
+    crossing = _crossing(diagram, [*parts, *((block,) for block in given)])
+    made: list[Participant] = []
+    for blocks in parts:
+        part = open_part(diagram, blocks, by_source=True)
+        p = part.parameter_vector(parameters)
+        record = [port for port in crossing if port.rpartition(".")[0] in blocks]
+        watched = [str(name) for name in diagram.record if str(name).partition(".")[0] in blocks]
+        record += [name for name in watched if name.partition("[")[0] not in record]
+        name = "+".join(blocks) if len(blocks) < 4 else f"{blocks[0]}+{len(blocks) - 1} more"
+        made.append(CompiledParticipant(name, part, record, p, diagram.solver.step, use_compiler=use_compiler))
+    made += given.values()
+    return Coupling(tuple(made), *_wires(diagram, made, set(given)))
+
+
+def _refuse_doubles(diagram: Diagram, blocks: Sequence[str]) -> None:
+    problems = [Problem("is in two parts", block) for block in dict.fromkeys(blocks) if blocks.count(block) > 1]
+    problems += [Problem("no such block", block) for block in dict.fromkeys(blocks) if block not in diagram.nodes]
+    if problems:
+        raise RotorsimError(*problems)
+
+
+def _crossing(diagram: Diagram, parts: Sequence[Sequence[str]]) -> list[str]:
+    """Return the output ports that feed another part."""
+    home = {block: k for k, blocks in enumerate(parts) for block in blocks}
+    return list(dict.fromkeys(
+        f"{w.source.block}.{w.source.port}" for w in diagram.wires if home[w.source.block] != home[w.target.block]
+    ))  # fmt: skip
+
+
+def _wires(diagram: Diagram, participants: Sequence[Participant], foreign: set[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return L and u0: a compiled part's inputs are named by their source, a foreign one's by its own ports."""
+    outputs = [name for participant in participants for name in participant.outputs]
+    at = {name: k for k, name in enumerate(outputs)}
+    rows = []
+    for participant in participants:
+        for name in participant.inputs:
+            row = np.zeros(len(outputs))
+            if name.partition(".")[0] in foreign and participant is not None and _owns(participant, name, foreign):
+                for source in _sources(diagram, name):
+                    row[at[source]] += 1.0
+            else:
+                row[at[name]] = 1.0
+            rows.append(row)
+    L = np.array(rows).reshape(len(rows), len(outputs))
+    return L, np.zeros(len(rows))
+
+
+def _owns(participant: Participant, name: str, foreign: set[str]) -> bool:
+    return participant.name in foreign and name.partition(".")[0] == participant.name
+
+
+def _sources(diagram: Diagram, name: str) -> list[str]:
+    """Return the flat output entries that add up to one input entry of a block."""
+    found = []
+    for wire in diagram.wires:
+        target, source = wire.target, wire.source
+        declared = diagram.nodes[target.block].inputs[target.port]
+        entries = entry_names(f"{target.block}.{target.port}", declared.shape)
+        if name not in entries:
+            continue
+        port = diagram.nodes[source.block].outputs[source.port]
+        out = np.array(entry_names(f"{source.block}.{source.port}", port.shape)).reshape(port.shape or (1,))
+        inside = np.array(entries).reshape(declared.shape or (1,))
+        if source.index:
+            out = out[source.index]
+        if target.index:
+            inside = inside[target.index]
+        out, inside = np.atleast_1d(out), np.atleast_1d(inside)
+        out = np.broadcast_to(out, inside.shape)
+        found += [str(o) for o, i in zip(out.ravel(), inside.ravel(), strict=True) if str(i) == name]
+    return found
+
+
+def cosimulate(
+    coupling: Coupling, diagram: Diagram, *, step: float, stop: float | None = None, master: str = "gauss_seidel",
+    order: int | None = None, tolerance: float = 1e-8, adaptive: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Result:  # fmt: skip
+    """Advance the participants from 0 to stop with communication steps; return the outputs at these points.
+
+    step: communication step [s]. adaptive: relative error allowed per step; the step is then halved or doubled as step
+    doubling says (every participant must be able to step back). A participant that fails or a signal that leaves
+    the finite numbers ends the run; what was found until then is kept, with status and message.
+    """
+    end = diagram.solver.stop if stop is None else stop
+    if not 0 < step <= end:
+        raise RotorsimError(Problem(f"communication step {step:g} s is not between 0 and the stop time {end:g} s"))
+    worker = make_master(master, coupling, order=order, tolerance=tolerance)
+    times, rows = [0.0], []
+    status, message = "finished", ""
+    y = worker.start(0.0)[1]
+    rows.append(y)
+    t, count, width = 0.0, 0, step
+    while t < end - 1e-9 * step:
+        try:
+            if adaptive is None:
+                count += 1
+                target = min(count * step, end)
+                y = worker.step(t, target - t)[1]
+            else:
+                target, y, width = _doubled(worker, t, min(width, end - t), adaptive, step)
+        except RotorsimError as error:
+            status, message = "stopped", error.problems[0].what
+            break
+        t = target
+        times.append(t)
+        rows.append(y)
+        if not np.isfinite(y).all():
+            status = "diverged"
+            bad = int(np.flatnonzero(~np.isfinite(y))[0])
+            names = [name for p in coupling.participants for name in p.outputs]
+            message = (
+                f"{names[bad]} left the finite numbers at t = {t:g} s: a smaller communication step, or another master"
+            )
+            break
+        if progress is not None:
+            progress(t / end)
+    return _result(coupling, np.array(times), np.array(rows), status, message, worker, master, step)
+
+
+def _doubled(worker: Master, t: float, h: float, allowed: float, most: float) -> tuple[float, np.ndarray, float]:
+    """Take one step of h and, from the same state, two of h/2; return time, outputs, next step."""
+    while True:
+        saved = worker.save()
+        _, once = worker.step(t, h)
+        worker.restore(saved)
+        worker.step(t, h / 2)
+        _, twice = worker.step(t + h / 2, h / 2)
+        scale = np.maximum(np.maximum(np.abs(once), np.abs(twice)), 1e-12)
+        worker.peak = np.maximum(worker.peak, scale)
+        error = float((np.abs(twice - once) / worker.peak).max(initial=0.0))
+        if error <= allowed or h < 1e-6 * most:
+            grown = h * min(2.0, 0.9 * (allowed / max(error, 1e-30)) ** 0.5)
+            return t + h, twice, min(grown, LARGEST_ADAPTIVE * most)
+        worker.counters["rejected"] += 1
+        worker.restore(saved)
+        h *= max(0.2, 0.9 * (allowed / error) ** 0.5)
+
+
+def _result(
+    coupling: Coupling, times: np.ndarray, rows: np.ndarray, status: str, message: str, worker: Master, master: str,
+    step: float,
+) -> Result:  # fmt: skip
+    signals: dict[str, np.ndarray] = {}
+    names = [name for p in coupling.participants for name in p.outputs]
+    grouped: dict[str, list[int]] = {}
+    for k, name in enumerate(names):
+        grouped.setdefault(name.partition("[")[0], []).append(k)
+    for base, columns in grouped.items():
+        values = rows[:, columns]
+        inside = [names[k].partition("[")[2].rstrip("]") for k in columns]
+        if inside == [""]:
+            signals[base] = values[:, 0]
+            continue
+        index = np.array([[int(part) for part in text.split(",")] for text in inside])
+        shape = tuple(index.max(axis=0))
+        full = index.min() == 1 and len(index) == int(np.prod(shape))
+        if full:
+            signals[base] = values.reshape(len(rows), *shape)
+        else:
+            signals.update({names[k]: rows[:, k] for k in columns})
+    return Result(
+        times, signals, {}, status, message, dict(worker.counters), {"master": master, "communication_step": step}
+    )  # fmt: skip

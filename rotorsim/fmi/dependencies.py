@@ -1,0 +1,78 @@
+"""What outputs and state derivatives depend on, from the sparsity of the traced equations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rotorsim.compile.part import Part
+
+__all__ = ["Dependencies", "find_dependencies"]
+
+Rows = list[list[int]]
+
+
+@dataclass(frozen=True)
+class Dependencies:
+    """Sparsity of rows [xdot; y; events] by columns [x; u; t], and of [xdot; y; x0] by [x exact; u; p] at the start.
+
+    moving: positions of outputs that change between sample hits.
+    """
+
+    by_column: Rows
+    initial_x: Rows
+    initial_u: Rows
+    initial_p: Rows
+    moving: frozenset[int]
+
+
+def find_dependencies(part: Part, record: Sequence[str], x_constant: np.ndarray) -> Dependencies:
+    """Return what depends on what: in motion, and at the start, when states follow from parameters."""
+    trace = part.trace
+    y = ca.vertcat(*[part.expression(name) for name in record]) if record else ca.SX(0, 1)
+    u = inputs_of(part)
+    moving_columns = ca.vertcat(trace.x, u, trace.t)
+    rows = ca.vertcat(trace.xdot, y, trace.events)
+    by_column = _rows(rows, moving_columns)
+    n_x = part.n_x
+    moving = frozenset(k for k in range(y.numel()) if by_column[n_x + k])
+    if trace.samplers and u.numel() and y.numel():
+        own = part.n_z - u.numel()
+        new = ca.substitute(trace.z_next, trace.hit, ca.SX.ones(*trace.hit.shape))[:own]
+        at_hit = _rows(ca.substitute(y, trace.z[:own], new), u) if own else []
+        for k, columns in enumerate(at_hit):  # what passes through at a sample hit
+            by_column[n_x + k] = sorted({*by_column[n_x + k], *(c + n_x for c in columns)})
+    calculated = np.flatnonzero(~x_constant).tolist()
+    start = trace.x
+    if calculated:
+        x0 = ca.densify(trace.x0)
+        start = ca.vertcat(*[x0[k] if k in set(calculated) else trace.x[k] for k in range(n_x)])
+    first = ca.vertcat(trace.xdot, y, trace.x0)
+    if calculated:
+        first = ca.substitute(first, trace.x, start)
+    initial_u = _rows(first, u)
+    for k in range(y.numel()):
+        initial_u[n_x + k] = sorted({*initial_u[n_x + k], *(c - n_x for c in by_column[n_x + k] if c >= n_x)})
+        initial_u[n_x + k] = [c for c in initial_u[n_x + k] if c < u.numel()]
+    return Dependencies(by_column, _rows(first, trace.x), initial_u, _rows(first, trace.p), moving)
+
+
+def inputs_of(part: Part) -> Any:
+    """Return the inputs of a part as symbols of its trace."""
+    places = [k for signal in part.inputs.values() for k in range(signal.part.start, signal.part.stop)]
+    return part.trace.z[places] if places else ca.SX(0, 1)
+
+
+def _rows(expression: Any, symbols: Any) -> Rows:
+    """Return the columns on which every row of an expression depends."""
+    found: Rows = [[] for _ in range(expression.numel())]
+    if not expression.numel() or not symbols.numel():
+        return found
+    sparsity = ca.jacobian_sparsity(ca.densify(expression), symbols)
+    for row, column in zip(*sparsity.get_triplet(), strict=True):
+        found[row].append(column)
+    return [sorted(columns) for columns in found]

@@ -1,0 +1,38 @@
+"""What goes wrong with an FMU at work, as an error with everything that is known about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rotorsim.errors import Place, Problem, RotorsimError
+
+__all__ = ["FmuError"]
+
+_SHOWN = 5  # messages of the FMU in an error
+
+
+class FmuError(RotorsimError):
+    """An FMU failed at work.
+
+    kind: "discard" (a step was refused: a shorter one may work), "error", "fatal", "crash" (its process died), "hang"
+    (no answer within the time limit), "value" (an output is not finite), "load" (its library cannot be loaded),
+    "refused" (by rotorsim, before the FMU was asked). function: FMI function, "" if not known; time: of the call [s].
+    last: time to which a refused step came [s]. log: (status, category, message) of the FMU.
+    """
+
+    exit_code = 1
+
+    def __init__(
+        self, what: str, *, kind: str, name: str, place: Place, function: str = "", time: float | None = None,
+        last: float | None = None, log: Sequence[tuple[str, str, str]] = (), printed: Sequence[str] = (),
+        hint: str = "",
+    ) -> None:  # fmt: skip
+        self.kind, self.function, self.time, self.last, self.log = kind, function, time, last, tuple(log)
+        text = what + (f" (t = {time:.9g} s)" if time is not None else "")
+        said = [f"{status}: {message}" for status, _, message in self.log if message and status != "OK"]
+        said = said or [message for _, _, message in self.log if message]
+        for line in list(dict.fromkeys(said))[-_SHOWN:]:
+            text += f"\n  it said: {line[:500]}"
+        for line in printed[-_SHOWN:]:
+            text += f"\n  it printed: {line[:300]}"
+        super().__init__(Problem(text, name, place, hint))

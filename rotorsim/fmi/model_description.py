@@ -1,0 +1,230 @@
+"""What an FMU says about itself: kinds, variables, units, structure; the same classes for FMI 2.0 and 3.0.
+
+Types have the names of FMI 3.0 (Real is Float64, Integer is Int32). Arrays are seen as their entries too:
+``v[2,3]`` counts from 1, the last index runs fastest.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import product
+from math import prod
+
+from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.units import Unit, UnitError, parse_unit
+
+__all__ = [
+    "FLOATS", "INTEGERS", "NUMERIC", "Entry", "Experiment", "FmuUnit", "FmuVariable", "Kind", "ModelDescription",
+]  # fmt: skip
+
+FLOATS = ("Float64", "Float32")
+INTEGERS = ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")
+NUMERIC = (*FLOATS, *INTEGERS, "Boolean")
+
+Value = float | int | bool | str
+_INDEXED = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]")
+
+
+@dataclass(frozen=True)
+class FmuUnit:
+    """A unit: value in base units = factor * value + offset; powers of kg, m, s, A, K, mol, cd, rad."""
+
+    name: str
+    factor: float = 1.0
+    offset: float = 0.0
+    powers: Mapping[str, int] = field(default_factory=dict)
+    display: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    defined: bool = True  # a unit without <BaseUnit> is only a name
+
+    @property
+    def unit(self) -> Unit | None:
+        """The unit as `rotorsim.units` knows it, or None: an offset, mol or cd, or only a name nobody knows."""
+        if not self.defined:
+            try:
+                return parse_unit(self.name)
+            except UnitError:
+                return None
+        if self.offset or self.powers.get("mol") or self.powers.get("cd"):
+            return None
+        return Unit(self.factor, tuple(self.powers.get(base, 0) for base in ("m", "kg", "s", "A", "K", "rad")))
+
+
+@dataclass(frozen=True)
+class FmuVariable:
+    """A variable. dimensions: () for a scalar; start: one value, or a tuple with one for each entry, or None.
+
+    derivative_of: name of the state whose derivative it is. clocked: it belongs to clocks.
+    """
+
+    name: str
+    reference: int
+    type: str
+    causality: str = "local"
+    variability: str = "continuous"
+    initial: str = ""
+    start: Value | tuple[Value, ...] | None = None
+    unit: str = ""
+    display_unit: str = ""
+    description: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    nominal: float | None = None
+    dimensions: tuple[int, ...] = ()
+    derivative_of: str = ""
+    declared_type: str = ""
+    alias: bool = False
+    clocked: bool = False
+    place: Place = field(default_factory=Place)
+
+    @property
+    def size(self) -> int:
+        """How many scalars it is."""
+        return prod(self.dimensions)
+
+    def names(self) -> list[str]:
+        """Return the names of its entries; of a scalar, its own."""
+        if not self.dimensions:
+            return [self.name]
+        ranges = (range(1, n + 1) for n in self.dimensions)
+        return [f"{self.name}[{','.join(map(str, index))}]" for index in product(*ranges)]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A scalar: a variable, or one entry (counted from 0) of an array."""
+
+    name: str
+    variable: FmuVariable
+    index: int = 0
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What an FMU offers as Co-Simulation ("cs"), Model Exchange ("me") or Scheduled Execution ("se")."""
+
+    name: str
+    identifier: str
+    can_get_set_state: bool = False
+    can_serialise_state: bool = False
+    directional_derivatives: bool = False
+    once_per_process: bool = False
+    needs_tool: bool = False
+    can_vary_step: bool = False  # cs
+    can_interpolate_inputs: bool = False  # cs, FMI 2.0: derivatives of inputs can be set
+    max_output_derivative_order: int = 0  # cs
+    fixed_step: float | None = None  # cs, FMI 3.0: its internal step [s]
+    completed_step_needed: bool = True  # me
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The experiment that the FMU proposes [s]."""
+
+    start: float | None = None
+    stop: float | None = None
+    tolerance: float | None = None
+    step: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ModelDescription:
+    """A model description that was read without a mistake.
+
+    states, derivatives: names of the entries of x and of its derivative, in the order of the FMU. outputs: names as
+    the model structure lists them. dependencies: output or derivative -> the variables it depends on directly
+    (None: on all). platforms: folders with a library for the kind asked.
+    """
+
+    version: str  # "2.0" or "3.0"
+    name: str
+    token: str  # guid or instantiation token
+    variables: Mapping[str, FmuVariable]
+    kinds: Mapping[str, Kind]
+    states: tuple[str, ...] = ()
+    derivatives: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    initial_unknowns: tuple[str, ...] = ()
+    dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    n_events: int = 0  # event indicators
+    units: Mapping[str, FmuUnit] = field(default_factory=dict)
+    experiment: Experiment = field(default_factory=Experiment)
+    description: str = ""
+    author: str = ""
+    tool: str = ""
+    date: str = ""
+    naming: str = "flat"
+    log_categories: tuple[str, ...] = ()
+    platforms: tuple[str, ...] = ()
+    place: Place = field(default_factory=Place)
+    warnings: tuple[Problem, ...] = ()
+
+    def by_causality(self, *causalities: str) -> list[FmuVariable]:
+        """Return the variables of these causalities, in the order of the file."""
+        return [variable for variable in self.variables.values() if variable.causality in causalities]
+
+    def entries(self, name: str) -> list[Entry]:
+        """Return the scalars that a name stands for: one, or all of an array; [] if there is no such variable."""
+        variable = self.variables.get(name)
+        if variable is not None:
+            return [Entry(entry, variable, k) for k, entry in enumerate(variable.names())]
+        match = _INDEXED.fullmatch(name)
+        array = self.variables.get(match[1]) if match else None
+        if match is None or array is None:
+            return []
+        index = [int(part) - 1 for part in match[2].split(",")] if len(match[2]) < 100 else []
+        sizes = array.dimensions
+        if len(index) != len(sizes) or not all(0 <= i < n for i, n in zip(index, sizes, strict=True)):
+            return []
+        place = 0
+        for i, n in zip(index, sizes, strict=True):
+            place = place * n + i
+        return [Entry(name, array, place)]
+
+    def resolve(self, names: Iterable[str], what: str = "variable") -> list[Entry]:
+        """Return the scalars that names stand for. Raises RotorsimError with every unknown name and a near miss."""
+        found: list[Entry] = []
+        problems = []
+        for name in names:
+            entries = self.entries(name)
+            if not entries:
+                array = self.variables.get(name.partition("[")[0])
+                hint = f"its shape is {list(array.dimensions)}" if array else near_miss(name, self.variables)
+                problems.append(Problem(f"no {what} '{name}'", self.name, self.place, hint))
+            found += entries
+        if problems:
+            raise RotorsimError(*problems)
+        return found
+
+    def scalars(self, *causalities: str) -> list[str]:
+        """Return the names of all numeric entries of these causalities."""
+        return [name for v in self.by_causality(*causalities) if v.type in NUMERIC for name in v.names()]
+
+    def unit_of(self, variable: FmuVariable) -> Unit | None:
+        """Return the unit of a variable, or None where it has none or one that we cannot convert."""
+        if not variable.unit:
+            return None
+        known = self.units.get(variable.unit)
+        return (known or FmuUnit(variable.unit, defined=False)).unit
+
+    @cached_property
+    def clocks(self) -> tuple[str, ...]:
+        """Names of the clocks."""
+        return tuple(name for name, variable in self.variables.items() if variable.type == "Clock")
+
+    def kind(self, name: str) -> Kind:
+        """Return a kind. Raises RotorsimError when the FMU does not offer it."""
+        if name not in self.kinds:
+            offered = _listed([_WORDS.get(kind, kind) for kind in self.kinds]) or "nothing that we know"
+            what = f"does not offer {_WORDS.get(name, name)}; it offers {offered}"
+            raise RotorsimError(Problem(what, self.name, self.place))
+        return self.kinds[name]
+
+
+_WORDS = {"cs": "Co-Simulation", "me": "Model Exchange", "se": "Scheduled Execution"}
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join(words)

@@ -1,0 +1,126 @@
+"""Who takes part in a co-simulation: a compiled part of the diagram, or an FMU; to the master they are alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+
+from rotorsim.compile.instance import Instance, make_instance
+from rotorsim.compile.part import Part
+from rotorsim.simulate.linear import entry_names
+
+__all__ = ["CompiledParticipant", "InputHistory", "Participant"]
+
+
+class InputHistory(Protocol):
+    """Inputs during a step: u(tau) for tau = t - start of the step."""
+
+    def __call__(self, tau: float) -> np.ndarray: ...
+
+
+class Participant(Protocol):
+    """A subsystem that a master advances from one communication point to the next.
+
+    inputs, outputs: flat names, in the order of the vectors u (n_u,) and y (n_y,). feedthrough: (n_y, n_u), whether an
+    output follows an input at the same instant. can_restore: a step can be taken back. has_rates: it tells the rates
+    of its outputs.
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    feedthrough: np.ndarray
+    can_restore: bool
+    has_rates: bool
+
+    def initialise(self, t: float, u: np.ndarray) -> None:
+        """Begin at time t with inputs u."""
+
+    def output(self, t: float, u: np.ndarray) -> np.ndarray:
+        """Return the outputs of the present state for inputs u."""
+
+    def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return the rates of the outputs of the present state, for inputs u that move at a rate."""
+
+    def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
+        """Advance from t to t + h with inputs u(tau); return the outputs there for the inputs u(h)."""
+
+    def save(self) -> Any:
+        """Return the state, to be given to `restore`."""
+
+    def restore(self, saved: Any) -> None:
+        """Go back to a saved state."""
+
+    def close(self) -> None:
+        """Free what it holds."""
+
+
+class CompiledParticipant:
+    """A compiled part of the diagram, advanced by its own Runge-Kutta steps.
+
+    Within an internal step the inputs are those of its middle, so that moving inputs are met to second order.
+    """
+
+    can_restore = True
+    has_rates = True
+
+    def __init__(
+        self, name: str, part: Part, record: Sequence[str], p: np.ndarray, step: float, *, use_compiler: bool = True
+    ) -> None:  # fmt: skip
+        self.name, self.part, self.p, self.internal = name, part, p, step
+        self.inputs = tuple(n for signal in part.inputs.values() for n in entry_names(signal.name, signal.shape))
+        self.outputs = tuple(n for port in record for n in entry_names(port, part.shape_of(port)))
+        self.instance: Instance = make_instance(part, tuple(record), p, use_compiler=use_compiler)
+        self.n_z = part.n_z - len(self.inputs)
+        self.feedthrough = self._feedthrough(record)
+        self._row = np.zeros((1, self.instance.n_y))
+        self.started = False
+
+    def _feedthrough(self, record: Sequence[str]) -> np.ndarray:
+        column = ca.vertcat(*[self.part.expression(port) for port in record]) if record else ca.SX(0, 1)
+        trace = self.part.trace
+        rate = ca.SX.sym("rate", len(self.inputs))
+        moving = ca.jtimes(column, ca.vertcat(trace.t, trace.x), ca.vertcat(ca.SX(1), trace.xdot))
+        if self.inputs:
+            moving += ca.jtimes(column, trace.z[self.n_z :], rate)
+        self._rate = ca.Function("rate", [trace.t, trace.x, trace.z, trace.p, rate], [ca.densify(moving)])
+        pattern = ca.jacobian(column, self.part.trace.z[self.n_z :]) if self.inputs else ca.SX(column.numel(), 0)
+        found = np.zeros((column.numel(), len(self.inputs)), bool)
+        rows, columns = pattern.sparsity().get_triplet()
+        found[np.array(rows, int), np.array(columns, int)] = True
+        return found
+
+    def initialise(self, t: float, u: np.ndarray) -> None:
+        self.instance.x[:], z = self.part.initial(self.p)
+        self.instance.z[:] = z
+        self.instance.z[self.n_z :] = u
+        self.instance.start(t)
+
+    def output(self, t: float, u: np.ndarray) -> np.ndarray:
+        self.instance.z[self.n_z :] = u
+        return self.instance.record(t, self.instance.x)[: len(self.outputs)]
+
+    def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        self.instance.z[self.n_z :] = u
+        return np.array(self._rate(t, self.instance.x, self.instance.z, self.p, rate)).ravel()
+
+    def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
+        count = max(1, int(np.ceil(h / self.internal - 1e-9)))
+        width = h / count
+        held = self.instance.z[self.n_z :]
+        for k in range(count):
+            held[:] = u((k + 0.5) * width)
+            self.instance.run(0, 1, t + k * width, width, 1, self._row)
+        return self.output(t + h, u(h))
+
+    def save(self) -> Any:
+        return self.instance.save()
+
+    def restore(self, saved: Any) -> None:
+        self.instance.restore(saved)
+
+    def close(self) -> None:
+        """Nothing is held."""

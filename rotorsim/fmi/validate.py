@@ -1,0 +1,242 @@
+"""Checks of an FMU beyond what is needed to read it: rules of the standard, libraries, and a first instance.
+
+Nothing of the FMU is run unless that is asked for; FMPy's validator runs in a process of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+from rotorsim.errors import Place, Problem, RotorsimError
+from rotorsim.fmi.archive import Archive
+from rotorsim.fmi.model_description import FLOATS, NUMERIC, FmuVariable, ModelDescription
+from rotorsim.fmi.platforms import SUFFIXES, binary_kind, folders, platform_of
+from rotorsim.fmi.slave import describe, open_fmu
+
+__all__ = ["validate_fmu"]
+
+_INDEX = r"(\[\d+(,\d+)*\])?"
+_PART = r"([A-Za-z_]\w*|'([^'\\]|\\.)+')" + _INDEX
+_PATH = rf"{_PART}(\.{_PART})*"
+_STRUCTURED = re.compile(rf"{_PATH}|der\({_PATH}(,\d+)?\)", re.ASCII)
+_LEGAL = {
+    "structuralParameter": {("fixed", "exact"), ("tunable", "exact")},
+    "parameter": {("fixed", "exact"), ("tunable", "exact")},
+    "calculatedParameter": {(v, i) for v in ("fixed", "tunable") for i in ("calculated", "approx")},
+    "input": {("discrete", "exact"), ("continuous", "exact")},
+    "output": {("constant", "exact")}
+    | {(v, i) for v in ("discrete", "continuous") for i in ("calculated", "exact", "approx")},
+    "local": {("constant", "exact")}
+    | {(v, i) for v in ("fixed", "tunable") for i in ("calculated", "approx")}
+    | {(v, i) for v in ("discrete", "continuous") for i in ("calculated", "exact", "approx")},
+    "independent": {("continuous", "")},
+}
+_FMPY = (
+    "import sys, json\nfrom fmpy.validation import validate_fmu\n"
+    "print(json.dumps([str(p) for p in validate_fmu(sys.argv[1])]))"
+)
+_FMPY_TIME, _FMPY_MOST, _SHOWN = 120.0, 20_000, 20
+
+
+def validate_fmu(path: str | Path, *, load: bool = False, fmpy: bool = True) -> list[Problem]:
+    """Return everything that is wrong with an FMU that can be read, and warnings.
+
+    load: instantiate and initialise it too, in a process of its own. fmpy: ask FMPy's validator too.
+    Raises RotorsimError when the archive or its model description cannot be read.
+    """
+    with Archive(path) as archive:
+        description = describe(archive, str(path))
+        problems = [*description.warnings, *_variables(description), *_structure(description)]
+        problems += _libraries(description, archive)
+    if fmpy:
+        problems += _ask_fmpy(Path(path), description)
+    if load and not any(problem.severity == "error" and problem.subject == "binaries" for problem in problems):
+        problems += _loaded(path, description)
+    return problems
+
+
+def _limited(found: Iterator[Problem]) -> Iterator[Problem]:
+    """Yield the first problems of one kind."""
+    count = 0
+    last: Problem | None = None
+    for last in found:
+        count += 1
+        if count <= _SHOWN:
+            yield last
+    if count > _SHOWN and last is not None:
+        yield Problem(f"... and {count - _SHOWN} more like these", place=Place(last.place.file))
+
+
+# -- the model description ---------------------------------------------------------------------------------------------
+
+
+def _variables(description: ModelDescription) -> Iterator[Problem]:
+    for check in (_names, _combinations, _starts, _units, _references):
+        yield from _limited(check(description))
+
+
+def _names(description: ModelDescription) -> Iterator[Problem]:
+    structured = description.naming == "structured"
+    for v in description.variables.values():
+        if structured and not _STRUCTURED.fullmatch(v.name[:1000]):
+            yield Problem(f"'{v.name[:200]}' is not a structured name", "variable", v.place)
+        elif any(c in "\r\n\t" for c in v.name):
+            yield Problem(f"{v.name[:200]!r} has a line break or a tab", "variable", v.place)
+
+
+def _combinations(description: ModelDescription) -> Iterator[Problem]:
+    for v in description.variables.values():
+        if (v.variability, v.initial) not in _LEGAL[v.causality] and v.type != "Clock":
+            initial = f" and initial {v.initial}" if v.initial else ""
+            yield Problem(f"causality {v.causality} with variability {v.variability}{initial}", v.name, v.place)
+        if v.variability == "continuous" and v.type not in FLOATS:
+            yield Problem(f"is of type {v.type} and cannot be continuous", v.name, v.place)
+
+
+def _starts(description: ModelDescription) -> Iterator[Problem]:
+    for v in description.variables.values():
+        if v.type in ("Clock", "Binary"):
+            continue
+        if v.start is None and (v.initial in ("exact", "approx") or v.causality == "input"):
+            yield Problem("has no start value", v.name, v.place)
+        if v.start is not None and v.initial == "calculated":
+            yield Problem("is calculated but has a start value", v.name, v.place)
+        if v.start is not None and v.causality == "independent":
+            yield Problem("is the independent variable but has a start value", v.name, v.place)
+        yield from _range(v)
+
+
+def _range(v: FmuVariable) -> Iterator[Problem]:
+    low = -math.inf if v.minimum is None else v.minimum
+    high = math.inf if v.maximum is None else v.maximum
+    if low > high:
+        yield Problem(f"min {low:g} is above max {high:g}", v.name, v.place)
+    starts = v.start if isinstance(v.start, tuple) else (v.start,)
+    if v.type in NUMERIC and any(isinstance(s, int | float) and not low <= s <= high for s in starts):
+        yield Problem(f"its start value is outside {low:g} ... {high:g}", v.name, v.place, severity="warning")
+
+
+def _units(description: ModelDescription) -> Iterator[Problem]:
+    for v in description.variables.values():
+        if v.unit and v.unit not in description.units:
+            yield Problem(f"its unit '{v.unit[:80]}' is not defined", v.name, v.place)
+        elif v.display_unit and v.unit and v.display_unit not in description.units[v.unit].display:
+            yield Problem(f"its display unit '{v.display_unit[:80]}' is not defined", v.name, v.place)
+
+
+def _references(description: ModelDescription) -> Iterator[Problem]:
+    if description.version == "2.0":
+        return
+    seen: dict[int, str] = {}
+    for v in description.variables.values():
+        if not v.alias and v.reference in seen:
+            yield Problem(f"has the value reference of {seen[v.reference]}", v.name, v.place)
+        seen.setdefault(v.reference, v.name)
+    if len(description.by_causality("independent")) != 1:
+        yield Problem("there must be exactly one independent variable", place=description.place)
+
+
+def _structure(description: ModelDescription) -> Iterator[Problem]:
+    outputs = {v.name for v in description.by_causality("output") if not v.alias}
+    listed = set(description.outputs)
+    for name in sorted(outputs - listed)[:_SHOWN]:
+        yield Problem("is an output that the model structure does not list", name, description.variables[name].place)
+    for name in sorted(listed - outputs)[:_SHOWN]:
+        yield Problem("is listed as an output but is none", name, description.variables[name].place)
+    expected = _initial_unknowns(description)
+    found = set(description.initial_unknowns)
+    for name in sorted(expected - found)[:_SHOWN]:
+        yield Problem("is missing among the initial unknowns", name, description.variables[name].place)
+    for name in sorted(found - expected)[:_SHOWN]:
+        yield Problem("is no initial unknown but is listed as one", name, description.variables[name].place)
+
+
+def _initial_unknowns(description: ModelDescription) -> set[str]:
+    free = ("approx", "calculated")
+    variables = [v for v in description.variables.values() if not v.alias]
+    found = {v.name for v in variables if v.causality == "output" and v.initial in free and not v.clocked}
+    found |= {v.name for v in variables if v.causality == "calculatedParameter"}
+    rates = {entry.variable.name for entry in description.resolve(description.derivatives)}
+    states = {description.variables[name].derivative_of for name in rates}
+    return found | {name for name in rates | states if description.variables[name].initial in free}
+
+
+# -- libraries ---------------------------------------------------------------------------------------------------------
+
+
+def _libraries(description: ModelDescription, archive: Archive) -> Iterator[Problem]:
+    place = Place(str(archive.path))
+    present = sorted({name.split("/")[1] for name in archive.names if re.fullmatch(r"binaries/[^/]+/.+", name)})
+    sources = any(name.startswith("sources/") for name in archive.names)
+    if not description.platforms:
+        hint = "it holds sources: build it with the tool it is from" if sources else ""
+        yield Problem("no library that can be loaded is inside", "binaries", place, hint)
+    elif not set(folders(description.version)) & set(description.platforms):
+        inside = ", ".join(description.platforms)
+        what = f"no library for this machine ({folders(description.version)[0]}); inside: {inside}"
+        yield Problem(what, "binaries", place, severity="warning")
+    for folder in present:
+        known = platform_of(folder)
+        suffix = SUFFIXES.get(known.partition("-")[2], "") if known else ""
+        for identifier in sorted({kind.identifier for kind in description.kinds.values()}):
+            name = f"binaries/{folder}/{identifier}{suffix}"
+            if suffix and name not in archive:
+                yield Problem(f"{name} is missing", "binaries", place, severity="warning")
+            elif suffix and (kind := binary_kind(archive.peek(name, 4096))) != known:
+                yield Problem(f"{name} is {kind or 'no library'}, not {known}", "binaries", place)
+
+
+# -- other judges ------------------------------------------------------------------------------------------------------
+
+
+def _ask_fmpy(path: Path, description: ModelDescription) -> Iterator[Problem]:
+    """Yield what FMPy's validator finds."""
+    place = Place(str(path))
+    longest = max((len(name) for name in description.variables), default=0)
+    if find_spec("fmpy") is None:
+        return
+    if len(description.variables) > _FMPY_MOST or longest > 500:
+        yield Problem("is too large for FMPy's validator, which was not asked", place=place, severity="warning")
+        return
+    command = [sys.executable, "-P", "-W", "ignore", "-c", _FMPY, str(path.resolve())]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_FMPY_TIME, check=True)
+        found = json.loads(done.stdout.splitlines()[-1])
+    except (subprocess.SubprocessError, OSError, ValueError, IndexError) as error:
+        what = f"FMPy's validator failed: {type(error).__name__}"
+        yield Problem(what, place=place, severity="warning")
+        return
+    for text in found[:_SHOWN]:
+        yield Problem(" ".join(str(text).split())[:500], "FMPy", place)
+    if len(found) > _SHOWN:
+        yield Problem(f"... and {len(found) - _SHOWN} more", "FMPy", place)
+
+
+def _loaded(path: str | Path, description: ModelDescription) -> Iterator[Problem]:
+    """Instantiate and initialise the FMU; yield what goes wrong."""
+    if not set(folders(description.version)) & set(description.platforms):
+        return
+    names = [name for name, v in description.variables.items() if v.type in FLOATS and not v.clocked]
+    for kind in description.kinds:
+        if kind == "se":
+            continue
+        try:
+            with open_fmu(path) as fmu:
+                slave = fmu.instantiate(kind)
+                slave.setup(description.experiment.start or 0.0, description.experiment.stop)
+                entries = description.resolve(names)
+                values = [value for name in names for value in slave.get([name])]
+                bad = [e.name for e, value in zip(entries, values, strict=True) if not math.isfinite(value)]
+                if bad:
+                    what = f"not finite after the initialisation ({kind}): {', '.join(bad[:5])}"
+                    yield Problem(what, description.name, Place(str(path)), severity="warning")
+                slave.terminate()
+        except RotorsimError as error:
+            yield from error.problems
