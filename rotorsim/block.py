@@ -232,6 +232,7 @@ class Block:
     sample_time: ClassVar[str | None] = None
     source: ClassVar[str] = ""
     category: ClassVar[str] = "elementary"
+    opaque: ClassVar[bool] = False  # its equations are elsewhere (an FMU): only a co-simulation can run it
 
     inputs: ClassVar[dict[str, In]] = {}
     outputs: ClassVar[dict[str, Out]] = {}

@@ -56,7 +56,13 @@ def open_part(
     sources = list(dict.fromkeys(f"{w.source.block}.{w.source.port}" for w in crossing))
     added = [] if by_source else [f"{w.target.block}.{w.target.port}" for w in crossing if _additive(diagram, w.target)]
     added = list(dict.fromkeys([*added, *inputs]))
-    whole = trace_diagram(diagram, inject=added, replace=sources)
+    foreign = [
+        f"{name}.{port}"
+        for name, node in diagram.nodes.items()
+        if node.block.opaque and name not in inside
+        for port in node.outputs
+    ]
+    whole = trace_diagram(diagram, inject=added, replace=list(dict.fromkeys([*sources, *foreign])))
     names: dict[str, tuple[Shape, str | None, Any]] = {}
     values = ca.SX.zeros(*whole.v.shape)
     fed: dict[str, list[Any]] = {}

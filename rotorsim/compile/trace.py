@@ -309,6 +309,8 @@ def trace_diagram(diagram: Diagram, inject: Iterable[str] = (), replace: Iterabl
     external input, or only the external input (the loop is opened there). An additive input ("rotor.force")
     can be injected into as well. Raises RotorsimError.
     """
+    replace = tuple(replace)
+    _refuse_opaque(diagram, set(replace))
     tracer = _Tracer(diagram, inject, replace)
     residuals: list[Any] = []
     signals = tracer.propagate(evaluation_order(diagram), tracer.output, residuals)
@@ -361,6 +363,19 @@ def trace_diagram(diagram: Diagram, inject: Iterable[str] = (), replace: Iterabl
         state_blocks=tuple(tracer.state_blocks),
         event_blocks=tuple(event_blocks),
     )
+
+
+def _refuse_opaque(diagram: Diagram, replaced: set[str]) -> None:
+    """Raise RotorsimError for blocks without equations of their own whose outputs somebody needs."""
+    problems = []
+    for name, node in diagram.nodes.items():
+        if node.block.opaque:
+            needed = {f"{w.source.block}.{w.source.port}" for w in diagram.wires if w.source.block == name}
+            if needed - replaced:
+                hint = "`rotorsim cosim` runs diagrams with FMUs"
+                problems.append(Problem("is an FMU: its equations are not at hand", name, node.place, hint))
+    if problems:
+        raise RotorsimError(*problems)
 
 
 def _hits(tracer: _Tracer) -> Any:

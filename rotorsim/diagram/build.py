@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,17 +17,20 @@ from rotorsim.diagram.shapes import Unifier, text_of
 from rotorsim.diagram.source import LazyPlace
 from rotorsim.diagram.template import Template, Work, filled
 from rotorsim.diagram.values import ValueProblem, bounds_problem, numeric, option_value
-from rotorsim.errors import Place, Problem, near_miss
+from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
 
 __all__ = ["Builder"]
+
+# block types whose ports a file describes -> the module that reads it (rooms above this one: imported when needed)
+FROM_FILE = {"fmu": "rotorsim.fmi.fmu_block"}
 
 
 class Builder:
     """Makes `Work` of raw blocks and `Node` of work; mistakes go to ``problems``."""
 
-    def __init__(self, flat: FlatDocument, registry: Registry) -> None:
-        self.flat, self.registry, self.problems = flat, registry, flat.problems
+    def __init__(self, flat: FlatDocument, registry: Registry, folder: Path | None = None) -> None:
+        self.flat, self.registry, self.problems, self.folder = flat, registry, flat.problems, folder
         self.templates: dict[Any, Template] = {}
         self.unifier = Unifier()
         self.converted: dict[tuple[int, str | None], np.ndarray | ValueProblem] = {}
@@ -44,7 +49,9 @@ class Builder:
 
     def start(self, raw: RawBlock) -> Work | None:
         """Find the class and options of a block and read the parameters given to it."""
-        cls = self.registry.find(raw.type_name)
+        cls = self._from_file(raw) if raw.type_name in FROM_FILE else self.registry.find(raw.type_name)
+        if cls is None and raw.type_name in FROM_FILE:
+            return None
         if cls is None:
             hint = self.registry.hint(raw.type_name)
             if self.flat.data.get("block_folders") and not self.registry.folders:
@@ -79,6 +86,25 @@ class Builder:
         if len(self.problems) > before:
             return None
         return self.work(raw, cls, options, given, references)
+
+    def _from_file(self, raw: RawBlock) -> type[Block] | None:
+        """Return the class that a block's file describes (an FMU), or None when its mistakes have been said."""
+        if raw.file is None:
+            hint = '"type": "fmu", "file": "plant.fmu"'
+            self.error("key 'file' is missing", raw.name, raw.place(key=True), hint)
+            return None
+        base = raw.scope.source.path
+        folder = base.parent if base is not None else self.folder
+        path = (folder or Path()) / raw.file
+        try:
+            found: type[Block] = import_module(FROM_FILE[raw.type_name]).block_class(path)
+        except RotorsimError as error:
+            for problem in error.problems:
+                self.error(
+                    f"{problem.subject}: {problem.what}".removeprefix(": "), raw.name, raw.place("file"), problem.hint
+                )
+            return None
+        return found
 
     def work(
         self,

@@ -56,7 +56,7 @@ def load(
     flat = flatten_document(document, root, parameters, blocks)
     problems = flat.problems
     registry = Registry(_block_folders(flat, root, trust_blocks))
-    builder = Builder(flat, registry)
+    builder = Builder(flat, registry, root)
     removed = _removed(flat, without)
     _check_overrides(flat, parameters, blocks)
     works: dict[str, Work] = {}

@@ -9,14 +9,17 @@ import numpy as np
 
 from rotorsim.compile.part import open_part
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.fmi.coupling import Coupling
+from rotorsim.fmi.fmu_participant import FmuParticipant, fmu_participant
+from rotorsim.fmi.loop import FastLoop
 from rotorsim.fmi.masters import Master, make_master
 from rotorsim.fmi.participant import CompiledParticipant, Participant
+from rotorsim.fmi.stability import CouplingStability, coupling_stability
 from rotorsim.simulate.linear import entry_names
 from rotorsim.simulate.result import Result
 
-__all__ = ["cosimulate", "couple"]
+__all__ = ["cosimulate", "cosimulate_diagram", "couple", "open_coupling"]
 
 LARGEST_ADAPTIVE = 100  # the adaptive step over the one given
 
@@ -51,7 +54,11 @@ def couple(
 
 def _refuse_doubles(diagram: Diagram, blocks: Sequence[str]) -> None:
     problems = [Problem("is in two parts", block) for block in dict.fromkeys(blocks) if blocks.count(block) > 1]
-    problems += [Problem("no such block", block) for block in dict.fromkeys(blocks) if block not in diagram.nodes]
+    problems += [
+        Problem("no such block", block, hint=near_miss(block, diagram.nodes))
+        for block in dict.fromkeys(blocks)
+        if block not in diagram.nodes
+    ]
     if problems:
         raise RotorsimError(*problems)
 
@@ -108,16 +115,54 @@ def _sources(diagram: Diagram, name: str) -> list[str]:
     return found
 
 
+def open_coupling(
+    diagram: Diagram, groups: Sequence[Iterable[str]] = (), *, stop: float | None = None,
+    parameters: Mapping[str, Any] | None = None, use_compiler: bool = True,
+) -> Coupling:  # fmt: skip
+    """Return the participants of a diagram: its FMUs, the groups of blocks given, and the rest; FMUs are opened.
+
+    Close them with `Coupling.close`. Raises RotorsimError, also for a diagram of one participant.
+    """
+    end = diagram.solver.stop if stop is None else stop
+    opened: dict[str, Participant] = {}
+    try:
+        for name, node in diagram.nodes.items():
+            if node.block.opaque:
+                opened[name] = fmu_participant(name, node, end, diagram.solver.step)
+        if not opened and not groups:
+            hint = "cut it with --part BLOCK,BLOCK, or `rotorsim run` it"
+            raise RotorsimError(Problem("has no FMU: there is nothing to be coupled", diagram.name, hint=hint))
+        return couple(diagram, groups, parameters=parameters, participants=opened, use_compiler=use_compiler)
+    except BaseException:
+        for participant in opened.values():
+            participant.close()
+        raise
+
+
+def cosimulate_diagram(
+    diagram: Diagram, groups: Sequence[Iterable[str]] = (), *, step: float, stop: float | None = None,
+    parameters: Mapping[str, Any] | None = None, **settings: Any,
+) -> Result:  # fmt: skip
+    """Open the FMUs of a diagram, co-simulate it, and close them; settings as for `cosimulate`."""
+    coupling = open_coupling(diagram, groups, stop=stop, parameters=parameters)
+    try:
+        return cosimulate(coupling, diagram, step=step, stop=stop, **settings)
+    finally:
+        coupling.close()
+
+
 def cosimulate(
     coupling: Coupling, diagram: Diagram, *, step: float, stop: float | None = None, master: str = "gauss_seidel",
-    order: int | None = None, tolerance: float = 1e-8, adaptive: float | None = None,
-    progress: Callable[[float], None] | None = None,
+    order: int | None = None, tolerance: float = 1e-8, adaptive: float | None = None, check: bool = False,
+    fast: bool = False, progress: Callable[[float], None] | None = None,
 ) -> Result:  # fmt: skip
     """Advance the participants from 0 to stop with communication steps; return the outputs at these points.
 
     step: communication step [s]. adaptive: relative error allowed per step; the step is then halved or doubled as step
     doubling says (every participant must be able to step back). A participant that fails or a signal that leaves
-    the finite numbers ends the run; what was found until then is kept, with status and message.
+    the finite numbers ends the run; what was found until then is kept, with status and message. check: refuse a step
+    with which the linearised loop is unstable though the loop as a whole is stable. fast: the plain loop in C, inputs
+    held and outputs taken as each participant left them (no sweeps through direct feedthrough), for FMUs in process.
     """
     end = diagram.solver.stop if stop is None else stop
     if not 0 < step <= end:
@@ -127,6 +172,13 @@ def cosimulate(
     status, message = "finished", ""
     y = worker.start(0.0)[1]
     rows.append(y)
+    found = coupling_stability(coupling, step, master=master, order=order) if check and adaptive is None else None
+    if found is not None and not found.stable and found.largest_step > 0:
+        what = f"with this step the coupled loop is unstable; the largest stable step is {found.largest_step:.3g} s"
+        hint = "a smaller step, or another master (iterative bears the largest steps)"
+        raise RotorsimError(Problem(what, f"step {step:g} s, {master}", hint=hint), exit_code=1)
+    if fast:
+        return _fast(coupling, diagram, step, end, master, worker, rows[0], found, progress)
     t, count, width = 0.0, 0, step
     while t < end - 1e-9 * step:
         try:
@@ -152,7 +204,26 @@ def cosimulate(
             break
         if progress is not None:
             progress(t / end)
-    return _result(coupling, np.array(times), np.array(rows), status, message, worker, master, step)
+    return _result(coupling, diagram, np.array(times), np.array(rows), status, message, worker, master, step, found)
+
+
+def _fast(
+    coupling: Coupling, diagram: Diagram, step: float, end: float, master: str, worker: Master, first: np.ndarray,
+    found: CouplingStability | None, progress: Callable[[float], None] | None,
+) -> Result:  # fmt: skip
+    """Run the loop in C; see `rotorsim.fmi.loop`."""
+    if master == "iterative" or worker.order > 0:
+        raise RotorsimError(Problem("the fast loop holds inputs: master jacobi or gauss_seidel, order 0", "fast"))
+    members: list[Any] = [p.slave if isinstance(p, FmuParticipant) else p for p in coupling.participants]
+    sequence = coupling.order if master == "gauss_seidel" else None
+    count = round(end / step)
+    made = FastLoop(members, coupling.L, coupling.u0, sequence).run(0.0, step, count, progress=progress)
+    rows = np.vstack([first, made])
+    status, message = "finished", ""
+    if len(made) < count or not np.isfinite(rows[-1]).all():
+        status, message = "diverged", f"left the finite numbers at t = {len(made) * step:g} s: a smaller step"
+    worker.counters["steps"] = len(made)
+    return _result(coupling, diagram, np.arange(len(rows)) * step, rows, status, message, worker, master, step, found)
 
 
 def _doubled(worker: Master, t: float, h: float, allowed: float, most: float) -> tuple[float, np.ndarray, float]:
@@ -175,8 +246,8 @@ def _doubled(worker: Master, t: float, h: float, allowed: float, most: float) ->
 
 
 def _result(
-    coupling: Coupling, times: np.ndarray, rows: np.ndarray, status: str, message: str, worker: Master, master: str,
-    step: float,
+    coupling: Coupling, diagram: Diagram, times: np.ndarray, rows: np.ndarray, status: str, message: str,
+    worker: Master, master: str, step: float, found: CouplingStability | None,
 ) -> Result:  # fmt: skip
     signals: dict[str, np.ndarray] = {}
     names = [name for p in coupling.participants for name in p.outputs]
@@ -196,6 +267,9 @@ def _result(
             signals[base] = values.reshape(len(rows), *shape)
         else:
             signals.update({names[k]: rows[:, k] for k in columns})
-    return Result(
-        times, signals, {}, status, message, dict(worker.counters), {"master": master, "communication_step": step}
-    )  # fmt: skip
+    made = {"master": master, "order": worker.order, "communication_step": step}
+    if found is not None:
+        made |= {"damping_kept": found.kept, "largest_stable_step": found.largest_step}
+    ports = {f"{b}.{n}": p.unit for b, node in diagram.nodes.items() for n, p in node.outputs.items()}
+    units = {name: ports.get(name.partition("[")[0]) or "" for name in signals}
+    return Result(times, signals, units, status, message, dict(worker.counters), made)

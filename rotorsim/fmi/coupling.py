@@ -113,6 +113,11 @@ class Coupling:
         hint = "put a delay or a dynamic block into the loop"
         raise RotorsimError(Problem(f"inputs and outputs cannot be made to agree at t = {t:g} s", hint=hint))
 
+    def close(self) -> None:
+        """Close all participants."""
+        for participant in self.participants:
+            participant.close()
+
     @property
     def has_rates(self) -> bool:
         """Whether every participant tells the rates of its outputs."""

@@ -221,15 +221,15 @@ class Iterative(Master):
             offset = np.concatenate([coupling.u0, np.zeros(m)])
         else:
             end, L, offset = self._history(t, slice(0, m), None, h)(h), coupling.L, coupling.u0
-        self.scale = np.maximum(self.scale, np.abs(u))
-        floor = np.maximum(self.scale, 1e-12 * max(float(self.scale.max(initial=0.0)), 1e-30))
-        floor = np.tile(floor, len(end) // m) if m else floor
         if abs(h - self._width) > 1e-12 * h:
             self.jacobian, self._width = None, h
         before = np.inf
         for count in range(ITERATIONS):
             y = self._try(t, h, end, saved)
             residual = L @ y + offset - end
+            self.scale = np.maximum(self.scale, np.maximum(np.abs(u), np.abs(end[:m])))
+            floor = np.maximum(self.scale, 1e-12 * max(float(self.scale.max(initial=0.0)), 1e-30))
+            floor = np.tile(floor, len(end) // m) if m else floor
             size = float((np.abs(residual) / floor).max(initial=0.0))
             if size <= self.tolerance:
                 u, y = self._accept(t + h, y[:n])

@@ -1,0 +1,160 @@
+"""The block ``fmu``: its ports and parameters are those that the model description of an FMU states.
+
+Variables are grouped by their structured names: ``rotor.force[1]``, ``rotor.force[2]`` are a port of shape 2. A first
+part that all inputs and outputs share ("rotor.") is left out; other dots become underscores.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorsim.block import Block, Equations, In, Option, Out, Param, Shape
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.fmi.model_description import FmuVariable, ModelDescription
+from rotorsim.fmi.slave import describe_fmu
+from rotorsim.units import UnitError, parse_unit
+
+__all__ = ["FmuPort", "block_class", "ports_of"]
+
+_INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")
+_REAL = ("Real", "Float64", "Float32")
+_NUMERIC = (*_REAL, "Integer", "Int64", "Int32", "Int16", "Int8", "UInt64", "UInt32", "UInt16", "UInt8")
+
+
+@dataclass(frozen=True)
+class FmuPort:
+    """A port or parameter of an ``fmu`` block: the FMU's own names of its entries, row-major."""
+
+    name: str
+    shape: Shape
+    unit: str | None
+    entries: tuple[str, ...]
+    start: np.ndarray | None
+    description: str
+
+
+def ports_of(description: ModelDescription, causality: str, prefix: str) -> dict[str, FmuPort]:
+    """Return the variables of one causality grouped to ports (only numbers; others are left at their start)."""
+    groups: dict[str, list[tuple[tuple[int, ...], str, FmuVariable, float | None]]] = {}
+    for variable in description.by_causality(causality):
+        if variable.type not in _NUMERIC or variable.clocked:
+            continue
+        starts = np.ravel(variable.start) if variable.start is not None else [None] * variable.size
+        starts = list(starts) * variable.size if len(starts) == 1 < variable.size else list(starts)
+        for name, start in zip(variable.names(), starts, strict=True):
+            match = _INDEX.fullmatch(name)
+            base = match[1] if match else name
+            index = tuple(int(part) for part in match[2].split(",")) if match else ()
+            groups.setdefault(base, []).append((index, name, variable, start))
+    found: dict[str, FmuPort] = {}
+    for base, members in groups.items():
+        port = _port(base, members, prefix)
+        if port.name in found:
+            raise RotorsimError(
+                Problem(f"two variables would be called '{port.name}'", description.name, description.place)
+            )
+        found[port.name] = port
+    return found
+
+
+def _port(base: str, members: Sequence[tuple[tuple[int, ...], str, FmuVariable, float | None]], prefix: str) -> FmuPort:
+    members = sorted(members, key=lambda member: member[0])
+    indices = np.array([member[0] for member in members])
+    shape: Shape = ()
+    if indices.size:
+        shape = tuple(int(n) for n in indices.max(axis=0))
+        if prod(shape) != len(members) or indices.min() != 1:
+            shape = (len(members),)
+    variable = members[0][2]
+    starts = [member[3] for member in members]
+    start = None if any(value is None for value in starts) else np.array(starts, float).reshape(shape)
+    return FmuPort(
+        port_name(base, prefix), shape, _unit(variable.unit), tuple(m[1] for m in members), start, variable.description
+    )  # fmt: skip
+
+
+def port_name(base: str, prefix: str) -> str:
+    """Return the name of a port for the base of variables' names."""
+    text = base[len(prefix) :] if prefix and base.startswith(prefix) else base
+    text = re.sub(r"\W", "_", text)
+    return f"_{text}" if text[:1].isdigit() else text
+
+
+def _unit(text: str) -> str | None:
+    """Return a unit that rotorsim knows, None for others: they fit anything."""
+    try:
+        parse_unit(text)
+    except UnitError:
+        return None
+    return text or None
+
+
+def prefix_of(description: ModelDescription) -> str:
+    """Return the first part "name." that all inputs and outputs share, or nothing."""
+    names = [v.name for v in description.by_causality("input", "output")]
+    first = {name.partition(".")[0] for name in names if "." in name.partition("[")[0]}
+    return f"{first.pop()}." if len(first) == 1 and all("." in name.partition("[")[0] for name in names) else ""
+
+
+@lru_cache(maxsize=64)
+def _made(path: Path, _stamp: tuple[int, int]) -> type[Block]:
+    description = describe_fmu(path)
+    prefix = prefix_of(description)
+    inputs = ports_of(description, "input", prefix)
+    outputs = ports_of(description, "output", prefix)
+    parameters = {
+        name: port for name, port in ports_of(description, "parameter", prefix).items() if port.start is not None
+    }
+    body: dict[str, Any] = {
+        "__doc__": f"{description.description or description.name} (FMU).\n\nIts equations are inside the FMU.",
+        "type_name": "fmu", "category": "fmu", "opaque": True, "source": description.name,
+        "fmu_path": path, "fmu_description": description,
+        "fmu_inputs": inputs, "fmu_outputs": outputs, "fmu_parameters": parameters,
+        "file": Option(str(path), kind=str, doc="file of the FMU"),
+        "interface": Option("", choices=("", "cs", "me"), kind=str, doc="cs, me, or as it offers (me first)"),
+        "in_process": Option(False, kind=bool, doc="load its code into this process: faster, but a crash is ours"),
+    }  # fmt: skip
+    for kind, ports in (("i", inputs), ("o", outputs)):
+        for port in ports.values():
+            declare = In if kind == "i" else Out
+            extra: dict[str, Any] = {"additive": True} if kind == "i" else {}
+            body[f"_{kind}_{port.name}"] = declare(
+                name=port.name, shape=port.shape, unit=port.unit, doc=port.description, **extra
+            )
+    for port in parameters.values():
+        body[f"_p_{port.name}"] = Param(
+            port.start.tolist() if port.start is not None and port.shape else port.start,
+            name=port.name, shape=port.shape, unit=port.unit, doc=port.description,
+        )  # fmt: skip
+    body["equations"] = _equations
+    return type("Fmu", (Block,), body)
+
+
+def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    """Return zeros: a co-simulation puts what the FMU says in their place."""
+    import casadi as ca
+
+    ports: Mapping[str, FmuPort] = self.fmu_outputs  # type: ignore[attr-defined]
+    zeros = {}
+    for name, port in ports.items():
+        rows, columns = (*port.shape, 1, 1)[:2] if len(port.shape) < 3 else (prod(port.shape), 1)
+        zeros[name] = ca.SX.zeros(rows, columns)
+    return Equations(outputs=zeros)
+
+
+def block_class(path: str | Path) -> type[Block]:
+    """Return the block class of an FMU file. Raises RotorsimError for what cannot be read."""
+    path = Path(path).resolve()
+    try:
+        found = path.stat()
+    except OSError as error:
+        raise RotorsimError(Problem(f"cannot read {path.name}: {(error.strerror or str(error)).lower()}")) from None
+    return _made(path, (found.st_mtime_ns, found.st_size))

@@ -1,0 +1,120 @@
+"""Diagrams with FMUs: the rotor or the controller outside, against the whole run; what coupling costs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rotorsim.compile.toolchain import find_compiler
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.load import load
+from rotorsim.errors import RotorsimError
+from rotorsim.fmi.cosimulation import cosimulate_diagram, couple
+from rotorsim.fmi.export import export_fmu
+from rotorsim.fmi.stability import coupling_stability
+from rotorsim.simulate import Result, simulate
+
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="FMUs are built by a C compiler")
+INNER, STOP = 2e-5, 0.03
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("fmus")
+    diagram = load("jeffcott", set={"solver.step": INNER, "solver.stop": STOP})
+    for block in ("controller", "rotor"):
+        for version in ("2.0", "3.0"):
+            export_fmu(diagram, path / f"{block}{version[0]}.fmu", blocks=[block], version=version)
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole() -> Result:
+    return simulate(load("jeffcott", set={"solver.step": INNER, "solver.stop": STOP}))
+
+
+def with_fmu(folder: Path, block: str, file: str, **options: Any) -> Diagram:
+    document = json.loads(json.dumps(load("jeffcott", set={"solver.step": INNER, "solver.stop": STOP}).document))
+    document.pop("identify")
+    document["blocks"][block] = {"type": "fmu", "file": file, "parameters": options}
+    return load(document, folder=folder)
+
+
+def off(found: Result, whole: Result) -> float:
+    every = round(float(found.time[1]) / INNER)
+    right = whole["rotor.displacement"][::every][: len(found.time)]
+    return float(np.abs(found["rotor.displacement"] - right).max() / np.abs(right).max())
+
+
+@pytest.mark.parametrize("block", ["controller", "rotor"])
+@pytest.mark.parametrize("interface", ["cs", "me"])
+@pytest.mark.parametrize("version", ["2", "3"])
+def test_an_fmu_in_the_place_of_a_block(folder: Path, whole: Result, block: str, interface: str, version: str) -> None:
+    """The error falls with the order of the master; the iterative one at 1 ms is better than extrapolation at 0.2 ms."""
+    diagram = with_fmu(folder, block, f"{block}{version}.fmu", interface=interface, in_process=True)
+    coarse, fine = (off(cosimulate_diagram(diagram, step=h, order=1), whole) for h in (4e-4, 2e-4))
+    assert np.log2(coarse / fine) == pytest.approx(2, abs=0.5)
+    assert off(cosimulate_diagram(diagram, step=1e-3, master="iterative"), whole) < fine
+
+
+def test_the_ports_of_an_fmu_are_those_of_the_block(folder: Path) -> None:
+    node = with_fmu(folder, "controller", "controller2.fmu").nodes["controller"]
+    assert {name: port.shape for name, port in node.inputs.items()} == {"displacement": (2,), "velocity": (2,)}
+    assert {name: port.unit for name, port in node.outputs.items()} == {"current": "A"}
+    assert {"KP", "KI", "KD"} <= set(node.values)
+
+
+def test_parameters_reach_the_fmu(folder: Path, whole: Result) -> None:
+    other = simulate(load("jeffcott", set={"solver.step": INNER, "solver.stop": STOP, "controller.KP": 9000.0}))
+    diagram = with_fmu(folder, "controller", "controller2.fmu", KP=9000.0)
+    found = cosimulate_diagram(diagram, step=1e-4, order=2)
+    assert off(found, other) < 1e-3
+    assert off(found, whole) > 1e-2
+
+
+def test_the_iterative_master_keeps_the_damping() -> None:
+    """At 1 ms, 0.76 rad of the rotor's own motion: within 1 % of the whole loop's damping."""
+    coupling = couple(load("jeffcott"), [["controller"]])
+    found = coupling_stability(coupling, 1e-3, master="iterative")
+    assert found is not None
+    assert found.kept == pytest.approx(1.0, abs=0.01)
+    assert found.largest_step > 2e-3
+
+
+def test_held_inputs_cost_damping() -> None:
+    """A delay of h/2 in the current: damping c + k_i K_D falls by k_i (K_P - ...) h / 2; here by about 126 to 12.6 %."""
+    coupling = couple(load("jeffcott"), [["controller"]])
+    found = coupling_stability(coupling, 1e-4, master="jacobi", order=0)
+    assert found is not None
+    # of the damping c + k_i K_D = 202.3 N s/m a delay of h/2 takes k_i K_P h / 2 = 25.7 N s/m
+    assert found.kept == pytest.approx(1 - 42.1 * 12200 * 0.5e-4 / (76 + 42.1 * 3), abs=0.01)
+
+
+def test_a_step_that_must_diverge_is_refused(folder: Path) -> None:
+    diagram = with_fmu(folder, "controller", "controller2.fmu")
+    with pytest.raises(RotorsimError, match=r"coupled loop is unstable; the largest stable step is 0\.000788 s"):
+        cosimulate_diagram(diagram, step=1e-3, master="jacobi", order=0, check=True)
+
+
+def test_a_diagram_with_an_fmu_is_not_run_as_a_whole(folder: Path) -> None:
+    diagram = with_fmu(folder, "controller", "controller2.fmu")
+    with pytest.raises(RotorsimError, match=r"is an FMU: its equations are not at hand\n\nhint: `rotorsim cosim`"):
+        simulate(diagram)
+
+
+def test_files_that_are_no_fmu(tmp_path: Path) -> None:
+    (tmp_path / "no.fmu").write_text("no")
+    document = json.loads(json.dumps(load("jeffcott").document))
+    document.pop("identify")
+    for block, text in (
+        ({"type": "fmu"}, "controller: key 'file' is missing"),
+        ({"type": "fmu", "file": "none.fmu"}, "controller: cannot read none.fmu: no such file"),
+        ({"type": "fmu", "file": "no.fmu"}, "controller: .*no.fmu"),
+    ):
+        document["blocks"]["controller"] = block
+        with pytest.raises(RotorsimError, match=text):
+            load(document, folder=tmp_path)
