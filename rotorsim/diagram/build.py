@@ -100,9 +100,8 @@ class Builder:
             found: type[Block] = import_module(FROM_FILE[raw.type_name]).block_class(path)
         except RotorsimError as error:
             for problem in error.problems:
-                self.error(
-                    f"{problem.subject}: {problem.what}".removeprefix(": "), raw.name, raw.place("file"), problem.hint
-                )
+                what = problem.what if raw.file in problem.what else f"{raw.file}: {problem.what}"
+                self.error(what, raw.name, raw.place("file"), problem.hint)
             return None
         return found
 

@@ -54,7 +54,7 @@ def off(found: Result, whole: Result) -> float:
 @pytest.mark.parametrize("interface", ["cs", "me"])
 @pytest.mark.parametrize("version", ["2", "3"])
 def test_an_fmu_in_the_place_of_a_block(folder: Path, whole: Result, block: str, interface: str, version: str) -> None:
-    """The error falls with the order of the master; the iterative one at 1 ms is better than extrapolation at 0.2 ms."""
+    """The error falls with the order of the master; iterative at 1 ms is better than extrapolation at 0.2 ms."""
     diagram = with_fmu(folder, block, f"{block}{version}.fmu", interface=interface, in_process=True)
     coarse, fine = (off(cosimulate_diagram(diagram, step=h, order=1), whole) for h in (4e-4, 2e-4))
     assert np.log2(coarse / fine) == pytest.approx(2, abs=0.5)
@@ -86,11 +86,10 @@ def test_the_iterative_master_keeps_the_damping() -> None:
 
 
 def test_held_inputs_cost_damping() -> None:
-    """A delay of h/2 in the current: damping c + k_i K_D falls by k_i (K_P - ...) h / 2; here by about 126 to 12.6 %."""
+    """A delay of h/2 in the current takes k_i K_P h / 2 of the damping c + k_i K_D."""
     coupling = couple(load("jeffcott"), [["controller"]])
     found = coupling_stability(coupling, 1e-4, master="jacobi", order=0)
     assert found is not None
-    # of the damping c + k_i K_D = 202.3 N s/m a delay of h/2 takes k_i K_P h / 2 = 25.7 N s/m
     assert found.kept == pytest.approx(1 - 42.1 * 12200 * 0.5e-4 / (76 + 42.1 * 3), abs=0.01)
 
 
@@ -113,7 +112,7 @@ def test_files_that_are_no_fmu(tmp_path: Path) -> None:
     for block, text in (
         ({"type": "fmu"}, "controller: key 'file' is missing"),
         ({"type": "fmu", "file": "none.fmu"}, "controller: cannot read none.fmu: no such file"),
-        ({"type": "fmu", "file": "no.fmu"}, "controller: .*no.fmu"),
+        ({"type": "fmu", "file": "no.fmu"}, "controller: no.fmu: not a readable archive"),
     ):
         document["blocks"]["controller"] = block
         with pytest.raises(RotorsimError, match=text):
