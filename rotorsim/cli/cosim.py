@@ -16,8 +16,9 @@ __all__ = ["command"]
 @click.argument("diagram", metavar="DIAGRAM")
 @click.option("--step", required=True, metavar="TIME", help="Communication step, such as '0.1 ms'.")
 @click.option("--stop", metavar="TIME", help="Stop time (default: the diagram's).")
-@click.option("--master", type=click.Choice(["jacobi", "gauss_seidel", "iterative"]), default="gauss_seidel",
-              show_default=True, help="iterative repeats steps until inputs and outputs agree.")  # fmt: skip
+@click.option("--master", type=click.Choice(["jacobi", "gauss_seidel", "iterative", "waveform"]),
+              default="gauss_seidel", show_default=True,
+              help="iterative repeats each step until all agree, waveform the whole run.")  # fmt: skip
 @click.option(
     "--order", type=click.IntRange(0, 3), help="Inputs within a step: 0 held, 1 linear, 2 quadratic, 3 cubic."
 )

@@ -16,6 +16,7 @@ from rotorsim.fmi.loop import FastLoop
 from rotorsim.fmi.masters import Master, make_master
 from rotorsim.fmi.participant import CompiledParticipant, Participant
 from rotorsim.fmi.stability import CouplingStability, coupling_stability
+from rotorsim.fmi.waveform import relaxed
 from rotorsim.simulate.linear import entry_names
 from rotorsim.simulate.result import Result
 
@@ -128,7 +129,8 @@ def open_coupling(
     try:
         for name, node in diagram.nodes.items():
             if node.block.opaque:
-                opened[name] = fmu_participant(name, node, end, diagram.solver.step)
+                wired = {wire.target.port for wire in diagram.wires if wire.target.block == name}
+                opened[name] = fmu_participant(name, node, wired, end, diagram.solver.step)
         if not opened and not groups:
             hint = "cut it with --part BLOCK,BLOCK, or `rotorsim run` it"
             raise RotorsimError(Problem("has no FMU: there is nothing to be coupled", diagram.name, hint=hint))
@@ -165,6 +167,8 @@ def cosimulate(
     held and outputs taken as each participant left them (no sweeps through direct feedthrough), for FMUs in process.
     """
     end = diagram.solver.stop if stop is None else stop
+    if master == "waveform" and 0 < step <= end:
+        return _by_waveform(coupling, diagram, step, end, tolerance, progress)
     if not 0 < step <= end:
         raise RotorsimError(Problem(f"communication step {step:g} s is not between 0 and the stop time {end:g} s"))
     worker = make_master(master, coupling, order=order, tolerance=tolerance)
@@ -205,6 +209,17 @@ def cosimulate(
         if progress is not None:
             progress(t / end)
     return _result(coupling, diagram, np.array(times), np.array(rows), status, message, worker, master, step, found)
+
+
+def _by_waveform(
+    coupling: Coupling, diagram: Diagram, step: float, end: float, tolerance: float,
+    progress: Callable[[float], None] | None,
+) -> Result:  # fmt: skip
+    """Repeat the whole run until the waveforms agree; see `rotorsim.fmi.waveform`."""
+    times, rows, counters = relaxed(coupling, step, end, tolerance, progress)
+    worker = make_master("jacobi", coupling)
+    worker.counters.update(counters)
+    return _result(coupling, diagram, times, rows, "finished", "", worker, "waveform", step, None)
 
 
 def _fast(

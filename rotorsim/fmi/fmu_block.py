@@ -129,7 +129,8 @@ def _made(path: Path, _stamp: tuple[int, int]) -> type[Block]:
             body[f"_{kind}_{port.name}"] = declare(
                 name=port.name, shape=port.shape, unit=port.unit, doc=port.description, **extra
             )
-    for port in parameters.values():
+    starts = {name: port for name, port in inputs.items() if port.start is not None and name not in parameters}
+    for port in (*parameters.values(), *starts.values()):
         body[f"_p_{port.name}"] = Param(
             port.start.tolist() if port.start is not None and port.shape else port.start,
             name=port.name, shape=port.shape, unit=port.unit, doc=port.description,

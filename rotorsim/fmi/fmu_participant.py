@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -52,8 +52,12 @@ class FmuParticipant:
         self._saved: list[int] = []
         self._last = internal
         self.x = np.zeros(0)
+        self._begun = False
 
     def initialise(self, t: float, u: np.ndarray) -> None:
+        if self._begun:
+            self.slave.reset()
+        self._begun = True
         self.slave.setup(
             t, 1.01 * self.stop, parameters=self.parameters, inputs=self._u_names, outputs=self._y_names
         )  # fmt: skip
@@ -182,8 +186,12 @@ def _depends(dependencies: Any, output: str, name: str) -> bool:
     return known is None or name in known or name.partition("[")[0] in known
 
 
-def fmu_participant(name: str, node: Node, stop: float, internal: float) -> FmuParticipant:
-    """Open the FMU of a block and return it as a participant. Raises RotorsimError."""
+def fmu_participant(name: str, node: Node, wired: Collection[str], stop: float, internal: float) -> FmuParticipant:
+    """Open the FMU of a block and return it as a participant.
+
+    wired: its input ports that something feeds; the others keep the values that the block gives them.
+    Raises RotorsimError.
+    """
     block: Any = node.block
     option = block.option
     fmu = open_fmu(block.fmu_path, in_process=bool(option.in_process))
@@ -193,9 +201,11 @@ def fmu_participant(name: str, node: Node, stop: float, internal: float) -> FmuP
         offered = ", ".join(kinds) or "neither"
         fmu.close()
         raise RotorsimError(Problem(f"the FMU offers no '{kind}'", name, node.place, f"it offers {offered}"))
+    given = {**block.fmu_parameters, **{key: port for key, port in block.fmu_inputs.items() if key not in wired}}
     parameters = {
         entry: float(value)
-        for key, port in block.fmu_parameters.items()
+        for key, port in given.items()
+        if key in node.values
         for entry, value, start in zip(
             port.entries, np.ravel(node.values[key]), np.ravel(port.start), strict=True
         )
@@ -206,4 +216,5 @@ def fmu_participant(name: str, node: Node, stop: float, internal: float) -> FmuP
     except BaseException:
         fmu.close()
         raise
-    return FmuParticipant(name, fmu, slave, block.fmu_inputs, block.fmu_outputs, parameters, stop, internal)
+    inputs = {key: port for key, port in block.fmu_inputs.items() if key in wired}
+    return FmuParticipant(name, fmu, slave, inputs, block.fmu_outputs, parameters, stop, internal)

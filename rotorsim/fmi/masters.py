@@ -174,7 +174,7 @@ class Iterative(Master):
         super().__init__(coupling, max(min(order, 2), 1) if not self.hermite else 1, tolerance, held)
         stuck = [p.name for p in coupling.participants if not p.can_restore]
         if stuck:
-            hint = "use master gauss_seidel"
+            hint = "use master waveform, which repeats the whole run, or gauss_seidel"
             raise RotorsimError(Problem(f"cannot take a step back: {', '.join(stuck)}", "iterative master", hint=hint))
         self.scale = np.zeros(len(coupling.u0))
         self._width = 0.0
@@ -296,7 +296,7 @@ def make_master(
     """Return a master by name. Raises RotorsimError for unknown names and orders."""
     kinds: dict[str, type[Master]] = {"jacobi": Jacobi, "gauss_seidel": GaussSeidel, "iterative": Iterative}
     if name not in kinds:
-        raise RotorsimError(Problem(f"no master '{name}'", hint=f"one of {', '.join(MASTERS)}"))
+        raise RotorsimError(Problem(f"no master '{name}'", hint=f"one of {', '.join(MASTERS)}, waveform"))
     chosen = (3 if name == "iterative" else 0) if order is None else order
     if not 0 <= chosen <= (3 if name == "iterative" else 2):
         raise RotorsimError(

@@ -117,3 +117,26 @@ def test_files_that_are_no_fmu(tmp_path: Path) -> None:
         document["blocks"]["controller"] = block
         with pytest.raises(RotorsimError, match=text):
             load(document, folder=tmp_path)
+
+
+@pytest.mark.parametrize("interface", ["cs", "me"])
+def test_waveforms_are_repeated_until_they_agree(folder: Path, whole: Result, interface: str) -> None:
+    """For FMUs that cannot step back; cubic waveforms: better than extrapolation at a quarter of the step."""
+    diagram = with_fmu(folder, "rotor", "rotor2.fmu", interface=interface, in_process=True)
+    found = cosimulate_diagram(diagram, step=4e-4, master="waveform")
+    explicit = cosimulate_diagram(diagram, step=1e-4, master="gauss_seidel", order=1)
+    assert off(found, whole) < off(explicit, whole)
+    assert found.counters["iterations"] > 2
+
+
+def test_inputs_that_nothing_feeds_keep_their_value(folder: Path) -> None:
+    document = {
+        "name": "alone",
+        "blocks": {"rotor": {"type": "fmu", "file": "rotor2.fmu", "parameters": {"force": [10.0, 0.0]}}},
+        "wires": [],
+        "solver": {"step": INNER, "stop": 0.2},
+        "record": ["rotor.displacement"],
+    }
+    found = cosimulate_diagram(load(document, folder=folder), step=1e-2)
+    assert found["rotor.displacement"][-1, 0] == pytest.approx(10.0 / 7.6e5, rel=0.1)
+    assert found["rotor.displacement"][-1, 1] == 0.0
