@@ -17,7 +17,14 @@ from rotorsim.diagram.registry import all_types
 from rotorsim.diagram.schema import schema_text
 
 ROOT = Path(__file__).parents[2]
-PAGES = ["README.md", "docs/diagrams.md", "docs/identification.md", "docs/recordings.md", "docs/thesis.md"]
+PAGES = [
+    "README.md",
+    "docs/cosimulation.md",
+    "docs/diagrams.md",
+    "docs/identification.md",
+    "docs/recordings.md",
+    "docs/thesis.md",
+]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
