@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,21 @@ def couple(
         name = "+".join(blocks) if len(blocks) < 4 else f"{blocks[0]}+{len(blocks) - 1} more"
         made.append(CompiledParticipant(name, part, record, p, diagram.solver.step, use_compiler=use_compiler))
     made += given.values()
-    return Coupling(tuple(made), *_wires(diagram, made, set(given)))
+    L, u0 = _wires(diagram, made, set(given))
+    sampled = np.array([_is_sampled(diagram, name) for participant in made for name in participant.outputs], bool)
+    feeding = L != 0
+    held = feeding.any(axis=1) & ~(feeding & ~sampled).any(axis=1)
+    return Coupling(tuple(made), L, u0, held)
+
+
+def _is_sampled(diagram: Diagram, name: str) -> bool:
+    """Return whether an output changes at sample hits only."""
+    block, _, port = name.partition("[")[0].rpartition(".")
+    found = diagram.nodes[block].block
+    if found.opaque:
+        ports: Any = getattr(found, "fmu_outputs", {})
+        return port in ports and bool(ports[port].discrete)
+    return found.sample_time is not None
 
 
 def _refuse_doubles(diagram: Diagram, blocks: Sequence[str]) -> None:
@@ -160,6 +175,8 @@ def cosimulate(
 ) -> Result:  # fmt: skip
     """Advance the participants from 0 to stop with communication steps; return the outputs at these points.
 
+    The result also holds ``coupling.error``: per step, how far inputs were from what the outputs then asked for.
+
     step: communication step [s]. adaptive: relative error allowed per step; the step is then halved or doubled as step
     doubling says (every participant must be able to step back). A participant that fails or a signal that leaves
     the finite numbers ends the run; what was found until then is kept, with status and message. check: refuse a step
@@ -171,7 +188,8 @@ def cosimulate(
         return _by_waveform(coupling, diagram, step, end, tolerance, progress)
     if not 0 < step <= end:
         raise RotorsimError(Problem(f"communication step {step:g} s is not between 0 and the stop time {end:g} s"))
-    worker = make_master(master, coupling, order=order, tolerance=tolerance)
+    worker = make_master(master, coupling, order=order, tolerance=tolerance, held=coupling.held)
+    mismatch = [0.0]
     times, rows = [0.0], []
     status, message = "finished", ""
     y = worker.start(0.0)[1]
@@ -198,6 +216,7 @@ def cosimulate(
         t = target
         times.append(t)
         rows.append(y)
+        mismatch.append(worker.mismatch)
         if not np.isfinite(y).all():
             status = "diverged"
             bad = int(np.flatnonzero(~np.isfinite(y))[0])
@@ -208,7 +227,9 @@ def cosimulate(
             break
         if progress is not None:
             progress(t / end)
-    return _result(coupling, diagram, np.array(times), np.array(rows), status, message, worker, master, step, found)
+    result = _result(coupling, diagram, np.array(times), np.array(rows), status, message, worker, master, step, found)
+    signals = {**result.signals, "coupling.error": np.array(mismatch)}
+    return replace(result, signals=signals, units={**result.units, "coupling.error": "1"})
 
 
 def _by_waveform(

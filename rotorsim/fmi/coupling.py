@@ -23,12 +23,14 @@ CLOSE = 1e-10
 class Coupling:
     """Participants and the matrix L (inputs, outputs) of their wires: u = L y + u0.
 
-    u and y hold the inputs and outputs of all participants, one after the other.
+    u and y hold the inputs and outputs of all participants, one after the other. held (inputs,): fed by sampled
+    outputs only, which are held and not extrapolated.
     """
 
     participants: tuple[Participant, ...]
     L: np.ndarray
     u0: np.ndarray
+    held: np.ndarray | None = None
 
     @cached_property
     def u_parts(self) -> list[slice]:

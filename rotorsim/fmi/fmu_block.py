@@ -39,6 +39,7 @@ class FmuPort:
     entries: tuple[str, ...]
     start: np.ndarray | None
     description: str
+    discrete: bool = False
 
 
 def ports_of(description: ModelDescription, causality: str, prefix: str) -> dict[str, FmuPort]:
@@ -77,7 +78,8 @@ def _port(base: str, members: Sequence[tuple[tuple[int, ...], str, FmuVariable, 
     starts = [member[3] for member in members]
     start = None if any(value is None for value in starts) else np.array(starts, float).reshape(shape)
     return FmuPort(
-        port_name(base, prefix), shape, _unit(variable.unit), tuple(m[1] for m in members), start, variable.description
+        port_name(base, prefix), shape, _unit(variable.unit), tuple(m[1] for m in members), start, variable.description,
+        variable.variability in ("discrete", "constant", "fixed"),
     )  # fmt: skip
 
 

@@ -44,7 +44,8 @@ class _Polynomial:
 class Master:
     """Advances coupled participants. order: of the polynomial of the inputs (0 hold, 1 linear, 2 quadratic).
 
-    held: inputs (n_u,) that are held whatever the order (sampled signals).
+    held: inputs (n_u,) that are held whatever the order (sampled signals). mismatch: of the last step, how far the
+    inputs that were used at its end are from those that the outputs then ask for, relative to the largest so far.
     """
 
     def __init__(
@@ -53,6 +54,8 @@ class Master:
         self.coupling, self.order, self.tolerance = coupling, order, tolerance
         self.held = np.zeros(len(coupling.u0), bool) if held is None else held
         self.past: list[tuple[float, np.ndarray]] = []
+        self.mismatch = 0.0
+        self._largest = np.zeros(len(coupling.u0))
         self.peak = np.zeros(coupling.L.shape[1])
         self.counters = {"steps": 0, "participant_steps": 0, "iterations": 0, "rejected": 0}
 
@@ -90,9 +93,18 @@ class Master:
         u = self.coupling.inputs_of(y)
         if self.coupling.feedthrough.any():
             u, y = self.coupling.consistent(t, u)
+        self._compare(t, u)
         self.past = [*self.past[-2:], (t, u)]
         self.counters["steps"] += 1
         return u, y
+
+    def _compare(self, t: float, u: np.ndarray) -> None:
+        """Note how far the inputs that were used at the end of the step are from those that came out, relative."""
+        start = self.past[-1][0]
+        used = self._history(start, slice(0, len(u)), None, t - start)(t - start)
+        self._largest = np.maximum(self._largest, np.abs(u))
+        scale = np.where(self._largest > 0, self._largest, 1.0)
+        self.mismatch = float((np.abs(used - u) / scale).max(initial=0.0))
 
     def save(self) -> tuple[list[object], list[tuple[float, np.ndarray]]]:
         """Return the state of all participants and the past inputs."""
@@ -167,6 +179,9 @@ class Iterative(Master):
 
     jacobian: np.ndarray | None = None
 
+    def _compare(self, t: float, u: np.ndarray) -> None:
+        """The inputs agree: that is what the iteration ended with."""
+
     def __init__(
         self, coupling: Coupling, order: int = 3, tolerance: float = 1e-8, held: np.ndarray | None = None
     ) -> None:  # fmt: skip
@@ -232,6 +247,7 @@ class Iterative(Master):
             floor = np.tile(floor, len(end) // m) if m else floor
             size = float((np.abs(residual) / floor).max(initial=0.0))
             if size <= self.tolerance:
+                self.mismatch = size
                 u, y = self._accept(t + h, y[:n])
                 if self.hermite:
                     self._rate = coupling.consistent_rates(t + h, u, end[m:] / h)

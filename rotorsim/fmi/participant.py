@@ -61,7 +61,8 @@ class Participant(Protocol):
 class CompiledParticipant:
     """A compiled part of the diagram, advanced by its own Runge-Kutta steps.
 
-    Within an internal step the inputs are those of its middle, so that moving inputs are met to second order.
+    Within an internal step the inputs are those of its middle, so that moving inputs are met to second order; a part
+    with sampled blocks takes those of its end, where the samples are taken.
     """
 
     can_restore = True
@@ -77,6 +78,7 @@ class CompiledParticipant:
         self.n_z = part.n_z - len(self.inputs)
         self.feedthrough = self._feedthrough(record)
         self._row = np.zeros((1, self.instance.n_y))
+        self.share = 1.0 if part.trace.samplers else 0.5
         self.started = False
 
     def _feedthrough(self, record: Sequence[str]) -> np.ndarray:
@@ -112,7 +114,7 @@ class CompiledParticipant:
         width = h / count
         held = self.instance.z[self.n_z :]
         for k in range(count):
-            held[:] = u((k + 0.5) * width)
+            held[:] = u((k + self.share) * width)
             self.instance.run(0, 1, t + k * width, width, 1, self._row)
         return self.output(t + h, u(h))
 

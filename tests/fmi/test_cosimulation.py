@@ -11,6 +11,7 @@ import pytest
 
 from rotorsim.compile.toolchain import find_compiler
 from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.edit import swap
 from rotorsim.diagram.load import load
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.cosimulation import cosimulate_diagram, couple
@@ -140,3 +141,32 @@ def test_inputs_that_nothing_feeds_keep_their_value(folder: Path) -> None:
     found = cosimulate_diagram(load(document, folder=folder), step=1e-2)
     assert found["rotor.displacement"][-1, 0] == pytest.approx(10.0 / 7.6e5, rel=0.1)
     assert found["rotor.displacement"][-1, 1] == 0.0
+
+
+def sampled(step: float) -> Diagram:
+    document = swap(load("jeffcott").document, "controller", "discrete_pid")
+    document["blocks"]["controller"]["parameters"]["sample_time"] = step
+    document["solver"] = {"step": INNER, "stop": STOP}
+    return load(document)
+
+
+def test_a_sampled_controller_is_the_natural_cut() -> None:
+    """Its output is held and not extrapolated; coupled at its samples the run is that of the whole diagram."""
+    diagram = sampled(1e-4)
+    coupling = couple(diagram, [["controller"]])
+    names = [name for participant in coupling.participants for name in participant.inputs]
+    assert coupling.held is not None
+    assert {n for n, held in zip(names, coupling.held, strict=True) if held} == {
+        "controller.current[1]", "controller.current[2]",
+    }  # fmt: skip
+    right = simulate(diagram)["rotor.displacement"][::5]
+    found = cosimulate_diagram(diagram, [["controller"]], step=1e-4, master="gauss_seidel", order=1)
+    assert np.abs(found["rotor.displacement"] - right).max() < 1e-9 * np.abs(right).max()
+
+
+def test_the_error_of_the_coupling_is_recorded(folder: Path) -> None:
+    diagram = with_fmu(folder, "controller", "controller2.fmu", in_process=True)
+    coarse, fine = (np.median(cosimulate_diagram(diagram, step=h, order=0)["coupling.error"]) for h in (2e-4, 1e-4))
+    assert coarse / fine == pytest.approx(2, rel=0.3)
+    agreed = cosimulate_diagram(diagram, step=2e-4, master="iterative")["coupling.error"]
+    assert agreed.max() < 1e-8
