@@ -100,7 +100,7 @@ def _text(found: Identification) -> str:
     for item in found.parameters.values():
         scale, unit = _shown(item.unit)
         low, high = (f"{end * scale:.6g}" for end in item.interval90)
-        verdict = "yes" if item.verdict.identifiable else "NO"
+        verdict = ("yes" if found.adequate else "if the model is right") if item.verdict.identifiable else "NO"
         rows.append(
             (item.name, f"{item.value * scale:.6g}", f"{item.std * scale:.2g}", f"{low} .. {high}", unit, verdict)
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,9 @@ if TYPE_CHECKING:
     from rotorsim.identify.locate import Location
 
 __all__ = ["command"]
+
+SURE = 0.9  # probability of a place
+NOT_EXPLAINED = 1e-3  # probability of the misfit
 
 
 @click.command("locate")
@@ -32,6 +36,7 @@ def command(
 ) -> None:  # fmt: skip
     """Find the node at which a crack (or another force) acts: every node is tried and refitted.
 
+    Exit code 1: the place is not sure, or the model does not explain the data even there.
     With --count 2 the block and a copy of it are tried at every pair of nodes, and compared with one alone.
 
     \b
@@ -57,15 +62,17 @@ def command(
         document = with_values(placed, list(zip(best.estimate.free, best.estimate.theta.tolist(), strict=True)))
         write_atomically(out, format_document(document))
         common.note(f"written: {out}")
+    sure = found[0].probability > SURE and found[0].estimate.goodness >= NOT_EXPLAINED
     if as_json:
         common.echo_json(_data(found, single))
-        return
+        sys.exit(0 if sure else 1)
     rows = [
         (" and ".join(map(str, item.nodes)), f"{item.probability:.3g}", f"{item.misfit / item.estimate.freedom:.4g}")
         for item in found
     ]
     click.echo(common.table((f"node of {block}", "probability", "misfit / freedom"), rows))
     click.echo("\n" + _statement(found, single, block))
+    sys.exit(0 if sure else 1)
 
 
 def _criterion(item: Location) -> float:
@@ -78,7 +85,9 @@ def _criterion(item: Location) -> float:
 def _statement(found: list[Location], single: Location | None, block: str) -> str:
     best = found[0]
     places = " and ".join(map(str, best.nodes))
-    if best.estimate.excess > 1.5:
+    if single is None and best.probability <= SURE:
+        return f"The node of {block} cannot be told: {places} is most probable, with {best.probability:.2g} only."
+    if best.estimate.goodness < NOT_EXPLAINED:
         poor = f"; but even there the model leaves {best.estimate.excess:.3g} times the variance of the noise"
     else:
         poor = ""

@@ -263,6 +263,8 @@ def _hertz(text: str) -> float:
 
 def _level(text: str) -> float:
     level = common.quantity(text, "1", "--noise")
+    if level > 1:
+        raise RotorsimError(Problem(f"--noise {text}: is {100 * level:g} %", hint="for example --noise '5 %'"))
     if not 0 <= level <= 10:
         raise RotorsimError(Problem(f"--noise {text}: not a share of the rms", hint="for example --noise '5 %'"))
     return level

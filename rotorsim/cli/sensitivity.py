@@ -151,6 +151,13 @@ def _study(
         changes["reduction"] = reduction
     if kinds:
         changes["kinds"] = kinds
+    if given and method == "regression":
+        hint = "it takes every port that was measured whole as it was"
+        raise RotorsimError(Problem("--measured-input belongs to --method likelihood", hint=hint))
+    if reduction is not None and method == "likelihood":
+        raise RotorsimError(Problem("--reduction belongs to --method regression"))
+    if wrong and bias is None and table is None:
+        raise RotorsimError(Problem("--wrong needs --bias", hint="for example --bias 1,2,5"))
     if wrong:
         changes["groups"] = {text: _names(text) for text in wrong}
     if bias is not None:

@@ -79,6 +79,8 @@ def command(
         raise RotorsimError(Problem(what="no two-axis signal was recorded", subject=source, hint=hint))
     if len(result.time) < 8:
         raise RotorsimError(Problem(what=f"only {len(result.time)} samples", subject=source), exit_code=1)
+    if span is not None:
+        span = _inside(result, span, angle, window or "")
     span = span or (last_turns(result, angle) if angle else None)
     found = [full_spectrum(result, name, window=span, angle=angle) for name in names]
     running = _running(result, angle, span)
@@ -151,6 +153,24 @@ def _running(result: Result, angle: str | None, span: tuple[float, float] | None
     theta = np.interp((start, stop), result.time, result[angle])
     turns = float(theta[1] - theta[0]) / (2 * np.pi)
     return turns / (stop - start) if turns > 0 and stop > start else None
+
+
+def _inside(result: Result, span: tuple[float, float], angle: str | None, text: str) -> tuple[float, float]:
+    """Return the window cut to whole turns (what it lacks of them leaks); refuse one that the run does not cover."""
+    from rotorsim.recordings.two_axis import whole_turns
+
+    first, last = float(result.time[0]), float(result.time[-1])
+    step = (last - first) / (len(result.time) - 1)
+    if span[0] < first - step or span[1] > last + 1.5 * step:
+        hint = "a window inside it, or a longer run: --set solver.stop=..."
+        raise RotorsimError(Problem(f"--window {text}: the run covers {first:g} to {last:g} s", hint=hint))
+    if angle is None:
+        return span
+    cut = whole_turns(result, span, angle)
+    if abs(cut[0] - span[0]) > 1.5 * step or abs(cut[1] - span[1]) > 1.5 * step:
+        common.note(f"window cut to whole turns: {cut[0]:g} to {cut[1]:g} s")
+        return cut
+    return span
 
 
 def window_of(window: str) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from rotorsim.fmi.waveform import relaxed
 from rotorsim.simulate.linear import entry_names
 from rotorsim.simulate.result import Result
 
-__all__ = ["cosimulate", "cosimulate_diagram", "couple", "open_coupling"]
+__all__ = ["cosimulate", "cosimulate_diagram", "couple", "open_coupling", "sources_of"]
 
 LARGEST_ADAPTIVE = 100  # the adaptive step over the one given
 
@@ -96,7 +96,7 @@ def _wires(diagram: Diagram, participants: Sequence[Participant], foreign: set[s
         for name in participant.inputs:
             row = np.zeros(len(outputs))
             if name.partition(".")[0] in foreign and participant is not None and _owns(participant, name, foreign):
-                for source in _sources(diagram, name):
+                for source in sources_of(diagram, name):
                     row[at[source]] += 1.0
             else:
                 row[at[name]] = 1.0
@@ -109,7 +109,7 @@ def _owns(participant: Participant, name: str, foreign: set[str]) -> bool:
     return participant.name in foreign and name.partition(".")[0] == participant.name
 
 
-def _sources(diagram: Diagram, name: str) -> list[str]:
+def sources_of(diagram: Diagram, name: str) -> list[str]:
     """Return the flat output entries that add up to one input entry of a block."""
     found = []
     for wire in diagram.wires:

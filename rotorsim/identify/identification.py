@@ -191,10 +191,10 @@ def identify(
 
 
 def _checked(recording: Recording) -> list[Problem]:
-    """Return the warnings about a recording. Raises RotorsimError with its errors."""
+    """Return the warnings about a recording. Raises RotorsimError with its errors: the data are at fault."""
     problems = [*recording.warnings, *check_signals(recording)]
     if any(problem.severity == "error" for problem in problems):
-        raise RotorsimError(*problems)
+        raise RotorsimError(*problems, exit_code=1)
     return problems
 
 
@@ -260,12 +260,12 @@ def _statement(
     if not adequate and method == "regression":
         parts.append(
             "The model does not explain the data: the equations leave more over than noise can make; the intervals "
-            "mean nothing. `rotorsim diagnose` looks for what is missing."
+            "mean nothing. something is missing in it."
         )
     elif not adequate:
         parts.append(
             f"The model does not explain the data: what is left over has {result.excess:.3g} times the variance of the "
             f"noise, so something is missing in it; the intervals are widened by {np.sqrt(result.excess):.2g}, and "
-            "`rotorsim diagnose` looks for what is missing."
+            "hold only if what is missing does not matter to a parameter."
         )
-    return " ".join(parts)
+    return " ".join(parts if adequate else [parts[-1], *parts[:-1]])

@@ -74,7 +74,8 @@ def judge(found: Estimate, intervals: np.ndarray, *, precision: float = PRECISIO
             text = f"{format_quantity(value, item.unit)} is outside its physical bounds: the data or the model are not"
             verdicts.append(Verdict(False, text + " right for it"))
         elif found.at_bound[j]:
-            text = f"the search ended at its physical bound {format_quantity(value, item.unit)}"
+            near = item.low if abs(value - item.low) <= abs(value - item.high) else item.high
+            text = f"the search ended at its physical bound {format_quantity(near, item.unit)}"
             verdicts.append(Verdict(False, text + ": the data or the model are not right for it"))
         elif width <= precision:
             verdicts.append(Verdict(True, f"known within {_percent(width, item.unit)}"))

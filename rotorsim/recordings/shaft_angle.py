@@ -48,6 +48,9 @@ def shaft_angle(recording: Recording, run: Run) -> ShaftAngle:
 
     Raises RotorsimError when the run has none of the three, or they make no sense.
     """
+    if len(run.time) < 2:
+        count = "1 sample" if len(run.time) == 1 else f"{len(run.time)} samples"
+        raise RotorsimError(Problem(f"empty run: {count}", _subject(run), run.place), exit_code=1)
     channel = recording.column("clock.theta")
     if channel is not None and channel in run.values:
         return _from_channel(run, run.values[channel], channel)

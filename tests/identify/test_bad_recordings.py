@@ -58,7 +58,7 @@ def refusal(folder: Path, edit: Edit | None = None, change: Change | None = None
         with pytest.raises(RotorsimError) as error:
             found(on_disk(folder, edit, change, **named), method)
         said.append([f"{p.subject}: {p.what}" for p in error.value.problems if p.severity == "error"])
-        assert error.value.exit_code == 2
+        assert error.value.exit_code in (1, 2)  # the data are at fault, or what is said about them
     assert said[0] == said[1]
     return said[0]
 
