@@ -38,6 +38,7 @@ VERBS = {
     "sensitivity": "Move the identified parameters by noise and wrong known ones, over many seeds.",
     "locate": "Find the node at which a crack or another force acts, from a recording.",
     "fmu": "Export diagrams as FMUs for other tools; look into FMUs.",
+    "ssp": "Export diagrams as systems of FMUs (SSP); import such systems as diagrams.",
     "cosim": "Co-simulate a diagram with FMUs, or parts of it; say what the coupling costs.",
     "cache": "Show or clear the cache of compiled models.",
     "version": "Print the version.",

@@ -49,13 +49,15 @@ def export_fmu(
     inputs: Iterable[str] = (),
     outputs: Sequence[str] | None = None,
     fixed: bool = False,
+    by_source: bool = False,
 ) -> Exported:
     """Write a diagram, or some of its blocks, as an FMU for model exchange and co-simulation.
 
     blocks: default all; what crosses their boundary becomes an input. inputs: further input ports, unwired or
     additive ones. outputs: signals; default: what the diagram records, or every output port of the blocks.
     version: "2.0" or "3.0". platforms: "x86_64-linux", "win64", ...; default this one; () for sources only.
-    arrays: array variables (3.0). fixed: parameters cannot change after initialisation.
+    arrays: array variables (3.0). fixed: parameters cannot change after initialisation. by_source: one input for each
+    output port outside that feeds the blocks, under its name, instead of the sum of what an additive port gets.
 
     Co-simulation takes the diagram's own step, Runge-Kutta of order 4. The same diagram gives the same bytes.
     Raises RotorsimError.
@@ -64,7 +66,7 @@ def export_fmu(
     chosen = list(diagram.nodes) if blocks is None else list(dict.fromkeys(blocks))
     _check(diagram, chosen, version, arrays, wanted_inputs)
     wanted = find_platforms(platforms)
-    part = open_part(diagram, chosen, inputs=wanted_inputs)
+    part = open_part(diagram, chosen, inputs=wanted_inputs, by_source=by_source)
     interface = make_interface(part, outputs=outputs, arrays=arrays, fixed=fixed)
     draft, optimise = make_sources(interface, version)
     main = next(iter(draft))
