@@ -145,12 +145,14 @@ class _Param(Declaration):
     low: float | None = None
     high: float | None = None
     above: float | None = None
+    tolerance: float | None = None
 
 
 def Param(default: Any = None, /, **kwargs: Any) -> Any:  # noqa: N802 - reads as a declaration beside In and Out
     """Declare a numeric parameter: a run-time argument, changed without compiling again.
 
-    default None: must be given. low, high: closed bounds; above: open lower bound.
+    default None: must be given. low, high: closed bounds; above: open lower bound. tolerance: standard uncertainty of
+    a stated value that nobody measured (damping, as a rule): a diagnosis leaves it free within that.
     """
     return _Param(default=default, **kwargs)
 
@@ -232,6 +234,8 @@ class Block:
     sample_time: ClassVar[str | None] = None
     source: ClassVar[str] = ""
     category: ClassVar[str] = "elementary"
+    faults: ClassVar[tuple[Any, ...]] = ()  # rotorsim.fault.Fault: physics that a diagnosis may add by this block
+    refinement: ClassVar[str | None] = None  # option that makes the block more exact as it grows (a finer mesh)
     opaque: ClassVar[bool] = False  # its equations are elsewhere (an FMU): only a co-simulation can run it
 
     inputs: ClassVar[dict[str, In]] = {}

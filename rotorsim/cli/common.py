@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from rotorsim.errors import Place, Problem, RotorsimError
+from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
 
 __all__ = [
+    "Group",
     "check_folder",
     "check_target",
     "diagram_options",
@@ -39,6 +40,7 @@ __all__ = [
 ]
 
 FIGURES = (".png", ".svg", ".pdf")
+NOISE_KINDS = ("white", "thesis", "uniform")  # `measuring.KINDS`, which takes SciPy to import
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -64,6 +66,19 @@ def diagram_options(function: F) -> F:
     for decorate in (trust_option, without_option, set_option, diagram_argument):
         function = decorate(function)
     return function
+
+
+class Group(click.Group):
+    """Verb with verbs of its own, which knows near misses of them."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        verbs = self.list_commands(ctx)
+        if args and not args[0].startswith("-") and args[0] not in verbs:
+            hint = near_miss(args[0], verbs)
+            raise RotorsimError(Problem(what=f"unknown verb '{self.name} {args[0]}'", hint=hint))
+        return super().resolve_command(ctx, args)
 
 
 def parse_settings(settings: Sequence[str]) -> dict[str, Any]:
@@ -151,7 +166,6 @@ def document_of(diagram: str) -> tuple[Path, dict[str, Any]]:
     """Return the file and the JSON of a diagram (a file, or the name of a shipped one), not validated."""
     from rotorsim.diagram.load import shipped_diagrams
     from rotorsim.diagram.source import read_document
-    from rotorsim.errors import near_miss
 
     path = Path(diagram)
     shipped = shipped_diagrams()

@@ -9,7 +9,6 @@ import click
 
 from rotorsim.cli import common
 from rotorsim.cli.app import show_problems
-from rotorsim.errors import Problem, RotorsimError, near_miss
 
 __all__ = ["command"]
 
@@ -22,7 +21,7 @@ _ELSEWHERE = ("info", "validate")
 SOURCE = "source"
 
 
-class _Group(click.Group):
+class _Group(common.Group):
     """Group of which some verbs are in another module."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -38,14 +37,6 @@ class _Group(click.Group):
         lines = [(name, _HELP[name]) for name in self.list_commands(ctx)]
         with formatter.section("Verbs"):
             formatter.write_dl(lines)
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and not args[0].startswith("-") and args[0] not in self.list_commands(ctx):
-            hint = near_miss(args[0], self.list_commands(ctx))
-            raise RotorsimError(Problem(what=f"unknown verb 'fmu {args[0]}'", hint=hint))
-        return super().resolve_command(ctx, args)
 
 
 @click.group("fmu", cls=_Group, invoke_without_command=True)

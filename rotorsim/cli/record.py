@@ -46,8 +46,8 @@ _NEXT = re.compile(r",(?=\s*[A-Za-z_][\w/.]*\s*=)")  # a comma before NAME=, not
 @click.option("--settle", is_flag=True, help="Begin in the settled motion: no transient.")
 @click.option("--rate", metavar="RATE", help="Samples, as '5000 Hz' (default: as the diagram records).")
 @click.option("--noise", metavar="LEVEL", help="Noise on every channel, as '5 %' of its rms about its mean.")
-@click.option("--noise-kind", type=click.Choice(("white", "thesis")), default="white", show_default=True,
-              help="Additive and white, or as thesis eq. (2.67).")  # fmt: skip
+@click.option("--noise-kind", type=click.Choice(common.NOISE_KINDS), default="white", show_default=True,
+              help="white: additive; thesis: eq. (2.67) with normal R; uniform: with R from 0 to 1.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the noise.")
 @click.option("--format", "form", type=click.Choice(("npz", "csv")), default="npz", show_default=True,
               help="Of the data files.")  # fmt: skip

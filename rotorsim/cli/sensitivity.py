@@ -31,7 +31,7 @@ SUFFIXES = (".csv", ".json")
               help="Repeat all speeds with these values: controller.KP=14000,controller.KD=4; repeatable.")  # fmt: skip
 @click.option("--free", metavar="NAME,...", help="Parameters to identify (default: those of the table or the diagram).")
 @click.option("--noise", metavar="LEVELS", help="Noise in %, a list such as 0,1,2,5.")
-@click.option("--noise-kind", "kinds", multiple=True, type=click.Choice(["white", "thesis", "uniform"]),
+@click.option("--noise-kind", "kinds", multiple=True, type=click.Choice(common.NOISE_KINDS),
               help="white: Gaussian, in % of each signal's rms (default); thesis: eq. (2.67) with normal R; uniform: "
               "with R from 0 to 1, as the thesis' figures look; repeatable.")  # fmt: skip
 @click.option("--wrong", multiple=True, metavar="NAME,...",

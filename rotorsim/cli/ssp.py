@@ -6,24 +6,12 @@ import click
 
 from rotorsim.cli import common
 from rotorsim.cli.app import show_problems
-from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.errors import Problem, RotorsimError
 
 __all__ = ["command"]
 
 
-class _Group(click.Group):
-    """Group that knows near misses."""
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and not args[0].startswith("-") and args[0] not in self.commands:
-            hint = near_miss(args[0], self.commands)
-            raise RotorsimError(Problem(what=f"unknown verb 'ssp {args[0]}'", hint=hint))
-        return super().resolve_command(ctx, args)
-
-
-@click.group("ssp", cls=_Group, invoke_without_command=True)
+@click.group("ssp", cls=common.Group, invoke_without_command=True)
 @click.pass_context
 def command(ctx: click.Context) -> None:
     """Systems of FMUs in one file (SSP 1.0 and 2.0): export a diagram cut into FMUs, import a system as a diagram.

@@ -5,7 +5,7 @@
  * RS_NG values that depend on time and parameters only, RS_NY recorded values, RS_NS samplers,
  * RS_NW random draws, RS_WORK work space, RS_UNROLLED (1: rs_step is generated, its states laid out as
  * rs_order says), and the functions
- * rs_constants, rs_forcing, rs_rhs, rs_outputs, rs_update, rs_step.
+ * rs_constants, rs_forcing, rs_rhs, rs_outputs, rs_update, rs_step. With RS_STATIC defined no function is exported.
  *
  * One instance is one block of doubles m, laid out as below; nothing else holds state.
  */
@@ -22,7 +22,9 @@
 #define RS_AT_WORK (RS_AT_ROW + RS_NY)
 #define RS_SIZE (RS_AT_WORK + RS_WORK + 1)
 
-#if defined(_WIN32)
+#if defined(RS_STATIC) /* an FMU shows its FMI functions alone */
+#define RS_EXPORT static
+#elif defined(_WIN32)
 #define RS_EXPORT __declspec(dllexport)
 #else
 #define RS_EXPORT __attribute__((visibility("default")))

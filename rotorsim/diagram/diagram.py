@@ -116,7 +116,8 @@ class Diagram:
 
     parameters: diagram parameters as SI arrays. cut: input ports cut by ``--without`` (they read zero).
     document: the JSON it came from, with ``set`` in it (for fmt, swap, diff and provenance). file: its name.
-    warnings: what is odd but no mistake. free: what ``identify`` leaves to be estimated.
+    warnings: what is odd but no mistake. free: what ``identify`` leaves to be estimated. measured: what a recording
+    calls the first signal is the second one here, behind the model of a sensor.
     """
 
     name: str
@@ -132,6 +133,16 @@ class Diagram:
     file: str = ""
     warnings: tuple[Problem, ...] = ()
     free: tuple[Free, ...] = ()
+    measured: Mapping[Endpoint, Endpoint] = field(default_factory=dict)
+
+    def as_measured(self, name: str) -> str:
+        """Return the signal of this diagram that a recording means by a flat name ("rotor.displacement[3,1]")."""
+        base, _, inside = name.partition("[")
+        index = tuple(int(part) - 1 for part in inside.rstrip("]").split(",")) if inside else ()
+        for said, meant in self.measured.items():
+            if f"{said.block}.{said.port}" == base and index[: len(said.index)] == said.index:
+                return str(Endpoint(meant.block, meant.port, (*meant.index, *index[len(said.index) :])))
+        return name
 
     @cached_property
     def traces(self) -> Mapping[str, BlockTrace]:

@@ -12,7 +12,7 @@ __all__ = ["format_document"]
 
 _KEYS = (
     "$schema", "schema_version", "name", "description", "parameters", "blocks", "wires", "solver", "record",
-    "algebraic_loops", "block_folders", "ports", "identify", "layout",
+    "measured", "algebraic_loops", "block_folders", "ports", "identify", "layout",
 )  # fmt: skip
 _BLOCK_KEYS = ("type", "file", "description", "parameters")
 WIDTH = 120

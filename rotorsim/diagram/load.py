@@ -14,6 +14,7 @@ from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Solver
 from rotorsim.diagram.document import FlatDocument
 from rotorsim.diagram.flatten import flatten_document
 from rotorsim.diagram.free import free_parameters, unknown_names
+from rotorsim.diagram.measured import measured_signals
 from rotorsim.diagram.order import evaluation_order, trace_blocks
 from rotorsim.diagram.registry import Registry
 from rotorsim.diagram.source import MAX_DEPTH, Source, is_too_deep, read_document
@@ -86,6 +87,7 @@ def load(
     nodes = {name: builder.node(work) for name, work in works.items()}
     free, mistakes = free_parameters(document, identify, values, builder.parameter_units, nodes, removed)
     problems += mistakes
+    measured = measured_signals(flat, wiring, nodes, removed)
     for name, work in works.items():
         if work.template.has_check and name not in builder.misfits:
             problems += _contradictions(work, nodes[name])
@@ -104,6 +106,7 @@ def load(
         file=document.file,
         warnings=tuple(p for p in problems if p.severity == "warning"),
         free=free,
+        measured=measured,
     )
     traces, failed = trace_blocks(diagram)
     _raise_errors([*problems, *failed])

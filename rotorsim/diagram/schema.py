@@ -56,6 +56,12 @@ def json_schema() -> dict[str, Any]:
             },
         },
         "record": {"type": "array", "items": {"$ref": "#/$defs/port"}},
+        "measured": {
+            "type": "object",
+            "description": "What a recording calls the first signal is the second one in this diagram.",
+            "propertyNames": {"pattern": _PORT},
+            "additionalProperties": {"$ref": "#/$defs/port"},
+        },
         "algebraic_loops": {"enum": ["refuse", "solve"]},
         "block_folders": {"type": "array", "items": {"type": "string"}},
         "ports": {

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
+from rotorsim._lazy import lazy
 
 _HOME = {
     "export_fmu": "export",
@@ -11,12 +10,4 @@ _HOME = {
     "cosimulate": "cosimulation",
 }
 __all__ = list(_HOME)
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used."""
-    if name in _HOME:
-        value = getattr(import_module(f"rotorsim.fmi.{_HOME[name]}"), name)
-        globals()[name] = value  # found at once next time
-        return value
-    raise AttributeError(f"module 'rotorsim.fmi' has no attribute '{name}'")
+__getattr__, __dir__ = lazy(__name__, _HOME)

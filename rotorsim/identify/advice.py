@@ -76,19 +76,19 @@ def _std(information: np.ndarray, found: Estimate) -> np.ndarray:
 
 
 def _candidates(base: Experiment, found: Estimate) -> Iterator[tuple[str, np.ndarray]]:
-    theta, p = found.theta, base.motion.p
-    yield f"a recording {LONGER:g} times as long", (LONGER - 1) * _information(base, found, p, base.motion.speeds)
+    theta, p = found.theta, base.linear.p
+    yield f"a recording {LONGER:g} times as long", (LONGER - 1) * _information(base, found, p, base.linear.speeds)
     for text, changed in _other_gains(base.diagram, base, p):
         if _stable(base, changed, theta):
             yield (
                 f"the same speeds again with other gains: {text}",
-                _information(base, found, changed, base.motion.speeds),
+                _information(base, found, changed, base.linear.speeds),
             )
     entries = np.flatnonzero(base.model.parameter_vector({"speed": 1.0}) != base.model.parameter_vector({"speed": 2.0}))
     for factor in SPEEDS:
         changed = p.copy()
         changed[:, entries] *= factor
-        speeds = base.motion.speeds * factor
+        speeds = base.linear.speeds * factor
         if _stable(base, changed, theta):
             low, high = (format_rpm(value) for value in (np.abs(speeds).min(), np.abs(speeds).max()))
             yield f"as many runs at other speeds, {low} to {high}", _information(base, found, changed, speeds)
@@ -104,7 +104,7 @@ def format_rpm(speed: float) -> str:
 
 def _information(base: Experiment, found: Estimate, p: np.ndarray, speeds: np.ndarray) -> np.ndarray:
     """Return the information (m, m) that runs at these parameters would give, with the noise of those at hand."""
-    motion = base.motion
+    motion = base.linear
     moved = Motion(motion.equations, p, speeds, motion.K, list(motion.windows), motion.phase)
     likelihood = Likelihood(replace(base, p=p, motion=moved))
     slopes = likelihood.expected(found.theta)
@@ -112,7 +112,7 @@ def _information(base: Experiment, found: Estimate, p: np.ndarray, speeds: np.nd
 
 
 def _stable(base: Experiment, p: np.ndarray, theta: np.ndarray) -> bool:
-    A = base.motion.equations.matrices["A"](p, np.repeat(theta[None], len(p), 0))[0]
+    A = base.linear.equations.matrices["A"](p, np.repeat(theta[None], len(p), 0))[0]
     return bool((np.linalg.eigvals(A).real.max(axis=1) < 1e-6 * np.abs(A).max() ** 0.5).all())
 
 
@@ -162,8 +162,8 @@ def _excitation(base: Experiment, found: Estimate) -> tuple[str, np.ndarray] | N
         )
     except RotorsimError:
         return None
-    motion = injected.motion
-    response = motion.response(found.theta, 0)
+    motion = injected.linear
+    response = motion.response(found.theta, 0, forced=False)
     modes = np.linalg.eigvals(response.A[0])
     modes = modes[(modes.imag > 0) & (-modes.real < 0.7 * np.abs(modes))]
     centre = float(np.abs(modes).min()) if len(modes) else float(np.abs(motion.speeds[0]))
@@ -172,8 +172,7 @@ def _excitation(base: Experiment, found: Estimate) -> tuple[str, np.ndarray] | N
     entry = injected.model.trace.external[current].part.start
     for frequency in centre * FREQUENCIES:
         sine = Motion(motion.equations, motion.p, np.array([frequency]), 1, list(motion.windows), np.zeros(1))
-        at = sine.response(found.theta)
-        at = replace(at, F=np.zeros_like(at.F), dF=np.zeros_like(at.dF))
+        at = sine.response(found.theta, forced=False)  # what is linear adds up: the sine alone
         inputs = np.zeros((1, 2, at.B.shape[2]), complex)
         inputs[0, 1, entry] = EXCITATION * rms / 2
         slopes = at.sensitivity(at.states(inputs), inputs)[0, 1]

@@ -8,10 +8,12 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Free
 from rotorsim.identify.functions import Equations
+from rotorsim.identify.nonlinear_equations import NonlinearEquations
 
 __all__ = ["Coordinates", "amplitude_pairs", "coordinates_of", "moves_matrices"]
 
 ANGLE_UNIT = "rad"
+AnyEquations = Equations | NonlinearEquations
 PROBES = (0.4, 1.9)
 
 
@@ -61,7 +63,7 @@ class Coordinates:
 
 
 def coordinates_of(
-    free: tuple[Free, ...], equations: Equations, p: np.ndarray, speeds: np.ndarray, *, bounded: bool = True
+    free: tuple[Free, ...], equations: AnyEquations, p: np.ndarray, speeds: np.ndarray, *, bounded: bool = True
 ) -> Coordinates:
     """Return the coordinates of a search over the free parameters, within their bounds or not."""
     theta = np.array([item.value for item in free])
@@ -88,7 +90,7 @@ def _scale(free: Free) -> float:
 
 
 def amplitude_pairs(
-    free: tuple[Free, ...], equations: Equations, p: np.ndarray, speeds: np.ndarray, theta: np.ndarray
+    free: tuple[Free, ...], equations: AnyEquations, p: np.ndarray, speeds: np.ndarray, theta: np.ndarray
 ) -> tuple[tuple[int, int], ...]:
     """Return the pairs (amplitude, angle) that enter as a cos phi and a sin phi, as an unbalance does.
 
@@ -134,7 +136,7 @@ def amplitude_pairs(
     return tuple(pairs)
 
 
-def moves_matrices(equations: Equations, p: np.ndarray, theta: np.ndarray, which: tuple[int, ...]) -> bool:
+def moves_matrices(equations: AnyEquations, p: np.ndarray, theta: np.ndarray, which: tuple[int, ...]) -> bool:
     """Return whether one of these parameters changes the equations themselves, not only their forcing."""
     return any(
         matrix(p, theta[None])[1][..., list(which)].any() for matrix in equations.matrices.values()

@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from rotorsim.diagram.diagram import Free
+from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identify.coordinates import ANGLE_UNIT, Coordinates, coordinates_of, moves_matrices
 from rotorsim.identify.likelihood import Evaluation, Likelihood
 from rotorsim.identify.regression import Regression
@@ -22,6 +23,7 @@ STARTS = 12  # values over a turn of an angle that enters in several harmonics
 CLOSE = 1e-10
 EQUAL = 1e-6  # relative difference of two solutions that the data cannot tell apart
 AT_BOUND = 1e-6
+MOST_EVALUATIONS = 60
 NOTHING = 1e-11  # of the largest slope: rounding
 SINGULAR = 1e-13  # smallest eigenvalue of the information, of the largest, that counts
 
@@ -150,19 +152,21 @@ class Search:
                         continue
                     q = base.copy()
                     q[j] = value / self.coordinates.scale[j]
-                    ranked.append(self._one_step(q, angles))
+                    ranked.append(self.force_step(q, angles))
             ranked.sort(key=lambda pair: pair[0])
             candidates = [q for _, q in ranked[:3]]
         return candidates
 
-    def _one_step(self, q: np.ndarray, held: list[int]) -> tuple[float, np.ndarray]:
-        """Return the misfit that linear theory promises after one step of all but the held, and where it leads."""
+    def force_step(self, q: np.ndarray, held: list[int]) -> tuple[float, np.ndarray]:
+        """Return the misfit that linear theory promises after one step of the forces, and where that leads."""
         others = [j for j in range(len(q)) if j not in held and not self.bends[j]]
         if not others:
             r = self.residual(q)
             return float(r @ r), q
         J = self.slopes(q)[:, others]
         r = self.residual(q)
+        if not (np.isfinite(r).all() and np.isfinite(J).all()):
+            return np.inf, q
         norm = np.linalg.norm(J, axis=0)
         norm[norm <= NOTHING * norm.max(initial=0.0)] = np.inf
         scaled = J / norm
@@ -175,15 +179,29 @@ class Search:
         low, high = self.coordinates.bounds
         return float(promised @ promised) * self.preference(moved), np.clip(moved, low, high)
 
+    def promise(self, q: np.ndarray) -> float:
+        """Return the misfit that linear theory promises after one step of all parameters."""
+        r, J = self.residual(q), self.slopes(q)
+        if not (np.isfinite(r).all() and np.isfinite(J).all()):
+            return np.inf
+        norm = np.linalg.norm(J, axis=0)
+        used = norm > NOTHING * norm.max(initial=0.0)
+        base, _ = np.linalg.qr(J[:, used] / norm[used])
+        left = r - base @ (base.T @ r)
+        return float(left @ left)
+
     def preference(self, q: np.ndarray) -> float:
         """Return 1 for physical values, a little more for others: of two equal solutions the physical one is taken."""
         theta = self.coordinates.outside(q)
         outside = any(not item.low <= value <= item.high for item, value in zip(self.free, theta, strict=True))
         return 1 + EQUAL if outside else 1.0
 
-    def minimise(self, q: np.ndarray, held: tuple[int, ...] = ()) -> np.ndarray:
-        """Return q of least residual from a start, within bounds, some entries held."""
+    def minimise(self, q: np.ndarray, held: tuple[int, ...] = (), *, most: int = MOST_EVALUATIONS) -> np.ndarray:
+        """Return q of least residual from a start, within bounds, some entries held, after ``most`` evaluations."""
         low, high = self.coordinates.bounds
+        if not np.isfinite(self.residual(q)).all():
+            hint = "start from other values, or leave out the runs nearest to the limit of stability"
+            raise RotorsimError(Problem("no settled motion is found at the start", "identify", hint=hint))
         size = np.linalg.norm(self.slopes(q), axis=0)
         idle = size <= NOTHING * size.max(initial=0.0)  # nothing depends on it: it stays where it is
         moving = [j for j in range(len(q)) if j not in held and not idle[j]]
@@ -206,7 +224,7 @@ class Search:
             ftol=CLOSE,
             xtol=CLOSE,
             gtol=1e-12,
-            max_nfev=60,
+            max_nfev=most,
         )
         return full(found.x)
 

@@ -14,6 +14,8 @@ from rotorsim.diagram.values import ValueProblem, numeric
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.identify.functions import Equations, slots_of
 from rotorsim.identify.motion import Motion
+from rotorsim.identify.nonlinear_equations import NonlinearEquations, is_linear
+from rotorsim.identify.nonlinear_motion import NonlinearMotion
 from rotorsim.recordings.harmonic_fit import HarmonicFit
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
@@ -23,6 +25,7 @@ from rotorsim.units import compatible
 __all__ = ["Experiment", "open_experiment"]
 
 SPEED = 0.02  # stated against measured
+PROBES = (0.137, 1.137, 0.618, 1.618)  # instants, in turns, at which forcing is compared one turn apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +47,21 @@ class Experiment:
     runs: tuple[RunHarmonics, ...]
     columns: np.ndarray
     p: np.ndarray
-    motion: Motion
+    motion: Motion | NonlinearMotion
     use_mean: np.ndarray
 
     @property
     def fits(self) -> list[HarmonicFit]:
         """The harmonics of each run."""
         return [item.fit for item in self.runs]
+
+    @property
+    def linear(self) -> Motion:
+        """The motion, for what only a linear diagram allows. Raises RotorsimError for others."""
+        if isinstance(self.motion, Motion):
+            return self.motion
+        hint = "--method likelihood takes nonlinear diagrams"
+        raise RotorsimError(Problem("the diagram is not linear in its states", self.diagram.name, hint=hint))
 
     @property
     def theta0(self) -> np.ndarray:
@@ -61,7 +72,7 @@ class Experiment:
         """Return the experiment with other harmonics of the same runs, or other known parameters p (R, n_p)."""
         p = self.p if p is None else p
         old = self.motion
-        motion = old if p is self.p else Motion(old.equations, p, old.speeds, old.K, list(old.windows), old.phase)
+        motion = old if p is self.p else old.at(p)
         return replace(self, runs=self.runs if runs is None else tuple(runs), p=p, motion=motion)
 
 
@@ -112,11 +123,17 @@ def open_experiment(
     _refuse_unknown_phase(found)
     kept = _free(model, diagram, wanted)
     p = _parameters(model, diagram, found, kept)
-    equations = Equations(model, predicted, kept)
+    linear_model = bool(taken) or is_linear(model, predicted)  # `Equations` says what is wrong with the others
     K = min(int(item.fit.orders[-1]) for item in found)
     windows = [float(item.run.time[-1] - item.run.time[0]) for item in found]
     speeds = np.array([item.fit.speed for item in found])
-    motion = Motion(equations, p, speeds, K, windows, _clock_phase(model, p))
+    phase = _clock_phase(model, p)
+    _refuse_aperiodic(model, p, speeds)
+    motion: Motion | NonlinearMotion
+    if linear_model:
+        motion = Motion(Equations(model, predicted, kept), p, speeds, K, windows, phase)
+    else:
+        motion = NonlinearMotion(NonlinearEquations(model, predicted, kept), p, speeds, K, windows, phase)
     channels = {channel.name: channel for channel in recording.channels.values()}
     order = [*predicted, *taken]
     columns = np.array([[item.fit.names.index(name) for name in order] for item in found])
@@ -161,7 +178,7 @@ def _still(model: Model, names: Sequence[str], recording: Recording, runs: Seque
     columns = {channel.name: column for column, channel in recording.channels.items()}
     found = []
     for name in names:
-        expression = model.expression(name)
+        expression = model.expression(model.diagram.as_measured(name))
         if expression.is_constant() and float(expression) == 0.0:
             measured = [run.values[columns[name]] for run in runs if columns[name] in run.values]
             if not any(values.any() for values in measured):
@@ -251,6 +268,20 @@ def _unit(diagram: Diagram, name: str) -> str | None:
     node = diagram.nodes.get(block)
     declared: Mapping[str, Any] = node.block.parameters if node is not None else {}
     return declared[key].unit if key in declared else None
+
+
+def _refuse_aperiodic(model: Model, p: np.ndarray, speeds: np.ndarray) -> None:
+    """Refuse forcing that is not the same one turn later: what is fitted are harmonics of the shaft."""
+    period = 2 * np.pi / np.abs(speeds[0])
+    x, z = np.zeros(model.n_x), model.z0(p[0])
+    rates = [np.array(model.rhs(at * period, x, z, p[0])).ravel() for at in PROBES]
+    for first, second in (rates[:2], rates[2:]):
+        size = np.maximum(np.abs(first), np.abs(second))
+        changed = np.flatnonzero(np.abs(second - first) > 1e-6 * np.maximum(size, 1e-9 * size.max(initial=0.0)))
+        if len(changed):
+            block = model.block_of_state(int(changed[0]))
+            what = "the forcing is not the same one turn later: it does not follow the shaft"
+            raise RotorsimError(Problem(what, block, hint="what is compared are harmonics of the shaft angle"))
 
 
 def _clock_phase(model: Model, p: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate.forcing import Jumps
 from rotorsim.simulate.matrix_function import MatrixFunction
 
-__all__ = ["Equations", "slots_of"]
+__all__ = ["Equations", "reached_states", "slots_of"]
 
 FIRST_SAMPLES = 32
 MOST_SAMPLES = 4096
@@ -68,14 +68,14 @@ class Equations:
             new = [ca.vertcat(*entries), z, zeros_v, *([zeros_x] if at_rest else [])]
             return ca.substitute([expression], old, new)[0]  # type: ignore[arg-type]
 
-        y = ca.vertcat(*[model.expression(name) for name in outputs])
+        y = ca.vertcat(*[model.expression(model.diagram.as_measured(name)) for name in outputs])
         columns = {"A": (trace.xdot, trace.x), "B": (trace.xdot, trace.v), "C": (y, trace.x), "D": (y, trace.v)}
         jacobians = {key: ca.jacobian(of, by) for key, (of, by) in columns.items()}
         varying = ca.vertcat(trace.x, trace.t, trace.v)
         if any(ca.depends_on(jacobian, varying) for jacobian in jacobians.values()):
             raise RotorsimError(Problem("the diagram is not linear in its states", model.diagram.name))
         jacobians = {key: told(jacobian) for key, jacobian in jacobians.items()}
-        self.kept = _reached(jacobians["A"].sparsity(), jacobians["C"].sparsity())
+        self.kept = reached_states(jacobians["A"].sparsity(), jacobians["C"].sparsity())
         keep = self.kept.tolist()
         jacobians["A"], jacobians["B"] = jacobians["A"][keep, keep], jacobians["B"][keep, :]
         jacobians["C"] = jacobians["C"][:, keep]
@@ -125,7 +125,7 @@ def _matrix(p: ca.SX, theta: ca.SX, expression: ca.SX) -> _Matrix:
     return _Matrix(MatrixFunction([p, theta], expression), MatrixFunction([p, theta], ca.jacobian(nonzeros, theta)))
 
 
-def _reached(A: ca.Sparsity, C: ca.Sparsity) -> np.ndarray:
+def reached_states(A: ca.Sparsity, C: ca.Sparsity) -> np.ndarray:
     """Return the states that the outputs depend on, directly or through others."""
     n = A.size1()
     pattern = np.zeros((n, n), bool)

@@ -15,6 +15,8 @@ from rotorsim.identify.advice import Advice, advise
 from rotorsim.identify.estimate import Estimate, Search, estimate
 from rotorsim.identify.experiment import open_experiment
 from rotorsim.identify.likelihood import Likelihood
+from rotorsim.identify.motion import Motion
+from rotorsim.identify.nonlinear_likelihood import likelihood_of
 from rotorsim.identify.profile import Z90, joint_factor, profile_intervals
 from rotorsim.identify.regression import THESIS_ORDERS, Regression, open_regression
 from rotorsim.identify.scatter import scatter_of, with_covariance
@@ -121,7 +123,7 @@ def identify(
             experiment = open_experiment(diagram, recording, runs=chosen, given=given, free=free, harmonics=found)
             if not given:
                 refuse_sampled(experiment.model, "identification with the loop closed")
-            opened = Likelihood(experiment)
+            opened = likelihood_of(experiment)
         else:
             opened = open_regression(
                 diagram, recording, runs=chosen, free=free, orders=orders, reduction=reduction, harmonics=found
@@ -143,7 +145,7 @@ def identify(
         verdicts = judge(result, intervals, precision=precision, widen=widen if method == "likelihood" else 1.0)
         left = [item.name for item, verdict in zip(result.free, verdicts, strict=True) if not verdict.identifiable]
         advice: list[Advice] = []
-        if left and method == "likelihood":
+        if left and method == "likelihood" and isinstance(opened.experiment.motion, Motion):
             advice = advise(opened.experiment, result, left, precision)
         used = (
             given
@@ -225,7 +227,7 @@ def _scores(
         scored = open_experiment(
             diagram, source, runs=[item.run for item in runs], given=given, free=result.free, harmonics=runs
         )
-        likelihood = Likelihood(scored)
+        likelihood = likelihood_of(scored)
         Y = likelihood.evaluate(result.theta).Y
         for r, item in enumerate(runs):
             columns = scored.columns[r][: len(scored.predicted)]

@@ -14,9 +14,9 @@ from scipy.linalg import solve_triangular
 
 from rotorsim.identify.experiment import Experiment
 from rotorsim.identify.motion import Response
-from rotorsim.recordings.harmonic_fit import real_vector
+from rotorsim.recordings.harmonic_fit import real_vector, scaled_cholesky
 
-__all__ = ["Evaluation", "Likelihood", "harmonics_of_time"]
+__all__ = ["Evaluation", "Likelihood", "fitted_columns", "harmonics_of_time"]
 
 RESOLUTION = 1e-6  # of a signal's rms: no measuring chain is better, and no settled model either
 
@@ -57,14 +57,9 @@ class Likelihood:
 
     def _whitener(self, r: int) -> _Whitener:
         item, columns = self.experiment.runs[r], self.experiment.columns[r]
-        total = len(item.fit.names)
-        orders = 2 * self.K + 1
-        places = (np.arange(orders)[:, None] * total + columns).ravel()[self.keep]
-        covariance = item.fit.covariance[np.ix_(places, places)]
-        scale = np.tile(np.maximum(item.fit.rms[columns], np.abs(item.fit.values[0, columns])), orders)[self.keep]
-        covariance = covariance + np.diag((RESOLUTION * np.where(scale > 0, scale, 1.0)) ** 2)
+        covariance = item.fit.covariance_at(columns, range(self.K + 1), RESOLUTION)[np.ix_(self.keep, self.keep)]
         if item.fit.speed < 0:
-            sign = np.ones((orders, self.c + self.V))
+            sign = np.ones((2 * self.K + 1, self.c + self.V))
             sign[2::2] = -1
             sign = sign.ravel()[self.keep]
             covariance = covariance * np.outer(sign, sign)
@@ -72,7 +67,7 @@ class Likelihood:
 
     def evaluate(self, theta: np.ndarray) -> Evaluation:
         """Return the whitened residual and its slopes at theta (m,)."""
-        motion = self.experiment.motion
+        motion = self.experiment.linear
         response = motion.response(theta)
         given = self.data[:, :, self.c :]
         X = response.states(given)
@@ -84,7 +79,7 @@ class Likelihood:
         for r, (white, raw) in enumerate(blocks):
             e = self.data_rows[r] - self.whiteners[r].apply(real_vector(np.concatenate([Y[r], given[r]], axis=1)))
             if white.shape[1]:
-                q, best = _fitted(white, e)
+                q, best = fitted_columns(white, e)
                 X[r], inputs[r] = self._moved(response, r, raw, best, X[r], given[r])
                 e = e - q @ (q.T @ e)
                 spanned[r] = q
@@ -111,7 +106,7 @@ class Likelihood:
 
         Only the measured means stay: where slow states have not settled, they say how far they have come.
         """
-        motion = self.experiment.motion
+        motion = self.experiment.linear
         response = motion.response(theta)
         self.data[:, 1:, : self.c] = response.outputs(response.states())[:, 1:]
         self.data_rows = [self.whiteners[r].apply(real_vector(self.data[r])) for r in range(len(self.data))]
@@ -120,13 +115,7 @@ class Likelihood:
     def white_at(self, r: int, order: int, values: np.ndarray) -> np.ndarray:
         """Return complex columns (c, m) at one order of run r as whitened real rows (2 c, m), other orders ignored."""
         item, columns = self.experiment.runs[r], self.experiment.columns[r][: self.c]
-        total = len(item.fit.names)
-        places = np.concatenate([(2 * order - 1) * total + columns, 2 * order * total + columns])
-        size = np.tile(np.maximum(item.fit.rms[columns], np.abs(item.fit.values[0, columns])), 2)
-        covariance = item.fit.covariance[np.ix_(places, places)]
-        covariance = covariance + np.diag((RESOLUTION * np.where(size > 0, size, 1.0)) ** 2)
-        scale = np.sqrt(np.diag(covariance))
-        factor = np.linalg.cholesky(covariance / np.outer(scale, scale))
+        scale, factor = scaled_cholesky(item.fit.covariance_at(columns, [order], RESOLUTION))
         return np.asarray(
             solve_triangular(factor, np.concatenate([values.real, values.imag]) / scale[:, None], lower=True)
         )
@@ -168,11 +157,11 @@ class Likelihood:
             pairs = rest[self.V :].reshape(self.K, self.V, 2)
             change[1:] = pairs[..., 0] + 1j * pairs[..., 1]
             inputs = given + change
-            X = X + np.einsum("kij,jv,kv->ki", response.inverse[r], response.B[r], change)
+            X = X + response.resolvent.apply_to_run(r, change @ response.B[r].T)
         return X, inputs
 
 
-def _fitted(columns: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def fitted_columns(columns: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return an orthonormal base of columns and their best factors; columns that are zero have none."""
     size = np.linalg.norm(columns, axis=0)
     used = size > 0
@@ -187,8 +176,7 @@ class _Whitener:
 
     def __init__(self, covariance: np.ndarray, keep: np.ndarray) -> None:
         self.keep = keep
-        scale = np.sqrt(np.diag(covariance))
-        factor = np.linalg.cholesky(covariance / np.outer(scale, scale))
+        scale, factor = scaled_cholesky(covariance)
         self.matrix = solve_triangular(factor, np.diag(1 / scale), lower=True)
 
     def apply(self, rows: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorsim.identify.functions import Equations
+from rotorsim.identify.resolvent import Resolvent
 
 __all__ = ["Motion", "Response"]
 
@@ -23,7 +24,7 @@ class Response:
 
     A (R, n, n), B (R, n, V), C (R, c, n), D (R, c, V); dA, dB, dC, dD with a last axis m; F (R, K+1, n + c) and dF:
     Fourier coefficients of the forcing of states and outputs.
-    solved (R, K+1, n, n): inverse of (i k W - A); at order 0 of the part without slow states.
+    resolvent: (i k W - A)^-1; at order 0 of the part without slow states.
     """
 
     A: np.ndarray
@@ -36,7 +37,7 @@ class Response:
     dD: np.ndarray
     F: np.ndarray
     dF: np.ndarray
-    inverse: np.ndarray
+    resolvent: Resolvent
     slow: list[np.ndarray]
 
     @property
@@ -50,7 +51,7 @@ class Response:
         right = self.F[:, :, :n]
         if inputs is not None and inputs.shape[2]:
             right = right + np.einsum("rnv,rkv->rkn", self.B, inputs)
-        return np.asarray(np.einsum("rkij,rkj->rki", self.inverse, right))
+        return np.asarray(self.resolvent.apply(right[..., None])[..., 0])
 
     def outputs(self, X: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarray:
         """Return Y (R, K+1, c) of states X."""
@@ -62,14 +63,14 @@ class Response:
 
     def transfer(self) -> np.ndarray:
         """Return dY/dV (R, K+1, c, V)."""
-        return np.asarray(self.C[:, None] @ (self.inverse @ self.B[:, None]) + self.D[:, None])
+        return np.asarray(self.C[:, None] @ self.resolvent.apply(self.B[:, None].astype(complex)) + self.D[:, None])
 
     def slow_states(self, r: int) -> np.ndarray:
         """Return dX_0/dx_s of the slow states of run r, shape (n, s)."""
         slow = self.slow[r]
         columns = np.zeros((self.A.shape[1], len(slow)))
         if len(slow):
-            columns = (self.inverse[r, 0] @ self.A[r][:, slow]).real
+            columns = (self.resolvent.at_zero[r] @ self.A[r][:, slow]).real
             columns[slow, np.arange(len(slow))] = 1.0
         return columns
 
@@ -81,7 +82,7 @@ class Response:
         if inputs is not None and inputs.shape[2]:
             right = right + np.einsum("rivm,rkv->rkim", self.dB, inputs)
             direct = direct + np.einsum("rcvm,rkv->rkcm", self.dD, inputs)
-        dX = self.inverse @ right
+        dX = self.resolvent.apply(right)
         return np.asarray(self.C[:, None] @ dX + direct)
 
 
@@ -100,37 +101,35 @@ class Motion:
         self.windows, self.phase = np.asarray(windows, float), phase
         self.slow: list[np.ndarray] | None = None
 
-    def response(self, theta: np.ndarray, K: int | None = None) -> Response:
-        """Return the equations at theta (m,), for orders 0..K (default: all)."""
+    def at(self, p: np.ndarray) -> Motion:
+        """Return the motion at other known parameters p (R, n_p)."""
+        return Motion(self.equations, p, self.speeds, self.K, list(self.windows), self.phase)
+
+    def response(self, theta: np.ndarray, K: int | None = None, *, forced: bool = True) -> Response:
+        """Return the equations at theta (m,), for orders 0..K (default: all); not forced: F and dF are zero."""
         K = self.K if K is None else K
         R = len(self.p)
         many = np.repeat(theta[None], R, 0)
         found = {key: matrix(self.p, many) for key, matrix in self.equations.matrices.items()}
         A = found["A"][0]
-        F, dF = self.equations.forcing(self.p, many, self.speeds, K)
-        if self.phase.any():  # harmonics count from shaft angle zero, which the clock need not pass at t = 0
-            turn = np.exp(-1j * (np.sign(self.speeds) * self.phase)[:, None] * np.arange(K + 1))
-            F, dF = F * turn[:, :, None], dF * turn[:, :, None, None]
+        n = A.shape[1] + found["C"][0].shape[1]
+        F, dF = np.zeros((R, K + 1, n), complex), np.zeros((R, K + 1, n, len(theta)), complex)
+        if forced:
+            F, dF = self.equations.forcing(self.p, many, self.speeds, K)
+            if self.phase.any():  # harmonics count from shaft angle zero, which the clock need not pass at t = 0
+                turn = np.exp(-1j * (np.sign(self.speeds) * self.phase)[:, None] * np.arange(K + 1))
+                F, dF = F * turn[:, :, None], dF * turn[:, :, None, None]
         if self.slow is None:
             self.slow = [slow_states(A[r], self.windows[r]) for r in range(R)]
         return Response(
             A=A, B=found["B"][0], C=found["C"][0], D=found["D"][0],
             dA=found["A"][1], dB=found["B"][1], dC=found["C"][1], dD=found["D"][1],
-            F=F, dF=dF, inverse=self._inverses(A, K), slow=self.slow,
+            F=F, dF=dF, resolvent=self._resolvent(A, K), slow=self.slow,
         )  # fmt: skip
 
-    def _inverses(self, A: np.ndarray, K: int) -> np.ndarray:
-        n = A.shape[1]
+    def _resolvent(self, A: np.ndarray, K: int) -> Resolvent:
         s = 1j * np.abs(self.speeds)[:, None] * np.arange(K + 1)
-        matrices = s[:, :, None, None] * np.eye(n) - A[:, None]
-        for r, slow in enumerate(self.slow or []):
-            matrices[r, 0, slow, :] = 0.0
-            matrices[r, 0, :, slow] = 0.0
-            matrices[r, 0, slow, slow] = 1.0
-        inverse = np.linalg.inv(matrices)
-        for r, slow in enumerate(self.slow or []):
-            inverse[r, 0, slow, :] = 0.0
-        return inverse
+        return Resolvent(A, s, self.slow or [])
 
 
 def slow_states(A: np.ndarray, window: float) -> np.ndarray:

@@ -10,6 +10,7 @@ from rotorsim.compile import Model
 from rotorsim.identify.experiment import Experiment
 from rotorsim.identify.functions import Equations
 from rotorsim.identify.motion import Motion
+from rotorsim.simulate.linear import entry_names
 
 __all__ = ["Condensed", "reduced"]
 
@@ -101,8 +102,6 @@ def reduced(experiment: Experiment, master_entries: np.ndarray) -> Condensed:
 
 def _pairs(model: Model) -> tuple[list[str], np.ndarray]:
     """Return every moving output entry with the external force on it: names, places in v."""
-    from rotorsim.simulate.linear import entry_names
-
     names: list[str] = []
     entries: list[int] = []
     for port, signal in model.trace.external.items():

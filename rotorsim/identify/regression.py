@@ -22,7 +22,7 @@ from rotorsim.identify.likelihood import Evaluation, harmonics_of_time
 from rotorsim.identify.reduction import reduced
 from rotorsim.recordings.harmonics import RunHarmonics
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
-from rotorsim.simulate.linear import flat_names
+from rotorsim.simulate.linear import entry_names, flat_names
 
 __all__ = ["REDUCTIONS", "THESIS_ORDERS", "Regression", "open_regression"]
 
@@ -50,14 +50,14 @@ class Regression:
             raise RotorsimError(Problem("no order is left for the regression", experiment.recording.name, hint=hint))
         self.K = max(abs(k) for k in self.orders)
         self.c, self.V = len(experiment.predicted), len(experiment.given)
-        trace = experiment.model.trace
+        external = experiment.model.trace.external.values()
         self.force_entries = np.array([_entry(experiment.model, flat) for _, flat in forces])
-        places = [flat for name in trace.external for flat in flat_names_of(experiment.model, name)]
+        places = [flat for signal in external for flat in entry_names(signal.name, signal.shape)]
         self.given_entries = np.array([places.index(name) for name in experiment.given], int)
         self.n_v = len(places)
         self.data = self._measured()
         # a mean that slow states have not let settle obeys no equation of balance
-        settled = not any(len(slow) for slow in experiment.motion.response(experiment.theta0, 0).slow)
+        settled = not any(len(slow) for slow in experiment.linear.response(experiment.theta0, 0).slow)
         use_mean = experiment.use_mean[: self.c] & experiment.use_mean[self.c :].all() & settled
         self.rows = _selection(experiment.predicted, self.orders, use_mean)
         if not len(self.rows[0]):
@@ -111,7 +111,7 @@ class Regression:
         return inputs
 
     def _exact(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        response = self.experiment.motion.response(theta, self.K)
+        response = self.experiment.linear.response(theta, self.K)
         inputs = self._inputs()
         Y = response.outputs(response.states(inputs), inputs)
         compliance = response.transfer()[..., self.force_entries]
@@ -180,18 +180,10 @@ def _moves(model: Model, name: str) -> bool:
     return not (expression.is_constant() and float(expression) == 0.0)
 
 
-def flat_names_of(model: Model, port: str) -> list[str]:
-    """Return the flat names of the entries of an external input."""
-    from rotorsim.simulate.linear import entry_names
-
-    signal = model.trace.external[port]
-    return entry_names(signal.name, signal.shape)
-
-
 def _entry(model: Model, flat: str) -> int:
     """Return where an entry of an external input lies in v."""
-    port = flat.partition("[")[0]
-    return int(model.trace.external[port].part.start) + flat_names_of(model, port).index(flat)
+    signal = model.trace.external[flat.partition("[")[0]]
+    return int(signal.part.start) + entry_names(signal.name, signal.shape).index(flat)
 
 
 def _selection(

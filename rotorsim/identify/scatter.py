@@ -9,6 +9,7 @@ import numpy as np
 from rotorsim.identify.estimate import Estimate, Search
 from rotorsim.identify.likelihood import RESOLUTION
 from rotorsim.identify.regression import Regression
+from rotorsim.recordings.harmonic_fit import complex_values, scaled_cholesky
 
 __all__ = ["Scatter", "scatter_of", "with_covariance"]
 
@@ -46,7 +47,7 @@ def scatter_of(regression: Regression, search: Search, result: Estimate) -> Scat
     in_columns = np.zeros((len(result.theta), len(result.theta)))
     for k in range(DRAWS):
         noise = [root @ random.standard_normal(root.shape[1]) for root in roots]
-        regression.data = measured + np.array([_complex(vector, measured.shape[1:]) for vector in noise])
+        regression.data = measured + np.array([complex_values(vector, measured.shape[-1]) for vector in noise])
         found = regression.evaluate(result.theta)
         step = np.linalg.lstsq(found.slopes @ slopes, -found.residual, rcond=None)[0]
         estimates[k] = result.theta + slopes @ step
@@ -92,18 +93,8 @@ def _undetermined(J: np.ndarray, noise: np.ndarray, slopes: np.ndarray, at: np.n
 def _root(regression: Regression, r: int) -> np.ndarray:
     """Return a root of the covariance of the real harmonics (0..K) that the regression uses of one run."""
     item, columns = regression.experiment.runs[r], regression.experiment.columns[r]
-    total, orders = len(item.fit.names), 2 * regression.K + 1
-    places = (np.arange(orders)[:, None] * total + columns).ravel()
-    covariance = item.fit.covariance[np.ix_(places, places)]
-    size = np.tile(np.maximum(item.fit.rms[columns], np.abs(item.fit.values[0, columns])), orders)
-    covariance = covariance + np.diag((RESOLUTION * np.where(size > 0, size, 1.0)) ** 2)
-    scale = np.sqrt(np.diag(covariance))
-    return np.asarray(scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale)))
-
-
-def _complex(vector: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    rows = vector.reshape(-1, shape[1])
-    return np.concatenate([rows[:1] + 0j, rows[1::2] + 1j * rows[2::2]])
+    scale, factor = scaled_cholesky(item.fit.covariance_at(columns, range(regression.K + 1), RESOLUTION))
+    return np.asarray(scale[:, None] * factor)
 
 
 def with_covariance(result: Estimate, covariance: np.ndarray) -> Estimate:

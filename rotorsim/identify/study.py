@@ -26,9 +26,10 @@ from rotorsim.identify.coordinates import ANGLE_UNIT
 from rotorsim.identify.identification import METHODS
 from rotorsim.identify.profile import Z90
 from rotorsim.identify.regression import REDUCTIONS
-from rotorsim.identify.study_runs import NOISES, Bench
+from rotorsim.identify.study_runs import Bench
 from rotorsim.identify.thesis_tables import TABLES, PublishedTable
 from rotorsim.jobs import Failure, run_jobs
+from rotorsim.recordings.measuring import KINDS
 
 __all__ = [
     "Case", "Study", "StudyResult", "StudyRow", "run_study", "study_data", "study_of_table", "study_rows", "write_rows",
@@ -93,7 +94,7 @@ class Study:
         problems = [
             Problem(f"no {word} '{value}'", hint=f"one of {', '.join(known)}")
             for word, values, known in (
-                ("kind of noise", self.kinds, NOISES),
+                ("kind of noise", self.kinds, KINDS),
                 ("method", (self.method,), METHODS),
                 ("reduction", (self.reduction,), REDUCTIONS),
                 ("table of the thesis", (self.table,) if self.table else (), tuple(TABLES)),

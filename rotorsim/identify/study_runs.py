@@ -26,16 +26,14 @@ from rotorsim.identify.regression import Regression, open_regression
 from rotorsim.identify.verdict import judge
 from rotorsim.recordings.harmonic_fit import Basis, HarmonicFit, complex_values, fit_harmonics, harmonic_basis
 from rotorsim.recordings.harmonics import RunHarmonics
-from rotorsim.recordings.recording import AXES, Channel, Recording, Run
+from rotorsim.recordings.measuring import measure, with_noise
+from rotorsim.recordings.recording import ANGLE, AXES, Channel, Recording, Run
 from rotorsim.recordings.shaft_angle import ShaftAngle
 from rotorsim.simulate.linear import flat_names, refuse_sampled
-from rotorsim.simulate.run import simulate
 
-__all__ = ["NOISES", "Bench", "Clean", "clean_runs"]
+__all__ = ["Bench", "Clean", "clean_runs"]
 
-NOISES = ("white", "thesis", "uniform")
 RATE = 1e4  # Hz, of the recordings; the thesis' step of 0.1 ms
-ANGLE = "clock.theta"
 NOT_EXPLAINED = 1e-3  # as in `identify`
 PROBE, LINEAR = 0.1, 1e-6  # size of a step; departure from linearity, of the change, that counts as none
 
@@ -129,18 +127,11 @@ def _one_run(
     model: Model, signals: Sequence[str], parameters: Mapping[str, float], window: tuple[float, float], settled: bool
 ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Return times (n,) and shaft angles (n,) of the window, and the signals (n, ...) over it."""
-    first, last = window
-    step = model.diagram.solver.step
-    every = max(1, round(1 / (RATE * step)))
-    record = [ANGLE, *([] if settled else signals)]
-    result = simulate(model, parameters=parameters, stop=last, record=record, record_every=every)
-    if result.status != "finished":
-        raise RotorsimError(Problem(result.message or result.status), exit_code=1)
-    inside = (result.time >= first - 1e-9) & (result.time < last - 1e-9)
-    time = result.time[inside]
-    theta = np.asarray(result[ANGLE])[inside].reshape(len(time))
+    wanted = [] if settled else signals
+    result = measure(model, wanted, ANGLE, window=window, rate=RATE, parameters=parameters, closed=False)
+    time, theta = result.time, result[ANGLE].reshape(len(result.time))
     if not settled:
-        return time, theta, {name: np.asarray(result[name])[inside] for name in signals}
+        return time, theta, {name: result[name] for name in signals}
     from rotorsim.simulate.periodic_motion import periodic
 
     names = [flat for name in signals for flat in flat_names(model, name)]
@@ -208,17 +199,12 @@ class Bench:
         return self.opened.experiment.theta0
 
     def harmonics(self, kind: str, level: float, random: np.random.Generator) -> list[RunHarmonics]:
-        """Return the harmonics of the runs with noise.
-
-        white: Gaussian, of ``level`` times the rms of each channel about its mean. thesis: eq. (2.67),
-        r (1 + (R - 0.5) level), with R ~ N(0, 1) for every sample and channel, as the text says. uniform: the same with
-        R uniform from 0 to 1, as the printed figures look: they are not 0.5 ``level`` too small.
-        """
+        """Return the harmonics of the runs with noise (see `with_noise`)."""
         found = []
         for item in self.clean:
             values = item.values
             if level:
-                values = _noisy(kind, values, level, item.rms, random)
+                values = with_noise(values, kind, level, random, item.rms)
             if self.method == "regression" and not item.fit.lines:  # it needs no covariance: a tenth of the work
                 fit = replace(item.fit, values=complex_values((item.projector @ values).ravel(), len(self.names)))
                 found.append(RunHarmonics(item.run, item.angle, fit))
@@ -321,14 +307,6 @@ class Bench:
         from rotorsim.identify.functions import slots_of
 
         return [(item, slot) for item in self.free for slot in slots_of(self.opened.experiment.model, item)]
-
-
-def _noisy(kind: str, r: np.ndarray, level: float, rms: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Return samples (n, C) with noise of a kind."""
-    if kind == "white":
-        return np.asarray(r + random.standard_normal(r.shape) * (level * rms))
-    draw = random.standard_normal(r.shape) if kind == "thesis" else random.random(r.shape)
-    return np.asarray(r * (1 + (draw - 0.5) * level))
 
 
 def _free(diagram: Diagram, names: Sequence[str]) -> tuple[Free, ...]:

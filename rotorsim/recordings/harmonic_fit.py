@@ -16,7 +16,9 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.noise import Line, Noise, find_lines, noise_of
 
-__all__ = ["Basis", "HarmonicFit", "fit_harmonics", "harmonic_basis"]
+__all__ = [
+    "Basis", "HarmonicFit", "complex_values", "fit_harmonics", "harmonic_basis", "real_vector", "scaled_cholesky",
+]  # fmt: skip
 
 TURN = 2 * np.pi
 MOST_ORDERS = 16
@@ -74,6 +76,18 @@ class HarmonicFit:
         turned = real_vector(-1j * self.orders[:, None] * self.values) * self.angle_std
         return np.asarray(spread @ middle @ spread.T + np.outer(turned, turned))
 
+    def covariance_at(self, columns: np.ndarray, orders: Sequence[int], resolution: float) -> np.ndarray:
+        """Return the covariance (m, m) of the real harmonics of some channels and orders, as `real_vector` has them.
+
+        columns: places of the channels in ``names``. resolution: of the measuring chain, as a share of the rms or the
+        mean of a channel, the larger one; it is added to every harmonic as noise of that standard deviation.
+        """
+        rows = [row for k in orders for row in ((2 * k - 1, 2 * k) if k else (0,))]
+        places = (np.array(rows)[:, None] * len(self.names) + columns).ravel()
+        size = np.tile(np.maximum(self.rms[columns], np.abs(self.values[0, columns])), len(rows))
+        floor = (resolution * np.where(size > 0, size, 1.0)) ** 2
+        return np.asarray(self.covariance[np.ix_(places, places)] + np.diag(floor))
+
     def real_vector(self, values: np.ndarray | None = None) -> np.ndarray:
         """Return harmonics (..., K+1, C) as real numbers (..., m): order 0, then real and imaginary part per order."""
         c = self.values if values is None else values
@@ -110,6 +124,12 @@ def complex_values(vector: np.ndarray, channels: int) -> np.ndarray:
     """Return the harmonics (K+1, C) that a real vector holds."""
     rows = vector.reshape(-1, channels)
     return np.concatenate([rows[:1] + 0j, rows[1::2] + 1j * rows[2::2]])
+
+
+def scaled_cholesky(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return standard deviations s (m,) and the lower factor L (m, m) of a covariance diag(s) L L^T diag(s)."""
+    scale = np.sqrt(np.diag(covariance))
+    return scale, np.linalg.cholesky(covariance / np.outer(scale, scale))
 
 
 class Basis:

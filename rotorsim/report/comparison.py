@@ -13,6 +13,7 @@ from rotorsim.identify.experiment import Experiment, open_experiment
 from rotorsim.identify.identification import Identification
 from rotorsim.identify.likelihood import Likelihood, harmonics_of_time
 from rotorsim.identify.motion import Motion
+from rotorsim.identify.nonlinear_motion import NonlinearMotion
 from rotorsim.recordings.harmonic_fit import HarmonicFit, real_vector
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.style import rpm
@@ -236,6 +237,11 @@ class Comparison:
                 p[k, self._follows_speed] = moved[self._follows_speed]
             windows = np.full(len(some), experiment.motion.windows[r])
             phase = np.full(len(some), experiment.motion.phase[r])
+            if isinstance(experiment.motion, NonlinearMotion):
+                balanced = NonlinearMotion(experiment.motion.equations, p, some, K, list(windows), phase)
+                Y = harmonics_of_time(balanced.predict(self.theta).Y, some[0])
+                found.append(signal.combined(Y, experiment.predicted, orders))
+                continue
             motion = Motion(experiment.motion.equations, p, some, K, list(windows), phase)
             motion.slow = [experiment.motion.slow[r]] * len(some) if experiment.motion.slow else None
             response = motion.response(self.theta)

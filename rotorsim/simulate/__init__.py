@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from importlib import import_module
+import sys
+from types import ModuleType
 from typing import Any
+
+from rotorsim._lazy import lazy
 
 _HOME = {
     "simulate": "run",
@@ -26,12 +29,14 @@ _HOME = {
     "resonance_peaks": "envelopes",
 }
 __all__ = list(_HOME)
+__getattr__, __dir__ = lazy(__name__, _HOME)
 
 
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used: scipy need not be loaded to run a fixed-step simulation."""
-    if name in _HOME:
-        value = getattr(import_module(f"rotorsim.simulate.{_HOME[name]}"), name)
-        globals()[name] = value  # found at once next time
-        return value
-    raise AttributeError(f"module 'rotorsim.simulate' has no attribute '{name}'")
+class _CallableModule(ModuleType):
+    """The package `rotorsim.simulate`, which hides the function of this name in `rotorsim`, and so does its work."""
+
+    def __call__(self, *args: Any, **options: Any) -> Any:
+        return self.simulate(*args, **options)
+
+
+sys.modules[__name__].__class__ = _CallableModule

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rotorsim.cli import common
 from rotorsim.cli.record import parse_gains
-from rotorsim.recordings import check_signals, load_recording
+from rotorsim.recordings import check_signals, load_recording, measuring
 
 
 def test_a_run_per_speed_and_set_of_gains(run) -> None:
@@ -108,6 +109,7 @@ def test_noise_by_kind_and_seed(run) -> None:
         "same": ["--noise", "0.05", "--seed", "1"],
         "other": ["--noise", "5 %", "--seed", "2"],
         "thesis": ["--noise", "5 %", "--noise-kind", "thesis"],
+        "uniform": ["--noise", "5 %", "--noise-kind", "uniform"],
     }.items():
         assert run("record", "jeffcott", "--out", name, *options).exit_code == 0
         found[name] = load_recording(name).runs[0]
@@ -119,8 +121,15 @@ def test_noise_by_kind_and_seed(run) -> None:
         ratio = (added["thesis"] / clean)[clean != 0]
         assert ratio.mean() == pytest.approx(-0.025, abs=0.002)
         assert ratio.std() == pytest.approx(0.05, rel=0.03)
+        ratio = (added["uniform"] / clean)[clean != 0]
+        assert ratio.mean() == pytest.approx(0, abs=0.0006)  # four times 0.05 / sqrt(12 n)
+        assert ratio.std() == pytest.approx(0.05 / 12**0.5, rel=0.03)
     np.testing.assert_array_equal(found["one"].tacho, found["clean"].tacho)
     assert "; white noise of 5 %, seed 1" in load_recording("one").source
+
+
+def test_the_options_offer_all_kinds_of_noise() -> None:
+    assert common.NOISE_KINDS == measuring.KINDS
 
 
 def test_identify_finds_what_record_hid(run) -> None:

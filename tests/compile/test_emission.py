@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotorsim.compile import compile_diagram, emit
+from rotorsim.compile import compile_diagram, emit, writer
 from rotorsim.compile.affine import state_operations
 from rotorsim.compile.instance import CompiledInstance, InterpretedInstance
 from rotorsim.compile.pairing import paired_states
@@ -31,7 +31,7 @@ def test_the_unrolled_step_the_chunked_one_and_the_virtual_machine_agree(name, m
     unrolled = simulate(load(name), stop=stop)
     machine = simulate(load(name), stop=stop, use_compiler=False)
     monkeypatch.setattr(emit, "UNROLL_LIMIT", 0)
-    monkeypatch.setattr(emit, "CHUNK", 7)  # every function is cut into many
+    monkeypatch.setattr(writer, "CHUNK", 7)  # every function is cut into many
     chunked = simulate(load(name), stop=stop)
     for signal, values in unrolled.signals.items():
         scale = np.abs(values).max()

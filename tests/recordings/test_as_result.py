@@ -289,6 +289,24 @@ def test_a_window_is_kept_with_its_angle(jeffcott) -> None:
     np.testing.assert_allclose(result["clock.theta"], 50 * np.pi * result.time, rtol=1e-12)
     whole = simulate(jeffcott, stop=0.3)
     np.testing.assert_array_equal(result["rotor.displacement"], whole["rotor.displacement"][2000::2])
+    half_open = measuring.measure(
+        jeffcott, ["rotor.displacement"], "clock.theta", window=(0.2, 0.3), rate=5000.0, closed=False
+    )
+    np.testing.assert_array_equal(half_open.time, result.time[:-1])
+
+
+@pytest.mark.parametrize("settle", [False, True])
+def test_other_parameters_are_those_of_a_diagram_that_has_them(settle: bool) -> None:
+    gains = {"controller.KP": 14000.0, "controller.KD": 4.0}
+    options = {"window": (0.0, 0.05), "speed": 40 * np.pi, "settle": settle}
+    results = [
+        measuring.measure(compile_diagram(load_diagram("jeffcott", set=given)), ["controller.current"], "clock.theta",
+                          parameters=known, **options)
+        for given, known in ((gains, None), ({}, gains), ({}, None))
+    ]  # fmt: skip
+    has, told, other = (result["controller.current"] for result in results)
+    np.testing.assert_array_equal(told, has)
+    assert np.abs(other - has).max() > 0.01 * np.abs(has).max()
 
 
 def test_noise_is_what_it_is_called() -> None:
@@ -304,6 +322,11 @@ def test_noise_is_what_it_is_called() -> None:
     ratio = thesis["rotor.displacement"] / clean["rotor.displacement"]
     np.testing.assert_allclose(ratio.mean(axis=0), 1 - 0.025, atol=4 * 0.05 / np.sqrt(100_000))
     np.testing.assert_allclose(ratio.std(axis=0), 0.05, rtol=0.01)
+    uniform = measuring.noisy(clean, measuring.Noise(0.05, "uniform"))
+    ratio = uniform["rotor.displacement"] / clean["rotor.displacement"]
+    np.testing.assert_allclose(ratio.mean(axis=0), 1, atol=4 * 0.05 / np.sqrt(12 * 100_000))
+    np.testing.assert_allclose(ratio.std(axis=0), 0.05 / np.sqrt(12), rtol=0.01)
+    assert np.abs(ratio - 1).max() <= 0.025 * (1 + 1e-12)
 
 
 def test_noise_depends_on_seed_and_run_alone() -> None:

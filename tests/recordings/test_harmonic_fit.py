@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom, chi2, norm
 
 from rotorsim.errors import RotorsimError
-from rotorsim.recordings.harmonic_fit import HarmonicFit, complex_values, fit_harmonics, real_vector
+from rotorsim.recordings.harmonic_fit import HarmonicFit, complex_values, fit_harmonics, real_vector, scaled_cholesky
 from rotorsim.recordings.noise import FALSE_ALARM
 
 RATE = 2000.0
@@ -124,6 +124,39 @@ def test_real_vector_and_back(K, C, seed):
 
 
 # --- covariance -------------------------------------------------------------------------------------------------------
+
+
+def test_covariance_of_some_channels_and_orders():
+    """Entries by unit harmonics; the resolution of a channel is a share of its mean where that is above its rms."""
+    time = np.arange(1500) / RATE
+    theta = TURN * 31.3 * time
+    c = harmonics(3, 3)
+    c[0] = [0.0, 50.0, 0.1]
+    random = np.random.default_rng(1).standard_normal((1500, 3))
+    y = signal(c, theta) + 0.1 * (random + random[:, :1])  # correlated across the channels
+    found = fitted(time, theta, y, orders=3, angle_std=1e-3)
+    columns, orders = np.array([2, 1]), (2, 0)
+    wanted = [(2, 2, 1), (2, 1, 1), (2, 2, 1j), (2, 1, 1j), (0, 2, 1), (0, 1, 1)]
+    units = np.zeros((len(wanted), 4, 3), complex)
+    for row, (k, channel, part) in enumerate(wanted):
+        units[row, k, channel] = part
+    pick = real_vector(units)
+    expected = pick @ found.covariance @ pick.T
+    np.testing.assert_allclose(found.covariance_at(columns, orders, 0.0), expected, rtol=1e-12, atol=1e-30)
+    floor = found.covariance_at(columns, orders, 0.01) - expected
+    size = np.tile([found.rms[2], abs(found.values[0, 1])], 3)
+    assert found.rms[1] < size[1]
+    np.testing.assert_allclose(floor, np.diag((0.01 * size) ** 2), rtol=1e-9, atol=1e-15)
+
+
+def test_a_factor_of_a_covariance_of_small_and_large_numbers():
+    """Standard deviations of 1e-150 to 1e120: what is factored is the correlation."""
+    correlation = np.array([[1.0, 0.6, 0.2], [0.6, 1.0, -0.3], [0.2, -0.3, 1.0]])
+    std = np.array([1e-150, 1.0, 1e120])
+    scale, factor = scaled_cholesky(correlation * np.outer(std, std))
+    np.testing.assert_allclose(scale, std, rtol=1e-14)
+    assert (np.triu(factor, 1) == 0).all()
+    np.testing.assert_allclose(factor @ factor.T, correlation, rtol=1e-14, atol=1e-15)
 
 
 @pytest.mark.parametrize(("n", "hertz"), [(2000, 23.37), (1500, 41.9)])

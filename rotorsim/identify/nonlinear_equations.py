@@ -1,0 +1,103 @@
+"""The traced equations of a nonlinear diagram, with their exact derivatives by states and free parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rotorsim.compile import Model
+from rotorsim.diagram.diagram import Free
+from rotorsim.identify.functions import reached_states, slots_of
+from rotorsim.simulate.matrix_function import MatrixFunction
+
+__all__ = ["NonlinearEquations", "is_linear"]
+
+FIRST_SAMPLES = 64
+
+
+def is_linear(model: Model, outputs: Sequence[str]) -> bool:
+    """Return whether dx/dt and the outputs (flat names as recorded) are linear in states with constant factors."""
+    trace = model.trace
+    y = ca.vertcat(*[model.expression(model.diagram.as_measured(name)) for name in outputs])
+    varying = ca.vertcat(trace.x, trace.t, trace.v)
+    pairs = ((trace.xdot, trace.x), (trace.xdot, trace.v), (y, trace.x), (y, trace.v))
+    return not any(ca.depends_on(ca.jacobian(of, by), varying) for of, by in pairs)
+
+
+class NonlinearEquations:
+    """dx/dt = f(t, x; p, theta), y = g(t, x; p, theta) of a diagram with periodic forcing, theta the free parameters.
+
+    kept (n,): the states that the outputs depend on. E, S: rows and columns in which df/dx is not constant.
+    Every function takes (times, x, p, theta) as columns, one for each of N points.
+    """
+
+    def __init__(self, model: Model, outputs: Sequence[str], free: Sequence[Free]) -> None:
+        self.model, self.outputs, self.free = model, tuple(outputs), tuple(free)
+        trace = model.trace
+        self.slots = [slots_of(model, item) for item in free]
+        theta = ca.SX.sym("theta", len(free))
+        entries = ca.vertsplit(trace.p) if trace.p.numel() > 1 else [trace.p]
+        for j, slots in enumerate(self.slots):
+            for slot in slots:
+                entries[slot] = theta[j]
+        y = ca.vertcat(*[model.expression(model.diagram.as_measured(name)) for name in outputs])
+        old = [trace.p, trace.z, trace.v]
+        new = [ca.vertcat(*entries), ca.SX(model.z0(model.p0)), ca.SX.zeros(*trace.v.shape)]
+        f, g = ca.substitute([trace.xdot, y], old, new)  # type: ignore[arg-type]
+        pattern = ca.jacobian(f, trace.x).sparsity()
+        self.kept = reached_states(pattern, ca.jacobian(g, trace.x).sparsity())
+        keep = self.kept.tolist()
+        x = ca.SX.sym("x", len(keep))
+        whole: Any = ca.SX(model.x0(model.p0))
+        whole[keep] = x
+        f, g = ca.substitute([f[keep], g], [trace.x], [whole])
+        t, p = trace.t, trace.p
+        arguments = [t, x, p, theta]
+        J, C = ca.jacobian(f, x), ca.jacobian(g, x)
+        self.E, self.S = _varying(J, ca.vertcat(x, t))
+        rows, columns = self.E.tolist(), self.S.tolist()
+        self.f = MatrixFunction(arguments, f)
+        self.f_rows = MatrixFunction(arguments, f[rows] if rows else ca.SX(0, 1))
+        self.J = MatrixFunction(arguments, J)
+        self.J_part = MatrixFunction(arguments, J[rows, columns] if rows else ca.SX(0, 0))
+        self.f_theta = MatrixFunction(arguments, ca.jacobian(f, theta))
+        self.g = MatrixFunction(arguments, g)
+        self.C = MatrixFunction(arguments, C)
+        self.g_theta = MatrixFunction(arguments, ca.jacobian(g, theta))
+        self.n, self.c, self.m = len(keep), len(self.outputs), len(free)
+        bends = [bool(ca.depends_on(ca.vertcat(ca.vec(J), ca.vec(C)), theta[j])) for j in range(self.m)]
+        self.matrices = {"J": _Dependence(np.array(bends, float))}
+        self.theta0 = np.array([item.value for item in free])
+
+    def forcing(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return Fourier coefficients of [f; g] at rest and their derivatives, as `functions.Equations.forcing`."""
+        R, m = theta.shape
+        count = max(FIRST_SAMPLES, 1 << (2 * K + 2).bit_length())
+        times = (2 * np.pi / np.abs(speeds)[:, None] * np.arange(count) / count).reshape(1, -1)
+        points = (times, np.zeros((self.n, R * count)), np.repeat(p, count, 0).T, np.repeat(theta, count, 0).T)
+        values = np.concatenate([self.f(*points), self.g(*points)], axis=1).reshape(R, count, -1)
+        slopes = np.concatenate([self.f_theta(*points), self.g_theta(*points)], axis=1).reshape(R, count, -1, m)
+        return tuple(np.fft.rfft(a, axis=1)[:, : K + 1] / count for a in (values, slopes))  # type: ignore[return-value]
+
+
+class _Dependence:
+    """Says by derivatives of one which parameters the Jacobian depends on, as a matrix of linear equations does."""
+
+    def __init__(self, bends: np.ndarray) -> None:
+        self.bends = bends
+
+    def __call__(self, p: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros((len(p), 1, 1)), np.tile(self.bends, (len(p), 1, 1, 1))
+
+
+def _varying(jacobian: Any, variables: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows and columns of the entries of a sparse Jacobian that depend on the variables."""
+    if not jacobian.nnz():
+        return np.zeros(0, int), np.zeros(0, int)
+    depends = ca.Function("d", [variables], [jacobian.nz[:]], {"allow_free": True})
+    entries = np.unique(np.array(depends.sparsity_jac(0, 0).row(), int))
+    rows, columns = (np.array(places, int) for places in jacobian.sparsity().get_triplet())
+    return np.unique(rows[entries]), np.unique(columns[entries])

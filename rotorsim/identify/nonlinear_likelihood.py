@@ -1,0 +1,68 @@
+"""Whitened residuals of an experiment whose diagram is nonlinear in its states."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identify.experiment import Experiment
+from rotorsim.identify.likelihood import Evaluation, Likelihood, fitted_columns
+from rotorsim.identify.nonlinear_motion import NonlinearMotion, Prediction
+from rotorsim.recordings.harmonic_fit import real_vector
+
+__all__ = ["NonlinearLikelihood", "likelihood_of"]
+
+MOST_ROUNDS = 5
+CLOSE = 0.01  # of a standard deviation: change of the whitened residual by the means of slow states
+
+
+def likelihood_of(experiment: Experiment) -> Likelihood:
+    """Return the likelihood of an experiment, by the direct response of a linear diagram or by harmonic balance."""
+    kind = NonlinearLikelihood if isinstance(experiment.motion, NonlinearMotion) else Likelihood
+    return kind(experiment)
+
+
+class NonlinearLikelihood(Likelihood):
+    """Whitened residuals by harmonic balance; the means of slow states are fitted in every evaluation.
+
+    Where no periodic motion is found the residual is not a number. Raises RotorsimError for signals taken as given.
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        super().__init__(experiment)
+        if self.V:
+            hint = "leave out --measured-input"
+            raise RotorsimError(
+                Problem("a nonlinear diagram takes no measured inputs", experiment.diagram.name, hint=hint)
+            )
+        self.means: list[np.ndarray] | None = None
+
+    def evaluate(self, theta: np.ndarray) -> Evaluation:
+        """Return the whitened residual and its slopes at theta (m,)."""
+        motion = self.experiment.motion
+        assert isinstance(motion, NonlinearMotion)
+        means = self.means or motion.means_of_zero(theta)
+        for _ in range(MOST_ROUNDS):
+            found = motion.predict(theta, means)
+            parts = [self._run(found, r) for r in range(len(self.data))]
+            if max(float(np.abs(gain).max(initial=0.0)) for _, _, _, gain in parts) < CLOSE or not found.settled.all():
+                break
+            means = [m + best for m, (_, _, best, _) in zip(means, parts, strict=True)]
+        if found.settled.all():
+            self.means = means
+        residuals, rows = [part[0] for part in parts], [part[1] for part in parts]
+        misfit = np.array([float(e @ e) for e in residuals])
+        counted = sum(len(e) for e in residuals) - sum(len(part[3]) for part in parts)
+        return Evaluation(np.concatenate(residuals), np.concatenate(rows), misfit, found.Y, counted)
+
+    def _run(self, found: Prediction, r: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return residual and slopes of a run without what the means can explain, their change, and its size."""
+        white = self.whiteners[r]
+        e = self.data_rows[r] - white.apply(real_vector(found.Y[r]))
+        j = -white.apply(np.moveaxis(real_vector(np.moveaxis(found.slopes[r], -1, 0)), 0, -1))
+        columns = found.by_means[r]
+        if not columns.shape[-1] or not found.settled[r]:
+            return e, j, np.zeros(columns.shape[-1]), np.zeros(0)
+        q, best = fitted_columns(white.apply(np.moveaxis(real_vector(np.moveaxis(columns, -1, 0)), 0, -1)), e)
+        gain = q.T @ e
+        return e - q @ gain, j - q @ (q.T @ j), best, gain

@@ -1,0 +1,330 @@
+"""Settled motion of a nonlinear diagram at many runs at once, and its exact derivatives by the free parameters.
+
+Harmonic balance with alternating frequency/time, condensed to the states that enter nonlinearly:
+X_k = (i k W - A)^-1 (F_k + g_k),  g = f(t, x) - f(t, 0) - A x. Derivatives follow from the same linear system.
+
+Source: Cameron & Griffin, J. Appl. Mech. 56 (1989) 149-154; Krack & Gross (2019), ch. 2-4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorsim.identify.motion import slow_states
+from rotorsim.identify.nonlinear_equations import NonlinearEquations
+
+__all__ = ["NonlinearMotion", "Prediction"]
+
+EXTRA_ORDERS = 8  # beyond those compared with data
+MOST_STEPS = 14
+SMALLEST_LENGTH = 2.0**-6
+CLOSE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Y (R, K+1, c); slopes dY/dtheta (R, K+1, c, m); dY by the means of slow states of each run, (K+1, c, s).
+
+    settled (R,): whether a periodic motion was found.
+    """
+
+    Y: np.ndarray
+    slopes: np.ndarray
+    by_means: list[np.ndarray]
+    settled: np.ndarray
+
+
+class NonlinearMotion:
+    """The settled motion of R runs as a function of the free parameters.
+
+    p (R, n_p), speeds (R,) [rad/s], windows (R,) [s], phase (R,): shaft angle at t = 0. Each solution is the start of
+    the next. Modes that are slow against the window need not have settled: the mean of one state for each is given.
+    """
+
+    def __init__(
+        self, equations: NonlinearEquations, p: np.ndarray, speeds: np.ndarray, K: int, windows: Sequence[float],
+        phase: np.ndarray,
+    ) -> None:  # fmt: skip
+        self.equations, self.p, self.speeds, self.K = equations, p, speeds, K
+        self.windows, self.phase = np.asarray(windows, float), phase
+        self.H = K + EXTRA_ORDERS
+        self.count = 1 << int(np.ceil(np.log2(4 * (self.H + 1))))
+        step = 2 * np.pi / np.abs(speeds) / self.count
+        start = -np.sign(speeds) * phase / np.abs(speeds)
+        self.times = start[:, None] + step[:, None] * np.arange(self.count)
+        self.slow: list[np.ndarray] | None = None
+        self.last: np.ndarray | None = None
+
+    def at(self, p: np.ndarray) -> NonlinearMotion:
+        """Return the motion at other known parameters p (R, n_p)."""
+        return NonlinearMotion(self.equations, p, self.speeds, self.K, list(self.windows), self.phase)
+
+    def predict(self, theta: np.ndarray, means: Sequence[np.ndarray] | None = None) -> Prediction:
+        """Return the motion at theta (m,) with slow states at given means (default: zero)."""
+        at = _Point(self, theta)
+        X, settled = self._settle(at, means)
+        found = X[:, :, self.equations.S]
+        if settled.all():
+            self.last = found
+        elif self.last is not None:
+            self.last = np.where(settled[:, None, None], found, self.last)
+        return self._linearised(at, X, settled)
+
+    def means_of_zero(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Return zero means of the slow states of each run."""
+        if self.slow is None:
+            _Point(self, theta)
+        return [np.zeros(len(slow)) for slow in self.slow or []]
+
+    def _settle(self, at: _Point, means: Sequence[np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return X (R, H+1, n) by Newton's method, all runs at once, and whether each has settled."""
+        S = self.equations.S
+        offset = at.slow_part(means)
+        base = np.einsum("rkij,rkj->rki", at.G, at.F) + offset
+        if not len(S):
+            return base, np.ones(len(self.p), bool)
+        C = base[:, :, S].copy() if self.last is None else self.last.copy()
+        residual, forces = self._residual(at, C, base)
+        if self.last is not None:  # a neighbour's motion, or the linear one: whichever is nearer
+            fresh = base[:, :, S]
+            trial, trial_forces = self._residual(at, fresh, base)
+            better = _size(trial, fresh) < _size(residual, C)
+            C[better], residual[better], forces[better] = fresh[better], trial[better], trial_forces[better]
+        settled = _size(residual, C) <= CLOSE
+        for _ in range(MOST_STEPS):
+            if settled.all():
+                break
+            delta = at.solver(self._slopes(at, C)).solve(residual[..., None])[..., 0]
+            length = np.where(settled, 0.0, 1.0)
+            before = _size(residual, C)
+            while True:
+                new = C - length[:, None, None] * delta
+                trial, trial_forces = self._residual(at, new, base)
+                worse = ~(_size(trial, new) < (1 - 0.1 * length) * before) & (length > SMALLEST_LENGTH) & ~settled
+                if not worse.any():
+                    break
+                length[worse] /= 2
+            C, residual, forces = new, trial, trial_forces
+            stuck = (length <= SMALLEST_LENGTH) & ~settled
+            settled = settled | (_size(residual, C) <= CLOSE)
+            if (stuck | settled).all():
+                break
+        X: np.ndarray = base + np.einsum("rkie,rke->rki", at.G[:, :, :, self.equations.E], forces)
+        X[~settled] = np.nan
+        return X, settled
+
+    def _residual(self, at: _Point, C: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return C less what it causes, (R, H+1, S), and the harmonics of the nonlinear rest, (R, H+1, E)."""
+        E, S = self.equations.E, self.equations.S
+        with np.errstate(all="ignore"):
+            x = self._samples(C)
+            g = at.rows(x) - at.rest - np.einsum("rms,res->rme", x, at.A_part)
+            forces = self._harmonics(g)
+            found = base[:, :, S] + np.einsum("rkse,rke->rks", at.G[:, :, S[:, None], E], forces)
+        return C - found, forces
+
+    def _slopes(self, at: _Point, C: np.ndarray) -> np.ndarray:
+        """Return d(rest)/dx_S at the samples, (R, count, E, S)."""
+        return np.asarray(at.part(self._samples(C)) - at.A_part[:, None])
+
+    def _linearised(self, at: _Point, X: np.ndarray, settled: np.ndarray) -> Prediction:
+        """Return outputs and their derivatives about the motion X (R, H+1, n)."""
+        equations, R, K = self.equations, len(self.p), self.K
+        safe = np.where(np.isfinite(X), X, 0.0)
+        x = self._samples(safe)
+        points = at.points(x)
+        y = equations.g(*points).reshape(R, self.count, -1)
+        C = equations.C(*points).reshape(R, self.count, equations.c, equations.n)
+        by_theta = self._harmonics(equations.f_theta(*points).reshape(R, self.count, equations.n, -1))
+        widths = [len(slow) for slow in self.slow or []]
+        most = max(widths, default=0)
+        direct = np.einsum("rkij,rkjm->rkim", at.G, by_theta)
+        direct = np.concatenate([direct, np.zeros((*direct.shape[:3], most), complex)], axis=3)
+        for r, slow in enumerate(self.slow or []):
+            direct[r, 0, :, equations.m : equations.m + len(slow)] = at.slow_columns(r, slow)
+        moved = direct
+        if len(equations.S):
+            solver = at.solver(self._slopes(at, safe[:, :, equations.S]))
+            forces = solver.forces(direct[:, :, equations.S])
+            moved = direct + np.einsum("rkie,rkem->rkim", at.G[:, :, :, equations.E], forces)
+        in_time = self._samples(moved.reshape(R, self.H + 1, -1)).reshape(R, self.count, equations.n, -1)
+        dy = np.einsum("rtcn,rtnm->rtcm", C, in_time)
+        dy[..., : equations.m] += equations.g_theta(*points).reshape(R, self.count, equations.c, -1)
+        Y = self._harmonics(y)[:, : K + 1]
+        dY = self._harmonics(dy)[:, : K + 1]
+        Y[~settled] = np.nan
+        by_means = [dY[r, :, :, equations.m : equations.m + width] for r, width in enumerate(widths)]
+        return Prediction(Y, dY[..., : equations.m], by_means, settled)
+
+    def _samples(self, C: np.ndarray) -> np.ndarray:
+        return np.asarray(np.fft.irfft(C * self.count, self.count, axis=1))
+
+    def _harmonics(self, values: np.ndarray) -> np.ndarray:
+        return np.asarray(np.fft.rfft(values, axis=1)[:, : self.H + 1] / self.count)
+
+
+def _size(residual: np.ndarray, C: np.ndarray) -> np.ndarray:
+    """Return the largest residual of each run as part of the largest harmonic of its state, (R,)."""
+    scale = np.maximum(np.abs(C).max(axis=1, keepdims=True), 1e-300)
+    with np.errstate(invalid="ignore", over="ignore"):
+        size = np.abs(residual / scale).max(axis=(1, 2), initial=0.0)
+    return np.where(np.isfinite(size), size, np.inf)
+
+
+class _Point:
+    """What the equations are at one theta: A, forcing, and the response (i k W - A)^-1 of every run."""
+
+    def __init__(self, motion: NonlinearMotion, theta: np.ndarray) -> None:
+        equations, R = motion.equations, len(motion.p)
+        self.motion, self.equations = motion, equations
+        count = motion.count
+        self._p = np.repeat(motion.p, count, 0).T
+        self._theta = np.repeat(theta[None], R * count, 0).T
+        rest = self.points(np.zeros((R, count, equations.n)))
+        at_rest = equations.f(*rest).reshape(R, count, equations.n)
+        self.F = motion._harmonics(at_rest)
+        self.rest = at_rest[:, :, equations.E]
+        few = (motion.times[:, 0][None], np.zeros((equations.n, R)), motion.p.T, np.repeat(theta[None], R, 0).T)
+        self.A = equations.J(*few)
+        if len(equations.S):
+            start = np.zeros((R, motion.H + 1, len(equations.S)), complex) if motion.last is None else motion.last
+            start = np.where(np.isfinite(start), start, 0.0)
+            mean = self.part(motion._samples(start)).mean(axis=1)
+            self.A[:, equations.E[:, None], equations.S] = mean
+        self.A_part = self.A[:, equations.E[:, None], equations.S]
+        if motion.slow is None:
+            motion.slow = [slow_states(self.A[r], motion.windows[r]) for r in range(R)]
+        self.G = self._response(motion)
+
+    def points(self, x: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return the arguments of the equations at the samples of motion x (R, count, n)."""
+        return self.motion.times.reshape(1, -1), x.reshape(-1, x.shape[2]).T, self._p, self._theta
+
+    def _whole(self, x_S: np.ndarray) -> tuple[np.ndarray, ...]:
+        x = np.zeros((*x_S.shape[:2], self.equations.n))
+        x[:, :, self.equations.S] = x_S
+        return self.points(x)
+
+    def rows(self, x_S: np.ndarray) -> np.ndarray:
+        """Return the nonlinear rows of f at samples x_S (R, count, S), (R, count, E)."""
+        return self.equations.f_rows(*self._whole(x_S)).reshape(*x_S.shape[:2], -1)
+
+    def part(self, x_S: np.ndarray) -> np.ndarray:
+        """Return their Jacobian, (R, count, E, S)."""
+        shape = (*x_S.shape[:2], len(self.equations.E), len(self.equations.S))
+        return self.equations.J_part(*self._whole(x_S)).reshape(shape)
+
+    def _response(self, motion: NonlinearMotion) -> np.ndarray:
+        n = self.A.shape[1]
+        s = 1j * np.abs(motion.speeds)[:, None] * np.arange(motion.H + 1)
+        matrices = s[:, :, None, None] * np.eye(n) - self.A[:, None]
+        for r, slow in enumerate(motion.slow or []):
+            matrices[r, 0, slow, :] = 0.0
+            matrices[r, 0, :, slow] = 0.0
+            matrices[r, 0, slow, slow] = 1.0
+        inverse: np.ndarray = np.linalg.inv(matrices)
+        for r, slow in enumerate(motion.slow or []):
+            inverse[r, 0, slow, :] = 0.0
+        return inverse
+
+    def slow_columns(self, r: int, slow: np.ndarray) -> np.ndarray:
+        """Return dX_0 by the means of slow states of run r, of the linear part, (n, s)."""
+        columns = self.G[r, 0] @ self.A[r][:, slow]
+        columns[slow, np.arange(len(slow))] = 1.0
+        return np.asarray(columns)
+
+    def slow_part(self, means: Sequence[np.ndarray] | None) -> np.ndarray:
+        """Return what given means of slow states add to X, (R, H+1, n)."""
+        out = np.zeros(self.F.shape, complex)
+        for r, slow in enumerate(self.motion.slow or []):
+            if means is not None and len(slow):
+                out[r, 0] = self.slow_columns(r, slow) @ means[r]
+        return out
+
+    def solver(self, slopes: np.ndarray) -> _Solver:
+        """Return the linear system (I - G D) about a motion with these slopes (R, count, E, S)."""
+        E, S = self.equations.E, self.equations.S
+        return _Solver(self.motion, self.G[:, :, S[:, None], E], slopes)
+
+
+class _Solver:
+    """(I - G D) delta = right in real coefficients a_0, a_k, b_k, by Woodbury's identity over the rank of D.
+
+    delta = right + G U w,  (I - V G U) w = V right,  D = U V.
+    """
+
+    def __init__(self, motion: NonlinearMotion, G: np.ndarray, slopes: np.ndarray) -> None:
+        self.motion, H = motion, motion.H
+        self.U, V = _compressed(slopes)
+        self.G = G @ self.U
+        R, rank = len(V), V.shape[2]
+        size = 2 * H + 1
+        self.T = _product(V.transpose(0, 2, 3, 1), H)
+        a, b = self.T[..., 1 : H + 1], self.T[..., H + 1 :]
+        P, Q = self.G.real, self.G.imag  # (R, H+1, S, rank)
+        matrix = np.empty((R, rank, size, rank, size))
+        matrix[..., 0] = np.einsum("resq,rsf->reqf", self.T[..., 0], P[:, 0])
+        matrix[..., 1 : H + 1] = _paired(a, P[:, 1:]) - _paired(b, Q[:, 1:])
+        matrix[..., H + 1 :] = _paired(a, Q[:, 1:]) + _paired(b, P[:, 1:])
+        whole = np.eye(rank * size) - matrix.reshape(R, rank * size, rank * size)
+        self.matrix = np.where(np.isfinite(whole), whole, 0.0)
+
+    def forces(self, right: np.ndarray) -> np.ndarray:
+        """Return D delta in the rows E for right (R, H+1, S, j): complex harmonics (R, H+1, E, j)."""
+        return np.asarray(np.einsum("er,zkrj->zkej", self.U, self._w(right)))
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Return delta (R, H+1, S, j)."""
+        return np.asarray(right + np.einsum("zksr,zkrj->zksj", self.G, self._w(right)))
+
+    def _w(self, right: np.ndarray) -> np.ndarray:
+        H = self.motion.H
+        R, _, S, j = right.shape
+        real = np.concatenate([right[:, :1].real, 2 * right[:, 1:].real, -2 * right[:, 1:].imag], axis=1)
+        rank, size = self.T.shape[1], self.T.shape[3]
+        flat = self.T.transpose(0, 1, 3, 2, 4).reshape(R, rank * size, S * size)
+        w = np.linalg.solve(self.matrix, flat @ real.transpose(0, 2, 1, 3).reshape(R, S * size, j))
+        w = w.reshape(R, rank, size, j)
+        out = w[:, :, : H + 1].astype(complex)
+        out[:, :, 1:] = (w[:, :, 1 : H + 1] - 1j * w[:, :, H + 1 :]) / 2
+        return np.asarray(out.transpose(0, 2, 1, 3))
+
+
+def _product(values: np.ndarray, H: int) -> np.ndarray:
+    """Return the matrices by which a factor with these samples (..., count) multiplies real coefficients 0..H.
+
+    (..., 2H+1, 2H+1); with V the Fourier coefficients of the factor, v cos l has (V_(k-l) + V_(k+l)) / 2 at order k.
+    """
+    V = np.fft.fft(values, axis=-1) / values.shape[-1]
+    k, orders = np.arange(1, H + 1)[:, None], np.arange(1, H + 1)
+    minus, plus = V[..., k - orders], V[..., k + orders]
+    alone = V[..., 1 : H + 1]
+    T = np.empty((*values.shape[:-1], 2 * H + 1, 2 * H + 1))
+    T[..., 0, 0] = V[..., 0].real
+    T[..., 1 : H + 1, 0], T[..., H + 1 :, 0] = 2 * alone.real, -2 * alone.imag
+    T[..., 0, 1 : H + 1], T[..., 0, H + 1 :] = alone.real, -alone.imag
+    T[..., 1 : H + 1, 1 : H + 1] = (minus + plus).real
+    T[..., H + 1 :, 1 : H + 1] = -(minus + plus).imag
+    T[..., 1 : H + 1, H + 1 :] = (minus - plus).imag
+    T[..., H + 1 :, H + 1 :] = (minus - plus).real
+    return T
+
+
+def _paired(T: np.ndarray, G: np.ndarray) -> np.ndarray:
+    """Return sum over s of T (R, e, s, q, k) G (R, k, s, f), as (R, e, q, f, k)."""
+    return np.asarray(np.einsum("resqk,rksf->reqfk", T, G, optimize=True))
+
+
+def _compressed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return U (E, r), V (R, count, r, S) with J = U V: one force may act in many rows (a coupled mass matrix)."""
+    R, count, E, S = J.shape
+    rows = J.transpose(2, 0, 1, 3).reshape(E, -1)
+    size = np.linalg.norm(rows, axis=1)
+    scaled = rows / np.where(size > 0, size, 1.0)[:, None]
+    values, vectors = np.linalg.eigh(scaled @ scaled.T)
+    kept = vectors[:, values > 1e-14 * max(values.max(initial=0.0), 1e-300)]
+    V = (kept.T @ scaled).reshape(kept.shape[1], R, count, S).transpose(1, 2, 0, 3)
+    return size[:, None] * kept, V

@@ -1,0 +1,124 @@
+"""Identification of nonlinear diagrams by harmonic balance, against data of an independent time integration."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from rotorsim.diagram import Diagram
+from rotorsim.identify import identify
+from rotorsim.identify.estimate import Search, estimate
+from rotorsim.identify.experiment import open_experiment
+from rotorsim.identify.nonlinear_likelihood import NonlinearLikelihood, likelihood_of
+from rotorsim.identify.nonlinear_motion import NonlinearMotion
+from rotorsim.recordings import Recording
+from tests.identify import changed, recorded
+from tests.reference.jeffcott import Jeffcott
+from tests.reference.recordings import RecordedRun
+
+RPM = 2 * np.pi / 60
+BIAS, GAP = 0.4, 0.3e-3
+TRUTH = {
+    "viscous_damping": 91.0, "crack_stiffness": 2.4e5, "eccentricity": 31e-6, "unbalance_phase": -1.1,
+    "force_current_factor": 45.0,
+}  # fmt: skip
+K_S = TRUTH["force_current_factor"] * BIAS / GAP
+
+
+def rotor(speed: float, bias: float = BIAS, gap: float = GAP) -> Jeffcott:
+    return replace(
+        Jeffcott(),
+        damping=TRUTH["viscous_damping"], crack_stiffness=TRUTH["crack_stiffness"], ki=0.0,
+        eccentricity=TRUTH["eccentricity"], phase=TRUTH["unbalance_phase"], force_current=TRUTH["force_current_factor"],
+        force_displacement=K_S, bias_current=bias, gap=gap, speed=speed,
+    )  # fmt: skip
+
+
+@cache
+def runs() -> tuple[RecordedRun, ...]:
+    """Return settled runs of a rotor in opposed magnets, integrated from rest by DOP853."""
+    out = []
+    for rpm in (1140, 1800, 2700):
+        model = rotor(rpm * RPM)
+        time = np.linspace(0.8, 1.8, 2001)[:-1]
+        y = model.solve(np.concatenate([[0.0], time]), rtol=1e-11)[1:]
+        current = model.current(y)
+        columns = {"x": y[:, 2], "y": y[:, 3], "ix": current.real, "iy": current.imag}
+        out.append(RecordedRun("jeffcott", time, columns, model.speed * time, model.speed, 2000.0, {}))
+    return tuple(out)
+
+
+def recording() -> Recording:
+    return recorded(list(runs()))
+
+
+def diagram(bias: float = 1.0) -> Diagram:
+    def change(document):
+        document["blocks"]["amb"] = {
+            "type": "amb_nonlinear",
+            "parameters": {
+                "force_current_factor": "$force_current_factor",
+                "force_displacement_factor": "$force_displacement_factor",
+                "bias_current": bias,
+            },
+        }
+        document["blocks"]["controller"]["parameters"]["KI"] = 0.0
+        document["identify"] = {name: {} for name in [*TRUTH, "force_displacement_factor", "amb.bias_current"]}
+        document["identify"]["viscous_damping"] = {"low": 0.0}
+
+    return changed("jeffcott", change)
+
+
+def test_the_diagram_is_fitted_by_harmonic_balance():
+    experiment = open_experiment(diagram(), recording())
+    assert isinstance(experiment.motion, NonlinearMotion)
+    assert isinstance(likelihood_of(experiment), NonlinearLikelihood)
+
+
+def test_the_truth_is_found():
+    """The data come from an integration in time: what agrees are two ways to the same settled motion."""
+    found = identify(diagram(), recording(), profile=False)
+    for name, value in {**TRUTH, "force_displacement_factor": K_S, "amb.bias_current": BIAS}.items():
+        assert found.parameters[name].value == pytest.approx(value, rel=2e-4), name
+    assert max(found.fit["identify"].values()) < 1e-5
+
+
+def test_slopes_are_exact():
+    """Without slow states nothing is projected out, so that slopes are those of the residual itself."""
+    likelihood = likelihood_of(open_experiment(diagram(0.5), recording()))
+    theta = likelihood.experiment.theta0
+    here = likelihood.evaluate(theta)
+    for j in range(len(theta)):
+        step = 1e-5 * max(abs(theta[j]), 1e-2 if j == 3 else 0.0)
+        moved = [theta + sign * step * (np.arange(len(theta)) == j) for sign in (1, -1)]
+        ahead, behind = (likelihood.evaluate(t).residual for t in moved)
+        slope = (ahead - behind) / (2 * step)
+        assert np.abs(slope - here.slopes[:, j]).max() < 1e-6 * np.abs(slope).max()
+
+
+def test_the_order_of_the_runs_does_not_matter():
+    """All runs are balanced at once; none may lean on its neighbour."""
+    forward = likelihood_of(open_experiment(diagram(0.5), recorded(list(runs()))))
+    back = likelihood_of(open_experiment(diagram(0.5), recorded(list(runs())[::-1])))
+    theta = forward.experiment.theta0
+    misfit = forward.evaluate(theta).misfit
+    assert back.evaluate(theta).misfit[::-1] == pytest.approx(misfit, rel=1e-9)
+
+
+def test_no_settled_motion_is_no_number():
+    """Opposed magnets that pull beyond the gap have no settled motion: the residual is not a number, nothing hangs."""
+    likelihood = likelihood_of(open_experiment(diagram(0.5), recording()))
+    theta = likelihood.experiment.theta0.copy()
+    theta[[item.name for item in likelihood.experiment.free].index("eccentricity")] = 0.5
+    found = likelihood.evaluate(theta)
+    assert not np.isfinite(found.residual).all()
+    assert np.isfinite(estimate(Search(likelihood), likelihood.experiment.theta0).misfit)
+
+
+def test_a_nonlinear_diagram_takes_no_measured_inputs():
+    from rotorsim.errors import RotorsimError
+
+    with pytest.raises(RotorsimError) as caught:
+        identify(diagram(), recording(), given=["controller.current"], profile=False)
+    assert "not linear in its states" in str(caught.value)
