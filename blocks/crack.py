@@ -3,8 +3,10 @@
 from typing import Any
 
 import numpy as np
+from rotorsim.blocks import _plane
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, cos, rows, sin, vec, where
+from rotorsim.fault import Fault
 
 
 class Crack(Block):
@@ -24,6 +26,44 @@ class Crack(Block):
 
     source = "thesis eq. (2.11), (2.12), (2.22), (3.18); Gasch (1993); Mayes & Davies (1984)"
     category = "excitation"
+    faults = (
+        Fault(
+            physics="breathing_crack",
+            enters="replace",
+            of=("crack",),
+            options={"opening": "breathing"},
+            law="weights 1/4 at orders 0, 1, 2 and 1/8 at -1, 3; none at -3, 5",
+            confused_with=("runout", "anisotropic_support"),
+            told_apart_by="the ratio of 3X to 1X; -3X and 5X, which only a switching crack has",
+        ),
+        Fault(
+            physics="open_crack",
+            enters="replace",
+            of=("crack",),
+            options={"opening": "open"},
+            law="orders 0 and 2 forward only",
+            confused_with=("asymmetric_shaft", "parallel_misalignment"),
+            told_apart_by="location: a keyway acts along the whole shaft",
+        ),
+        Fault(
+            physics="crack_location",
+            enters="move",
+            of=("crack",),
+            law="the same harmonics with another law of speed; strength follows the static curvature of the shaft",
+            confused_with=("second_crack",),
+            told_apart_by="motion at several nodes over several speeds",
+        ),
+        Fault(
+            physics="second_crack",
+            enters="force",
+            options={"opening": "switching"},
+            free={"stiffness": (1e5,), "phase": _plane.ANGLES},
+            inherits=("crack.sag",),
+            law="the harmonics of a crack at another angle: phases between harmonics drift, 2X may cancel",
+            confused_with=("crack_location",),
+            told_apart_by="motion at several nodes over several speeds",
+        ),
+    )
 
     theta = In(unit="rad", doc="shaft angle")
     force = Out(shape=2, unit="N", doc="force on the rotor [x, y]")

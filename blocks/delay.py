@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from rotorsim.blocks import _pade
+
 from rotorsim.block import Block, Equations, In, Option, Out, Param, State
 
 
@@ -42,22 +44,7 @@ class Delay(Block):
     value8 = State(shape="signal", unit=None, when=lambda o: o.order >= 8, doc="eighth state of the ladder")
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
-        n = self.option.order
-        states = [getattr(x, f"value{k}") for k in range(1, n + 1)]
-        # A ladder of series capacitors (states 1, 3, ...: voltages) and shunt inductors (states 2, 4, ...: currents)
-        # behind a unit resistor. Behind the last element the voltage or the current is zero, which closes the ladder.
-        voltages, currents = states[0::2], states[1::2]
-        if n % 2:
-            current, voltage = u.input - sum(voltages), sum(voltages[1:])
-        else:
-            current = sum(currents)
-            voltage = u.input - voltages[0] - current
-        output = u.input - 2 * current
-        derivatives = {}
-        for k, state in enumerate(states, start=1):
-            derivatives[f"value{k}"] = 2 * (2 * k - 1) / p.delay * (current if k % 2 else voltage)
-            if k % 2 == 0:
-                current = current - state
-            elif k > 1:
-                voltage = voltage - state
+        states = [getattr(x, f"value{k}") for k in range(1, self.option.order + 1)]
+        output, rates = _pade.delayed(u.input, states, p.delay)
+        derivatives = {f"value{k}": rate for k, rate in enumerate(rates, start=1)}
         return Equations(outputs={"output": output}, derivatives=derivatives)

@@ -16,7 +16,7 @@ def _nodes(option: Any) -> tuple[int, int]:
 
 
 def _free(option: Any) -> tuple[int, int]:
-    return 2 * (option.elements + 1) - len(set(option.pinned_nodes)), 2
+    return 2 * (option.elements * option.subdivisions + 1) - len(set(option.pinned_nodes)), 2
 
 
 class RotorFe(Block):
@@ -28,12 +28,14 @@ class RotorFe(Block):
     gyroscopic term is -i W G q', which raises forward modes; the thesis' eq. (3.2) has the opposite sign.
     Element matrices: Euler-Bernoulli or Timoshenko, consistent mass; shaft rotary inertia and shaft
     gyroscopic moments are options. Nodes count from 1 along the shaft. Rayleigh damping acts on the
-    elements of the shaft, eq. (C.4). M is factored once (banded L D L^T); cost grows linearly with elements.
+    elements of the shaft, eq. (C.4), disc_damping on the displacement of each disc. M is factored once (banded
+    L D L^T); cost grows linearly with elements.
     """
 
     type_name = "rotor_fe"
     source = "thesis eq. (4.9)-(4.16), (5.4), App. B, C; Friswell et al. (2010), ch. 5"
     category = "rotor"
+    refinement = "subdivisions"
 
     force = In(shape=_nodes, unit="N", additive=True, conjugate="displacement", doc="sum of the forces [node, xy]")
     moment = In(shape=_nodes, unit="N m", additive=True, conjugate="tilt", doc="sum of the moments [node, xy]")
@@ -43,6 +45,7 @@ class RotorFe(Block):
     velocity_port = Out(name="velocity", shape=_nodes, unit="m/s", doc="velocity [node, xy]")
     tilt_velocity = Out(shape=_nodes, unit="rad/s", doc="rate of slope [node, xy]")
     elements = Option(5, kind=int, low=1, high=2000, doc="number of elements")
+    subdivisions = Option(1, kind=int, low=1, high=100, doc="beams that make up each element; nodes stay its ends")
     theory = Option("euler_bernoulli", choices=("euler_bernoulli", "timoshenko"), kind=str, doc="beam theory")
     rotary_inertia = Option(False, kind=bool, doc="rotary inertia of the shaft")
     shaft_gyroscopic = Option(False, kind=bool, doc="gyroscopic moments of the shaft")
@@ -59,6 +62,9 @@ class RotorFe(Block):
     disc_diametral_inertia = Param(0.0024, shape=("disc_nodes",), unit="kg m^2", low=0.0, doc="I_d of each disc")
     mass_damping = Param(0.0, unit="1/s", low=0.0, doc="Rayleigh's a0")
     stiffness_damping = Param(0.0, unit="s", low=0.0, doc="Rayleigh's a1")
+    disc_damping = Param(
+        0.0, shape=("disc_nodes",), unit="N s/m", low=0.0, tolerance=3.0, doc="viscous damping of each disc"
+    )
     position = State(shape=_free, unit=None, doc="free displacements and slopes [dof, plane], node by node")
     velocity = State(shape=_free, unit=None, doc="their rates")
 
@@ -92,6 +98,10 @@ class RotorFe(Block):
             rest = [f - k - g for f, k, g in zip(loads[plane], bent, spin[plane], strict=True)]
             for number, inertia in disc.items():
                 rest[number] = rest[number] + p.mass_damping * inertia * v[plane][number]
+            for k, node in enumerate(self.option.disc_nodes):
+                across = free[2 * self._place(node)]
+                if across is not None:
+                    rest[across] = rest[across] - _entry(p.disc_damping, k) * v[plane][across]
             solved = solve_factored(lower, inverse_d, rest)
             accelerations.append([a - p.mass_damping * b for a, b in zip(solved, v[plane], strict=True)])
         return Equations(
@@ -111,23 +121,28 @@ class RotorFe(Block):
         """Return the number of every degree of freedom among the free ones (None: pinned)."""
         numbers: list[int | None] = []
         count = 0
-        for node in range(1, self.option.elements + 2):
+        pinned = {self._place(node) for node in self.option.pinned_nodes}
+        for place in range(self.option.elements * self.option.subdivisions + 1):
             for is_slope in (False, True):
-                held = node in self.option.pinned_nodes and not is_slope
+                held = place in pinned and not is_slope
                 numbers.append(None if held else count)
                 count += not held
         return numbers
+
+    def _place(self, node: int) -> int:
+        """Return the place (from 0) of a node among the ends of all beams."""
+        return (node - 1) * int(self.option.subdivisions)
 
     def _matrices(self, p: Any, free: list[int | None]) -> tuple[Banded, Banded, Banded, dict[int, Any]]:
         """Return M, G and K of one plane, and the disc entries of the diagonal of M."""
         size = sum(number is not None for number in free)
         mass, gyroscopic, stiffness = Banded(size), Banded(size), Banded(size)
 
-        def entry(values: Any, k: int) -> Any:
-            return values[k] if values.shape[0] > 1 else values
-
-        for e in range(self.option.elements):
-            length, outer, inner = (entry(v, e) for v in (p.element_length, p.outer_diameter, p.inner_diameter))
+        parts_of = self.option.subdivisions
+        for e in range(self.option.elements * parts_of):
+            sizes = (p.element_length, p.outer_diameter, p.inner_diameter)
+            length, outer, inner = (_entry(v, e // parts_of) for v in sizes)
+            length = length / parts_of
             area = pi / 4 * (outer**2 - inner**2)
             second = pi / 64 * (outer**4 - inner**4)
             phi: Any = 0.0
@@ -150,24 +165,31 @@ class RotorFe(Block):
                             target.add(i, j, factor * value)
         disc: dict[int, Any] = {}
         for k, node in enumerate(self.option.disc_nodes):
-            across, slope = free[2 * node - 2], free[2 * node - 1]
+            across, slope = free[2 * self._place(node)], free[2 * self._place(node) + 1]
             if across is not None:
-                disc[across] = disc.get(across, 0.0) + entry(p.disc_mass, k)
+                disc[across] = disc.get(across, 0.0) + _entry(p.disc_mass, k)
             if slope is not None:
-                disc[slope] = disc.get(slope, 0.0) + entry(p.disc_diametral_inertia, k)
-                gyroscopic.add(slope, slope, entry(p.disc_polar_inertia, k))
+                disc[slope] = disc.get(slope, 0.0) + _entry(p.disc_diametral_inertia, k)
+                gyroscopic.add(slope, slope, _entry(p.disc_polar_inertia, k))
         for number, inertia in disc.items():
             mass.add(number, number, inertia)
         return mass, gyroscopic, stiffness, disc
 
     def _loads(self, u: Any, free: list[int | None], plane: int) -> list[Any]:
         forces, moments = u.force[:, plane].elements(), u.moment[:, plane].elements()
-        every = [value for pair in zip(forces, moments, strict=True) for value in pair]
+        every: list[Any] = [0.0] * len(free)
+        for node, pair in enumerate(zip(forces, moments, strict=True), start=1):
+            every[2 * self._place(node) : 2 * self._place(node) + 2] = pair
         return [value for value, number in zip(every, free, strict=True) if number is not None]
 
     def _by_node(self, free: list[int | None], values: list[list[Any]], which: int) -> Any:
         def at(node: int, plane: int) -> Any:
-            number = free[2 * node + which]
+            number = free[2 * self._place(node) + which]
             return 0.0 if number is None else values[plane][number]
 
-        return matrix([[at(node, 0), at(node, 1)] for node in range(self.option.elements + 1)])
+        return matrix([[at(node, 0), at(node, 1)] for node in range(1, self.option.elements + 2)])
+
+
+def _entry(values: Any, k: int) -> Any:
+    """Return entry k of a parameter that has one for each element or disc, or one for all."""
+    return values[k] if values.shape[0] > 1 else values

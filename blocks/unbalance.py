@@ -2,7 +2,10 @@
 
 from typing import Any
 
+from rotorsim.blocks import _plane
+
 from rotorsim.block import Block, Equations, In, Out, Param, cos, sin, vec
+from rotorsim.fault import Fault
 
 
 class Unbalance(Block):
@@ -16,6 +19,17 @@ class Unbalance(Block):
 
     source = "thesis eq. (2.2), (4.6)"
     category = "excitation"
+    faults = (
+        Fault(
+            physics="unbalance_elsewhere",
+            enters="force",
+            free={"eccentricity": (5e-6,), "phase": _plane.ANGLES},
+            inherits=("mass",),
+            law="1X forward, grows with the square of speed",
+            confused_with=("moment_unbalance", "residual_bow", "runout"),
+            told_apart_by="a trial weight at the place; two probes along the shaft",
+        ),
+    )
 
     theta = In(unit="rad", doc="shaft angle")
     speed = In(unit="rad/s", doc="shaft speed W")

@@ -36,6 +36,7 @@ VERBS = {
     "record": "Simulate measurements of a diagram into a recording.",
     "identify": "Estimate the free parameters of a diagram from a recording, with intervals and verdicts.",
     "sensitivity": "Move the identified parameters by noise and wrong known ones, over many seeds.",
+    "diagnose": "Say where a diagram and a recording differ, what physics is missing, and repair the diagram.",
     "locate": "Find the node at which a crack or another force acts, from a recording.",
     "fmu": "Export diagrams as FMUs for other tools; look into FMUs.",
     "ssp": "Export diagrams as systems of FMUs (SSP); import such systems as diagrams.",

@@ -117,9 +117,9 @@ def test_the_linear_bearing_pushes_out_by_displacement_and_back_by_current():
     assert force == pytest.approx([105210e-6 - 4.21, -2 * 105210e-6 - 8.42])
 
 
-def test_the_nonlinear_bearing_is_tangent_to_the_linear_one_with_k_s_equal_to_k_i_i0_over_g0():
+def test_the_nonlinear_bearing_is_tangent_to_the_linear_one_and_its_gap_is_k_i_i0_over_k_s():
     inputs = {"displacement": (2,), "current": (2,)}
-    block = prepare("amb_nonlinear", inputs, {"force_current_factor": 42.1, "bias_current": 1.0, "gap": 42.1 / 105210})
+    block = prepare("amb_nonlinear", inputs, {"force_current_factor": 42.1, "force_displacement_factor": 105210.0})
 
     def force(u, i):
         return float(block.evaluate({"displacement": [u, 0.0], "current": [i, 0.0]}).outputs["force"][0])

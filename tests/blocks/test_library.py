@@ -13,6 +13,7 @@ import pytest
 import rotorsim.block
 from rotorsim.block import Block
 from rotorsim.diagram.registry import find
+from rotorsim.fault import ENTRIES
 from rotorsim.units import parse_unit
 from tests.blocks.evaluation import prepare_class
 
@@ -51,7 +52,7 @@ def test_a_block_imports_nothing_else_of_ours(file: Path) -> None:
     ours = {str(module) for module in modules if str(module).startswith("rotorsim")}
     assert "rotorsim.block" in ours
     # what several blocks share lies beside them in a file that is no block: blocks/_beam.py
-    assert all(module == "rotorsim.block" or module.startswith("rotorsim.blocks") for module in ours)
+    assert all(m in ("rotorsim.block", "rotorsim.fault") or m.startswith("rotorsim.blocks") for m in ours)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -154,12 +155,27 @@ def test_a_parameter_called_sample_time_is_the_sample_time() -> None:
     assert list(Sampled.parameters) == ["sample_time"]
 
 
-def test_the_block_of_the_guide_works() -> None:
-    [code] = re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL)
+def guide() -> type[Block]:
+    """The block of the guide, with what it declares for the diagnosis."""
+    [code], [faults] = (re.findall(rf"```{kind}\n(.*?)```", GUIDE.read_text(), re.DOTALL) for kind in ("python", "py"))
+    first = next(line for line in code.splitlines() if line.startswith("    source ="))
     space: dict[str, Any] = {"__name__": "guide"}
-    exec(code, space)
+    exec("from rotorsim.fault import Fault\n" + code.replace(first, f"{first}\n{faults}"), space)
     [cls] = [v for v in space.values() if isinstance(v, type) and issubclass(v, Block) and v is not Block]
+    return cls
+
+
+def test_the_block_of_the_guide_works() -> None:
+    cls = guide()
     assert f'"type": "{cls.type_name}"' in GUIDE.read_text()
     displacement = np.array([3e-4, -4e-4])
     found = prepare_class(cls, {"displacement": (2,)}).evaluate({"displacement": displacement}).outputs["force"]
     np.testing.assert_allclose(found, -(1e5 + 1e13 * displacement @ displacement) * displacement, rtol=1e-14)
+
+
+def test_the_block_of_the_guide_offers_itself_to_the_diagnosis() -> None:
+    cls = guide()
+    [fault] = cls.faults
+    assert fault.physics == cls.type_name
+    assert fault.free.keys() <= cls.parameters.keys()
+    assert all(f'| `"{word}"` |' in GUIDE.read_text() for word in ENTRIES)

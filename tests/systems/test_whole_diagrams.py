@@ -75,7 +75,7 @@ def test_periodic_equals_settled_simulation_of_nonlinear_models(name: str) -> No
 @pytest.mark.parametrize(
     ("name", "reference"),
     [
-        ("nonlinear AMB", Jeffcott(bias_current=1.0, gap=4.0015e-4)),
+        ("nonlinear AMB", Jeffcott(bias_current=1.0, gap=42.1 / 105210)),
         ("breathing crack", Jeffcott(breathing_width=2e-6)),
     ],
 )

@@ -1,0 +1,53 @@
+"""Resolution of a converter."""
+
+from math import pi
+from typing import Any
+
+from rotorsim.blocks import _sensor
+
+from rotorsim.block import Block, Equations, Option, Param, cos, floor, tanh
+from rotorsim.fault import Fault, Of
+
+
+class Quantisation(Block):
+    """Round the displacement to whole steps of a converter, in each axis.
+
+    law "exact":   x_s = interval floor(x / interval + 1/2)
+    law "smooth":  x_s = interval [n + 1/2 + tanh((r - n - 1/2) / width) / (2 tanh(1 / (2 width)))],   r = x / interval,
+                   n = floor(r); continuous, and the exact law for width to 0
+
+    The velocity is not changed.
+    """
+
+    source = "Widrow & Kollar, Quantization Noise (2008)"
+    category = "fault"
+    faults = (
+        Fault(
+            physics="quantisation",
+            enters="wire",
+            through=_sensor.THROUGH,
+            options={"law": "smooth"},
+            free={"interval": (Of("displacement", 0.1), Of("displacement", 0.5))},
+            law="harmonics where the amplitude is below a few steps, noise above",
+            confused_with=("noise",),
+            told_apart_by="amplitude; a histogram of the readings",
+        ),
+    )
+
+    displacement = _sensor.DISPLACEMENT
+    velocity = _sensor.VELOCITY
+    sensed_displacement = _sensor.SENSED_DISPLACEMENT
+    sensed_velocity = _sensor.SENSED_VELOCITY
+    law = Option("exact", choices=("exact", "smooth"), kind=str, doc="steps that jump, or rise steeply")
+    interval = Param(1e-6, unit="m", above=0.0, doc="step LSB of the converter")
+    width = Param(0.2, above=0.0, doc="part of the step over which it rises (law smooth)")
+
+    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+        ratio = u.displacement / p.interval
+        velocity = _sensor.velocity_of(u)
+        if self.option.law == "exact":
+            # jumps where ratio + 1/2 is whole, which is where this cosine crosses zero
+            return _sensor.sensed(p.interval * floor(ratio + 0.5), velocity, events={"jump": cos(pi * ratio)})
+        below = floor(ratio)
+        rise = tanh((ratio - below - 0.5) / p.width) / (2 * tanh(0.5 / p.width))
+        return _sensor.sensed(p.interval * (below + 0.5 + rise), velocity)

@@ -1,0 +1,93 @@
+"""Runout of the surface that a displacement sensor sees."""
+
+from typing import Any
+
+from rotorsim.blocks import _plane, _sensor
+
+from rotorsim.block import Block, Equations, In, Param
+from rotorsim.fault import Fault
+
+_LAW = "constant amplitude at every speed, at slow roll too; the controller follows it, so that it drives a force"
+_CONFUSED = ("residual_bow", "blade_pass", "sensor_offset")
+_TOLD = "a probe at the disc, another set of gains"
+
+
+class Runout(Block):
+    """Add the runout of the sensed surface to the displacement that a sensor sees.
+
+    x_s = x + sum_k r_k e^{i k theta},   k = 1, 2, 3, -1, -2, -3,   z = x + i y
+    r_k = amplitude_k e^{i phase_k} for k > 0,   backward_k e^{i backward_phase_k} for k < 0
+
+    The sensed velocity is that of x_s, with i k W r_k e^{i k theta}. The shaft itself does not move by r_k.
+    """
+
+    source = "Schweitzer & Maslen (2009), ch. 3 (sensors); API 670 (runout of the probe track)"
+    category = "fault"
+    faults = (
+        Fault(
+            physics="runout",
+            enters="wire",
+            through=_sensor.THROUGH,
+            free={"amplitude1": (1e-6,), "phase1": _plane.ANGLES},
+            law=_LAW,
+            confused_with=_CONFUSED,
+            told_apart_by=_TOLD,
+        ),
+        Fault(
+            physics="runout",
+            enters="wire",
+            through=_sensor.THROUGH,
+            free={"amplitude1": (1e-6,), "phase1": _plane.ANGLES, "amplitude2": (3e-7,), "phase2": _plane.ANGLES},
+            law=_LAW,
+            confused_with=_CONFUSED,
+            told_apart_by=_TOLD,
+        ),
+        Fault(
+            physics="runout",
+            enters="wire",
+            through=_sensor.THROUGH,
+            free={
+                "amplitude1": (1e-6,),
+                "phase1": _plane.ANGLES,
+                "amplitude2": (3e-7,),
+                "phase2": _plane.ANGLES,
+                "backward1": (3e-7,),
+                "backward_phase1": (0.0,),
+                "backward2": (3e-7,),
+                "backward_phase2": (0.0,),
+            },
+            law=_LAW,
+            confused_with=_CONFUSED,
+            told_apart_by=_TOLD,
+        ),
+    )
+
+    displacement = _sensor.DISPLACEMENT
+    velocity = _sensor.VELOCITY
+    theta = In(unit="rad", doc="shaft angle")
+    speed = In(unit="rad/s", doc="shaft speed W")
+    sensed_displacement = _sensor.SENSED_DISPLACEMENT
+    sensed_velocity = _sensor.SENSED_VELOCITY
+    amplitude1 = Param(1e-6, unit="m", low=0.0, doc="|r_1|")
+    phase1 = Param(0.0, unit="rad", doc="angle of r_1")
+    amplitude2 = Param(0.0, unit="m", low=0.0, doc="|r_2|")
+    phase2 = Param(0.0, unit="rad", doc="angle of r_2")
+    amplitude3 = Param(0.0, unit="m", low=0.0, doc="|r_3|")
+    phase3 = Param(0.0, unit="rad", doc="angle of r_3")
+    backward1 = Param(0.0, unit="m", low=0.0, doc="|r_-1|")
+    backward_phase1 = Param(0.0, unit="rad", doc="angle of r_-1")
+    backward2 = Param(0.0, unit="m", low=0.0, doc="|r_-2|")
+    backward_phase2 = Param(0.0, unit="rad", doc="angle of r_-2")
+    backward3 = Param(0.0, unit="m", low=0.0, doc="|r_-3|")
+    backward_phase3 = Param(0.0, unit="rad", doc="angle of r_-3")
+
+    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+        displacement, velocity = u.displacement, _sensor.velocity_of(u)
+        terms = [(k, getattr(p, f"amplitude{k}"), getattr(p, f"phase{k}")) for k in (1, 2, 3)]
+        terms += [(-k, getattr(p, f"backward{k}"), getattr(p, f"backward_phase{k}")) for k in (1, 2, 3)]
+        for k, size, phase in terms:
+            r = size * _plane.unit(k * u.theta + phase)
+            displacement = displacement + r
+            if u.velocity is not None:
+                velocity = velocity + k * u.speed * _plane.times_i(r)
+        return _sensor.sensed(displacement, velocity)

@@ -1,0 +1,51 @@
+"""Fluctuation of the speed of a shaft."""
+
+from math import pi
+from typing import Any
+
+from rotorsim.blocks import _plane
+
+from rotorsim.block import Block, Equations, In, Out, Param, cos, sin
+from rotorsim.fault import Fault
+
+
+class SpeedFluctuation(Block):
+    """Let the angle of a shaft swing about that of steady rotation.
+
+    angle = theta + amplitude sin(frequency t + phase),   its rate = W + amplitude frequency cos(frequency t + phase)
+
+    It stands between the clock and everything that turns. Each order k gets sidebands at k W +- frequency.
+    """
+
+    source = "Friswell et al. (2010), ch. 9 (torsion); Randall, Vibration-based Condition Monitoring (2011), ch. 2"
+    category = "fault"
+    faults = (
+        Fault(
+            physics="speed_fluctuation",
+            enters="wire",
+            between=("clock", "*"),
+            through={"theta": "angle", "speed": "rate"},
+            recorded="after",
+            free={"amplitude": (1e-3,), "frequency": (2 * pi * 5, 2 * pi * 20), "phase": _plane.ANGLES},
+            law="sidebands of every order, at a frequency of their own",
+            confused_with=("base_excitation", "torsion_coupling"),
+            told_apart_by="an encoder of many pulses a turn; sidebands grow with the order, a shaken base has one line",
+        ),
+    )
+
+    theta = In(unit="rad", doc="angle of steady rotation")
+    speed = In(unit="rad/s", doc="steady speed W")
+    angle = Out(unit="rad", doc="angle of the shaft")
+    rate = Out(unit="rad/s", doc="speed of the shaft")
+    amplitude = Param(1e-3, unit="rad", low=0.0, doc="amplitude eps of the swing")
+    frequency = Param(2 * pi * 10, unit="rad/s", above=0.0, doc="frequency nu of the swing")
+    phase = Param(0.0, unit="rad", doc="phase at t = 0")
+
+    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+        inside = p.frequency * t + p.phase
+        return Equations(
+            outputs={
+                "angle": u.theta + p.amplitude * sin(inside),
+                "rate": u.speed + p.amplitude * p.frequency * cos(inside),
+            }
+        )

@@ -1,0 +1,48 @@
+"""Stiffness and damping that a model leaves out."""
+
+from typing import Any
+
+from rotorsim.block import Block, Equations, In, Out, Param
+from rotorsim.fault import Fault
+
+_CONFUSED = (
+    "force_displacement_factor", "force_current_factor", "sensor_gain", "magnetic_pull", "mass_error",
+)  # fmt: skip
+_TOLD = "another set of gains; a known mass added to the rotor"
+
+
+class SupportStiffness(Block):
+    """Give the force of a spring and a damper, the same in each axis.
+
+    F = -stiffness q - damping q'
+    """
+
+    source = "Friswell et al. (2010), ch. 5 (bearings)"
+    category = "fault"
+    faults = (
+        Fault(
+            physics="support_stiffness",
+            enters="force",
+            free={"stiffness": (1e3,)},
+            law="shifts the critical speed; no order of its own",
+            confused_with=_CONFUSED,
+            told_apart_by=_TOLD,
+        ),
+        Fault(
+            physics="support_stiffness",
+            enters="force",
+            free={"stiffness": (1e3,), "damping": (1.0,)},
+            law="shifts and damps the critical speed; no order of its own",
+            confused_with=(*_CONFUSED, "viscous_damping"),
+            told_apart_by=_TOLD,
+        ),
+    )
+
+    displacement = In(shape="signal", unit="m", doc="displacement at the support")
+    velocity = In(shape="signal", unit="m/s", doc="velocity at the support")
+    force = Out(shape="signal", unit="N", doc="force on what moves")
+    stiffness = Param(5e4, unit="N/m", doc="dk; negative: the support is softer than stated")
+    damping = Param(0.0, unit="N s/m", doc="dc")
+
+    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+        return Equations(outputs={"force": -p.stiffness * u.displacement - p.damping * u.velocity})

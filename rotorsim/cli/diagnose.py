@@ -1,0 +1,105 @@
+"""``rotorsim diagnose``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rotorsim.cli import common
+from rotorsim.errors import Problem, RotorsimError, near_miss
+
+if TYPE_CHECKING:
+    from rotorsim.diagnose.diagnosis import Diagnosis
+
+__all__ = ["command"]
+
+
+@click.command("diagnose")
+@click.argument("diagram", metavar="DIAGRAM")
+@click.argument("recording", metavar="RECORDING")
+@click.option("--out", metavar="DIR", help="Write diagnosis.json and the repaired diagram.json into this folder.")
+@click.option("--hold-out", metavar="RECORDING", help="Further runs, for scoring only.")
+@click.option("--physics", metavar="LIST", help="Try only these rows of the catalogue, such as runout,residual_bow.")
+@click.option("--workers", type=click.IntRange(1), metavar="N", help="Processes (default: one for every CPU).")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask cluster, tcp://host:port (default: this machine).")
+@common.set_option
+@common.trust_option
+@common.progress_option
+@common.json_option
+def command(
+    diagram: str, recording: str, out: str | None, hold_out: str | None, physics: str | None, workers: int | None,
+    scheduler: str | None, settings: tuple[str, ...], trust_blocks: bool, progress: bool | None,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Say where DIAGRAM and RECORDING differ, what physics is missing, and repair the diagram.
+
+    The free parameters are refitted first. If noise does not explain the rest, every row of the catalogue (blocks
+    that declare a fault, `rotorsim blocks`) is put at every place, refitted and judged; the best is kept, with what
+    explains the data as well. Exit code 1: something is missing.
+
+    \b
+    rotorsim diagnose jeffcott measurements/2026-11 --out diagnosis
+    """
+    from rotorsim.cli.app import show_problems
+    from rotorsim.diagnose.diagnosis import diagnose
+    from rotorsim.diagnose.files import diagnosis_data, save_diagnosis
+    from rotorsim.recordings.loading import load_recording
+
+    common.check_folder("--out", out)
+    if out and Path(diagram).exists() and (Path(out) / "diagram.json").resolve() == Path(diagram).resolve():
+        raise RotorsimError(Problem(f"--out {out}: would overwrite {diagram}", hint="give another folder"))
+    rows = None if physics is None else _rows(physics)
+    loaded = common.open_diagram(diagram, settings, (), trust_blocks)
+    measured = load_recording(recording)
+    held = None if hold_out is None else load_recording(hold_out)
+    with common.progress_bar("diagnose", progress) as show:
+        found = diagnose(
+            loaded, measured, hold_out=held, physics=rows, trust_blocks=trust_blocks, workers=workers,
+            scheduler=scheduler, progress=show,
+        )  # fmt: skip
+    show_problems(found.warnings)
+    if out:
+        for file in save_diagnosis(found, out):
+            common.note(f"written: {file}")
+    if as_json:
+        common.echo_json(diagnosis_data(found))
+    else:
+        click.echo(_text(found))
+    if found.verdict != "consistent":
+        sys.exit(1)
+
+
+def _rows(text: str) -> list[str]:
+    """Return names of physics. Raises RotorsimError for those that no block declares."""
+    from rotorsim.diagram.registry import all_types
+
+    known = sorted({fault.physics for kind in all_types().values() for fault in kind.faults})
+    wanted = [name.strip() for name in text.split(",") if name.strip()]
+    problems = [
+        Problem(f"--physics {name}: no block declares it", hint=near_miss(name, known))
+        for name in wanted
+        if name not in known
+    ]
+    if problems or not wanted:
+        raise RotorsimError(*(problems or [Problem("--physics: names nothing", hint=f"known: {', '.join(known)}")]))
+    return wanted
+
+
+def _text(found: Diagnosis) -> str:
+    """Return verdict, table of what is missing, places, and the statement."""
+    parts = [f"verdict: {found.verdict}"]
+    rows = [
+        (name, f"{probability:.2g}", str(effect.places[0][0]) if effect.places else "")
+        for effect in found.effects
+        for name, probability in effect.members.items()
+    ]
+    if rows and found.verdict != "outside_catalogue":
+        parts.append(common.table(("missing", "probability", "at"), rows))
+    elif found.places:
+        parts.append(common.table(("place", "probability"), [(str(s), f"{p:.2g}") for s, p in found.places[:8]]))
+    parts.append(found.statement)
+    parts.append(f"Next experiment: {found.next_experiment}.")
+    return "\n\n".join(parts)

@@ -1,0 +1,138 @@
+"""What a diagnosis leaves behind: diagnosis.json, the repaired diagram, the report."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorsim.diagnose.diagnosis import Diagnosis, Effect, interval
+from rotorsim.diagnose.fitting import Fit
+from rotorsim.diagnose.insertion import Spot
+from rotorsim.diagram.files import write_atomically
+from rotorsim.diagram.fmt import format_document
+
+__all__ = ["diagnosis_data", "repaired_document", "save_diagnosis"]
+
+DIAGRAM = "diagram.json"
+RESULT = "diagnosis.json"
+
+
+def diagnosis_data(found: Diagnosis) -> dict[str, Any]:
+    """Return a diagnosis as plain data, in the form of diagnosis.json."""
+    return {
+        "verdict": found.verdict,
+        "where": [_place(spot, probability) for spot, probability in found.places],
+        "missing": _missing(found),
+        "rejected": [{"physics": name, "why": why} for name, why in found.rejected],
+        "parameters": {"before": _parameters(found.before), "after": _parameters(found.after, found)},
+        "fit": {
+            "before": _score(found.score_before, found.before),
+            "after": _score(found.score_after, found.after),
+            "noise_floor": found.score_after.noise if found.score_after.noise is not None else found.score_before.noise,
+            "held_out": "hold_out" if found.held else "left_out",
+        },
+        "next_experiment": found.next_experiment,
+        "statement": found.statement,
+        "diagram": DIAGRAM,
+        "detectable": {name: dict(values) for name, values in found.detectable.items()},
+        "outside": dict(found.outside),
+        "warnings": [f"{problem.subject}: {problem.what}" for problem in found.warnings],
+        "counts": dict(found.named.counts),
+    }
+
+
+def _missing(found: Diagnosis) -> list[dict[str, Any]]:
+    if found.verdict == "outside_catalogue":
+        return [{"physics": "outside_catalogue", "class": ["outside_catalogue"], "probability": 1.0, "parameters": {}}]
+    return [
+        {
+            "physics": effect.physics,
+            "class": list(effect.members),
+            "probability": effect.members[effect.physics],
+            "block": effect.candidate.insertion.name,
+            "parameters": _effect_parameters(effect, found.after),
+        }
+        for effect in found.effects
+    ]
+
+
+def _place(spot: Spot, probability: float) -> dict[str, Any]:
+    return {"block": spot.block, "port": spot.port, "node": spot.node, "axis": None, "probability": probability}
+
+
+def _effect_parameters(effect: Effect, fit: Fit) -> dict[str, Any]:
+    every = _parameters(fit)
+    return {name.rpartition(".")[2]: every[name] for name in effect.candidate.parameters if name in every}
+
+
+def _parameters(fit: Fit, found: Diagnosis | None = None) -> dict[str, Any]:
+    out = {}
+    widen = math.sqrt(max(fit.misfit / fit.freedom, 1.0)) if fit.goodness < 1e-4 else 1.0
+    for j, item in enumerate(fit.free):
+        std = widen * math.sqrt(max(float(fit.covariance[j, j]), 0.0))
+        value = float(fit.theta[j])
+        ends = interval(value, std)
+        out[item.name] = {
+            "value": value, "std": _finite(std), "interval90": [_finite(end) for end in ends], "unit": item.unit,
+        }  # fmt: skip
+    return out
+
+
+def _score(scored: Any, fit: Fit) -> dict[str, Any]:
+    return {
+        "hold_out": scored.total, "ports": {k: _finite(v) for k, v in scored.ports.items() if k},
+        "excess_variance": _finite(fit.misfit / fit.freedom), "goodness": fit.goodness,
+    }  # fmt: skip
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def repaired_document(found: Diagnosis) -> dict[str, Any]:
+    """Return the repaired diagram: the values of the fit with their units, the new blocks beside the old ones."""
+    document = copy.deepcopy(dict(found.document))
+    units = {item.name: item.unit for item in found.after.free}
+    for name, unit in units.items():
+        block, _, key = name.rpartition(".")
+        holder = document["blocks"].get(block, {}).get("parameters", {}) if block else document.get("parameters", {})
+        value = holder.get(key)
+        if isinstance(value, float) and unit not in ("", "1"):
+            holder[key] = f"{value!r} {unit}"
+    layout = document.get("layout")
+    if isinstance(layout, dict) and layout:
+        for effect in found.effects:
+            insertion = effect.candidate.insertion
+            if insertion.name not in layout and insertion.spot.block in layout:
+                x, y = layout[insertion.spot.block]
+                layout[insertion.name] = [x, y + 1.5]
+    description = str(document.get("description", ""))
+    if found.effects and found.verdict == "missing_physics":
+        names = ", ".join(effect.physics for effect in found.effects)
+        document["description"] = f"{description} Repaired by diagnosis: {names}.".strip()
+    return document
+
+
+def save_diagnosis(found: Diagnosis, folder: str | Path) -> list[Path]:
+    """Write diagnosis.json and diagram.json into a folder (made if need be); return the files."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / RESULT, folder / DIAGRAM]
+    text = json.dumps(diagnosis_data(found), indent=2, allow_nan=False, default=_plain)
+    write_atomically(files[0], text + "\n")
+    write_atomically(files[1], format_document(repaired_document(found)))
+    return files
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} in a diagnosis")

@@ -1,0 +1,286 @@
+"""Fit a diagram to harmonics of recordings from several starts, and say how well it predicts runs left out."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.diagram.load import load
+from rotorsim.errors import RotorsimError
+from rotorsim.identify.coordinates import ANGLE_UNIT
+from rotorsim.identify.estimate import MOST_EVALUATIONS, Estimate, Search, summary
+from rotorsim.identify.experiment import Experiment, open_experiment
+from rotorsim.identify.likelihood import Likelihood
+from rotorsim.identify.nonlinear_likelihood import likelihood_of
+from rotorsim.identify.nonlinear_motion import NonlinearMotion
+from rotorsim.recordings.harmonics import RunHarmonics
+from rotorsim.recordings.recording import Recording
+
+__all__ = ["LATER", "Fit", "Source", "fit_document", "fit_from_plain", "fit_to_plain", "left_out"]
+
+LATER = "is nonlinear, and not fitted yet"
+ANGLES = 8  # values over a turn of a new angle that enters in more than one way
+NONLINEAR_TRIALS = 8  # of a group, of which the best is followed
+LINEAR_EVALUATIONS = 4  # for one of a nonlinear diagram
+LINEAR_STARTS = 2  # that are followed to the end
+EXPLAINS = 1.2  # times the number of equations: a misfit that no other start could lower by much
+TURN = 2 * np.pi
+NUMBERS = ("misfit", "rows", "goodness", "failure", "nonlinear", "seconds")
+ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out")
+
+
+def _nothing() -> np.ndarray:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """What a diagram is fitted to: a recording, its harmonics, and where the diagram's files are.
+
+    Whatever has ``recorded``, ``load``, ``fit`` and ``largest`` can stand in its place (`naming.name_missing`).
+    """
+
+    recording: Recording
+    harmonics: tuple[RunHarmonics, ...]
+    folder: str | None = None
+    trust_blocks: bool = False
+
+    def load(self, document: Mapping[str, Any]) -> Diagram:
+        """Return the diagram of a document. Raises RotorsimError."""
+        return load(document, folder=Path(self.folder) if self.folder else None, trust_blocks=self.trust_blocks)
+
+    @property
+    def recorded(self) -> list[str]:
+        """The flat names of the recorded signals."""
+        return [channel.name for channel in self.recording.channels.values()]
+
+    def fit(
+        self, document: Mapping[str, Any], starts: Sequence[Sequence[Mapping[str, float]]], *, most: int | None = None,
+        linear_only: bool = False,
+    ) -> Fit:  # fmt: skip
+        """Return the best fit of a diagram; see `fit_document`."""
+        return fit_document(document, self, starts, most=most, linear_only=linear_only)
+
+    def promise(self, document: Mapping[str, Any], starts: Sequence[Sequence[Mapping[str, float]]]) -> float:
+        """Return the misfit that one step from the best start promises; see `promise_of`."""
+        return promise_of(document, self, starts)
+
+    def residual(self, document: Mapping[str, Any]) -> np.ndarray | None:
+        """Return the whitened residual of a diagram as it is, or None where it has none."""
+        try:
+            runs = [item.run for item in self.harmonics]
+            experiment = open_experiment(self.load(document), self.recording, runs=runs, harmonics=self.harmonics)
+            return likelihood_of(experiment).evaluate(experiment.theta0).residual
+        except (RotorsimError, ValueError, np.linalg.LinAlgError):
+            return None
+
+    def largest(self) -> dict[str, float]:
+        """Return the largest magnitude of every recorded signal, by its flat name."""
+        found: dict[str, float] = {}
+        for item in self.harmonics:
+            for c, name in enumerate(item.fit.names):
+                size = float(abs(item.fit.values[0, c])) + float(np.sqrt(2) * item.fit.rms[c])
+                found[name] = max(found.get(name, 0.0), size)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A diagram at its most likely parameters.
+
+    free, theta (m,), covariance (m, m), at_bound (m,). misfit: |r|^2 of the whitened data; rows: equations left after
+    nuisances. run_misfit, left_out (R,): |r|^2 of each run, and when it is predicted from the others. goodness:
+    probability of the misfit. failure: why there is none of it. nonlinear: in its states. seconds: of CPU time it took.
+    """
+
+    document: Mapping[str, Any]
+    free: tuple[Free, ...] = ()
+    theta: np.ndarray = field(default_factory=_nothing)
+    covariance: np.ndarray = field(default_factory=_nothing)
+    at_bound: np.ndarray = field(default_factory=_nothing)
+    misfit: float = np.inf
+    rows: int = 0
+    run_misfit: np.ndarray = field(default_factory=_nothing)
+    left_out: np.ndarray = field(default_factory=_nothing)
+    goodness: float = 0.0
+    failure: str = ""
+    nonlinear: bool = False
+    seconds: float = 0.0
+
+    @property
+    def freedom(self) -> int:
+        """Equations less parameters."""
+        return max(self.rows - len(self.free), 1)
+
+    @property
+    def criterion(self) -> float:
+        """Bayesian information criterion with the noise as it was measured: misfit and a charge per parameter."""
+        return self.misfit + len(self.free) * float(np.log(max(self.rows, 2)))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters by name, SI."""
+        return {item.name: float(v) for item, v in zip(self.free, self.theta, strict=True)}
+
+
+def fit_document(
+    document: Mapping[str, Any],
+    source: Source,
+    starts: Sequence[Sequence[Mapping[str, float]]],
+    *,
+    given: Sequence[str] = (),
+    most: int | None = None,
+    linear_only: bool = False,
+) -> Fit:
+    """Return the best fit of a diagram from the best of each group of starts {free parameter: SI value}.
+
+    What a start does not name begins as written; angles that it names are tried all around. most: evaluations of a
+    nonlinear diagram from each start, times LINEAR_EVALUATIONS of a linear one (default: until it has converged).
+    linear_only: a nonlinear diagram is not fitted, its failure is LATER.
+    """
+    began = process_time()
+    nonlinear = False
+    try:
+        diagram = source.load(document)
+        runs = [item.run for item in source.harmonics]
+        experiment = open_experiment(diagram, source.recording, runs=runs, given=given, harmonics=source.harmonics)
+        nonlinear = isinstance(experiment.motion, NonlinearMotion)
+        if nonlinear and linear_only:
+            return Fit(document, failure=LATER, nonlinear=True, seconds=process_time() - began)
+        search = Search(likelihood_of(experiment))
+        best = _best(search, experiment, starts, most)
+    except RotorsimError as error:
+        return Fit(document, failure=error.problems[0].what, nonlinear=nonlinear, seconds=process_time() - began)
+    except (ValueError, np.linalg.LinAlgError) as error:  # no settled motion to start from
+        return Fit(document, failure=str(error), nonlinear=nonlinear, seconds=process_time() - began)
+    return replace(_fit_of(document, search, best), nonlinear=nonlinear, seconds=process_time() - began)
+
+
+def promise_of(document: Mapping[str, Any], source: Source, starts: Sequence[Sequence[Mapping[str, float]]]) -> float:
+    """Return the misfit that linear theory promises after one step of all parameters from the best start."""
+    try:
+        runs = [item.run for item in source.harmonics]
+        experiment = open_experiment(
+            source.load(document), source.recording, runs=runs, harmonics=source.harmonics
+        )  # fmt: skip
+        search = Search(likelihood_of(experiment))
+        least = np.inf
+        for group in starts[:1]:
+            for start in group:
+                for theta in _trials(search, experiment.theta0, start):
+                    least = min(least, search.promise(search.coordinates.inside(theta)))
+    except (RotorsimError, ValueError, np.linalg.LinAlgError):
+        return np.inf
+    return least
+
+
+def _fit_of(document: Mapping[str, Any], search: Search, best: Estimate) -> Fit:
+    evaluation = best.evaluation
+    if not np.isfinite(best.misfit):
+        return Fit(document, failure="no periodic motion was found")
+    assert isinstance(search.likelihood, Likelihood)
+    sizes = [len(w.keep) for w in search.likelihood.whiteners]
+    q = search.coordinates.inside(best.theta)
+    loo = left_out(evaluation.residual, search.slopes(q)[: len(evaluation.residual)], sizes)
+    return Fit(
+        document=document, free=best.free, theta=best.theta, covariance=best.covariance, at_bound=best.at_bound,
+        misfit=best.misfit, rows=evaluation.rows, run_misfit=evaluation.misfit, left_out=loo, goodness=best.goodness,
+    )  # fmt: skip
+
+
+def _best(
+    search: Search, experiment: Experiment, starts: Sequence[Sequence[Mapping[str, float]]], most: int | None
+) -> Estimate:  # fmt: skip
+    nonlinear = isinstance(experiment.motion, NonlinearMotion)
+    chosen: list[np.ndarray] = []
+    if not nonlinear and (most is None or not starts):  # a step costs little: look all around for unknown angles
+        chosen += search.starts()[:LINEAR_STARTS]
+    for group in starts or ([[{}]] if nonlinear else []):
+        trials = [trial for start in group for trial in _trials(search, experiment.theta0, start)]
+        if nonlinear:
+            trials = trials[:: max(1, len(trials) // NONLINEAR_TRIALS)]
+        ranked = [search.force_step(search.coordinates.inside(theta), []) for theta in trials]
+        ranked = sorted((item for item in ranked if np.isfinite(item[0])), key=lambda item: item[0])
+        chosen += [q for _, q in ranked[:1]]
+    best: np.ndarray | None = None
+    least = np.inf
+    for q in chosen:
+        if not np.isfinite(search.residual(q)).all():
+            continue
+        limit = MOST_EVALUATIONS if most is None else most if nonlinear else LINEAR_EVALUATIONS * most
+        found = search.minimise(q, most=limit)
+        r = search.residual(found)
+        cost = float(r @ r) * search.preference(found)
+        if cost < least * (1 - 1e-9):
+            best, least = found, cost
+        if search.evaluation(found).misfit.sum() < EXPLAINS * search.evaluation(found).rows:
+            break
+    if best is None:
+        raise ValueError("no periodic motion was found")
+    return summary(search, best)
+
+
+def _trials(search: Search, theta0: np.ndarray, start: Mapping[str, float]) -> list[np.ndarray]:
+    """Return a start, with the angles named in it that are not part of an amplitude pair all around."""
+    theta = theta0.copy()
+    names = [item.name for item in search.free]
+    for name, value in start.items():
+        if name in names:
+            item = search.free[names.index(name)]
+            theta[names.index(name)] = np.clip(value, item.low, item.high)
+    paired = {j for pair in search.coordinates.pairs for j in pair}
+    angles = [
+        j for j, item in enumerate(search.free)
+        if item.unit == ANGLE_UNIT and j not in paired and item.name in start and item.low == -np.inf
+    ][:2]  # fmt: skip
+    found = []
+    for turns in itertools.product(range(ANGLES), repeat=len(angles)):
+        trial = theta.copy()
+        trial[angles] = theta[angles] + np.array(turns) * TURN / ANGLES
+        found.append(trial)
+    return found
+
+
+def fit_to_plain(found: Fit) -> dict[str, Any]:
+    """Return a fit as plain data, without its document."""
+    plain = {name: getattr(found, name).tolist() for name in ARRAYS}
+    return {
+        **plain,
+        **{name: getattr(found, name) for name in NUMBERS},
+        "free": [asdict(item) for item in found.free],
+    }
+
+
+def fit_from_plain(document: Mapping[str, Any], plain: Mapping[str, Any]) -> Fit:
+    """Return the fit of a document from plain data."""
+    arrays: dict[str, Any] = {name: np.array(plain[name]) for name in ARRAYS}
+    numbers = {name: plain[name] for name in NUMBERS}
+    return Fit(document, tuple(Free(**item) for item in plain["free"]), **arrays, **numbers)
+
+
+def left_out(residual: np.ndarray, slopes: np.ndarray, sizes: Sequence[int]) -> np.ndarray:
+    """Return the misfit of each run when it is predicted from the others, (R,), by linear theory.
+
+    e_r (left out) = (I - J_r (J^T J)^-1 J_r^T)^-1 e_r
+    """
+    norm = np.linalg.norm(slopes, axis=0)
+    J = slopes / np.where(norm > 0, norm, 1.0)
+    inverse = np.linalg.pinv(J.T @ J, rcond=1e-12, hermitian=True)
+    out = np.empty(len(sizes))
+    at = 0
+    for r, size in enumerate(sizes):
+        rows, e = J[at : at + size], residual[at : at + size]
+        # Woodbury: (I - J C J^T)^-1 = I + J (C^-1 - J^T J)^-1 J^T
+        others = J.T @ J - rows.T @ rows
+        moved = rows @ (np.linalg.pinv(others, rcond=1e-12, hermitian=True) @ (rows.T @ e)) if len(inverse) else 0.0
+        predicted = e + moved
+        out[r] = float(predicted @ predicted)
+        at += size
+    return out

@@ -1,0 +1,70 @@
+"""How a block enters a diagram that lacks its physics: the declaration that makes it a candidate of a diagnosis.
+
+This module imports nothing else of rotorsim, so that a block file needs only it and `rotorsim.block`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+__all__ = ["ENTRIES", "Fault", "Of"]
+
+ENTRIES = ("force", "wire", "reading", "replace", "move")
+
+
+@dataclass(frozen=True)
+class Of:
+    """A start that follows the data: ``factor`` times the largest magnitude of an input of the block at its place."""
+
+    input: str
+    factor: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """Declare physics that a model may leave out, and how this block adds it to a diagram.
+
+    physics: its name in a diagnosis. enters:
+
+    - "force": the block's outputs that have the unit of an additive input of a block (N, N m, or whatever is wired)
+      go there. Its inputs come from the outputs of the same name of that block, at the same node; those that it does
+      not have (``theta``, ``speed``) from the one block that has them.
+    - "wire": the block stands in a wire that leads from a block of category ``between[0]`` to one of category
+      ``between[1]`` ("*": to every block); ``through`` maps its inputs to its outputs. The wire is known by the name
+      of the input (the output of that name of the source). With ``recorded`` "after" a recording of that signal
+      means the block's output, with "before" its input.
+    - "reading": only the recording sees the block's output (``through``), not the diagram.
+    - "replace": the block takes the place of one whose type is in ``of``, which may be its own type; parameters of
+      equal name keep their values.
+    - "move": a block of this type acts at another place.
+
+    options: of the block where it enters. free: parameter -> starts (SI numbers or `Of`), all of them tried; bounds
+    are those of the parameter; what is not free keeps its default. fixed: parameters that are set once, to a number
+    or by `Of`, and not fitted. inherits: parameters that take the value that the block at the place has under the
+    same name; "crack.sag" takes that of the one block of type crack, if there is one. law: in words, what the effect
+    does with speed, order and amplitude.
+    confused_with: physics that read alike; told_apart_by: the experiment that tells them apart.
+    """
+
+    physics: str
+    enters: str
+    free: Mapping[str, tuple[float | Of, ...]] = field(default_factory=dict)
+    fixed: Mapping[str, float | Of] = field(default_factory=dict)
+    of: tuple[str, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+    between: tuple[str, str] = ("rotor", "controller")
+    through: Mapping[str, str] = field(default_factory=dict)
+    recorded: str = "after"
+    inherits: tuple[str, ...] = ()
+    law: str = ""
+    confused_with: tuple[str, ...] = ()
+    told_apart_by: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if self.enters not in ENTRIES:
+            raise ValueError(f"enters must be one of {', '.join(ENTRIES)}, not '{self.enters}'")
+        if self.recorded not in ("before", "after"):
+            raise ValueError(f"recorded must be 'before' or 'after', not '{self.recorded}'")

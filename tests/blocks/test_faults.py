@@ -1,0 +1,205 @@
+"""What every fault of the library declares, and that each can be wired into a diagram and run."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rotorsim.block import Block
+from rotorsim.diagram import load
+from rotorsim.diagram.load import shipped_diagrams
+from rotorsim.diagram.registry import all_types
+from rotorsim.diagram.source import read_document
+from rotorsim.fault import Fault, Of
+from rotorsim.simulate import simulate
+
+# every effect that a rotor model commonly leaves out and that can be named
+CATALOGUE = {
+    "breathing_crack", "open_crack", "asymmetric_shaft", "crack_location", "second_crack", "residual_bow",
+    "thermal_bow", "parallel_misalignment", "angular_misalignment", "anisotropic_support", "support_stiffness",
+    "foundation_mode", "gyroscopic_error", "moment_unbalance", "unbalance_elsewhere", "internal_damping",
+    "hysteretic_damping", "seal_cross_coupling", "rub", "clearance", "cubic_stiffness", "coulomb_friction",
+    "magnetic_nonlinearity", "magnetic_saturation", "eddy_current_lag", "amb_cross_coupling", "amplifier_bandwidth",
+    "control_delay", "controller_gain_error", "current_clipping", "current_sensor_gain", "sensor_gain",
+    "sensor_gain_mismatch", "sensor_rotation", "non_collocation", "runout", "sensor_offset", "quantisation",
+    "base_excitation", "speed_fluctuation", "torsion_coupling", "blade_pass", "magnetic_pull", "mass_error",
+}  # fmt: skip
+# what reads like an effect without being one: parameters of the model, and noise
+OTHERS = {"viscous_damping", "force_displacement_factor", "force_current_factor", "sag", "noise"}
+FAULTS = [(cls, fault) for cls in all_types().values() for fault in cls.faults]
+IDS = [f"{fault.physics}-{cls.type_name}-{cls.faults.index(fault)}" for cls, fault in FAULTS]
+every_fault = pytest.mark.parametrize(("cls", "fault"), FAULTS, ids=IDS)
+
+
+def test_every_effect_of_the_catalogue_is_offered_and_no_other() -> None:
+    assert {fault.physics for _, fault in FAULTS} == CATALOGUE
+
+
+@every_fault
+def test_a_fault_says_what_it_looks_like(cls: type[Block], fault: Fault) -> None:
+    assert fault.law.strip()
+    assert fault.told_apart_by.strip()
+    assert fault.confused_with
+    assert set(fault.confused_with) <= (CATALOGUE | OTHERS) - {fault.physics}
+
+
+@every_fault
+def test_the_names_of_a_fault_are_declared(cls: type[Block], fault: Fault) -> None:
+    assert fault.free.keys() | fault.fixed.keys() <= cls.parameters.keys()
+    assert not fault.free.keys() & fault.fixed.keys()
+    assert {name.rpartition(".")[2] for name in fault.inherits} <= cls.parameters.keys()
+    assert fault.options.keys() <= cls.options.keys()
+    for name, value in fault.options.items():
+        option = cls.options[name]
+        assert option.choices is None or value in option.choices
+    for start in [start for starts in fault.free.values() for start in starts] + list(fault.fixed.values()):
+        assert not isinstance(start, Of) or start.input in cls.inputs
+
+
+@every_fault
+def test_the_ends_of_a_fault_fit(cls: type[Block], fault: Fault) -> None:
+    if fault.enters == "force":
+        assert {"force", "moment"} & cls.outputs.keys()
+    if fault.enters in ("wire", "reading"):
+        assert fault.through
+        for inside, outside in fault.through.items():
+            assert cls.inputs[inside].shape == cls.outputs[outside].shape
+            assert cls.inputs[inside].unit == cls.outputs[outside].unit
+    if fault.enters in ("replace", "move"):
+        assert fault.of
+        assert set(fault.of) <= all_types().keys()
+    if fault.enters == "move":
+        assert cls.type_name in fault.of
+
+
+@every_fault
+def test_starts_are_small_not_zero_and_within_bounds(cls: type[Block], fault: Fault) -> None:
+    for name, starts in fault.free.items():
+        declared = cls.parameters[name]
+        assert declared.shape == (), "a free parameter is one number"
+        assert starts
+        for start in starts:
+            if isinstance(start, Of):
+                assert start.factor != 0
+                continue
+            assert start != 0 or declared.unit == "rad", name
+            assert declared.low is None or start >= declared.low
+            assert declared.high is None or start <= declared.high
+            assert declared.above is None or start > declared.above
+
+
+def test_variants_of_one_effect_differ() -> None:
+    said = [(cls.type_name, f.physics, f.enters, f.recorded, str(f.options), sorted(f.free)) for cls, f in FAULTS]
+    assert all(said.count(entry) == 1 for entry in said)
+
+
+def test_a_fault_that_enters_nowhere_is_refused() -> None:
+    with pytest.raises(ValueError) as caught:
+        Fault(physics="rub", enters="torque")
+    assert str(caught.value) == "enters must be one of force, wire, reading, replace, move, not 'torque'"
+
+
+# --- in a diagram -------------------------------------------------------------------------------------------------
+
+
+def diagram_of(fault: Fault) -> dict[str, Any]:
+    """A rotor whose disc tilts; one of several nodes for what acts at another place."""
+    name = "fe_rigid" if fault.enters == "move" else "offset_disc"
+    document = copy.deepcopy(dict(read_document(shipped_diagrams()[name]).data))
+    document["wires"] = [list(wire) for wire in document["wires"]]
+    return document
+
+
+def started(cls: type[Block], fault: Fault) -> dict[str, Any]:
+    """Parameters of the block at the first starts of a fault, where displacements are about 10 um."""
+    scale = {"displacement": 1e-5, "velocity": 1e-3, "current": 0.05}
+
+    def number(value: float | Of) -> float:
+        return value.factor * scale[value.input] if isinstance(value, Of) else value
+
+    free = {name: number(starts[0]) for name, starts in fault.free.items()}
+    return {**fault.options, **free, **{name: number(value) for name, value in fault.fixed.items()}}
+
+
+def put_in(document: dict[str, Any], cls: type[Block], fault: Fault) -> list[str]:
+    """Wire a fault by hand; return what to record beside the displacement."""
+    wires, parameters = document["wires"], started(cls, fault)
+    sources = {"theta": "clock", "speed": "clock", "current": "controller"}
+    if fault.enters == "replace":
+        block = next(b for b in document["blocks"].values() if b["type"] in fault.of)
+        kept = {k: v for k, v in block["parameters"].items() if k in {**cls.parameters, **cls.options}}
+        block.update(type=cls.type_name, parameters={**kept, **parameters})
+        return []
+    if fault.enters == "move":
+        [moved] = [wire for wire in wires if wire[0] == "crack.force"]
+        moved[1] = "rotor.force[2]"
+        return []
+    document["blocks"]["fault"] = {"type": cls.type_name, "parameters": parameters}
+    for port in cls.inputs:
+        source = f"{sources.get(port, 'rotor')}.{port}"
+        if port in fault.through and fault.enters == "wire":
+            for wire in wires:
+                kind = document["blocks"][wire[1].split(".")[0]]["type"]
+                if wire[0] == source and fault.between[1] in ("*", all_types()[kind].category):
+                    wire[0] = f"fault.{fault.through[port]}"
+        wires.append([source, f"fault.{port}"])
+    if fault.enters == "force":
+        wires += [[f"fault.{port}", f"rotor.{port}"] for port in ("force", "moment") if port in cls.outputs]
+    return [f"fault.{port}" for port in cls.outputs]
+
+
+def run(document: dict[str, Any], record: list[str]) -> Any:
+    document["record"] = ["rotor.displacement", *record]
+    document["solver"] = {**document["solver"], "stop": "50 ms"}
+    document.pop("layout", None)
+    document.pop("identify", None)
+    result = simulate(load(document))
+    assert result.status == "finished"
+    return result
+
+
+@every_fault
+def test_a_fault_runs_in_a_diagram_and_changes_it(cls: type[Block], fault: Fault) -> None:
+    base = run(diagram_of(fault), [])["rotor.displacement"]
+    document = diagram_of(fault)
+    extra = put_in(document, cls, fault)
+    result = run(document, extra)
+    for name in ("rotor.displacement", *extra):
+        assert np.isfinite(result[name]).all(), name
+    if fault.enters == "reading":
+        assert np.abs(result[extra[0]]).max() > 0
+    else:
+        assert not np.array_equal(result["rotor.displacement"], base)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["clearance", "cubic_stiffness", "coulomb_friction", "support_stiffness", "hysteretic_damping", "foundation_mode",
+     "magnetic_pull", "mass_error"],
+)  # fmt: skip
+def test_a_force_on_what_moves_in_a_line_runs(name: str) -> None:
+    """An oscillator of gains and integrators, whose displacement is one number."""
+    cls = all_types()[name]
+    blocks = {
+        "drive": {"type": "sine", "parameters": {"frequency": "20 Hz", "amplitude": 5.0}},
+        "total": {"type": "sum", "parameters": {"signs": "++-"}},
+        "acceleration": {"type": "gain", "parameters": {"gain": 0.5}},
+        "velocity": {"type": "integrator"},
+        "displacement": {"type": "integrator"},
+        "spring": {"type": "gain", "parameters": {"gain": 1e5}},
+        "fault": {"type": name, "parameters": {"gap": 1e-6} if name == "clearance" else {}},
+    }
+    wires = [["drive.output", "total.input1"], ["fault.force", "total.input2"], ["spring.output", "total.input3"]]
+    wires += [["total.output", "acceleration.input"], ["acceleration.output", "velocity.input"]]
+    wires += [["velocity.output", "displacement.input"], ["displacement.output", "spring.input"]]
+    wires += [[f"{port}.output", f"fault.{port}"] for port in ("displacement", "velocity") if port in cls.inputs]
+    solver = {"method": "rk4", "step": "0.1 ms", "stop": "50 ms"}
+    document = {"schema_version": 1, "name": "line", "blocks": blocks, "wires": wires, "solver": solver}
+    result = simulate(load({**document, "record": ["displacement.output", "fault.force"]}))
+    assert result.status == "finished"
+    assert np.shape(result["displacement.output"]) == (501,)
+    assert np.isfinite(result["fault.force"]).all()
+    assert np.abs(result["fault.force"]).max() > 0

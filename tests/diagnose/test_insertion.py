@@ -1,0 +1,122 @@
+"""Where declared faults enter diagrams: at which places, with which wires, and that every changed diagram is valid."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from rotorsim.diagnose.insertion import Insertion, fixed_of, insertions, starts_of
+from rotorsim.diagram import load
+from rotorsim.diagram.diff import diff
+from rotorsim.diagram.load import shipped_diagrams
+from rotorsim.diagram.registry import Registry
+
+RECORDED = ["rotor.displacement[1]", "rotor.displacement[2]", "controller.current[1]", "controller.current[2]"]
+PROBES = [f"rotor.displacement[{node},{axis}]" for node in (2, 3, 4, 5) for axis in (1, 2)]
+
+
+def document(name: str) -> dict:
+    return json.loads(shipped_diagrams()[name].read_text())
+
+
+def found(name: str, recorded: list[str], physics: str) -> list[Insertion]:
+    return [item for item in insertions(load(name), recorded) if item.physics == physics]
+
+
+@pytest.mark.parametrize(("name", "recorded"), [("jeffcott", RECORDED), ("fe_rigid", [*PROBES, *RECORDED[2:]])])
+def test_every_insertion_makes_a_valid_diagram(name, recorded):
+    diagram = load(name)
+    for item in insertions(diagram, recorded):
+        if item.spot.node not in (None, 3):  # one of several like places
+            continue
+        sizes = dict.fromkeys(item.feeds, 1e-5)
+        values = {**fixed_of(item, sizes), **starts_of(item, sizes)[0]}
+        changed = load(item.document(diagram.document, values))
+        assert {free.name for free in changed.free} >= set(item.free), item.key
+        assert {free.name for free in diagram.free} <= {free.name for free in changed.free}, item.key
+
+
+def test_a_force_enters_every_node_that_moves():
+    places = [item.spot.node for item in found("fe_rigid", PROBES, "residual_bow")]
+    assert places == [2, 3, 4, 5]
+    [only] = found("jeffcott", RECORDED, "residual_bow")
+    assert (str(only.spot), only.values["stiffness"]) == ("rotor.force", 7.6e5)
+    assert set(only.wires) == {
+        ("clock.theta", "residual_bow.theta"), ("residual_bow.force", "rotor.force"),
+    }  # fmt: skip
+
+
+def test_a_sensor_stands_between_rotor_and_controller_and_in_front_of_the_recording():
+    item = found("jeffcott", RECORDED, "runout")[0]
+    changed = item.document(document("jeffcott"))
+    assert ["rotor.displacement", "controller.displacement"] not in changed["wires"]
+    assert ["runout.sensed_displacement", "controller.displacement"] in changed["wires"]
+    assert ["runout.sensed_velocity", "controller.velocity"] in changed["wires"]
+    assert ["rotor.displacement", "amb.displacement"] in changed["wires"]
+    assert changed["measured"] == {"rotor.displacement": "runout.sensed_displacement"}
+
+
+def test_a_sensor_at_a_node_without_controller_is_only_read():
+    items = {item.spot.node: item for item in found("fe_rigid", PROBES, "sensor_gain")}
+    assert sorted(items) == [2, 3, 4, 5]
+    assert not items[4].cut
+    assert items[4].measured == {"rotor.displacement[4]": "sensor_gain.sensed_displacement"}
+    assert items[3].cut
+
+
+def test_a_delay_may_stand_before_or_behind_what_is_recorded():
+    after, before = found("jeffcott", RECORDED, "control_delay")
+    assert after.measured == {"controller.current": "control_delay.delayed"}
+    assert before.measured == {}
+    assert set(after.wires) == set(before.wires)
+
+
+def test_another_law_takes_the_place_of_a_block():
+    [item] = found("jeffcott", RECORDED, "breathing_crack")
+    changed = item.document(document("jeffcott"))
+    assert changed["blocks"]["crack"]["parameters"]["opening"] == "breathing"
+    assert changed["blocks"]["crack"]["parameters"]["stiffness"] == "$crack_stiffness"
+    assert item.free == ()
+
+
+def test_a_crack_moves_from_node_to_node():
+    items = found("fe_rigid", PROBES, "crack_location")
+    assert [item.spot.node for item in items] == [2, 3, 5]
+    changed = items[2].document(document("fe_rigid"))
+    assert ["crack.force", "rotor.force[5]"] in changed["wires"]
+    assert ["crack.force", "rotor.force[4]"] not in changed["wires"]
+
+
+def test_what_changes_is_what_was_put_in():
+    old = document("jeffcott")
+    new = found("jeffcott", RECORDED, "residual_bow")[0].document(old)
+    assert old == document("jeffcott")
+    changes = [str(change) for change in diff(old, new)]
+    assert len(changes) == 5
+    assert all(text.startswith("+ ") and "residual_bow" in text for text in changes)
+
+
+def test_a_block_file_of_the_user_is_a_candidate(tmp_path):
+    (tmp_path / "tide.py").write_text(
+        '''"""Tide."""
+from rotorsim.block import Block, Equations, In, Out, Param
+from rotorsim.fault import Fault
+
+
+class Tide(Block):
+    """Pull."""
+
+    category = "fault"
+    faults = (Fault(physics="tide", enters="force", free={"pull": (1e-3,)}),)
+    displacement = In(shape=2, unit="m")
+    force = Out(shape=2, unit="N")
+    pull = Param(1.0, unit="N/m")
+
+    def equations(self, p, u, x, t):
+        return Equations(outputs={"force": p.pull * u.displacement})
+'''
+    )
+    items = insertions(load("jeffcott"), RECORDED, Registry([tmp_path]))
+    [tide] = [item for item in items if item.physics == "tide"]
+    changed = {**tide.document(document("jeffcott")), "block_folders": [tmp_path.name]}
+    assert "tide.pull" in {free.name for free in load(changed, folder=Path(tmp_path).parent, trust_blocks=True).free}
