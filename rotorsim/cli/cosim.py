@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
+from typing import Any
 
 import click
 
@@ -23,6 +25,8 @@ __all__ = ["command"]
     "--order", type=click.IntRange(0, 3), help="Inputs within a step: 0 held, 1 linear, 2 quadratic, 3 cubic."
 )
 @click.option("--part", "parts", multiple=True, metavar="BLOCK,...", help="Blocks that are a participant; repeatable.")
+@click.option("--rate", "rates", multiple=True, metavar="PARTICIPANT=N",
+              help="This participant (or the one of this block) takes N steps at once; repeatable.")  # fmt: skip
 @click.option("--adaptive", type=click.FloatRange(0.0, 1.0, min_open=True), metavar="ERROR",
               help="Relative error allowed per step; the step then adapts.")  # fmt: skip
 @click.option("--fast", is_flag=True, help="The plain loop in C, for FMUs in process.")
@@ -34,16 +38,17 @@ __all__ = ["command"]
 @common.json_option
 def command(
     diagram: str, step: str, stop: str | None, master: str, order: int | None, parts: tuple[str, ...],
-    adaptive: float | None, fast: bool, no_check: bool, out: str | None, settings: tuple[str, ...],
-    trust_blocks: bool, progress: bool | None, as_json: bool,
+    rates: tuple[str, ...], adaptive: float | None, fast: bool, no_check: bool, out: str | None,
+    settings: tuple[str, ...], trust_blocks: bool, progress: bool | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Co-simulate DIAGRAM: its FMUs, the parts given, and the rest exchange signals at communication points.
 
     Coupling adds delay: the damping that it costs and the largest stable step are computed and said, and a step that
-    must diverge is refused.
+    must diverge is refused. Sampled signals are held, and their hits are communication points too.
 
     \b
     rotorsim cosim jeffcott --part controller --step "0.1 ms" --master iterative
+    rotorsim cosim jeffcott --part controller --step "20 us" --order 1 --rate controller=5
     """
     from rotorsim.fmi.cosimulation import cosimulate_diagram
 
@@ -51,13 +56,17 @@ def command(
     width = common.quantity(step, "s", "--step")
     end = None if stop is None else common.quantity(stop, "s", "--stop")
     if end is not None and not end > 0:
-        raise RotorsimError(Problem(f"--stop {stop}: must be positive"))
+        raise RotorsimError(Problem(f"--stop {stop}: must be positive", hint="such as --stop '0.2 s'"))
+    every = _rates(rates)
     groups = [[name.strip() for name in part.split(",") if name.strip()] for part in parts]
+    for part, names in zip(parts, groups, strict=True):
+        if not names:
+            raise RotorsimError(Problem(f"--part '{part}': names no block", hint="such as --part controller,reference"))
     loaded = common.open_diagram(diagram, settings, (), trust_blocks)
     with common.progress_bar("cosim", progress) as show:
         result = cosimulate_diagram(
             loaded, groups, step=width, stop=end, master=master, order=order, adaptive=adaptive, fast=fast,
-            check=not no_check, progress=show,
+            check=not no_check, rates=every, progress=show,
         )  # fmt: skip
     if out:
         from rotorsim.simulate.files import save
@@ -75,11 +84,37 @@ def command(
         click.echo(
             f"{result.status}: {result.counters['steps']} communication steps to {result.time[-1]:g} s, {master}"
         )
-        if "damping_kept" in made:
-            limit = made["largest_stable_step"]
-            said = f"{limit:.3g} s" if limit < float("inf") else "none found"
-            click.echo(f"damping kept by the coupling: {made['damping_kept']:.1%}; largest stable step: {said}")
+        for line in _stability(made):
+            click.echo(line)
         if result.message:
             click.echo(result.message)
     if result.status != "finished":
         sys.exit(1)
+
+
+def _rates(texts: tuple[str, ...]) -> dict[str, int]:
+    """Return participant -> number of steps. Raises RotorsimError."""
+    found: dict[str, int] = {}
+    for text in texts:
+        name, equals, number = text.partition("=")
+        if not (name.strip() and equals and number.strip().isdecimal()):
+            raise RotorsimError(Problem(f"--rate {text}: not PARTICIPANT=N", hint="such as --rate controller=5"))
+        if name.strip() in found:
+            what = f"--rate {text}: {name.strip()} has a rate already"
+            raise RotorsimError(Problem(what, hint="give one for each"))
+        found[name.strip()] = int(number)
+    return found
+
+
+def _stability(made: Mapping[str, Any]) -> list[str]:
+    """Return what is said of the stability of the coupling."""
+    if "stability_not_analysed" in made:
+        return [f"stability of the coupling: not analysed ({made['stability_not_analysed']})"]
+    if "largest_stable_step" not in made:
+        return []
+    limit, kept = made["largest_stable_step"], made["damping_kept"]
+    if limit == 0:
+        return ["the linearised loop is unstable as a whole, with any step"]
+    said = f"{limit:.3g} s" if limit < float("inf") else "none found"
+    shown = "not told (no mode oscillates)" if kept is None else f"{kept:.1%}"
+    return [f"damping kept by the coupling: {shown}; largest stable step: {said}"]

@@ -170,7 +170,7 @@ class Archive:
             if isinstance(error, OSError) and error.filename is not None:
                 raise
             why = " ".join(str(error).split())[:200] or type(error).__name__
-            hint = "is the download complete? An FMU is a zip archive"
+            hint = "is the download complete? FMUs and systems (SSP) are zip archives"
             raise RotorsimError(Problem(f"not a readable archive: {why}", place=self.place, hint=hint)) from None
 
 
@@ -222,7 +222,7 @@ def _open(path: Path, place: Place) -> _Guarded:
             raise RotorsimError(Problem("is not a plain file", place=place))
         return _Guarded(open(path, "rb"), place)
     except FileNotFoundError:
-        raise RotorsimError(Problem("file does not exist", place=place)) from None
+        raise RotorsimError(Problem("file does not exist", place=place, hint="is the path right?")) from None
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise RotorsimError(Problem(f"file cannot be read: {why}", place=place)) from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -10,7 +10,7 @@ from itertools import pairwise
 import networkx as nx
 import numpy as np
 
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.fmi.participant import Participant
 
 __all__ = ["Coupling"]
@@ -23,8 +23,8 @@ CLOSE = 1e-10
 class Coupling:
     """Participants and the matrix L (inputs, outputs) of their wires: u = L y + u0.
 
-    u and y hold the inputs and outputs of all participants, one after the other. held (inputs,): fed by sampled
-    outputs only, which are held and not extrapolated.
+    u and y hold the inputs and outputs of all participants, one after the other. held (outputs,): those that are
+    piecewise constant (sampled), which are held and never extrapolated.
     """
 
     participants: tuple[Participant, ...]
@@ -47,13 +47,31 @@ class Coupling:
         return np.asarray(self.L @ y + self.u0)
 
     @cached_property
+    def is_held(self) -> np.ndarray:
+        """Which outputs (n_y,) are held."""
+        return np.zeros(self.L.shape[1], bool) if self.held is None else self.held
+
+    @cached_property
+    def moving_wires(self) -> np.ndarray:
+        """L of the outputs that move between communication points."""
+        return np.where(self.is_held, 0.0, self.L)
+
+    @cached_property
+    def held_wires(self) -> np.ndarray:
+        """L of the outputs that are held."""
+        return np.where(self.is_held, self.L, 0.0)
+
+    @cached_property
     def graph(self) -> nx.DiGraph:
-        """Participants as nodes; an edge a -> b carries the number of signals that a gives to b."""
+        """Participants as nodes; an edge a -> b carries the number of signals that a gives to b, held ones left out.
+
+        Nobody waits for a signal that is held from the start of the step: sampled controllers come last.
+        """
         graph = nx.DiGraph()
         graph.add_nodes_from(range(len(self.participants)))
         for b, rows in enumerate(self.u_parts):
             for a, columns in enumerate(self.y_parts):
-                count = int((self.L[rows, columns] != 0).sum())
+                count = int((self.moving_wires[rows, columns] != 0).sum())
                 if count and a != b:
                     graph.add_edge(a, b, signals=count)
         return graph
@@ -87,18 +105,21 @@ class Coupling:
         graph = nx.from_numpy_array(pattern, create_using=nx.DiGraph)
         return not nx.is_directed_acyclic_graph(graph)
 
-    def consistent(self, t: float, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def consistent(
+        self, t: float, u: np.ndarray, y: np.ndarray | None = None, due: Sequence[int] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """Return u and y that agree at time t: u = L y(u) + u0, by sweeps, or by Newton's method in a loop.
 
+        due: participants that are at time t, default all; the outputs of the others stay as they are in y.
         Raises RotorsimError when they cannot be made to agree.
         """
-        y = self._outputs(t, u)
+        y = self._outputs(t, u, y, due)
         if not self.has_loop:
             for _ in range(len(u) + 1):
                 new = self.inputs_of(y)
                 if np.array_equal(new, u):
                     break
-                u, y = new, self._outputs(t, new)
+                u, y = new, self._outputs(t, new, y, due)
             return u, y
         scale = np.maximum(np.abs(u), 1e-6)
         for _ in range(NEWTON_STEPS):
@@ -109,11 +130,37 @@ class Coupling:
             for k in range(len(u)):
                 moved = u.copy()
                 moved[k] += 1e-6 * scale[k]
-                J[:, k] = (self.inputs_of(self._outputs(t, moved)) - moved - residual) / (1e-6 * scale[k])
-            u = u - np.linalg.solve(J, residual)
-            y = self._outputs(t, u)
+                J[:, k] = (self.inputs_of(self._outputs(t, moved, y, due)) - moved - residual) / (1e-6 * scale[k])
+            try:
+                u = u - np.linalg.solve(J, residual)
+            except np.linalg.LinAlgError:
+                break
+            y = self._outputs(t, u, y, due)
         hint = "put a delay or a dynamic block into the loop"
         raise RotorsimError(Problem(f"inputs and outputs cannot be made to agree at t = {t:g} s", hint=hint))
+
+    def rates_of(self, rates: Mapping[str, int]) -> tuple[int, ...]:
+        """Return of every participant how many base steps it takes at once; names: participants, or blocks in them.
+
+        Raises RotorsimError with every name and number that does not fit.
+        """
+        known = {block: k for k, p in enumerate(self.participants) for block in (p.name, *getattr(p, "blocks", ()))}
+        found = [1] * len(self.participants)
+        problems = []
+        for name, rate in rates.items():
+            if name not in known:
+                names = [p.name for p in self.participants]
+                problems.append(Problem("no such participant", name, hint=near_miss(name, [*known, *names])))
+            elif rate < 1 or rate != int(rate):
+                problems.append(Problem(f"rate {rate:g}: not a whole number of base steps", name, hint="1 or more"))
+            elif found[known[name]] not in (1, rate):
+                what = f"rates {found[known[name]]} and {rate:g} for one participant"
+                problems.append(Problem(what, name, hint="its blocks step together: give one rate"))
+            else:
+                found[known[name]] = int(rate)
+        if problems:
+            raise RotorsimError(*problems)
+        return tuple(found)
 
     def close(self) -> None:
         """Close all participants."""
@@ -129,14 +176,23 @@ class Coupling:
         """Return the rates of the inputs at time t that agree with the rates of the outputs."""
         for _ in range(NEWTON_STEPS if self.has_loop else len(u) + 1):
             y = [p.output_rate(t, u[part], rate[part]) for p, part in zip(self.participants, self.u_parts, strict=True)]
-            new = self.L @ np.concatenate(y)
+            new = self.moving_wires @ np.concatenate(y)
             if np.allclose(new, rate, rtol=1e-12, atol=0.0):
                 break
             rate = new
         return rate
 
-    def _outputs(self, t: float, u: np.ndarray) -> np.ndarray:
-        return np.concatenate([p.output(t, u[part]) for p, part in zip(self.participants, self.u_parts, strict=True)])
+    def _outputs(
+        self, t: float, u: np.ndarray, y: np.ndarray | None = None, due: Sequence[int] | None = None
+    ) -> np.ndarray:  # fmt: skip
+        if due is None or len(due) == len(self.participants):
+            parts = zip(self.participants, self.u_parts, strict=True)
+            return np.concatenate([p.output(t, u[part]) for p, part in parts])
+        assert y is not None
+        y = y.copy()
+        for k in due:
+            y[self.y_parts[k]] = self.participants[k].output(t, u[self.u_parts[k]])
+        return y
 
 
 def _parts(sizes: Sequence[int]) -> list[slice]:

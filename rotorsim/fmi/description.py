@@ -105,6 +105,7 @@ def _kinds(root: Element, interface: Interface, version: str, sources: Sequence[
     stepping.set("canHandleVariableCommunicationStepSize", "true")
     stepping.set("maxOutputDerivativeOrder", "1")
     if two:
+        exchange.set("completedIntegratorStepNotNeeded", "true")
         stepping.set("canInterpolateInputs", "true")
         for kind in (exchange, stepping):
             files = SubElement(kind, "SourceFiles")

@@ -70,6 +70,7 @@ class Slave(Instance):
         try:
             self._finish()
         except CallError as failure:
+            self._note_end()
             raise self._failed(failure, self._t) from None
         y = self._y.copy()
         if not is_finite(y):

@@ -15,7 +15,8 @@ class FmuError(RotorsimError):
     """An FMU failed at work.
 
     kind: "discard" (a step was refused: a shorter one may work), "error", "fatal", "crash" (its process died), "hang"
-    (no answer within the time limit), "value" (an output is not finite), "load" (its library cannot be loaded),
+    (no answer within the time limit), "value" (an output is not finite), "ended" (it asks for the end of the
+    simulation), "endless" (its events accumulate), "load" (its library cannot be loaded),
     "refused" (by rotorsim, before the FMU was asked). function: FMI function, "" if not known; time: of the call [s].
     last: time to which a refused step came [s]. log: (status, category, message) of the FMU.
     """

@@ -121,7 +121,7 @@ def _made(path: Path, _stamp: tuple[int, int]) -> type[Block]:
         "fmu_path": path, "fmu_description": description,
         "fmu_inputs": inputs, "fmu_outputs": outputs, "fmu_parameters": parameters,
         "file": Option(str(path), kind=str, doc="file of the FMU"),
-        "interface": Option("", choices=("", "cs", "me"), kind=str, doc="cs, me, or as it offers (me first)"),
+        "interface": Option("any", choices=("any", "cs", "me"), kind=str, doc="cs, me, or any: cs where it is offered"),
         "in_process": Option(False, kind=bool, doc="load its code into this process: faster, but a crash is ours"),
     }  # fmt: skip
     for kind, ports in (("i", inputs), ("o", outputs)):

@@ -9,7 +9,11 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Node
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.fmi.failure import FmuError
 from rotorsim.fmi.fmu_block import FmuPort
+from rotorsim.fmi.linear import LinearModel
+from rotorsim.fmi.model_description import FLOATS
+from rotorsim.fmi.model_exchange import ModelExchange
 from rotorsim.fmi.participant import InputHistory
 from rotorsim.fmi.slave import Fmu, Slave, open_fmu
 from rotorsim.simulate.linear import entry_names
@@ -26,8 +30,10 @@ class FmuParticipant:
     """An FMU behind the interface of a participant; its names are those of the ports of its block.
 
     Co-Simulation: inputs that move during a step are met by substeps of the FMU's own step, each with the inputs of
-    its middle (or their slope where the FMU interpolates). Model Exchange: its states are integrated here by RK4 with
-    steps ``internal``; state events end a step and are located by halving.
+    its middle. Where all outputs are sampled it is given the inputs of the end of the step, as its new outputs are
+    seen from there on. Model Exchange: its states are integrated here, with steps ``internal``, from event to event.
+
+    moving, following: as of a compiled part; outputs of variability discrete do not move between events.
     """
 
     def __init__(
@@ -35,119 +41,102 @@ class FmuParticipant:
         parameters: dict[str, Any], stop: float, internal: float,
     ) -> None:  # fmt: skip
         self.name, self.fmu, self.slave, self.parameters, self.stop = name, fmu, slave, parameters, stop
+        self.blocks = (name,)
         description = fmu.description
         self.inputs = tuple(n for p in inputs.values() for n in entry_names(f"{name}.{p.name}", p.shape))
         self.outputs = tuple(n for p in outputs.values() for n in entry_names(f"{name}.{p.name}", p.shape))
         self._u_names = [entry for port in inputs.values() for entry in port.entries]
         self._y_names = [entry for port in outputs.values() for entry in port.entries]
         self.kind = description.kinds[slave.kind]
-        self.exchange_mode = slave.kind
-        self.can_restore = self.kind.can_get_set_state or slave.kind == "me"
-        self.has_rates = self.can_restore and (slave.kind == "me" or self.kind.can_vary_step)
+        discrete = [entry.variable.variability != "continuous" for entry in description.resolve(self._u_names)]
+        self.integrator = ModelExchange(slave, np.array(discrete, bool)) if slave.kind == "me" else None
+        self.can_restore = self.kind.can_get_set_state or (
+            self.integrator is not None and not self.integrator.may_have_events
+        )
+        self.has_rates = self.can_restore and (self.integrator is not None or self.kind.can_vary_step)
         own = self.kind.fixed_step or description.experiment.step
         self.internal = min(internal, own) if own else internal
         self.feedthrough = np.array(
             [[_depends(description.dependencies, y, u) for u in self._u_names] for y in self._y_names], bool
         ).reshape(len(self._y_names), len(self._u_names))
+        self.moving = np.array([not port.discrete for port in outputs.values() for _ in port.entries], bool)
+        self.following = self.feedthrough & self.moving[:, None]
+        self.sampled = bool(self._y_names) and not self.moving.any()
         self._saved: list[int] = []
         self._last = internal
-        self.x = np.zeros(0)
-        self._begun = False
+        self._begun = self._started = False
 
     def initialise(self, t: float, u: np.ndarray) -> None:
         if self._begun:
+            self._forget()
             self.slave.reset()
-        self._begun = True
+        self._begun, self._started = True, False
         self.slave.setup(
-            t, 1.01 * self.stop, parameters=self.parameters, inputs=self._u_names, outputs=self._y_names
+            t, 1.01 * self.stop, parameters=self.parameters, inputs=self._u_names, outputs=self._y_names,
+            exit_initialisation=False,
         )  # fmt: skip
-        if self.exchange_mode == "me":
-            self.x = self.slave.states()
+
+    def start(self, t: float, u: np.ndarray) -> None:
+        self.output(t, u)
+        self.slave.exit_initialisation()
+        self._started = True
+        if self.integrator is not None:
+            self.integrator.begin(t, u)
+        elif self.slave.ended:
+            raise self._ended(t)
 
     def output(self, t: float, u: np.ndarray) -> np.ndarray:
-        if self.exchange_mode == "me":
-            return np.asarray(self.slave.outputs(t, self.x, u))
-        return np.asarray(self.slave.exchange(u, t))
+        if self.integrator is None:
+            return np.asarray(self.slave.exchange(u, t))
+        return np.asarray(self.integrator.output(t, u) if self._started else self.slave.outputs(t, None, u))
 
     def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Return rates of the outputs by a very short step that is taken back."""
         h = RATE_STEP * self._last
-        saved = self._hold()
         before = self.output(t, u)
+        if self.integrator is not None:
+            return np.asarray((self.integrator.slope(t, h, lambda tau: u + rate * tau) - before) / h)
+        saved = self.slave.save_state()
         after = self._advance(t, h, lambda tau: u + rate * tau, 1)
-        self._back(saved)
+        self.slave.restore_state(saved)
+        self.slave.free_state(saved)
         return np.asarray((after - before) / h)
 
     def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
+        self._last = h
+        if self.integrator is not None:
+            self.integrator.advance(t, h, u, min(max(1, int(np.ceil(h / self.internal - 1e-9))), 10_000))
+            return self.output(t + h, u(h))
+        if self.sampled:
+            return self._advance(t, h, lambda _: u(h), 1)
         start, end = u(0.0), u(h)
         moves = bool((np.abs(end - start) > HELD * (np.abs(end) + np.abs(start))).any())
-        count = 1
-        if moves or self.exchange_mode == "me":
-            count = min(
-                max(1, int(np.ceil(h / self.internal - 1e-9))), 10_000 if self.exchange_mode == "me" else MOST_SUBSTEPS
-            )
-        self._last = h
-        return self._advance(t, h, u, count)
+        most = max(1, int(np.ceil(h / self.internal - 1e-9)))
+        return self._advance(t, h, u, min(most, MOST_SUBSTEPS) if moves else 1)
 
     def _advance(self, t: float, h: float, u: Callable[[float], np.ndarray], count: int) -> np.ndarray:
+        """Take steps of Co-Simulation. Raises FmuError, also where the FMU asks for the end."""
         width = h / count
-        if self.exchange_mode == "me":
-            for k in range(count):
-                self._runge_kutta(t + k * width, width, u, k * width)
-            return self.output(t + h, u(h))
         for k in range(count):
-            self.slave.exchange(u((k + 0.5) * width), t + k * width, width)
+            try:
+                self.slave.exchange(u((k + 0.5) * width), t + k * width, width)
+            except FmuError as failure:
+                if failure.kind == "discard" and self.slave.ended:
+                    raise self._ended(failure.last if failure.last is not None else t + k * width) from None
+                raise
+            if self.slave.ended:
+                raise self._ended(t + (k + 1) * width)
         return self.slave.exchange(u(h), t + h)
 
-    def _runge_kutta(self, t: float, h: float, u: Callable[[float], np.ndarray], tau: float) -> None:
-        """Take one RK4 step of Model Exchange; at a state event it is halved until the event is closed in on."""
-        done = 0.0
-        while done < h * (1 - 1e-12):
-            width = h - done
-            before = self.slave.event_indicators(t + done, self.x, u(tau + done)) if self._events else None
-            x = self._rk4(t + done, width, u, tau + done)
-            if before is not None:
-                for _ in range(40):
-                    after = self.slave.event_indicators(t + done + width, x, u(tau + done + width))
-                    if not ((before > 0) != (after > 0)).any() or width < 1e-12 * h:
-                        break
-                    width /= 2
-                    x = self._rk4(t + done, width, u, tau + done)
-            self.x = x
-            done += width
-            wanted = self.slave.completed_step(t + done, self.x, u(tau + done))
-            crossed = before is not None and width < h - (done - width)
-            if wanted or crossed:
-                update = self.slave.event_update(t + done, self.x, u(tau + done))
-                if update.states_changed:
-                    self.x = self.slave.states()
+    def next_hit(self, t: float) -> float:
+        return np.inf if self.integrator is None else self.integrator.next_time
 
-    def _rk4(self, t: float, h: float, u: Callable[[float], np.ndarray], tau: float) -> np.ndarray:
-        f = self.slave.derivatives
-        k1 = f(t, self.x, u(tau))
-        middle = u(tau + h / 2)
-        k2 = f(t + h / 2, self.x + h / 2 * k1, middle)
-        k3 = f(t + h / 2, self.x + h / 2 * k2, middle)
-        k4 = f(t + h, self.x + h * k3, u(tau + h))
-        return np.asarray(self.x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
-
-    @property
-    def _events(self) -> int:
-        return self.fmu.description.n_events
-
-    def _hold(self) -> Any:
-        return self.x.copy() if self.exchange_mode == "me" else self.slave.save_state()
-
-    def _back(self, saved: Any) -> None:
-        if self.exchange_mode == "me":
-            self.x = saved
-            return
-        self.slave.restore_state(saved)
-        self.slave.free_state(saved)
+    def _ended(self, t: float) -> FmuError:
+        return self.slave.step_failed("-", "asks for the end of the simulation", "ended", t)
 
     def save(self) -> Any:
-        if self.exchange_mode == "me":
-            return self.x.copy()
+        if self.integrator is not None:
+            return self.integrator.save()
         if not self.can_restore:
             return None
         self._saved.append(self.slave.save_state())
@@ -156,23 +145,47 @@ class FmuParticipant:
         return self._saved[-1]
 
     def restore(self, saved: Any) -> None:
-        if self.exchange_mode == "me":
-            self.x = saved.copy()
+        if self.integrator is not None:
+            self.integrator.restore(saved)
         elif saved is not None:
             self.slave.restore_state(saved)
 
-    def linear(self) -> tuple[np.ndarray, ...] | None:
-        """Return A, B, C, D at the present state from directional derivatives, or None where they are not offered."""
+    def _forget(self) -> None:
+        """Free all saved states."""
+        if self.integrator is not None:
+            self.integrator.forget()
+        while self._saved:
+            self.slave.free_state(self._saved.pop())
+
+    def linear(self, used: np.ndarray) -> LinearModel | str:
+        """Return the linearisation at the present state by directional derivatives, or why there is none.
+
+        used (n_y,): outputs that others take.
+        """
         description = self.fmu.description
-        if not self.kind.directional_derivatives or not description.states:
-            return None
-        unknowns = [*description.derivatives, *self._y_names]
-        try:
-            J = self.slave.jacobian(unknowns, [*description.states, *self._u_names])
-        except RotorsimError:
-            return None
+        if not self.kind.directional_derivatives:
+            return "offers no directional derivatives"
+        if self.integrator is not None and self.integrator.next_time < np.inf:
+            return "has time events, which directional derivatives do not show"
+        sampled = [
+            v.name for v in description.by_causality("local")
+            if v.variability == "discrete" and v.type in FLOATS  # whole numbers and flags are modes
+        ]  # fmt: skip
+        sampled += [
+            name for name, taken, moves in zip(self._y_names, used, self.moving, strict=True)
+            if taken and not moves and description.dependencies.get(name) != ()
+        ]  # fmt: skip
+        if sampled:
+            return f"has values that change at events ({sampled[0]}), which directional derivatives do not show"
+        if self.integrator is None and not description.states:
+            return "does not tell its states"
         n = len(description.states)
-        return J[:n, :n], J[:n, n:], J[n:, :n], J[n:, n:]
+        unknowns, knowns = [*description.derivatives, *self._y_names], [*description.states, *self._u_names]
+        try:
+            J = self.slave.jacobian(unknowns, knowns) if unknowns and knowns else np.zeros((len(unknowns), len(knowns)))
+        except RotorsimError as error:
+            return error.problems[0].what
+        return LinearModel(J[:n, :n], J[:n, n:], J[n:, :n], J[n:, n:])
 
     def close(self) -> None:
         """Free the instance and what was unpacked."""
@@ -196,11 +209,12 @@ def fmu_participant(name: str, node: Node, wired: Collection[str], stop: float, 
     option = block.option
     fmu = open_fmu(block.fmu_path, in_process=bool(option.in_process))
     kinds = fmu.description.kinds
-    kind = option.interface or ("cs" if "cs" in kinds else "me")
+    kind = option.interface if option.interface != "any" else "cs" if "cs" in kinds else "me"
     if kind not in kinds:
         offered = ", ".join(kinds) or "neither"
         fmu.close()
-        raise RotorsimError(Problem(f"the FMU offers no '{kind}'", name, node.place, f"it offers {offered}"))
+        what = f"the FMU offers no interface '{kind}'"
+        raise RotorsimError(Problem(what, name, node.place, f"it offers {offered}"))
     given = {**block.fmu_parameters, **{key: port for key, port in block.fmu_inputs.items() if key not in wired}}
     parameters = {
         entry: float(value)

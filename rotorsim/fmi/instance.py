@@ -209,10 +209,10 @@ class Instance:
             if self.log:
                 self.log(*line)
 
-    def step_failed(self, function: str, what: str, kind: str, time: float) -> FmuError:
+    def step_failed(self, function: str, what: str, kind: str, time: float, hint: str = "") -> FmuError:
         """Return the failure of a step that was taken elsewhere, with the messages of the FMU."""
         log = self.worker.command("log").get("log", [])
-        return self._failed(CallError(kind, function, what, log=log), time)
+        return self._failed(CallError(kind, function, what, log=log, hint=hint), time)
 
     def _expect(self, *phases: str) -> None:
         if self._phase not in phases:

@@ -68,7 +68,8 @@ class FastLoop:
         wrong = [f"member {k + 1} {why}" for k, member in enumerate(members) if (why := _unfit(member))]
         if wrong or find_compiler() is None:
             what = "; ".join(wrong) or "there is no C compiler"
-            raise RotorsimError(Problem(f"no fast loop: {what}"))
+            hint = 'FMUs take part with "in_process": true, as Co-Simulation; or leave out fast'
+            raise RotorsimError(Problem(f"no fast loop: {what}", hint=hint))
         self.members = list(members)
         self._function = _library().rs_cosimulate
         self._keep: list[Any] = []

@@ -32,7 +32,7 @@ def make_runs(entries: Sequence[Entry], use: str) -> list[dict[str, Any]]:
         raise RotorsimError(*dict.fromkeys(problems))
     runs: list[list[Entry]] = []
     for entry in entries:
-        if not runs or _group(runs[-1][0]) != _group(entry):
+        if not runs or _group(runs[-1][0], use) != _group(entry, use):
             runs.append([])
         runs[-1].append(entry)
     offset = 0
@@ -77,8 +77,9 @@ def _run(entries: Sequence[Entry], offset: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _group(entry: Entry) -> tuple[str, bool]:
-    return entry.variable.type, entry.variable.variability == "continuous"
+def _group(entry: Entry, use: str) -> tuple[str, bool]:
+    """Return what entries of one run share; only of inputs some are set at other times than others."""
+    return entry.variable.type, use == "input" and entry.variable.variability == "continuous"
 
 
 def _unfit(variable: FmuVariable, use: str) -> Problem | None:

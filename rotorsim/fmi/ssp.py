@@ -253,7 +253,7 @@ def _foreign_component(name: str, diagram: Diagram, block: str) -> Component:
     for key, port in {**found.fmu_parameters, **free}.items():
         if key in node.values and port.start is not None:
             settings.update(_changed(description, port, np.ravel(node.values[key])))
-    interface = str(found.option.interface)
+    interface = "" if found.option.interface == "any" else str(found.option.interface)
     return Component(
         name, f"resources/{name}.fmu", tuple(connectors.values()), tuple(settings.values()), interface
     )  # fmt: skip

@@ -77,13 +77,14 @@ def import_ssp(file: str | File, folder: str | File, *, limits: Limits | None = 
             document = writer.document()
             _refuse(writer.problems)
             write_atomically(temporary / DIAGRAM, format_document(document))
-            diagram = load(document, folder=temporary)
+            load(document, folder=temporary)
             temporary.chmod(0o755)
             if target.exists():
                 target.rmdir()
             os.replace(temporary, target)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
+    diagram = load(document, folder=target)  # its FMUs are where they stay
     warnings = (*writer.warnings, *diagram.warnings)
     return ImportedSsp(target / DIAGRAM, diagram, structure, tuple(sorted(sources)), warnings)
 

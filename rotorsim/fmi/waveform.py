@@ -1,8 +1,9 @@
 """Waveform relaxation: the whole run is repeated until the signals exchanged agree.
 
 For FMUs that cannot take a step back. Each participant runs alone from start to end with the waveforms that the others
-gave last; between communication points these are cubic splines. On a finite time it converges for every coupling
-through states (Lelarasmee, Ruehli & Sangiovanni-Vincentelli, IEEE Trans. CAD 1 (1982) 131-145).
+gave last; between communication points these are cubic splines, or held where they are sampled. On a finite time it
+converges for every coupling through states (Lelarasmee, Ruehli & Sangiovanni-Vincentelli, IEEE Trans. CAD 1 (1982)
+131-145).
 """
 
 from __future__ import annotations
@@ -30,24 +31,28 @@ def relaxed(
     count = max(1, round(end / step))
     times = np.linspace(0.0, end, count + 1)
     width = end / count
-    u = np.tile(coupling.u0, (count + 1, 1))
     y = np.zeros((count + 1, coupling.L.shape[1]))
     first = coupling.u0.copy()
-    for participant, part in zip(coupling.participants, coupling.u_parts, strict=True):
-        participant.initialise(0.0, first[part])
-    first, start = coupling.consistent(0.0, first)
-    u[:], y[:] = first, start
+    for begin in ("initialise", "start"):
+        for participant, part in zip(coupling.participants, coupling.u_parts, strict=True):
+            getattr(participant, begin)(0.0, first[part])
+        first, y[0] = coupling.consistent(0.0, first)
+    y[:] = y[0]
+    u = y @ coupling.L.T + coupling.u0
     before = np.inf
     for sweep in range(SWEEPS):
         last = u.copy()
+        held = y @ coupling.held_wires.T  # from each point to the next
+        moving = u - held
         for k in coupling.order:
             participant, part, out = coupling.participants[k], coupling.u_parts[k], coupling.y_parts[k]
-            wave = CubicSpline(times, u[:, part]) if count > 1 and part.stop > part.start else None
+            wave = CubicSpline(times, moving[:, part]) if count > 1 and part.stop > part.start else None
             participant.initialise(0.0, u[0, part])
+            participant.start(0.0, u[0, part])
             y[0, out] = participant.output(0.0, u[0, part])
             for i in range(count):
                 t = times[i]
-                history = _Piece(wave, t) if wave is not None else _Held(u[i, part])
+                history = _Piece(wave, t, held[i, part]) if wave is not None else _Held(u[i, part])
                 y[i + 1, out] = participant.step(t, width, history)
             u = y @ coupling.L.T + coupling.u0
         if not np.isfinite(u).all():
@@ -67,13 +72,13 @@ def relaxed(
 
 
 class _Piece:
-    """The part of a waveform that begins at t."""
+    """The part of a waveform that begins at t, and what is held beside it."""
 
-    def __init__(self, wave: CubicSpline, t: float) -> None:
-        self.wave, self.t = wave, t
+    def __init__(self, wave: CubicSpline, t: float, held: np.ndarray) -> None:
+        self.wave, self.t, self.held = wave, t, held
 
     def __call__(self, tau: float) -> np.ndarray:
-        return np.asarray(self.wave(self.t + tau))
+        return np.asarray(self.wave(self.t + tau) + self.held)
 
 
 class _Held:

@@ -14,7 +14,7 @@ import pytest
 from rotorsim.compile.toolchain import find_compiler
 from rotorsim.fmi.platforms import SUFFIXES, folders, this_platform
 
-__all__ = ["FAULTS", "description2", "description3", "make_fmu"]
+__all__ = ["FAULTS", "description2", "description3", "library", "make_fmu"]
 
 FAULTS = (
     "ok", "segv", "hang", "fail", "nan", "discard", "hungry", "leave", "abort", "print", "fatal", "bad_free",
@@ -126,8 +126,8 @@ def description3(*, once: bool = False, identifier: str = "plant") -> str:
 
 
 @cache
-def library(version: str) -> bytes:
-    """Return the compiled library; skips the test without a C compiler."""
+def library(version: str, name: str = "plant") -> bytes:
+    """Return a compiled library; skips the test without a C compiler."""
     compiler = find_compiler()
     if compiler is None:
         pytest.skip("no C compiler")
@@ -137,7 +137,7 @@ def library(version: str) -> bytes:
     headers = Path(spec.origin).parent / "c-code"
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "plant.out"
-        source = SOURCES / f"plant{version[0]}.c"
+        source = SOURCES / f"{name}{version[0]}.c"
         command = [*compiler.command, "-O1", "-fPIC", "-shared", "-w", f"-I{headers}", "-o", str(target), str(source)]
         subprocess.run([*command, "-lm"], check=True, capture_output=True, timeout=300)
         return target.read_bytes()
