@@ -28,7 +28,7 @@ from typing import Any
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobstore import Outcome, open_store, plain
 
-__all__ = ["Failure", "run_jobs"]
+__all__ = ["Failure", "local_workers", "run_jobs"]
 
 CONNECT_TIMEOUT = 10.0  # s, until a scheduler counts as not reachable
 LOST_TIMEOUT = 60.0  # s without any worker, until the run is given up
@@ -272,6 +272,20 @@ def _cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
                 os.environ[name] = value
         for log, level in levels.items():
             log.setLevel(level)
+
+
+@contextmanager
+def local_workers(workers: int | None = None) -> Iterator[str | None]:
+    """Keep the worker processes of this machine for several calls of `run_jobs`; give what to pass as ``scheduler``.
+
+    workers: processes (default: one for every CPU). With one, or within a job, there are none: "synchronous".
+    """
+    count = _cpus() if workers is None else workers
+    if count == 1 or _is_worker():
+        yield "synchronous"
+        return
+    with _cluster(None, count) as client:
+        yield str(client.scheduler.address)
 
 
 def _local(workers: int, stack: ExitStack) -> Any:

@@ -13,9 +13,20 @@ from threadpoolctl import threadpool_limits
 from rotorsim.diagnose.base import base_fit
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.insertion import Spot
-from rotorsim.diagnose.naming import CLASS, Candidate, Named, Round, is_adequate, name_missing, values_in, where
+from rotorsim.diagnose.naming import (
+    CLASS,
+    Candidate,
+    Named,
+    Round,
+    is_adequate,
+    least_gain,
+    name_missing,
+    values_in,
+    where,
+)
 from rotorsim.diagnose.outside import Unknown, describe
 from rotorsim.diagnose.scoring import Held, Score, left_out_score, score
+from rotorsim.diagnose.time_data import is_in_time
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.registry import Registry
 from rotorsim.errors import Problem, RotorsimError
@@ -35,10 +46,14 @@ REJECTED = 12  # rivals that are listed
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """One missing effect: the chosen candidate, its class with probabilities, the places with probabilities."""
+    """One missing effect: the chosen candidate, its class with probabilities, the places with probabilities.
+
+    rivals: of the other members of the class the best candidate each.
+    """
 
     candidate: Candidate
     members: Mapping[str, float]
+    rivals: Mapping[str, Candidate]
     places: tuple[tuple[Spot, float], ...]
 
     @property
@@ -94,6 +109,13 @@ def diagnose(
     Raises RotorsimError for recordings with errors, and what `rotorsim.identify.experiment.open_experiment` raises.
     """
     warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
+    if is_in_time(diagram, recording):
+        from rotorsim.diagnose.time_diagnosis import diagnose_in_time
+
+        return diagnose_in_time(
+            diagram, recording, hold_out=hold_out, physics=physics, warnings=warnings, trust_blocks=trust_blocks,
+            workers=workers, scheduler=scheduler, progress=progress,
+        )  # fmt: skip
     harmonics = _settled(tuple(harmonics_of(recording, recording.select("identify"))), warnings, "used")
     if not harmonics:
         hint = "diagnosis needs runs at constant speed that have settled"
@@ -187,7 +209,12 @@ def _effect(candidate: Candidate, found: Round) -> Effect:
     members = {name: weight / total for name, weight in sorted(weights.items(), key=lambda pair: -pair[1])}
     same = [item for item in found.tried if item.insertion.physics in members]
     places = tuple((spot, p) for spot, p in where(same, scale) if p >= LIKELY)
-    return Effect(candidate, members, places)
+    rivals: dict[str, Candidate] = {}
+    for item in found.tried:
+        name = item.insertion.physics
+        if name in members and name != candidate.insertion.physics and not item.fit.failure and item.physical:
+            rivals.setdefault(name, item)
+    return Effect(candidate, members, rivals, places)
 
 
 def _verdict(named: Named, effects: Sequence[Effect]) -> str:
@@ -224,7 +251,11 @@ def _detectable(named: Named) -> dict[str, dict[str, Any]]:
         std = float(np.sqrt(max(fit.covariance[j, j], 0.0)))
         if np.isfinite(std) and std > 0:
             key = item.parameters[0].rpartition(".")[2]
-            out[physics] = {"parameter": key, "value": float(np.sqrt(named.threshold)) * std, "unit": fit.free[j].unit}
+            out[physics] = {
+                "parameter": key,
+                "value": float(np.sqrt(least_gain(item, named.base, named.level))) * std,
+                "unit": fit.free[j].unit,
+            }
     return out
 
 

@@ -32,7 +32,7 @@ LINEAR_EVALUATIONS = 4  # for one of a nonlinear diagram
 LINEAR_STARTS = 2  # that are followed to the end
 EXPLAINS = 1.2  # times the number of equations: a misfit that no other start could lower by much
 TURN = 2 * np.pi
-NUMBERS = ("misfit", "rows", "goodness", "failure", "nonlinear", "seconds")
+NUMBERS = ("misfit", "rows", "equations", "goodness", "failure", "nonlinear", "seconds")
 ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out")
 
 
@@ -95,9 +95,10 @@ class Source:
 class Fit:
     """A diagram at its most likely parameters.
 
-    free, theta (m,), covariance (m, m), at_bound (m,). misfit: |r|^2 of the whitened data; rows: equations left after
-    nuisances. run_misfit, left_out (R,): |r|^2 of each run, and when it is predicted from the others. goodness:
-    probability of the misfit. failure: why there is none of it. nonlinear: in its states. seconds: of CPU time it took.
+    free, theta (m,), covariance (m, m), at_bound (m,). misfit: |r|^2 of the whitened data; equations: real ones, of
+    which rows are left after nuisances. run_misfit, left_out (R,): |r|^2 of each run, and when it is predicted from
+    the others. goodness: probability of the misfit. failure: why there is none of it. nonlinear: in its states.
+    seconds: of CPU time it took.
     """
 
     document: Mapping[str, Any]
@@ -107,6 +108,7 @@ class Fit:
     at_bound: np.ndarray = field(default_factory=_nothing)
     misfit: float = np.inf
     rows: int = 0
+    equations: int = 0
     run_misfit: np.ndarray = field(default_factory=_nothing)
     left_out: np.ndarray = field(default_factory=_nothing)
     goodness: float = 0.0
@@ -121,8 +123,13 @@ class Fit:
 
     @property
     def criterion(self) -> float:
-        """Bayesian information criterion with the noise as it was measured: misfit and a charge per parameter."""
-        return self.misfit + len(self.free) * float(np.log(max(self.rows, 2)))
+        """Bayesian information criterion with the noise as it was measured: misfit and a charge per unknown."""
+        return self.misfit + self.unknowns * float(np.log(max(self.equations, self.rows, 2)))
+
+    @property
+    def unknowns(self) -> int:
+        """Free parameters, and nuisances such as the means of states that have not settled."""
+        return len(self.free) + max(self.equations - self.rows, 0)
 
     @property
     def values(self) -> dict[str, float]:
@@ -191,7 +198,8 @@ def _fit_of(document: Mapping[str, Any], search: Search, best: Estimate) -> Fit:
     loo = left_out(evaluation.residual, search.slopes(q)[: len(evaluation.residual)], sizes)
     return Fit(
         document=document, free=best.free, theta=best.theta, covariance=best.covariance, at_bound=best.at_bound,
-        misfit=best.misfit, rows=evaluation.rows, run_misfit=evaluation.misfit, left_out=loo, goodness=best.goodness,
+        misfit=best.misfit, rows=evaluation.rows, equations=sum(sizes), run_misfit=evaluation.misfit,
+        left_out=loo, goodness=best.goodness,
     )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,9 +15,9 @@ from rotorsim.diagnose.fitting import LATER, Fit, Source, fit_from_plain, fit_to
 from rotorsim.diagnose.insertion import Insertion, Spot, fixed_of, insertions, starts_of
 from rotorsim.diagram.registry import Registry
 from rotorsim.identify.coordinates import ANGLE_UNIT
-from rotorsim.jobs import Failure, run_jobs
+from rotorsim.jobs import Failure, local_workers, run_jobs
 
-__all__ = ["Candidate", "Named", "Round", "is_adequate", "name_missing"]
+__all__ = ["Candidate", "Named", "Round", "is_adequate", "least_gain", "name_missing"]
 
 NOT_EXPLAINED = 1e-4  # probability of the misfit below which a model does not explain the data
 MODEL_ERROR = 1.05  # excess variance that is not worth a name, whatever its probability
@@ -32,6 +33,7 @@ LAST_EVALUATIONS = 3  # where the data are explained already, and only rivals ar
 SECOND = 8  # nonlinear fits that get as far as the second
 REFINED = 3  # fits carried to the end at least
 PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
+HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
 NEAR = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
 
 _Job = tuple[dict[str, Any], list[list[dict[str, float]]]]
@@ -73,14 +75,14 @@ class Round:
 class Named:
     """base: the diagram as given, refitted. chosen: the effects, in the order in which they were found; fit: with all.
 
-    rounds: what was tried for each of them, with all others in place.
+    rounds: what was tried for each of them, with all others in place. level: probability of a false alarm for each.
     """
 
     base: Fit
     chosen: tuple[Candidate, ...]
     rounds: tuple[Round, ...]
     fit: Fit
-    threshold: float
+    level: float
     counts: Mapping[str, int] = field(default_factory=dict)
 
     @property
@@ -112,15 +114,21 @@ def name_missing(
     physics: rows of the catalogue that are tried (default: all).
     Raises RotorsimError.
     """
-    selection = _Selection(source, registry, physics, workers, scheduler, progress)
+    with ExitStack() as stack:
+        if scheduler is None:
+            scheduler, workers = stack.enter_context(local_workers(workers)), None
+        return _named(_Selection(source, registry, physics, workers, scheduler, progress), base, most)
+
+
+def _named(selection: _Selection, base: Fit, most: int) -> Named:
     selection.nominal = {item.name: item.value for item in base.free if item.unit != ANGLE_UNIT}
     first = selection.round(base)
-    threshold = noise_threshold(first.tried)
-    if is_adequate(base) and not _gain(first, base) > threshold:
-        return Named(base, (), (first,), base, threshold, selection.counts)
+    level = _level(first.tried)
+    if is_adequate(base) and not _noticed(first, base, level):
+        return Named(base, (), (first,), base, level, selection.counts)
     beam: list[tuple[Candidate, ...]] = [(item,) for item in _distinct(first, base)[:BEAM]]
     if not beam:
-        return Named(base, (), (first,), base, threshold, selection.counts)
+        return Named(base, (), (first,), base, level, selection.counts)
     chosen: tuple[Candidate, ...] = beam[0]
     rounds = [first]
     while not is_adequate(chosen[-1].fit) and len(chosen) < most:
@@ -141,14 +149,21 @@ def name_missing(
         rounds = [*rounds, after]
     if is_adequate(chosen[-1].fit):
         chosen, rounds = selection.reconsidered(base, chosen, rounds)
-    return Named(base, chosen, tuple(rounds), chosen[-1].fit, threshold, selection.counts)
+    return Named(base, chosen, tuple(rounds), chosen[-1].fit, level, selection.counts)
 
 
-def noise_threshold(tried: Sequence[Candidate]) -> float:
-    """Return the drop of the misfit that noise alone makes in any of these candidates with probability FALSE_ALARM."""
+def _level(tried: Sequence[Candidate]) -> float:
+    """Return the probability of a false alarm that one of these candidates may take up."""
     ways = {(item.insertion.physics, item.insertion.spot) for item in tried if not item.fit.failure}
-    most = max((len(item.parameters) for item in tried), default=1)
-    return float(chi2.isf(FALSE_ALARM / max(len(ways), 1), max(most, 1)))
+    return FALSE_ALARM / max(len(ways), 1)
+
+
+def least_gain(item: Candidate, base: Fit, level: float) -> float:
+    """Return the drop of the misfit that noise alone makes by the unknowns of a candidate with probability level.
+
+    A nonlinear law has one more: where it begins to act is chosen, too.
+    """
+    return float(chi2.isf(level, max(item.fit.unknowns - base.unknowns + item.fit.nonlinear, 1)))
 
 
 def _by_misfit(fits: Sequence[Fit]) -> list[int]:
@@ -160,8 +175,11 @@ def _share(after: Fit, before: Fit) -> float:
     return 1 - (after.misfit - after.freedom) / max(before.misfit - before.freedom, 1.0)
 
 
-def _gain(found: Round, base: Fit) -> float:
-    return max((base.misfit - item.fit.misfit for item in found.tried if not item.fit.failure), default=0.0)
+def _noticed(found: Round, base: Fit, level: float) -> bool:
+    """Return whether a candidate explains more than noise would have it explain."""
+    return any(
+        base.misfit - item.fit.misfit > least_gain(item, base, level) for item in found.tried if not item.fit.failure
+    )
 
 
 def _distinct(found: Round, before: Fit) -> list[Candidate]:
@@ -254,7 +272,9 @@ class _Selection:
             order = [k for k in _by_misfit(fits) if fits[k].nonlinear]
             self._again(jobs, fits, order[:SECOND], SECOND_EVALUATIONS)
         order = _by_misfit(fits)
-        if any(is_adequate(fit) for fit in fits):
+        if is_adequate(before):  # only what is not noise matters
+            order = [k for k in order if before.misfit - fits[k].misfit > HINT * len(fits[k].free)][:SECOND]
+        elif any(is_adequate(fit) for fit in fits):
             near = NEAR * min(fit.misfit for fit in fits if not fit.failure)
             order = [k for k in order if fits[k].misfit < near]
         else:

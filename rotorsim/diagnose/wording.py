@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rotorsim.diagnose.fitting import Source
+from rotorsim.diagnose.next_experiment import best_change
 from rotorsim.units import format_quantity
 
 if TYPE_CHECKING:
@@ -18,12 +20,17 @@ def next_experiment(found: Diagnosis) -> str:
     """Return the change that would tell apart what is left, or say that none is needed."""
     parts = []
     for effect in found.effects:
-        rivals = [name for name in effect.members if name != effect.physics]
-        if rivals:
-            told = effect.candidate.insertion.fault.told_apart_by
-            parts.append(
-                f"to tell {effect.physics} from {', '.join(rivals)}: {told or 'other gains of the controller'}"
-            )
+        for name, rival in effect.rivals.items():
+            told = effect.candidate.insertion.fault.told_apart_by or rival.insertion.fault.told_apart_by
+            change = None
+            if isinstance(found.source, Source):
+                change = best_change(effect.candidate.fit, rival.fit, found.source)
+            text = f"to tell {effect.physics} from {name}: "
+            if change is not None:
+                text += f"{change.words} ({change.separation:.2g} standard deviations apart in one run)"
+            else:
+                text += "no other speed or gain does" + (f"; {told}" if told else "")
+            parts.append(text)
     if found.verdict == "outside_catalogue":
         parts.append("runs at more speeds and amplitudes about the place named, to see the law of the unknown force")
     if parts:

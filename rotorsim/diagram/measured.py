@@ -26,7 +26,7 @@ def measured_signals(
         place = flat.source.place(("measured", name), key=key)
         flat.problems.append(Problem(what, f"measured.{name}", place, hint))
 
-    for name, value in (given.items() if isinstance(given, Mapping) else ()):
+    for name, value in given.items() if isinstance(given, Mapping) else ():
         said, meant = endpoint(name), endpoint(value)
         if said is None or meant is None:
             shown = repr(name if said is None else value)[:60]

@@ -77,13 +77,20 @@ class Response:
     def sensitivity(self, X: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarray:
         """Return dY (R, K+1, c, m) by the free parameters at states X and inputs, which stay as they are."""
         n = self.A.shape[1]
-        right = self.dF[:, :, :n] + np.einsum("rijm,rkj->rkim", self.dA, X)
-        direct = self.dF[:, :, n:] + np.einsum("rcjm,rkj->rkcm", self.dC, X)
+        right = self.dF[:, :, :n] + _by_parameters(self.dA, X)
+        direct = self.dF[:, :, n:] + _by_parameters(self.dC, X)
         if inputs is not None and inputs.shape[2]:
-            right = right + np.einsum("rivm,rkv->rkim", self.dB, inputs)
-            direct = direct + np.einsum("rcvm,rkv->rkcm", self.dD, inputs)
+            right = right + _by_parameters(self.dB, inputs)
+            direct = direct + _by_parameters(self.dD, inputs)
         dX = self.resolvent.apply(right)
         return np.asarray(self.C[:, None] @ dX + direct)
+
+
+def _by_parameters(slopes: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return sum over j of slopes (R, i, j, m) values (R, k, j), as (R, k, i, m)."""
+    R, rows, columns, m = slopes.shape
+    flat = slopes.transpose(0, 1, 3, 2).reshape(R, rows * m, columns)
+    return np.asarray((values @ flat.transpose(0, 2, 1)).reshape(R, values.shape[1], rows, m))
 
 
 class Motion:

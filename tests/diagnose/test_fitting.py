@@ -1,0 +1,60 @@
+"""Fits as plain data, runs left out by linear theory, and values written into documents."""
+
+import numpy as np
+import pytest
+
+from rotorsim.diagnose.fitting import Fit, fit_from_plain, fit_to_plain, left_out
+from rotorsim.diagnose.naming import least_gain, values_in
+from rotorsim.diagram.diagram import Free
+
+
+def test_a_run_left_out_is_what_a_fit_without_it_predicts():
+    random = np.random.default_rng(1)
+    sizes = [7, 5, 9]
+    J, y = random.standard_normal((sum(sizes), 4)), random.standard_normal(sum(sizes))
+    best = np.linalg.lstsq(J, y, rcond=None)[0]
+    found = left_out(J @ best - y, J, sizes)
+    at = 0
+    for r, size in enumerate(sizes):
+        rows = np.zeros(sum(sizes), bool)
+        rows[at : at + size] = True
+        others = np.linalg.lstsq(J[~rows], y[~rows], rcond=None)[0]
+        error = J[rows] @ others - y[rows]
+        assert found[r] == pytest.approx(error @ error, rel=1e-9)
+        at += size
+
+
+def test_a_fit_goes_through_plain_data():
+    free = (Free("e", "e", 0, 1.0, "m", 0.0, np.inf),)
+    fit = Fit({"blocks": {}}, free, np.array([2.0]), np.eye(1), np.array([False]), 3.0, 10, 12, np.ones(2), np.ones(2))
+    again = fit_from_plain(fit.document, fit_to_plain(fit))
+    assert again.free == free
+    assert again.values == {"e": 2.0}
+    assert (again.misfit, again.rows, again.equations, again.unknowns) == (3.0, 10, 12, 3)
+    assert again.criterion == pytest.approx(3.0 + 3 * np.log(12))
+
+
+def test_unknown_means_count_as_parameters():
+    """A model with more states that have not settled explains more of any noise: it must not look better for it."""
+    few = Fit({}, misfit=100.0, rows=98, equations=100)
+    many = Fit({}, misfit=90.0, rows=88, equations=100)
+    assert many.criterion > few.criterion
+
+    class Candidate:
+        fit = many
+        parameters = ("x",)
+
+    assert least_gain(Candidate(), few, 1e-3) > 29  # chi-squared of ten unknowns
+
+
+def test_values_are_written_where_parameters_are():
+    document = {
+        "parameters": {"e": "24 um"},
+        "blocks": {"rub": {"type": "rub"}, "left": {"type": "support", "parameters": {"stiffness": [1.0, 2.0]}}},
+    }
+    new = values_in(document, {"e": 1e-6, "rub.gap": 2e-5, "left.stiffness[2]": 5.0, "gone.x": 1.0})
+    assert new["parameters"] == {"e": 1e-6}
+    assert new["blocks"]["rub"]["parameters"] == {"gap": 2e-5}
+    assert new["blocks"]["left"]["parameters"]["stiffness"] == [1.0, 5.0]
+    assert document["parameters"] == {"e": "24 um"}
+    assert "parameters" not in document["blocks"]["rub"]
