@@ -16,12 +16,16 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
+_EITHER = "--sensors rotor.displacement,controller.current asks what could be told, a RECORDING what is"
+
 
 @click.command("diagnose")
 @click.argument("diagram", metavar="DIAGRAM")
-@click.argument("recording", metavar="RECORDING")
+@click.argument("recording", metavar="[RECORDING]", required=False)
 @click.option("--out", metavar="DIR", help="Write diagnosis.json and the repaired diagram.json into this folder.")
 @click.option("--hold-out", metavar="RECORDING", help="Further runs, for scoring only.")
+@click.option("--sensors", metavar="LIST", help="Without RECORDING: say which faults these signals tell apart.")
+@click.option("--speeds", metavar="SPEEDS", help="With --sensors: of the runs, as '900 rpm:300 rpm:2100 rpm'.")
 @click.option("--physics", metavar="LIST", help="Try only these rows of the catalogue, such as runout,residual_bow.")
 @click.option("--workers", type=click.IntRange(1), metavar="N", help="Processes (default: one for every CPU).")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask cluster, tcp://host:port (default: this machine).")
@@ -30,9 +34,9 @@ __all__ = ["command"]
 @common.progress_option
 @common.json_option
 def command(
-    diagram: str, recording: str, out: str | None, hold_out: str | None, physics: str | None, workers: int | None,
-    scheduler: str | None, settings: tuple[str, ...], trust_blocks: bool, progress: bool | None,
-    as_json: bool,
+    diagram: str, recording: str | None, out: str | None, hold_out: str | None, sensors: str | None,
+    speeds: str | None, physics: str | None, workers: int | None, scheduler: str | None, settings: tuple[str, ...],
+    trust_blocks: bool, progress: bool | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Say where DIAGRAM and RECORDING differ, what physics is missing, and repair the diagram.
 
@@ -40,14 +44,24 @@ def command(
     that declare a fault, `rotorsim blocks`) is put at every place, refitted and judged; the best is kept, with what
     explains the data as well. Exit code 1: something is missing.
 
+    With --sensors and no RECORDING: which faults signals can tell apart, and which sensor to add.
+
     \b
     rotorsim diagnose jeffcott measurements/2026-11 --out diagnosis
+    rotorsim diagnose jeffcott --sensors rotor.displacement,controller.current
     """
     from rotorsim.cli.app import show_problems
+    from rotorsim.cli.structure import show_isolation
     from rotorsim.diagnose.diagnosis import diagnose
     from rotorsim.diagnose.files import diagnosis_data, save_diagnosis
     from rotorsim.recordings.loading import load_recording
 
+    if recording is None or sensors is not None:
+        if recording is not None or sensors is None:
+            raise RotorsimError(Problem("give either a RECORDING or --sensors", hint=_EITHER))
+        plain = common.open_diagram(diagram, settings, (), trust_blocks)
+        show_isolation(plain, sensors, speeds, trust_blocks=trust_blocks, progress=progress, as_json=as_json)
+        return
     common.check_folder("--out", out)
     if out and Path(diagram).exists() and (Path(out) / "diagram.json").resolve() == Path(diagram).resolve():
         raise RotorsimError(Problem(f"--out {out}: would overwrite {diagram}", hint="give another folder"))

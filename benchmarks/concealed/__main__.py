@@ -1,0 +1,103 @@
+"""python -m benchmarks.concealed make|run|score|check: see README.md."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")  # small matrices: threads only cost
+
+
+def _make(arguments: argparse.Namespace) -> int:
+    from benchmarks.concealed import sets
+
+    only = tuple(name for name in arguments.rows.split(",") if name)
+    folder = Path(arguments.folder)
+    jobs = sets.plan(folder, arguments.instances, arguments.seed, arguments.kind, arguments.machine, only)
+    done = sets.make(jobs, arguments.processes)
+    if arguments.json:
+        print(json.dumps(done, indent=1))
+        return 0
+    for item in done:
+        what = ", ".join(item["missing"]) or "-"
+        print(
+            f"{item['case']}  {item['kind']:8} {what:44} D {item['detectability']:9.1f}  {item['cpu_seconds']:5.1f} s"
+        )
+    mean = sum(item["cpu_seconds"] for item in done) / len(done)
+    print(f"{len(done)} cases, {mean:.2f} s of CPU each")
+    return 0
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from benchmarks.concealed import sets
+
+    codes = sets.diagnose(
+        Path(arguments.folder), Path(arguments.diagnoses), arguments.processes, arguments.timeout, arguments.options
+    )
+    failed = sorted(name for name, code in codes.items() if code not in (0, 1))
+    print(f"{len(codes)} diagnosed, {len(failed)} failed{': ' + ' '.join(failed) if failed else ''}")
+    return 1 if failed else 0
+
+
+def _score(arguments: argparse.Namespace) -> int:
+    from benchmarks.concealed import score, tables
+
+    judged = score.judge_all(Path(arguments.folder), Path(arguments.diagnoses))
+    result = tables.summary(judged)
+    page = tables.markdown(result, f"Diagnosis of {Path(arguments.folder).name}")
+    if arguments.out:
+        Path(arguments.out).write_text(page)
+    print(json.dumps({"summary": result, "cases": judged}, indent=1) if arguments.json else page, end="")
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from benchmarks.concealed import check
+
+    found = check.everything(arguments.quick)
+    print(json.dumps(found, indent=1) if arguments.json else check.text(found))
+    return 0 if all(item["error"] <= item["limit"] for item in found) else 1
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one of the commands; return its exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.concealed", description=__doc__)
+    verbs = parser.add_subparsers(required=True)
+    make = verbs.add_parser("make", help="make a set of cases")
+    make.add_argument("folder")
+    make.add_argument("--instances", type=int, default=100)
+    make.add_argument("--seed", type=int, default=0)
+    make.add_argument("--kind", default="mixed", choices=["mixed", "nothing", "one", "two", "alias", "outside"])
+    make.add_argument("--machine", default="both", choices=["both", "jeffcott", "fe_rigid"])
+    make.add_argument("--rows", default="", help="only these rows or laws, by commas")
+    make.add_argument("--processes", type=int, default=2)
+    make.set_defaults(do=_make)
+    run = verbs.add_parser("run", help="run rotorsim diagnose on each case that has no diagnosis yet")
+    run.add_argument("folder")
+    run.add_argument("diagnoses")
+    run.add_argument("--processes", type=int, default=2)
+    run.add_argument("--timeout", type=float, default=3600.0, help="seconds for one case")
+    run.add_argument(
+        "--options", nargs=argparse.REMAINDER, default=[], help="for rotorsim diagnose, after everything else"
+    )
+    run.set_defaults(do=_run)
+    score = verbs.add_parser("score", help="compare diagnoses with the truth")
+    score.add_argument("folder")
+    score.add_argument("diagnoses")
+    score.add_argument("--out", help="write the page here, as markdown")
+    score.set_defaults(do=_score)
+    check = verbs.add_parser("check", help="error of the integration, convergence of the beam, against other methods")
+    check.add_argument("--quick", action="store_true", help="without the laws that have corners")
+    check.set_defaults(do=_check)
+    for verb in (make, score, check):
+        verb.add_argument("--json", action="store_true")
+    chosen = parser.parse_args(arguments)
+    return int(chosen.do(chosen))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

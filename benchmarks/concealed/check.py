@@ -1,0 +1,123 @@
+"""How exact the generator is: against finer steps, closed forms, and limits that follow from the method."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from benchmarks.concealed import generator
+from benchmarks.concealed.detect import detectability
+from benchmarks.concealed.faults import ALIASES, OUTSIDE, ROWS, Draw, Fault
+from benchmarks.concealed.loop import late
+from benchmarks.concealed.machine_fe import bare_frequencies
+from benchmarks.concealed.measuring import Instruments
+from benchmarks.concealed.plant import MACHINES
+from benchmarks.concealed.simulate import Accuracy, Motion, Simulation
+
+FINE = Accuracy(16, 2)
+FINER_CORNERS = Accuracy(9, 1, 1e-3)
+INTEGRATION = 1e-9
+SEED = 20
+NODE = {"jeffcott": 1, "fe_rigid": 4}
+
+
+def difference(one: Motion, other: Motion) -> float:
+    """Return the largest difference of a signal over the largest value of it in the same run."""
+    worst = 0.0
+    for name, value in one.signals.items():
+        gap = np.abs(value - other.signals[name]).max(axis=1)
+        worst = max(worst, float((gap / np.abs(value).max(axis=1)).max()))
+    return worst
+
+
+def scene(machine: str, seed: int = SEED) -> tuple[dict[str, float], list[Any], Motion, dict[str, float]]:
+    """Return parameters, runs, healthy motion and its peaks."""
+    rng = np.random.default_rng(seed)
+    parameters, runs = generator.draw_parameters(rng), generator.draw_runs(rng, machine)
+    healthy = Simulation(machine, parameters, runs, generator.RATE).run()
+    return parameters, runs, healthy, generator.peaks(healthy, runs)
+
+
+def drawn(
+    name: str, machine: str, strength: float, parameters: dict[str, float], peaks: dict[str, float], lanes: int
+) -> Fault:
+    """Return a row or a law of given strength."""
+    entry = (ROWS | OUTSIDE)[name]
+    nodes = entry.nodes[machine]
+    node = NODE[machine] if NODE[machine] in nodes else nodes[0]
+    plant = MACHINES[machine](parameters, generator.A)
+    stiffness = {place: 1 / plant.flexibility(place) for place in plant.displacement}
+    rng = np.random.default_rng(SEED)
+    return entry.make(Draw(rng, machine, node, parameters, peaks, strength, lanes, plant.amb, stiffness))
+
+
+def everything(quick: bool) -> list[dict[str, Any]]:
+    """Return what was checked, the error found, and the limit."""
+    found: list[dict[str, Any]] = []
+
+    def enter(what: str, error: float, limit: float) -> None:
+        found.append({"what": what, "error": error, "limit": limit})
+
+    for machine in MACHINES:
+        parameters, runs, healthy, peaks = scene(machine)
+        fine = Simulation(machine, parameters, runs, generator.RATE, accuracy=FINE).run()
+        enter(f"{machine}: healthy, against half the step and more points", difference(fine, healthy), INTEGRATION)
+        for name, entry in (ROWS | OUTSIDE).items():
+            if machine not in entry.nodes:
+                continue
+            fault = drawn(name, machine, 0.9, parameters, peaks, len(runs))
+            if fault.feedback is None or (quick and fault.corner):
+                continue
+            one = Simulation(machine, parameters, runs, generator.RATE, (fault,))
+            w, _ = one.settle()
+            other = Simulation(
+                machine, parameters, runs, generator.RATE, (fault,), accuracy=FINER_CORNERS if fault.corner else FINE
+            )
+            how = "corners a thousand times finer" if fault.corner else "half the step and more points"
+            enter(f"{machine}: {name}, against {how}", difference(other.follow(w), one.follow(w)), INTEGRATION)
+    for mode in range(3):
+        errors = []
+        for elements in (10, 20):
+            exact = ((mode + 1) * np.pi / 0.5) ** 2 * np.sqrt(2.1e11 * 0.016**2 / 16 / 7850.0)
+            errors.append(bare_frequencies(elements, 0.5, 0.016, 2.1e11, 7850.0)[mode] / exact - 1)
+        enter(
+            f"beam: order of convergence of frequency {mode + 1}, away from 4",
+            abs(np.log2(errors[0] / errors[1]) - 4),
+            0.1,
+        )
+    path, s, delay = late(3e-4), 2j * np.pi * np.linspace(0, 1500, 301), 3e-4
+    H = path.direct + sum(r / (s - pole) for r, pole in zip(path.residues, path.poles, strict=True))
+    enter(
+        "control delay of 0.3 ms up to 1500 Hz, against e^{-s tau}",
+        float(np.abs(H - np.exp(-s * delay)).max()),
+        INTEGRATION,
+    )
+    enter("exact aliases: detectability, noise of 1 nm", _aliases(), 4.0)
+    return found
+
+
+def _aliases() -> float:
+    worst = 0.0
+    instruments = Instruments((1e-9, 1e-5), (1e-4, 1.0), 18, 1e-6)
+    for machine in MACHINES:
+        parameters, runs, healthy, peaks = scene(machine)
+        for entry in ALIASES.values():
+            if machine in entry.nodes:
+                plant = MACHINES[machine](parameters, generator.A)
+                draw = Draw(
+                    np.random.default_rng(SEED), machine, plant.amb, parameters, peaks, 0.5, len(runs), plant.amb
+                )
+                motion = Simulation(machine, parameters, runs, generator.RATE, (entry.make(draw),)).run()
+                D = detectability(machine, parameters, runs, np.inf, healthy, motion, instruments, 0.0)
+                worst = max(worst, D)
+    return worst
+
+
+def text(found: list[dict[str, Any]]) -> str:
+    """Return the table of checks."""
+    lines = []
+    for item in found:
+        good = "ok  " if item["error"] <= item["limit"] else "FAIL"
+        lines.append(f"{good} {item['error']:9.1e} (limit {item['limit']:.0e})  {item['what']}")
+    return "\n".join(lines)

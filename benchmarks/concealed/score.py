@@ -1,0 +1,159 @@
+"""Judge diagnoses of a set of cases against the truth."""
+
+from __future__ import annotations
+
+import json
+from math import log, remainder
+from pathlib import Path
+from typing import Any
+
+from benchmarks.concealed.meaning import FREE, compare
+
+OUTSIDE = "outside_catalogue"
+DECADES = ((0.0, 100.0), (100.0, 1000.0), (1000.0, float("inf")))
+
+
+def read_truths(folder: Path) -> dict[str, dict[str, Any]]:
+    """Return the truths: `truth/CASE.json` of a set made here, or `CASE/truth.json` of a shared one.
+
+    Raises:
+        FileNotFoundError: neither is there
+    """
+    files = sorted((folder / "truth").glob("*.json")) or sorted(folder.glob("*/truth.json"))
+    if not files:
+        raise FileNotFoundError(f"{folder}: no truth/CASE.json and no CASE/truth.json")
+    truths = {}
+    for file in files:
+        truth = json.loads(file.read_text())
+        missing = truth["missing"]
+        truth.setdefault(
+            "kind",
+            "nothing" if not missing else "outside" if OUTSIDE in missing else "one" if len(missing) == 1 else "two",
+        )
+        truth.setdefault("class", {physics: [physics] for physics in missing})
+        truth.setdefault("machine", "fe_rigid" if "node" in truth else "jeffcott")
+        truth.setdefault("nodes", {physics: truth.get("node") for physics in missing})
+        truths[truth["case"]] = truth
+    return truths
+
+
+def _number(value: Any) -> float | None:
+    """Return a number, or the mean of a table of numbers; None for anything else."""
+    if isinstance(value, dict):
+        parts = [part for part in map(_number, value.values()) if part is not None]
+        return sum(parts) / len(parts) if parts else None
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+def _estimate(found: dict[str, Any], true: float, period: float) -> dict[str, Any]:
+    """Return error, in shares of the truth (of a radian for angles), and whether the 90 % interval holds the truth."""
+    value = float(found["value"])
+    off = remainder(value - true, period) if period else value - true
+    out: dict[str, Any] = {"error": abs(off) if period else abs(off) / abs(true) if true else None, "covered": None}
+    interval = found.get("interval90")
+    if interval and None not in interval:
+        low, high = (float(end) for end in interval)
+        out["covered"] = low <= value - off <= high
+    return out
+
+
+def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, Any]:
+    """Return what a diagnosis got right."""
+    kind, machine = truth["kind"], truth["machine"]
+    result: dict[str, Any] = {
+        "case": truth["case"], "kind": kind, "machine": machine, "missing": truth["missing"], "law": truth.get("law"),
+        "detectability": truth.get("detectability"), "verdict": diagnosis["verdict"] if diagnosis else None,
+        "named": {}, "exact": {}, "located": {}, "parameters": [], "free": [], "false_names": [], "class_sizes": [],
+    }  # fmt: skip
+    if diagnosis is None:
+        return result
+    reported = diagnosis.get("missing", [])
+    answers = [(item["physics"], {item["physics"], *item.get("class", [])}, item) for item in reported]
+    right: set[str] = set()
+    for physics in truth["missing"]:
+        right |= set(truth["class"].get(physics, [physics]))
+    if kind != "outside":
+        for physics in truth["missing"]:
+            accepted = set(truth["class"].get(physics, [physics]))
+            result["named"][physics] = any(accepted & names for _, names, _ in answers)
+            result["exact"][physics] = any(first == physics for first, _, _ in answers)
+            result["located"][physics] = _located(truth, physics, diagnosis.get("where", []))
+        for first, _, item in answers:
+            if first in truth["missing"] and kind in ("one", "two"):
+                effect = _effect(truth, first)
+                for name, found in item.get("parameters", {}).items():
+                    known = compare(first, name, machine, effect)
+                    if known and isinstance(found, dict) and _number(found.get("value")) is not None:
+                        result["parameters"].append({"physics": first, "name": name, **_estimate(found, *known)})
+    result["false_names"] = [first for first, names, _ in answers if not names & right and first != OUTSIDE]
+    result["class_sizes"] = [len(names) for _, names, _ in answers]
+    result["right"] = _verdict_right(kind, diagnosis["verdict"], result)
+    if kind == "nothing" or (kind in ("one", "two") and all(result["exact"].values())):
+        for name, found in (diagnosis.get("parameters", {}).get("after") or {}).items():
+            key = FREE.get(name)
+            if key in truth["parameters"] and isinstance(found, dict) and _number(found.get("value")) is not None:
+                period = 6.283185307179586 if name.endswith("phase") else 0.0
+                result["free"].append({"name": name, **_estimate(found, truth["parameters"][key], period)})
+    result |= _held_out(diagnosis.get("fit", {}), truth.get("noise_floor"))
+    return result
+
+
+def _effect(truth: dict[str, Any], physics: str) -> dict[str, float]:
+    """Return the numbers of one effect: two are kept apart by a prefix."""
+    head = f"{physics}."
+    own = {key[len(head) :]: value for key, value in truth["effect"].items() if key.startswith(head)}
+    return own or truth["effect"]
+
+
+def _located(truth: dict[str, Any], physics: str, where: list[dict[str, Any]]) -> bool | None:
+    """Return whether a likely place is right: its block and, on a beam, the node. None if the truth has no place."""
+    blocks, node = truth.get("blocks", {}).get(physics), truth["nodes"].get(physics)
+    if not blocks and node is None:
+        return None
+    best = sorted(where, key=lambda place: -float(place.get("probability") or 0))[: len(truth["missing"])]
+    return any(
+        (not blocks or place.get("block") in blocks or place.get("block") == physics)
+        and (node is None or place.get("node") == node)
+        for place in best
+    )
+
+
+def _verdict_right(kind: str, verdict: str, result: dict[str, Any]) -> bool:
+    """Return whether the verdict suits the kind; `not_identifiable` is right of what is named within its class."""
+    if kind == "nothing":
+        return verdict == "consistent"
+    if kind == "outside":
+        return verdict == OUTSIDE
+    if kind == "alias":
+        return verdict == "not_identifiable" or (verdict == "missing_physics" and any(result["named"].values()))
+    return verdict == "missing_physics" or (verdict == "not_identifiable" and all(result["named"].values()))
+
+
+def _held_out(fit: dict[str, Any], floor: float | None) -> dict[str, float | None]:
+    """Return the share of the way, in logarithms, from the misfit before to the noise floor, claimed and true."""
+    before = _number((fit.get("before") or {}).get("hold_out"))
+    after = _number((fit.get("after") or {}).get("hold_out"))
+    claimed = _number(fit.get("noise_floor"))
+    gain = None
+    if before and after and claimed and before > 1.2 * claimed:
+        gain = log(before / after) / log(before / claimed)
+    return {"before": before, "after": after, "floor": claimed, "true_floor": floor, "gain": gain}
+
+
+def read_diagnoses(folder: Path, truths: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any] | None]:
+    """Return the diagnoses there are; None where there is none, or one that cannot be read."""
+    out: dict[str, dict[str, Any] | None] = {}
+    for case in truths:
+        file = folder / case / "diagnosis.json"
+        try:
+            out[case] = json.loads(file.read_text())
+        except (OSError, json.JSONDecodeError):
+            out[case] = None
+    return out
+
+
+def judge_all(folder: Path, diagnoses: Path) -> list[dict[str, Any]]:
+    """Return the judgement of every case."""
+    truths = read_truths(folder)
+    found = read_diagnoses(diagnoses, truths)
+    return [judge(truth, found[case]) for case, truth in truths.items()]

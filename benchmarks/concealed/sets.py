@@ -1,0 +1,104 @@
+"""Make a set of cases, over processes; run a diagnosis over a set."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.concealed.generator import KINDS, MIX, make_case
+from benchmarks.concealed.writing import write_case
+
+Job = tuple[
+    str, str, str, int, tuple[int, ...], tuple[str, ...], str
+]  # name, kind, machine, number, seed, rows, folder
+
+
+def plan(folder: Path, instances: int, seed: int, kind: str, machine: str, only: tuple[str, ...]) -> list[Job]:
+    """Return the jobs of a set. A case depends on seed, machine, kind and its number, on nothing else."""
+    machines = ("jeffcott", "fe_rigid") if machine == "both" else (machine,)
+    jobs: list[Job] = []
+    counts: dict[tuple[str, str], int] = {}
+    share = np.array(MIX) / sum(MIX)
+    for index in range(instances):
+        which = machines[index % len(machines)]
+        if kind == "mixed":  # the kind that is most behind its share
+            made = np.array([counts.get((which, k), 0) for k in KINDS])
+            chosen = KINDS[int(np.argmax(share * (made.sum() + 1) - made))]
+        else:
+            chosen = kind
+        number = counts.get((which, chosen), 0)
+        counts[which, chosen] = number + 1
+        name = f"{which[0]}{index:04d}"
+        case_seed = (seed, ("jeffcott", "fe_rigid").index(which), KINDS.index(chosen), number)
+        jobs.append((name, chosen, which, number, case_seed, only, str(folder)))
+    return jobs
+
+
+def one(job: Job) -> dict[str, Any]:
+    """Make and write one case; return how long it took."""
+    from threadpoolctl import threadpool_limits
+
+    name, kind, machine, number, seed, only, folder = job
+    begin, cpu = time.perf_counter(), time.process_time()
+    with threadpool_limits(1):
+        case = make_case(name, kind, machine, seed, number, only)
+        write_case(case, Path(folder), seed)
+    return {
+        "case": name, "kind": kind, "missing": [fault.law or fault.physics for fault in case.faults],
+        "detectability": case.visible, "attempts": case.attempts,
+        "seconds": time.perf_counter() - begin, "cpu_seconds": time.process_time() - cpu,
+    }  # fmt: skip
+
+
+def make(jobs: list[Job], processes: int) -> list[dict[str, Any]]:
+    """Make all cases; one line to stderr as each is finished."""
+    folder = Path(jobs[0][-1])
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "set.json").write_text(json.dumps({"diagrams": {job[0]: job[2] for job in jobs}}, indent=1) + "\n")
+    done = []
+    with ProcessPoolExecutor(processes) as pool:
+        for future in as_completed([pool.submit(one, job) for job in jobs]):
+            done.append(future.result())
+            print(f"{len(done)}/{len(jobs)} {done[-1]['case']} {done[-1]['cpu_seconds']:.1f} s", file=sys.stderr)
+    return sorted(done, key=lambda item: str(item["case"]))
+
+
+def diagnose(folder: Path, diagnoses: Path, processes: int, timeout: float, extra: list[str]) -> dict[str, int]:
+    """Run `rotorsim diagnose` on each case that has no diagnosis yet; return the exit codes (-1: timeout)."""
+    diagrams: dict[str, str] = json.loads((folder / "set.json").read_text())["diagrams"]
+    program = Path(sys.executable).with_name("rotorsim")
+    diagnoses.mkdir(parents=True, exist_ok=True)
+    todo = [name for name in sorted(diagrams) if not (diagnoses / name / "diagnosis.json").exists()]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+    def run(name: str) -> int:
+        begin = time.perf_counter()
+        command = [
+            str(program),
+            "diagnose",
+            diagrams[name],
+            str(folder / name),
+            "--hold-out",
+            str(folder / "hold_out" / name),
+        ]
+        command += ["--out", str(diagnoses / name), *extra]
+        with open(diagnoses / f"{name}.log", "w") as log:
+            try:
+                code = subprocess.run(
+                    command, stdout=log, stderr=subprocess.STDOUT, timeout=timeout, env=environment
+                ).returncode
+            except subprocess.TimeoutExpired:
+                code = -1
+        print(f"{name}: exit {code}, {time.perf_counter() - begin:.0f} s", file=sys.stderr)
+        return code
+
+    with ThreadPoolExecutor(processes) as pool:
+        return dict(zip(todo, pool.map(run, todo), strict=True))

@@ -1,0 +1,79 @@
+"""Write a case as the shared sets are written: CASE/, hold_out/CASE/, truth/CASE.json."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.concealed.generator import RATE, Case
+from benchmarks.concealed.measuring import pulses, read_signals
+
+Array = NDArray[Any]
+FORMATS = ("csv", "npz", "mat")
+
+
+def write_case(case: Case, folder: Path, seed: tuple[int, ...]) -> None:
+    """Measure a case and write it."""
+    rng = np.random.default_rng([*seed, 1])
+    columns = read_signals(case.motion, case.instruments, rng, case.coarse)
+    duration = case.runs[0].samples / RATE
+    tacho = pulses(case.motion, duration, case.instruments.jitter, rng)
+    suffix = FORMATS[int(rng.integers(len(FORMATS)))]
+    for use, place in (("identify", folder / case.name), ("hold_out", folder / "hold_out" / case.name)):
+        place.mkdir(parents=True, exist_ok=True)
+        runs: list[dict[str, Any]] = []
+        for lane in (k for k, run in enumerate(case.runs) if run.use == use):
+            run = case.runs[lane]
+            hertz = run.speed / (2 * np.pi)
+            name = f"run{len(runs):02d}_{hertz:05.1f}Hz_{run.label}"
+            _write_data(place / f"{name}.{suffix}", columns[lane])
+            KP, KI, KD = run.gains
+            runs.append({
+                "id": name, "file": f"{name}.{suffix}", "sample_rate": f"{RATE:.0f} Hz",
+                "speed": f"{60 * hertz:.0f} rpm", "tacho": tacho[lane], "use": use,
+                "set": {"controller.KP": KP, "controller.KD": KD, "controller.KI": KI},
+            })  # fmt: skip
+        recording = {"name": case.name, "source": _source(case), "channels": _channels(case, columns[0]), "runs": runs}
+        (place / "recording.json").write_text(json.dumps(recording, indent=1) + "\n")
+    truths = folder / "truth"
+    truths.mkdir(exist_ok=True)
+    (truths / f"{case.name}.json").write_text(json.dumps(case.truth(), indent=1) + "\n")
+
+
+def _source(case: Case) -> str:
+    span, bits = case.instruments.span, case.instruments.bits
+    text = "simulated by a program that shares nothing with rotorsim; the sensors' noise is in the data; "
+    text += f"converters of {bits} bit over +-{span[0] * 1e6:g} um and +-{span[1]:g} A"
+    if case.machine == "fe_rigid":
+        text += "; probes at nodes 2 to 5 of the six of diagram fe_rigid, another mesh"
+    return text
+
+
+def _channels(case: Case, columns: dict[str, Array]) -> dict[str, dict[str, Any]]:
+    out: dict[str, dict[str, Any]] = {}
+    for name in columns:
+        if name[0] == "i":
+            out[name] = {"signal": "controller.current", "axis": name[1], "unit": "A"}
+        else:
+            node = {"node": int(name[1:])} if len(name) > 1 else {}
+            out[name] = {"signal": "rotor.displacement", **node, "axis": name[0], "unit": "m"}
+    return out
+
+
+def _write_data(path: Path, columns: dict[str, Array]) -> None:
+    t = np.arange(len(next(iter(columns.values())))) / RATE
+    if path.suffix == ".csv":
+        table = np.column_stack([t, *columns.values()])
+        head = ",".join(["t", *columns])
+        np.savetxt(path, table, fmt="%.9g", delimiter=",", header=head, comments="")
+    elif path.suffix == ".npz":
+        with open(path, "wb") as file:
+            np.savez(file, **columns)  # type: ignore[arg-type]
+    else:
+        from scipy.io import savemat
+
+        savemat(path, columns)
