@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rotorsim.cli import common
+from rotorsim.cli.app import show_problems
 from rotorsim.errors import Problem, RotorsimError
+
+if TYPE_CHECKING:
+    from rotorsim.diagram.diagram import Diagram
+    from rotorsim.simulate.result import Result
 
 __all__ = ["command"]
 
@@ -22,8 +28,9 @@ __all__ = ["command"]
               default="gauss_seidel", show_default=True,
               help="iterative repeats each step until all agree, waveform the whole run.")  # fmt: skip
 @click.option(
-    "--order", type=click.IntRange(0, 3), help="Inputs within a step: 0 held, 1 linear, 2 quadratic, 3 cubic."
-)
+    "--order", type=click.IntRange(0, 3),
+    help="Inputs within a step: 0 held, 1 linear, 2 quadratic, 3 cubic.  [default: 0; 3 of master iterative]",
+)  # fmt: skip
 @click.option("--part", "parts", multiple=True, metavar="BLOCK,...", help="Blocks that are a participant; repeatable.")
 @click.option("--rate", "rates", multiple=True, metavar="PARTICIPANT=N",
               help="This participant (or the one of this block) takes N steps at once; repeatable.")  # fmt: skip
@@ -43,7 +50,7 @@ def command(
 ) -> None:  # fmt: skip
     """Co-simulate DIAGRAM: its FMUs, the parts given, and the rest exchange signals at communication points.
 
-    Coupling adds delay: the damping that it costs and the largest stable step are computed and said, and a step that
+    Coupling adds delay: the damping that it leaves and the largest stable step are computed and said, and a step that
     must diverge is refused. Sampled signals are held, and their hits are communication points too.
 
     \b
@@ -78,18 +85,35 @@ def command(
         import numpy as np
 
         peaks = {name: float(np.nanmax(np.abs(values))) for name, values in result.signals.items() if values.size}
+        units = {name: result.units[name] for name in peaks}
         common.echo_json({"status": result.status, "message": result.message, "coupling": made,
-                          "counters": dict(result.counters), "time": result.time[[0, -1]], "peak": peaks})  # fmt: skip
+                          "counters": dict(result.counters), "time": result.time[[0, -1]], "peak": peaks,
+                          "units": units})  # fmt: skip
     else:
         click.echo(
             f"{result.status}: {result.counters['steps']} communication steps to {result.time[-1]:g} s, {master}"
         )
-        for line in _stability(made):
+        for line in ["stability of the coupling: not analysed (--no-check)"] if no_check else _stability(made):
             click.echo(line)
-        if result.message:
-            click.echo(result.message)
+        if text := _peaks(loaded, result):
+            click.echo(f"\n{text}")
     if result.status != "finished":
+        what, _, hint = result.message.partition("\n\nhint: ")
+        kept = f"what was computed until then is in {out}" if out else "--out FILE keeps what was computed until then"
+        show_problems([Problem(what, hint=f"{hint}; {kept}" if hint else kept)])
         sys.exit(1)
+
+
+def _peaks(diagram: Diagram, result: Result) -> str:
+    """Return peak and rms of the recorded signals as a table."""
+    from rotorsim.cli.summary import peaks_table
+
+    clock = common.clock_of(diagram)
+    wanted = dict.fromkeys(str(name).partition("[")[0] for name in diagram.record)
+    signals = {
+        name: values for base in wanted for name, values in result.signals.items() if name.partition("[")[0] == base
+    }
+    return peaks_table(replace(result, signals=signals), f"{clock}.theta" if clock else "")
 
 
 def _rates(texts: tuple[str, ...]) -> dict[str, int]:

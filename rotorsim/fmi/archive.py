@@ -113,12 +113,22 @@ class Archive:
 
     def _write(self, member: zipfile.ZipInfo, target: Path) -> None:
         descriptor = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o600)
-        with open(descriptor, "wb") as output, self._translated(), self._zip.open(member) as stream:
+        with open(descriptor, "wb", buffering=0) as output, self._translated(), self._zip.open(member) as stream:
             while data := stream.read(_CHUNK):
                 self._left -= len(data)
                 if self._left < 0:
                     raise RotorsimError(self._too_large())
-                output.write(data)
+                self._put(output, data, target)
+
+    def _put(self, output: io.FileIO, data: bytes, target: Path) -> None:
+        left = memoryview(data)
+        try:
+            while left:
+                left = left[output.write(left) :]
+        except OSError as error:
+            hint = "is the disk full? FMUs at work are unpacked where the variable TMPDIR says"
+            what = f"cannot be unpacked into {target.parent}: {(error.strerror or str(error)).lower()}"
+            raise RotorsimError(Problem(what, place=self.place, hint=hint), exit_code=1) from None
 
     def _allowed(self) -> int:
         """Return how many bytes may be unpacked in all."""
@@ -126,8 +136,9 @@ class Archive:
         return int(min(self.limits.bytes, max(self.limits.free, self.limits.ratio * packed)))
 
     def _too_large(self) -> Problem:
-        what = f"unpacks to more than {self._allowed()} bytes: taken for a bomb"
-        return Problem(what, place=self.place, hint="if it is not, allow more: Limits(bytes=..., ratio=...)")
+        what = f"unpacks to more than {self._allowed() / 1e6:.0f} MB: taken for a bomb"
+        hint = "if it is none: pack it anew without compression (zip -0), or allow more in Python: Limits(ratio=...)"
+        return Problem(what, place=self.place, hint=hint)
 
     def _problems(self) -> Iterator[Problem]:
         """Yield what is wrong with the list of files."""

@@ -99,10 +99,12 @@ def information_text(data: dict[str, Any], *, every: bool = False) -> str:
     lines.append(f"states      {data['states']}, event indicators {data['event_indicators']}")
     experiment = {key: value for key, value in data["experiment"].items() if value is not None}
     if experiment:
-        lines.append("experiment  " + ", ".join(f"{key} {value:g}" for key, value in experiment.items()))
+        told = [f"{key} {value:g}{'' if key == 'tolerance' else ' s'}" for key, value in experiment.items()]
+        lines.append("experiment  " + ", ".join(told))
     for name, kind in data["kinds"].items():
         yes = [key.replace("_", " ") for key, value in kind.items() if value is True]
-        more = [f"{key.replace('_', ' ')} {value:g}" for key, value in kind.items()
+        more = [f"{key.replace('_', ' ')} {value:g}" + (" s" if key == "internal_step" else "")
+                for key, value in kind.items()
                 if isinstance(value, int | float) and not isinstance(value, bool) and value]  # fmt: skip
         lines.append(f"{name:<11} " + (", ".join(yes + more) or "no extras"))
     for name, variables in data["variables"].items():

@@ -31,6 +31,7 @@ _WHAT = {1: "Set", 2: "DoStep", 3: "Get"}
 class PartMember(Protocol):
     """A compiled part as a member: its instance in C, its own step [s], the place of its inputs in z, its outputs."""
 
+    name: str
     instance: Any
     internal: float
     n_z: int
@@ -65,7 +66,7 @@ class FastLoop:
     def __init__(
         self, members: Sequence[Slave | PartMember], L: np.ndarray, u0: np.ndarray, order: Sequence[int] | None = None
     ) -> None:  # fmt: skip
-        wrong = [f"member {k + 1} {why}" for k, member in enumerate(members) if (why := _unfit(member))]
+        wrong = [f"{member.name} {why}" for member in members if (why := _unfit(member))]
         if wrong or find_compiler() is None:
             what = "; ".join(wrong) or "there is no C compiler"
             hint = 'FMUs take part with "in_process": true, as Co-Simulation; or leave out fast'

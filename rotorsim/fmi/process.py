@@ -87,7 +87,7 @@ class RemoteWorker(Worker):
 
     def __init__(self, sizes: Sizes, folder: Path, library: Path, timeout: float, memory: int | None) -> None:
         if sys.platform == "win32":
-            hint = "use it in process: --in-process"
+            hint = 'use it in process: "in_process": true among its parameters'
             raise RotorsimError(Problem("FMUs in a subprocess are not supported on Windows yet", hint=hint))
         self.timeout, self.memory = timeout, memory
         descriptor = _shared(max(sizes.bytes, mmap.PAGESIZE))

@@ -78,7 +78,7 @@ def import_ssp(file: str | File, folder: str | File, *, limits: Limits | None = 
             _refuse(writer.problems)
             write_atomically(temporary / DIAGRAM, format_document(document))
             load(document, folder=temporary)
-            temporary.chmod(0o755)
+            _share(temporary)
             if target.exists():
                 target.rmdir()
             os.replace(temporary, target)
@@ -87,6 +87,14 @@ def import_ssp(file: str | File, folder: str | File, *, limits: Limits | None = 
     diagram = load(document, folder=target)  # its FMUs are where they stay
     warnings = (*writer.warnings, *diagram.warnings)
     return ImportedSsp(target / DIAGRAM, diagram, structure, tuple(sorted(sources)), warnings)
+
+
+def _share(folder: File) -> None:
+    """Let others read what was unpacked for us alone, as far as the umask of this process lets files be read."""
+    mask = os.umask(0o077)
+    os.umask(mask)
+    for path in (folder, *folder.rglob("*")):
+        path.chmod((0o777 if path.is_dir() else 0o666) & ~mask)
 
 
 def _refuse(problems: Sequence[Problem]) -> None:

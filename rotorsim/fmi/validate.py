@@ -220,10 +220,11 @@ def _ask_fmpy(path: Path, description: ModelDescription) -> Iterator[Problem]:
 
 
 def _loaded(path: str | Path, description: ModelDescription) -> Iterator[Problem]:
-    """Instantiate and initialise the FMU; yield what goes wrong."""
+    """Instantiate and initialise the FMU, as each kind that it offers; yield what goes wrong, once."""
     if not set(folders(description.version)) & set(description.platforms):
         return
     names = [name for name, v in description.variables.items() if v.type in FLOATS and not v.clocked]
+    told: set[Problem] = set()
     for kind in description.kinds:
         if kind == "se":
             continue
@@ -239,4 +240,5 @@ def _loaded(path: str | Path, description: ModelDescription) -> Iterator[Problem
                     yield Problem(what, description.name, Place(str(path)), severity="warning")
                 slave.terminate()
         except RotorsimError as error:
-            yield from error.problems
+            yield from (problem for problem in error.problems if problem not in told)
+            told.update(error.problems)

@@ -20,10 +20,18 @@ PART = ("--part", "controller", "--stop", "0.02 s")
 def test_what_it_says(run: Run) -> None:
     done = run("cosim", "jeffcott", *PART, "--step", "0.1 ms")
     assert (done.exit_code, done.stderr) == (0, "")
-    assert done.stdout.splitlines() == [
+    lines = done.stdout.splitlines()
+    assert lines[:4] == [
         "finished: 200 communication steps to 0.02 s, gauss_seidel",
         "damping kept by the coupling: 87.4%; largest stable step: 0.000788 s",
+        "",
+        "signal                     peak        rms  unit",
     ]
+    assert [line.split()[0] for line in lines[4:]] == ["rotor.displacement[1]", "controller.current[1]"]
+    assert [line.split()[-1] for line in lines[4:]] == ["um", "A"]
+    data = json.loads(run("cosim", "jeffcott", *PART, "--step", "0.1 ms", "--json").stdout)
+    assert float(lines[4].split()[1]) == pytest.approx(1e6 * data["peak"]["rotor.displacement"], rel=1e-5)
+    assert data["units"]["rotor.displacement"] == "m"
 
 
 def test_rates(run: Run) -> None:
@@ -71,7 +79,9 @@ def test_a_step_that_must_diverge(run: Run) -> None:
         "error: step 0.001 s, gauss_seidel: with this step the coupled loop is unstable; the largest stable step is "
         "0.000788 s\n\nhint: a smaller step, or another master (iterative bears the largest steps)\n"
     )
-    assert run("cosim", "jeffcott", *PART, "--step", "1 ms", "--no-check").exit_code == 0
+    done = run("cosim", "jeffcott", *PART, "--step", "1 ms", "--no-check")
+    assert done.exit_code == 0
+    assert done.stdout.splitlines()[1] == "stability of the coupling: not analysed (--no-check)"
 
 
 def alone(folder: Path, parameters: dict[str, Any]) -> str:
@@ -87,12 +97,22 @@ def test_what_was_computed_until_the_end_is_kept(run: Run, tmp_path: Path) -> No
     """A clock that asks for the end at its third tick, 0.75 s."""
     done = run("cosim", alone(tmp_path, {"model": 2, "stop_at": 3.0}), "--step", "0.1 s", "--out", "x.csv")
     assert done.exit_code == 1
-    assert done.stdout.splitlines() == [
+    lines = done.stdout.splitlines()
+    assert lines[:3] == [
         "stopped: 7 communication steps to 0.7 s, gauss_seidel",
         "stability of the coupling: not analysed (it offers no directional derivatives)",
-        "it: asks for the end of the simulation (t = 0.75 s)",
+        "",
     ]
-    assert len((tmp_path / "x.csv").read_text().splitlines()) == 1 + 8
+    x = [float(line.split(",")[1]) for line in (tmp_path / "x.csv").read_text().splitlines()[1:]]
+    rms = f"{(sum(value**2 for value in x) / len(x)) ** 0.5:.6g}"
+    assert [line.split() for line in lines[3:]] == [
+        ["signal", "peak", "rms", "unit"], ["it.x", f"{max(x):.6g}", rms, "1"]
+    ]  # fmt: skip
+    assert done.stderr == (
+        "written: x.csv\nerror: it: asks for the end of the simulation (t = 0.75 s)\n\n"
+        "hint: what was computed until then is in x.csv\n"
+    )
+    assert len(x) == 8
 
 
 BASE = "--step 1e-4 --stop 0.02 --part controller"

@@ -21,12 +21,15 @@ def test_info(run: Run, tmp_path: Path) -> None:
     assert lines[0] == "plant: FMI 3.0, Co-Simulation and Model Exchange"
     assert f"platforms   {this_platform()}; this machine is {this_platform()}: one of them fits" in lines
     assert "states      4, event indicators 2" in lines
-    assert "experiment  start 0, stop 2, step 0.01" in lines
+    assert "experiment  start 0 s, stop 2 s, step 0.01 s" in lines
     assert "inputs (2):" in lines
     assert "  u        Float64[2]  N     0 0" in lines
     assert "parameters (8):" in lines
     assert "and 7 local variables (--all shows them)" in lines
     assert "local variables (7):" in run("fmu", "info", "--all", "plant.fmu").stdout
+    text = description3().replace("<CoSimulation ", '<CoSimulation fixedInternalStepSize="0.002" ')
+    stepped = run("fmu", "info", str(make_fmu(tmp_path / "stepped.fmu", "3.0", description=text))).stdout
+    assert ", internal step 0.002 s\n" in stepped
 
 
 def test_info_as_data(run: Run, tmp_path: Path) -> None:
@@ -85,6 +88,14 @@ def test_mistakes_are_found_and_the_code_is_not_run(run: Run, tmp_path: Path) ->
         ("stiffness", "its start value is outside 200 ... inf", "warning"),
         ("binaries", f"{library} is no library, not {this_platform()}", "error"),
     }
+
+
+def test_what_goes_wrong_for_both_kinds_is_said_once(run: Run, tmp_path: Path) -> None:
+    path = make_fmu(tmp_path / "a.fmu", description=description2().replace('guid="', 'guid="other'))
+    done = run("fmu", "validate", "--load", "--no-fmpy", "--json", str(path))
+    assert done.exit_code == 1
+    (problem,) = json.loads(done.stdout)["problems"]
+    assert problem["what"].startswith("fmi2Instantiate ")
 
 
 def test_fmpy_is_asked_too(tmp_path: Path) -> None:

@@ -92,11 +92,11 @@ def test_rows_end_where_one_is_not_finite(files: list[Path]) -> None:
 
 def test_who_cannot_take_part(files: list[Path]) -> None:
     with open_fmu(files[0]) as apart, open_fmu(files[0], in_process=True) as here:
-        far, near = apart.instantiate("cs"), here.instantiate("cs")
+        far, near = apart.instantiate("cs", "far"), here.instantiate("cs", "near")
         assert not FastLoop.possible([far])
         with pytest.raises(RotorsimError) as caught:
             FastLoop([far, near], np.zeros((0, 0)), np.zeros(0))
-        what = "no fast loop: member 1 has a process of its own; member 2 is not set up for Co-Simulation"
+        what = "no fast loop: far has a process of its own; near is not set up for Co-Simulation"
         assert caught.value.problems[0].what == what
         near.setup(outputs=["count"])
         assert not FastLoop.possible([near])

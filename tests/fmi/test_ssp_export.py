@@ -137,6 +137,10 @@ def test_there_and_back(jeffcott: ExportedSsp, right: np.ndarray, tmp_path: Path
         "rest.rotor_displacement", "rest.rotor_velocity", "controller.controller_current"
     ]  # fmt: skip
     assert done.diagram.solver.stop == load("jeffcott").solver.stop
+    (tmp_path / "usual").mkdir()
+    (tmp_path / "usual" / "file").touch()
+    folders, files = ({p.stat().st_mode for p in tmp_path.rglob("*") if p.is_dir() == kind} for kind in (True, False))
+    assert (len(folders), len(files)) == (1, 1)  # all as the umask wants it
     assert np.abs(run_imported(tmp_path / "back") - right).max() <= 1e-12 * np.abs(right).max()
 
 
