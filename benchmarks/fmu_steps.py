@@ -62,7 +62,7 @@ def fmpy_pair(file: Path) -> Callable[[int], float]:
     from fmpy.fmi2 import FMU2Slave
 
     description = fmpy.read_model_description(str(file))
-    folder = fmpy.extract(str(file))
+    folder = fmpy.extract(str(file), unzipdir=str(file.parent / "unpacked"))
     reference = {v.name: v.valueReference for v in description.modelVariables}
     made = []
     for k in range(2):

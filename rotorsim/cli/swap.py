@@ -34,8 +34,9 @@ def command(
 ) -> None:  # fmt: skip
     """Replace a block by another type with the same ports; its wires and parameters of equal name stay.
 
-    A state_feedback controller is designed for the diagram (LQG, from the linearised plant) unless its
-    matrices are given; --set then takes current_weight, noise_weight, integral and states.
+    For type fmu, --set file=FILE names the FMU. A state_feedback controller is designed for the diagram (LQG, from
+    the linearised plant) unless its matrices are given; --set then takes current_weight, noise_weight, integral and
+    states.
 
     \b
     rotorsim swap jeffcott controller state_feedback -o mine.json
@@ -59,8 +60,11 @@ def command(
     folders = old.get("block_folders", []) if trust_blocks else []
     registry = Registry([path.parent / folder for folder in folders])
     designed = new_type == DESIGNED and not {"A", "B", "C", "D"} & set(given)
-    parameters = _designed(diagram, block, given, trust_blocks) if designed else given
-    new = swap(old, block, new_type, parameters, registry)
+    if new_type == "fmu":
+        new = _with_fmu(old, block, given)
+    else:
+        parameters = _designed(diagram, block, given, trust_blocks) if designed else given
+        new = swap(old, block, new_type, parameters, registry)
     load(new, trust_blocks=trust_blocks, folder=path.parent)  # a swap that does not check is not written
 
     target = str(path) if in_place else out
@@ -77,6 +81,17 @@ def command(
     words += ["designed from the linearised plant"] if designed else []
     words += [f"written: {target}"] if target else []
     common.note("; ".join(words))
+
+
+def _with_fmu(old: dict[str, Any], block: str, given: dict[str, Any]) -> dict[str, Any]:
+    """Return the document with an FMU in the place of a block; loading it says whether its ports fit the wires."""
+    if block not in old["blocks"]:
+        raise RotorsimError(Problem(what=f"no block '{block}'", subject=block, hint=near_miss(block, old["blocks"])))
+    if not isinstance(given.get("file"), str):
+        raise RotorsimError(Problem(what="an FMU needs its file", subject=block, hint="add --set file=controller.fmu"))
+    rest = {name: value for name, value in given.items() if name != "file"}
+    entry = {"type": "fmu", "file": given["file"], **({"parameters": rest} if rest else {})}
+    return {**old, "blocks": {**old["blocks"], block: entry}}
 
 
 def _designed(diagram: str, block: str, given: dict[str, Any], trust_blocks: bool) -> dict[str, Any]:

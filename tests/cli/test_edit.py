@@ -170,3 +170,26 @@ def test_cache_counts_and_clears(run, monkeypatch, tmp_path, oscillator) -> None
     data = json.loads(run("cache", "--clear", "--json").stdout)
     assert (data["folder"], data["files"]) == (str(folder), expected)
     assert json.loads(run("cache", "--json").stdout)["files"] == 0
+
+
+def test_swap_puts_an_fmu_into_the_place_of_a_block(run):
+    Path("mine.json").write_text(shipped_diagrams()["jeffcott"].read_text())
+    assert run("fmu", "export", "mine.json", "--block", "controller", "-o", "c.fmu").exit_code == 0
+    assert run("swap", "mine.json", "controller", "fmu", "--set", "file=c.fmu", "--in-place").exit_code == 0
+    assert json.loads(Path("mine.json").read_text())["blocks"]["controller"] == {"type": "fmu", "file": "c.fmu"}
+    assert run("check", "mine.json").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["controller", "fmu"], "error: controller: an FMU needs its file\n\nhint: add --set file=controller.fmu"),
+        (["controler", "fmu", "--set", "file=c.fmu"], "error: controler: no block 'controler'\n\nhint: did you mean"),
+        (["controller", "fmu", "--set", "file=c.fmu"], "error: controller: cannot read c.fmu: no such file"),
+    ],
+)
+def test_swap_with_an_fmu_that_is_not_there(run, arguments: list[str], said: str) -> None:
+    Path("mine.json").write_text(shipped_diagrams()["jeffcott"].read_text())
+    result = run("swap", "mine.json", *arguments)
+    assert result.exit_code == 2
+    assert said in result.stderr
