@@ -71,7 +71,7 @@ def test_nothing_is_missing(run: Run, healthy: str):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["nothing", "here"], "error: nothing: no such file and no diagram of this name"),
+        (["nothing", "here"], "nothing: error: no such file and no diagram of this name"),
         (["jeffcott", "here"], "here: "),
         (
             ["jeffcott", "BOWED", "--physics", "runnout"],
