@@ -1,4 +1,4 @@
-"""python -m benchmarks.concealed make|run|score|check: see README.md."""
+"""python -m benchmarks.concealed make|run|score|check|rows: see README.md."""
 
 from __future__ import annotations
 
@@ -63,6 +63,13 @@ def _check(arguments: argparse.Namespace) -> int:
     return 0 if all(item["error"] <= item["limit"] for item in found) else 1
 
 
+def _rows(arguments: argparse.Namespace) -> int:
+    from benchmarks.concealed import listing
+
+    print(listing.listing(arguments.visible))
+    return 0
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one of the commands; return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.concealed", description=__doc__)
@@ -93,6 +100,9 @@ def main(arguments: list[str] | None = None) -> int:
     check = verbs.add_parser("check", help="error of the integration, convergence of the beam, against other methods")
     check.add_argument("--quick", action="store_true", help="without the laws that have corners")
     check.set_defaults(do=_check)
+    rows = verbs.add_parser("rows", help="list rows and laws, their sizes, and how visible the ends are")
+    rows.add_argument("--visible", action="store_true", help="simulate both ends (minutes)")
+    rows.set_defaults(do=_rows)
     for verb in (make, score, check):
         verb.add_argument("--json", action="store_true")
     chosen = parser.parse_args(arguments)

@@ -131,7 +131,7 @@ def _least(residual: Any, parameters: dict[str, float], names: tuple[str, ...]) 
         ).T
         scale = np.sqrt((J**2).sum(axis=0))
         step = -np.linalg.lstsq(J / scale, here, rcond=1e-9)[0] / scale
-        step *= min(1.0, 0.5 / np.abs(step).max())
+        step *= min(1.0, 0.5 / max(np.abs(step).max(), 1e-12))
         for half in range(6):
             moved = p | {n: p[n] + float(d * size) * 0.5**half for n, d, size in zip(names, step, sizes, strict=True)}
             new = residual(moved)

@@ -46,7 +46,7 @@ def bouc_wen(draw: Draw) -> Fault:
 
     return Fault(
         NAME, {"a": a, "b": b}, draw.node, law="bouc_wen", feedback=feedback,
-        reads=(v, "aux0"), drives=(f, "aux0"), integrators=1, corner=2e-14,
+        reads=(v, "aux0"), drives=(f, "aux0"), integrators=1, corner=3e-15,
     )  # fmt: skip
 
 

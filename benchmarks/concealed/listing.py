@@ -1,0 +1,56 @@
+"""List the rows and laws that can be drawn, with their range of sizes and how visible the ends are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.concealed import generator
+from benchmarks.concealed.check import drawn, scene
+from benchmarks.concealed.detect import detectability
+from benchmarks.concealed.faults import OUTSIDE, ROWS, Entry, Fault
+from benchmarks.concealed.measuring import Instruments
+from benchmarks.concealed.simulate import Motion, Run, Simulation
+
+TYPICAL = Instruments((2e-8, 3e-4), (1e-4, 1.0), 16, 1e-6)
+
+
+def _law(entry: Entry) -> str:
+    """Return the equation that a row states: the first paragraph of its docstring."""
+    return " ".join((entry.make.__doc__ or "").split("\n\n")[0].split()).rstrip(".").replace("|", "\\|")
+
+
+def _sizes(small: Fault, large: Fault) -> str:
+    """Return the numbers that grow with strength."""
+    parts = []
+    for name, value in small.effect.items():
+        other = large.effect.get(name, value)
+        if abs(abs(other) - abs(value)) > 1e-9 * abs(value):
+            parts.append(f"{name} {abs(value):.2g} to {abs(other):.2g}")
+    return ", ".join(parts) or "-"
+
+
+def listing(visible: bool) -> str:
+    """Return a markdown table; D of both ends on one machine with noise of 20 nm and 0.3 mA if `visible`."""
+    scenes = {machine: scene(machine) for machine in ("jeffcott", "fe_rigid")}
+    lines = ["| row or law | nodes | equation | sizes (SI) | D |", "|---|---|---|---|---|"]
+    for name, entry in (ROWS | OUTSIDE).items():
+        machine = "jeffcott" if "jeffcott" in entry.nodes else "fe_rigid"
+        parameters, runs, healthy, peaks = scenes[machine]
+        ends = [drawn(name, machine, strength, parameters, peaks, len(runs)) for strength in (0.0, 1.0)]
+        found = [_visible(machine, fault, healthy, parameters, runs) for fault in ends] if visible else []
+        places = "; ".join(
+            "Jeffcott" if where == "jeffcott" else "beam " + ", ".join(map(str, nodes))
+            for where, nodes in entry.nodes.items()
+        )
+        D = " to ".join(found) or "-"
+        lines.append(f"| `{name}` | {places} | {_law(entry)} | {_sizes(*ends)} | {D} |")
+    return "\n".join(lines)
+
+
+def _visible(machine: str, fault: Fault, healthy: Motion, parameters: dict[str, float], runs: list[Run]) -> str:
+    try:
+        motion = Simulation(machine, parameters, runs, generator.RATE, (fault,)).run()
+    except ArithmeticError:
+        return "unstable"
+    D = detectability(machine, parameters, runs, np.inf, healthy, motion, TYPICAL, fault.lsb)
+    return f"{D:.2g}" if D < 100 else f"{D:.0f}"
