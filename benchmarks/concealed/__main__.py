@@ -14,8 +14,14 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 def _make(arguments: argparse.Namespace) -> int:
     from benchmarks.concealed import sets
+    from benchmarks.concealed.generator import known_rows
 
-    only = tuple(name for name in arguments.rows.split(",") if name)
+    only = tuple(name.strip() for name in arguments.rows.split(",") if name.strip())
+    wrong = sorted(set(only) - known_rows(arguments.kind))
+    if wrong:
+        raise ValueError(
+            f"--rows: no {', '.join(wrong)} of kind {arguments.kind}; hint: python -m benchmarks.concealed rows"
+        )
     folder = Path(arguments.folder)
     jobs = sets.plan(folder, arguments.instances, arguments.seed, arguments.kind, arguments.machine, only)
     done = sets.make(jobs, arguments.processes)
@@ -35,9 +41,8 @@ def _make(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     from benchmarks.concealed import sets
 
-    codes = sets.diagnose(
-        Path(arguments.folder), Path(arguments.diagnoses), arguments.processes, arguments.timeout, arguments.options
-    )
+    folder, found = Path(arguments.folder), Path(arguments.diagnoses)
+    codes = sets.diagnose(folder, found, arguments.processes, arguments.timeout, arguments.diagram, arguments.options)
     failed = sorted(name for name, code in codes.items() if code not in (0, 1))
     print(f"{len(codes)} diagnosed, {len(failed)} failed{': ' + ' '.join(failed) if failed else ''}")
     return 1 if failed else 0
@@ -87,6 +92,7 @@ def main(arguments: list[str] | None = None) -> int:
     run.add_argument("folder")
     run.add_argument("diagnoses")
     run.add_argument("--processes", type=int, default=2)
+    run.add_argument("--diagram", help="of a set that was not made here")
     run.add_argument("--timeout", type=float, default=3600.0, help="seconds for one case")
     run.add_argument(
         "--options", nargs=argparse.REMAINDER, default=[], help="for rotorsim diagnose, after everything else"
@@ -106,7 +112,11 @@ def main(arguments: list[str] | None = None) -> int:
     for verb in (make, score, check):
         verb.add_argument("--json", action="store_true")
     chosen = parser.parse_args(arguments)
-    return int(chosen.do(chosen))
+    try:
+        return int(chosen.do(chosen))
+    except (FileNotFoundError, ValueError, RuntimeError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
 
 
 if __name__ == "__main__":

@@ -118,10 +118,18 @@ def peaks(motion: Motion, runs: list[Run]) -> dict[str, float]:
     return found
 
 
+def known_rows(kind: str) -> set[str]:
+    """Return the names that cases of a kind may be narrowed to."""
+    tables = {"one": (ROWS,), "alias": (ALIASES,), "outside": (OUTSIDE,)}
+    return {name for table in tables.get(kind, ()) for name in table}
+
+
 def _choose(seed: tuple[int, ...], kind: str, machine: str, number: int, only: tuple[str, ...]) -> list[Entry]:
     """Return the rows of a case: all in turn, in an order that the first number of the seed fixes."""
     table = {"one": ROWS, "two": ROWS, "alias": ALIASES, "outside": OUTSIDE}.get(kind, {})
     able = {n: e for n, e in table.items() if machine in e.nodes and (not only or n in only or kind == "two")}
+    if not able and kind != "nothing":
+        raise ValueError(f"no row of kind {kind} that is asked for can be on {machine}")
     if not able:
         return []
     pool = sorted(name for name in able if kind != "two" or not able[name].alone)
@@ -146,6 +154,7 @@ def make_case(
 
     Raises:
         RuntimeError: no stable, visible machine was found in twenty attempts
+        ValueError: none of the rows asked for can be on this machine
     """
     rng = np.random.default_rng(seed)
     least = 0.0

@@ -71,9 +71,34 @@ def make(jobs: list[Job], processes: int) -> list[dict[str, Any]]:
     return sorted(done, key=lambda item: str(item["case"]))
 
 
-def diagnose(folder: Path, diagnoses: Path, processes: int, timeout: float, extra: list[str]) -> dict[str, int]:
+def diagrams_of(folder: Path, diagram: str | None) -> dict[str, str]:
+    """Return the diagram of each case: as the set says, or one for all of a shared set.
+
+    Raises:
+        FileNotFoundError: there is no set, or it does not say which diagram its cases are of
+    """
+    said = folder / "set.json"
+    if diagram is None and said.exists():
+        found: dict[str, str] = json.loads(said.read_text())["diagrams"]
+        return found
+    cases = [file.parent.name for file in sorted(folder.glob("*/recording.json"))]
+    if not cases or diagram is None:
+        raise FileNotFoundError(f"{folder}: no set.json; hint: a set of others needs --diagram jeffcott or fe_rigid")
+    return dict.fromkeys(cases, diagram)
+
+
+def held_out(folder: Path, case: str) -> Path:
+    """Return where the held-out runs of a case are: in hold_out/, or in the shared sets' FOLDER_hold_out/."""
+    own = folder / "hold_out" / case
+    return own if own.exists() else folder.with_name(f"{folder.name}_hold_out") / case
+
+
+def diagnose(
+    folder: Path, diagnoses: Path, processes: int, timeout: float, diagram: str | None, extra: list[str]
+) -> dict[str, int]:
     """Run `rotorsim diagnose` on each case that has no diagnosis yet; return the exit codes (-1: timeout)."""
-    diagrams: dict[str, str] = json.loads((folder / "set.json").read_text())["diagrams"]
+    folder = folder.resolve()
+    diagrams = diagrams_of(folder, diagram)
     program = Path(sys.executable).with_name("rotorsim")
     diagnoses.mkdir(parents=True, exist_ok=True)
     todo = [name for name in sorted(diagrams) if not (diagnoses / name / "diagnosis.json").exists()]
@@ -81,15 +106,9 @@ def diagnose(folder: Path, diagnoses: Path, processes: int, timeout: float, extr
 
     def run(name: str) -> int:
         begin = time.perf_counter()
-        command = [
-            str(program),
-            "diagnose",
-            diagrams[name],
-            str(folder / name),
-            "--hold-out",
-            str(folder / "hold_out" / name),
-        ]
-        command += ["--out", str(diagnoses / name), *extra]
+        command = [str(program), "diagnose", diagrams[name], str(folder / name), "--out", str(diagnoses / name)]
+        hold = held_out(folder, name)
+        command += (["--hold-out", str(hold)] if hold.exists() else []) + extra
         with open(diagnoses / f"{name}.log", "w") as log:
             try:
                 code = subprocess.run(

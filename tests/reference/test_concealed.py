@@ -17,6 +17,7 @@ from scipy.linalg import eigh, eigvals
 from threadpoolctl import threadpool_limits
 
 from benchmarks.concealed import generator, score, sets, tables
+from benchmarks.concealed.__main__ import main
 from benchmarks.concealed.check import difference, drawn, scene
 from benchmarks.concealed.detect import detectability
 from benchmarks.concealed.loop import late
