@@ -32,6 +32,7 @@ LINEAR_EVALUATIONS = 4  # for one of a nonlinear diagram
 LINEAR_STARTS = 2  # that are followed to the end
 EXPLAINS = 1.2  # times the number of equations: a misfit that no other start could lower by much
 TURN = 2 * np.pi
+ROUNDED = 1e6  # parts of a radian in which angles are compared
 NUMBERS = ("misfit", "rows", "equations", "goodness", "failure", "nonlinear", "seconds")
 ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out")
 
@@ -211,7 +212,7 @@ def _best(
     if not nonlinear and (most is None or not starts):  # a step costs little: look all around for unknown angles
         chosen += search.starts()[:LINEAR_STARTS]
     for group in starts or ([[{}]] if nonlinear else []):
-        trials = [trial for start in group for trial in _trials(search, experiment.theta0, start)]
+        trials = _different([t for start in group for t in _trials(search, experiment.theta0, start)], search)
         if nonlinear:
             trials = trials[:: max(1, len(trials) // NONLINEAR_TRIALS)]
         ranked = [search.force_step(search.coordinates.inside(theta), []) for theta in trials]
@@ -254,6 +255,16 @@ def _trials(search: Search, theta0: np.ndarray, start: Mapping[str, float]) -> l
         trial[angles] = theta[angles] + np.array(turns) * TURN / ANGLES
         found.append(trial)
     return found
+
+
+def _different(trials: Sequence[np.ndarray], search: Search) -> list[np.ndarray]:
+    """Return the trials without those that are one already but for whole turns."""
+    angles = np.array([item.unit == ANGLE_UNIT for item in search.free], bool)
+    kept: dict[bytes, np.ndarray] = {}
+    for trial in trials:
+        turned = np.where(angles, np.mod(np.round(trial * ROUNDED), np.round(TURN * ROUNDED)), trial)
+        kept.setdefault(turned.tobytes(), trial)
+    return list(kept.values())
 
 
 def fit_to_plain(found: Fit) -> dict[str, Any]:

@@ -15,6 +15,7 @@ __all__ = ["Coordinates", "amplitude_pairs", "coordinates_of", "moves_matrices"]
 ANGLE_UNIT = "rad"
 AnyEquations = Equations | NonlinearEquations
 PROBES = (0.4, 1.9)
+ORDERS = 31  # of the forcing that are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +113,7 @@ def amplitude_pairs(
         changed = theta.copy()
         for key, value in values.items():
             changed[int(key[1:])] = value
-        return equations.forcing(row, changed[None], speed, 3)[0]
+        return equations.forcing(row, changed[None], speed, ORDERS)[0]
 
     pairs: list[tuple[int, int]] = []
     for b in angles:

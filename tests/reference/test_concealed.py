@@ -329,3 +329,16 @@ def test_parameters_of_an_effect_are_compared_where_it_is_named_exactly() -> Non
 )
 def test_clopper_pearson(hits: int, of: int, expected: tuple[float, float]) -> None:
     assert tables.interval(hits, of) == pytest.approx(expected, abs=1e-6)
+
+
+def test_misuse_of_the_commands(tmp_path, capsys):
+    assert main(["make", str(tmp_path / "set"), "--kind", "one", "--rows", "rub, wobble"]) == 2
+    assert capsys.readouterr().err == (
+        "error: --rows: no wobble of kind one; hint: python -m benchmarks.concealed rows\n"
+    )
+    assert main(["run", str(tmp_path), str(tmp_path / "found")]) == 2
+    assert capsys.readouterr().err == (
+        f"error: {tmp_path}: no set.json; hint: a set of others needs --diagram jeffcott or fe_rigid\n"
+    )
+    assert main(["score", str(tmp_path), str(tmp_path / "found")]) == 2
+    assert capsys.readouterr().err == f"error: {tmp_path}: no truth/CASE.json and no CASE/truth.json\n"
