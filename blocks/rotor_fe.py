@@ -9,6 +9,7 @@ from rotorsim.blocks import _beam
 from rotorsim.blocks._beam import Banded, solve_factored
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, State, matrix
+from rotorsim.fault import Fault
 
 
 def _nodes(option: Any) -> tuple[int, int]:
@@ -36,6 +37,19 @@ class RotorFe(Block):
     source = "thesis eq. (4.9)-(4.16), (5.4), App. B, C; Friswell et al. (2010), ch. 5"
     category = "rotor"
     refinement = "subdivisions"
+    faults = (
+        Fault(
+            physics="disc_rotary_inertia",
+            enters="replace",
+            of=("rotor_fe",),
+            options={"point_discs": False},
+            free={"disc_inertia_factor": (1.0,)},
+            law="grows with the square of frequency, on the slope of the discs: lowers modes that tilt them",
+            confused_with=("gyroscopic_error", "mass_error", "support_stiffness"),
+            told_apart_by="modes at rest: the shapes of those that it lowers",
+            source="Friswell et al. (2010), sec. 5.4",
+        ),
+    )
 
     force = In(shape=_nodes, unit="N", additive=True, conjugate="displacement", doc="sum of the forces [node, xy]")
     moment = In(shape=_nodes, unit="N m", additive=True, conjugate="tilt", doc="sum of the moments [node, xy]")
@@ -49,6 +63,7 @@ class RotorFe(Block):
     theory = Option("euler_bernoulli", choices=("euler_bernoulli", "timoshenko"), kind=str, doc="beam theory")
     rotary_inertia = Option(False, kind=bool, doc="rotary inertia of the shaft")
     shaft_gyroscopic = Option(False, kind=bool, doc="gyroscopic moments of the shaft")
+    point_discs = Option(False, kind=bool, doc="leave out the rotary inertia of the discs")
     disc_nodes = Option([3], kind=int, low=1, doc="nodes that carry a disc")
     pinned_nodes = Option([], kind=int, low=1, doc="nodes whose displacement is held at zero")
     element_length = Param(0.1, shape=("elements",), unit="m", above=0.0, doc="length of each element, or of all")
@@ -60,6 +75,7 @@ class RotorFe(Block):
     disc_mass = Param(2.0, shape=("disc_nodes",), unit="kg", low=0.0, doc="mass of each disc")
     disc_polar_inertia = Param(0.0045, shape=("disc_nodes",), unit="kg m^2", low=0.0, doc="I_p of each disc")
     disc_diametral_inertia = Param(0.0024, shape=("disc_nodes",), unit="kg m^2", low=0.0, doc="I_d of each disc")
+    disc_inertia_factor = Param(1.0, low=0.0, doc="factor on the inertias I_p and I_d of all discs")
     mass_damping = Param(0.0, unit="1/s", low=0.0, doc="Rayleigh's a0")
     stiffness_damping = Param(0.0, unit="s", low=0.0, doc="Rayleigh's a1")
     disc_damping = Param(
@@ -168,9 +184,9 @@ class RotorFe(Block):
             across, slope = free[2 * self._place(node)], free[2 * self._place(node) + 1]
             if across is not None:
                 disc[across] = disc.get(across, 0.0) + _entry(p.disc_mass, k)
-            if slope is not None:
-                disc[slope] = disc.get(slope, 0.0) + _entry(p.disc_diametral_inertia, k)
-                gyroscopic.add(slope, slope, _entry(p.disc_polar_inertia, k))
+            if slope is not None and not self.option.point_discs:
+                disc[slope] = disc.get(slope, 0.0) + p.disc_inertia_factor * _entry(p.disc_diametral_inertia, k)
+                gyroscopic.add(slope, slope, p.disc_inertia_factor * _entry(p.disc_polar_inertia, k))
         for number, inertia in disc.items():
             mass.add(number, number, inertia)
         return mass, gyroscopic, stiffness, disc

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagnose.fitting import Fit, Source
-from rotorsim.diagnose.naming import values_in
+from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.diagram import Diagram
 
 __all__ = ["base_fit", "with_uncertain"]

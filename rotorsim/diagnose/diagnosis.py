@@ -10,26 +10,19 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from rotorsim.diagnose.base import base_fit
+from rotorsim.diagnose.base import base_fit, with_uncertain
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.insertion import Spot
-from rotorsim.diagnose.naming import (
-    CLASS,
-    Candidate,
-    Named,
-    Round,
-    is_adequate,
-    least_gain,
-    name_missing,
-    values_in,
-    where,
-)
+from rotorsim.diagnose.naming import CLASS, Named, least_gain, name_missing, where
 from rotorsim.diagnose.outside import Unknown, describe
 from rotorsim.diagnose.scoring import Held, Score, left_out_score, score
 from rotorsim.diagnose.time_data import is_in_time
+from rotorsim.diagnose.trials import Candidate, Round, is_adequate
+from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.registry import Registry
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identify.experiment import Experiment
 from rotorsim.identify.profile import Z90
 from rotorsim.recordings.checks import check_signals
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
@@ -126,6 +119,7 @@ def diagnose(
     folders = diagram.document.get("block_folders", []) if trust_blocks and folder else []
     registry = Registry([Path(folder or ".") / name for name in folders])
     with threadpool_limits(1, "blas"):
+        _refuse_still(source.open(source.load(with_uncertain(diagram))))  # says what is wrong, and where
         base, refined = base_fit(diagram, source)
     if base.failure:
         raise RotorsimError(Problem(base.failure, diagram.name))
@@ -133,8 +127,8 @@ def diagnose(
     named = name_missing(
         base, source, registry=registry, physics=physics, workers=workers, scheduler=scheduler, progress=progress,
     )  # fmt: skip
-    effects = tuple(_effect(item, found) for item, found in zip(named.chosen, named.rounds, strict=False))
-    verdict = _verdict(named, effects)
+    effects = tuple(_effect(item, found, named.slack) for item, found in zip(named.chosen, named.rounds, strict=False))
+    verdict = _verdict(named, effects, source)
     places = _places(named, effects)
     unknown = _unknown(named, source, places) if verdict == "outside_catalogue" else None
     after = named.fit if unknown is None or unknown.fit is None else min(unknown.fit, named.fit, key=_criterion)
@@ -173,6 +167,19 @@ def _checked(recording: Recording) -> list[Problem]:
     return problems
 
 
+def _refuse_still(experiment: Experiment) -> None:
+    """Refuse signals that stand still though the diagram moves them."""
+    problems = [
+        Problem(
+            "is constant: no diagram explains a shaft that turns and does not move it", f"run {item.run.id}: {name}",
+            item.run.place, "leave the channel out of recording.json if its sensor is dead",
+        )
+        for item in experiment.runs for name in experiment.predicted if item.fit.rms[item.fit.names.index(name)] == 0
+    ]  # fmt: skip
+    if problems:
+        raise RotorsimError(*problems, exit_code=1)
+
+
 def _held(recording: Recording, hold_out: Recording | None, warnings: list[Problem]) -> tuple[Held, ...]:
     """Return the runs that are only scored; those that do not follow the shaft are left out, with a warning."""
     found = []
@@ -195,13 +202,14 @@ def _settled(runs: Sequence[RunHarmonics], warnings: list[Problem], use: str) ->
     return tuple(kept)
 
 
-def _effect(candidate: Candidate, found: Round) -> Effect:
-    """Return an effect with the physics and places that explain the data as well."""
+def _effect(candidate: Candidate, found: Round, slack: float = 0.0) -> Effect:
+    """Return an effect with the physics and places that explain the data as well; slack: see `Named`."""
     scale = max(candidate.fit.misfit / candidate.fit.freedom, 1.0)
     best: dict[str, float] = {}
     for item in found.tried:
         if not item.fit.failure and item.physical:
-            best.setdefault(item.insertion.physics, (item.fit.criterion - candidate.fit.criterion) / scale)
+            more = item.fit.criterion - candidate.fit.criterion - slack
+            best[item.insertion.physics] = min(best.get(item.insertion.physics, np.inf), max(more, 0.0) / scale)
     best[candidate.insertion.physics] = 0.0
     near = {name: value for name, value in best.items() if value <= CLASS}
     weights = {name: float(np.exp(-0.5 * value)) for name, value in near.items()}
@@ -217,7 +225,9 @@ def _effect(candidate: Candidate, found: Round) -> Effect:
     return Effect(candidate, members, rivals, places)
 
 
-def _verdict(named: Named, effects: Sequence[Effect]) -> str:
+def _verdict(named: Named, effects: Sequence[Effect], source: Source | None = None) -> str:
+    if not effects and is_adequate(named.base) and source is not None and source.alike:
+        return "not_identifiable"  # one speed is explained by anything
     if not effects:
         return "consistent" if is_adequate(named.base) else "outside_catalogue"
     if not named.explained:

@@ -112,7 +112,8 @@ def repaired_document(found: Diagnosis) -> dict[str, Any]:
             if insertion.name not in layout and insertion.spot.block in layout:
                 x, y = layout[insertion.spot.block]
                 layout[insertion.name] = [x, y + 1.5]
-    description = str(document.get("description", ""))
+    description = str(document.get("description", "")).rstrip()
+    description += "." if description and not description.endswith(".") else ""
     if found.effects and found.verdict == "missing_physics":
         names = ", ".join(effect.physics for effect in found.effects)
         document["description"] = f"{description} Repaired by diagnosis: {names}.".strip()

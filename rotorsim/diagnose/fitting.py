@@ -28,10 +28,13 @@ __all__ = ["LATER", "Fit", "Source", "fit_document", "fit_from_plain", "fit_to_p
 LATER = "is nonlinear, and not fitted yet"
 ANGLES = 8  # values over a turn of a new angle that enters in more than one way
 NONLINEAR_TRIALS = 8  # of a group, of which the best is followed
+PROMISE_TRIALS = 2  # of a nonlinear diagram, twice as many of a linear one
 LINEAR_EVALUATIONS = 4  # for one of a nonlinear diagram
 LINEAR_STARTS = 2  # that are followed to the end
 EXPLAINS = 1.2  # times the number of equations: a misfit that no other start could lower by much
 TURN = 2 * np.pi
+SAME_SPEED = 0.02  # relative
+ACCURACY = 1e-5  # of a signal's rms: how well equations and meshes stand for a machine at best
 ROUNDED = 1e6  # parts of a radian in which angles are compared
 NUMBERS = ("misfit", "rows", "equations", "goodness", "failure", "nonlinear", "seconds")
 ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out")
@@ -57,6 +60,13 @@ class Source:
         """Return the diagram of a document. Raises RotorsimError."""
         return load(document, folder=Path(self.folder) if self.folder else None, trust_blocks=self.trust_blocks)
 
+    def open(self, diagram: Diagram, *, given: Sequence[str] = (), inject: Sequence[str] = ()) -> Experiment:
+        """Return a diagram beside the harmonics; see `rotorsim.identify.experiment.open_experiment`."""
+        return open_experiment(
+            diagram, self.recording, runs=[item.run for item in self.harmonics], given=given, inject=inject,
+            harmonics=self.harmonics, resolution=ACCURACY,
+        )  # fmt: skip
+
     @property
     def recorded(self) -> list[str]:
         """The flat names of the recorded signals."""
@@ -76,11 +86,18 @@ class Source:
     def residual(self, document: Mapping[str, Any]) -> np.ndarray | None:
         """Return the whitened residual of a diagram as it is, or None where it has none."""
         try:
-            runs = [item.run for item in self.harmonics]
-            experiment = open_experiment(self.load(document), self.recording, runs=runs, harmonics=self.harmonics)
+            experiment = self.open(self.load(document))
             return likelihood_of(experiment).evaluate(experiment.theta0).residual
         except (RotorsimError, ValueError, np.linalg.LinAlgError):
             return None
+
+    @property
+    def alike(self) -> bool:
+        """Whether all runs have one speed, to SAME_SPEED of it, and the same settings."""
+        speeds = [item.fit.speed for item in self.harmonics]
+        settings = [{k: v for k, v in item.run.settings.items() if k != "speed"} for item in self.harmonics]
+        near = max(speeds) - min(speeds) <= SAME_SPEED * abs(speeds[0])
+        return near and all(one == settings[0] for one in settings)
 
     def largest(self) -> dict[str, float]:
         """Return the largest magnitude of every recorded signal, by its flat name."""
@@ -156,9 +173,7 @@ def fit_document(
     began = process_time()
     nonlinear = False
     try:
-        diagram = source.load(document)
-        runs = [item.run for item in source.harmonics]
-        experiment = open_experiment(diagram, source.recording, runs=runs, given=given, harmonics=source.harmonics)
+        experiment = source.open(source.load(document), given=given)
         nonlinear = isinstance(experiment.motion, NonlinearMotion)
         if nonlinear and linear_only:
             return Fit(document, failure=LATER, nonlinear=True, seconds=process_time() - began)
@@ -174,16 +189,14 @@ def fit_document(
 def promise_of(document: Mapping[str, Any], source: Source, starts: Sequence[Sequence[Mapping[str, float]]]) -> float:
     """Return the misfit that linear theory promises after one step of all parameters from the best start."""
     try:
-        runs = [item.run for item in source.harmonics]
-        experiment = open_experiment(
-            source.load(document), source.recording, runs=runs, harmonics=source.harmonics
-        )  # fmt: skip
+        experiment = source.open(source.load(document))
         search = Search(likelihood_of(experiment))
         least = np.inf
         for group in starts[:1]:
-            for start in group:
-                for theta in _trials(search, experiment.theta0, start):
-                    least = min(least, search.promise(search.coordinates.inside(theta)))
+            trials = _different([t for start in group for t in _trials(search, experiment.theta0, start)], search)
+            most = PROMISE_TRIALS if isinstance(experiment.motion, NonlinearMotion) else 2 * PROMISE_TRIALS
+            for theta in trials[:: max(1, -(-len(trials) // most))]:
+                least = min(least, search.promise(search.coordinates.inside(theta)))
     except (RotorsimError, ValueError, np.linalg.LinAlgError):
         return np.inf
     return least

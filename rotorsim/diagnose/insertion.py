@@ -142,7 +142,7 @@ class _Finder:
             ports = [port for port in node.inputs.values() if _is_additive(port)]
             outputs = {d.name: d for d in kind.outputs.values()}
             pairs = [(port, port.name) for port in ports if port.name in outputs]
-            if not pairs:
+            if not pairs or not all(_fits(outputs[name].shape, port.shape[-1:]) for port, name in pairs):
                 continue
             for place in _places(node, pairs[0][0]):
                 pinned = getattr(node.block.option, "pinned_nodes", ()) or ()
@@ -242,6 +242,8 @@ class _Finder:
                 if kind.inputs[key].optional:
                     continue
                 return None
+            if not _fits(kind.inputs[key].shape, node.outputs[key].shape[len(index) :]):
+                return None
             source = Endpoint(block, key, index)
             if kind.inputs[key].optional and not self._wired(source, fault.between[1]):
                 continue
@@ -332,6 +334,12 @@ class _Finder:
 
 def _is_additive(port: Port) -> bool:
     return isinstance(port.declaration, In) and port.declaration.additive
+
+
+def _fits(declared: Any, shape: tuple[int, ...]) -> bool:
+    """Return whether a declared shape, where it is one for all diagrams, is that of a signal."""
+    fixed = (declared,) if isinstance(declared, int) else declared
+    return not isinstance(fixed, tuple) or fixed == shape
 
 
 def _places(node: Node, port: Port) -> list[int | None]:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from rotorsim.diagnose.insertion import Insertion, insertions
-from rotorsim.diagnose.signature_motion import SECOND
+from rotorsim.diagnose.signature_motion import SECOND, LinearMotion
 from rotorsim.diagnose.signatures import ALIAS, HARDLY, Shares, Signatures, runs_of, signatures_of
 from rotorsim.diagnose.structure import Gain, Structure
 from rotorsim.diagnose.structure_equations import entries_of, structure_of
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.registry import Registry
-from rotorsim.errors import RotorsimError
+from rotorsim.errors import Problem, RotorsimError
 
 __all__ = ["Hardly", "Isolation", "Laws", "isolate", "isolation_data"]
 
@@ -100,20 +102,23 @@ def isolate(
     sensors: Sequence[str],
     *,
     speeds: Sequence[float] = (),
+    physics: Collection[str] | None = None,
     trust_blocks: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Isolation:
     """Return which declared faults of a diagram can be told apart with some sensors, and which sensors would help.
 
     sensors: signals that are measured ("rotor.displacement", "rotor.displacement[3]"). speeds [rad/s] of the runs for
-    which laws are compared (default: five about that of the diagram). The structural answer holds for one run and
-    faults of any form; that by laws for runs at all speeds, harmonics of the shaft, and diagrams that are linear.
+    which laws are compared (default: five about that of the diagram). physics: only these faults.
+    The structural answer holds for one run and faults of any form; that by laws for runs at all speeds, harmonics of
+    the shaft, and diagrams that are linear.
     Raises RotorsimError for sensors that the diagram does not have.
     """
     recorded = entries_of(diagram, sensors)
     folders = diagram.document.get("block_folders", []) if trust_blocks and diagram.file else []
     registry = Registry([Path(diagram.file).parent / name for name in folders])
-    faults = {item.key: item for item in insertions(diagram, recorded, registry)}
+    every = insertions(diagram, recorded, registry)
+    faults = {item.key: item for item in every if physics is None or item.physics in physics}
     structure = structure_of(diagram, sensors, faults.values())
     laws, why = None, ""
     try:
@@ -132,6 +137,12 @@ def _laws(
     runs = runs_of(diagram, speeds)
     entries = {name: _entries(diagram, name) for name in structure.extra}
     signals = list(dict.fromkeys([*recorded, *(entry for some in entries.values() for entry in some)]))
+    lost = LinearMotion(diagram, signals, runs, (), {}).wandering(np.zeros(0))
+    if lost & set(recorded):
+        names = ", ".join(name for name in recorded if name in lost)
+        raise RotorsimError(Problem(f"{names} does not repeat from turn to turn", diagram.name))
+    entries = {name: some for name, some in entries.items() if not lost & set(some)}
+    signals = [name for name in signals if name not in lost]
     found = signatures_of(diagram, faults, signals, runs, trust_blocks=trust_blocks, progress=progress)
     laws = Laws(found, found.shares(recorded, both=False), found.shares(recorded, both=True))
     wrong = [(a, b) for a, others in laws.taken_for.items() for b in others] + [(i.fault, i.other) for i in laws.hardly]

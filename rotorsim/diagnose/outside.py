@@ -10,9 +10,8 @@ import numpy as np
 
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.insertion import Spot
-from rotorsim.diagnose.naming import values_in
+from rotorsim.diagnose.values import values_in
 from rotorsim.errors import RotorsimError
-from rotorsim.identify.experiment import open_experiment
 from rotorsim.identify.likelihood import Likelihood
 from rotorsim.identify.motion import Motion
 
@@ -59,15 +58,13 @@ def describe(base: Fit, source: Source, spot: Spot) -> Unknown:
 
 def _equivalent(document: Mapping[str, Any], source: Source, spot: Spot) -> tuple[np.ndarray, ...] | None:
     """Return speeds (R,), harmonics of the force (R, K+1, axes) and of the displacement there, or None."""
+    if not isinstance(source, Source):  # in time: there are no harmonics
+        return None
     try:
         diagram = source.load(document)
         node = diagram.nodes[spot.block]
         port = node.inputs[spot.port]
-        runs = [item.run for item in source.harmonics]
-        target = f"{spot.block}.{spot.port}"
-        experiment = open_experiment(
-            diagram, source.recording, runs=runs, harmonics=source.harmonics, inject=[target]
-        )  # fmt: skip
+        experiment = source.open(diagram, inject=[f"{spot.block}.{spot.port}"])
     except (RotorsimError, KeyError):
         return None
     if not isinstance(experiment.motion, Motion):
@@ -183,7 +180,8 @@ def _scales(source: Source, spot: Spot) -> dict[str, float]:
     largest = source.largest()
     prefix = f"{spot.block}.displacement"
     q = max((v for name, v in largest.items() if name.startswith(prefix)), default=1e-5)
-    v = q * max((abs(item.fit.speed) for item in getattr(source, "harmonics", ())), default=100.0)
+    turned = q * max((abs(item.fit.speed) for item in getattr(source, "harmonics", ())), default=100.0)
+    v = max((v for name, v in largest.items() if name.startswith(f"{spot.block}.velocity")), default=turned)
     return {
         "quadratic": 1 / q**2, "cubic": 1 / q**3, "quintic": 1 / q**5, "drag": 1 / v**2, "friction": 1.0,
         "damping_growth": 1 / (q**2 * v), "cross": 1 / q, "cross_cubic": 1 / q**3, "width": 0.05 * v,

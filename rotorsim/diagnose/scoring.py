@@ -107,7 +107,7 @@ def left_out_score(document: Mapping[str, Any], source: Source) -> Score:
         found = fit_document(document, rest, [[{}]], most=8)
         if found.failure:
             return Score({"": float("nan")}, {})
-        from rotorsim.diagnose.naming import values_in
+        from rotorsim.diagnose.values import values_in
 
         held = Held(source.recording, (source.harmonics[r],))
         _add(sums, predict(values_in(document, found.values), source, held))

@@ -15,9 +15,9 @@ import numpy as np
 from rotorsim.compile import compile_diagram
 from rotorsim.diagram.diagram import Diagram, Endpoint, Free
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identify.motion import slow_states
 from rotorsim.identify.nonlinear_equations import NonlinearEquations
 from rotorsim.identify.nonlinear_motion import NonlinearMotion
+from rotorsim.identify.ports import slow_states
 
 __all__ = ["ORDERS", "SECOND", "LinearMotion", "NoSignatureError", "Runs"]
 
@@ -60,7 +60,8 @@ class LinearMotion:
         self.model = compile_diagram(named)
         if self.model.n_z:
             raise RotorsimError(Problem("has a sample time, which harmonics of linear equations do not show"))
-        self.equations = NonlinearEquations(self.model, signals, free)
+        self.all, self.signals = NonlinearEquations(self.model, signals, free), tuple(signals)
+        self.equations = self.all.whole
         self.p = np.array([self.model.parameter_vector(one) for one in runs.settings])
         self.speeds, self.responses = np.abs(runs.speeds), responses
         self.times = 2 * np.pi / self.speeds[:, None] * np.arange(COUNT) / COUNT
@@ -74,11 +75,21 @@ class LinearMotion:
 
     def is_periodic(self, theta: np.ndarray) -> bool:
         """Return whether the forcing of the first run is the same one turn later."""
+        return bool(self._repeats(theta).all())
+
+    def wandering(self, theta: np.ndarray) -> frozenset[str]:
+        """Return the signals that do not repeat turn by turn whatever the states do, such as angles."""
+        repeats = self._repeats(theta)[self.equations.n :]
+        return frozenset(name for name, same in zip(self.signals, repeats, strict=True) if not same)
+
+    def _repeats(self, theta: np.ndarray) -> np.ndarray:
+        """Return whether each rate and signal of the first run is the same one turn later, states at zero, (n + c,)."""
         at = np.array([k + probe for k in (0, 1) for probe in PROBES]) * 2 * np.pi / self.speeds[0]
         few = at[None], np.zeros((self.equations.n, 4)), np.repeat(self.p[:1], 4, 0).T, np.repeat(theta[None], 4, 0).T
         f = np.concatenate([self.equations.f(*few), self.equations.g(*few)], axis=1)
         size = np.abs(f).max(axis=0)
-        return bool((np.abs(f[2:] - f[:2]).max(axis=0) <= 1e-6 * np.maximum(size, 1e-9 * size.max(initial=0.0))).all())
+        least = 1e-6 * np.maximum(size, 1e-9 * size.max(initial=0.0))
+        return np.asarray(np.abs(f[2:] - f[:2]).max(axis=0) <= least)
 
     def linear(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return Y (R, K+1, c) and dY (R, K+1, c, m); None where the equations are not linear about this motion."""
@@ -104,9 +115,12 @@ class LinearMotion:
     def nonlinear(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return Y and dY by harmonic balance, None where no settled motion is found."""
         runs = len(self.p)
-        motion = NonlinearMotion(self.equations, self.p, self.speeds, ORDERS, [WINDOW] * runs, np.zeros(runs))
-        with np.errstate(all="ignore"):
-            found = motion.predict(theta)
+        motion = NonlinearMotion(self.all, self.p, self.speeds, ORDERS, [WINDOW] * runs, np.zeros(runs))
+        try:
+            with np.errstate(all="ignore"):
+                found = motion.predict(theta)
+        except np.linalg.LinAlgError:  # a fault that lets nothing settle at these speeds
+            return None
         good = found.settled.all() and np.isfinite(found.Y).all() and np.isfinite(found.slopes).all()
         return (found.Y, found.slopes) if good else None
 

@@ -21,6 +21,7 @@ from rotorsim.simulate.linear import entry_names
 
 __all__ = ["entries_of", "structure_of"]
 
+SHOWN = 8  # signals that a hint lists
 UNSEEN = ("excitation", "clock")  # categories of blocks whose outputs nobody measures
 _Pattern = dict[tuple[str, tuple[str, ...]], str | None]
 
@@ -50,7 +51,10 @@ def entries_of(diagram: Diagram, sensors: Sequence[str]) -> list[str]:
     for name in sensors:
         found += [entry for entry in _entries(diagram, name, problems) if entry not in found]
     if not sensors:
-        problems.append(Problem("no sensors", hint="for example rotor.displacement,controller.current"))
+        first = ("rotor", "controller")
+        seen = [name for name in signals_of(diagram) if _category(diagram, name) not in UNSEEN]
+        some = sorted(seen, key=lambda name: _category(diagram, name) not in first)[:SHOWN]
+        problems.append(Problem("no sensors", diagram.name, hint=f"signals: {', '.join(some)}"))
     if problems:
         raise RotorsimError(*problems)
     return found
@@ -60,7 +64,10 @@ def _entries(diagram: Diagram, name: str, problems: list[Problem]) -> list[str]:
     end = endpoint(name)
     signals = signals_of(diagram)
     if end is None:
-        hint = "write block.port or block.port[node], for example rotor.displacement[3]"
+        ports = [known for known in signals if known.partition(".")[0] == name.partition(".")[0].partition("[")[0]]
+        ports = ports or [known for known in signals if known.endswith(f".{name.partition('[')[0]}")]
+        known = ", ".join(ports or list(signals)[:SHOWN])
+        hint = f"write block.port, with [node] or [node,axis] counted from 1; signals: {known}"
         problems.append(Problem("is not a signal", f"sensor {name}", hint=hint))
         return []
     shape = signals.get(f"{end.block}.{end.port}")
@@ -74,6 +81,10 @@ def _entries(diagram: Diagram, name: str, problems: list[Problem]) -> list[str]:
         return []
     names = entry_names(f"{end.block}.{end.port}", shape)
     return [names[k] for k in flat_indices(shape, end.index)]
+
+
+def _category(diagram: Diagram, signal: str) -> str:
+    return diagram.nodes[signal.rpartition(".")[0]].block.category
 
 
 def signals_of(diagram: Diagram) -> dict[str, tuple[int, ...]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,13 @@ from scipy.interpolate import CubicSpline
 from rotorsim.compile import Model, compile_diagram
 from rotorsim.diagnose.time_equations import driven_parameters, measured_expression
 from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.load import load
 from rotorsim.diagram.values import ValueProblem, numeric
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.units import compatible
 
-__all__ = ["RATE", "Channels", "TimeRun", "between_samples", "channels_of", "is_in_time", "read_run"]
+__all__ = ["RATE", "Channels", "OfRuns", "TimeRun", "between_samples", "channels_of", "is_in_time", "read_run"]
 
 EVEN = 1e-4  # of a sample period: jitter of the time column that counts as none
 RATE = "rate of "
@@ -87,6 +89,23 @@ class TimeRun:
         at = (np.arange(self.size)[:, None] + np.linspace(0.0, 1.0, parts + 1)) * self.dt
         at[-1] = at[-1, 0]
         return np.asarray(spline(at, 1 if of != name else 0))
+
+
+class OfRuns:
+    """What all sources of runs in time have: diagrams are read as the given one, signals named as it names them."""
+
+    channels: Channels
+    folder: str | None
+    trust_blocks: bool
+
+    def load(self, document: Mapping[str, Any]) -> Diagram:
+        """Return the diagram of a document. Raises RotorsimError."""
+        return load(document, folder=Path(self.folder) if self.folder else None, trust_blocks=self.trust_blocks)
+
+    @property
+    def recorded(self) -> list[str]:
+        """The flat names of the recorded signals."""
+        return [*self.channels.inputs, *self.channels.outputs]
 
 
 def between_samples(values: np.ndarray, kind: str, parts: int) -> np.ndarray:

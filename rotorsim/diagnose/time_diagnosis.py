@@ -7,26 +7,41 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose import diagnosis as steps
 from rotorsim.diagnose.base import base_fit
 from rotorsim.diagnose.fitting import Fit, Source
-from rotorsim.diagnose.naming import Named, name_missing, values_in
+from rotorsim.diagnose.naming import Named, name_missing
 from rotorsim.diagnose.scoring import Held
 from rotorsim.diagnose.time_data import TimeRun, read_run
+from rotorsim.diagnose.time_modal import is_by_resonances
 from rotorsim.diagnose.time_reference import judged_by, open_time_source
-from rotorsim.diagnose.time_scoring import TimeScore, left_out_in_time, score_in_time
+from rotorsim.diagnose.time_scoring import left_out_in_time, score_in_time
 from rotorsim.diagnose.time_source import TimeSource
+from rotorsim.diagnose.time_wording import (
+    errors_in_words,
+    in_terms,
+    of_what_rests,
+    units_in_words,
+    what_controllers_obey,
+    what_is_left,
+)
+from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.registry import Registry
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.recording import Recording
-from rotorsim.units import format_quantity
 
 __all__ = ["diagnose_in_time"]
 
+TERMS = {  # of the wording for shafts
+    "runs left out": "stretches left out",
+    "runs at more speeds and amplitudes": "runs at more amplitudes and frequencies of what drives it",
+    "change the unbalance or the gains at one speed": "drive it harder and more softly",
+    "change it at one speed, by unbalance or gains": "drive it harder and more softly",
+    "loss over a wide range of speeds: viscous loss grows with speed": "loss over a wide range of frequencies",
+}
 SURPASSED = 0.5  # of the variance that the flexible model leaves: a fit that leaves less takes its place
 
 
@@ -48,6 +63,13 @@ def diagnose_in_time(
     Raises RotorsimError for recordings that do not fit the diagram.
     """
     registry = _registry(diagram, trust_blocks)
+    if is_by_resonances(diagram, recording):
+        from rotorsim.diagnose.time_modal_diagnosis import diagnose_modes
+
+        return diagnose_modes(
+            diagram, recording, hold_out=hold_out, registry=registry, physics=physics, warnings=warnings,
+            trust_blocks=trust_blocks, workers=workers, scheduler=scheduler, progress=progress,
+        )  # fmt: skip
     with threadpool_limits(1, "blas"):
         source = open_time_source(diagram, recording, trust_blocks=trust_blocks)
         held = _held(diagram, source, recording, hold_out)
@@ -61,22 +83,29 @@ def diagnose_in_time(
     if named.chosen and _surpasses(named.fit):
         with threadpool_limits(1, "blas"):
             source = judged_by(source, named.fit)
-            base = source.fit(base.document, [[base.values]])
+            base = source.at(base)
         named = name_missing(base, cast(Source, source), **options)
     effects = tuple(steps._effect(item, found) for item, found in zip(named.chosen, named.rounds, strict=False))
+    verdict = "outside_catalogue" if _is_twice(effects) else steps._verdict(named, effects)
+    places = steps._places(named, effects)
+    unknown = None
     with threadpool_limits(1, "blas"):
         after, before = _with_shapes(named, source), named.base
-        if named.chosen and _surpasses(after):  # what it leaves is the better measure of the noise
+        if verdict == "outside_catalogue":
+            unknown = steps._unknown(named, cast(Source, source), places)
+            fits = [named.fit, *([unknown.fit] if unknown is not None and unknown.fit is not None else [])]
+            after = min(fits, key=steps._criterion)
+        elif named.chosen and _surpasses(after):  # what it leaves is the better measure of the noise
             source = judged_by(source, after)
-            after, before = (source.fit(fit.document, [[fit.values]]) for fit in (after, before))
+            after, before = source.fit(after.document, [[after.values]]), source.at(before)
         documents = [values_in(fit.document, fit.values) for fit in (before, after)]
         scores = [score_in_time(d, source, held) if held else left_out_in_time(d, source) for d in documents]
-    effects = tuple(replace(item, candidate=replace(item.candidate, fit=after)) for item in effects)
-    verdict = steps._verdict(named, effects)
+    if unknown is None:
+        effects = tuple(replace(item, candidate=replace(item.candidate, fit=after)) for item in effects)
     found = steps.Diagnosis(
         verdict=verdict,
         effects=effects,
-        places=steps._places(named, effects),
+        places=places,
         rejected=steps._rejected(named, effects),
         before=before,
         after=after,
@@ -86,17 +115,29 @@ def diagnose_in_time(
         next_experiment="",
         statement="",
         named=named,
-        warnings=(*warnings, *(Problem(note, severity="warning") for note in refined)),
+        warnings=(*of_what_rests(warnings), *(Problem(note, severity="warning") for note in refined)),
         detectable=steps._detectable(named) if verdict == "consistent" else {},
+        outside={} if unknown is None else {**unknown.data, "description": unknown.description},
         source=cast(Source, source),
         held=tuple(Held(part, ()) for part in (recording, hold_out) if part is not None) if held else (),
     )
     from rotorsim.diagnose.wording import next_experiment, statement
 
-    found = replace(found, next_experiment=next_experiment(found))
-    said = statement(found).replace("runs left out one by one", "stretches left out one by one")
-    text = " ".join([said, *_errors(source, found, held), *_controllers(source, found)])
-    return replace(found, statement=text)
+    told = found if verdict != "outside_catalogue" else replace(found, effects=())  # no effect to tell from its rivals
+    found = replace(found, next_experiment=next_experiment(told))
+    words = [
+        *what_is_left(found), *errors_in_words(source, found, held), *what_controllers_obey(source),
+        *units_in_words(source, found),
+    ]  # fmt: skip
+    twice = " and ".join(effect.physics for effect in effects) if _is_twice(effects) else ""
+    terms = {f"the nearest, {twice},": f"{twice}, which stand for a law that is neither,"} if twice else {}
+    return in_terms(replace(found, statement=" ".join([statement(found), *words])), {**TERMS, **terms})
+
+
+def _is_twice(effects: Sequence[steps.Effect]) -> bool:
+    """Return whether one effect was taken twice at one place: together they stand for a law that neither has."""
+    keys = [(effect.physics, effect.candidate.insertion.spot) for effect in effects]
+    return len(set(keys)) < len(keys)
 
 
 def _surpasses(fit: Fit) -> bool:
@@ -126,30 +167,3 @@ def _with_shapes(named: Named, source: TimeSource) -> Fit:
     found = source.fit(document, [[{}]])
     better = not found.failure and found.criterion < named.fit.criterion
     return found if better and not found.at_bound[-len(fixed) :].any() else named.fit
-
-
-def _errors(source: TimeSource, found: steps.Diagnosis, held: Sequence[TimeRun]) -> list[str]:
-    """Return what the errors are in the units of the signals."""
-    before, after = (score for score in (found.score_before, found.score_after) if isinstance(score, TimeScore))
-    units = {name: source.recording.channels[column].unit for name, column in source.channels.columns.items()}
-    where = "Held-out runs" if held else "Stretches left out"
-    text = []
-    for name, value in before.rms.items():
-        later = after.rms.get(name)
-        plain = "" if units[name] in ("", "1") else units[name]
-        after_text = f", {format_quantity(later, plain)} after" if later is not None and found.effects else ""
-        text.append(f"{name} {format_quantity(value, plain)} rms{after_text}")
-    return [f"{where}, error of the simulation: {'; '.join(text)}."] if text else []
-
-
-def _controllers(source: TimeSource, found: steps.Diagnosis) -> list[str]:
-    """Return how well controllers follow from what was measured of the motion, without the rest of the loop."""
-    text = []
-    for (view, name), value in source.variance.items():
-        if view:
-            signal = np.concatenate([run.values[name] for run in source.runs])
-            share = 100 * np.sqrt(value) / signal.std()
-            text.append(
-                f"{name} follows from the measured motion by the law of {view} to {share:.2g} %, whatever moves."
-            )
-    return text

@@ -11,13 +11,13 @@ import numpy as np
 
 from rotorsim.block import In
 from rotorsim.diagnose.fitting import Fit, left_out
-from rotorsim.diagnose.naming import values_in
 from rotorsim.diagnose.time_data import Channels, TimeRun, channels_of, read_run
 from rotorsim.diagnose.time_equations import ForceMap, TimeEquations
 from rotorsim.diagnose.time_kernel import TimeKernel
 from rotorsim.diagnose.time_search import Evaluation, Point, TimeSearch
 from rotorsim.diagnose.time_source import MATERIAL, MOST, Stretch, TimeSource, block_misfit, stacked
 from rotorsim.diagnose.time_views import WHOLE, starts_by_name, views_of
+from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.recording import Recording
@@ -33,6 +33,8 @@ MOST_ROWS = 2000
 LEAST_ROWS = 4  # times the stretches
 REWEIGHTED = 4  # times that a fit and the weights follow one another
 FLEXIBLE_EVALUATIONS = 15
+NOISY = 0.3  # of the rms of a signal: more is left of it by noise alone only where it is white
+WHITE = 0.5  # of the mean square of what is left, from which on it counts as white
 MOST_PORTS = 4  # where a flexible force is tried
 SIGNALS = 200  # whose size is found
 
@@ -63,14 +65,18 @@ def open_time_source(diagram: Diagram, recording: Recording, *, trust_blocks: bo
     starts: dict[str, list[float]] = {}
     for k, view in enumerate(search.views):
         starts.update(starts_by_name(view, point.starts[k]))
+    variance, noise = _variances(search, found), _noise_in(search, found)
     source = TimeSource(
         recording=recording, runs=runs, channels=channels, views=tuple(view.name for view in views),
-        variance=_variances(search, found), rows=_independent(block_misfit(search, found, stretches), stretches),
+        variance={name: value * noise for name, value in variance.items()},
+        rows=_independent(block_misfit(search, found, stretches), stretches),
         stretches=stretches, allowed=np.zeros(0), least=search.least, starts=starts, sizes=sizes,
         old=frozenset(item.name for item in diagram.free),
         folder=str(Path(diagram.file).parent) if diagram.file else None, trust_blocks=trust_blocks,
     )  # fmt: skip
     flexible, given = (_left_out(source, *pair) for pair in ((search, found), (base, found_base)))
+    if noise < 1:
+        return replace(source, allowed=MATERIAL**2 * noise * flexible)
     return replace(source, allowed=np.maximum(MATERIAL**2 * flexible, flexible + MOST * (given - flexible)))
 
 
@@ -89,6 +95,24 @@ def _variances(search: TimeSearch, found: Evaluation) -> dict[tuple[str, str], f
         for k, view in enumerate(search.views)
         for name, value in zip(view.outputs, _variance(search, found, k), strict=True)
     }
+
+
+def _noise_in(search: TimeSearch, found: Evaluation) -> float:
+    """Return the share of what is left over that can be noise: 1, unless that is much of a signal, and smooth.
+
+    Then it is the share of its white part, half of the mean square of its differences (J. von Neumann, Ann. Math.
+    Stat. 12 (1941) 367): the flexible model has failed, and what it leaves is motion.
+    """
+    least = 1.0
+    for c in range(len(search.views[0].outputs)):
+        errors = [each[:, c] for each in found.errors[0]]
+        square = float(np.concatenate(errors) @ np.concatenate(errors))
+        signals = [y[:, c] - y[:, c].mean() for y in search.measured[0]]
+        total = float(sum(y @ y for y in signals))
+        white = float(sum(np.diff(e) @ np.diff(e) for e in errors)) / 2
+        if square > NOISY**2 * total and white < WHITE * square:
+            least = min(least, white / square)
+    return max(least, RESOLUTION)
 
 
 def _left_out(source: TimeSource, search: TimeSearch, found: Evaluation) -> np.ndarray:

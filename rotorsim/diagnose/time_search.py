@@ -137,6 +137,7 @@ class TimeSearch:
             wanted *= 2
         self.sub = wanted
 
+    @np.errstate(over="ignore", invalid="ignore")
     def evaluate(self, point: Point, slopes: bool = True) -> Evaluation:
         """Return errors and slopes at a point; the cost is infinite where a run diverges."""
         m, R = self.m, len(self.runs)
@@ -168,6 +169,8 @@ class TimeSearch:
             at += R * eq.n
             errors.append(tuple(found))
             kept.append(tuple(sloped))
+        if not np.isfinite(information).all():
+            return Evaluation(np.inf, ())
         for j in self.prior:
             mean, std = float(self.free[j].prior_mean or 0.0), float(self.free[j].prior_std or 1.0)
             off = (point.theta[j] - mean) / std

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from time import process_time
 from typing import Any
 
@@ -25,11 +24,10 @@ import numpy as np
 from scipy.stats import t as student
 
 from rotorsim.diagnose.fitting import Fit, left_out
-from rotorsim.diagnose.time_data import Channels, TimeRun
+from rotorsim.diagnose.time_data import Channels, OfRuns, TimeRun
 from rotorsim.diagnose.time_search import MOST_EVALUATIONS, Evaluation, Point, TimeSearch
 from rotorsim.diagnose.time_views import View, views_of
-from rotorsim.diagram.diagram import Diagram
-from rotorsim.diagram.load import load
+from rotorsim.diagnose.values import values_in
 from rotorsim.errors import RotorsimError
 from rotorsim.recordings.recording import Recording
 
@@ -46,7 +44,7 @@ Stretch = tuple[int, int, int]  # run, first sample, last sample but one
 
 
 @dataclass(frozen=True, eq=False)
-class TimeSource:
+class TimeSource(OfRuns):
     """What a diagram is fitted to, in the place of `rotorsim.diagnose.fitting.Source`.
 
     variance: (view, output) -> mean square that counts as noise. rows: independent samples. stretches: into which
@@ -69,15 +67,6 @@ class TimeSource:
     old: frozenset[str] = frozenset()
     folder: str | None = None
     trust_blocks: bool = False
-
-    def load(self, document: Mapping[str, Any]) -> Diagram:
-        """Return the diagram of a document. Raises RotorsimError."""
-        return load(document, folder=Path(self.folder) if self.folder else None, trust_blocks=self.trust_blocks)
-
-    @property
-    def recorded(self) -> list[str]:
-        """The flat names of the recorded signals."""
-        return [*self.channels.inputs, *self.channels.outputs]
 
     def largest(self) -> dict[str, float]:
         """Return the largest magnitude of every signal, recorded or simulated, by its flat name."""
@@ -116,6 +105,13 @@ class TimeSource:
         if found is None:
             return Fit(document, failure="the simulation diverges", seconds=process_time() - began)
         return self.summary(document, search, *found, process_time() - began)
+
+    def at(self, fit: Fit) -> Fit:
+        """Return a fit of another source as this one judges it, at the same parameters."""
+        search = self.search(values_in(fit.document, fit.values))
+        search.hold = "theta"
+        point, found = search.minimise(search.first(self.starts))
+        return self.summary(fit.document, search, point, found, fit.seconds)
 
     def promise(self, document: Mapping[str, Any], starts: Sequence[Sequence[Mapping[str, float]]]) -> float:
         """Return the misfit after FIRST_STEPS steps from the best start, per sample as on all samples."""

@@ -15,7 +15,7 @@ __all__ = ["Coordinates", "amplitude_pairs", "coordinates_of", "moves_matrices"]
 ANGLE_UNIT = "rad"
 AnyEquations = Equations | NonlinearEquations
 PROBES = (0.4, 1.9)
-ORDERS = 31  # of the forcing that are compared
+ORDERS = 30  # of the forcing that are compared
 
 
 @dataclass(frozen=True, eq=False)

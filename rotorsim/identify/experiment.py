@@ -27,6 +27,8 @@ __all__ = ["Experiment", "open_experiment"]
 SPEED = 0.02  # stated against measured
 PROBES = (0.137, 1.137, 0.618, 1.618)  # instants, in turns, at which forcing is compared one turn apart
 
+RESOLUTION = 1e-6  # of a signal's rms: no measuring chain is better, and no settled model either
+
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
@@ -35,7 +37,8 @@ class Experiment:
     free: the m free parameters that the measured signals can depend on. predicted: flat names of measured outputs
     of the model; given: flat names of measured signals that the model takes as inputs (the loop is opened there).
     order_of: columns of each fit in the order [predicted, given]. p (R, n_p); motion: the settled motion of
-    the runs. use_mean (c + V,): False where the mean of a channel means nothing.
+    the runs. use_mean (c + V,): False where the mean of a channel means nothing. resolution: of a signal's rms, what
+    neither its measurement nor the model can be trusted to; it counts as noise of every harmonic.
     """
 
     diagram: Diagram
@@ -49,6 +52,7 @@ class Experiment:
     p: np.ndarray
     motion: Motion | NonlinearMotion
     use_mean: np.ndarray
+    resolution: float = RESOLUTION
 
     @property
     def fits(self) -> list[HarmonicFit]:
@@ -86,6 +90,7 @@ def open_experiment(
     free: Sequence[Free] | None = None,
     harmonics: Sequence[RunHarmonics] | None = None,
     drop: Sequence[str] = (),
+    resolution: float = RESOLUTION,
 ) -> Experiment:
     """Return the measured harmonics of runs (default: those to identify from) beside the model of the diagram.
 
@@ -139,7 +144,7 @@ def open_experiment(
     columns = np.array([[item.fit.names.index(name) for name in order] for item in found])
     use_mean = np.array([channels[name].coupling == "dc" for name in order])
     return Experiment(
-        diagram, recording, model, kept, tuple(predicted), tuple(taken), found, columns, p, motion, use_mean
+        diagram, recording, model, kept, tuple(predicted), tuple(taken), found, columns, p, motion, use_mean, resolution
     )  # fmt: skip
 
 

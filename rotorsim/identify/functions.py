@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,16 +80,33 @@ class Equations:
         keep = self.kept.tolist()
         jacobians["A"], jacobians["B"] = jacobians["A"][keep, keep], jacobians["B"][keep, :]
         jacobians["C"] = jacobians["C"][:, keep]
-        self.matrices = {key: _matrix(trace.p, theta, jacobian) for key, jacobian in jacobians.items()}
+        self._symbols, self._jacobians = (trace.t, trace.p, theta), jacobians
+        self._at_rest = (told(trace.xdot)[keep], told(y))
+        self.n = len(keep)
         self.n_v = trace.v.numel()
-        arguments = [trace.t, trace.p, theta]
-        self._forcing = []
-        for at_rest in (told(trace.xdot)[keep], told(y)):
-            value = MatrixFunction(arguments, at_rest)
-            self._forcing.append((value, MatrixFunction(arguments, ca.jacobian(at_rest, theta))))
+        self._compile()
         self.samples = FIRST_SAMPLES
         self.jumps = Jumps(model)
         self.theta0 = np.array([item.value for item in free])
+
+    def _compile(self) -> None:
+        _, p, theta = self._symbols
+        self.matrices = {key: _matrix(p, theta, jacobian) for key, jacobian in self._jacobians.items()}
+        self._forcing = [
+            tuple(MatrixFunction(self._symbols, e) for e in (at_rest, ca.jacobian(at_rest, theta)))
+            for at_rest in self._at_rest
+        ]
+
+    def at_ports(self, rows: np.ndarray, columns: np.ndarray) -> Equations:
+        """Return some rows of x' as functions of some states; the others must not matter to them."""
+        part = copy(self)
+        r, c = rows.tolist(), columns.tolist()
+        own = self._jacobians
+        part._jacobians = {"A": own["A"][r, c], "B": own["B"][r, :], "C": own["C"][:, c], "D": own["D"]}
+        part._at_rest = (self._at_rest[0][r], self._at_rest[1])
+        part.n = len(c)
+        part._compile()
+        return part
 
     def forcing(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
         """Return Fourier coefficients of [f; g] and their derivatives, orders 0..K.
@@ -97,7 +115,7 @@ class Equations:
         """
         n = max(self.samples, 1 << (2 * K + 2).bit_length())
         while True:
-            values, derivatives = self._sampled(p, theta, speeds, n)
+            values, derivatives = self.sampled(p, theta, speeds, n)
             coefficients = np.fft.rfft(values, axis=1) / n
             size = np.abs(coefficients)
             tail = size[:, -n // 8 :].max(initial=0.0)
@@ -108,7 +126,8 @@ class Equations:
         slopes = np.fft.rfft(derivatives, axis=1)[:, : K + 1] / n
         return coefficients[:, : K + 1], slopes
 
-    def _sampled(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    def sampled(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return [f; g] at rest at n instants of a turn, (R, n, states + outputs), and its derivatives (..., m)."""
         R, m = theta.shape
         times = (2 * np.pi / np.abs(speeds)[:, None] * np.arange(n) / n).reshape(1, -1)
         many_p, many_theta = np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T

@@ -8,17 +8,16 @@ signals that are taken as measured inputs (so that their noise does not bias the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from rotorsim.identify.experiment import Experiment
-from rotorsim.identify.motion import Response
-from rotorsim.recordings.harmonic_fit import real_vector, scaled_cholesky
+from rotorsim.identify.motion import Motion, PortMotion, Response, condensed
+from rotorsim.recordings.harmonic_fit import HarmonicFit, real_vector, scaled_cholesky
 
 __all__ = ["Evaluation", "Likelihood", "fitted_columns", "harmonics_of_time"]
-
-RESOLUTION = 1e-6  # of a signal's rms: no measuring chain is better, and no settled model either
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +42,7 @@ class Likelihood:
 
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
+        self._motion: Motion | PortMotion | None = None
         self.K = experiment.motion.K
         self.c, self.V = len(experiment.predicted), len(experiment.given)
         self.data = np.array([
@@ -56,19 +56,15 @@ class Likelihood:
         self.data_rows = [self.whiteners[r].apply(real_vector(self.data[r])) for r in range(len(self.data))]
 
     def _whitener(self, r: int) -> _Whitener:
-        item, columns = self.experiment.runs[r], self.experiment.columns[r]
-        covariance = item.fit.covariance_at(columns, range(self.K + 1), RESOLUTION)[np.ix_(self.keep, self.keep)]
-        if item.fit.speed < 0:
-            sign = np.ones((2 * self.K + 1, self.c + self.V))
-            sign[2::2] = -1
-            sign = sign.ravel()[self.keep]
-            covariance = covariance * np.outer(sign, sign)
-        return _Whitener(covariance, self.keep)
+        fit, columns = self.experiment.runs[r].fit, self.experiment.columns[r]
+        return _Whitener(
+            _inverse_root(fit, tuple(columns.tolist()), self.K, tuple(self.keep.tolist()), self.experiment.resolution),
+            self.keep,
+        )
 
     def evaluate(self, theta: np.ndarray) -> Evaluation:
         """Return the whitened residual and its slopes at theta (m,)."""
-        motion = self.experiment.linear
-        response = motion.response(theta)
+        response = self.response(theta)
         given = self.data[:, :, self.c :]
         X = response.states(given)
         Y = response.outputs(X, given)
@@ -101,13 +97,18 @@ class Likelihood:
         misfit = np.array([float(e @ e) for e in residuals])
         return Evaluation(np.concatenate(residuals), np.concatenate(rows), misfit, Y, counted)
 
+    def response(self, theta: np.ndarray) -> Response:
+        """Return what the equations say at theta (m,)."""
+        if self._motion is None:
+            self._motion = condensed(self.experiment.linear, theta)
+        return self._motion.response(theta)
+
     def expected(self, theta: np.ndarray) -> np.ndarray:
         """Return the slopes (n, m) that runs of these settings would have if they were as the model says.
 
         Only the measured means stay: where slow states have not settled, they say how far they have come.
         """
-        motion = self.experiment.linear
-        response = motion.response(theta)
+        response = self.response(theta)
         self.data[:, 1:, : self.c] = response.outputs(response.states())[:, 1:]
         self.data_rows = [self.whiteners[r].apply(real_vector(self.data[r])) for r in range(len(self.data))]
         return self.evaluate(theta).slopes
@@ -115,7 +116,7 @@ class Likelihood:
     def white_at(self, r: int, order: int, values: np.ndarray) -> np.ndarray:
         """Return complex columns (c, m) at one order of run r as whitened real rows (2 c, m), other orders ignored."""
         item, columns = self.experiment.runs[r], self.experiment.columns[r][: self.c]
-        scale, factor = scaled_cholesky(item.fit.covariance_at(columns, [order], RESOLUTION))
+        scale, factor = scaled_cholesky(item.fit.covariance_at(columns, [order], self.experiment.resolution))
         return np.asarray(
             solve_triangular(factor, np.concatenate([values.real, values.imag]) / scale[:, None], lower=True)
         )
@@ -171,13 +172,26 @@ def fitted_columns(columns: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.n
     return q, best
 
 
+@lru_cache(maxsize=64)
+def _inverse_root(
+    fit: HarmonicFit, columns: tuple[int, ...], K: int, keep: tuple[int, ...], resolution: float
+) -> np.ndarray:
+    """Return the inverse of the Cholesky factor of the covariance of kept rows, as harmonics of time have them."""
+    kept = np.array(keep)
+    covariance = fit.covariance_at(np.array(columns), range(K + 1), resolution)[np.ix_(kept, kept)]
+    if fit.speed < 0:
+        sign = np.ones((2 * K + 1, len(columns)))
+        sign[2::2] = -1
+        covariance = covariance * np.outer(sign.ravel()[kept], sign.ravel()[kept])
+    scale, factor = scaled_cholesky(covariance)
+    return np.asarray(solve_triangular(factor, np.diag(1 / scale), lower=True))
+
+
 class _Whitener:
     """Applies the inverse of the Cholesky factor of a covariance to kept rows."""
 
-    def __init__(self, covariance: np.ndarray, keep: np.ndarray) -> None:
-        self.keep = keep
-        scale, factor = scaled_cholesky(covariance)
-        self.matrix = solve_triangular(factor, np.diag(1 / scale), lower=True)
+    def __init__(self, matrix: np.ndarray, keep: np.ndarray) -> None:
+        self.matrix, self.keep = matrix, keep
 
     def apply(self, rows: np.ndarray) -> np.ndarray:
         """Return whitened rows of a vector (all,) or of columns (all, j)."""

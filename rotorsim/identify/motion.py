@@ -11,11 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorsim.identify.functions import Equations
-from rotorsim.identify.resolvent import Resolvent
+from rotorsim.identify.ports import DENSE, open_ports, slow_states
+from rotorsim.identify.resolvent import PortResolvent, Resolvent
 
-__all__ = ["Motion", "Response"]
+__all__ = ["Motion", "PortMotion", "Response", "condensed"]
 
-SLOW = 5.0  # a mode that decays by less than e^-5 over the window may still move the mean
+PROBES = 2  # other values of the parameters at which it is seen what they move
+WIDE = 0.1  # relative
+SAMPLES = 16  # of a turn
 
 
 @dataclass(eq=False)
@@ -24,7 +27,8 @@ class Response:
 
     A (R, n, n), B (R, n, V), C (R, c, n), D (R, c, V); dA, dB, dC, dD with a last axis m; F (R, K+1, n + c) and dF:
     Fourier coefficients of the forcing of states and outputs.
-    resolvent: (i k W - A)^-1; at order 0 of the part without slow states.
+    resolvent: (i k W - A)^-1; at order 0 of the part without slow states. With ports (`rotorsim.identify.ports`) rows
+    of A, B and F are those that carry w, columns the states that matter, and A counts from the reference.
     """
 
     A: np.ndarray
@@ -37,13 +41,13 @@ class Response:
     dD: np.ndarray
     F: np.ndarray
     dF: np.ndarray
-    resolvent: Resolvent
+    resolvent: Resolvent | PortResolvent
     slow: list[np.ndarray]
 
     @property
     def sizes(self) -> tuple[int, int, int]:
         """Runs, states, outputs."""
-        return (*self.A.shape[:2], self.C.shape[1])
+        return (self.A.shape[0], self.A.shape[2], self.C.shape[1])
 
     def states(self, inputs: np.ndarray | None = None) -> np.ndarray:
         """Return X (R, K+1, n) for inputs V (R, K+1, V), slow states at zero mean."""
@@ -67,12 +71,7 @@ class Response:
 
     def slow_states(self, r: int) -> np.ndarray:
         """Return dX_0/dx_s of the slow states of run r, shape (n, s)."""
-        slow = self.slow[r]
-        columns = np.zeros((self.A.shape[1], len(slow)))
-        if len(slow):
-            columns = (self.resolvent.at_zero[r] @ self.A[r][:, slow]).real
-            columns[slow, np.arange(len(slow))] = 1.0
-        return columns
+        return self.resolvent.slow_columns(r)
 
     def sensitivity(self, X: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarray:
         """Return dY (R, K+1, c, m) by the free parameters at states X and inputs, which stay as they are."""
@@ -122,10 +121,7 @@ class Motion:
         n = A.shape[1] + found["C"][0].shape[1]
         F, dF = np.zeros((R, K + 1, n), complex), np.zeros((R, K + 1, n, len(theta)), complex)
         if forced:
-            F, dF = self.equations.forcing(self.p, many, self.speeds, K)
-            if self.phase.any():  # harmonics count from shaft angle zero, which the clock need not pass at t = 0
-                turn = np.exp(-1j * (np.sign(self.speeds) * self.phase)[:, None] * np.arange(K + 1))
-                F, dF = F * turn[:, :, None], dF * turn[:, :, None, None]
+            F, dF = self.forcing(self.equations, many, K)
         if self.slow is None:
             self.slow = [slow_states(A[r], self.windows[r]) for r in range(R)]
         return Response(
@@ -134,20 +130,67 @@ class Motion:
             F=F, dF=dF, resolvent=self._resolvent(A, K), slow=self.slow,
         )  # fmt: skip
 
+    def forcing(self, equations: Equations, many: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the forcing of equations and its slopes, from shaft angle zero; many: theta of each run (R, m)."""
+        F, dF = equations.forcing(self.p, many, self.speeds, K)
+        if self.phase.any():  # harmonics count from shaft angle zero, which the clock need not pass at t = 0
+            turn = np.exp(-1j * (np.sign(self.speeds) * self.phase)[:, None] * np.arange(K + 1))
+            F, dF = F * turn[:, :, None], dF * turn[:, :, None, None]
+        return F, dF
+
     def _resolvent(self, A: np.ndarray, K: int) -> Resolvent:
         s = 1j * np.abs(self.speeds)[:, None] * np.arange(K + 1)
         return Resolvent(A, s, self.slow or [])
 
 
-def slow_states(A: np.ndarray, window: float) -> np.ndarray:
-    """Return one state for each mode that is slow against the window: those that take part in them most.
+class PortMotion:
+    """The same motion by way of the ports of all that no parameter moves: for diagrams of many states.
 
-    Their mean may be anything after a start at any time; a free integrator has no mean at all.
+    Its states are those that matter: `Ports.columns`.
     """
-    values, right = np.linalg.eig(A)
-    slow = np.flatnonzero(np.abs(values) < SLOW / window)
-    if not len(slow):
-        return np.zeros(0, int)
-    left = np.linalg.pinv(right)
-    share = np.abs(right * left.T)[:, slow].sum(axis=1)
-    return np.sort(np.argsort(-share, kind="stable")[: len(slow)])
+
+    def __init__(self, motion: Motion, theta: np.ndarray) -> None:
+        self.motion, equations = motion, motion.equations
+        whole = motion.response(theta, forced=False)
+        moved, columns = self._forces(theta), [np.any(whole.C, axis=(0, 1))]
+        rng = np.random.default_rng(0)
+        for _ in range(PROBES):
+            other = theta * (1 + WIDE * rng.uniform(-1, 1, len(theta))) + WIDE * (theta == 0)
+            many = np.repeat(other[None], len(motion.p), 0)
+            (A, dA), (B, _), (C, _) = (equations.matrices[key](motion.p, many) for key in "ABC")
+            columns += [np.any(part, axis=(0, 1)) for part in (A - whole.A, np.any(dA, axis=3), C)]
+            moved += [_flat(part) for part in (B, *np.moveaxis(dA, 3, 0))]
+        s = 1j * np.abs(motion.speeds)[:, None] * np.arange(motion.K + 1)
+        self.ports = open_ports(whole.A, s, whole.slow, np.flatnonzero(np.any(columns, axis=0)), moved)
+        self.equations = equations.at_ports(self.ports.rows, self.ports.columns)
+
+    def _forces(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Return samples of the forcing and its slopes, as columns (n, N)."""
+        motion, n = self.motion, self.motion.equations.n
+        many = np.repeat(theta[None], len(motion.p), 0)
+        values, slopes = motion.equations.sampled(motion.p, many, motion.speeds, SAMPLES)
+        return [part[:, :, :n].transpose(2, 0, 1, *range(3, part.ndim)).reshape(n, -1) for part in (values, slopes)]
+
+    def response(self, theta: np.ndarray) -> Response:
+        """Return the equations at theta (m,)."""
+        motion, ports = self.motion, self.ports
+        many = np.repeat(theta[None], len(motion.p), 0)
+        found = {key: matrix(motion.p, many) for key, matrix in self.equations.matrices.items()}
+        F, dF = motion.forcing(self.equations, many, motion.K)
+        A = found["A"][0] - ports.within
+        return Response(
+            A=A, B=found["B"][0], C=found["C"][0], D=found["D"][0],
+            dA=found["A"][1], dB=found["B"][1], dC=found["C"][1], dD=found["D"][1],
+            F=F, dF=dF, resolvent=PortResolvent(ports, A), slow=[np.arange(m.shape[1]) for m in ports.slow],
+        )  # fmt: skip
+
+
+def condensed(motion: Motion, theta: np.ndarray) -> Motion | PortMotion:
+    """Return the motion by way of its ports, where it has so many states that this is faster."""
+    return PortMotion(motion, theta) if motion.equations.n > DENSE else motion
+
+
+def _flat(matrices: np.ndarray) -> np.ndarray:
+    """Return the columns of matrices (R, n, j) side by side, those of zeros left out, (n, N)."""
+    flat = matrices.transpose(1, 0, 2).reshape(matrices.shape[1], -1)
+    return np.asarray(flat[:, np.any(flat, axis=0)])

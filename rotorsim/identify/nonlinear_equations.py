@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -13,7 +14,7 @@ from rotorsim.diagram.diagram import Free
 from rotorsim.identify.functions import reached_states, slots_of
 from rotorsim.simulate.matrix_function import MatrixFunction
 
-__all__ = ["NonlinearEquations", "is_linear"]
+__all__ = ["NonlinearEquations", "PortEquations", "is_linear"]
 
 FIRST_SAMPLES = 64
 
@@ -30,8 +31,8 @@ def is_linear(model: Model, outputs: Sequence[str]) -> bool:
 class NonlinearEquations:
     """dx/dt = f(t, x; p, theta), y = g(t, x; p, theta) of a diagram with periodic forcing, theta the free parameters.
 
-    kept (n,): the states that the outputs depend on. E, S: rows and columns in which df/dx is not constant.
-    Every function takes (times, x, p, theta) as columns, one for each of N points.
+    kept (n,): the states that the outputs depend on. changing: those that the outputs, or entries of df/dx that are
+    not constant, stand for.
     """
 
     def __init__(self, model: Model, outputs: Sequence[str], free: Sequence[Free]) -> None:
@@ -54,9 +55,59 @@ class NonlinearEquations:
         whole: Any = ca.SX(model.x0(model.p0))
         whole[keep] = x
         f, g = ca.substitute([f[keep], g], [trace.x], [whole])
-        t, p = trace.t, trace.p
-        arguments = [t, x, p, theta]
+        self._symbols, self._x, self._f, self._g = (trace.t, trace.p, theta), x, f, g
         J, C = ca.jacobian(f, x), ca.jacobian(g, x)
+        _, changing = _varying(J, ca.vertcat(x, trace.t, theta))
+        self.changing = np.union1d(changing, _columns(C))
+        self.n, self.c, self.m = len(keep), len(self.outputs), len(free)
+        bends = [bool(ca.depends_on(ca.vertcat(ca.vec(J), ca.vec(C)), theta[j])) for j in range(self.m)]
+        self.matrices = {"J": _Dependence(np.array(bends, float))}
+        self.theta0 = np.array([item.value for item in free])
+
+    @cached_property
+    def whole(self) -> PortEquations:
+        """The equations with every state in its place."""
+        everything = np.arange(self.n)
+        return self.at_ports(everything, everything)
+
+    def at_ports(self, rows: np.ndarray, columns: np.ndarray, p: np.ndarray | None = None) -> PortEquations:
+        """Return some rows of f as functions of some states, the others at zero.
+
+        p (R, n_p): what is the same in all runs becomes a number, and all that follows from it.
+        """
+        x = ca.SX.sym("x", len(columns))
+        full: Any = ca.SX.zeros(self.n)
+        full[columns.tolist()] = x
+        known: Any = ca.SX(self._symbols[1])
+        if p is not None:
+            for slot in np.flatnonzero((p == p[:1]).all(axis=0)).tolist():
+                known[slot] = float(p[0, slot])
+        old, new = [self._x, self._symbols[1]], [full, known]
+        f, g = ca.substitute([self._f[rows.tolist()], self._g], old, new)
+        return PortEquations(*self._symbols, x, f, g)
+
+    def forcing(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return Fourier coefficients of [f; g] at rest and their derivatives, as `functions.Equations.forcing`."""
+        R, m = theta.shape
+        count = max(FIRST_SAMPLES, 1 << (2 * K + 2).bit_length())
+        times = (2 * np.pi / np.abs(speeds)[:, None] * np.arange(count) / count).reshape(1, -1)
+        points = (times, np.zeros((self.n, R * count)), np.repeat(p, count, 0).T, np.repeat(theta, count, 0).T)
+        whole = self.whole
+        values = np.concatenate([whole.f(*points), whole.g(*points)], axis=1).reshape(R, count, -1)
+        slopes = np.concatenate([whole.f_theta(*points), whole.g_theta(*points)], axis=1).reshape(R, count, -1, m)
+        return tuple(np.fft.rfft(a, axis=1)[:, : K + 1] / count for a in (values, slopes))  # type: ignore[return-value]
+
+
+class PortEquations:
+    """Rows of f (r,) and outputs g (c,) as functions of states x (n,), with their derivatives.
+
+    E, S: places in r and n where df/dx varies with x or t. Every function takes (times, x, p, theta) as columns, one
+    for each of N points.
+    """
+
+    def __init__(self, t: Any, p: Any, theta: Any, x: Any, f: Any, g: Any) -> None:
+        arguments = [t, x, p, theta]
+        J = ca.jacobian(f, x)
         self.E, self.S = _varying(J, ca.vertcat(x, t))
         rows, columns = self.E.tolist(), self.S.tolist()
         self.f = MatrixFunction(arguments, f)
@@ -65,22 +116,9 @@ class NonlinearEquations:
         self.J_part = MatrixFunction(arguments, J[rows, columns] if rows else ca.SX(0, 0))
         self.f_theta = MatrixFunction(arguments, ca.jacobian(f, theta))
         self.g = MatrixFunction(arguments, g)
-        self.C = MatrixFunction(arguments, C)
+        self.C = MatrixFunction(arguments, ca.jacobian(g, x))
         self.g_theta = MatrixFunction(arguments, ca.jacobian(g, theta))
-        self.n, self.c, self.m = len(keep), len(self.outputs), len(free)
-        bends = [bool(ca.depends_on(ca.vertcat(ca.vec(J), ca.vec(C)), theta[j])) for j in range(self.m)]
-        self.matrices = {"J": _Dependence(np.array(bends, float))}
-        self.theta0 = np.array([item.value for item in free])
-
-    def forcing(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return Fourier coefficients of [f; g] at rest and their derivatives, as `functions.Equations.forcing`."""
-        R, m = theta.shape
-        count = max(FIRST_SAMPLES, 1 << (2 * K + 2).bit_length())
-        times = (2 * np.pi / np.abs(speeds)[:, None] * np.arange(count) / count).reshape(1, -1)
-        points = (times, np.zeros((self.n, R * count)), np.repeat(p, count, 0).T, np.repeat(theta, count, 0).T)
-        values = np.concatenate([self.f(*points), self.g(*points)], axis=1).reshape(R, count, -1)
-        slopes = np.concatenate([self.f_theta(*points), self.g_theta(*points)], axis=1).reshape(R, count, -1, m)
-        return tuple(np.fft.rfft(a, axis=1)[:, : K + 1] / count for a in (values, slopes))  # type: ignore[return-value]
+        self.r, self.n, self.c, self.m = f.numel(), x.numel(), g.numel(), theta.numel()
 
 
 class _Dependence:
@@ -91,6 +129,11 @@ class _Dependence:
 
     def __call__(self, p: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros((len(p), 1, 1)), np.tile(self.bends, (len(p), 1, 1, 1))
+
+
+def _columns(matrix: Any) -> np.ndarray:
+    """Return the columns of a sparse matrix that are not empty."""
+    return np.unique(np.array(matrix.sparsity().get_triplet()[1], int))
 
 
 def _varying(jacobian: Any, variables: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from rotorsim.recordings.harmonic_fit import real_vector
 __all__ = ["NonlinearLikelihood", "likelihood_of"]
 
 MOST_ROUNDS = 5
-CLOSE = 0.01  # of a standard deviation: change of the whitened residual by the means of slow states
+CLOSE = 1e-3  # of the whitened residual: its change by the means of slow states
 
 
 def likelihood_of(experiment: Experiment) -> Likelihood:
@@ -45,7 +45,7 @@ class NonlinearLikelihood(Likelihood):
         for _ in range(MOST_ROUNDS):
             found = motion.predict(theta, means)
             parts = [self._run(found, r) for r in range(len(self.data))]
-            if max(float(np.abs(gain).max(initial=0.0)) for _, _, _, gain in parts) < CLOSE or not found.settled.all():
+            if not found.settled.all() or all(_still(e, gain) for e, _, _, gain in parts):
                 break
             means = [m + best for m, (_, _, best, _) in zip(means, parts, strict=True)]
         if found.settled.all():
@@ -66,3 +66,8 @@ class NonlinearLikelihood(Likelihood):
         q, best = fitted_columns(white.apply(np.moveaxis(real_vector(np.moveaxis(columns, -1, 0)), 0, -1)), e)
         gain = q.T @ e
         return e - q @ gain, j - q @ (q.T @ j), best, gain
+
+
+def _still(residual: np.ndarray, gain: np.ndarray) -> bool:
+    """Return whether a change of the means is small against what is left over beside it."""
+    return bool(np.linalg.norm(gain) <= CLOSE * np.linalg.norm(residual))

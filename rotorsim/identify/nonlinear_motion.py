@@ -1,7 +1,7 @@
 """Settled motion of a nonlinear diagram at many runs at once, and its exact derivatives by the free parameters.
 
-Harmonic balance with alternating frequency/time, condensed to the states that enter nonlinearly:
-X_k = (i k W - A)^-1 (F_k + g_k),  g = f(t, x) - f(t, 0) - A x. Derivatives follow from the same linear system.
+Harmonic balance with alternating frequency/time, condensed to the states that enter nonlinearly, by way of the ports
+of all the others: X_k = G_k (F_k + g_k),  g = f(t, x) - f(t, 0) - A x. Derivatives follow from the same linear system.
 
 Source: Cameron & Griffin, J. Appl. Mech. 56 (1989) 149-154; Krack & Gross (2019), ch. 2-4.
 """
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorsim.identify.motion import slow_states
-from rotorsim.identify.nonlinear_equations import NonlinearEquations
+from rotorsim.identify.nonlinear_equations import NonlinearEquations, PortEquations
+from rotorsim.identify.ports import Ports, open_ports, slow_states
 
 __all__ = ["NonlinearMotion", "Prediction"]
 
@@ -22,6 +22,9 @@ EXTRA_ORDERS = 8  # beyond those compared with data
 MOST_STEPS = 14
 SMALLEST_LENGTH = 2.0**-6
 CLOSE = 1e-9
+SIZES = (1e-6, 1e-4, 1e-2, 1.0, 1e2)  # of states at which it is seen what a law moves: gaps and limits are passed
+PROBES = 4  # points of each size
+WIDE = 0.1  # relative, of the parameters there
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +58,7 @@ class NonlinearMotion:
         step = 2 * np.pi / np.abs(speeds) / self.count
         start = -np.sign(speeds) * phase / np.abs(speeds)
         self.times = start[:, None] + step[:, None] * np.arange(self.count)
-        self.slow: list[np.ndarray] | None = None
+        self.ports: Ports | None = None
         self.last: np.ndarray | None = None
 
     def at(self, p: np.ndarray) -> NonlinearMotion:
@@ -64,9 +67,9 @@ class NonlinearMotion:
 
     def predict(self, theta: np.ndarray, means: Sequence[np.ndarray] | None = None) -> Prediction:
         """Return the motion at theta (m,) with slow states at given means (default: zero)."""
-        at = _Point(self, theta)
+        at = _Point(self, self.opened(theta), theta)
         X, settled = self._settle(at, means)
-        found = X[:, :, self.equations.S]
+        found = X[:, :, self.inner.S]
         if settled.all():
             self.last = found
         elif self.last is not None:
@@ -75,13 +78,46 @@ class NonlinearMotion:
 
     def means_of_zero(self, theta: np.ndarray) -> list[np.ndarray]:
         """Return zero means of the slow states of each run."""
-        if self.slow is None:
-            _Point(self, theta)
-        return [np.zeros(len(slow)) for slow in self.slow or []]
+        return [np.zeros(slow.shape[1]) for slow in self.opened(theta).slow]
+
+    def opened(self, theta: np.ndarray) -> Ports:
+        """Return the ports of all that no parameter and no nonlinear law moves, found at the first theta (m,)."""
+        if self.ports is not None:
+            return self.ports
+        R, n = len(self.p), self.equations.n
+        whole = self.equations.at_ports(np.arange(n), np.arange(n), self.p)
+        many = np.repeat(theta[None], R, 0).T
+        A = whole.J(self.times[:, 0][None], np.zeros((n, R)), self.p.T, many)
+        if not np.isfinite(A).all():
+            raise ValueError("the equations are not finite at rest")
+        slow = [slow_states(A[r], self.windows[r]) for r in range(R)]
+        times = self.times[:, ::8]
+        count = times.shape[1]
+        at_rest = (np.zeros((n, R * count)), np.repeat(self.p, count, 0).T, np.repeat(theta[None], R * count, 0).T)
+        moved = [f(times.reshape(1, -1), *at_rest) for f in (whole.f, whole.f_theta)]
+        groups = [values.reshape(len(values), n, -1).transpose(1, 0, 2).reshape(n, -1) for values in moved]
+        rng = np.random.default_rng(0)
+        changing, changed = self.equations.changing, []
+        for size in SIZES:
+            few = np.repeat(np.arange(R), PROBES)
+            other = theta * (1 + WIDE * rng.uniform(-1, 1, (len(few), len(theta)))) + WIDE * (theta == 0)
+            point = (
+                rng.choice(self.times.ravel(), len(few))[None], size * rng.standard_normal((n, len(few))),
+                self.p[few].T, other.T,
+            )  # fmt: skip
+            with np.errstate(all="ignore"):
+                slopes = whole.J(*point)[:, :, changing] - A[few][:, :, changing]
+                by_theta = whole.f_theta(*point)
+            groups.append(by_theta.transpose(1, 0, 2).reshape(n, -1))
+            changed.append(slopes.transpose(1, 0, 2).reshape(n, -1))
+        s = 1j * np.abs(self.speeds)[:, None] * np.arange(self.H + 1)
+        self.ports = open_ports(A, s, slow, changing, groups, changed)
+        self.inner: PortEquations = self.equations.at_ports(self.ports.rows, self.ports.columns, self.p)
+        return self.ports
 
     def _settle(self, at: _Point, means: Sequence[np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
         """Return X (R, H+1, n) by Newton's method, all runs at once, and whether each has settled."""
-        S = self.equations.S
+        S = self.inner.S
         offset = at.slow_part(means)
         base = np.einsum("rkij,rkj->rki", at.G, at.F) + offset
         if not len(S):
@@ -112,13 +148,13 @@ class NonlinearMotion:
             settled = settled | (_size(residual, C) <= CLOSE)
             if (stuck | settled).all():
                 break
-        X: np.ndarray = base + np.einsum("rkie,rke->rki", at.G[:, :, :, self.equations.E], forces)
+        X: np.ndarray = base + np.einsum("rkie,rke->rki", at.G[:, :, :, self.inner.E], forces)
         X[~settled] = np.nan
         return X, settled
 
     def _residual(self, at: _Point, C: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return C less what it causes, (R, H+1, S), and the harmonics of the nonlinear rest, (R, H+1, E)."""
-        E, S = self.equations.E, self.equations.S
+        E, S = self.inner.E, self.inner.S
         with np.errstate(all="ignore"):
             x = self._samples(C)
             g = at.rows(x) - at.rest - np.einsum("rms,res->rme", x, at.A_part)
@@ -132,19 +168,19 @@ class NonlinearMotion:
 
     def _linearised(self, at: _Point, X: np.ndarray, settled: np.ndarray) -> Prediction:
         """Return outputs and their derivatives about the motion X (R, H+1, n)."""
-        equations, R, K = self.equations, len(self.p), self.K
+        equations, R, K = self.inner, len(self.p), self.K
         safe = np.where(np.isfinite(X), X, 0.0)
         x = self._samples(safe)
         points = at.points(x)
         y = equations.g(*points).reshape(R, self.count, -1)
         C = equations.C(*points).reshape(R, self.count, equations.c, equations.n)
-        by_theta = self._harmonics(equations.f_theta(*points).reshape(R, self.count, equations.n, -1))
-        widths = [len(slow) for slow in self.slow or []]
+        by_theta = self._harmonics(equations.f_theta(*points).reshape(R, self.count, equations.r, -1))
+        widths = [slow.shape[1] for slow in at.ports.slow]
         most = max(widths, default=0)
         direct = np.einsum("rkij,rkjm->rkim", at.G, by_theta)
         direct = np.concatenate([direct, np.zeros((*direct.shape[:3], most), complex)], axis=3)
-        for r, slow in enumerate(self.slow or []):
-            direct[r, 0, :, equations.m : equations.m + len(slow)] = at.slow_columns(r, slow)
+        for r, width in enumerate(widths):
+            direct[r, 0, :, equations.m : equations.m + width] = at.slow_columns(r)
         moved = direct
         if len(equations.S):
             solver = at.solver(self._slopes(at, safe[:, :, equations.S]))
@@ -175,29 +211,28 @@ def _size(residual: np.ndarray, C: np.ndarray) -> np.ndarray:
 
 
 class _Point:
-    """What the equations are at one theta: A, forcing, and the response (i k W - A)^-1 of every run."""
+    """What the equations are at one theta: A, forcing, and the response G of every run from ports to states."""
 
-    def __init__(self, motion: NonlinearMotion, theta: np.ndarray) -> None:
-        equations, R = motion.equations, len(motion.p)
-        self.motion, self.equations = motion, equations
+    def __init__(self, motion: NonlinearMotion, ports: Ports, theta: np.ndarray) -> None:
+        equations, R = motion.inner, len(motion.p)
+        self.motion, self.ports, self.equations = motion, ports, equations
         count = motion.count
         self._p = np.repeat(motion.p, count, 0).T
         self._theta = np.repeat(theta[None], R * count, 0).T
         rest = self.points(np.zeros((R, count, equations.n)))
-        at_rest = equations.f(*rest).reshape(R, count, equations.n)
+        at_rest = equations.f(*rest).reshape(R, count, equations.r)
         self.F = motion._harmonics(at_rest)
         self.rest = at_rest[:, :, equations.E]
         few = (motion.times[:, 0][None], np.zeros((equations.n, R)), motion.p.T, np.repeat(theta[None], R, 0).T)
-        self.A = equations.J(*few)
+        A = equations.J(*few)
         if len(equations.S):
             start = np.zeros((R, motion.H + 1, len(equations.S)), complex) if motion.last is None else motion.last
             start = np.where(np.isfinite(start), start, 0.0)
             mean = self.part(motion._samples(start)).mean(axis=1)
-            self.A[:, equations.E[:, None], equations.S] = mean
-        self.A_part = self.A[:, equations.E[:, None], equations.S]
-        if motion.slow is None:
-            motion.slow = [slow_states(self.A[r], motion.windows[r]) for r in range(R)]
-        self.G = self._response(motion)
+            A[:, equations.E[:, None], equations.S] = mean
+        self.A_part = A[:, equations.E[:, None], equations.S]
+        self.change = A - ports.within
+        self.G = ports.closed(self.change)
 
     def points(self, x: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return the arguments of the equations at the samples of motion x (R, count, n)."""
@@ -217,31 +252,17 @@ class _Point:
         shape = (*x_S.shape[:2], len(self.equations.E), len(self.equations.S))
         return self.equations.J_part(*self._whole(x_S)).reshape(shape)
 
-    def _response(self, motion: NonlinearMotion) -> np.ndarray:
-        n = self.A.shape[1]
-        s = 1j * np.abs(motion.speeds)[:, None] * np.arange(motion.H + 1)
-        matrices = s[:, :, None, None] * np.eye(n) - self.A[:, None]
-        for r, slow in enumerate(motion.slow or []):
-            matrices[r, 0, slow, :] = 0.0
-            matrices[r, 0, :, slow] = 0.0
-            matrices[r, 0, slow, slow] = 1.0
-        inverse: np.ndarray = np.linalg.inv(matrices)
-        for r, slow in enumerate(motion.slow or []):
-            inverse[r, 0, slow, :] = 0.0
-        return inverse
-
-    def slow_columns(self, r: int, slow: np.ndarray) -> np.ndarray:
+    def slow_columns(self, r: int) -> np.ndarray:
         """Return dX_0 by the means of slow states of run r, of the linear part, (n, s)."""
-        columns = self.G[r, 0] @ self.A[r][:, slow]
-        columns[slow, np.arange(len(slow))] = 1.0
-        return np.asarray(columns)
+        own = self.ports.slow[r]
+        return np.asarray(own + self.G[r, 0] @ (self.change[r] @ own))
 
     def slow_part(self, means: Sequence[np.ndarray] | None) -> np.ndarray:
         """Return what given means of slow states add to X, (R, H+1, n)."""
-        out = np.zeros(self.F.shape, complex)
-        for r, slow in enumerate(self.motion.slow or []):
-            if means is not None and len(slow):
-                out[r, 0] = self.slow_columns(r, slow) @ means[r]
+        out = np.zeros((*self.F.shape[:2], self.equations.n), complex)
+        for r in range(len(out)):
+            if means is not None and len(means[r]):
+                out[r, 0] = self.slow_columns(r) @ means[r]
         return out
 
     def solver(self, slopes: np.ndarray) -> _Solver:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorsim.identify.estimate import Estimate, Search
-from rotorsim.identify.likelihood import RESOLUTION
+from rotorsim.identify.experiment import RESOLUTION
 from rotorsim.identify.regression import Regression
 from rotorsim.recordings.harmonic_fit import complex_values, scaled_cholesky
 

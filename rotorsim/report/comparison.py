@@ -254,7 +254,7 @@ class Comparison:
     @property
     def has_slow_states(self) -> bool:
         """Whether a mean of some run is free, because a mode had no time to settle."""
-        return any(len(slow) for slow in self.experiment.motion.slow or [])
+        return any(len(slow) for slow in self.experiment.linear.slow or [])
 
 
 def compare(found: Identification, recording: Recording) -> Comparison:

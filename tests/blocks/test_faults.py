@@ -26,6 +26,7 @@ CATALOGUE = {
     "control_delay", "controller_gain_error", "current_clipping", "current_sensor_gain", "sensor_gain",
     "sensor_gain_mismatch", "sensor_rotation", "non_collocation", "runout", "sensor_offset", "quantisation",
     "base_excitation", "speed_fluctuation", "torsion_coupling", "blade_pass", "magnetic_pull", "mass_error",
+    "disc_rotary_inertia",
 }  # fmt: skip
 # what reads like an effect without being one: parameters of the model, and noise
 OTHERS = {"viscous_damping", "force_displacement_factor", "force_current_factor", "sag", "noise"}
@@ -107,9 +108,13 @@ def test_a_fault_that_enters_nowhere_is_refused() -> None:
 
 def diagram_of(fault: Fault) -> dict[str, Any]:
     """A rotor whose disc tilts; one of several nodes for what acts at another place."""
-    name = "fe_rigid" if fault.enters == "move" else "offset_disc"
+    beam = "rotor_fe" in fault.of
+    name = "fe_rigid" if fault.enters == "move" or beam else "offset_disc"
     document = copy.deepcopy(dict(read_document(shipped_diagrams()[name]).data))
     document["wires"] = [list(wire) for wire in document["wires"]]
+    if beam:  # what the fault changes is not so before
+        rotor = next(block for block in document["blocks"].values() if block["type"] == "rotor_fe")
+        rotor["parameters"] |= {name: not value for name, value in fault.options.items()}
     return document
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from rotorsim.diagnose.fitting import Fit, fit_from_plain, fit_to_plain, left_out
-from rotorsim.diagnose.naming import least_gain, values_in
+from rotorsim.diagnose.naming import least_gain
+from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.diagram import Free
 
 

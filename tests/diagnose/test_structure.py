@@ -227,7 +227,8 @@ def test_the_same_machine_of_elementary_blocks() -> None:
          "error: sensor rotor.displacment: the diagram has no such output\n\n"
          "hint: did you mean 'rotor.displacement'?"),
         ("rotor", "error: sensor rotor: is not a signal\n\n"
-                  "hint: write block.port or block.port[node], for example rotor.displacement[3]"),
+                  "hint: write block.port, with [node] or [node,axis] counted from 1; signals: "
+                  "rotor.displacement, rotor.velocity"),
         ("rotor.displacement[3]", "error: sensor rotor.displacement[3]: no such entry: the signal is 2\n\n"
                                   "hint: counted from 1"),
         ("rotor.displacement[1,1]", "error: sensor rotor.displacement[1,1]: no such entry: the signal is 2\n\n"
@@ -243,7 +244,10 @@ def test_wrong_sensors(sensor: str, text: str) -> None:
 def test_no_sensors() -> None:
     with pytest.raises(RotorsimError) as raised:
         entries_of(load("jeffcott"), [])
-    assert str(raised.value) == "error: no sensors\n\nhint: for example rotor.displacement,controller.current"
+    assert str(raised.value) == (
+        "error: jeffcott: no sensors\n\n"
+        "hint: signals: rotor.displacement, rotor.velocity, controller.current, amb.force, reference.signal, bus.output"
+    )
 
 
 # -- by laws -----------------------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Machines integrated by scipy from equations of their own, as recordings in time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +25,15 @@ def multisine(seed: int, rate: float = RATE, size: float = 40.0):
     return lambda t: size * np.sin(2 * np.pi * np.multiply.outer(t, frequency) + phase).sum(axis=-1) / 8
 
 
-def oscillator(seed: int, cubic: float, samples: int = 1200, noise: float = NOISE) -> dict[str, np.ndarray]:
-    """Return samples of m q'' + c q' + k q + k3 q^3 = u from a start of its own."""
+def oscillator(
+    seed: int, law: float | Callable[[float, float], float], samples: int = 900, noise: float = NOISE
+) -> dict[str, np.ndarray]:  # fmt: skip
+    """Return samples of m q'' + c q' + k q + f = u from a start of its own; f: k3 q^3, or any law of q and q'."""
     force = multisine(seed)
+    more = law if callable(law) else lambda q, v: law * q**3
 
     def rates(t, x):
-        return x[1], (force(t) - DAMPING * x[1] - STIFFNESS * x[0] - cubic * x[0] ** 3) / MASS
+        return x[1], (force(t) - DAMPING * x[1] - STIFFNESS * x[0] - more(x[0], x[1])) / MASS
 
     t = np.arange(samples) / RATE
     q = solve_ivp(rates, (0, t[-1]), [0.01, -0.1], t_eval=t, rtol=1e-8, atol=1e-10).y[0]
@@ -74,16 +77,18 @@ def recording(
     return Recording("made", "scipy", Path("."), channels, tuple(made))
 
 
-def oscillator_recording(cubic: float, noise: float = NOISE) -> Recording:
+def oscillator_recording(
+    law: float | Callable[[float, float], float], noise: float = NOISE, units: tuple[str, str] = ("N", "m")
+) -> Recording:  # fmt: skip
     """Return a run to identify from and one held out."""
-    runs = [(oscillator(1, cubic, noise=noise), "identify"), (oscillator(2, cubic, noise=noise), "hold_out")]
-    return recording(runs, {"u": ("drive.output", "N"), "y": ("oscillator.displacement", "m")}, RATE)
+    runs = [(oscillator(1, law, noise=noise), "identify"), (oscillator(2, law, noise=noise), "hold_out")]
+    return recording(runs, {"u": ("drive.output", units[0]), "y": ("oscillator.displacement", units[1])}, RATE)
 
 
-def carriage_recording(friction: float) -> Recording:
+def carriage_recording(friction: float, **options: float) -> Recording:
     """Return one run to identify from."""
     signals = {"r": ("reference.output", "m"), "q": ("carriage.displacement", "m"), "u": ("controller.voltage", "V")}
-    return recording([(carriage(friction), "identify")], signals, 500.0)
+    return recording([(carriage(friction, **options), "identify")], signals, 500.0)
 
 
 OSCILLATOR = {

@@ -112,14 +112,15 @@ def test_shipped_diagrams_fit_the_schema_and_misspelt_ones_do_not(name):
     jsonschema = pytest.importorskip("jsonschema")
     validator = jsonschema.Draft202012Validator(json_schema())
     assert list(validator.iter_errors(DOCUMENTS[name])) == []
-    wrong = copy.deepcopy(DOCUMENTS[name])
-    wrong["blocks"]["reference"]["parameters"]["harmonic"] = [1]
-    assert list(validator.iter_errors(wrong))
+    for block in DOCUMENTS[name]["blocks"]:
+        wrong = copy.deepcopy(DOCUMENTS[name])
+        wrong["blocks"][block].setdefault("parameters", {})["harmonic"] = [1]
+        assert list(validator.iter_errors(wrong)), block
 
 
 @pytest.mark.parametrize("name", sorted(DOCUMENTS))
 def test_a_drawing_is_well_formed_and_names_every_block_and_index(name):
-    text = draw_svg(load(name), highlight={"rotor": "#ff0000"})
+    text = draw_svg(load(name), highlight={list(DOCUMENTS[name]["blocks"])[-1]: "#ff0000"})
     root = ET.fromstring(text)
     words = [element.text for element in root.iter("{http://www.w3.org/2000/svg}text")]
     for block in DOCUMENTS[name]["blocks"]:

@@ -1,26 +1,40 @@
-"""The response of many runs at many orders, by inverses of small systems and in the eigenvectors of large ones."""
+"""The response of many runs at many orders, by inverses and by the ports of what nothing moves."""
 
 import numpy as np
 import pytest
 
-from rotorsim.identify.resolvent import DENSE, Resolvent
+from rotorsim.compile import compile_diagram
+from rotorsim.diagram.load import load, shipped_diagrams
+from rotorsim.identify.functions import Equations
+from rotorsim.identify.motion import Motion, PortMotion
+from rotorsim.identify.nonlinear_equations import NonlinearEquations
+from rotorsim.identify.nonlinear_motion import NonlinearMotion
+from rotorsim.identify.ports import DENSE, open_ports, slow_states
+from rotorsim.identify.resolvent import PortResolvent, Resolvent
+
+SPEEDS = np.array([150.0, -260.0, 410.0])
+SLOW = [np.array([], int), np.array([2]), np.array([0, 5])]
 
 
-@pytest.mark.parametrize("n", [DENSE, DENSE + 20])
-def test_the_response_solves_the_system(n):
+def systems(n: int) -> tuple[np.ndarray, np.ndarray]:
     random = np.random.default_rng(n)
     A = random.standard_normal((3, n, n)) - 2 * np.sqrt(n) * np.eye(n)
-    s = 1j * np.array([[10.0], [20.0], [31.0]]) * np.arange(4)
+    return A, 1j * np.array([[10.0], [20.0], [31.0]]) * np.arange(4)
+
+
+def test_the_response_solves_the_system():
+    n = 30
+    A, s = systems(n)
+    random = np.random.default_rng(1)
     right = random.standard_normal((3, 4, n, 2)) + 1j * random.standard_normal((3, 4, n, 2))
-    slow = [np.array([], int), np.array([2]), np.array([0, 5])]
-    found = Resolvent(A, s, slow)
+    found = Resolvent(A, s, SLOW)
     X = found.apply(right)
     for r in range(3):
         for k in range(4):
             matrix, b = s[r, k] * np.eye(n) - A[r], right[r, k]
-            if k == 0 and len(slow[r]):  # slow states rest, and their equations are not asked for
-                kept = np.setdiff1d(np.arange(n), slow[r])
-                assert np.abs(X[r, 0, slow[r]]).max() == 0.0
+            if k == 0 and len(SLOW[r]):  # slow states rest, and their equations are not asked for
+                kept = np.setdiff1d(np.arange(n), SLOW[r])
+                assert np.abs(X[r, 0, SLOW[r]]).max() == 0.0
                 matrix, b, x = matrix[np.ix_(kept, kept)], b[kept], X[r, 0, kept]
             else:
                 x = X[r, k]
@@ -28,8 +42,80 @@ def test_the_response_solves_the_system(n):
         assert found.apply_to_run(r, right[r, :, :, 0]) == pytest.approx(X[r, :, :, 0], rel=1e-9, abs=1e-12)
 
 
-def test_eigenvectors_that_are_no_base_are_not_used():
-    A = np.zeros((1, DENSE + 6, DENSE + 6))
-    A[0] = np.diag(np.ones(DENSE + 5), 1) - np.eye(DENSE + 6)  # one block of Jordan's
-    found = Resolvent(A, 1j * np.arange(3.0)[None], [np.array([], int)])
-    assert found.eigen is None
+def test_ports_respond_as_the_whole_does_to_what_moves_them():
+    n, ranks = 40, 3
+    A, s = systems(n)
+    random = np.random.default_rng(2)
+    B = random.standard_normal((n, ranks))
+    columns = np.array([4, 7, 8, 30])
+    samples = [1e-9 * B @ random.standard_normal((ranks, 5)), 1e6 * B[:, :1]]  # of any size
+    ports = open_ports(A, s, SLOW, columns, samples)
+    assert len(ports.rows) == ranks
+    assert ports.columns.tolist() == [0, 2, 4, 5, 7, 8, 30]  # the slow states are seen, too
+    D = np.zeros((3, n, n))
+    D[:, :, columns] = np.einsum("ij,rjk->rik", B, 0.3 * random.standard_normal((3, ranks, len(columns))))
+    force = np.einsum("ij,rkjm->rkim", B, random.standard_normal((3, 4, ranks, 2)))
+    whole = Resolvent(A + D, s, SLOW)
+    change = (A + D)[:, ports.rows[:, None], ports.columns] - ports.within
+    part = PortResolvent(ports, change)
+    expected = whole.apply(force.astype(complex))[:, :, ports.columns]
+    assert part.apply(force[:, :, ports.rows].astype(complex)) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    for r in range(3):
+        one = part.apply_to_run(r, force[r][:, ports.rows, 0].astype(complex))
+        assert one == pytest.approx(expected[r, :, :, 0], rel=1e-9, abs=1e-9)
+        assert part.slow_columns(r) == pytest.approx(whole.slow_columns(r)[ports.columns], rel=1e-9, abs=1e-9)
+
+
+def test_slow_states_of_large_systems_are_those_of_all_modes():
+    random = np.random.default_rng(3)
+    n = DENSE + 20
+    blocks = np.diag(-np.linspace(40.0, 900.0, n))
+    blocks[3, 3], blocks[11, 11], blocks[12, 12] = -0.07, -0.02, -0.02  # two of them alike
+    T = np.eye(n) + 0.02 * random.standard_normal((n, n))
+    A = T @ blocks @ np.linalg.inv(T)
+    assert slow_states(A, 1.0).tolist() == [3, 11, 12]
+    assert slow_states(A + 50.0 * np.eye(n) - 100.0 * np.eye(n), 1.0).tolist() == []
+
+
+def machine(**parameters):
+    document = shipped_diagrams()["fe_rigid"]
+    diagram = load(document)
+    free = [item for item in diagram.free if item.name != "crack_phase"]
+    model = compile_diagram(diagram)
+    outputs = [f"rotor.displacement[{node},{axis}]" for node in (2, 3, 5) for axis in (1, 2)]
+    p = np.array([model.parameter_vector({"speed": speed, "controller.KD": 3.0 + r}) for r, speed in enumerate(SPEEDS)])
+    return model, [*outputs, "controller.current[1]"], free, p
+
+
+def test_a_beam_moves_by_way_of_its_ports_as_by_all_its_states():
+    model, outputs, free, p = machine()
+    equations = Equations(model, outputs, free)
+    assert equations.n > DENSE
+    motion = Motion(equations, p, SPEEDS, 7, [1.0, 1.0, 1.0], np.array([0.0, 0.4, 1.1]))
+    ports = PortMotion(motion, equations.theta0)
+    theta = equations.theta0 * np.linspace(0.8, 1.3, len(free))
+    whole, part = motion.response(theta), ports.response(theta)
+    X, x = whole.states(), part.states()
+    Y = whole.outputs(X)
+    assert np.abs(part.outputs(x) - Y).max() < 1e-9 * np.abs(Y).max()
+    slopes = whole.sensitivity(X)
+    for j in range(len(free)):
+        assert np.abs(part.sensitivity(x) - slopes)[..., j].max() < 1e-8 * np.abs(slopes[..., j]).max()
+    for r in range(3):
+        assert part.C[r] @ part.slow_states(r) == pytest.approx(whole.C[r] @ whole.slow_states(r), rel=1e-8, abs=1e-12)
+
+
+def test_harmonic_balance_of_a_linear_beam_is_its_direct_response():
+    model, outputs, free, p = machine()
+    linear, other = Equations(model, outputs, free), NonlinearEquations(model, outputs, free)
+    motion = Motion(linear, p, SPEEDS, 7, [1.0, 1.0, 1.0], np.array([0.0, 0.4, 1.1]))
+    balance = NonlinearMotion(other, p, SPEEDS, 7, [1.0, 1.0, 1.0], np.array([0.0, 0.4, 1.1]))
+    theta = linear.theta0 * np.linspace(0.8, 1.3, len(free))
+    response = motion.response(theta)
+    X = response.states()
+    found = balance.predict(theta)
+    assert found.settled.all()
+    Y, slopes = response.outputs(X), response.sensitivity(X)
+    assert np.abs(found.Y - Y).max() < 1e-9 * np.abs(Y).max()
+    for j in range(len(free)):
+        assert np.abs(found.slopes[..., j] - slopes[..., j]).max() < 1e-8 * np.abs(slopes[..., j]).max()

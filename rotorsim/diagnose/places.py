@@ -1,0 +1,113 @@
+"""What no law at a place can do better than: a diagram with free harmonics of a force, or of an error, there.
+
+A force of any law at a node is one set of harmonics in each run. With all of them free, beside one step of the
+diagram's own parameters, what is left over is the least that any row of the catalogue can leave there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotorsim.block import In
+from rotorsim.diagnose.fitting import Fit, Source
+from rotorsim.diagnose.insertion import Insertion
+from rotorsim.diagnose.values import values_in
+from rotorsim.errors import RotorsimError
+from rotorsim.identify.likelihood import Likelihood
+from rotorsim.identify.motion import Motion
+from rotorsim.recordings.harmonic_fit import real_vector
+from rotorsim.simulate.linear import entry_names
+
+__all__ = ["Places", "open_places"]
+
+
+class Places:
+    """Bounds on the misfit for every place where something may act on a fitted linear diagram."""
+
+    def __init__(self, likelihood: Likelihood, theta: np.ndarray, targets: list[str]) -> None:
+        self.likelihood = likelihood
+        self.found = likelihood.evaluate(theta)
+        self.transfer = likelihood.response(theta).transfer()
+        self.places = {name: k for k, name in enumerate(targets)}
+        self._known: dict[tuple[str, ...], float] = {}
+
+    def bound(self, item: Insertion) -> float | None:
+        """Return the least misfit that an insertion can leave over, None where nothing is known of it."""
+        if item.fault.enters == "force":
+            names = [target.replace(" ", "") for source, target in item.wires if source.startswith(f"{item.name}.")]
+            inside = [name for name in self.places if any(_within(name, target) for target in names)]
+            return self._bound(("force", *inside)) if inside else None
+        if item.measured and not item.cut and item.fault.enters in ("reading", "wire"):
+            read = [n for n in self.likelihood.experiment.predicted if any(_within(n, m) for m in item.measured)]
+            return self._bound(("reading", *read)) if read else None
+        return None
+
+    def _bound(self, key: tuple[str, ...]) -> float:
+        if key not in self._known:
+            self._known[key] = self._least(key[0] == "force", key[1:])
+        return self._known[key]
+
+    def _least(self, force: bool, names: tuple[str, ...]) -> float:
+        """Return the misfit with free harmonics of some inputs, or of what some channels read."""
+        likelihood, K = self.likelihood, self.likelihood.K
+        rests, slopes = [], []
+        at = 0
+        for r, white in enumerate(likelihood.whiteners):
+            size = len(white.keep)
+            part = slice(at, at + size)
+            e, J = self.found.residual[part], self.found.slopes[part]
+            at += size
+            effects = self._effects(r, force, names)
+            columns = np.zeros((effects.shape[2] * (2 * K + 1), K + 1, likelihood.c), complex)
+            row = 0
+            for k in range(K + 1):
+                for v in range(effects.shape[2]):
+                    for phase in (1.0, 1j) if k else (1.0,):
+                        columns[row, k] = effects[k, :, v] * phase
+                        row += 1
+            whitened = white.apply(real_vector(columns).T)
+            length = np.linalg.norm(whitened, axis=0)
+            q, _ = np.linalg.qr(whitened[:, length > 0] / length[length > 0])
+            rests.append(e - q @ (q.T @ e))
+            slopes.append(J - q @ (q.T @ J))
+        rest, J = np.concatenate(rests), np.concatenate(slopes)
+        length = np.linalg.norm(J, axis=0)
+        q, _ = np.linalg.qr(J[:, length > 0] / length[length > 0])
+        rest = rest - q @ (q.T @ rest)
+        return float(rest @ rest)
+
+    def _effects(self, r: int, force: bool, names: tuple[str, ...]) -> np.ndarray:
+        """Return what unit harmonics change in the predicted channels of a run, (K+1, c, number)."""
+        if force:
+            return np.asarray(self.transfer[r][:, :, [self.places[name] for name in names]])
+        predicted = self.likelihood.experiment.predicted
+        unit = np.zeros((self.likelihood.K + 1, len(predicted), len(names)), complex)
+        for v, name in enumerate(names):
+            unit[:, predicted.index(name), v] = 1.0
+        return unit
+
+
+def _within(name: str, port: str) -> bool:
+    """Return whether a flat name ("rotor.force[3,1]") is an entry of a port or of a part of it ("rotor.force[3]")."""
+    return name == port or name.startswith(f"{port.removesuffix(']')}," if port.endswith("]") else f"{port}[")
+
+
+def open_places(before: Fit, source: Source) -> Places | None:
+    """Return the places of a fitted diagram, or None where it has none that can be judged so (it is not linear)."""
+    document = values_in(before.document, before.values)
+    try:
+        diagram = source.load(document)
+        targets = [
+            f"{block}.{port.name}"
+            for block, node in diagram.nodes.items()
+            for port in node.inputs.values()
+            if isinstance(port.declaration, In) and port.declaration.additive
+        ]
+        experiment = source.open(diagram, inject=targets)
+        if not targets or not isinstance(experiment.motion, Motion):
+            return None
+        ports = {target: diagram.nodes[target.split(".")[0]].inputs[target.split(".")[1]] for target in targets}
+        entries = [name for target, port in ports.items() for name in entry_names(target, port.shape)]
+        return Places(Likelihood(experiment), experiment.theta0, entries)
+    except (RotorsimError, ValueError, np.linalg.LinAlgError):
+        return None

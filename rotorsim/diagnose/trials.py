@@ -1,0 +1,268 @@
+"""Every row of the catalogue at every place, put into a fitted diagram and refitted, what is promising to the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from rotorsim.diagnose.fitting import LATER, Fit, Source, fit_from_plain, fit_to_plain
+from rotorsim.diagnose.insertion import Insertion, fixed_of, insertions, starts_of
+from rotorsim.diagnose.places import open_places
+from rotorsim.diagnose.values import values_in
+from rotorsim.diagram.registry import Registry
+from rotorsim.jobs import Failure, run_jobs
+
+__all__ = ["Candidate", "Round", "Trials", "is_adequate"]
+
+NOT_EXPLAINED = 1e-4  # probability of the misfit below which a model does not explain the data
+MODEL_ERROR = 1.05  # excess variance that is not worth a name, whatever its probability
+MOST_FITS = 90  # in one round; places beyond are screened
+POSSIBLE = 10.0  # times the least misfit that any place allows: places that allow no less are not looked at
+BATCHES = 4  # of jobs, for every process
+FIRST_EVALUATIONS, SECOND_EVALUATIONS = 5, 15  # of a nonlinear diagram, before it is judged whether it is worth more
+LAST_EVALUATIONS = 3  # where the data are explained already, and only rivals are looked for
+SECOND = 8  # nonlinear fits that get as far as the second
+REFINED = 3  # fits carried to the end at least
+PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
+HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
+NEAR = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
+
+_Job = tuple[dict[str, Any], list[list[dict[str, float]]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An insertion and the refitted diagram with it."""
+
+    insertion: Insertion
+    fit: Fit
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The names of the parameters of the fault in the diagram."""
+        return tuple(name for name in self.insertion.free if name in self.fit.values)
+
+    @property
+    def physical(self) -> bool:
+        """Whether no parameter of the fault ended at a bound."""
+        names = [item.name for item in self.fit.free]
+        return not any(self.fit.at_bound[names.index(name)] for name in self.parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One round of the selection: what was tried on top of ``before``, the best first."""
+
+    before: Fit
+    tried: tuple[Candidate, ...]
+
+    @property
+    def best(self) -> Candidate | None:
+        """The best candidate that is physical."""
+        return next((item for item in self.tried if not item.fit.failure and item.physical), None)
+
+
+def is_adequate(found: Fit) -> bool:
+    """Return whether a model leaves over what noise can make."""
+    if found.failure:
+        return False
+    return found.goodness >= NOT_EXPLAINED or found.misfit <= MODEL_ERROR * found.freedom
+
+
+class Trials:
+    """Insertions into fitted diagrams, each refitted; ``slack``: of the misfit, what says nothing."""
+
+    def __init__(
+        self, source: Source, registry: Registry | None, physics: Collection[str] | None, workers: int | None,
+        scheduler: str | None, progress: Callable[[float], None] | None,
+    ) -> None:  # fmt: skip
+        self.source, self.registry, self.physics = source, registry, physics
+        self.workers, self.scheduler, self.progress = workers, scheduler, progress
+        self.counts = {"fits": 0, "rounds": 0}
+        self.nominal: dict[str, float] = {}
+        self.slack = 0.0
+
+    def has_mesh(self, base: Fit) -> bool:
+        """Return whether a block of the diagram is a mesh, which is never exact."""
+        if not isinstance(self.source, Source):
+            return False
+        return any(node.block.refinement for node in self.source.load(base.document).nodes.values())
+
+    def round(self, before: Fit) -> Round:
+        """Try every insertion into a fitted diagram."""
+        document = values_in(before.document, before.values)
+        diagram = self.source.load(document)
+        found = insertions(diagram, self.source.recorded, self.registry)
+        if self.physics is not None:
+            found = [item for item in found if item.physics in self.physics]
+        self.counts["rounds"] += 1
+        jobs = []
+        largest = self.source.largest()
+        for item in found:
+            sizes = _sizes(item, largest)
+            starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
+            here = [dict(zip(item.free, start.values(), strict=True)) for start in starts]
+            groups = [here, [{**self.nominal, **start} for start in here]]
+            jobs.append((item.document(document, {**fixed, **starts[0]}), groups))
+        if len(jobs) > MOST_FITS:
+            kept = self._screened(before, found, jobs)
+            found, jobs = [found[k] for k in kept], [jobs[k] for k in kept]
+        self.counts["fits"] += len(found)
+        fits = self._fit(jobs, FIRST_EVALUATIONS, linear_only=True)
+        later = [k for k, fit in enumerate(fits) if fit.failure == LATER]
+        explained = is_adequate(before) or any(is_adequate(fit) for fit in fits)
+        more = self._fit([jobs[k] for k in later], LAST_EVALUATIONS if explained else FIRST_EVALUATIONS)
+        for k, fit in zip(later, more, strict=True):
+            fits[k] = fit
+        fits = self._refined(before, jobs, fits)
+        tried = [Candidate(item, fit) for item, fit in zip(found, fits, strict=True)]
+        return Round(before, tuple(_simplest_first(tried, self.slack)))
+
+    def _screened(self, before: Fit, found: Sequence[Insertion], jobs: Sequence[_Job]) -> list[int]:
+        """Return which insertions are fitted where places are many."""
+        if is_adequate(before):
+            return self._promising(found, jobs, before.misfit - HINT * MOST_FITS)
+        places = open_places(before, self.source)
+        if places is None:
+            return self._promising(found, jobs)
+        with threadpool_limits(1, "blas"):
+            bounds = [places.bound(item) for item in found]
+        known = sorted({bound for bound in bounds if bound is not None})
+        if not known:
+            return self._promising(found, jobs)
+        kept = [k for k, bound in enumerate(bounds) if bound is None]
+        for least in known:
+            if least > POSSIBLE * known[0]:
+                break
+            here = [k for k, bound in enumerate(bounds) if bound == least]
+            if least > known[0] and len(kept) + len(here) > MOST_FITS:
+                break
+            kept += here
+        return kept
+
+    def _promising(self, found: Sequence[Insertion], jobs: Sequence[_Job], most: float = np.inf) -> list[int]:
+        """Return the best place of each law, and the next best below ``most``, by what one step promises."""
+        promises = np.array(self._promises(jobs))
+        order = np.argsort(promises, kind="stable")
+        seen: set[tuple[str, int]] = set()
+        first: list[int] = []
+        second: list[int] = []
+        for k in order.tolist():
+            law = (found[k].physics, found[k].variant)
+            if not np.isfinite(promises[k]):
+                continue
+            if law not in seen:
+                first.append(k)
+            elif promises[k] < most:
+                second.append(k)
+            seen.add(law)
+        return [*first, *second[: max(MOST_FITS - len(first), MOST_FITS // 3)]]
+
+    def _promises(self, jobs: Sequence[_Job]) -> list[float]:
+        count = min(len(jobs), BATCHES * (self.workers or 2))
+        batches = [list(jobs[k::count]) for k in range(count)]
+        results = run_jobs(
+            _promise_batch, [(batch, self.source) for batch in batches], workers=self.workers,
+            scheduler=self.scheduler, progress=self.progress, on_error="return",
+        )  # fmt: skip
+        out = [float("inf")] * len(jobs)
+        for k, result in enumerate(results):
+            if not isinstance(result, Failure):
+                out[k::count] = result
+        return out
+
+    def _refined(self, before: Fit, jobs: Sequence[_Job], fits: list[Fit]) -> list[Fit]:
+        """Return the fits, those that promise most carried to the end.
+
+        Where one of all explains the data, only those near it matter any more.
+        """
+        if not any(is_adequate(fit) for fit in fits):
+            order = [k for k in _by_misfit(fits) if fits[k].nonlinear]
+            self._again(jobs, fits, order[:SECOND], SECOND_EVALUATIONS)
+        order = _by_misfit(fits)
+        if is_adequate(before):  # only what is not noise matters
+            order = [k for k in order if before.misfit - fits[k].misfit > HINT * len(fits[k].free)][:SECOND]
+        elif any(is_adequate(fit) for fit in fits):
+            near = NEAR * min(fit.misfit for fit in fits if not fit.failure)
+            order = [k for k in order if fits[k].misfit < near]
+        else:
+            order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < PROMISING * before.misfit]
+        self._again(jobs, fits, order, None)
+        return fits
+
+    def _again(self, jobs: Sequence[_Job], fits: list[Fit], which: Sequence[int], most: int | None) -> None:
+        """Carry some fits on from where they are, in place."""
+        continued: list[_Job] = [(values_in(jobs[k][0], fits[k].values), [[{}]]) for k in which]
+        for k, fit in zip(which, self._fit(continued, most), strict=True):
+            if not fit.failure and fit.misfit <= fits[k].misfit:
+                fits[k] = replace(fit, seconds=fit.seconds + fits[k].seconds)
+
+    def _fit(self, jobs: Sequence[_Job], most: int | None, *, linear_only: bool = False) -> list[Fit]:
+        if not jobs:
+            return []
+        count = min(len(jobs), BATCHES * (self.workers or 2))
+        batches = [list(jobs[k::count]) for k in range(count)]
+        results = run_jobs(
+            _fit_batch, [(batch, self.source, most, linear_only) for batch in batches], workers=self.workers,
+            scheduler=self.scheduler, progress=self.progress, on_error="return",
+        )  # fmt: skip
+        fits: list[Fit] = [Fit(document, failure="was not fitted") for document, _ in jobs]
+        for k, result in enumerate(results):
+            if isinstance(result, Failure):
+                for j in range(k, len(jobs), count):
+                    fits[j] = Fit(jobs[j][0], failure=result.text)
+                continue
+            for j, plain in zip(range(k, len(jobs), count), result, strict=True):
+                fits[j] = fit_from_plain(jobs[j][0], plain)
+        return fits
+
+    def refitted(self, base: Fit, effects: Sequence[Candidate], near: Fit) -> Fit:
+        """Return the diagram with these effects only, fitted from their values in another fit."""
+        document = base.document
+        for item in effects:
+            document = item.insertion.document(document)
+        document = values_in(document, near.values)
+        with threadpool_limits(1, "blas"):
+            return self.source.fit(document, [[{}], [self.nominal]])
+
+
+def _by_misfit(fits: Sequence[Fit]) -> list[int]:
+    return sorted((k for k, fit in enumerate(fits) if not fit.failure), key=lambda k: fits[k].misfit)
+
+
+def _simplest_first(tried: list[Candidate], slack: float) -> list[Candidate]:
+    """Return candidates by their criterion; of those that it does not tell from the best, the simplest first."""
+    tried = sorted(tried, key=lambda item: (bool(item.fit.failure), item.fit.criterion))
+    least = next((item.fit.criterion for item in tried if not item.fit.failure and item.physical), np.inf)
+    near = [item for item in tried if not item.fit.failure and item.physical and item.fit.criterion <= least + slack]
+    near.sort(key=lambda item: (item.fit.unknowns, item.fit.criterion))
+    return [*near, *(item for item in tried if item not in near)]
+
+
+def _promise_batch(argument: tuple[list[_Job], Source]) -> list[float]:
+    batch, source = argument
+    with threadpool_limits(1, "blas"):
+        return [source.promise(document, starts) for document, starts in batch]
+
+
+def _fit_batch(argument: tuple[list[_Job], Source, int | None, bool]) -> list[dict[str, Any]]:
+    batch, source, most, linear_only = argument
+    with threadpool_limits(1, "blas"):
+        return [
+            fit_to_plain(source.fit(document, starts, most=most, linear_only=linear_only)) for document, starts in batch
+        ]
+
+
+def _sizes(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
+    """Return the largest magnitude of the inputs of an insertion that were recorded (at their node or any)."""
+    out = {}
+    for key, source in insertion.feeds.items():
+        exact = [v for name, v in largest.items() if name.startswith(source.rstrip("]"))]
+        near = [v for name, v in largest.items() if name.partition("[")[0] == source.partition("[")[0]]
+        if exact or near:
+            out[key] = max(exact or near)
+    return out

@@ -1,0 +1,408 @@
+"""The report of a diagnosis: what stands in it, that nothing of a user's is taken for HTML, and what figures show."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from dataclasses import replace
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+import pytest
+from matplotlib.patches import Rectangle
+
+from rotorsim.diagnose.diagnosis import Diagnosis, diagnose
+from rotorsim.diagnose.files import diagnosis_data
+from rotorsim.diagnose.insertion import Spot
+from rotorsim.diagram import load
+from rotorsim.recordings import Recording
+from rotorsim.report.diagnosis_comparison import Pair, excess_of, fitted_pair, held_pair, traces
+from rotorsim.report.diagnosis_evidence import parameters_figure, residuals_figure, traces_figure
+from rotorsim.report.diagnosis_figures import orbits_figure, spectra_figure, speed_curves_figure
+from rotorsim.report.diagnosis_places import NEW, SHADES, block_diagram, places_figure
+from rotorsim.report.diagnosis_report import save_report
+from rotorsim.report.diagnosis_tables import estimate, flat
+from tests.diagnose.test_diagnosis import HELD, recording
+from tests.diagnose.time_machines import OSCILLATOR, oscillator_recording
+from tests.identify import OTHER_GAINS, changed, shipped
+
+FIGURES = {"where.png", "spectra.png", "orbits.png", "speed_curves.png", "residuals.png", "parameters.png"}
+NASTY = "<script>alert('x')</script> & \"y\""
+VOID = {"meta", "img", "br"}
+
+
+@cache
+def bowed() -> Diagnosis:
+    held = recording(True, HELD, seed=50, all_gains=(OTHER_GAINS,))
+    return diagnose(
+        shipped("jeffcott"), recording(True), hold_out=held, physics=("residual_bow", "runout"), workers=1
+    )  # fmt: skip
+
+
+@cache
+def healthy() -> Diagnosis:
+    return diagnose(shipped("jeffcott"), recording(False), physics=("residual_bow", "sensor_gain"), workers=1)
+
+
+@cache
+def nasty() -> Diagnosis:
+    """Return a diagnosis whose names would be HTML if they were not escaped."""
+
+    def rename(document: dict[str, Any]) -> None:
+        document["name"] = NASTY
+
+    measured = recording(True)
+    named = Recording(NASTY, NASTY, measured.folder, measured.channels, measured.runs, measured.warnings)
+    found = diagnose(changed("jeffcott", rename), named, physics=("residual_bow",), workers=1)
+    return replace(found, statement=NASTY, next_experiment=NASTY)
+
+
+class _Page(HTMLParser):
+    """Reads a page and notes tags that do not match, images, and what is loaded from elsewhere."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.wrong: list[str] = []
+        self.images: list[str] = []
+        self.outside: list[str] = []
+        self.scripts = 0
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        self._note(tag, attrs)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._note(tag, attrs)
+
+    def handle_endtag(self, tag: str) -> None:
+        if not self.open or self.open[-1] != tag:
+            self.wrong.append(tag)
+        else:
+            self.open.pop()
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] != "style":
+            self.words.append(data)
+
+    def _note(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.scripts += tag == "script"
+        for name, value in attrs:
+            if tag == "img" and name == "src":
+                self.images.append(value or "")
+            elif name in ("src", "href", "xlink:href"):
+                self.outside.append(value or "")
+            assert not name.startswith("on"), (tag, name)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+@cache
+def _reported(which: str) -> tuple[_Page, dict[str, bytes], tuple[str, ...]]:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        found = {"bowed": bowed, "healthy": healthy, "nasty": nasty}[which]()
+        files = save_report(found, folder, command="rotorsim diagnose jeffcott <b>there</b> --hold-out 'a b'")
+        assert all(file.is_file() for file in files)
+        page = _Page(files[0].read_text(encoding="utf-8"))
+        return page, {f.name: f.read_bytes() for f in Path(folder).iterdir()}, tuple(f.name for f in files)
+
+
+@pytest.mark.parametrize("which", ["bowed", "healthy", "nasty"])
+def test_one_valid_file_that_needs_no_other(which: str) -> None:
+    page, files, names = _reported(which)
+    assert page.wrong == []
+    assert page.open == []
+    assert page.outside == []
+    assert page.scripts == 0
+    assert names[0] == "report.html"
+    assert set(names) == set(files)
+    pictures = [name for name in names if name.endswith(".png")]
+    assert len(page.images) == len(pictures) >= 5
+    for source, name in zip(page.images, pictures, strict=True):
+        head, _, code = source.partition(",")
+        assert head == "data:image/png;base64"
+        assert base64.b64decode(code, validate=True) == files[name]
+        pixels = matplotlib.image.imread(io.BytesIO(files[name]))
+        assert min(pixels.shape[:2]) > 200
+        assert np.ptp(pixels) > 0.5  # something is drawn
+
+
+def test_what_a_user_wrote_is_text() -> None:
+    page, files, _ = _reported("nasty")
+    assert b"<script" not in files["report.html"]
+    assert page.text.count(NASTY) >= 5  # title, diagram, statement, recording, next experiment
+    assert "rotorsim diagnose jeffcott <b>there</b> --hold-out 'a b'" in page.text
+
+
+def test_numbers_are_those_of_the_diagnosis() -> None:
+    page, files, _ = _reported("bowed")
+    found = bowed()
+    data = diagnosis_data(found)
+    assert set(files) == FIGURES | {"report.html", "diagram.svg"}
+    before, after = (100 * data["fit"][which]["hold_out"] for which in ("before", "after"))
+    sentence = "The diagram lacks residual bow at rotor.force; with it the error on held-out runs falls from"
+    assert f"{sentence} {before:.3g} % to {after:.3g} %." in page.text
+    for name, score in found.score_after.ports.items():
+        row = f"{name} {100 * found.score_before.ports[name]:.3g} % {100 * score:.3g} %"
+        assert row in page.text
+    phase = np.degrees(data["missing"][0]["parameters"]["phase"]["value"])
+    shown = re.search(r"phase (-?[\d.]+) deg (-?[\d.]+) deg to (-?[\d.]+) deg", page.text)
+    assert shown is not None
+    low, high = (float(shown[k]) for k in (2, 3))
+    assert low < phase < high
+    assert abs(float(shown[1]) - phase) < 0.1 * (high - low)
+    rival = next(item.fit for item in found.named.rounds[0].tried if item.insertion.physics == "runout")
+    best = found.effects[0].candidate.fit
+    ratio = (rival.misfit / rival.freedom) / (best.misfit / best.freedom)
+    assert ratio > 2
+    assert f"leaves {ratio:.3g} times as much" in page.text  # the rival, and why it lost
+
+
+def test_a_report_of_nothing_missing() -> None:
+    page, files, _ = _reported("healthy")
+    assert "Nothing is missing" in page.text
+    assert "What would have been seen" in page.text
+    assert "residual bow amplitude" in page.text
+    assert "repaired" not in page.text.replace("repaired diagram, sha256", "")
+    assert "There were no held-out runs: the figures show runs that were fitted." in page.text
+    assert "parameters.png" not in files
+
+
+# -- figures -----------------------------------------------------------------------------------------------------------
+
+
+def test_what_is_left_over_is_noise_after_and_not_before() -> None:
+    """In units of the noise the squares have a mean of one: of N harmonics the mean of them scatters by sqrt(1 / N)."""
+    pair = fitted_pair(bowed())
+    assert pair is not None
+    assert pair.before is not None
+    assert pair.after is not None
+    squares = {
+        name: np.concatenate([
+            excess_of(compared, r, signal) ** 2
+            for signal in pair.every for r in range(len(compared.experiment.runs))
+        ])
+        for name, compared in pair.models
+    }  # fmt: skip
+    count = len(squares["after"])
+    assert count > 150
+    assert abs(squares["after"].mean() - 1) < 4 / np.sqrt(count)
+    assert squares["before"].mean() > 100
+
+
+def test_spectra_show_measured_and_both_diagrams() -> None:
+    pair = held_pair(bowed())
+    assert pair is not None
+    assert pair.held
+    made = spectra_figure(pair)
+    labels = [text.get_text() for text in made.legends[0].get_texts()]
+    assert {"diagram as given", "repaired diagram", "measured, 90 % interval"} <= set(labels)
+    axes = made.axes[0]
+    signal, r = pair.telling[0], pair.any.chosen(3)[0]
+    assert signal.title in axes.get_title(loc="left")
+    assert "rpm" in axes.get_title(loc="left")
+    drawn = next(line for line in axes.lines if line.get_label() == "repaired diagram")
+    assert pair.after is not None
+    np.testing.assert_allclose(drawn.get_ydata(), np.abs(pair.after.model(r, signal)) * 1e6)  # um
+    np.testing.assert_array_equal(drawn.get_xdata(), pair.any.orders(signal))
+    assert axes.get_yscale() == "log"
+
+
+def test_curves_over_speed_go_through_what_the_diagram_says_at_the_runs() -> None:
+    found = bowed()
+    pair = held_pair(found)
+    assert pair is not None
+    assert pair.after is not None
+    made = speed_curves_figure(pair, fitted_pair(found))
+    assert made is not None
+    upper = made.axes[0]
+    assert upper.get_title(loc="left").startswith("1X (forward)")
+    line = next(line for line in upper.lines if line.get_label() == "repaired diagram")
+    signal = pair.telling[0]
+    column = int(np.flatnonzero(pair.after.orders(signal) == 1)[0])
+    for r, fit in enumerate(pair.after.experiment.fits):
+        expected = abs(pair.after.model(r, signal)[column]) * 1e6
+        at = np.interp(fit.speed * 30 / np.pi, line.get_xdata(), line.get_ydata())
+        assert abs(at / expected - 1) < 0.02  # between points of the curve
+    speeds = [path.get_offsets() for path in upper.collections]
+    assert speeds is not None
+    assert {"measured, 90 % interval", "measured, fitted runs"} <= {
+        text.get_text() for text in made.legends[0].get_texts()
+    }
+
+
+def test_orbits_close_and_have_both_axes() -> None:
+    pair = held_pair(bowed())
+    assert pair is not None
+    made = orbits_figure(pair)
+    assert made is not None
+    for axes in made.axes:
+        line = next(line for line in axes.lines if line.get_label() == "repaired diagram")
+        x, y = line.get_xdata(), line.get_ydata()
+        assert np.hypot(x[-1] - x[0], y[-1] - y[0]) < 1e-9 * np.ptp(x)
+        assert axes.get_xlabel() == "x [um]"
+        assert axes.get_ylabel() == "y [um]"
+
+
+def test_without_a_motion_of_the_diagram_as_given_the_figures_show_the_other() -> None:
+    pair = held_pair(bowed())
+    assert pair is not None
+    alone = Pair(None, pair.after, pair.held, False, pair.labels)
+    for made in (spectra_figure(alone), orbits_figure(alone), speed_curves_figure(alone), residuals_figure(alone)):
+        assert made is not None
+    labels = [text.get_text() for text in spectra_figure(alone).legends[0].get_texts()]
+    assert "diagram as given" not in labels
+
+
+def test_residuals_are_drawn_for_every_run_and_order() -> None:
+    pair = fitted_pair(bowed())
+    assert pair is not None
+    made = residuals_figure(pair)
+    drawn = [axes.collections[0].get_array() for axes in made.axes if axes.collections and axes.get_xlabel() != ""]
+    runs = len(pair.any.experiment.runs)
+    assert all(array is not None and array.shape[-1] == runs for array in drawn[:2])
+    titles = [axes.get_title(loc="left") for axes in made.axes]
+    assert any("diagram as given" in title for title in titles)
+    assert any("repaired diagram" in title for title in titles)
+
+
+def test_parameters_move_by_parts_of_the_later_value() -> None:
+    def item(value: float, unit: str = "1") -> dict[str, Any]:
+        return {"value": value, "interval90": [0.9 * value, 1.1 * value], "unit": unit}
+
+    before = {"k": item(150.0), "phase": item(0.1 + 2 * np.pi, "rad"), "old": item(1.0)}
+    after = {"k": item(100.0), "phase": item(0.2, "rad"), "new": item(5.0)}
+    labels = {"before": "diagram as given", "after": "repaired diagram"}
+    made = parameters_figure(before, after, labels)
+    assert made is not None
+    left, right = made.axes
+    assert [text.get_text() for text in left.get_yticklabels()] == ["k"]
+    assert [text.get_text() for text in right.get_yticklabels()] == ["phase"]
+    places = [float(box.lines[0].get_xdata()[0]) for box in left.containers]
+    assert places == pytest.approx([50.0, 0.0])
+    turned = [float(box.lines[0].get_xdata()[0]) for box in right.containers]
+    assert turned == pytest.approx([np.degrees(-0.1), 0.0])
+    assert parameters_figure({}, after, labels) is None
+
+
+def test_a_parameter_at_its_bound_has_no_interval_and_is_nothing_to_compare_with() -> None:
+    """FAULT: a stiffness of 2 nN/m at its bound made the axis reach to 600 000 %."""
+    low = {"value": 2e-9, "interval90": [2e-9, 2e-9], "unit": "N/m", "at_bound": True}
+    free = {"value": 1e5, "interval90": [0.5e5, 1.5e5], "unit": "N/m"}
+    labels = {"before": "diagram as given", "after": "repaired diagram"}
+    made = parameters_figure({"k": free, "c": low}, {"k": low, "c": low}, labels)
+    assert made is not None
+    [axes] = made.axes
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["k"]  # c says nothing
+    assert [float(box.lines[0].get_xdata()[0]) for box in axes.containers] == pytest.approx([0.0, -100.0])
+    assert "repaired diagram, at its bound" in [text.get_text() for text in made.legends[0].get_texts()]
+    assert estimate(low) == ["2 nN/m", "at its bound"]
+
+
+def test_a_large_change_is_written_at_the_edge() -> None:
+    before = {"k": {"value": 55.0, "interval90": [54.0, 56.0], "unit": "1"}}
+    after = {"k": {"value": 1.0, "interval90": [0.9, 1.1], "unit": "1"}}
+    made = parameters_figure(before, after, {"before": "diagram as given", "after": "repaired diagram"})
+    assert made is not None
+    [axes] = made.axes
+    assert axes.get_xlim()[1] == 150.0
+    assert [text.get_text() for text in axes.texts] == ["+5.4e+03 % "]
+
+
+def test_an_unknown_force_is_told_with_units_and_speeds() -> None:
+    data = {
+        "orders": {"1": 0.178},
+        "work_per_turn": [-1.6e-6, 2e-9],
+        "map": {"terms": {"cubic": 2e9}, "explains": 0.357},
+    }
+    assert flat(data, speeds=[2408.0, 122.0]) == [
+        ("orders [N, 0-peak]", "1X 0.178"),
+        ("work per turn", "122 rpm: 2 nJ, 2408 rpm: -1.6 uJ"),
+        ("map: cubic", "2e+09 N/m^3"),
+        ("map: explains", "35.7 % of the misfit"),
+    ]
+
+
+def test_places_stand_at_their_nodes() -> None:
+    probes = [f"rotor.displacement[{node},{axis}]" for node in (2, 4) for axis in (1, 2)]
+    spots = [(Spot("rotor", "force", 4), 0.7), (Spot("rotor", "displacement", 2), 0.2), (Spot("amb", "force"), 0.1)]
+    made = places_figure(shipped("fe_rigid"), spots, probes)
+    bars = {round(p.get_height(), 3): p for axes in made.axes for p in axes.patches if isinstance(p, Rectangle)}
+    assert bars[0.7].get_x() < 0.3 < bars[0.7].get_x() + bars[0.7].get_width()  # node 4 of elements of 100 mm
+    assert abs(bars[0.2].get_x() + bars[0.2].get_width() / 2 - 0.1) < bars[0.2].get_width()  # beside bars of the force
+    texts = [text.get_text() for axes in made.axes for text in axes.texts]
+    assert texts.count("probe") == 2
+    assert "amb" in texts
+    assert any("amb.force" in label.get_text() for axes in made.axes for label in axes.get_yticklabels())
+
+
+@pytest.mark.parametrize("name", ["jeffcott", "offset_disc", "fe_rigid", "fe_flexible"])
+def test_every_machine_is_drawn(name: str) -> None:
+    made = places_figure(shipped(name), [], ["rotor.displacement[1]"])
+    assert made.axes[0].patches
+    assert made.get_suptitle() == "The machine as the diagram has it; no place is suspect"
+
+
+def test_a_diagram_without_a_rotor_lists_places() -> None:
+    made = places_figure(load(OSCILLATOR), [(Spot("spring", "force"), 0.8)], [])
+    [axes] = made.axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["spring.force"]
+
+
+def test_blocks_are_framed_by_probability() -> None:
+    spots = [(Spot("rotor", "force"), 0.9), (Spot("amb", "force"), 0.2), (Spot("clock", "theta"), 0.01)]
+    svg = block_diagram(shipped("jeffcott"), spots, ["bus"])
+    frames = dict(re.findall(r'stroke="(#[0-9a-f]+)" stroke-width="3.0"/>\n<text[^>]*>(\w+)<', svg, re.IGNORECASE))
+    assert {name: colour for colour, name in frames.items()} == {
+        "rotor": SHADES[0][1], "amb": SHADES[1][1], "clock": SHADES[2][1], "bus": NEW
+    }  # fmt: skip
+
+
+# -- in time -----------------------------------------------------------------------------------------------------------
+
+
+@cache
+def swinging() -> Diagnosis:
+    measured = oscillator_recording(3e4, 1e-3)
+    return diagnose(load(OSCILLATOR), measured, physics=("cubic_stiffness", "sensor_gain"), workers=1)
+
+
+def test_signals_in_time_are_simulated_again() -> None:
+    found = swinging()
+    shown = traces(found)
+    assert shown
+    for trace in shown:
+        assert trace.time.shape == trace.measured.shape
+        assert trace.before is not None
+        assert trace.after is not None
+        wrong = [
+            np.sqrt(np.mean((trace.measured - y) ** 2)) / trace.measured.std() for y in (trace.before, trace.after)
+        ]
+        assert wrong[1] < wrong[0]
+    made = traces_figure(shown, {"before": "diagram as given", "after": "repaired diagram"}, False)
+    assert made.axes[0].get_ylabel().startswith("[")
+    assert made.axes[1].get_xlabel() == "time [s]"
+
+
+def test_a_report_in_time(tmp_path: Path) -> None:
+    files = save_report(swinging(), tmp_path)
+    page = _Page(files[0].read_text(encoding="utf-8"))
+    assert page.wrong == []
+    assert page.open == []
+    names = {file.name for file in files}
+    assert "traces.png" in names
+    assert not names & {"spectra.png", "orbits.png", "speed_curves.png", "residuals.png"}
+    assert "cubic stiffness" in page.text
