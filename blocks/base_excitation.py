@@ -6,7 +6,7 @@ from typing import Any
 from rotorsim.blocks import _plane
 
 from rotorsim.block import Block, Equations, Out, Param, cos
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Lines
 
 
 class BaseExcitation(Block):
@@ -23,12 +23,8 @@ class BaseExcitation(Block):
         Fault(
             physics="base_excitation",
             enters="force",
-            free={
-                "acceleration": (0.1,),
-                "frequency": (2 * pi * 16.7, 2 * pi * 50, 2 * pi * 100),
-                "phase": _plane.ANGLES,
-                "direction": (0.7,),
-            },
+            free={"acceleration": (0.1,), "direction": (0.7,)},
+            fixed={"frequency": Lines()},
             inherits=("mass",),
             law="a line at a frequency that does not follow speed",
             confused_with=("speed_fluctuation", "foundation_mode"),

@@ -3,18 +3,18 @@
 from math import pi
 from typing import Any
 
-from rotorsim.blocks import _plane
-
 from rotorsim.block import Block, Equations, In, Out, Param, cos, sin
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Lines
 
 
 class SpeedFluctuation(Block):
     """Let the angle of a shaft swing about that of steady rotation.
 
     angle = theta + amplitude sin(frequency t + phase),   its rate = W + amplitude frequency cos(frequency t + phase)
+    acceleration = -amplitude frequency^2 sin(frequency t + phase)
 
-    It stands between the clock and everything that turns. Each order k gets sidebands at k W +- frequency.
+    It stands between the clock and everything that turns. Each order k gets sidebands at k W +- frequency. A disc that
+    swings by torsion against a drive that turns evenly is the same, but for the pulses of the drive.
     """
 
     source = "Friswell et al. (2010), ch. 9 (torsion); Randall, Vibration-based Condition Monitoring (2011), ch. 2"
@@ -26,10 +26,23 @@ class SpeedFluctuation(Block):
             between=("clock", "*"),
             through={"theta": "angle", "speed": "rate"},
             recorded="after",
-            free={"amplitude": (1e-3,), "frequency": (2 * pi * 5, 2 * pi * 20), "phase": _plane.ANGLES},
+            free={"amplitude": (1e-3,)},
+            fixed={"frequency": Lines()},
             law="sidebands of every order, at a frequency of their own",
             confused_with=("base_excitation", "torsion_coupling"),
             told_apart_by="an encoder of many pulses a turn; sidebands grow with the order, a shaken base has one line",
+        ),
+        Fault(
+            physics="torsion_coupling",
+            enters="wire",
+            between=("clock", "*"),
+            through={"theta": "angle", "speed": "rate"},
+            recorded="before",
+            free={"amplitude": (1e-3,)},
+            fixed={"frequency": Lines()},
+            law="sidebands at the torsional frequency: the disc swings, the end with the pulses does not",
+            confused_with=("speed_fluctuation",),
+            told_apart_by="pulses at the disc: they swing where the drive's do not",
         ),
     )
 
@@ -37,6 +50,7 @@ class SpeedFluctuation(Block):
     speed = In(unit="rad/s", doc="steady speed W")
     angle = Out(unit="rad", doc="angle of the shaft")
     rate = Out(unit="rad/s", doc="speed of the shaft")
+    acceleration = Out(unit="rad/s^2", doc="angular acceleration of the shaft")
     amplitude = Param(1e-3, unit="rad", low=0.0, doc="amplitude eps of the swing")
     frequency = Param(2 * pi * 10, unit="rad/s", above=0.0, doc="frequency nu of the swing")
     phase = Param(0.0, unit="rad", doc="phase at t = 0")
@@ -47,5 +61,6 @@ class SpeedFluctuation(Block):
             outputs={
                 "angle": u.theta + p.amplitude * sin(inside),
                 "rate": u.speed + p.amplitude * p.frequency * cos(inside),
+                "acceleration": -p.amplitude * p.frequency**2 * sin(inside),
             }
         )

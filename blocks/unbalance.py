@@ -11,9 +11,9 @@ from rotorsim.fault import Fault
 class Unbalance(Block):
     """Give the rotating force of a mass eccentricity.
 
-    f = mass eccentricity W^2 [cos(theta + phase), sin(theta + phase)]        thesis eq. (2.2), (4.6)
+    f = mass eccentricity (W^2 [cos a, sin a] + W' [sin a, -cos a]),   a = theta + phase        thesis eq. (2.2), (4.6)
 
-    The term with the angular acceleration of a run-up, mass eccentricity W', is left out, as in the thesis.
+    The term with the angular acceleration W' is there where ``acceleration`` is wired; the thesis leaves it out.
     One block for each disc.
     """
 
@@ -33,6 +33,7 @@ class Unbalance(Block):
 
     theta = In(unit="rad", doc="shaft angle")
     speed = In(unit="rad/s", doc="shaft speed W")
+    acceleration = In(unit="rad/s^2", optional=True, doc="angular acceleration W' of the shaft; unwired: zero")
     force = Out(shape=2, unit="N", doc="force on the rotor [x, y]")
     mass = Param(2.0, unit="kg", low=0.0, doc="mass of the disc")
     eccentricity = Param(24e-6, unit="m", low=0.0, doc="distance of the centre of mass from the shaft centre")
@@ -40,4 +41,7 @@ class Unbalance(Block):
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
         angle = u.theta + p.phase
-        return Equations(outputs={"force": p.mass * p.eccentricity * u.speed**2 * vec(cos(angle), sin(angle))})
+        force = u.speed**2 * vec(cos(angle), sin(angle))
+        if u.acceleration is not None:
+            force = force + u.acceleration * vec(sin(angle), -cos(angle))
+        return Equations(outputs={"force": p.mass * p.eccentricity * force})

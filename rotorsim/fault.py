@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["ENTRIES", "Fault", "Of"]
+__all__ = ["ENTRIES", "Fault", "Lines", "Of"]
 
 ENTRIES = ("force", "wire", "reading", "replace", "move")
 
@@ -20,6 +20,11 @@ class Of:
 
     input: str
     factor: float
+
+
+@dataclass(frozen=True)
+class Lines:
+    """A value that follows the data: the frequency [rad/s] of lines that do not follow the shaft."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,8 +38,8 @@ class Fault:
       not have (``theta``, ``speed``) from the one block that has them.
     - "wire": the block stands in a wire that leads from a block of category ``between[0]`` to one of category
       ``between[1]`` ("*": to every block); ``through`` maps its inputs to its outputs. The wire is known by the name
-      of the input (the output of that name of the source). With ``recorded`` "after" a recording of that signal
-      means the block's output, with "before" its input.
+      of the input (the output of that name of the source); further outputs go to optional inputs of their name. With
+      ``recorded`` "after" a recording of that signal means the block's output, with "before" its input.
     - "reading": only the recording sees the block's output (``through``), not the diagram.
     - "replace": the block takes the place of one whose type is in ``of``, which may be its own type; parameters of
       equal name keep their values.
@@ -42,16 +47,17 @@ class Fault:
 
     options: of the block where it enters. free: parameter -> starts (SI numbers or `Of`), all of them tried; bounds
     are those of the parameter; what is not free keeps its default. fixed: parameters that are set once, to a number
-    or by `Of`, and not fitted. inherits: parameters that take the value that the block at the place has under the
-    same name; "crack.sag" takes that of the one block of type crack, if there is one. law: in words, what the effect
-    does with speed, order and amplitude.
+    or by `Of`, and not fitted, or by `Lines`: it is tried only where the recording has lines that call for it.
+    inherits: parameters that take the value that the block at the place has under the same name; "crack.sag" takes
+    that of the one block of type crack, if there is one. law: in words, what the effect does with speed, order and
+    amplitude.
     confused_with: physics that read alike; told_apart_by: the experiment that tells them apart.
     """
 
     physics: str
     enters: str
     free: Mapping[str, tuple[float | Of, ...]] = field(default_factory=dict)
-    fixed: Mapping[str, float | Of] = field(default_factory=dict)
+    fixed: Mapping[str, float | Of | Lines] = field(default_factory=dict)
     of: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     between: tuple[str, str] = ("rotor", "controller")

@@ -27,6 +27,7 @@ from rotorsim.identify.profile import Z90
 from rotorsim.recordings.checks import check_signals
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.recording import Recording
+from rotorsim.recordings.second_frequency import Second, find_second, with_second
 
 __all__ = ["VERDICTS", "Diagnosis", "Effect", "diagnose"]
 
@@ -114,8 +115,11 @@ def diagnose(
         hint = "diagnosis needs runs at constant speed that have settled"
         raise RotorsimError(Problem("no run has a settled motion", recording.name, hint=hint), *warnings, exit_code=1)
     folder = str(Path(diagram.file).parent) if diagram.file else None
-    source = Source(recording, harmonics, folder, trust_blocks)
-    held = _held(recording, hold_out, warnings)
+    second = find_second(recording, harmonics)
+    if second is not None:
+        harmonics = _beside(recording, harmonics, second, warnings, "used")
+    source = Source(recording, harmonics, folder, trust_blocks, second)
+    held = _held(recording, hold_out, second, warnings)
     folders = diagram.document.get("block_folders", []) if trust_blocks and folder else []
     registry = Registry([Path(folder or ".") / name for name in folders])
     with threadpool_limits(1, "blas"):
@@ -180,12 +184,28 @@ def _refuse_still(experiment: Experiment) -> None:
         raise RotorsimError(*problems, exit_code=1)
 
 
-def _held(recording: Recording, hold_out: Recording | None, warnings: list[Problem]) -> tuple[Held, ...]:
+def _beside(
+    recording: Recording, runs: Sequence[RunHarmonics], second: Second, warnings: list[Problem], use: str
+) -> tuple[RunHarmonics, ...]:
+    """Return runs with lines of a second frequency fitted; those that cannot tell them from harmonics are left out."""
+    kept, lost = with_second(recording, runs, second)
+    if not kept:
+        return tuple(runs)
+    near = "lines that do not follow the shaft are too near to its harmonics"
+    warnings += [Problem(f"{near}: it is not {use}", f"run {name}", severity="warning") for name in lost]
+    return kept
+
+
+def _held(
+    recording: Recording, hold_out: Recording | None, second: Second | None, warnings: list[Problem]
+) -> tuple[Held, ...]:
     """Return the runs that are only scored; those that do not follow the shaft are left out, with a warning."""
     found = []
     parts = [(recording, recording.select("hold_out")), *([] if hold_out is None else [(hold_out, hold_out.runs)])]
     for part, runs in parts:
         kept = _settled(tuple(harmonics_of(part, runs)) if runs else (), warnings, "scored")
+        if kept and second is not None:
+            kept = _beside(part, kept, second, warnings, "scored")
         found += [Held(part, kept)] if kept else []
     return tuple(found)
 

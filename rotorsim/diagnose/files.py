@@ -56,7 +56,7 @@ def _missing(found: Diagnosis) -> list[dict[str, Any]]:
             "class": list(effect.members),
             "probability": effect.members[effect.physics],
             "block": effect.candidate.insertion.name,
-            "parameters": _effect_parameters(effect, found.after),
+            "parameters": {**_effect_parameters(effect, found.after), **_from_lines(effect, found)},
         }
         for effect in found.effects
     ]
@@ -69,6 +69,16 @@ def _place(spot: Spot, probability: float) -> dict[str, Any]:
 def _effect_parameters(effect: Effect, fit: Fit) -> dict[str, Any]:
     every = _parameters(fit)
     return {name.rpartition(".")[2]: every[name] for name in effect.candidate.parameters if name in every}
+
+
+def _from_lines(effect: Effect, found: Diagnosis) -> dict[str, Any]:
+    """Return the parameters that the lines beside the harmonics gave."""
+    second = getattr(found.source, "second", None)
+    if second is None:
+        return {}
+    ends = [_finite(end) for end in interval(second.value, second.std)]
+    value = {"value": second.value, "std": second.std, "interval90": ends, "unit": "rad/s"}
+    return {key: dict(value) for key in effect.candidate.insertion.from_lines}
 
 
 def _parameters(fit: Fit, found: Diagnosis | None = None) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorsim.diagnose.insertion import LINES
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.load import load
 from rotorsim.errors import RotorsimError
@@ -22,6 +23,7 @@ from rotorsim.identify.nonlinear_likelihood import likelihood_of
 from rotorsim.identify.nonlinear_motion import NonlinearMotion
 from rotorsim.recordings.harmonics import RunHarmonics
 from rotorsim.recordings.recording import Recording
+from rotorsim.recordings.second_frequency import Second
 
 __all__ = ["LATER", "Fit", "Source", "fit_document", "fit_from_plain", "fit_to_plain", "left_out"]
 
@@ -48,6 +50,7 @@ def _nothing() -> np.ndarray:
 class Source:
     """What a diagram is fitted to: a recording, its harmonics, and where the diagram's files are.
 
+    second: the frequency of lines that do not follow the shaft, and that the harmonics were fitted with.
     Whatever has ``recorded``, ``load``, ``fit`` and ``largest`` can stand in its place (`naming.name_missing`).
     """
 
@@ -55,6 +58,7 @@ class Source:
     harmonics: tuple[RunHarmonics, ...]
     folder: str | None = None
     trust_blocks: bool = False
+    second: Second | None = None
 
     def load(self, document: Mapping[str, Any]) -> Diagram:
         """Return the diagram of a document. Raises RotorsimError."""
@@ -106,6 +110,8 @@ class Source:
             for c, name in enumerate(item.fit.names):
                 size = float(abs(item.fit.values[0, c])) + float(np.sqrt(2) * item.fit.rms[c])
                 found[name] = max(found.get(name, 0.0), size)
+        if self.second is not None and not self.second.follows:
+            found[LINES] = self.second.value
         return found
 
 

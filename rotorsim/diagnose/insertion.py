@@ -12,9 +12,11 @@ import numpy as np
 from rotorsim.block import Block, In
 from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Port
 from rotorsim.diagram.registry import Registry
-from rotorsim.fault import Fault, Of
+from rotorsim.fault import Fault, Lines, Of
 
-__all__ = ["Insertion", "Spot", "fixed_of", "insertions", "starts_of"]
+__all__ = ["LINES", "Insertion", "Spot", "fixed_of", "insertions", "starts_of"]
+
+LINES = "lines"  # among the largest magnitudes of signals: the frequency of lines that do not follow the shaft
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,11 @@ class Insertion:
     def free(self) -> tuple[str, ...]:
         """The names under which its parameters are free."""
         return tuple(f"{self.name}.{key}" for key in self.fault.free)
+
+    @property
+    def from_lines(self) -> tuple[str, ...]:
+        """The parameters that take the frequency of lines that do not follow the shaft."""
+        return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Lines))
 
     def document(self, document: Mapping[str, Any], start: Mapping[str, float] | None = None) -> dict[str, Any]:
         """Return the document with the fault in it and its parameters free, from starts {parameter: SI value}."""
@@ -256,6 +263,7 @@ class _Finder:
                     wires.append((f"{name}.{output}", str(wire.target)))
             if fault.recorded == "after" and f"{block}.{key}" in self.ports:
                 measured[str(source)] = f"{name}.{output}"
+        wires += self._offered(kind, fault, name, wires)
         if not cut and not measured:
             return None
         for key, declared in kind.inputs.items():
@@ -270,6 +278,23 @@ class _Finder:
         spot = Spot(block, next(iter(fault.through)), index[0] + 1 if index else None)
         values = {**dict(fault.options), **self._inherited(fault, node)}
         return Insertion(kind, fault, spot, name, tuple(wires), tuple(cut), measured, values, feeds, variant)
+
+    def _offered(
+        self, kind: type[Block], fault: Fault, name: str, wires: list[tuple[str, str]]
+    ) -> list[tuple[str, str]]:  # fmt: skip
+        """Return wires of further outputs to optional inputs of that name, of blocks that the new block feeds."""
+        fed = dict.fromkeys(target.partition(".")[0] for source, target in wires if source.startswith(f"{name}."))
+        more = [output.name for key, output in kind.outputs.items() if key not in fault.through.values()]
+        found = []
+        for block in fed:
+            node = self.diagram.nodes[block]
+            for port in node.inputs.values():
+                wanted = isinstance(port.declaration, In) and port.declaration.optional and port.name in more
+                if wanted and not any(
+                    (w.target.block, w.target.port) == (block, port.name) for w in self.diagram.wires
+                ):
+                    found.append((f"{name}.{port.name}", f"{block}.{port.name}"))
+        return found
 
     def _wired(self, source: Endpoint, category: str) -> bool:
         return any(
@@ -364,5 +389,7 @@ def fixed_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, fl
     return {key: _number(item, largest) for key, item in insertion.fault.fixed.items()}
 
 
-def _number(item: float | Of, largest: Mapping[str, float]) -> float:
+def _number(item: float | Of | Lines, largest: Mapping[str, float]) -> float:
+    if isinstance(item, Lines):
+        return largest[LINES]
     return item.factor * largest.get(item.input, 1.0) if isinstance(item, Of) else float(item)

@@ -76,7 +76,7 @@ def _equivalent(document: Mapping[str, Any], source: Source, spot: Spot) -> tupl
     first = 0 if spot.node is None else (spot.node - 1) * width
     H = transfer[..., first : first + width]
     D = likelihood.data[:, :, : likelihood.c] - found.Y
-    R, orders = D.shape[:2]
+    R, orders = len(D), likelihood.K + 1
     F = np.zeros((R, orders, width), complex)
     for r in range(R):
         for k in range(1, orders):
@@ -89,7 +89,7 @@ def _equivalent(document: Mapping[str, Any], source: Source, spot: Spot) -> tupl
     names = [f"{spot.block}.{conjugate}[{suffix}{axis + 1}]" for axis in range(width)]
     if not all(name in experiment.predicted for name in names):
         return experiment.motion.speeds, F, np.full_like(F, np.nan)
-    X = likelihood.data[:, :, [experiment.predicted.index(name) for name in names]]
+    X = likelihood.data[:, :orders, [experiment.predicted.index(name) for name in names]]
     return experiment.motion.speeds, F, X
 
 

@@ -49,7 +49,7 @@ class Places:
 
     def _least(self, force: bool, names: tuple[str, ...]) -> float:
         """Return the misfit with free harmonics of some inputs, or of what some channels read."""
-        likelihood, K = self.likelihood, self.likelihood.K
+        likelihood, orders = self.likelihood, self.likelihood.orders
         rests, slopes = [], []
         at = 0
         for r, white in enumerate(likelihood.whiteners):
@@ -58,9 +58,9 @@ class Places:
             e, J = self.found.residual[part], self.found.slopes[part]
             at += size
             effects = self._effects(r, force, names)
-            columns = np.zeros((effects.shape[2] * (2 * K + 1), K + 1, likelihood.c), complex)
+            columns = np.zeros((effects.shape[2] * (2 * orders - 1), orders, likelihood.c), complex)
             row = 0
-            for k in range(K + 1):
+            for k in range(orders):
                 for v in range(effects.shape[2]):
                     for phase in (1.0, 1j) if k else (1.0,):
                         columns[row, k] = effects[k, :, v] * phase
@@ -77,11 +77,11 @@ class Places:
         return float(rest @ rest)
 
     def _effects(self, r: int, force: bool, names: tuple[str, ...]) -> np.ndarray:
-        """Return what unit harmonics change in the predicted channels of a run, (K+1, c, number)."""
+        """Return what unit harmonics change in the predicted channels of a run, (orders, c, number)."""
         if force:
             return np.asarray(self.transfer[r][:, :, [self.places[name] for name in names]])
         predicted = self.likelihood.experiment.predicted
-        unit = np.zeros((self.likelihood.K + 1, len(predicted), len(names)), complex)
+        unit = np.zeros((self.likelihood.orders, len(predicted), len(names)), complex)
         for v, name in enumerate(names):
             unit[:, predicted.index(name), v] = 1.0
         return unit

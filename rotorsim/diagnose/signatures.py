@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from rotorsim.compile import Model, compile_diagram
 from rotorsim.diagnose.base import with_uncertain
-from rotorsim.diagnose.insertion import Insertion, fixed_of, starts_of
+from rotorsim.diagnose.insertion import LINES, Insertion, fixed_of, starts_of
 from rotorsim.diagnose.signature_motion import LinearMotion, NoSignatureError, Runs
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.load import load
@@ -33,6 +33,7 @@ from rotorsim.units import format_quantity
 
 __all__ = ["ALIAS", "HARDLY", "NOISE", "SIGMAS", "Shares", "Signatures", "Size", "runs_of", "signatures_of"]
 
+ANY_LINE = 100.0  # rad/s: does not follow the shaft
 ALIAS = 1e-6  # share below which nothing tells two faults apart
 HARDLY = 0.03  # share below which only a strong fault is told apart
 SMALL = 1e-9  # of columns as long as one another: what is less is rounding
@@ -378,8 +379,8 @@ class _Maker:
         return self.rows(every[..., kept])
 
     def _sizes(self, item: Insertion) -> dict[str, float]:
-        """Return the largest magnitude of the inputs of a fault in the motion of the diagram."""
-        out = {}
+        """Return the largest magnitude of the inputs of a fault in the motion of the diagram, and where lines are."""
+        out = {LINES: ANY_LINE}
         for key, source in item.feeds.items():
             ports = [name.partition("[")[0] == source.partition("[")[0] for name in self.signals]
             exact = [name.startswith(source.rstrip("]")) for name in self.signals]

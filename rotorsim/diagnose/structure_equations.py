@@ -182,7 +182,9 @@ class _Builder:
                 continue  # what the block of the fault takes
             entries = flat_indices(self.diagram.nodes[end.block].inputs[end.port].shape, end.index).tolist()
             for key, entry in zip(self._keys(start.port, len(entries), came_from), entries, strict=True):
-                found.setdefault(key, set()).add(f"{end.block}.in {end.port}#{entry}")
+                name = f"{end.block}.in {end.port}#{entry}"
+                if name in self.equations:  # an input that was not wired before comes with others that were
+                    found.setdefault(key, set()).add(name)
         for said, meant in item.measured.items():
             start = endpoint(meant)
             assert start is not None

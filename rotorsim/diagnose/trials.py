@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.fitting import LATER, Fit, Source, fit_from_plain, fit_to_plain
-from rotorsim.diagnose.insertion import Insertion, fixed_of, insertions, starts_of
+from rotorsim.diagnose.insertion import LINES, Insertion, fixed_of, insertions, starts_of
 from rotorsim.diagnose.places import open_places
 from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.registry import Registry
@@ -102,8 +102,9 @@ class Trials:
         self.counts["rounds"] += 1
         jobs = []
         largest = self.source.largest()
+        found = [item for item in found if LINES in largest or not item.from_lines]
         for item in found:
-            sizes = _sizes(item, largest)
+            sizes = {**_sizes(item, largest), **{key: v for key, v in largest.items() if key == LINES}}
             starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
             here = [dict(zip(item.free, start.values(), strict=True)) for start in starts]
             groups = [here, [{**self.nominal, **start} for start in here]]

@@ -13,7 +13,7 @@ from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.values import ValueProblem, numeric
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.identify.functions import Equations, slots_of
-from rotorsim.identify.motion import Motion
+from rotorsim.identify.motion import Motion, Torus
 from rotorsim.identify.nonlinear_equations import NonlinearEquations, is_linear
 from rotorsim.identify.nonlinear_motion import NonlinearMotion
 from rotorsim.recordings.harmonic_fit import HarmonicFit
@@ -53,6 +53,12 @@ class Experiment:
     motion: Motion | NonlinearMotion
     use_mean: np.ndarray
     resolution: float = RESOLUTION
+
+    @property
+    def beside_orders(self) -> np.ndarray:
+        """Orders (L,) of the lines beside the harmonics that all runs were fitted with; empty where there are none."""
+        first = self.runs[0].fit.beside
+        return np.zeros(0, int) if first is None else first.orders
 
     @property
     def fits(self) -> list[HarmonicFit]:
@@ -133,10 +139,18 @@ def open_experiment(
     windows = [float(item.run.time[-1] - item.run.time[0]) for item in found]
     speeds = np.array([item.fit.speed for item in found])
     phase = _clock_phase(model, p)
-    _refuse_aperiodic(model, p, speeds)
+    forced = _is_aperiodic(model, p, speeds)
+    besides = [item.fit.beside for item in found]
+    if forced is not None and not (linear_model and all(beside is not None for beside in besides)):
+        what = "the forcing is not the same one turn later: it does not follow the shaft"
+        raise RotorsimError(Problem(what, forced, hint="what is compared are harmonics of the shaft angle"))
     motion: Motion | NonlinearMotion
     if linear_model:
-        motion = Motion(Equations(model, predicted, kept), p, speeds, K, windows, phase)
+        torus = None
+        if besides[0] is not None:
+            second = np.array([beside.second for beside in besides if beside is not None])
+            torus = Torus(speeds, K, second, besides[0].orders, forced is not None)
+        motion = Motion(Equations(model, predicted, kept), p, speeds, K, windows, phase, torus)
     else:
         motion = NonlinearMotion(NonlinearEquations(model, predicted, kept), p, speeds, K, windows, phase)
     channels = {channel.name: channel for channel in recording.channels.values()}
@@ -275,8 +289,8 @@ def _unit(diagram: Diagram, name: str) -> str | None:
     return declared[key].unit if key in declared else None
 
 
-def _refuse_aperiodic(model: Model, p: np.ndarray, speeds: np.ndarray) -> None:
-    """Refuse forcing that is not the same one turn later: what is fitted are harmonics of the shaft."""
+def _is_aperiodic(model: Model, p: np.ndarray, speeds: np.ndarray) -> str | None:
+    """Return a block whose forcing is not the same one turn later, None where all of it follows the shaft."""
     period = 2 * np.pi / np.abs(speeds[0])
     x, z = np.zeros(model.n_x), model.z0(p[0])
     rates = [np.array(model.rhs(at * period, x, z, p[0])).ravel() for at in PROBES]
@@ -284,9 +298,8 @@ def _refuse_aperiodic(model: Model, p: np.ndarray, speeds: np.ndarray) -> None:
         size = np.maximum(np.abs(first), np.abs(second))
         changed = np.flatnonzero(np.abs(second - first) > 1e-6 * np.maximum(size, 1e-9 * size.max(initial=0.0)))
         if len(changed):
-            block = model.block_of_state(int(changed[0]))
-            what = "the forcing is not the same one turn later: it does not follow the shaft"
-            raise RotorsimError(Problem(what, block, hint="what is compared are harmonics of the shaft angle"))
+            return model.block_of_state(int(changed[0]))
+    return None
 
 
 def _clock_phase(model: Model, p: np.ndarray) -> np.ndarray:

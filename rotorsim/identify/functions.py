@@ -126,10 +126,25 @@ class Equations:
         slopes = np.fft.rfft(derivatives, axis=1)[:, : K + 1] / n
         return coefficients[:, : K + 1], slopes
 
+    def forcing_beside(
+        self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, projection: np.ndarray, times: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return coefficients of [f; g] and their derivatives at the frequencies of a projection.
+
+        projection (R, frequencies, N) of samples at times (R, N) -> (R, frequencies, n + C), (..., m).
+        """
+        values, slopes = self._at(p, theta, times)
+        R, _, width, m = slopes.shape
+        found = projection @ values
+        return found, (projection @ slopes.reshape(R, slopes.shape[1], -1)).reshape(R, -1, width, m)
+
     def sampled(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
         """Return [f; g] at rest at n instants of a turn, (R, n, states + outputs), and its derivatives (..., m)."""
-        R, m = theta.shape
-        times = (2 * np.pi / np.abs(speeds)[:, None] * np.arange(n) / n).reshape(1, -1)
+        return self._at(p, theta, 2 * np.pi / np.abs(speeds)[:, None] * np.arange(n) / n)
+
+    def _at(self, p: np.ndarray, theta: np.ndarray, instants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        (R, m), n = theta.shape, instants.shape[1]
+        times = instants.reshape(1, -1)
         many_p, many_theta = np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T
         values, derivatives = [], []
         for value, derivative in self._forcing:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 
 from rotorsim.identify.experiment import Experiment
 from rotorsim.identify.motion import Motion, PortMotion, Response, condensed
@@ -44,12 +44,17 @@ class Likelihood:
         self.experiment = experiment
         self._motion: Motion | PortMotion | None = None
         self.K = experiment.motion.K
+        self.beside = len(experiment.beside_orders)
+        self.orders = self.K + 1 + self.beside
         self.c, self.V = len(experiment.predicted), len(experiment.given)
         self.data = np.array([
-            harmonics_of_time(item.fit.values[: self.K + 1, columns], item.fit.speed)
+            np.concatenate([
+                harmonics_of_time(item.fit.values[: self.K + 1, columns], item.fit.speed),
+                *([item.fit.beside.values[:, columns]] if self.beside and item.fit.beside is not None else []),
+            ])
             for item, columns in zip(experiment.runs, experiment.columns, strict=True)
         ])  # fmt: skip
-        keep = np.ones((2 * self.K + 1, self.c + self.V), bool)
+        keep = np.ones((2 * self.orders - 1, self.c + self.V), bool)
         keep[0] = experiment.use_mean
         self.keep = np.flatnonzero(keep.ravel())
         self.whiteners = [self._whitener(r) for r in range(len(experiment.runs))]
@@ -58,7 +63,14 @@ class Likelihood:
     def _whitener(self, r: int) -> _Whitener:
         fit, columns = self.experiment.runs[r].fit, self.experiment.columns[r]
         return _Whitener(
-            _inverse_root(fit, tuple(columns.tolist()), self.K, tuple(self.keep.tolist()), self.experiment.resolution),
+            _inverse_root(
+                fit,
+                tuple(columns.tolist()),
+                self.K,
+                tuple(self.keep.tolist()),
+                self.experiment.resolution,
+                self.beside > 0,
+            ),
             self.keep,
         )
 
@@ -68,7 +80,9 @@ class Likelihood:
         given = self.data[:, :, self.c :]
         X = response.states(given)
         Y = response.outputs(X, given)
-        blocks = [self._nuisances(response, r) for r in range(len(self.data))]
+        turn = self._turned(Y)
+        Y = Y * turn[:, :, None]
+        blocks = [self._nuisances(response, r, Y[r]) for r in range(len(self.data))]
         inputs = given.copy()
         residuals = []
         spanned: dict[int, np.ndarray] = {}
@@ -81,12 +95,12 @@ class Likelihood:
                 spanned[r] = q
             residuals.append(e)
         if any(raw.size or self.V for _, raw in blocks):
-            Y = response.outputs(X, inputs)
-        slopes = response.sensitivity(X, inputs if self.V else None)
+            Y = response.outputs(X, inputs) * turn[:, :, None]
+        slopes = response.sensitivity(X, inputs if self.V else None) * turn[:, :, None, None]
         rows = []
         counted = 0
         for r in range(len(blocks)):
-            J = np.zeros((self.K + 1, self.c + self.V, slopes.shape[-1]), complex)
+            J = np.zeros((self.orders, self.c + self.V, slopes.shape[-1]), complex)
             J[:, : self.c] = slopes[r]
             j = -self.whiteners[r].apply(np.moveaxis(real_vector(np.moveaxis(J, -1, 0)), 0, -1))
             if r in spanned:
@@ -121,10 +135,22 @@ class Likelihood:
             solve_triangular(factor, np.concatenate([values.real, values.imag]) / scale[:, None], lower=True)
         )
 
-    def _nuisances(self, response: Response, r: int) -> tuple[np.ndarray, np.ndarray]:
+    def _turned(self, Y: np.ndarray) -> np.ndarray:
+        """Return the factors (R, orders) that turn lines beside the harmonics to the phase at which they were met."""
+        turn = np.ones(Y.shape[:2], complex)
+        for r, white in enumerate(self.whiteners):
+            if self.beside and Y[r, self.K + 1 :].any():
+                lines = np.zeros((2, *self.data[r].shape), complex)
+                lines[0, self.K + 1 :, : self.c] = Y[r, self.K + 1 :]
+                lines[1] = 1j * lines[0]
+                onto = white.apply(real_vector(lines).T).T @ self.data_rows[r]
+                turn[r, self.K + 1 :] = np.exp(1j * np.arctan2(onto[1], onto[0]))
+        return turn
+
+    def _nuisances(self, response: Response, r: int, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the whitened columns of the nuisances of one run, and dX_0 by the slow states (n, s)."""
         slow = response.slow_states(r)
-        orders, width = self.K + 1, self.c + self.V
+        orders, width = self.orders, self.c + self.V
         columns = []
         for k in range(slow.shape[1]):
             effect = np.zeros((orders, width), complex)
@@ -139,6 +165,10 @@ class Likelihood:
                         effect[k, : self.c] = transfer[k, :, v] * part
                         effect[k, self.c + v] = part
                         columns.append(real_vector(effect))
+        if self.beside and Y[self.K + 1 :].any():
+            effect = np.zeros((orders, width), complex)
+            effect[self.K + 1 :, : self.c] = 1j * Y[self.K + 1 :]
+            columns.append(real_vector(effect))
         if not columns:
             return np.zeros((len(self.keep), 0)), slow
         return self.whiteners[r].apply(np.array(columns).T), slow
@@ -174,15 +204,23 @@ def fitted_columns(columns: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.n
 
 @lru_cache(maxsize=64)
 def _inverse_root(
-    fit: HarmonicFit, columns: tuple[int, ...], K: int, keep: tuple[int, ...], resolution: float
+    fit: HarmonicFit,
+    columns: tuple[int, ...],
+    K: int,
+    keep: tuple[int, ...],
+    resolution: float,
+    beside: bool,
 ) -> np.ndarray:
     """Return the inverse of the Cholesky factor of the covariance of kept rows, as harmonics of time have them."""
     kept = np.array(keep)
-    covariance = fit.covariance_at(np.array(columns), range(K + 1), resolution)[np.ix_(kept, kept)]
+    covariance = fit.covariance_at(np.array(columns), range(K + 1), resolution)
     if fit.speed < 0:
         sign = np.ones((2 * K + 1, len(columns)))
         sign[2::2] = -1
-        covariance = covariance * np.outer(sign.ravel()[kept], sign.ravel()[kept])
+        covariance = covariance * np.outer(sign.ravel(), sign.ravel())
+    if beside:
+        covariance = block_diag(covariance, fit.covariance_beside(np.array(columns), resolution))
+    covariance = covariance[np.ix_(kept, kept)]
     scale, factor = scaled_cholesky(covariance)
     return np.asarray(solve_triangular(factor, np.diag(1 / scale), lower=True))
 

@@ -14,11 +14,12 @@ from rotorsim.identify.functions import Equations
 from rotorsim.identify.ports import DENSE, open_ports, slow_states
 from rotorsim.identify.resolvent import PortResolvent, Resolvent
 
-__all__ = ["Motion", "PortMotion", "Response", "condensed"]
+__all__ = ["Motion", "PortMotion", "Response", "Torus", "condensed"]
 
 PROBES = 2  # other values of the parameters at which it is seen what they move
 WIDE = 0.1  # relative
 SAMPLES = 16  # of a turn
+POINTS, TURNS = 8, 50.0  # samples for each coefficient beside harmonics, over so many turns of the slowest of all
 
 
 @dataclass(eq=False)
@@ -92,6 +93,33 @@ def _by_parameters(slopes: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.asarray((values @ flat.transpose(0, 2, 1)).reshape(R, values.shape[1], rows, m))
 
 
+class Torus:
+    """Combinations k W + nu of the shaft with a second frequency, beside the harmonics of R runs.
+
+    orders (L,): k. frequencies (R, L) [rad/s]. forced: whether the diagram moves there; then projection
+    (R, K+1+L, N) gives the coefficients at harmonics and combinations of samples at times (R, N).
+    """
+
+    def __init__(self, speeds: np.ndarray, K: int, second: np.ndarray, orders: np.ndarray, forced: bool) -> None:
+        self.orders, self.forced = orders, forced
+        self.frequencies = orders * speeds[:, None] + second[:, None]
+        if not forced:
+            return
+        count = POINTS * (2 * K + 1)
+        rng = np.random.default_rng(0)
+        k = np.arange(-K, K + 1)
+        self.times = np.empty((len(speeds), count))
+        self.projection = np.empty((len(speeds), K + 1 + len(orders), count), complex)
+        for r, (speed, nu) in enumerate(zip(np.abs(speeds), second, strict=True)):
+            slowest = min(speed, nu, *np.abs(speed * np.arange(1, 4) - nu))
+            self.times[r] = rng.uniform(0, 2 * np.pi * TURNS / max(slowest, 1e-3 * speed), count)
+            at = np.concatenate([k * speed, k * speed + nu, -k * speed - nu])
+            every = np.linalg.pinv(np.exp(1j * self.times[r][:, None] * at), rcond=1e-9)
+            places = [K + order for order in range(K + 1)]
+            places += [3 * K + 1 + int(np.sign(speeds[r])) * int(order) for order in orders]
+            self.projection[r] = every[places]
+
+
 class Motion:
     """The settled motion of R runs as a function of the free parameters.
 
@@ -101,15 +129,15 @@ class Motion:
 
     def __init__(
         self, equations: Equations, p: np.ndarray, speeds: np.ndarray, K: int, windows: Sequence[float],
-        phase: np.ndarray,
+        phase: np.ndarray, beside: Torus | None = None,
     ) -> None:  # fmt: skip
         self.equations, self.p, self.speeds, self.K = equations, p, speeds, K
-        self.windows, self.phase = np.asarray(windows, float), phase
+        self.windows, self.phase, self.beside = np.asarray(windows, float), phase, beside
         self.slow: list[np.ndarray] | None = None
 
     def at(self, p: np.ndarray) -> Motion:
         """Return the motion at other known parameters p (R, n_p)."""
-        return Motion(self.equations, p, self.speeds, self.K, list(self.windows), self.phase)
+        return Motion(self.equations, p, self.speeds, self.K, list(self.windows), self.phase, self.beside)
 
     def response(self, theta: np.ndarray, K: int | None = None, *, forced: bool = True) -> Response:
         """Return the equations at theta (m,), for orders 0..K (default: all); not forced: F and dF are zero."""
@@ -119,7 +147,8 @@ class Motion:
         found = {key: matrix(self.p, many) for key, matrix in self.equations.matrices.items()}
         A = found["A"][0]
         n = A.shape[1] + found["C"][0].shape[1]
-        F, dF = np.zeros((R, K + 1, n), complex), np.zeros((R, K + 1, n, len(theta)), complex)
+        rows = self.grid(K).shape[1]
+        F, dF = np.zeros((R, rows, n), complex), np.zeros((R, rows, n, len(theta)), complex)
         if forced:
             F, dF = self.forcing(self.equations, many, K)
         if self.slow is None:
@@ -130,17 +159,32 @@ class Motion:
             F=F, dF=dF, resolvent=self._resolvent(A, K), slow=self.slow,
         )  # fmt: skip
 
+    def grid(self, K: int) -> np.ndarray:
+        """Return i k W at orders 0..K and, with all of them, at the combinations with a second frequency."""
+        s = 1j * np.abs(self.speeds)[:, None] * np.arange(K + 1)
+        if self.beside is None or self.K != K:
+            return np.asarray(s)
+        return np.concatenate([s, 1j * self.beside.frequencies], axis=1)
+
     def forcing(self, equations: Equations, many: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the forcing of equations and its slopes, from shaft angle zero; many: theta of each run (R, m)."""
-        F, dF = equations.forcing(self.p, many, self.speeds, K)
+        beside = self.beside if K == self.K else None
+        if beside is not None and beside.forced:
+            F, dF = equations.forcing_beside(self.p, many, self.speeds, beside.projection, beside.times)
+        else:
+            F, dF = equations.forcing(self.p, many, self.speeds, K)
+            more = ((0, 0), (0, 0 if beside is None else beside.orders.shape[0]), (0, 0))
+            F, dF = np.pad(F, more), np.pad(dF, (*more, (0, 0)))
         if self.phase.any():  # harmonics count from shaft angle zero, which the clock need not pass at t = 0
-            turn = np.exp(-1j * (np.sign(self.speeds) * self.phase)[:, None] * np.arange(K + 1))
+            turned = np.sign(self.speeds)[:, None] * np.arange(K + 1)
+            if beside is not None:
+                turned = np.concatenate([turned, np.tile(beside.orders, (len(turned), 1))], axis=1)
+            turn = np.exp(-1j * self.phase[:, None] * turned)
             F, dF = F * turn[:, :, None], dF * turn[:, :, None, None]
         return F, dF
 
     def _resolvent(self, A: np.ndarray, K: int) -> Resolvent:
-        s = 1j * np.abs(self.speeds)[:, None] * np.arange(K + 1)
-        return Resolvent(A, s, self.slow or [])
+        return Resolvent(A, self.grid(K), self.slow or [])
 
 
 class PortMotion:
@@ -160,8 +204,8 @@ class PortMotion:
             (A, dA), (B, _), (C, _) = (equations.matrices[key](motion.p, many) for key in "ABC")
             columns += [np.any(part, axis=(0, 1)) for part in (A - whole.A, np.any(dA, axis=3), C)]
             moved += [_flat(part) for part in (B, *np.moveaxis(dA, 3, 0))]
-        s = 1j * np.abs(motion.speeds)[:, None] * np.arange(motion.K + 1)
-        self.ports = open_ports(whole.A, s, whole.slow, np.flatnonzero(np.any(columns, axis=0)), moved)
+        seen = np.flatnonzero(np.any(columns, axis=0))
+        self.ports = open_ports(whole.A, motion.grid(motion.K), whole.slow, seen, moved)
         self.equations = equations.at_ports(self.ports.rows, self.ports.columns)
 
     def _forces(self, theta: np.ndarray) -> list[np.ndarray]:

@@ -53,14 +53,17 @@ class NonlinearLikelihood(Likelihood):
         residuals, rows = [part[0] for part in parts], [part[1] for part in parts]
         misfit = np.array([float(e @ e) for e in residuals])
         counted = sum(len(e) for e in residuals) - sum(len(part[3]) for part in parts)
-        return Evaluation(np.concatenate(residuals), np.concatenate(rows), misfit, found.Y, counted)
+        Y = np.pad(found.Y, ((0, 0), (0, self.beside), (0, 0)))
+        return Evaluation(np.concatenate(residuals), np.concatenate(rows), misfit, Y, counted)
 
     def _run(self, found: Prediction, r: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return residual and slopes of a run without what the means can explain, their change, and its size."""
         white = self.whiteners[r]
-        e = self.data_rows[r] - white.apply(real_vector(found.Y[r]))
-        j = -white.apply(np.moveaxis(real_vector(np.moveaxis(found.slopes[r], -1, 0)), 0, -1))
-        columns = found.by_means[r]
+        more = (0, self.beside)  # nothing moves beside the harmonics
+        e = self.data_rows[r] - white.apply(real_vector(np.pad(found.Y[r], (more, (0, 0)))))
+        slopes = np.pad(found.slopes[r], (more, (0, 0), (0, 0)))
+        j = -white.apply(np.moveaxis(real_vector(np.moveaxis(slopes, -1, 0)), 0, -1))
+        columns = np.pad(found.by_means[r], (more, (0, 0), (0, 0)))
         if not columns.shape[-1] or not found.settled[r]:
             return e, j, np.zeros(columns.shape[-1]), np.zeros(0)
         q, best = fitted_columns(white.apply(np.moveaxis(real_vector(np.moveaxis(columns, -1, 0)), 0, -1)), e)

@@ -17,7 +17,8 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.noise import Line, Noise, find_lines, noise_of
 
 __all__ = [
-    "Basis", "HarmonicFit", "complex_values", "fit_harmonics", "harmonic_basis", "real_vector", "scaled_cholesky",
+    "Basis", "Beside", "HarmonicFit", "complex_values", "fit_harmonics", "harmonic_basis", "real_vector",
+    "scaled_cholesky",
 ]  # fmt: skip
 
 TURN = 2 * np.pi
@@ -25,6 +26,21 @@ MOST_ORDERS = 16
 DRIFT = 2  # degree of the drift of the mean
 NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something beside a harmonic is not told from it
 ROUNDING = 1e-10  # of a signal's rms: what numbers of seven to sixteen digits and the fit itself leave over
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """Lines y = sum over l of 2 Re values[l] e^{i (k_l theta + second t)} beside the harmonics of one run.
+
+    second [rad/s]. orders (L,): k, of either sign. values (L, C). gram (L,): variance of the real and of the imaginary
+    part for noise of variance one. told (L,): False where the line is too near to a harmonic or to another one.
+    """
+
+    second: float
+    orders: np.ndarray
+    values: np.ndarray
+    gram: np.ndarray
+    told: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +53,7 @@ class HarmonicFit:
     latter. gram: (2K+1, 2K+1), covariance of the real coefficients for noise of variance one, drift marginalised.
     angle_std: standard deviation of angle zero [rad]: it turns harmonic k by k times that.
     lines: lines that do not follow the shaft. drift: (degree, C) Legendre coefficients of the slow drift.
+    beside: what was fitted at combinations k theta + second t of the shaft with a second frequency.
     """
 
     run: str
@@ -54,6 +71,7 @@ class HarmonicFit:
     samples: int
     lines: tuple[Line, ...] = ()
     drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    beside: Beside | None = None
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -87,6 +105,22 @@ class HarmonicFit:
         size = np.tile(np.maximum(self.rms[columns], np.abs(self.values[0, columns])), len(rows))
         floor = (resolution * np.where(size > 0, size, 1.0)) ** 2
         return np.asarray(self.covariance[np.ix_(places, places)] + np.diag(floor))
+
+    def covariance_beside(self, columns: np.ndarray, resolution: float) -> np.ndarray:
+        """Return the covariance (2 L c, 2 L c) of real and imaginary parts of the lines `beside`, each on its own."""
+        beside = self.beside
+        assert beside is not None
+        width = len(columns)
+        out = np.zeros((2 * len(beside.orders) * width,) * 2)
+        for k, (order, gram) in enumerate(zip(beside.orders, beside.gram, strict=True)):
+            nearest = min(round(abs(order + beside.second / self.speed)), int(self.orders[-1]))
+            block = gram * self.noise.at_order(nearest)[np.ix_(columns, columns)]
+            block = block + np.diag((resolution * np.maximum(self.rms[columns], 1e-300)) ** 2)
+            at = 2 * k * width
+            real, imag = slice(at, at + width), slice(at + width, at + 2 * width)
+            out[real, real] = out[imag, imag] = block.real
+            out[imag, real], out[real, imag] = block.imag, -block.imag
+        return out
 
     def real_vector(self, values: np.ndarray | None = None) -> np.ndarray:
         """Return harmonics (..., K+1, C) as real numbers (..., m): order 0, then real and imaginary part per order."""
@@ -186,6 +220,7 @@ def fit_harmonics(
     orders: int | None = None,
     angle_std: float = 0.0,
     basis: Basis | None = None,
+    second: tuple[float, np.ndarray] | None = None,
 ) -> HarmonicFit:
     """Fit y = drift(t) + sum over |k| <= K of c_k e^{i k theta} to every channel by least squares.
 
@@ -193,7 +228,7 @@ def fit_harmonics(
     apart, at most 16. angle_std: of angle zero [rad], from the jitter of pulses. basis: of an earlier fit at the same
     times and angles, which saves most of the work. Noise is taken as stationary; whether it is white is tested, and
     coloured noise is described by its cross-spectrum. Lines beside the multiples of the speed are found, reported
-    and fitted along.
+    and fitted along. second: a frequency [rad/s] and orders k whose combinations with the shaft are fitted, too.
 
     Raises RotorsimError for less than a turn, signals that are not finite, or no room for one harmonic.
     """
@@ -205,6 +240,11 @@ def fit_harmonics(
         basis = harmonic_basis(run, time, theta, orders=orders)
     turns, K, drift = basis.turns, basis.orders, basis.drift
     speed = float((theta[-1] - theta[0]) / (time[-1] - time[0]))
+    told = np.zeros(0, bool)
+    if second is not None:
+        told = _told_apart(second, speed, K, float(time[-1] - time[0]))
+        beside = [_combination(theta, time, int(k), second[0]) for k in second[1][told]]
+        basis = Basis(run, np.column_stack([basis.columns, *beside]), K, drift, turns) if beside else basis
     coefficients, left = basis.solve(y)
     rms = np.sqrt(np.mean((y - y.mean(axis=0)) ** 2, axis=0))
     reach = NEAR_JITTER if angle_std > 0 else NEAR  # an error of the speed spreads a harmonic to its sides
@@ -218,6 +258,8 @@ def fit_harmonics(
     floor = ROUNDING * np.where(scale > 0, scale, 1.0)
     noise = noise_of(left, time, speed, K, n - basis.columns.shape[1], floor, lines)
     known = units or {}
+    first = m + drift
+    combined = None if second is None else _beside(second, told, coefficients[first:], basis.inverse[first:, first:])
     return HarmonicFit(
         run=run,
         speed=speed,
@@ -234,6 +276,7 @@ def fit_harmonics(
         samples=n,
         lines=tuple(lines),
         drift=coefficients[m : m + drift],
+        beside=combined,
     )
 
 
@@ -282,6 +325,31 @@ def _columns(theta: np.ndarray, time: np.ndarray, K: int, drift: int) -> np.ndar
     for degree in range(1, drift + 1):
         columns[:, 2 * K + degree] = u if degree == 1 else 1.5 * u**2 - 0.5
     return columns
+
+
+def _told_apart(second: tuple[float, np.ndarray], speed: float, K: int, duration: float) -> np.ndarray:
+    """Return which combinations of a second frequency are apart from harmonics, from zero and from each other."""
+    at = np.abs(second[1] * speed + second[0]) / TURN
+    others = np.abs(speed) / TURN * np.arange(K + 1)
+    away = np.abs(at[:, None] - others).min(axis=1)
+    pairs = np.abs(at[:, None] - at) + 1e9 * np.eye(len(at))
+    return np.asarray((away > NEAR / duration) & (pairs.min(axis=1, initial=np.inf) > NEAR / duration))
+
+
+def _combination(theta: np.ndarray, time: np.ndarray, k: int, second: float) -> np.ndarray:
+    phase = k * theta + second * time
+    return np.column_stack([2 * np.cos(phase), -2 * np.sin(phase)])
+
+
+def _beside(
+    second: tuple[float, np.ndarray], told: np.ndarray, coefficients: np.ndarray, inverse: np.ndarray
+) -> Beside:
+    count = int(told.sum())
+    values = np.zeros((len(told), coefficients.shape[1]), complex)
+    values[told] = coefficients[0 : 2 * count : 2] + 1j * coefficients[1 : 2 * count : 2]
+    gram = np.ones(len(told))
+    gram[told] = np.diag(inverse)[: 2 * count].reshape(-1, 2).mean(axis=1)
+    return Beside(second[0], second[1], values, gram, told)
 
 
 def _line_columns(time: np.ndarray, line: Line) -> np.ndarray:

@@ -13,7 +13,7 @@ from rotorsim.diagram import load
 from rotorsim.diagram.load import shipped_diagrams
 from rotorsim.diagram.registry import all_types
 from rotorsim.diagram.source import read_document
-from rotorsim.fault import Fault, Of
+from rotorsim.fault import Fault, Lines, Of
 from rotorsim.simulate import simulate
 
 # every effect that a rotor model commonly leaves out and that can be named
@@ -122,7 +122,9 @@ def started(cls: type[Block], fault: Fault) -> dict[str, Any]:
     """Parameters of the block at the first starts of a fault, where displacements are about 10 um."""
     scale = {"displacement": 1e-5, "velocity": 1e-3, "current": 0.05}
 
-    def number(value: float | Of) -> float:
+    def number(value: float | Of | Lines) -> float:
+        if isinstance(value, Lines):
+            return 100.0
         return value.factor * scale[value.input] if isinstance(value, Of) else value
 
     free = {name: number(starts[0]) for name, starts in fault.free.items()}
@@ -143,7 +145,9 @@ def put_in(document: dict[str, Any], cls: type[Block], fault: Fault) -> list[str
         moved[1] = "rotor.force[2]"
         return []
     document["blocks"]["fault"] = {"type": cls.type_name, "parameters": parameters}
-    for port in cls.inputs:
+    for port, declared in cls.inputs.items():
+        if declared.optional and port not in ("speed", "velocity"):
+            continue
         source = f"{sources.get(port, 'rotor')}.{port}"
         if port in fault.through and fault.enters == "wire":
             for wire in wires:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rotorsim.diagnose.insertion import Insertion, fixed_of, insertions, starts_of
+from rotorsim.diagnose.insertion import LINES, Insertion, fixed_of, insertions, starts_of
 from rotorsim.diagram import load
 from rotorsim.diagram.diff import diff
 from rotorsim.diagram.load import shipped_diagrams
@@ -29,7 +29,7 @@ def test_every_insertion_makes_a_valid_diagram(name, recorded):
     for item in insertions(diagram, recorded):
         if item.spot.node not in (None, 3):  # one of several like places
             continue
-        sizes = dict.fromkeys(item.feeds, 1e-5)
+        sizes = {**dict.fromkeys(item.feeds, 1e-5), LINES: 100.0}
         values = {**fixed_of(item, sizes), **starts_of(item, sizes)[0]}
         changed = load(item.document(diagram.document, values))
         assert {free.name for free in changed.free} >= set(item.free), item.key
