@@ -17,7 +17,7 @@ from rotorsim.diagram.load import load
 from rotorsim.errors import RotorsimError
 from rotorsim.identify.coordinates import ANGLE_UNIT
 from rotorsim.identify.estimate import MOST_EVALUATIONS, Estimate, Search, summary
-from rotorsim.identify.experiment import Experiment, open_experiment
+from rotorsim.identify.experiment import RESOLUTION, Experiment, open_experiment
 from rotorsim.identify.likelihood import Likelihood
 from rotorsim.identify.nonlinear_likelihood import likelihood_of
 from rotorsim.identify.nonlinear_motion import NonlinearMotion
@@ -36,7 +36,7 @@ LINEAR_STARTS = 2  # that are followed to the end
 EXPLAINS = 1.2  # times the number of equations: a misfit that no other start could lower by much
 TURN = 2 * np.pi
 SAME_SPEED = 0.02  # relative
-ACCURACY = 1e-5  # of a signal's rms: how well equations and meshes stand for a machine at best
+MESH_ACCURACY = 1e-5  # of a signal's rms: how well one mesh stands for another at best
 ROUNDED = 1e6  # parts of a radian in which angles are compared
 NUMBERS = ("misfit", "rows", "equations", "goodness", "failure", "nonlinear", "seconds")
 ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out")
@@ -66,9 +66,10 @@ class Source:
 
     def open(self, diagram: Diagram, *, given: Sequence[str] = (), inject: Sequence[str] = ()) -> Experiment:
         """Return a diagram beside the harmonics; see `rotorsim.identify.experiment.open_experiment`."""
+        has_mesh = any(node.block.refinement for node in diagram.nodes.values())
         return open_experiment(
             diagram, self.recording, runs=[item.run for item in self.harmonics], given=given, inject=inject,
-            harmonics=self.harmonics, resolution=ACCURACY,
+            harmonics=self.harmonics, resolution=MESH_ACCURACY if has_mesh else RESOLUTION,
         )  # fmt: skip
 
     @property
