@@ -10,7 +10,7 @@ from rotorsim.fault import Fault, Of
 _LAW = "odd orders; damping that falls with the reciprocal of the amplitude, at every frequency alike"
 _CONFUSED = ("hysteretic_damping", "viscous_damping")
 _TOLD = "amplitude: change it at one speed, by unbalance or gains"
-_WIDTH = {"width": Of("velocity", 0.02)}  # narrow beside the motion, as wide as a solver can follow
+_WIDTH = {"width": Of("velocity", 0.05, least=True)}  # narrow beside the slowest motion
 
 
 class CoulombFriction(Block):

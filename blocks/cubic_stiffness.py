@@ -9,6 +9,8 @@ _LAW = "0, -1, 2 and 3X with a sag or an orbit that is not circular; grows with 
 _CONFUSED = ("anisotropic_support", "clearance", "magnetic_nonlinearity")
 _TOLD = "amplitude: the natural frequency moves with its square"
 
+_STARTS = tuple(Of("displacement", newton, power=-3) for newton in (0.01, 1.0))  # force at the largest motion
+
 
 class CubicStiffness(Block):
     """Give the force of a spring whose stiffness grows with the square of the displacement (Duffing).
@@ -25,7 +27,7 @@ class CubicStiffness(Block):
         Fault(
             physics="cubic_stiffness",
             enters="force",
-            free={"stiffness": (1.0, 1e12)},
+            free={"stiffness": _STARTS},
             law=_LAW,
             confused_with=_CONFUSED,
             told_apart_by=_TOLD,
@@ -33,7 +35,7 @@ class CubicStiffness(Block):
         Fault(
             physics="cubic_stiffness",
             enters="force",
-            free={"stiffness": (1.0, 1e12), "offset": (Of("displacement", 0.3), Of("displacement", -0.3))},
+            free={"stiffness": _STARTS, "offset": (Of("displacement", 0.3), Of("displacement", -0.3))},
             law=_LAW,
             confused_with=_CONFUSED,
             told_apart_by=_TOLD,

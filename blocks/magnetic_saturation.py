@@ -3,7 +3,7 @@
 from typing import Any
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, maximum, tanh
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Of
 
 
 class MagneticSaturation(Block):
@@ -18,6 +18,9 @@ class MagneticSaturation(Block):
     there, so that k_i and k_s are the small-signal factors. For B_s to infinity this is `amb_nonlinear`.
 
     driving "unipolar": the current of a magnet does not fall below zero      "bipolar": the law as it stands
+
+    law "control": f = k_s u - k_i i_s tanh(i / i_s), i_s = saturation_current: only the field of the control current
+    saturates, as where permanent magnets or coils of their own make the bias.
     """
 
     source = "Schweitzer & Maslen (2009), ch. 4 (saturation)"
@@ -33,18 +36,35 @@ class MagneticSaturation(Block):
             confused_with=("current_clipping", "magnetic_nonlinearity"),
             told_apart_by="the current: clipping shows in it, saturation only in the force",
         ),
+        Fault(
+            physics="magnetic_saturation",
+            enters="replace",
+            of=("amb", "amb_nonlinear"),
+            options={"law": "control"},
+            free={"saturation_current": (Of("current", 2.0), Of("current", 8.0))},
+            law="3X of the force at high current",
+            confused_with=("current_clipping", "cubic_stiffness"),
+            told_apart_by="the current: clipping shows in it, saturation only in the force",
+        ),
     )
 
     displacement = In(shape=2, unit="m", doc="rotor displacement [x, y] in the bearing")
     current = In(shape=2, unit="A", doc="control current [x, y]")
     force = Out(shape=2, unit="N", doc="force on the rotor [x, y]")
+    law = Option("magnets", choices=("magnets", "control"), kind=str, doc="what saturates")
     driving = Option("unipolar", choices=("unipolar", "bipolar"), kind=str, doc="whether a current may change its sign")
     force_displacement_factor = Param(105210.0, unit="N/m", above=0.0, doc="k_s at the set-point")
     force_current_factor = Param(42.1, unit="N/A", above=0.0, doc="k_i at the set-point")
     bias_current = Param(1.0, unit="A", above=0.0, doc="bias current i0")
     saturation_flux = Param(3.0, low=0.2, doc="flux density of saturation B_s over that of the bias")
+    saturation_current = Param(1.0, unit="A", above=0.0, doc="control current of saturation i_s (law control)")
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+        if self.option.law == "control":
+            limited = _saturated(u.current, p.saturation_current)
+            return Equations(
+                outputs={"force": p.force_displacement_factor * u.displacement - p.force_current_factor * limited}
+            )
         gap = p.force_current_factor * p.bias_current / p.force_displacement_factor
         upper, lower = 1 - u.current / p.bias_current, 1 + u.current / p.bias_current
         events = {}

@@ -12,6 +12,24 @@ _CONFUSED = ("residual_bow", "blade_pass", "sensor_offset")
 _TOLD = "a probe at the disc, another set of gains"
 
 
+def _fault(forward: int, backward: int) -> Fault:
+    """Return the declaration with orders 1 to forward and -1 to -backward."""
+    free: dict[str, tuple[float, ...]] = {}
+    for k in range(1, forward + 1):
+        free |= {f"amplitude{k}": (1e-6 if k == 1 else 3e-7,), f"phase{k}": _plane.ANGLES}
+    for k in range(1, backward + 1):
+        free |= {f"backward{k}": (3e-7,), f"backward_phase{k}": (0.0,)}
+    return Fault(
+        physics="runout",
+        enters="wire",
+        through=_sensor.THROUGH,
+        free=free,
+        law=_LAW,
+        confused_with=_CONFUSED,
+        told_apart_by=_TOLD,
+    )
+
+
 class Runout(Block):
     """Add the runout of the sensed surface to the displacement that a sensor sees.
 
@@ -23,44 +41,7 @@ class Runout(Block):
 
     source = "Schweitzer & Maslen (2009), ch. 3 (sensors); API 670 (runout of the probe track)"
     category = "fault"
-    faults = (
-        Fault(
-            physics="runout",
-            enters="wire",
-            through=_sensor.THROUGH,
-            free={"amplitude1": (1e-6,), "phase1": _plane.ANGLES},
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="runout",
-            enters="wire",
-            through=_sensor.THROUGH,
-            free={"amplitude1": (1e-6,), "phase1": _plane.ANGLES, "amplitude2": (3e-7,), "phase2": _plane.ANGLES},
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="runout",
-            enters="wire",
-            through=_sensor.THROUGH,
-            free={
-                "amplitude1": (1e-6,),
-                "phase1": _plane.ANGLES,
-                "amplitude2": (3e-7,),
-                "phase2": _plane.ANGLES,
-                "backward1": (3e-7,),
-                "backward_phase1": (0.0,),
-                "backward2": (3e-7,),
-                "backward_phase2": (0.0,),
-            },
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-    )
+    faults = tuple(_fault(*orders) for orders in ((1, 0), (2, 0), (3, 0), (2, 2), (3, 3)))
 
     displacement = _sensor.DISPLACEMENT
     velocity = _sensor.VELOCITY

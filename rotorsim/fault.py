@@ -16,10 +16,15 @@ ENTRIES = ("force", "wire", "reading", "replace", "move")
 
 @dataclass(frozen=True)
 class Of:
-    """A start that follows the data: ``factor`` times the largest magnitude of an input of the block at its place."""
+    """A start that follows the data: ``factor`` times the largest magnitude of an input of the block at its place.
+
+    least: that of the run in which it is smallest, else of the one in which it is largest. power: of the magnitude.
+    """
 
     input: str
     factor: float
+    least: bool = False
+    power: int = 1
 
 
 @dataclass(frozen=True)

@@ -72,14 +72,17 @@ class Case:
         }  # fmt: skip
 
     def _noise_floor(self, lanes: list[int]) -> float:
-        """Return noise over motion, rms over channels and held-out runs of the normalised noise of each."""
+        """Return noise over motion: of all held-out runs together for probes and for current, rms of the two."""
         shares = []
-        for name, value in self.motion.signals.items():
-            for lane in lanes:
-                motion = value[lane] - value[lane].mean()
-                rms = np.sqrt(np.mean(np.abs(motion) ** 2) / 2)
-                shares.append(self.instruments.noise[int(name == "current")] / rms)
-        return float(np.sqrt(np.mean(np.square(shares))))
+        for kind in (0, 1):
+            noise, moved = 0.0, 0.0
+            for name, value in self.motion.signals.items():
+                if kind == int(name == "current"):
+                    for lane in lanes:
+                        noise += self.instruments.noise[kind] ** 2
+                        moved += float(np.mean(np.abs(value[lane] - value[lane].mean()) ** 2)) / 2
+            shares.append(noise / moved)
+        return float(np.sqrt(np.mean(shares)))
 
 
 def draw_parameters(rng: np.random.Generator) -> dict[str, float]:

@@ -68,6 +68,8 @@ MEANING: dict[str, dict[str, Reading]] = {
     "gyroscopic_error": {"inertia": the("dG")},
     "moment_unbalance": {"phase": the("phase")},
     "unbalance_elsewhere": {"phase": the("phase")},
+    "magnetic_saturation": {"saturation_current": the("is")},
+    "torsion_coupling": {"amplitude": the("phi"), "frequency": the("frequency", 2 * pi)},
     "magnetic_nonlinearity": {"bias_current": the("i0"), "gap": the("g0")},
     "eddy_current_lag": {"time_constant": the("tau"), "share": the("part")},
     "amplifier_bandwidth": {"bandwidth": the("wa")},

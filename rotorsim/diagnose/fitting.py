@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnose.insertion import LINES
+from rotorsim.diagnose.insertion import LEAST, LINES
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.load import load
 from rotorsim.errors import RotorsimError
@@ -33,6 +33,7 @@ NONLINEAR_TRIALS = 8  # of a group, of which the best is followed
 PROMISE_TRIALS = 2  # of a nonlinear diagram, twice as many of a linear one
 LINEAR_EVALUATIONS = 4  # for one of a nonlinear diagram
 LINEAR_STARTS = 2  # that are followed to the end
+CORNERS, SHARP_EVALUATIONS = 20.0, 8  # misfit over equations that more orders of a law with corners may explain
 EXPLAINS = 1.2  # times the number of equations: a misfit that no other start could lower by much
 TURN = 2 * np.pi
 SAME_SPEED = 0.02  # relative
@@ -105,12 +106,22 @@ class Source:
         return near and all(one == settings[0] for one in settings)
 
     def largest(self) -> dict[str, float]:
-        """Return the largest magnitude of every recorded signal, by its flat name."""
-        found: dict[str, float] = {}
+        """Return the largest magnitude of every recorded signal, by its flat name, and of the rates of displacements.
+
+        "least NAME": in the run in which it is smallest.
+        """
+        sizes: dict[str, list[float]] = {}
         for item in self.harmonics:
+            rates = item.fit.orders[:, None] * item.fit.speed * item.fit.values
             for c, name in enumerate(item.fit.names):
                 size = float(abs(item.fit.values[0, c])) + float(np.sqrt(2) * item.fit.rms[c])
-                found[name] = max(found.get(name, 0.0), size)
+                sizes.setdefault(name, []).append(size)
+                port, _, rest = name.partition("[")
+                if port.endswith(".displacement"):
+                    rate = 2 * float(np.sqrt((np.abs(rates[:, c]) ** 2).sum()))
+                    sizes.setdefault(f"{port.removesuffix('displacement')}velocity[{rest}", []).append(rate)
+        found = {name: max(values) for name, values in sizes.items()}
+        found |= {f"{LEAST} {name}": min(values) for name, values in sizes.items()}
         if self.second is not None and not self.second.follows:
             found[LINES] = self.second.value
         return found
@@ -186,6 +197,8 @@ def fit_document(
             return Fit(document, failure=LATER, nonlinear=True, seconds=process_time() - began)
         search = Search(likelihood_of(experiment))
         best = _best(search, experiment, starts, most)
+        if nonlinear and most is None and EXPLAINS < best.misfit / max(best.evaluation.rows, 1) < CORNERS:
+            best = _sharpened(search, best)
     except RotorsimError as error:
         return Fit(document, failure=error.problems[0].what, nonlinear=nonlinear, seconds=process_time() - began)
     except (ValueError, np.linalg.LinAlgError) as error:  # no settled motion to start from
@@ -254,6 +267,19 @@ def _best(
     if best is None:
         raise ValueError("no periodic motion was found")
     return summary(search, best)
+
+
+def _sharpened(search: Search, best: Estimate) -> Estimate:
+    """Return a fit carried on with more orders: what is left over may be theirs, where a law has corners."""
+    motion = search.likelihood.experiment.motion
+    assert isinstance(motion, NonlinearMotion)
+    motion.sharpen()
+    again = search.again(likelihood_of(search.likelihood.experiment))
+    q = again.coordinates.inside(best.theta)
+    if not np.isfinite(again.residual(q)).all():
+        return best
+    found = summary(again, again.minimise(q, most=SHARP_EVALUATIONS))
+    return found if found.misfit < best.misfit else best
 
 
 def _trials(search: Search, theta0: np.ndarray, start: Mapping[str, float]) -> list[np.ndarray]:

@@ -14,8 +14,9 @@ from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Port
 from rotorsim.diagram.registry import Registry
 from rotorsim.fault import Fault, Lines, Of
 
-__all__ = ["LINES", "Insertion", "Spot", "fixed_of", "insertions", "starts_of"]
+__all__ = ["LEAST", "LINES", "Insertion", "Spot", "fixed_of", "insertions", "starts_of"]
 
+LEAST = "least"  # before the name of a signal: its size in the run in which it is smallest
 LINES = "lines"  # among the largest magnitudes of signals: the frequency of lines that do not follow the shaft
 
 
@@ -392,4 +393,8 @@ def fixed_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, fl
 def _number(item: float | Of | Lines, largest: Mapping[str, float]) -> float:
     if isinstance(item, Lines):
         return largest[LINES]
-    return item.factor * largest.get(item.input, 1.0) if isinstance(item, Of) else float(item)
+    if not isinstance(item, Of):
+        return float(item)
+    size = largest.get(item.input, 1.0)
+    size = largest.get(f"{LEAST} {item.input}", size) if item.least else size
+    return item.factor * size**item.power

@@ -13,6 +13,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.identify.experiment import Experiment, open_experiment
 from rotorsim.identify.likelihood import Evaluation, Likelihood
 from rotorsim.identify.nonlinear_likelihood import likelihood_of
+from rotorsim.identify.nonlinear_motion import NonlinearMotion
 from rotorsim.recordings.harmonics import RunHarmonics
 from rotorsim.recordings.recording import Recording
 
@@ -64,6 +65,8 @@ def predict(document: Mapping[str, Any], source: Source, held: Held) -> Predicti
     diagram = source.load(document)
     runs = [item.run for item in held.harmonics]
     experiment = open_experiment(diagram, held.recording, runs=runs, harmonics=held.harmonics)
+    if isinstance(experiment.motion, NonlinearMotion):
+        experiment.motion.sharpen()
     likelihood = likelihood_of(experiment)
     return Prediction(experiment, likelihood, likelihood.evaluate(experiment.theta0))
 

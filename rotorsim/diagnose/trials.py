@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.fitting import LATER, Fit, Source, fit_from_plain, fit_to_plain
-from rotorsim.diagnose.insertion import LINES, Insertion, fixed_of, insertions, starts_of
+from rotorsim.diagnose.insertion import LEAST, LINES, Insertion, fixed_of, insertions, starts_of
 from rotorsim.diagnose.places import open_places
 from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.registry import Registry
@@ -104,10 +104,12 @@ class Trials:
         largest = self.source.largest()
         found = [item for item in found if LINES in largest or not item.from_lines]
         for item in found:
-            sizes = {**_sizes(item, largest), **{key: v for key, v in largest.items() if key == LINES}}
+            sizes = _sizes(item, largest)
             starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
             here = [dict(zip(item.free, start.values(), strict=True)) for start in starts]
-            groups = [here, [{**self.nominal, **start} for start in here]]
+            groups = [here]
+            if not before.nonlinear:  # else it costs too much to begin once more from values as given
+                groups.append([{**self.nominal, **start} for start in here])
             jobs.append((item.document(document, {**fixed, **starts[0]}), groups))
         if len(jobs) > MOST_FITS:
             kept = self._screened(before, found, jobs)
@@ -226,7 +228,8 @@ class Trials:
         document = base.document
         for item in effects:
             document = item.insertion.document(document)
-        document = values_in(document, near.values)
+        known = {name: value for name, value in near.values.items() if name in document["identify"]}
+        document = values_in(document, known)  # a block that was put in the place of another has others
         with threadpool_limits(1, "blas"):
             return self.source.fit(document, [[{}], [self.nominal]])
 
@@ -259,11 +262,12 @@ def _fit_batch(argument: tuple[list[_Job], Source, int | None, bool]) -> list[di
 
 
 def _sizes(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
-    """Return the largest magnitude of the inputs of an insertion that were recorded (at their node or any)."""
-    out = {}
+    """Return the magnitudes of the inputs of an insertion that were recorded (at their node or any)."""
+    out = {key: value for key, value in largest.items() if key == LINES}
     for key, source in insertion.feeds.items():
-        exact = [v for name, v in largest.items() if name.startswith(source.rstrip("]"))]
-        near = [v for name, v in largest.items() if name.partition("[")[0] == source.partition("[")[0]]
-        if exact or near:
-            out[key] = max(exact or near)
+        for which in ("", f"{LEAST} "):
+            exact = [v for name, v in largest.items() if name.startswith(which + source.rstrip("]"))]
+            near = [v for name, v in largest.items() if name.partition("[")[0] == which + source.partition("[")[0]]
+            if exact or near:
+                out[which + key] = max(exact or near)
     return out

@@ -18,8 +18,9 @@ from rotorsim.identify.ports import Ports, open_ports, slow_states
 
 __all__ = ["NonlinearMotion", "Prediction"]
 
-EXTRA_ORDERS = 8  # beyond those compared with data
+EXTRA_ORDERS, SHARP_ORDERS = 8, 40  # beyond those compared with data
 MOST_STEPS = 14
+SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0)  # of a law, in steps, where Newton's method fails at once
 SMALLEST_LENGTH = 2.0**-6
 CLOSE = 1e-9
 SIZES = (1e-6, 1e-4, 1e-2, 1.0, 1e2)  # of states at which it is seen what a law moves: gaps and limits are passed
@@ -53,13 +54,23 @@ class NonlinearMotion:
     ) -> None:  # fmt: skip
         self.equations, self.p, self.speeds, self.K = equations, p, speeds, K
         self.windows, self.phase = np.asarray(windows, float), phase
-        self.H = K + EXTRA_ORDERS
+        self._resolve(EXTRA_ORDERS)
+
+    def _resolve(self, extra: int) -> None:
+        self.H = self.K + extra
         self.count = 1 << int(np.ceil(np.log2(4 * (self.H + 1))))
-        step = 2 * np.pi / np.abs(speeds) / self.count
-        start = -np.sign(speeds) * phase / np.abs(speeds)
+        step = 2 * np.pi / np.abs(self.speeds) / self.count
+        start = -np.sign(self.speeds) * self.phase / np.abs(self.speeds)
         self.times = start[:, None] + step[:, None] * np.arange(self.count)
         self.ports: Ports | None = None
         self.last: np.ndarray | None = None
+
+    def sharpen(self) -> None:
+        """Take SHARP_ORDERS more orders from now on: for laws with corners, where it matters."""
+        last = self.last
+        self._resolve(SHARP_ORDERS)
+        if last is not None:
+            self.last = np.pad(last, ((0, 0), (0, self.H + 1 - last.shape[1]), (0, 0)))
 
     def at(self, p: np.ndarray) -> NonlinearMotion:
         """Return the motion at other known parameters p (R, n_p)."""
@@ -123,22 +134,37 @@ class NonlinearMotion:
         if not len(S):
             return base, np.ones(len(self.p), bool)
         C = base[:, :, S].copy() if self.last is None else self.last.copy()
-        residual, forces = self._residual(at, C, base)
         if self.last is not None:  # a neighbour's motion, or the linear one: whichever is nearer
             fresh = base[:, :, S]
-            trial, trial_forces = self._residual(at, fresh, base)
-            better = _size(trial, fresh) < _size(residual, C)
-            C[better], residual[better], forces[better] = fresh[better], trial[better], trial_forces[better]
+            near, far = (_size(self._residual(at, one, base)[0], one) for one in (fresh, C))
+            C[near < far] = fresh[near < far]
+        C, forces, settled = self._newton(at, C, base, 1.0)
+        if self.last is None and not settled.all():  # let the law grow from nothing
+            grown = base[:, :, S].copy()
+            for share in SHARES:
+                grown = np.where(np.isfinite(grown), grown, base[:, :, S])
+                grown, more, found = self._newton(at, grown, base, share)
+            late = found & ~settled
+            C[late], forces[late], settled = grown[late], more[late], settled | late
+        X: np.ndarray = base + np.einsum("rkie,rke->rki", at.G[:, :, :, self.inner.E], forces)
+        X[~settled] = np.nan
+        return X, settled
+
+    def _newton(
+        self, at: _Point, C: np.ndarray, base: np.ndarray, share: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        """Return C, the harmonics of the nonlinear rest, and whether each run has settled; share: of the rest."""
+        residual, forces = self._residual(at, C, base, share)
         settled = _size(residual, C) <= CLOSE
         for _ in range(MOST_STEPS):
             if settled.all():
                 break
-            delta = at.solver(self._slopes(at, C)).solve(residual[..., None])[..., 0]
+            delta = at.solver(share * self._slopes(at, C)).solve(residual[..., None])[..., 0]
             length = np.where(settled, 0.0, 1.0)
             before = _size(residual, C)
             while True:
                 new = C - length[:, None, None] * delta
-                trial, trial_forces = self._residual(at, new, base)
+                trial, trial_forces = self._residual(at, new, base, share)
                 worse = ~(_size(trial, new) < (1 - 0.1 * length) * before) & (length > SMALLEST_LENGTH) & ~settled
                 if not worse.any():
                     break
@@ -148,17 +174,17 @@ class NonlinearMotion:
             settled = settled | (_size(residual, C) <= CLOSE)
             if (stuck | settled).all():
                 break
-        X: np.ndarray = base + np.einsum("rkie,rke->rki", at.G[:, :, :, self.inner.E], forces)
-        X[~settled] = np.nan
-        return X, settled
+        return C, forces, settled
 
-    def _residual(self, at: _Point, C: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _residual(
+        self, at: _Point, C: np.ndarray, base: np.ndarray, share: float = 1.0
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """Return C less what it causes, (R, H+1, S), and the harmonics of the nonlinear rest, (R, H+1, E)."""
         E, S = self.inner.E, self.inner.S
         with np.errstate(all="ignore"):
             x = self._samples(C)
             g = at.rows(x) - at.rest - np.einsum("rms,res->rme", x, at.A_part)
-            forces = self._harmonics(g)
+            forces = share * self._harmonics(g)
             found = base[:, :, S] + np.einsum("rkse,rke->rks", at.G[:, :, S[:, None], E], forces)
         return C - found, forces
 

@@ -105,6 +105,26 @@ def test_the_smooth_breathing_crack_is_the_hinge_away_from_closure():
     assert smooth == pytest.approx(hinge, rel=1e-12)
 
 
+def test_the_unbalance_force_is_what_its_path_takes_while_the_speed_changes():
+    """-m d^2/dt^2 of e (cos(theta + phase), sin(theta + phase)), by central differences of a swinging angle."""
+    inputs = {"theta": (), "speed": (), "acceleration": ()}
+    block = prepare("unbalance", inputs, {"mass": 2.0, "eccentricity": 24e-6, "phase": 0.3})
+    swing, nu, W, t, h = 0.05, 40.0, 150.0, 0.0123, 1e-4
+
+    def path(at):
+        angle = W * at + swing * np.sin(nu * at) + 0.3
+        return 24e-6 * np.array([np.cos(angle), np.sin(angle)])
+
+    values = {
+        "theta": W * t + swing * np.sin(nu * t),
+        "speed": W + swing * nu * np.cos(nu * t),
+        "acceleration": -swing * nu**2 * np.sin(nu * t),
+    }
+    force = block.evaluate(values).outputs["force"]
+    expected = -2.0 * (path(t + h) - 2 * path(t) + path(t - h)) / h**2
+    np.testing.assert_allclose(force, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
+
+
 def test_the_unbalance_force_is_centrifugal_and_turns_with_the_shaft():
     block = prepare("unbalance", {"theta": (), "speed": ()}, {"mass": 2.0, "eccentricity": 24e-6, "phase": 0.3})
     force = block.evaluate({"theta": 1.1, "speed": 157.0}).outputs["force"]

@@ -8,7 +8,7 @@ import pytest
 from rotorsim.diagram.registry import all_types, find
 from tests.blocks.evaluation import prepare
 
-SHAPES: dict[str, tuple[int, ...]] = {"theta": (), "speed": ()}  # of inputs; all others are pairs
+SHAPES: dict[str, tuple[int, ...]] = {"acceleration": (), "theta": (), "speed": ()}  # of inputs; all others are pairs
 
 # every amplitude of an effect: where they vanish, so does the effect
 AMPLITUDES = {

@@ -125,7 +125,7 @@ def started(cls: type[Block], fault: Fault) -> dict[str, Any]:
     def number(value: float | Of | Lines) -> float:
         if isinstance(value, Lines):
             return 100.0
-        return value.factor * scale[value.input] if isinstance(value, Of) else value
+        return value.factor * scale[value.input] ** value.power if isinstance(value, Of) else value
 
     free = {name: number(starts[0]) for name, starts in fault.free.items()}
     return {**fault.options, **free, **{name: number(value) for name, value in fault.fixed.items()}}
