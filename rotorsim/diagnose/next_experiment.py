@@ -191,6 +191,9 @@ def _predicted(fit: Fit, source: Source, runs: tuple[RunHarmonics, ...]) -> Sequ
     except (RotorsimError, ValueError, np.linalg.LinAlgError):
         return nothing
     scale = _spread(fit, [item.name for item in experiment.free])
+    lines = likelihood.orders - Y.shape[1]  # a nonlinear diagram says nothing of lines beside the harmonics
+    Y, slopes = np.pad(Y, ((0, 0), (0, lines), (0, 0))), np.pad(slopes, ((0, 0), (0, lines), (0, 0), (0, 0)))
+    turned = np.pi * 1j * Y * (np.arange(likelihood.orders) > likelihood.K)[:, None]  # their phase will be any
     largest = source.largest()
     limits = LARGEST * np.array([largest.get(name, np.inf) for name in experiment.predicted])
     fastest = max(abs(item.fit.speed) for item in source.harmonics)
@@ -203,7 +206,7 @@ def _predicted(fit: Fit, source: Source, runs: tuple[RunHarmonics, ...]) -> Sequ
         if not passed and (np.sqrt(2) * rms[r] > limits).any():
             continue
         rows = [
-            likelihood.white_at(r, k, np.concatenate([Y[r, k][:, None], slopes[r, k] @ scale], axis=1))
+            likelihood.white_at(r, k, np.column_stack([Y[r, k], slopes[r, k] @ scale, turned[r, k]]))
             for k in range(1, Y.shape[1])
         ]
         white = np.concatenate(rows)

@@ -27,7 +27,8 @@ class Places:
     def __init__(self, likelihood: Likelihood, theta: np.ndarray, targets: list[str]) -> None:
         self.likelihood = likelihood
         self.found = likelihood.evaluate(theta)
-        self.transfer = likelihood.response(theta).transfer()
+        self.response = likelihood.response(theta)
+        self.transfer = self.response.transfer()
         self.places = {name: k for k, name in enumerate(targets)}
         self._known: dict[tuple[str, ...], float] = {}
 
@@ -65,7 +66,8 @@ class Places:
                     for phase in (1.0, 1j) if k else (1.0,):
                         columns[row, k] = effects[k, :, v] * phase
                         row += 1
-            whitened = white.apply(real_vector(columns).T)
+            others = likelihood.nuisances(self.response, r, self.found.Y[r])[0]
+            whitened = np.hstack([others, white.apply(real_vector(columns).T)])
             length = np.linalg.norm(whitened, axis=0)
             q, _ = np.linalg.qr(whitened[:, length > 0] / length[length > 0])
             rests.append(e - q @ (q.T @ e))

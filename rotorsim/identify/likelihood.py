@@ -82,7 +82,7 @@ class Likelihood:
         Y = response.outputs(X, given)
         turn = self._turned(Y)
         Y = Y * turn[:, :, None]
-        blocks = [self._nuisances(response, r, Y[r]) for r in range(len(self.data))]
+        blocks = [self.nuisances(response, r, Y[r]) for r in range(len(self.data))]
         inputs = given.copy()
         residuals = []
         spanned: dict[int, np.ndarray] = {}
@@ -128,9 +128,17 @@ class Likelihood:
         return self.evaluate(theta).slopes
 
     def white_at(self, r: int, order: int, values: np.ndarray) -> np.ndarray:
-        """Return complex columns (c, m) at one order of run r as whitened real rows (2 c, m), other orders ignored."""
-        item, columns = self.experiment.runs[r], self.experiment.columns[r][: self.c]
-        scale, factor = scaled_cholesky(item.fit.covariance_at(columns, [order], self.experiment.resolution))
+        """Return complex columns (c, m) at one order of run r as whitened real rows (2 c, m), other orders ignored.
+
+        order: from K + 1 on the lines beside the harmonics.
+        """
+        fit, columns = self.experiment.runs[r].fit, self.experiment.columns[r][: self.c]
+        if order > self.K:
+            part = slice(2 * self.c * (order - self.K - 1), 2 * self.c * (order - self.K))
+            covariance = fit.covariance_beside(columns, self.experiment.resolution)[part, part]
+        else:
+            covariance = fit.covariance_at(columns, [order], self.experiment.resolution)
+        scale, factor = scaled_cholesky(covariance)
         return np.asarray(
             solve_triangular(factor, np.concatenate([values.real, values.imag]) / scale[:, None], lower=True)
         )
@@ -147,8 +155,8 @@ class Likelihood:
                 turn[r, self.K + 1 :] = np.exp(1j * np.arctan2(onto[1], onto[0]))
         return turn
 
-    def _nuisances(self, response: Response, r: int, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the whitened columns of the nuisances of one run, and dX_0 by the slow states (n, s)."""
+    def nuisances(self, response: Response, r: int, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the whitened columns of the nuisances of one run at outputs Y, and dX_0 by the slow states (n, s)."""
         slow = response.slow_states(r)
         orders, width = self.orders, self.c + self.V
         columns = []

@@ -20,19 +20,24 @@ ORDERS = 5  # combinations k W + nu with |k| up to this
 CLOSE = 0.4  # of the resolution of a run, by which a line may miss its place
 SHARE = 0.7  # of the strongest lines that one frequency must explain
 STRONG = 6  # lines of a run that are looked at
+ROUNDS = 4
+EVEN = 10.0  # variances of the noise by which an angle that rises evenly may leave more over than the measured one
+LESS = 0.98  # of what a fit left over: then what the lines weigh against the noise is worth finding again
 
 
 @dataclass(frozen=True)
 class Second:
     """A second frequency [rad/s], or its ratio to the speed where it follows that; std: of either.
 
-    orders: k of the combinations k W + nu that two runs show.
+    orders: k of the combinations k W + nu that two runs show. even: the shaft turns evenly but for a swing at nu, and
+    harmonics are counted by its angle without the swing.
     """
 
     value: float
     std: float
     follows: bool
     orders: tuple[int, ...]
+    even: bool = False
 
     def at(self, speed: float) -> float:
         """Return the frequency [rad/s] at a speed [rad/s]."""
@@ -42,20 +47,38 @@ class Second:
 def find_second(recording: Recording, runs: Sequence[RunHarmonics]) -> Second | None:
     """Return the second frequency of lines that at least two runs show, None if there is none.
 
-    nu is taken as constant, or as a part of the speed: whichever explains more of the lines as |k W +- nu|, with the
+    nu is taken as constant, or as a part of the speed: whichever explains more of the lines as |k W + nu|, with the
     smaller orders k.
     """
+    second = _guessed(runs)
+    if second is None:
+        return None
+    with threadpool_limits(1, "blas"):
+        for _ in range(ROUNDS):
+            second = _refined(second, recording, runs)
+            fitted = {item.run.id: item for item in with_second(recording, runs, second)[0]}
+            hidden = _shown(second, list(fitted.values()))
+            again = [fitted.get(item.run.id, item) for item in runs]
+            less = [(new.fit.residual < LESS * old.fit.residual).any() for new, old in zip(again, runs, strict=True)]
+            if not (set(hidden) - set(second.orders) or any(less)):
+                break
+            second, runs = replace(second, orders=tuple(sorted({*second.orders, *hidden}))), again
+    return _centred(second, np.sign([item.fit.speed for item in runs]))
+
+
+def _guessed(runs: Sequence[RunHarmonics]) -> Second | None:
+    """Return the second frequency that explains most of the strongest lines, to their resolution."""
     found = [(r, line.frequency) for r, item in enumerate(runs) for line in item.fit.lines[:STRONG]]
     if len({r for r, _ in found}) < 2:
         return None
     where = np.array([r for r, _ in found])
     at = np.array([frequency for _, frequency in found])
-    speeds = np.abs([item.fit.speed for item in runs])[where] / TURN
+    speeds = np.array([item.fit.speed for item in runs])[where] / TURN
     close = CLOSE / np.array([item.run.time[-1] - item.run.time[0] for item in runs])[where]
     best: tuple[float, float, Second] | None = None
     k = np.arange(-ORDERS, ORDERS + 1)
     for follows in (False, True):
-        unit = speeds if follows else np.ones(len(at))
+        unit = np.abs(speeds) if follows else np.ones(len(at))
         tried = np.unique(np.abs(at[:, None] - k * speeds[:, None]).ravel() / np.repeat(unit, len(k)))
         for value in tried[tried > 0]:
             places = np.abs(k * speeds[:, None] + (value * unit)[:, None])
@@ -70,60 +93,93 @@ def find_second(recording: Recording, runs: Sequence[RunHarmonics]) -> Second | 
                 sign = np.sign(k[nearest] * speeds + value * unit)
                 own = (at * sign - k[nearest] * speeds)[good] / unit[good]
                 shown = {order: set(where[good & (k[nearest] == order)]) for order in k.tolist()}
-                orders = tuple(order for order, seen in shown.items() if len(seen) > 1)
+                twice = tuple(order for order, seen in shown.items() if len(seen) > 1)
+                once = tuple(order for order, seen in shown.items() if seen)
                 factor = 1.0 if follows else TURN
-                best = (*rank, Second(factor * float(np.median(own)), 0.0, follows, orders or (0,)))
-    return None if best is None else _refined(best[2], recording, runs)
+                best = (*rank, Second(factor * float(np.median(own)), 0.0, follows, twice or once))
+    return None if best is None else best[2]
+
+
+def _centred(second: Second, direction: np.ndarray) -> Second:
+    """Return a frequency that follows the speed, known but for whole orders, so that its orders lie about zero."""
+    if not second.follows or len(set(direction.tolist())) > 1:
+        return second
+    found = []
+    for j in range(-ORDERS, ORDERS + 1):
+        sign = 1 if second.value + j > 0 else -1
+        orders = tuple(sorted(int(sign * (k - j * direction[0])) for k in second.orders))
+        found.append((sum(map(abs, orders)), sign * (second.value + j), orders))
+    _, value, orders = min(found)
+    return replace(second, value=value, orders=orders)
+
+
+def _shown(second: Second, runs: Sequence[RunHarmonics]) -> tuple[int, ...]:
+    """Return further orders that lines of at least two runs are at: stronger lines near them hid them before."""
+    k = np.arange(-ORDERS, ORDERS + 1)
+    seen: dict[int, set[str]] = {}
+    for item in runs:
+        close = CLOSE / (item.run.time[-1] - item.run.time[0])
+        places = np.abs(k * item.fit.speed + second.at(item.fit.speed)) / TURN
+        for line in item.fit.lines:
+            miss = np.abs(places - line.frequency)
+            if miss.min() < close:
+                seen.setdefault(int(k[miss.argmin()]), set()).add(item.run.id)
+    return tuple(order for order, ids in seen.items() if len(ids) > 1)
 
 
 def _refined(second: Second, recording: Recording, runs: Sequence[RunHarmonics]) -> Second:
     """Return a second frequency where its combinations hold most power in all runs, with its standard deviation."""
-    found = []
-    for even in (False, True):
-        power, rest = _power(second, recording, runs, even)
-        scale = float(np.median([abs(item.fit.speed) for item in runs])) if second.follows else 1.0
-        width = 0.5 * TURN / max(float(item.run.time[-1] - item.run.time[0]) for item in runs) / scale
-        at = minimize_scalar(
-            lambda value, power=power: -power(value), bounds=(second.value - width, second.value + width),
-            method="bounded", options={"xatol": 1e-6 * width},
-        )  # fmt: skip
-        step = 0.05 * width
-        bend = -(power(at.x + step) - 2 * power(at.x) + power(at.x - step)) / step**2
-        found.append((rest(at.x), float(at.x), float(np.sqrt(2 / max(bend, 1e-300)))))
-    _, value, std = min(found)
-    return replace(second, value=value, std=std)
+    measured = _strongest(replace(second, even=False), recording, runs)
+    even = _strongest(replace(second, even=True), recording, runs)
+    if abs(even[1].value - second.value) > even[1].std:  # the swing that was taken out was one at the first value
+        even = _strongest(even[1], recording, runs)
+    return even[1] if even[0] < measured[0] + EVEN else measured[1]
 
 
-def _power(
-    second: Second, recording: Recording, runs: Sequence[RunHarmonics], even: bool
-) -> tuple[Callable[[float], float], Callable[[float], float]]:
-    """Return the power at all combinations, and that of all the rest, as functions of the second frequency.
+def _strongest(second: Second, recording: Recording, runs: Sequence[RunHarmonics]) -> tuple[float, Second]:
+    """Return the frequency near a first value that leaves least over, and what that leaves, in variances of the noise.
 
-    even: the angle is taken to rise evenly.
+    The latter with all combinations: a measured angle that follows a swing takes them all away.
     """
+    rest = _rest(second, recording, runs)
+    scale = float(np.median([abs(item.fit.speed) for item in runs])) if second.follows else 1.0
+    width = 0.5 * TURN / max(float(item.run.time[-1] - item.run.time[0]) for item in runs) / scale
+    bounds = (second.value - width, second.value + width)
+    at = float(minimize_scalar(rest, bounds=bounds, method="bounded", options={"xatol": 1e-6 * width}).x)
+    step = 0.05 * width
+    bend = (rest(at + step) - 2 * rest(at) + rest(at - step)) / step**2
+    return rest(at, range(-ORDERS, ORDERS + 1)), replace(second, value=at, std=float(np.sqrt(2 / max(bend, 1e-300))))
+
+
+def _rest(second: Second, recording: Recording, runs: Sequence[RunHarmonics]) -> Callable[..., float]:
+    """Return what harmonics and combinations leave over, in variances of the noise, as a function of the frequency."""
     parts = []
     for item in runs:
-        time, theta = item.run.time, _even(item, second.at(item.fit.speed)) if even else item.angle.theta
+        time = item.run.time
+        theta = _even(item, second.at(item.fit.speed))[0] if second.even else item.angle.theta
         basis = harmonic_basis(item.fit.run, time, theta, orders=int(item.fit.orders[-1]))
         left = basis.solve(np.column_stack(list(_signals(recording, item).values())))[1]
         scale = abs(item.fit.speed) if second.follows else 1.0
         parts.append((time - time.mean(), theta, scale, basis, left / np.maximum(item.fit.residual, 1e-300)))
+    every = sum(float((part[4] ** 2).sum()) for part in parts)
 
-    def power(value: float) -> float:
-        total = 0.0
+    def rest(value: float, orders: Sequence[int] = second.orders) -> float:
+        total = every
         for time, theta, scale, basis, left in parts:
-            phase = np.multiply.outer(theta, second.orders) + (value * scale * time)[:, None]
+            phase = np.multiply.outer(theta, orders) + (value * scale * time)[:, None]
             columns = basis.solve(np.hstack([np.cos(phase), np.sin(phase)]))[1]
             onto = columns.T @ left
-            total += float((onto * np.linalg.lstsq(columns.T @ columns, onto, rcond=1e-9)[0]).sum())
+            total -= float((onto * np.linalg.lstsq(columns.T @ columns, onto, rcond=1e-9)[0]).sum())
         return total
 
-    every = sum(float((part[4] ** 2).sum()) for part in parts)
-    return power, lambda value: every - power(value)
+    return rest
 
 
-def _even(item: RunHarmonics, second: float) -> np.ndarray:
-    """Return the angle of a shaft that turns evenly but for a swing at a second frequency, without the swing."""
+def _even(item: RunHarmonics, second: float) -> tuple[np.ndarray, float]:
+    """Return the angle of a shaft that turns evenly but for a swing at a second frequency, without the swing.
+
+    With the standard deviation of angle zero, from what the pulses leave over.
+    """
     time, theta = item.run.time, item.angle.theta
     at, turned = time, theta
     pulses = item.run.tacho
@@ -133,7 +189,9 @@ def _even(item: RunHarmonics, second: float) -> np.ndarray:
     middle = at.mean()
     columns = np.column_stack([np.ones(len(at)), at - middle, np.cos(second * at), np.sin(second * at)])
     best = np.linalg.lstsq(columns, turned, rcond=1e-9)[0]
-    return np.asarray(best[0] + best[1] * (time - middle))
+    rest = turned - columns @ best
+    variance = float(rest @ rest) / max(len(at) - len(best), 1)
+    return np.asarray(best[0] + best[1] * (time - middle)), float(np.sqrt(variance / len(at)))
 
 
 def with_second(
@@ -141,25 +199,20 @@ def with_second(
 ) -> tuple[tuple[RunHarmonics, ...], list[str]]:
     """Return runs with the combinations of a second frequency fitted, and ids of those it cannot be told apart in.
 
-    Where an angle that turns evenly leaves less over than the measured one, it is used: pulses of a shaft whose speed
-    swings are too few to follow it.
+    Pulses of a shaft whose speed swings are too few to follow it at some speeds, and follow it at others: all runs are
+    taken alike.
     """
     kept, lost = [], []
     orders = np.array(second.orders)
     with threadpool_limits(1, "blas"):
         for item in runs:
             signals = _signals(recording, item)
-            time, theta = item.run.time, item.angle.theta
             at = second.at(item.fit.speed)
-            fits = [
-                fit_harmonics(
-                    item.fit.run, time, angle, signals, dict(zip(item.fit.names, item.fit.units, strict=True)),
-                    orders=int(item.fit.orders[-1]), angle_std=item.angle.std, second=(at, orders),
-                )
-                for angle in (theta, _even(item, at))
-            ]  # fmt: skip
-            left = [float(np.log(np.maximum(fit.residual, 1e-300)).sum()) for fit in fits]
-            fit = fits[int(left[1] < left[0] - 1e-3)]
+            theta, std = _even(item, at) if second.even else (item.angle.theta, item.angle.std)
+            fit = fit_harmonics(
+                item.fit.run, item.run.time, theta, signals, dict(zip(item.fit.names, item.fit.units, strict=True)),
+                orders=int(item.fit.orders[-1]), angle_std=std, second=(at, orders),
+            )  # fmt: skip
             assert fit.beside is not None
             if not fit.beside.told.all():
                 lost.append(item.fit.run)

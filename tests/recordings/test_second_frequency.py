@@ -1,0 +1,278 @@
+"""A second frequency of lines that do not follow the shaft: found in closed-form signals, with honest uncertainty."""
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.signal import lfilter
+from scipy.special import jv
+from scipy.stats import chi2
+
+from rotorsim.errors import Place
+from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
+from rotorsim.recordings.recording import Channel, Recording, Run
+from rotorsim.recordings.second_frequency import Second, find_second, with_second
+
+TURN = 2 * np.pi
+RATE, N = 2000.0, 2000
+NOISE = 0.01
+LEVEL = 1e-4  # significance of every statistical test; the seeds are fixed
+SEEDS = 20
+SPEEDS = TURN * np.array([19.3, 27.7, 37.9, 52.3])
+NU, RATIO = TURN * 31.17, 0.3137
+CHANNELS = {axis: Channel(axis, "rotor.displacement", axis, None, None, "m") for axis in "xy"}
+HARMONICS = np.array([[0.3, -0.2], [1 - 0.5j, 0.4 + 0.8j], [0.1j, 0.2], [0.05, -0.03j]])
+LINES = {0: np.array([0.05, 0.03j]), 1: np.array([0.02 - 0.02j, 0.01 + 0.03j]), -1: np.array([0.01j, 0.025])}
+Lines = Mapping[int, np.ndarray]
+
+
+def pulses(angle, end: float) -> np.ndarray:
+    """Return the times within [0, end] at which an angle of time passes whole turns."""
+    ends = sorted((float(angle(0.0)), float(angle(end))))
+    turns = np.arange(np.ceil(ends[0] / TURN), np.floor(ends[1] / TURN) + 1)
+    return np.sort([brentq(lambda t, k=k: angle(t) - TURN * k, 0.0, end, xtol=1e-14) for k in turns])
+
+
+def closed_form(theta: np.ndarray, harmonics: np.ndarray) -> np.ndarray:
+    """Return sum over |k| <= K of c_k e^{i k theta}, (n, C)."""
+    waves = sum(2 * (np.exp(1j * k * theta)[:, None] * harmonics[k]).real for k in range(1, len(harmonics)))
+    return np.asarray(harmonics[0].real + waves)
+
+
+def recording(signals: Sequence[np.ndarray], speeds: Sequence[float], tacho: Sequence[np.ndarray]) -> Recording:
+    time = np.arange(len(signals[0])) / RATE
+    runs = tuple(
+        Run(f"run{r}", "", time, {"x": y[:, 0], "y": y[:, 1]}, speed, at, {}, "identify", Place("", r, 1), RATE)
+        for r, (y, speed, at) in enumerate(zip(signals, speeds, tacho, strict=True))
+    )
+    return Recording("made", "closed form", Path(), CHANNELS, runs)
+
+
+def made(
+    lines: Lines, *, seed: int, speeds: Sequence[float] = SPEEDS, nu: float = NU, follows: bool = False,
+    only: Sequence[int] | None = None, noise: float = NOISE,
+) -> tuple[Recording, np.ndarray]:  # fmt: skip
+    """Return runs with lines at k W + nu, and the phase of nu in each; only: the runs that have lines."""
+    random = np.random.default_rng(seed)
+    time = np.arange(N) / RATE
+    phases = random.uniform(0, TURN, len(speeds))
+    signals, tacho = [], []
+    for r, (speed, phase) in enumerate(zip(speeds, phases, strict=True)):
+        theta = speed * time + 0.7 * r
+        y = closed_form(theta, HARMONICS) + noise * random.standard_normal((N, 2))
+        second = (nu * abs(speed) if follows else nu) * time + phase
+        for k, value in lines.items() if only is None or r in only else ():
+            y += 2 * (np.exp(1j * (k * theta + second))[:, None] * value).real
+        signals.append(y)
+        tacho.append(pulses(lambda t, W=speed, r=r: W * t + 0.7 * r, time[-1]))
+    return recording(signals, speeds, tacho), phases
+
+
+def misses(found: Second, runs: Sequence[RunHarmonics], true: Mapping[str, np.ndarray], nu: float) -> list[np.ndarray]:
+    """Return what the lines of each run are off, (L, C); a small error of nu turns them about the middle of a run."""
+    out = []
+    for item in runs:
+        beside = item.fit.beside
+        assert beside is not None
+        turn = (found.value - nu) * (abs(item.fit.speed) if found.follows else 1.0)
+        out.append(beside.values * np.exp(0.5j * turn * item.run.time[-1]) - true[item.run.id])
+    return out
+
+
+def chi_squared(errors: np.ndarray, item: RunHarmonics) -> float:
+    """Return e^T C^-1 e of errors (L, C) with the covariance of the lines."""
+    e = np.concatenate([np.concatenate([line.real, line.imag]) for line in errors])
+    return float(e @ np.linalg.solve(item.fit.covariance_beside(np.arange(2), 0.0), e))
+
+
+def assert_chi_squared(total: float, count: int) -> None:
+    low, high = chi2.ppf([LEVEL / 2, 1 - LEVEL / 2], count)
+    assert low < total < high
+
+
+CASES = {  # lines, nu, whether it follows the speed, direction of rotation, seeds
+    "constant": (LINES, NU, False, 1, SEEDS),
+    "follows": (LINES, RATIO, True, 1, SEEDS),
+    "backward": ({k: LINES[k] for k in (0, 1)}, NU, False, -1, 5),
+    "follows backward": ({k: LINES[k] for k in (0, -1)}, RATIO, True, -1, 5),
+}
+
+
+@cache
+def found_in(case: str) -> list[tuple[Second | None, tuple[RunHarmonics, ...], list[str], np.ndarray]]:
+    """Return for every seed the second frequency, the runs fitted with it, those lost, and the true phases."""
+    lines, nu, follows, direction, seeds = CASES[case]
+    out = []
+    for seed in range(seeds):
+        data, phases = made(lines, seed=seed, speeds=direction * SPEEDS, nu=nu, follows=follows)
+        runs = harmonics_of(data)
+        second = find_second(data, runs)
+        out.append((second, *(((), []) if second is None else with_second(data, runs, second)), phases))
+    return out
+
+
+def off(case: str) -> np.ndarray:
+    """Return what the second frequency is off in every draw, in its standard deviations."""
+    return np.array([(second.value - CASES[case][1]) / second.std for second, *_ in found_in(case)])
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_frequency_is_found(case):
+    lines, _, follows, _, _ = CASES[case]
+    for second, _, lost, _ in found_in(case):
+        assert second is not None
+        assert (second.follows, second.orders, lost) == (follows, tuple(sorted(lines)), [])
+    assert np.abs(off(case)).max() < 3
+
+
+@pytest.mark.parametrize("case", ["constant", "follows"])
+def test_its_deviation_is_honest(case):
+    assert 0.6 < np.sqrt(np.mean(off(case) ** 2)) < 1.5
+
+
+def test_the_deviation_is_the_least_that_is_possible():
+    """Cramer-Rao: var nu = 24 sigma^2 / (T^2 N sum of squared amplitudes). Source: Kay (1993), section 3.11."""
+    second = found_in("constant")[0][0]
+    amplitudes = np.concatenate([2 * np.abs(value) for value in LINES.values()])
+    least = np.sqrt(24 * NOISE**2 / ((N / RATE) ** 2 * N * len(SPEEDS) * (amplitudes**2).sum()))
+    assert second.std == pytest.approx(least, rel=0.05)  # nothing beside the harmonics costs more than 2 of 33
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_amplitudes_are_right_within_their_noise(case):
+    lines, nu, *_ = CASES[case]
+    total, count = 0.0, 0
+    for second, runs, _, phases in found_in(case):
+        true = {
+            f"run{r}": np.array([lines[k] for k in second.orders]) * np.exp(1j * phase)
+            for r, phase in enumerate(phases)
+        }
+        for item, errors in zip(runs, misses(second, runs, true, nu), strict=True):
+            total += chi_squared(errors, item)
+            count += 2 * errors.size
+    assert_chi_squared(total, count)
+
+
+def test_a_line_hidden_by_a_stronger_one_is_found():
+    """With little noise a strong line hides all within 40 lines of the spectrum."""
+    data, _ = made({0: 10 * LINES[0], 1: LINES[1], -1: LINES[-1]}, seed=3, noise=1e-3)
+    runs = harmonics_of(data)
+    assert all(len(item.fit.lines) < 3 for item in runs)
+    assert find_second(data, runs).orders == (-1, 0, 1)
+
+
+# --- nothing to be found ----------------------------------------------------------------------------------------------
+
+
+def test_noise_has_no_second_frequency():
+    found = [made({}, seed=100 + seed)[0] for seed in range(50)]
+    assert sum(find_second(data, harmonics_of(data)) is not None for data in found) <= 1
+
+
+def test_lines_of_one_run_are_no_second_frequency():
+    for seed in range(5):
+        one = (0, 2, 3)[seed % 3]
+        data, _ = made(LINES, seed=seed, only=[one])
+        runs = harmonics_of(data)
+        assert [bool(item.fit.lines) for item in runs] == [r == one for r in range(4)]
+        assert find_second(data, runs) is None
+
+
+def test_runs_in_which_a_line_is_too_near_to_a_harmonic_are_lost():
+    """Nearer than one and a half lines of the spectrum, which are 1 Hz apart."""
+    near, far = (NU + TURN * 1.2) / 2, (NU + TURN * 1.8) / 2
+    for speed, expected in ((near, ["run4"]), (far, [])):
+        data, _ = made({0: LINES[0]}, seed=1, speeds=[*SPEEDS, speed])
+        runs = harmonics_of(data)
+        second = find_second(data, runs)
+        assert abs(second.value - NU) < 4 * second.std
+        kept, lost = with_second(data, runs, second)
+        assert lost == expected
+        assert [item.run.id for item in kept] == [f"run{r}" for r in range(5 - len(expected))]
+
+
+# --- a shaft whose speed swings ---------------------------------------------------------------------------------------
+
+
+def swinging(nu: float, swing: float, seed: int) -> tuple[Recording, np.ndarray]:
+    """Return runs that are harmonics of theta = W t + theta0 + swing sin(nu t + phase), pulses at the true angle."""
+    random = np.random.default_rng(seed)
+    time = np.arange(N) / RATE
+    phases = random.uniform(0, TURN, len(SPEEDS))
+    signals, tacho = [], []
+    for r, (speed, phase) in enumerate(zip(SPEEDS, phases, strict=True)):
+
+        def theta(t, W=speed, r=r, phase=phase):
+            return W * t + 0.7 * r + swing * np.sin(nu * t + phase)
+
+        signals.append(closed_form(theta(time), HARMONICS) + NOISE * random.standard_normal((N, 2)))
+        tacho.append(pulses(theta, time[-1]))
+    return recording(signals, SPEEDS, tacho), phases
+
+
+@pytest.mark.parametrize("frequency", [5.3, 7.7, 23.17, 71.7])
+def test_a_swinging_shaft_has_sidebands_of_bessel_functions(frequency):
+    """e^{i m theta} = sum J_n(m swing) e^{i (m W t + n (nu t + phase))}: those of n = 1 stand beside order m.
+
+    At 5.3 and 7.7 Hz a spline through the pulses follows the swing in the faster runs and not in the slower ones.
+    """
+    nu, swing = TURN * frequency, 0.03
+    data, phases = swinging(nu, swing, seed=4)
+    runs = harmonics_of(data)
+    second = find_second(data, runs)
+    assert not second.follows
+    assert abs(second.value - nu) < 3 * second.std
+    assert {-1, 1, -2, 2} <= set(second.orders) <= {-3, -2, -1, 1, 2, 3}
+    kept, lost = with_second(data, runs, second)
+    assert lost == []
+    c = {m: HARMONICS[m] if m > 0 else HARMONICS[-m].conj() for m in second.orders}
+    sidebands = np.array([jv(1, m * swing) * c[m] for m in second.orders])
+    true = {f"run{r}": sidebands * np.exp(1j * phase) for r, phase in enumerate(phases)}
+    errors = misses(second, kept, true, nu)
+    assert_chi_squared(sum(map(chi_squared, errors, kept)), sum(2 * error.size for error in errors))
+    carriers = jv(0, np.arange(4) * swing)[:, None] * HARMONICS  # at the even angle, which the swing does not turn
+    for item in kept:
+        std = item.fit.std[:4]
+        assert (np.abs((item.fit.values[:4] - carriers).real) < 5 * std.real).all()
+        assert (np.abs((item.fit.values[1:4] - carriers[1:]).imag) < 5 * std[1:].imag).all()
+
+
+# --- covariance -------------------------------------------------------------------------------------------------------
+
+
+def noise(kind: str, random: np.random.Generator) -> np.ndarray:
+    """Return noise (n, 2): white, across channels, late in one of them, or coloured."""
+    w = random.standard_normal((N + 200, 2))
+    if kind == "across":
+        w = w @ np.array([[1.0, 0.8], [0.0, 0.3]])
+    if kind == "late":  # what one channel sees comes three samples later in the other, beside noise of its own
+        w = np.column_stack([w[:, 0], np.roll(w[:, 0], 3) + 0.3 * w[:, 1]])
+    if kind == "coloured":
+        w = lfilter([1], [1, -0.7], w, axis=0)
+    return np.asarray(NOISE * w[200:])
+
+
+@pytest.mark.parametrize("kind", ["white", "across", "late", "coloured"])
+def test_amplitudes_scatter_as_their_covariance_says(kind):
+    """100 draws of the noise at a known frequency; every line on its own, as `covariance_beside` has them."""
+    random = np.random.default_rng(7)
+    time, speed, draws = np.arange(N) / RATE, SPEEDS[1], 100
+    clean = closed_form(speed * time, HARMONICS)
+    for k, value in LINES.items():
+        clean = clean + 2 * (np.exp(1j * (k * speed + NU) * time)[:, None] * value).real
+    tacho = pulses(lambda t: speed * t, time[-1])
+    data = recording([clean + noise(kind, random) for _ in range(draws)], [speed] * draws, [tacho] * draws)
+    orders = (-1, 0, 1)
+    kept, lost = with_second(data, harmonics_of(data), Second(NU, 0.0, False, orders))
+    assert (len(kept), lost) == (draws, [])
+    for k, order in enumerate(orders):
+        part = slice(4 * k, 4 * k + 4)
+        total = 0.0
+        for item in kept:
+            e = item.fit.beside.values[k] - LINES[order]
+            block = item.fit.covariance_beside(np.arange(2), 0.0)[part, part]
+            total += float(np.append(e.real, e.imag) @ np.linalg.solve(block, np.append(e.real, e.imag)))
+        assert_chi_squared(total, 4 * draws)
