@@ -102,7 +102,7 @@ def _csv(path: Path, wanted: Sequence[str], file: str) -> _Found:
 def _npz(path: Path, wanted: Sequence[str], file: str) -> _Found:
     with zipfile.ZipFile(path) as archive:
         sizes = {info.filename.removesuffix(".npy"): info.file_size for info in archive.infolist()}
-    with np.load(path, allow_pickle=False) as arrays:
+    with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as arrays:
         known: dict[str, Callable[[], Any]] = {name: lambda name=name: arrays[name] for name in arrays.files}  # type: ignore[misc]
         return _pick(known, wanted, file, lambda name: sizes.get(name, 0)), None
 

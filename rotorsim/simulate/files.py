@@ -160,7 +160,7 @@ def _foreign(path: Path, header: list[str], table: np.ndarray) -> Result:
 
 
 def _load_npz(path: Path) -> Result:
-    with np.load(path, allow_pickle=False) as archive:
+    with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:  # np.load leaves damaged files open
         meta = json.loads(str(archive["meta"]))
         signals = {name: archive[f"signals/{name}"] for name in meta["signals"]}
         return _result(archive["time"], signals, meta)
