@@ -7,6 +7,19 @@ from rotorsim.block import Block, Equations, In, Out, Param, cos, sin
 from rotorsim.fault import Fault, Lines
 
 
+def _fault(physics: str, recorded: str, **words: Any) -> Fault:
+    return Fault(
+        physics=physics,
+        enters="wire",
+        between=("clock", "*"),
+        through={"theta": "angle", "speed": "rate"},
+        recorded=recorded,
+        free={"amplitude": (1e-3,)},
+        fixed={"frequency": Lines()},
+        **words,
+    )
+
+
 class SpeedFluctuation(Block):
     """Let the angle of a shaft swing about that of steady rotation.
 
@@ -20,26 +33,16 @@ class SpeedFluctuation(Block):
     source = "Friswell et al. (2010), ch. 9 (torsion); Randall, Vibration-based Condition Monitoring (2011), ch. 2"
     category = "fault"
     faults = (
-        Fault(
-            physics="speed_fluctuation",
-            enters="wire",
-            between=("clock", "*"),
-            through={"theta": "angle", "speed": "rate"},
-            recorded="after",
-            free={"amplitude": (1e-3,)},
-            fixed={"frequency": Lines()},
+        _fault(
+            "speed_fluctuation",
+            "after",
             law="sidebands of every order, at a frequency of their own",
             confused_with=("base_excitation", "torsion_coupling"),
             told_apart_by="an encoder of many pulses a turn; sidebands grow with the order, a shaken base has one line",
         ),
-        Fault(
-            physics="torsion_coupling",
-            enters="wire",
-            between=("clock", "*"),
-            through={"theta": "angle", "speed": "rate"},
-            recorded="before",
-            free={"amplitude": (1e-3,)},
-            fixed={"frequency": Lines()},
+        _fault(
+            "torsion_coupling",
+            "before",
             law="sidebands at the torsional frequency: the disc swings, the end with the pulses does not",
             confused_with=("speed_fluctuation",),
             told_apart_by="pulses at the disc: they swing where the drive's do not",

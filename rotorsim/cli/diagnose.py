@@ -12,7 +12,7 @@ from rotorsim.cli import common
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
 if TYPE_CHECKING:
-    from rotorsim.diagnose.diagnosis import Diagnosis
+    from rotorsim.diagnose.conclusions import Diagnosis
     from rotorsim.diagram.diagram import Diagram
 
 __all__ = ["command"]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnose.diagnosis import Diagnosis, Effect, interval
+from rotorsim.diagnose.conclusions import Diagnosis, Effect, interval
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.insertion import Spot
 from rotorsim.diagram.files import write_atomically

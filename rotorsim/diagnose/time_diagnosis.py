@@ -9,8 +9,17 @@ from typing import Any, cast
 
 from threadpoolctl import threadpool_limits
 
-from rotorsim.diagnose import diagnosis as steps
 from rotorsim.diagnose.base import base_fit
+from rotorsim.diagnose.conclusions import (
+    Diagnosis,
+    Effect,
+    concluded,
+    effects_of,
+    in_words,
+    nearest,
+    unknown_of,
+    verdict_of,
+)
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.naming import Named, name_missing
 from rotorsim.diagnose.scoring import Held
@@ -56,7 +65,7 @@ def diagnose_in_time(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[float], None] | None = None,
-) -> steps.Diagnosis:
+) -> Diagnosis:
     """Return what a diagram lacks to explain a recording that is no settled motion of a shaft.
 
     See `rotorsim.diagnose.diagnosis.diagnose`; what noise is, and what is adequate: `rotorsim.diagnose.time_source`.
@@ -85,16 +94,14 @@ def diagnose_in_time(
             source = judged_by(source, named.fit)
             base = source.at(base)
         named = name_missing(base, cast(Source, source), **options)
-    effects = tuple(steps._effect(item, found) for item, found in zip(named.chosen, named.rounds, strict=False))
-    verdict = "outside_catalogue" if _is_twice(effects) else steps._verdict(named, effects)
-    places = steps._places(named, effects)
+    effects = effects_of(named)
+    verdict = "outside_catalogue" if _is_twice(effects) else verdict_of(named, effects)
     unknown = None
     with threadpool_limits(1, "blas"):
         after, before = _with_shapes(named, source), named.base
         if verdict == "outside_catalogue":
-            unknown = steps._unknown(named, cast(Source, source), places)
-            fits = [named.fit, *([unknown.fit] if unknown is not None and unknown.fit is not None else [])]
-            after = min(fits, key=steps._criterion)
+            unknown = unknown_of(named, effects, cast(Source, source))
+            after = nearest(named, unknown)
         elif named.chosen and _surpasses(after):  # what it leaves is the better measure of the noise
             source = judged_by(source, after)
             after, before = source.fit(after.document, [[after.values]]), source.at(before)
@@ -102,39 +109,22 @@ def diagnose_in_time(
         scores = [score_in_time(d, source, held) if held else left_out_in_time(d, source) for d in documents]
     if unknown is None:
         effects = tuple(replace(item, candidate=replace(item.candidate, fit=after)) for item in effects)
-    found = steps.Diagnosis(
-        verdict=verdict,
-        effects=effects,
-        places=places,
-        rejected=steps._rejected(named, effects),
-        before=before,
-        after=after,
-        document=documents[1],
-        score_before=scores[0],
-        score_after=scores[1],
-        next_experiment="",
-        statement="",
-        named=named,
-        warnings=(*of_what_rests(warnings), *(Problem(note, severity="warning") for note in refined)),
-        detectable=steps._detectable(named) if verdict == "consistent" else {},
-        outside={} if unknown is None else {**unknown.data, "description": unknown.description},
-        source=cast(Source, source),
+    found = concluded(
+        named, effects, verdict, fits=(before, after), scores=scores, source=cast(Source, source), unknown=unknown,
         held=tuple(Held(part, ()) for part in (recording, hold_out) if part is not None) if held else (),
-    )
-    from rotorsim.diagnose.wording import next_experiment, statement
-
-    told = found if verdict != "outside_catalogue" else replace(found, effects=())  # no effect to tell from its rivals
-    found = replace(found, next_experiment=next_experiment(told))
+        warnings=(*of_what_rests(warnings), *(Problem(note, severity="warning") for note in refined)),
+    )  # fmt: skip
+    found = in_words(found)
     words = [
         *what_is_left(found), *errors_in_words(source, found, held), *what_controllers_obey(source),
         *units_in_words(source, found),
     ]  # fmt: skip
     twice = " and ".join(effect.physics for effect in effects) if _is_twice(effects) else ""
     terms = {f"the nearest, {twice},": f"{twice}, which stand for a law that is neither,"} if twice else {}
-    return in_terms(replace(found, statement=" ".join([statement(found), *words])), {**TERMS, **terms})
+    return in_terms(replace(found, statement=" ".join([found.statement, *words])), {**TERMS, **terms})
 
 
-def _is_twice(effects: Sequence[steps.Effect]) -> bool:
+def _is_twice(effects: Sequence[Effect]) -> bool:
     """Return whether one effect was taken twice at one place: together they stand for a law that neither has."""
     keys = [(effect.physics, effect.candidate.insertion.spot) for effect in effects]
     return len(set(keys)) < len(keys)

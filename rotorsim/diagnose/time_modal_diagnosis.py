@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from threadpoolctl import threadpool_limits
 
-from rotorsim.diagnose import diagnosis as steps
+from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, verdict_of
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.insertion import Insertion, fixed_of, insertions, starts_of
 from rotorsim.diagnose.naming import name_missing
@@ -51,7 +51,7 @@ def diagnose_modes(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[float], None] | None = None,
-) -> steps.Diagnosis:
+) -> Diagnosis:
     """Return what a diagram lacks to have the resonances that a recording shows; see `rotorsim.diagnose.time_modal`.
 
     Raises RotorsimError for recordings that do not fit the diagram, or show no resonance.
@@ -67,34 +67,18 @@ def diagnose_modes(
         base, cast(Source, source), registry=registry, physics=kept, workers=workers, scheduler=scheduler,
         progress=progress,
     )  # fmt: skip
-    effects = tuple(steps._effect(item, found) for item, found in zip(named.chosen, named.rounds, strict=False))
+    effects = effects_of(named)
     after = named.fit
     with threadpool_limits(1, "blas"):
         scores = [modal_score(source, fit, [part for _, part in held]) for fit in (base, after)]
         words = [*_modes(source, base, after), *_driven(source, after)]
-    verdict = steps._verdict(named, effects)
-    found = steps.Diagnosis(
-        verdict=verdict,
-        effects=effects,
-        places=steps._places(named, effects),
-        rejected=(*steps._rejected(named, effects), *(screened if effects else ())),
-        before=base,
-        after=after,
-        document=values_in(after.document, after.values),
-        score_before=scores[0],
-        score_after=scores[1],
-        next_experiment="",
-        statement="",
-        named=named,
-        warnings=of_what_rests(warnings),
-        detectable=steps._detectable(named) if verdict == "consistent" else {},
-        source=cast(Source, source),
-        held=tuple(Held(part, ()) for part, _ in held),
-    )
-    from rotorsim.diagnose.wording import next_experiment, statement
-
-    found = replace(found, next_experiment=_next(source, next_experiment(found)))
-    return in_terms(replace(found, statement=" ".join([statement(found), *words])), TERMS)
+    found = concluded(
+        named, effects, verdict_of(named, effects), fits=(base, after), scores=scores, source=cast(Source, source),
+        held=tuple(Held(part, ()) for part, _ in held), warnings=of_what_rests(warnings), screened=screened,
+    )  # fmt: skip
+    found = in_words(found)
+    told = replace(found, next_experiment=_next(source, found.next_experiment))
+    return in_terms(replace(told, statement=" ".join([found.statement, *words])), TERMS)
 
 
 def _held(

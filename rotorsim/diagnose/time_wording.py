@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorsim.diagnose.diagnosis import Diagnosis
+from rotorsim.diagnose.conclusions import Diagnosis
 from rotorsim.diagnose.time_data import TimeRun
 from rotorsim.diagnose.time_scoring import TimeScore
 from rotorsim.diagnose.time_source import TimeSource

@@ -11,7 +11,7 @@ from rotorsim.diagnose.next_experiment import best_change
 from rotorsim.units import format_quantity
 
 if TYPE_CHECKING:
-    from rotorsim.diagnose.diagnosis import Diagnosis, Effect
+    from rotorsim.diagnose.conclusions import Diagnosis, Effect
     from rotorsim.fault import Fault
 
 __all__ = ["next_experiment", "statement"]
@@ -23,7 +23,8 @@ MORE_RUNS = "runs at several speeds, from slow roll to above the first critical,
 def next_experiment(found: Diagnosis) -> str:
     """Return the change that would tell apart what is left, or say that none is needed."""
     parts = []
-    for effect in found.effects:
+    known = () if found.verdict == "outside_catalogue" else found.effects  # else none to tell from its rivals
+    for effect in known:
         for name, rival in effect.rivals.items():
             told = _told_apart(effect.candidate.insertion.fault, rival.insertion.fault)
             change = None

@@ -127,7 +127,7 @@ class Equations:
         return coefficients[:, : K + 1], slopes
 
     def forcing_beside(
-        self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, projection: np.ndarray, times: np.ndarray
+        self, p: np.ndarray, theta: np.ndarray, projection: np.ndarray, times: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return coefficients of [f; g] and their derivatives at the frequencies of a projection.
 

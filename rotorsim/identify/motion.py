@@ -170,7 +170,7 @@ class Motion:
         """Return the forcing of equations and its slopes, from shaft angle zero; many: theta of each run (R, m)."""
         beside = self.beside if K == self.K else None
         if beside is not None and beside.forced:
-            F, dF = equations.forcing_beside(self.p, many, self.speeds, beside.projection, beside.times)
+            F, dF = equations.forcing_beside(self.p, many, beside.projection, beside.times)
         else:
             F, dF = equations.forcing(self.p, many, self.speeds, K)
             more = ((0, 0), (0, 0 if beside is None else beside.orders.shape[0]), (0, 0))

@@ -78,9 +78,9 @@ class Comparison:
     predicted: np.ndarray
 
     @cached_property
-    def signals(self) -> list[Signal]:
-        """One signal of each predicted port: of several nodes the one that moves most."""
-        names, by_port = self.experiment.predicted, dict[str, list[Signal]]()
+    def every(self) -> list[Signal]:
+        """Every predicted signal: two axes together where both were measured, nodes one by one."""
+        names, found = self.experiment.predicted, []
         for name in names:
             port, _, inside = name.partition("[")
             index = inside.rstrip("]").split(",") if inside else []
@@ -92,7 +92,15 @@ class Comparison:
                 partner = y if name == x and y in names else None
                 title = port + (f", node {index[0]}" if len(index) == 2 else "")
                 title += "" if partner else f", {'x' if name == x else 'y'}"
-            by_port.setdefault(port, []).append(Signal(title, name, partner, signal.unit or ""))
+            found.append(Signal(title, name, partner, signal.unit or ""))
+        return found
+
+    @cached_property
+    def signals(self) -> list[Signal]:
+        """One signal of each predicted port: of several nodes the one that moves most."""
+        by_port: dict[str, list[Signal]] = {}
+        for signal in self.every:
+            by_port.setdefault(signal.x.partition("[")[0], []).append(signal)
         return [max(some, key=self._motion) for some in by_port.values()]
 
     def _motion(self, signal: Signal) -> float:

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from rotorsim.diagnose.diagnosis import Diagnosis
+from rotorsim.diagnose.conclusions import Diagnosis
 from rotorsim.diagnose.fitting import Source
 from rotorsim.diagnose.scoring import Held, predict
 from rotorsim.diagnose.values import values_in
@@ -71,22 +71,7 @@ class Pair:
     @cached_property
     def every(self) -> list[Signal]:
         """Every measured signal: two axes together where both were measured, nodes one by one."""
-        compared, found = self.any, []
-        names = compared.experiment.predicted
-        for name in names:
-            port, _, inside = name.partition("[")
-            index = inside.rstrip("]").split(",") if inside else []
-            signal = compared.experiment.model.signals[port]
-            title, partner = name, None
-            if signal.shape[-1:] == (2,):
-                x, y = (f"{name[:-2]}{axis}]" for axis in "12")
-                if name == y and x in names:
-                    continue
-                partner = y if name == x and y in names else None
-                title = port + (f", node {index[0]}" if len(index) == 2 else "")
-                title += "" if partner else f", {'x' if name == x else 'y'}"
-            found.append(Signal(title, name, partner, signal.unit or ""))
-        return found
+        return self.any.every
 
     @cached_property
     def telling(self) -> list[Signal]:

@@ -19,7 +19,7 @@ from rotorsim.identify.profile import Z90
 from rotorsim.report.comparison import Comparison, Signal
 from rotorsim.report.diagnosis_comparison import Pair
 from rotorsim.report.identification_figures import PHASE_STEPS
-from rotorsim.report.style import BLUE, INK, RED, display, figure, rpm, styled
+from rotorsim.report.style import BLUE, INK, RED, display, figure, order_axis, rpm, styled
 
 __all__ = [
     "LOOK",
@@ -76,10 +76,7 @@ def spectra_figure(pair: Pair, count: int = RUNS) -> Figure:
                 _draw_spectrum(axes, pair, r, signal)
                 axes.set_title(f"{signal.title}, {pair.any.title(r)}", loc="left", fontsize=8.5)
                 axes.set_ylabel(f"[{display(1.0, signal.unit)[1]}]")
-                step = 1 if high - low < 18 else 2 if high - low < 30 else 4
-                ticks = [k for k in range(low, high + 1) if k % step == (1 if step > 1 else 0) or k == 0]
-                axes.set_xticks(ticks, [f"{k}X" if k else "0" for k in ticks])
-                axes.set_xlim(low - 0.6, high + 0.6)
+                order_axis(axes, low, high)
             _heights(grid[0, column], pair, signal, runs, (low, high))
             grid[-1, column].set_xlabel("order of running speed" + (" (negative: backward)" if signal.y else ""))
         legend(made, grid[0, 0])

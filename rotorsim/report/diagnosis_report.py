@@ -13,7 +13,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from rotorsim.diagnose.diagnosis import Diagnosis, Effect
+from rotorsim.diagnose.conclusions import Diagnosis, Effect
 from rotorsim.diagnose.files import diagnosis_data, repaired_document
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.trials import Candidate, Round

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnose.diagnosis import Diagnosis
+from rotorsim.diagnose.conclusions import Diagnosis
 from rotorsim.diagnose.files import repaired_document
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.trials import Candidate

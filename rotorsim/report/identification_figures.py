@@ -20,7 +20,7 @@ from rotorsim.recordings.recording import Recording
 from rotorsim.report.comparison import Comparison, Signal, compare
 from rotorsim.report.figures import save_figure
 from rotorsim.report.parameter_figures import correlation_figure, parameters_figure, sheet
-from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, display, rpm, styled
+from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, display, order_axis, rpm, styled
 
 __all__ = [
     "correlation_figure", "identification_figures", "orbits_figure", "parameters_figure", "save_figures",
@@ -80,10 +80,7 @@ def spectrum_figure(compared: Comparison, count: int = RUNS) -> Figure | None:
                 _draw_spectrum(axes, compared, r, signal)
                 axes.set_title(compared.title(r), loc="left", fontsize=8.5)
                 axes.set_ylabel(f"[{display(1.0, signal.unit)[1]}, 0-peak]")
-                step = 1 if high - low < 18 else 2 if high - low < 30 else 4
-                ticks = [k for k in range(low, high + 1) if k % step == (1 if step > 1 else 0) or k == 0]
-                axes.set_xticks(ticks, [f"{k}X" if k else "0" for k in ticks])
-                axes.set_xlim(low - 0.6, high + 0.6)
+                order_axis(axes, low, high)
             _spectrum_heights(list(grid[:, column]), compared, signal, runs, (low, high))
             grid[-1, column].set_xlabel("order of running speed" + (" (negative: backward)" if signal.y else ""))
             grid[0, column].annotate(signal.title, (0.0, 1.0), xycoords="axes fraction", xytext=(0, 20),

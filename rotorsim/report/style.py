@@ -9,9 +9,13 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from cycler import cycler
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-__all__ = ["AXES", "BLUE", "GREEN", "GREY", "INK", "ORANGE", "PURPLE", "RED", "display", "figure", "rpm", "styled"]
+__all__ = [
+    "AXES", "BLUE", "GREEN", "GREY", "INK", "ORANGE", "PURPLE", "RED", "display", "figure", "order_axis", "rpm",
+    "styled",
+]  # fmt: skip
 
 # Okabe & Ito (2008), "Color universal design"
 BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#6b6b6b"
@@ -61,3 +65,11 @@ def display(values: Any, unit: str) -> tuple[np.ndarray, str]:
 def rpm(speed: Any) -> Any:
     """Return rad/s in revolutions per minute."""
     return np.asarray(speed) * 30 / np.pi
+
+
+def order_axis(axes: Axes, low: int, high: int) -> None:
+    """Mark the orders of the running speed from low to high, all or odd ones or every fourth, and zero."""
+    step = 1 if high - low < 18 else 2 if high - low < 30 else 4
+    ticks = [k for k in range(low, high + 1) if k % step == (1 if step > 1 else 0) or k == 0]
+    axes.set_xticks(ticks, [f"{k}X" if k else "0" for k in ticks])
+    axes.set_xlim(low - 0.6, high + 0.6)

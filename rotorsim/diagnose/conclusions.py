@@ -1,0 +1,225 @@
+"""What follows from the rounds of a search: effects with their classes and places, verdict, rivals, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from rotorsim.diagnose.fitting import Fit, Source
+from rotorsim.diagnose.insertion import Spot
+from rotorsim.diagnose.naming import CLASS, Named, least_gain, where
+from rotorsim.diagnose.outside import Unknown, describe
+from rotorsim.diagnose.scoring import Held, Score
+from rotorsim.diagnose.trials import Candidate, Round, is_adequate
+from rotorsim.diagnose.values import values_in
+from rotorsim.errors import Problem
+from rotorsim.identify.profile import Z90
+
+__all__ = [
+    "VERDICTS", "Diagnosis", "Effect", "concluded", "effects_of", "in_words", "interval", "nearest", "unknown_of",
+    "verdict_of",
+]  # fmt: skip
+
+VERDICTS = ("consistent", "missing_physics", "outside_catalogue", "not_identifiable")
+LIKELY = 0.01  # probability from which a place or a member of a class is listed
+MOST_CLASS = 4  # physics that explain the data alike, beyond which nothing is named
+REJECTED = 12  # rivals that are listed
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """One missing effect: the chosen candidate, its class with probabilities, the places with probabilities.
+
+    rivals: of the other members of the class the best candidate each.
+    """
+
+    candidate: Candidate
+    members: Mapping[str, float]
+    rivals: Mapping[str, Candidate]
+    places: tuple[tuple[Spot, float], ...]
+
+    @property
+    def physics(self) -> str:
+        """The name of the physics."""
+        return self.candidate.insertion.physics
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The answer to why a diagram and a recording differ; see `diagnose`.
+
+    effects: what is missing (or, outside the catalogue, what was nearest). before, after: fits of the diagram as
+    given and repaired; document: the repaired one. scores: hold-out NRMSE of both. rejected: (physics, why).
+    detectable: physics -> smallest size that would have been seen, with its unit, where nothing was found.
+    """
+
+    verdict: str
+    effects: tuple[Effect, ...]
+    places: tuple[tuple[Spot, float], ...]
+    rejected: tuple[tuple[str, str], ...]
+    before: Fit
+    after: Fit
+    document: Mapping[str, Any]
+    score_before: Score
+    score_after: Score
+    next_experiment: str
+    statement: str
+    named: Named
+    warnings: tuple[Problem, ...] = ()
+    detectable: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    outside: Mapping[str, Any] = field(default_factory=dict)
+    source: Source | None = None
+    held: tuple[Held, ...] = ()
+
+
+def effects_of(named: Named) -> tuple[Effect, ...]:
+    """Return the effects that were chosen, each with what explains the data as well."""
+    return tuple(_effect(item, found, named.slack) for item, found in zip(named.chosen, named.rounds, strict=False))
+
+
+def _effect(candidate: Candidate, found: Round, slack: float) -> Effect:
+    """Return an effect with the physics and places that explain the data as well; slack: see `Named`."""
+    scale = max(candidate.fit.misfit / candidate.fit.freedom, 1.0)
+    best: dict[str, float] = {}
+    for item in found.tried:
+        if not item.fit.failure and item.physical:
+            more = item.fit.criterion - candidate.fit.criterion - slack
+            best[item.insertion.physics] = min(best.get(item.insertion.physics, np.inf), max(more, 0.0) / scale)
+    best[candidate.insertion.physics] = 0.0
+    near = {name: value for name, value in best.items() if value <= CLASS}
+    weights = {name: float(np.exp(-0.5 * value)) for name, value in near.items()}
+    total = sum(weights.values())
+    members = {name: weight / total for name, weight in sorted(weights.items(), key=lambda pair: -pair[1])}
+    same = [item for item in found.tried if item.insertion.physics in members]
+    places = tuple((spot, p) for spot, p in where(same, scale) if p >= LIKELY)
+    rivals: dict[str, Candidate] = {}
+    for item in found.tried:
+        name = item.insertion.physics
+        if name in members and name != candidate.insertion.physics and not item.fit.failure and item.physical:
+            rivals.setdefault(name, item)
+    return Effect(candidate, members, rivals, places)
+
+
+def verdict_of(named: Named, effects: Sequence[Effect], *, alike: bool = False) -> str:
+    """Return one of VERDICTS. alike: all runs have one speed and the same settings, which anything explains."""
+    if not effects and is_adequate(named.base):
+        return "not_identifiable" if alike else "consistent"
+    if not effects or not named.explained:
+        return "outside_catalogue"
+    if any(len(effect.members) > MOST_CLASS for effect in effects):
+        return "not_identifiable"
+    return "missing_physics"
+
+
+def unknown_of(named: Named, effects: Sequence[Effect], source: Source) -> Unknown | None:
+    """Return what is known of a force outside the catalogue, at the likeliest place where a force can act."""
+    acting = {
+        item.insertion.spot for found in named.rounds for item in found.tried if item.insertion.fault.enters == "force"
+    }
+    spots = [spot for spot, _ in _places(named, effects) if spot in acting] or sorted(acting, key=str)
+    return describe(named.base, source, spots[0]) if spots else None
+
+
+def _detectable(named: Named) -> dict[str, dict[str, Any]]:
+    """Return for each physics the smallest size that would have been seen: its first parameter, where it is linear."""
+    out: dict[str, dict[str, Any]] = {}
+    for item in named.rounds[0].tried:
+        fit, physics = item.fit, item.insertion.physics
+        if physics in out or fit.failure or fit.nonlinear or not item.parameters or not item.physical:
+            continue
+        j = [free.name for free in fit.free].index(item.parameters[0])
+        std = float(np.sqrt(max(fit.covariance[j, j], 0.0)))
+        if np.isfinite(std) and std > 0:
+            key = item.parameters[0].rpartition(".")[2]
+            out[physics] = {
+                "parameter": key,
+                "value": float(np.sqrt(least_gain(item, named.base, named.level))) * std,
+                "unit": fit.free[j].unit,
+            }
+    return out
+
+
+def _places(named: Named, effects: Sequence[Effect]) -> tuple[tuple[Spot, float], ...]:
+    found: dict[Spot, float] = {}
+    for effect in effects:
+        for spot, probability in effect.places:
+            found[spot] = max(found.get(spot, 0.0), probability)
+    if not effects and not is_adequate(named.base):
+        scale = max(named.base.misfit / named.base.freedom, 1.0)
+        found = dict(where(named.rounds[0].tried, scale))
+    return tuple(sorted(((s, p) for s, p in found.items() if p >= LIKELY), key=lambda pair: -pair[1]))
+
+
+def _rejected(named: Named, effects: Sequence[Effect]) -> tuple[tuple[str, str], ...]:
+    """Return the rivals of the first effect and why they lost, the nearest first."""
+    if not effects:
+        return ()
+    out: dict[str, str] = {}
+    members = {name for effect in effects for name in effect.members}
+    best = effects[0].candidate.fit
+    for item in named.rounds[0].tried:
+        name = item.insertion.physics
+        if name in members or name in out:
+            continue
+        out[name] = _why(item, best)
+        if len(out) >= REJECTED:
+            break
+    return tuple(out.items())
+
+
+def _why(item: Candidate, best: Fit) -> str:
+    fit = item.fit
+    if fit.failure:
+        return f"cannot be fitted: {fit.failure}"
+    if not item.physical:
+        names = [free.name for free in fit.free]
+        ended = [name for name in item.parameters if fit.at_bound[names.index(name)]]
+        return f"its {', '.join(name.rpartition('.')[2] for name in ended)} ended at a physical bound"
+    if fit.misfit > 2 * best.misfit:
+        left = fit.misfit / fit.freedom
+        return f"leaves {left:.3g} times the variance of the noise, against {best.misfit / best.freedom:.3g}"
+    more = len(fit.free) - len(best.free)
+    lost = float(fit.left_out.sum() - best.left_out.sum())
+    if more > 0:
+        return f"needs {more} more parameters and predicts runs left out no better (misfit {lost:+.3g})"
+    return f"explains the data less well: criterion higher by {fit.criterion - best.criterion:.3g}"
+
+
+def nearest(named: Named, unknown: Unknown | None) -> Fit:
+    """Return the fit that explains most: with the effects, or with the map of an unknown force."""
+    fits = [named.fit] if unknown is None or unknown.fit is None else [unknown.fit, named.fit]
+    return min(fits, key=lambda fit: fit.criterion)
+
+
+def concluded(
+    named: Named, effects: tuple[Effect, ...], verdict: str, *, fits: tuple[Fit, Fit], scores: Sequence[Score],
+    source: Source, held: tuple[Held, ...], unknown: Unknown | None = None, warnings: Sequence[Problem] = (),
+    screened: Sequence[tuple[str, str]] = (),
+) -> Diagnosis:  # fmt: skip
+    """Return the diagnosis without its words. fits, scores: before and after; screened: further rivals and why."""
+    before, after = fits
+    return Diagnosis(
+        verdict=verdict, effects=effects, places=_places(named, effects),
+        rejected=(*_rejected(named, effects), *(screened if effects else ())),
+        before=before, after=after, document=values_in(after.document, after.values),
+        score_before=scores[0], score_after=scores[1], next_experiment="", statement="", named=named,
+        warnings=tuple(warnings), detectable=_detectable(named) if verdict == "consistent" else {},
+        outside={} if unknown is None else {**unknown.data, "description": unknown.description},
+        source=source, held=held,
+    )  # fmt: skip
+
+
+def in_words(found: Diagnosis) -> Diagnosis:
+    """Return a diagnosis with its next experiment and its statement."""
+    from rotorsim.diagnose.wording import next_experiment, statement
+
+    found = replace(found, next_experiment=next_experiment(found))
+    return replace(found, statement=statement(found))
+
+
+def interval(value: float, std: float) -> tuple[float, float]:
+    """Return the 90 % interval of an estimate."""
+    return value - Z90 * std, value + Z90 * std
