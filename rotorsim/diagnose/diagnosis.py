@@ -79,11 +79,11 @@ def diagnose(
     verdict = verdict_of(named, effects, alike=source.alike)
     unknown = unknown_of(named, effects, source) if verdict == "outside_catalogue" else None
     after = nearest(named, unknown)
-    documents = [values_in(fit.document, fit.values) for fit in (base, after)]
+    documents = [values_in(fit.document, fit.values) for fit in dict.fromkeys((base, after))]
     scores = [score(d, source, held) if held else left_out_score(d, source) for d in documents]
     found = concluded(
-        named, effects, verdict, fits=(base, after), scores=scores, source=source, held=held, unknown=unknown,
-        warnings=warnings,
+        named, effects, verdict, fits=(base, after), scores=(scores[0], scores[-1]), source=source, held=held,
+        unknown=unknown, warnings=warnings,
     )  # fmt: skip
     return in_words(found)
 

@@ -19,6 +19,7 @@ from rotorsim.identify.coordinates import ANGLE_UNIT
 from rotorsim.identify.estimate import MOST_EVALUATIONS, Estimate, Search, summary
 from rotorsim.identify.experiment import RESOLUTION, Experiment, open_experiment
 from rotorsim.identify.likelihood import Likelihood
+from rotorsim.identify.motion import Motion
 from rotorsim.identify.nonlinear_likelihood import likelihood_of
 from rotorsim.identify.nonlinear_motion import NonlinearMotion
 from rotorsim.recordings.harmonics import RunHarmonics
@@ -304,12 +305,18 @@ def _trials(search: Search, theta0: np.ndarray, start: Mapping[str, float]) -> l
 
 
 def _different(trials: Sequence[np.ndarray], search: Search) -> list[np.ndarray]:
-    """Return the trials without those that are one already but for whole turns."""
+    """Return the trials without those that are one already but for whole turns.
+
+    In a linear diagram one step finds the forces, from anywhere: trials that differ in them only are one.
+    """
     angles = np.array([item.unit == ANGLE_UNIT for item in search.free], bool)
+    same = np.zeros(len(angles), bool)
+    if isinstance(search.likelihood.experiment.motion, Motion):
+        same[[j for pair in search.coordinates.pairs for j in pair]] = True
     kept: dict[bytes, np.ndarray] = {}
     for trial in trials:
         turned = np.where(angles, np.mod(np.round(trial * ROUNDED), np.round(TURN * ROUNDED)), trial)
-        kept.setdefault(turned.tobytes(), trial)
+        kept.setdefault(np.where(same, 0.0, turned).tobytes(), trial)
     return list(kept.values())
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -106,8 +106,7 @@ def left_out_score(document: Mapping[str, Any], source: Source) -> Score:
     sums: dict[str, np.ndarray] = {}
     for r in range(len(source.harmonics)):
         others = tuple(item for k, item in enumerate(source.harmonics) if k != r)
-        rest = Source(source.recording, others, source.folder, source.trust_blocks)
-        found = fit_document(document, rest, [[{}]], most=8)
+        found = fit_document(document, replace(source, harmonics=others), [[{}]], most=8)
         if found.failure:
             return Score({"": float("nan")}, {})
         from rotorsim.diagnose.values import values_in

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import networkx as nx
 import numpy as np
 
+from rotorsim.block import Block
 from rotorsim.diagram.traced import BlockTrace, TraceError, trace_block
 from rotorsim.errors import Problem, RotorsimError
 
@@ -17,17 +19,18 @@ if TYPE_CHECKING:
 __all__ = ["evaluation_order", "feedthrough_graph", "trace_blocks"]
 
 Key = tuple[str, str]
+Shapes = tuple[tuple[str, Any], ...]
+KEPT = 256  # traces of blocks; a diagnosis loads hundreds of diagrams that differ in one block
 SHOWN_HOPS = 20  # at the start and at the end of a loop
 
 
 def trace_blocks(diagram: Diagram) -> tuple[dict[str, BlockTrace], list[Problem]]:
-    """Return the trace of every block (like blocks share one) and what went wrong."""
+    """Return the trace of every block (like blocks share one, of other diagrams too) and what went wrong."""
     wired: dict[str, set[str]] = {}
     for wire in diagram.wires:
         wired.setdefault(wire.target.block, set()).add(wire.target.port)
     traces: dict[str, BlockTrace] = {}
     problems: list[Problem] = []
-    known: dict[object, BlockTrace] = {}
     for name, node in diagram.nodes.items():
         inputs = {
             port: declared.shape
@@ -38,17 +41,33 @@ def trace_blocks(diagram: Diagram) -> tuple[dict[str, BlockTrace], list[Problem]
         }
         shapes = {key: np.shape(value) for key, value in node.values.items()}
         outputs = {port: declared.shape for port, declared in node.outputs.items()}
-        key = (
-            id(node.block),
-            *(tuple(s.items()) for s in (inputs, outputs, shapes, node.state_shapes, node.random_shapes)),
-        )
+        each = [tuple(s.items()) for s in (inputs, outputs, shapes, node.state_shapes, node.random_shapes)]
         try:
-            if key not in known:
-                known[key] = trace_block(node.block, inputs, outputs, shapes, node.state_shapes, node.random_shapes)
-            traces[name] = known[key]
+            traces[name] = _traced(_Like(node.block), *each)
         except Exception as error:  # the equations are foreign code
             problems.append(_failed(node, error))
     return traces, problems
+
+
+class _Like:
+    """A block that equals every other one with the same equations: of its class, with its options and wired inputs."""
+
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        self._key = (type(block), repr(sorted(vars(block.option).items())), block.wired)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Like) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+@lru_cache(maxsize=KEPT)
+def _traced(
+    like: _Like, inputs: Shapes, outputs: Shapes, parameters: Shapes, states: Shapes, randoms: Shapes
+) -> BlockTrace:  # fmt: skip
+    return trace_block(like.block, *(dict(shapes) for shapes in (inputs, outputs, parameters, states, randoms)))
 
 
 def _failed(node: Node, error: Exception) -> Problem:

@@ -112,7 +112,7 @@ def _information(base: Experiment, found: Estimate, p: np.ndarray, speeds: np.nd
 
 
 def _stable(base: Experiment, p: np.ndarray, theta: np.ndarray) -> bool:
-    A = base.linear.equations.matrices["A"](p, np.repeat(theta[None], len(p), 0))[0]
+    A = base.linear.equations.at(p).matrices["A"](p, np.repeat(theta[None], len(p), 0))[0]
     return bool((np.linalg.eigvals(A).real.max(axis=1) < 1e-6 * np.abs(A).max() ** 0.5).all())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ __all__ = ["Coordinates", "amplitude_pairs", "coordinates_of", "moves_matrices"]
 ANGLE_UNIT = "rad"
 AnyEquations = Equations | NonlinearEquations
 PROBES = (0.4, 1.9)
-ORDERS = 30  # of the forcing that are compared
+INSTANTS = 64  # of a turn, at which the forcing is compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,37 +109,41 @@ def amplitude_pairs(
     if not angles or not amplitudes:
         return ()
     row, speed = p[:1], np.abs(speeds[:1])
+    moved = moves_matrices(equations, row, theta)
+    angles, amplitudes = ([j for j in some if not moved[j]] for some in (angles, amplitudes))
 
-    def force(**values: float) -> np.ndarray:
-        changed = theta.copy()
-        for key, value in values.items():
-            changed[int(key[1:])] = value
-        return equations.forcing(row, changed[None], speed, ORDERS)[0]
+    def forces(*points: Mapping[int, float]) -> np.ndarray:
+        changed = np.repeat(theta[None], len(points), axis=0)
+        for k, point in enumerate(points):
+            changed[k, list(point)] = list(point.values())
+        many = len(points)
+        return equations.at_rest(np.repeat(row, many, 0), changed, np.repeat(speed, many), INSTANTS)
 
     pairs: list[tuple[int, int]] = []
     for b in angles:
         for a in amplitudes:
-            if any(a in pair for pair in pairs) or moves_matrices(equations, row, theta, (a, b)):
+            if any(a in pair for pair in pairs):
                 continue
             unit = 3.0 * _scale(free[a])
-            none = force(**{f"t{a}": 0.0})
-            cosine = force(**{f"t{a}": unit, f"t{b}": 0.0}) - none
-            sine = force(**{f"t{a}": unit, f"t{b}": np.pi / 2}) - none
+            none, turned, cosine, sine, *probes = forces(
+                {a: 0.0}, {a: 0.0, b: 1.0}, {a: unit, b: 0.0}, {a: unit, b: np.pi / 2},
+                *({a: unit / 3, b: at} for at in PROBES),
+            )  # fmt: skip
+            cosine, sine = cosine - none, sine - none
             size = np.abs(cosine).max()
-            if not size > 0 or np.abs(force(**{f"t{a}": 0.0, f"t{b}": 1.0}) - none).max() > 1e-9 * size:
+            if not size > 0 or np.abs(turned - none).max() > 1e-9 * size:
                 continue
-            probes = [
-                force(**{f"t{a}": unit / 3, f"t{b}": at}) - none - (np.cos(at) * cosine + np.sin(at) * sine) / 3
-                for at in PROBES
+            wrong = [
+                probe - none - (np.cos(at) * cosine + np.sin(at) * sine) / 3
+                for probe, at in zip(probes, PROBES, strict=True)
             ]
-            if max(np.abs(probe).max() for probe in probes) < 1e-9 * size:
+            if np.abs(wrong).max() < 1e-9 * size:
                 pairs.append((a, b))
                 break
     return tuple(pairs)
 
 
-def moves_matrices(equations: AnyEquations, p: np.ndarray, theta: np.ndarray, which: tuple[int, ...]) -> bool:
-    """Return whether one of these parameters changes the equations themselves, not only their forcing."""
-    return any(
-        matrix(p, theta[None])[1][..., list(which)].any() for matrix in equations.matrices.values()
-    )  # fmt: skip
+def moves_matrices(equations: AnyEquations, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Return which parameters change the equations themselves, not only their forcing, (m,)."""
+    moved = [matrix(p, theta[None])[1].reshape(-1, len(theta)).any(axis=0) for matrix in equations.matrices.values()]
+    return np.asarray(np.any(moved, axis=0))

@@ -24,6 +24,7 @@ CLOSE = 1e-10
 EQUAL = 1e-6  # relative difference of two solutions that the data cannot tell apart
 AT_BOUND = 1e-6
 MOST_EVALUATIONS = 60
+METHODS = ("trf", "dogbox")  # the first creeps in curved valleys near a bound: the second goes on from there
 NOTHING = 1e-11  # of the largest slope: rounding
 SINGULAR = 1e-13  # smallest eigenvalue of the information, of the largest, that counts
 
@@ -91,7 +92,7 @@ class Search:
         self.prior = [j for j, item in enumerate(self.free) if item.prior_std is not None and bounded]
         start = experiment.theta0
         # the equations are linear in forces, not in stiffness: no step of that is to be trusted from afar
-        self.bends = [moves_matrices(motion.equations, motion.p[:1], start, (j,)) for j in range(len(self.free))]
+        self.bends = moves_matrices(motion.equations, motion.p[:1], start)
         self._known: tuple[bytes, tuple[Evaluation, np.ndarray, np.ndarray]] | None = None
 
     def again(self, likelihood: Likelihood | Regression) -> Search:
@@ -215,18 +216,24 @@ class Search:
 
         width = np.where(np.isfinite(high - low), high - low, 1.0)
         inside = np.clip(q, low + 1e-9 * width, high - 1e-9 * width)
-        found = least_squares(
-            lambda part: self.residual(full(part)),
-            inside[moving],
-            lambda part: self.slopes(full(part))[:, moving],
-            bounds=(low[moving], high[moving]),
-            x_scale="jac",
-            ftol=CLOSE,
-            xtol=CLOSE,
-            gtol=1e-12,
-            max_nfev=most,
-        )
-        return full(found.x)
+        part = inside[moving]
+        for method in METHODS if most >= MOST_EVALUATIONS else METHODS[:1]:
+            found = least_squares(
+                lambda q: self.residual(full(q)),
+                part,
+                lambda q: self.slopes(full(q))[:, moving],
+                bounds=(low[moving], high[moving]),
+                method=method,
+                x_scale="jac",
+                ftol=CLOSE,
+                xtol=CLOSE,
+                gtol=1e-12,
+                max_nfev=most,
+            )
+            part = found.x
+            if found.status > 0:
+                break
+        return full(part)
 
 
 def estimate(search: Search, start: np.ndarray | None = None, *, tries: int = 3) -> Estimate:

@@ -150,9 +150,9 @@ def open_experiment(
         if besides[0] is not None:
             second = np.array([beside.second for beside in besides if beside is not None])
             torus = Torus(speeds, K, second, besides[0].orders, forced is not None)
-        motion = Motion(Equations(model, predicted, kept), p, speeds, K, windows, phase, torus)
+        motion = Motion(Equations(model, predicted, kept, p), p, speeds, K, windows, phase, torus)
     else:
-        motion = NonlinearMotion(NonlinearEquations(model, predicted, kept), p, speeds, K, windows, phase)
+        motion = NonlinearMotion(NonlinearEquations(model, predicted, kept, p), p, speeds, K, windows, phase)
     channels = {channel.name: channel for channel in recording.channels.values()}
     order = [*predicted, *taken]
     columns = np.array([[item.fit.names.index(name) for name in order] for item in found])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -16,7 +17,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate.forcing import Jumps
 from rotorsim.simulate.matrix_function import MatrixFunction
 
-__all__ = ["Equations", "reached_states", "slots_of"]
+__all__ = ["Equations", "known_values", "reached_states", "slots_of", "with_values"]
 
 FIRST_SAMPLES = 32
 MOST_SAMPLES = 4096
@@ -27,6 +28,30 @@ def slots_of(model: Model, free: Free) -> list[int]:
     """Return the entries of p that a free parameter sets (several when blocks share a diagram parameter)."""
     parts = model.references.get(free.base) if free.base in model.diagram.parameters else [model.parameters[free.base]]
     return [part.start + free.entry for part in parts or []]
+
+
+def known_values(p: np.ndarray | None, slots: Sequence[Sequence[int]]) -> dict[int, float]:
+    """Return what is the same in all runs of p (R, n_p), by its entry: but for what free parameters set."""
+    if p is None:
+        return {}
+    same = np.flatnonzero((p == p[:1]).all(axis=0)).tolist()
+    free = {slot for some in slots for slot in some}
+    return {slot: float(p[0, slot]) for slot in same if slot not in free}
+
+
+def with_values(
+    model: Model, expressions: Sequence[Any], slots: Sequence[Sequence[int]], theta: Any, known: Mapping[int, float]
+) -> list[Any]:  # fmt: skip
+    """Return expressions with free parameters in their slots, numbers for what is known, and z as at the start."""
+    trace = model.trace
+    entries = ca.vertsplit(trace.p) if trace.p.numel() > 1 else [trace.p]
+    for slot, value in known.items():
+        entries[slot] = ca.SX(value)
+    for j, own in enumerate(slots):
+        for slot in own:
+            entries[slot] = theta[j]
+    new = [ca.vertcat(*entries), ca.SX(model.z0(model.p0))]
+    return list(ca.substitute(list(expressions), [trace.p, trace.z], new))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,45 +74,50 @@ class Equations:
     """dx/dt = A x + f(t) + B v, y = C x + g(t) + D v of a linear diagram, as functions of p and the free parameters.
 
     Only the states that the outputs depend on are kept: ``kept`` (n,). v: external inputs of the model
-    (`inject`, `replace`). Raises RotorsimError for diagrams that are not linear in their states.
+    (`inject`, `replace`). p (R, n_p): what is the same in all runs becomes a number, and all that follows from it; for
+    other runs see `at`. Raises RotorsimError for diagrams that are not linear in their states.
     """
 
-    def __init__(self, model: Model, outputs: Sequence[str], free: Sequence[Free]) -> None:
+    def __init__(
+        self, model: Model, outputs: Sequence[str], free: Sequence[Free], p: np.ndarray | None = None
+    ) -> None:  # fmt: skip
         self.model, self.outputs, self.free = model, tuple(outputs), tuple(free)
         trace = model.trace
         self.slots = [slots_of(model, item) for item in free]
         theta = ca.SX.sym("theta", len(free))
-        entries = ca.vertsplit(trace.p) if trace.p.numel() > 1 else [trace.p]
-        for j, slots in enumerate(self.slots):
-            for slot in slots:
-                entries[slot] = theta[j]
-        z = ca.SX(model.z0(model.p0))
-        zeros_x, zeros_v = ca.SX.zeros(*trace.x.shape), ca.SX.zeros(*trace.v.shape)
-
-        def told(expression: Any, at_rest: bool = True) -> Any:
-            old = [trace.p, trace.z, trace.v, *([trace.x] if at_rest else [])]
-            new = [ca.vertcat(*entries), z, zeros_v, *([zeros_x] if at_rest else [])]
-            return ca.substitute([expression], old, new)[0]  # type: ignore[arg-type]
-
+        self.known = known_values(p, self.slots)
         y = ca.vertcat(*[model.expression(model.diagram.as_measured(name)) for name in outputs])
-        columns = {"A": (trace.xdot, trace.x), "B": (trace.xdot, trace.v), "C": (y, trace.x), "D": (y, trace.v)}
+        xdot, y = with_values(model, [trace.xdot, y], self.slots, theta, self.known)
+
+        def alone(expression: Any, at_rest: bool = True) -> Any:
+            old = [trace.v, *([trace.x] if at_rest else [])]
+            return ca.substitute([expression], old, [ca.SX.zeros(*symbol.shape) for symbol in old])[0]
+
+        columns = {"A": (xdot, trace.x), "B": (xdot, trace.v), "C": (y, trace.x), "D": (y, trace.v)}
         jacobians = {key: ca.jacobian(of, by) for key, (of, by) in columns.items()}
         varying = ca.vertcat(trace.x, trace.t, trace.v)
         if any(ca.depends_on(jacobian, varying) for jacobian in jacobians.values()):
             raise RotorsimError(Problem("the diagram is not linear in its states", model.diagram.name))
-        jacobians = {key: told(jacobian) for key, jacobian in jacobians.items()}
         self.kept = reached_states(jacobians["A"].sparsity(), jacobians["C"].sparsity())
         keep = self.kept.tolist()
         jacobians["A"], jacobians["B"] = jacobians["A"][keep, keep], jacobians["B"][keep, :]
         jacobians["C"] = jacobians["C"][:, keep]
         self._symbols, self._jacobians = (trace.t, trace.p, theta), jacobians
-        self._at_rest = (told(trace.xdot)[keep], told(y))
+        self._at_rest = (alone(xdot)[keep], alone(y))
         self.n = len(keep)
         self.n_v = trace.v.numel()
         self._compile()
         self.samples = FIRST_SAMPLES
         self.jumps = Jumps(model)
         self.theta0 = np.array([item.value for item in free])
+
+    def at(self, p: np.ndarray) -> Equations:
+        """Return the equations for known parameters p (R, n_p), of which others may be the same in all runs."""
+        return self if all((p[:, slot] == value).all() for slot, value in self.known.items()) else self._general
+
+    @cached_property
+    def _general(self) -> Equations:
+        return Equations(self.model, self.outputs, self.free)
 
     def _compile(self) -> None:
         _, p, theta = self._symbols
@@ -138,19 +168,33 @@ class Equations:
         found = projection @ values
         return found, (projection @ slopes.reshape(R, slopes.shape[1], -1)).reshape(R, -1, width, m)
 
+    def at_rest(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, n: int) -> np.ndarray:
+        """Return [f; g] at rest at n instants of a turn, (R, n, states + outputs)."""
+        times, many_p, many_theta = self._columns(p, theta, _turn(speeds, n))
+        parts = [value(times, many_p, many_theta) for value, _ in self._forcing]
+        return np.concatenate(parts, axis=1).reshape(len(p), n, -1)
+
     def sampled(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
         """Return [f; g] at rest at n instants of a turn, (R, n, states + outputs), and its derivatives (..., m)."""
-        return self._at(p, theta, 2 * np.pi / np.abs(speeds)[:, None] * np.arange(n) / n)
+        return self._at(p, theta, _turn(speeds, n))
 
     def _at(self, p: np.ndarray, theta: np.ndarray, instants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         (R, m), n = theta.shape, instants.shape[1]
-        times = instants.reshape(1, -1)
-        many_p, many_theta = np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T
+        times, many_p, many_theta = self._columns(p, theta, instants)
         values, derivatives = [], []
         for value, derivative in self._forcing:
             values.append(value(times, many_p, many_theta).reshape(R, n, -1))
             derivatives.append(derivative(times, many_p, many_theta).reshape(R, n, -1, m))
         return np.concatenate(values, axis=2), np.concatenate(derivatives, axis=2)
+
+    def _columns(self, p: np.ndarray, theta: np.ndarray, instants: np.ndarray) -> tuple[np.ndarray, ...]:
+        n = instants.shape[1]
+        return instants.reshape(1, -1), np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T
+
+
+def _turn(speeds: np.ndarray, n: int) -> np.ndarray:
+    """Return n instants of a turn at each speed, (R, n)."""
+    return np.asarray(2 * np.pi / np.abs(speeds)[:, None] * np.arange(n) / n)
 
 
 def _matrix(p: ca.SX, theta: ca.SX, expression: ca.SX) -> _Matrix:

@@ -131,7 +131,7 @@ class Motion:
         self, equations: Equations, p: np.ndarray, speeds: np.ndarray, K: int, windows: Sequence[float],
         phase: np.ndarray, beside: Torus | None = None,
     ) -> None:  # fmt: skip
-        self.equations, self.p, self.speeds, self.K = equations, p, speeds, K
+        self.equations, self.p, self.speeds, self.K = equations.at(p), p, speeds, K
         self.windows, self.phase, self.beside = np.asarray(windows, float), phase, beside
         self.slow: list[np.ndarray] | None = None
 

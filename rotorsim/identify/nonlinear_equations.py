@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Free
-from rotorsim.identify.functions import reached_states, slots_of
+from rotorsim.identify.functions import known_values, reached_states, slots_of, with_values
 from rotorsim.simulate.matrix_function import MatrixFunction
 
 __all__ = ["NonlinearEquations", "PortEquations", "is_linear"]
@@ -31,23 +31,22 @@ def is_linear(model: Model, outputs: Sequence[str]) -> bool:
 class NonlinearEquations:
     """dx/dt = f(t, x; p, theta), y = g(t, x; p, theta) of a diagram with periodic forcing, theta the free parameters.
 
+    p (R, n_p): what is the same in all runs becomes a number, and all that follows from it; for other runs see `at`.
     kept (n,): the states that the outputs depend on. changing: those that the outputs, or entries of df/dx that are
     not constant, stand for.
     """
 
-    def __init__(self, model: Model, outputs: Sequence[str], free: Sequence[Free]) -> None:
+    def __init__(
+        self, model: Model, outputs: Sequence[str], free: Sequence[Free], p: np.ndarray | None = None
+    ) -> None:  # fmt: skip
         self.model, self.outputs, self.free = model, tuple(outputs), tuple(free)
         trace = model.trace
         self.slots = [slots_of(model, item) for item in free]
         theta = ca.SX.sym("theta", len(free))
-        entries = ca.vertsplit(trace.p) if trace.p.numel() > 1 else [trace.p]
-        for j, slots in enumerate(self.slots):
-            for slot in slots:
-                entries[slot] = theta[j]
+        self.known = known_values(p, self.slots)
         y = ca.vertcat(*[model.expression(model.diagram.as_measured(name)) for name in outputs])
-        old = [trace.p, trace.z, trace.v]
-        new = [ca.vertcat(*entries), ca.SX(model.z0(model.p0)), ca.SX.zeros(*trace.v.shape)]
-        f, g = ca.substitute([trace.xdot, y], old, new)  # type: ignore[arg-type]
+        f, g = with_values(model, [trace.xdot, y], self.slots, theta, self.known)
+        f, g = ca.substitute([f, g], [trace.v], [ca.SX.zeros(*trace.v.shape)])
         pattern = ca.jacobian(f, trace.x).sparsity()
         self.kept = reached_states(pattern, ca.jacobian(g, trace.x).sparsity())
         keep = self.kept.tolist()
@@ -64,38 +63,34 @@ class NonlinearEquations:
         self.matrices = {"J": _Dependence(np.array(bends, float))}
         self.theta0 = np.array([item.value for item in free])
 
+    def at(self, p: np.ndarray) -> NonlinearEquations:
+        """Return the equations for known parameters p (R, n_p), of which others may be the same in all runs."""
+        return self if all((p[:, slot] == value).all() for slot, value in self.known.items()) else self._general
+
+    @cached_property
+    def _general(self) -> NonlinearEquations:
+        return NonlinearEquations(self.model, self.outputs, self.free)
+
     @cached_property
     def whole(self) -> PortEquations:
         """The equations with every state in its place."""
         everything = np.arange(self.n)
         return self.at_ports(everything, everything)
 
-    def at_ports(self, rows: np.ndarray, columns: np.ndarray, p: np.ndarray | None = None) -> PortEquations:
-        """Return some rows of f as functions of some states, the others at zero.
-
-        p (R, n_p): what is the same in all runs becomes a number, and all that follows from it.
-        """
+    def at_ports(self, rows: np.ndarray, columns: np.ndarray) -> PortEquations:
+        """Return some rows of f as functions of some states, the others at zero."""
         x = ca.SX.sym("x", len(columns))
         full: Any = ca.SX.zeros(self.n)
         full[columns.tolist()] = x
-        known: Any = ca.SX(self._symbols[1])
-        if p is not None:
-            for slot in np.flatnonzero((p == p[:1]).all(axis=0)).tolist():
-                known[slot] = float(p[0, slot])
-        old, new = [self._x, self._symbols[1]], [full, known]
-        f, g = ca.substitute([self._f[rows.tolist()], self._g], old, new)
+        f, g = ca.substitute([self._f[rows.tolist()], self._g], [self._x], [full])
         return PortEquations(*self._symbols, x, f, g)
 
-    def forcing(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return Fourier coefficients of [f; g] at rest and their derivatives, as `functions.Equations.forcing`."""
-        R, m = theta.shape
-        count = max(FIRST_SAMPLES, 1 << (2 * K + 2).bit_length())
-        times = (2 * np.pi / np.abs(speeds)[:, None] * np.arange(count) / count).reshape(1, -1)
-        points = (times, np.zeros((self.n, R * count)), np.repeat(p, count, 0).T, np.repeat(theta, count, 0).T)
-        whole = self.whole
-        values = np.concatenate([whole.f(*points), whole.g(*points)], axis=1).reshape(R, count, -1)
-        slopes = np.concatenate([whole.f_theta(*points), whole.g_theta(*points)], axis=1).reshape(R, count, -1, m)
-        return tuple(np.fft.rfft(a, axis=1)[:, : K + 1] / count for a in (values, slopes))  # type: ignore[return-value]
+    def at_rest(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, n: int) -> np.ndarray:
+        """Return [f; g] at rest at n instants of a turn, as `functions.Equations.at_rest`."""
+        R = len(p)
+        times = (2 * np.pi / np.abs(speeds)[:, None] * np.arange(n) / n).reshape(1, -1)
+        points = (times, np.zeros((self.n, R * n)), np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T)
+        return np.concatenate([self.whole.f(*points), self.whole.g(*points)], axis=1).reshape(R, n, -1)
 
 
 class PortEquations:

@@ -52,7 +52,7 @@ class NonlinearMotion:
         self, equations: NonlinearEquations, p: np.ndarray, speeds: np.ndarray, K: int, windows: Sequence[float],
         phase: np.ndarray,
     ) -> None:  # fmt: skip
-        self.equations, self.p, self.speeds, self.K = equations, p, speeds, K
+        self.equations, self.p, self.speeds, self.K = equations.at(p), p, speeds, K
         self.windows, self.phase = np.asarray(windows, float), phase
         self._resolve(EXTRA_ORDERS)
 
@@ -96,7 +96,7 @@ class NonlinearMotion:
         if self.ports is not None:
             return self.ports
         R, n = len(self.p), self.equations.n
-        whole = self.equations.at_ports(np.arange(n), np.arange(n), self.p)
+        whole = self.equations.whole
         many = np.repeat(theta[None], R, 0).T
         A = whole.J(self.times[:, 0][None], np.zeros((n, R)), self.p.T, many)
         if not np.isfinite(A).all():
@@ -123,7 +123,7 @@ class NonlinearMotion:
             changed.append(slopes.transpose(1, 0, 2).reshape(n, -1))
         s = 1j * np.abs(self.speeds)[:, None] * np.arange(self.H + 1)
         self.ports = open_ports(A, s, slow, changing, groups, changed)
-        self.inner: PortEquations = self.equations.at_ports(self.ports.rows, self.ports.columns, self.p)
+        self.inner: PortEquations = self.equations.at_ports(self.ports.rows, self.ports.columns)
         return self.ports
 
     def _settle(self, at: _Point, means: Sequence[np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:

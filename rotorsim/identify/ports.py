@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.linalg
@@ -20,6 +21,7 @@ DENSE = 24  # states up to which matrices of all states are as fast
 SLOW = 5.0  # a mode that decays by less than e^-5 over the window may still move the mean
 RANK = 1e-10  # of the largest, for directions in units of the rows of A
 FEW = 8  # modes nearest to zero that are looked at first
+KEPT = 64  # matrices whose slow states are known: many faults do not change them
 CONDITION = 1e6  # of their left and right vectors, up to which they are used
 
 
@@ -107,6 +109,12 @@ def slow_states(A: np.ndarray, window: float) -> np.ndarray:
 
     Their mean may be anything after a start at any time; a free integrator has no mean at all.
     """
+    return _slow_states(np.ascontiguousarray(A).tobytes(), len(A), window)
+
+
+@lru_cache(maxsize=KEPT)
+def _slow_states(matrix: bytes, n: int, window: float) -> np.ndarray:
+    A = np.frombuffer(matrix).reshape(n, n)
     bound = SLOW / window
     found = _modes_near_zero(A, bound) if len(A) > DENSE else None
     if found is None:
