@@ -107,7 +107,7 @@ def verdict_of(named: Named, effects: Sequence[Effect], *, alike: bool = False) 
     """Return one of VERDICTS. alike: all runs have one speed and the same settings, which anything explains."""
     if not effects and is_adequate(named.base):
         return "not_identifiable" if alike else "consistent"
-    if not effects or not named.explained:
+    if not effects or not (named.explained or named.nearly):
         return "outside_catalogue"
     if any(len(effect.members) > MOST_CLASS for effect in effects):
         return "not_identifiable"

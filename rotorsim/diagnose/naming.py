@@ -22,6 +22,7 @@ MESH_ERROR = 0.1  # of the equations, in the misfit: what meshes get wrong where
 CLASS = 10.0  # criterion within which two explanations are not told apart (odds of 150 to 1)
 MOST_EFFECTS = 3
 FALSE_ALARM = 0.01  # probability that noise alone makes any row of the catalogue look as good
+NEARLY, AS_MUCH = 0.999, 2.0  # share of what was unexplained, and variances of the noise left, for details of a law
 WORTH = 0.9  # share of what is left unexplained that one more effect must explain
 BEAM = 2  # explanations that the next round starts from
 
@@ -46,6 +47,12 @@ class Named:
     def explained(self) -> bool:
         """Whether what is left over is noise."""
         return is_adequate(self.fit)
+
+    @property
+    def nearly(self) -> bool:
+        """Whether what is left over is so little that it may be details of the laws that were found."""
+        left = self.fit.misfit / self.fit.freedom
+        return bool(self.chosen) and left <= AS_MUCH and _share(self.fit, self.base) >= NEARLY
 
 
 def name_missing(

@@ -90,6 +90,9 @@ def statement(found: Diagnosis) -> str:
         return text + _held_out(found)
     for effect in found.effects:
         text += " " + _sentence(effect)
+    if found.named.nearly and not found.named.explained:
+        left = found.named.fit.misfit / found.named.fit.freedom
+        text += f" {left:.3g} times the variance of the noise are left: details of a law, or a small effect more."
     if before.total is not None and after.total is not None:
         text += _held_out(found)
     return text

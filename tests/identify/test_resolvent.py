@@ -119,3 +119,34 @@ def test_harmonic_balance_of_a_linear_beam_is_its_direct_response():
     assert np.abs(found.Y - Y).max() < 1e-9 * np.abs(Y).max()
     for j in range(len(free)):
         assert np.abs(found.slopes[..., j] - slopes[..., j]).max() < 1e-8 * np.abs(slopes[..., j]).max()
+
+
+def test_what_is_the_same_in_all_runs_becomes_a_number_and_changes_nothing():
+    model, outputs, free, p = machine()
+    whole, folded = Equations(model, outputs, free), Equations(model, outputs, free, p)
+    slots = {slot for some in folded.slots for slot in some}
+    assert len(folded.known) > 20
+    assert not slots & set(folded.known)
+    theta = whole.theta0 * np.linspace(0.8, 1.3, len(free))
+    many = np.repeat(theta[None], len(p), 0)
+    for key, matrix in whole.matrices.items():
+        for ours, theirs in zip(folded.matrices[key](p, many), matrix(p, many), strict=True):
+            assert np.abs(ours - theirs).max(initial=0.0) <= 1e-10 * np.abs(theirs).max(initial=0.0)
+    for ours, theirs in zip(folded.forcing(p, many, SPEEDS, 5), whole.forcing(p, many, SPEEDS, 5), strict=True):
+        assert np.abs(ours - theirs).max() < 1e-10 * np.abs(theirs).max()
+
+
+def test_known_parameters_of_other_runs_are_not_those_of_the_first():
+    model, outputs, free, p = machine()
+    folded = Equations(model, outputs, free, p)
+    assert folded.at(p[::-1]) is folded
+    other = p.copy()
+    place = model.parameters["controller.KP"].start
+    other[:, place] *= 1.5
+    found = Motion(folded, other, SPEEDS, 3, [1.0, 1.0, 1.0], np.zeros(3)).response(folded.theta0).A
+    right = Motion(Equations(model, outputs, free), other, SPEEDS, 3, [1.0, 1.0, 1.0], np.zeros(3))
+    expected = right.response(folded.theta0).A
+    assert found == pytest.approx(expected, rel=1e-10, abs=1e-10)
+    balance = NonlinearEquations(model, outputs, free, p)
+    assert balance.at(p) is balance
+    assert not balance.at(other).known
