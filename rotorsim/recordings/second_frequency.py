@@ -68,7 +68,7 @@ def find_second(recording: Recording, runs: Sequence[RunHarmonics]) -> Second | 
 
 def _guessed(runs: Sequence[RunHarmonics]) -> Second | None:
     """Return the second frequency that explains most of the strongest lines, to their resolution."""
-    found = [(r, line.frequency) for r, item in enumerate(runs) for line in item.fit.lines[:STRONG]]
+    found = [(r, frequency) for r, item in enumerate(runs) for frequency in _beside_harmonics(item)[:STRONG]]
     if len({r for r, _ in found}) < 2:
         return None
     where = np.array([r for r, _ in found])
@@ -100,6 +100,14 @@ def _guessed(runs: Sequence[RunHarmonics]) -> Second | None:
     return None if best is None else best[2]
 
 
+def _beside_harmonics(item: RunHarmonics) -> list[float]:
+    """Return the frequencies [Hz] of lines that are no harmonics of higher orders than were fitted."""
+    speed = abs(item.fit.speed) / TURN
+    close = CLOSE / (item.run.time[-1] - item.run.time[0])
+    lines = [line.frequency for line in item.fit.lines]
+    return [at for at in lines if abs(at - speed * round(at / speed)) >= close]
+
+
 def _centred(second: Second, direction: np.ndarray) -> Second:
     """Return a frequency that follows the speed, known but for whole orders, so that its orders lie about zero."""
     if not second.follows or len(set(direction.tolist())) > 1:
@@ -120,8 +128,8 @@ def _shown(second: Second, runs: Sequence[RunHarmonics]) -> tuple[int, ...]:
     for item in runs:
         close = CLOSE / (item.run.time[-1] - item.run.time[0])
         places = np.abs(k * item.fit.speed + second.at(item.fit.speed)) / TURN
-        for line in item.fit.lines:
-            miss = np.abs(places - line.frequency)
+        for frequency in _beside_harmonics(item):
+            miss = np.abs(places - frequency)
             if miss.min() < close:
                 seen.setdefault(int(k[miss.argmin()]), set()).add(item.run.id)
     return tuple(order for order, ids in seen.items() if len(ids) > 1)

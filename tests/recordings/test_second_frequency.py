@@ -276,3 +276,19 @@ def test_amplitudes_scatter_as_their_covariance_says(kind):
             block = item.fit.covariance_beside(np.arange(2), 0.0)[part, part]
             total += float(np.append(e.real, e.imag) @ np.linalg.solve(block, np.append(e.real, e.imag)))
         assert_chi_squared(total, 4 * draws)
+
+
+def test_harmonics_of_higher_orders_than_are_fitted_are_no_second_frequency():
+    time, random, signals, tacho = np.arange(N) / RATE, np.random.default_rng(5), [], []
+    for speed in SPEEDS[:2]:
+        high = dict.fromkeys((23, 24, 26), 0.4)
+        theta = speed * time
+        waves = sum(size * np.cos(k * theta + k) for k, size in high.items())
+        y = closed_form(theta, HARMONICS) + waves[:, None] + NOISE * random.standard_normal((N, 2))
+        signals.append(y)
+        tacho.append(pulses(lambda t, speed=speed: speed * t, time[-1]))
+    made_here = recording(signals, SPEEDS[:2], tacho)
+    runs = harmonics_of(made_here, made_here.runs)
+    assert all(item.fit.orders[-1] < 23 for item in runs)
+    assert all(len(item.fit.lines) >= 3 for item in runs)
+    assert find_second(made_here, runs) is None
