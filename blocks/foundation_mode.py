@@ -25,8 +25,8 @@ class FoundationMode(Block):
             physics="foundation_mode",
             enters="force",
             free={
-                "mass": (20.0,),
-                "frequency": (2 * pi * 20, 2 * pi * 60, 2 * pi * 150),
+                "mass": (20.0, 3000.0),
+                "frequency": (2 * pi * 20, 2 * pi * 35, 2 * pi * 60, 2 * pi * 100, 2 * pi * 150),
                 "damping_ratio": (0.03,),
             },
             law="an extra peak in a band of speed, at every order that passes it",

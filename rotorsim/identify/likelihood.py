@@ -74,6 +74,10 @@ class Likelihood:
             self.keep,
         )
 
+    def rough(self) -> Likelihood:
+        """Return the likelihood by fewer steps where it takes several, good enough to compare starts."""
+        return self
+
     def evaluate(self, theta: np.ndarray) -> Evaluation:
         """Return the whitened residual and its slopes at theta (m,)."""
         response = self.response(theta)

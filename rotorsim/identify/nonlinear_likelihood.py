@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
@@ -36,13 +38,20 @@ class NonlinearLikelihood(Likelihood):
                 Problem("a nonlinear diagram takes no measured inputs", experiment.diagram.name, hint=hint)
             )
         self.means: list[np.ndarray] | None = None
+        self.rounds = MOST_ROUNDS
+
+    def rough(self) -> NonlinearLikelihood:
+        """Return the likelihood with the effect of the slow states' means by linear theory: half the work."""
+        other = copy(self)
+        other.rounds = 1
+        return other
 
     def evaluate(self, theta: np.ndarray) -> Evaluation:
         """Return the whitened residual and its slopes at theta (m,)."""
         motion = self.experiment.motion
         assert isinstance(motion, NonlinearMotion)
         means = self.means or motion.means_of_zero(theta)
-        for _ in range(MOST_ROUNDS):
+        for _ in range(self.rounds):
             found = motion.predict(theta, means)
             parts = [self._run(found, r) for r in range(len(self.data))]
             if not found.settled.all() or all(_still(e, gain) for e, _, _, gain in parts):

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rotorsim.diagram import Diagram
+from rotorsim.diagram import Diagram, load
 from rotorsim.identify import identify
 from rotorsim.identify.estimate import Search, estimate
 from rotorsim.identify.experiment import open_experiment
@@ -122,3 +122,19 @@ def test_a_nonlinear_diagram_takes_no_measured_inputs():
     with pytest.raises(RotorsimError) as caught:
         identify(diagram(), recording(), given=["controller.current"], profile=False)
     assert "not linear in its states" in str(caught.value)
+
+
+def test_a_rough_likelihood_takes_one_step_for_slow_means_and_says_nearly_the_same(monkeypatch):
+    integrating = diagram(0.5).document
+    integrating["blocks"]["controller"]["parameters"]["KI"] = 2000.0
+    exact = likelihood_of(open_experiment(load(integrating), recording()))
+    calls = []
+    predict = NonlinearMotion.predict
+    monkeypatch.setattr(NonlinearMotion, "predict", lambda *given: calls.append(1) or predict(*given))
+    theta = exact.experiment.theta0
+    rough = exact.rough().evaluate(theta)
+    assert len(calls) == 1
+    fine = exact.evaluate(theta)
+    assert len(calls) > 2
+    assert rough.misfit.sum() == pytest.approx(fine.misfit.sum(), rel=1e-2)
+    assert rough.misfit.sum() != pytest.approx(fine.misfit.sum(), rel=1e-9)
