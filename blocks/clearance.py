@@ -28,7 +28,10 @@ class Clearance(Block):
             physics="clearance",
             enters="force",
             options={"law": "radial"},
-            free={"gap": (Of("displacement", 0.7), Of("displacement", 0.4)), "stiffness": (1e5,)},
+            free={
+                "gap": (Of("displacement", 0.9), Of("displacement", 0.7), Of("displacement", 0.4)),
+                "stiffness": (1e4, 1e5),
+            },
             law=_LAW,
             confused_with=_CONFUSED,
             told_apart_by=_TOLD,

@@ -24,8 +24,8 @@ class Rub(Block):
             physics="rub",
             enters="force",
             free={
-                "gap": (Of("displacement", 0.7), Of("displacement", 0.4)),
-                "stiffness": (3e5,),
+                "gap": (Of("displacement", 0.9), Of("displacement", 0.7), Of("displacement", 0.4)),
+                "stiffness": (1e4, 3e5),
                 "friction": (0.1,),
             },
             law="none below a threshold in amplitude; above it every order and a mean force",
