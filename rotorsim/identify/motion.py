@@ -19,6 +19,7 @@ __all__ = ["Motion", "PortMotion", "Response", "Torus", "condensed"]
 PROBES = 2  # other values of the parameters at which it is seen what they move
 WIDE = 0.1  # relative
 SAMPLES = 16  # of a turn
+CONSTANT = 1e-6  # relative difference of second frequencies that are one
 POINTS, TURNS = 8, 50.0  # samples for each coefficient beside harmonics, over so many turns of the slowest of all
 
 
@@ -102,6 +103,7 @@ class Torus:
 
     def __init__(self, speeds: np.ndarray, K: int, second: np.ndarray, orders: np.ndarray, forced: bool) -> None:
         self.orders, self.forced = orders, forced
+        self.K, self.speeds, self.second = K, speeds, second
         self.frequencies = orders * speeds[:, None] + second[:, None]
         if not forced:
             return
@@ -118,6 +120,13 @@ class Torus:
             places = [K + order for order in range(K + 1)]
             places += [3 * K + 1 + int(np.sign(speeds[r])) * int(order) for order in orders]
             self.projection[r] = every[places]
+
+    def at(self, speeds: np.ndarray) -> Torus:
+        """Return the combinations at other speeds: the second frequency is constant, or a part of the speed."""
+        parts = self.second / np.abs(self.speeds)
+        same = np.ptp(self.second) <= CONSTANT * self.second.max()
+        second = np.full(len(speeds), self.second.mean()) if same else parts.mean() * np.abs(speeds)
+        return Torus(speeds, self.K, second, self.orders, self.forced)
 
 
 class Motion:

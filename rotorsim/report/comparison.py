@@ -250,10 +250,12 @@ class Comparison:
                 Y = harmonics_of_time(balanced.predict(self.theta).Y, some[0])
                 found.append(signal.combined(Y, experiment.predicted, orders))
                 continue
-            motion = Motion(experiment.motion.equations, p, some, K, list(windows), phase)
+            beside = None if experiment.motion.beside is None else experiment.motion.beside.at(some)
+            resolved = K if beside is None else beside.K  # of forces that do not follow the shaft alone, all at once
+            motion = Motion(experiment.motion.equations, p, some, resolved, list(windows), phase, beside)
             motion.slow = [experiment.motion.slow[r]] * len(some) if experiment.motion.slow else None
             response = motion.response(self.theta)
-            Y = harmonics_of_time(response.outputs(response.states()), some[0])
+            Y = harmonics_of_time(response.outputs(response.states())[:, : K + 1], some[0])
             grows = np.linalg.eigvals(response.A).real.max(axis=1) > 1e-6 * np.abs(response.A).max() ** 0.5
             Y[grows] = np.nan
             found.append(signal.combined(Y, experiment.predicted, orders))

@@ -14,6 +14,7 @@ from rotorsim.diagnose.files import diagnosis_data, save_diagnosis
 from rotorsim.diagram import load
 from rotorsim.errors import Place
 from rotorsim.recordings import Channel, Recording, Run
+from rotorsim.report.diagnosis_comparison import fitted_pair
 from rotorsim.simulate import simulate
 
 TURN = 2 * np.pi
@@ -202,3 +203,14 @@ def test_repaired_diagrams_predict_runs_that_took_no_part(name, tmp_path):
     physics = found.effects[0].physics
     assert repaired.nodes[physics].values["frequency"] == pytest.approx(MACHINES[name].nu, rel=1e-3)
     assert simulate(repaired, stop=0.01).status == "finished"
+
+
+@pytest.mark.parametrize("name", ["shaken", "swinging"])
+def test_curves_over_speed_pass_through_what_is_predicted_of_the_runs(name):
+    compared = fitted_pair(diagnosed(name)).after
+    signal, orders = compared.signals[0], np.arange(-3, 4)
+    for r, fit in enumerate(compared.experiment.fits):
+        here = compared._at(r, np.array([fit.speed]), signal, orders)[0]
+        there = signal.combined(compared.predicted[r : r + 1], compared.experiment.predicted, orders)[0]
+        moving = orders != 0  # the mean of a run that has not settled is its own
+        assert np.abs(here - there)[moving].max() < 0.01 * NOISE["r"]
