@@ -160,13 +160,16 @@ class Fit:
 
     @property
     def criterion(self) -> float:
-        """Bayesian information criterion with the noise as it was measured: misfit and a charge per unknown."""
-        return self.misfit + self.unknowns * float(np.log(max(self.equations, self.rows, 2)))
+        """Bayesian information criterion with the noise as it was measured: misfit and a charge per free parameter.
+
+        Nuisances cost what noise alone gives them, so that it is no merit to leave fewer means of slow states open.
+        """
+        return self.misfit + self.nuisances + len(self.free) * float(np.log(max(self.equations, self.rows, 2)))
 
     @property
-    def unknowns(self) -> int:
-        """Free parameters, and nuisances such as the means of states that have not settled."""
-        return len(self.free) + max(self.equations - self.rows, 0)
+    def nuisances(self) -> int:
+        """Unknowns of no interest, such as the means of states that have not settled."""
+        return max(self.equations - self.rows, 0)
 
     @property
     def values(self) -> dict[str, float]:

@@ -82,9 +82,8 @@ def _named(trials: Trials, base: Fit, most: int) -> Named:
     trials.slack = slack = MESH_ERROR * base.rows if trials.has_mesh(base) else 0.0
     first = trials.round(base)
     level = _level(first.tried)
-    if is_adequate(base) and not _noticed(first, base, level, slack):
-        return Named(base, (), (first,), base, level, trials.counts, slack)
-    beam: list[tuple[Candidate, ...]] = [(item,) for item in _distinct(first, base)[:BEAM]]
+    worth = _noticed(first.tried, base, level, slack) if is_adequate(base) else first.tried
+    beam: list[tuple[Candidate, ...]] = [(item,) for item in _distinct(worth, base)[:BEAM]]
     if not beam:
         return Named(base, (), (first,), base, level, trials.counts, slack)
     chosen: tuple[Candidate, ...] = beam[0]
@@ -93,7 +92,7 @@ def _named(trials: Trials, base: Fit, most: int) -> Named:
         grown: list[tuple[tuple[Candidate, ...], Round]] = []
         for path in beam:
             after = trials.round(path[-1].fit)
-            for item in _distinct(after, path[-1].fit)[:1]:
+            for item in _distinct(after.tried, path[-1].fit)[:1]:
                 grown.append(((*path, item), after))
             if grown and is_adequate(grown[-1][0][-1].fit):
                 break
@@ -151,7 +150,8 @@ def least_gain(item: Candidate, base: Fit, level: float) -> float:
 
     A nonlinear law has one more: where it begins to act is chosen, too.
     """
-    return float(chi2.isf(level, max(item.fit.unknowns - base.unknowns + item.fit.nonlinear, 1)))
+    more = len(item.fit.free) - len(base.free) + max(item.fit.nuisances - base.nuisances, 0) + item.fit.nonlinear
+    return float(chi2.isf(level, max(more, 1)))
 
 
 def _share(after: Fit, before: Fit) -> float:
@@ -159,19 +159,18 @@ def _share(after: Fit, before: Fit) -> float:
     return 1 - (after.misfit - after.freedom) / max(before.misfit - before.freedom, 1.0)
 
 
-def _noticed(found: Round, base: Fit, level: float, slack: float) -> bool:
-    """Return whether a candidate explains more than noise and meshes would have it explain."""
-    return any(
-        base.misfit - item.fit.misfit > least_gain(item, base, level) + slack
-        for item in found.tried
-        if not item.fit.failure
-    )
+def _noticed(tried: Sequence[Candidate], base: Fit, level: float, slack: float) -> list[Candidate]:
+    """Return the candidates that explain more than noise and meshes would have them explain."""
+    return [
+        item for item in tried
+        if not item.fit.failure and base.misfit - item.fit.misfit > least_gain(item, base, level) + slack
+    ]  # fmt: skip
 
 
-def _distinct(found: Round, before: Fit) -> list[Candidate]:
+def _distinct(tried: Sequence[Candidate], before: Fit) -> list[Candidate]:
     """Return the physical candidates that explain more than before, the best of each physics."""
     best: dict[str, Candidate] = {}
-    for item in found.tried:
+    for item in tried:
         if not item.fit.failure and item.physical and item.fit.criterion < before.criterion:
             best.setdefault(item.insertion.physics, item)
     return list(best.values())

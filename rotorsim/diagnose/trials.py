@@ -243,7 +243,7 @@ def _simplest_first(tried: list[Candidate], slack: float) -> list[Candidate]:
     tried = sorted(tried, key=lambda item: (bool(item.fit.failure), item.fit.criterion))
     least = next((item.fit.criterion for item in tried if not item.fit.failure and item.physical), np.inf)
     near = [item for item in tried if not item.fit.failure and item.physical and item.fit.criterion <= least + slack]
-    near.sort(key=lambda item: (item.fit.unknowns, item.fit.criterion))
+    near.sort(key=lambda item: (len(item.fit.free), item.fit.criterion))
     return [*near, *(item for item in tried if item not in near)]
 
 

@@ -2,11 +2,13 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from rotorsim.diagnose.conclusions import verdict_of
 from rotorsim.diagnose.fitting import Fit
-from rotorsim.diagnose.naming import AS_MUCH, NEARLY, Named
+from rotorsim.diagnose.naming import AS_MUCH, NEARLY, Named, Round, _named
+from rotorsim.diagram.diagram import Free
 
 ROWS = 1000
 
@@ -42,3 +44,27 @@ def test_what_nothing_was_found_for_is_outside_or_nothing():
     assert verdict_of(Named(left(50.0), (), (), left(50.0), 1e-4), ()) == "outside_catalogue"
     assert verdict_of(Named(left(1.0), (), (), left(1.0), 1e-4), ()) == "consistent"
     assert verdict_of(Named(left(1.0), (), (), left(1.0), 1e-4), (), alike=True) == "not_identifiable"
+
+
+def candidate(physics: str, misfit: float, extra: int, nuisances: int = 20) -> SimpleNamespace:
+    free = tuple(Free(f"{physics}{k}", "", 0, 1.0, "", 0.0, np.inf) for k in range(extra))
+    fit = Fit({}, free, misfit=misfit, rows=ROWS - nuisances, equations=ROWS, goodness=0.5)
+    insertion = SimpleNamespace(physics=physics, spot="rotor.force", key=physics)
+    return SimpleNamespace(fit=fit, insertion=insertion, physical=True, parameters=())
+
+
+def chosen(*tried: SimpleNamespace) -> list[str]:
+    base = Fit({}, misfit=1000.0, rows=ROWS - 20, equations=ROWS, goodness=0.5)
+    order = tuple(sorted(tried, key=lambda item: item.fit.criterion))
+    trials = SimpleNamespace(
+        round=lambda before: Round(before, order), has_mesh=lambda base: False, counts={}, nominal={}, slack=0.0
+    )
+    return [item.insertion.physics for item in _named(trials, base, 3).chosen]
+
+
+def test_where_noise_explains_all_only_what_it_cannot_make_is_named():
+    """A law that leaves fewer means open has the better criterion, but explains nothing that noise does not."""
+    fewer = candidate("hysteretic_damping", 1010.0, 0, nuisances=1)
+    seen, unseen = candidate("internal_damping", 980.0, 1), candidate("seal_cross_coupling", 995.0, 1)
+    assert chosen(fewer, seen, unseen) == ["internal_damping"]
+    assert chosen(fewer, unseen) == []
