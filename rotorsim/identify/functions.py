@@ -17,7 +17,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate.forcing import Jumps
 from rotorsim.simulate.matrix_function import MatrixFunction
 
-__all__ = ["Equations", "known_values", "reached_states", "slots_of", "with_values"]
+__all__ = ["Equations", "instants", "known_values", "reached_states", "slots_of", "suit", "with_values"]
 
 FIRST_SAMPLES = 32
 MOST_SAMPLES = 4096
@@ -37,6 +37,11 @@ def known_values(p: np.ndarray | None, slots: Sequence[Sequence[int]]) -> dict[i
     same = np.flatnonzero((p == p[:1]).all(axis=0)).tolist()
     free = {slot for some in slots for slot in some}
     return {slot: float(p[0, slot]) for slot in same if slot not in free}
+
+
+def suit(known: Mapping[int, float], p: np.ndarray) -> bool:
+    """Return whether all runs of p (R, n_p) have the known values."""
+    return all((p[:, slot] == value).all() for slot, value in known.items())
 
 
 def with_values(
@@ -113,7 +118,7 @@ class Equations:
 
     def at(self, p: np.ndarray) -> Equations:
         """Return the equations for known parameters p (R, n_p), of which others may be the same in all runs."""
-        return self if all((p[:, slot] == value).all() for slot, value in self.known.items()) else self._general
+        return self if suit(self.known, p) else self._general
 
     @cached_property
     def _general(self) -> Equations:
@@ -170,29 +175,29 @@ class Equations:
 
     def at_rest(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, n: int) -> np.ndarray:
         """Return [f; g] at rest at n instants of a turn, (R, n, states + outputs)."""
-        times, many_p, many_theta = self._columns(p, theta, _turn(speeds, n))
+        times, many_p, many_theta = self._columns(p, theta, instants(speeds, n))
         parts = [value(times, many_p, many_theta) for value, _ in self._forcing]
         return np.concatenate(parts, axis=1).reshape(len(p), n, -1)
 
     def sampled(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
         """Return [f; g] at rest at n instants of a turn, (R, n, states + outputs), and its derivatives (..., m)."""
-        return self._at(p, theta, _turn(speeds, n))
+        return self._at(p, theta, instants(speeds, n))
 
-    def _at(self, p: np.ndarray, theta: np.ndarray, instants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        (R, m), n = theta.shape, instants.shape[1]
-        times, many_p, many_theta = self._columns(p, theta, instants)
+    def _at(self, p: np.ndarray, theta: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        (R, m), n = theta.shape, at.shape[1]
+        times, many_p, many_theta = self._columns(p, theta, at)
         values, derivatives = [], []
         for value, derivative in self._forcing:
             values.append(value(times, many_p, many_theta).reshape(R, n, -1))
             derivatives.append(derivative(times, many_p, many_theta).reshape(R, n, -1, m))
         return np.concatenate(values, axis=2), np.concatenate(derivatives, axis=2)
 
-    def _columns(self, p: np.ndarray, theta: np.ndarray, instants: np.ndarray) -> tuple[np.ndarray, ...]:
-        n = instants.shape[1]
-        return instants.reshape(1, -1), np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T
+    def _columns(self, p: np.ndarray, theta: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, ...]:
+        n = at.shape[1]
+        return at.reshape(1, -1), np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T
 
 
-def _turn(speeds: np.ndarray, n: int) -> np.ndarray:
+def instants(speeds: np.ndarray, n: int) -> np.ndarray:
     """Return n instants of a turn at each speed, (R, n)."""
     return np.asarray(2 * np.pi / np.abs(speeds)[:, None] * np.arange(n) / n)
 

@@ -11,12 +11,10 @@ import numpy as np
 
 from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Free
-from rotorsim.identify.functions import known_values, reached_states, slots_of, with_values
+from rotorsim.identify.functions import instants, known_values, reached_states, slots_of, suit, with_values
 from rotorsim.simulate.matrix_function import MatrixFunction
 
 __all__ = ["NonlinearEquations", "PortEquations", "is_linear"]
-
-FIRST_SAMPLES = 64
 
 
 def is_linear(model: Model, outputs: Sequence[str]) -> bool:
@@ -65,7 +63,7 @@ class NonlinearEquations:
 
     def at(self, p: np.ndarray) -> NonlinearEquations:
         """Return the equations for known parameters p (R, n_p), of which others may be the same in all runs."""
-        return self if all((p[:, slot] == value).all() for slot, value in self.known.items()) else self._general
+        return self if suit(self.known, p) else self._general
 
     @cached_property
     def _general(self) -> NonlinearEquations:
@@ -88,7 +86,7 @@ class NonlinearEquations:
     def at_rest(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, n: int) -> np.ndarray:
         """Return [f; g] at rest at n instants of a turn, as `functions.Equations.at_rest`."""
         R = len(p)
-        times = (2 * np.pi / np.abs(speeds)[:, None] * np.arange(n) / n).reshape(1, -1)
+        times = instants(speeds, n).reshape(1, -1)
         points = (times, np.zeros((self.n, R * n)), np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T)
         return np.concatenate([self.whole.f(*points), self.whole.g(*points)], axis=1).reshape(R, n, -1)
 

@@ -109,7 +109,7 @@ def slow_states(A: np.ndarray, window: float) -> np.ndarray:
 
     Their mean may be anything after a start at any time; a free integrator has no mean at all.
     """
-    return _slow_states(np.ascontiguousarray(A).tobytes(), len(A), window)
+    return _slow_states(np.ascontiguousarray(A, float).tobytes(), len(A), window).copy()
 
 
 @lru_cache(maxsize=KEPT)
