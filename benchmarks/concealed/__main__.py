@@ -51,9 +51,13 @@ def _run(arguments: argparse.Namespace) -> int:
 def _score(arguments: argparse.Namespace) -> int:
     from benchmarks.concealed import score, tables
 
-    judged = score.judge_all(Path(arguments.folder), Path(arguments.diagnoses))
+    if len(arguments.sets) % 2:
+        raise ValueError(f"{arguments.sets[-1]}: no folder of its diagnoses; hint: FOLDER DIAGNOSES, for each set")
+    folders = [Path(name) for name in arguments.sets]
+    pairs = list(zip(folders[::2], folders[1::2], strict=True))
+    judged = [item for folder, found in pairs for item in score.judge_all(folder, found)]
     result = tables.summary(judged)
-    page = tables.markdown(result, f"Diagnosis of {Path(arguments.folder).name}")
+    page = tables.markdown(result, f"Diagnosis of {', '.join(folder.name for folder, _ in pairs)}")
     if arguments.out:
         Path(arguments.out).write_text(page)
     print(json.dumps({"summary": result, "cases": judged}, indent=1) if arguments.json else page, end="")
@@ -99,8 +103,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     run.set_defaults(do=_run)
     score = verbs.add_parser("score", help="compare diagnoses with the truth")
-    score.add_argument("folder")
-    score.add_argument("diagnoses")
+    score.add_argument("sets", nargs="+", metavar="FOLDER DIAGNOSES", help="several sets are summed up as one")
     score.add_argument("--out", help="write the page here, as markdown")
     score.set_defaults(do=_score)
     check = verbs.add_parser("check", help="error of the integration, convergence of the beam, against other methods")

@@ -342,3 +342,7 @@ def test_misuse_of_the_commands(tmp_path, capsys):
     )
     assert main(["score", str(tmp_path), str(tmp_path / "found")]) == 2
     assert capsys.readouterr().err == f"error: {tmp_path}: no truth/CASE.json and no CASE/truth.json\n"
+    assert main(["score", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == (
+        f"error: {tmp_path}: no folder of its diagnoses; hint: FOLDER DIAGNOSES, for each set\n"
+    )
