@@ -53,7 +53,8 @@ class Diagnosis:
 
     effects: what is missing (or, outside the catalogue, what was nearest). before, after: fits of the diagram as
     given and repaired; document: the repaired one. scores: hold-out NRMSE of both. rejected: (physics, why).
-    detectable: physics -> smallest size that would have been seen, with its unit, where nothing was found.
+    detectable: physics -> smallest size that would have been seen, with its unit, where nothing was found. disproved:
+    hold-out NRMSE with effects that explain the fitted runs, but not these.
     """
 
     verdict: str
@@ -73,6 +74,7 @@ class Diagnosis:
     outside: Mapping[str, Any] = field(default_factory=dict)
     source: Source | None = None
     held: tuple[Held, ...] = ()
+    disproved: Score | None = None
 
 
 def effects_of(named: Named) -> tuple[Effect, ...]:
@@ -103,11 +105,15 @@ def _effect(candidate: Candidate, found: Round, slack: float) -> Effect:
     return Effect(candidate, members, rivals, places)
 
 
-def verdict_of(named: Named, effects: Sequence[Effect], *, alike: bool = False) -> str:
-    """Return one of VERDICTS. alike: all runs have one speed and the same settings, which anything explains."""
+def verdict_of(named: Named, effects: Sequence[Effect], *, alike: bool = False, disproved: bool = False) -> str:
+    """Return one of VERDICTS.
+
+    alike: all runs have one speed and the same settings, which anything explains. disproved: with the effects the
+    diagram does not predict runs that took no part.
+    """
     if not effects and is_adequate(named.base):
         return "not_identifiable" if alike else "consistent"
-    if not effects or not (named.explained or named.nearly):
+    if not effects or disproved or not (named.explained or named.nearly):
         return "outside_catalogue"
     if any(len(effect.members) > MOST_CLASS for effect in effects):
         return "not_identifiable"
@@ -188,16 +194,17 @@ def _why(item: Candidate, best: Fit) -> str:
     return f"explains the data less well: criterion higher by {fit.criterion - best.criterion:.3g}"
 
 
-def nearest(named: Named, unknown: Unknown | None) -> Fit:
-    """Return the fit that explains most: with the effects, or with the map of an unknown force."""
-    fits = [named.fit] if unknown is None or unknown.fit is None else [unknown.fit, named.fit]
+def nearest(named: Named, unknown: Unknown | None, *, disproved: bool = False) -> Fit:
+    """Return the fit that explains most: with the effects, unless disproved, or with the map of an unknown force."""
+    fits = [named.base if disproved else named.fit]
+    fits += [] if unknown is None or unknown.fit is None else [unknown.fit]
     return min(fits, key=lambda fit: fit.criterion)
 
 
 def concluded(
     named: Named, effects: tuple[Effect, ...], verdict: str, *, fits: tuple[Fit, Fit], scores: Sequence[Score],
     source: Source, held: tuple[Held, ...], unknown: Unknown | None = None, warnings: Sequence[Problem] = (),
-    screened: Sequence[tuple[str, str]] = (),
+    screened: Sequence[tuple[str, str]] = (), disproved: Score | None = None,
 ) -> Diagnosis:  # fmt: skip
     """Return the diagnosis without its words. fits, scores: before and after; screened: further rivals and why."""
     before, after = fits
@@ -208,7 +215,7 @@ def concluded(
         score_before=scores[0], score_after=scores[1], next_experiment="", statement="", named=named,
         warnings=tuple(warnings), detectable=_detectable(named) if verdict == "consistent" else {},
         outside={} if unknown is None else {**unknown.data, "description": unknown.description},
-        source=source, held=held,
+        source=source, held=held, disproved=disproved,
     )  # fmt: skip
 
 

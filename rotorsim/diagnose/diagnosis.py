@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.base import base_fit, with_uncertain
 from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, nearest, unknown_of, verdict_of
-from rotorsim.diagnose.fitting import Source
+from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.naming import name_missing
-from rotorsim.diagnose.scoring import Held, left_out_score, score
+from rotorsim.diagnose.scoring import Held, Score, left_out_score, predicts, score
 from rotorsim.diagnose.time_data import is_in_time
 from rotorsim.diagnose.time_diagnosis import diagnose_in_time
 from rotorsim.diagnose.values import values_in
@@ -72,18 +73,26 @@ def diagnose(
     if base.failure:
         raise RotorsimError(Problem(base.failure, diagram.name))
     warnings += [Problem(note, severity="warning") for note in refined]
+    source = replace(source, standing=base.nuisances)
     named = name_missing(
         base, source, registry=registry, physics=physics, workers=workers, scheduler=scheduler, progress=progress,
     )  # fmt: skip
     effects = effects_of(named)
-    verdict = verdict_of(named, effects, alike=source.alike)
+    scores: dict[Fit, Score] = {}
+
+    def scored(fit: Fit) -> Score:
+        if fit not in scores:
+            document = values_in(fit.document, fit.values)
+            scores[fit] = score(document, source, held) if held else left_out_score(document, source)
+        return scores[fit]
+
+    disproved = bool(effects and held) and not predicts(scored(base), scored(named.fit))
+    verdict = verdict_of(named, effects, alike=source.alike, disproved=disproved)
     unknown = unknown_of(named, effects, source) if verdict == "outside_catalogue" else None
-    after = nearest(named, unknown)
-    documents = [values_in(fit.document, fit.values) for fit in dict.fromkeys((base, after))]
-    scores = [score(d, source, held) if held else left_out_score(d, source) for d in documents]
+    after = nearest(named, unknown, disproved=disproved)
     found = concluded(
-        named, effects, verdict, fits=(base, after), scores=(scores[0], scores[-1]), source=source, held=held,
-        unknown=unknown, warnings=warnings,
+        named, effects, verdict, fits=(base, after), scores=(scored(base), scored(after)), source=source, held=held,
+        unknown=unknown, warnings=warnings, disproved=scored(named.fit) if disproved else None,
     )  # fmt: skip
     return in_words(found)
 

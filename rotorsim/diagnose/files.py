@@ -63,12 +63,13 @@ def _missing(found: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _place(spot: Spot, probability: float) -> dict[str, Any]:
-    return {"block": spot.block, "port": spot.port, "node": spot.node, "axis": None, "probability": probability}
+    node = spot.beside if spot.node is None else spot.node
+    return {"block": spot.block, "port": spot.port, "node": node, "axis": None, "probability": probability}
 
 
 def _effect_parameters(effect: Effect, fit: Fit) -> dict[str, Any]:
     every = _parameters(fit)
-    return {name.rpartition(".")[2]: every[name] for name in effect.candidate.parameters if name in every}
+    return {name.rpartition(".")[2]: every[name] for name in effect.candidate.insertion.free if name in every}
 
 
 def _from_lines(effect: Effect, found: Diagnosis) -> dict[str, Any]:

@@ -40,7 +40,7 @@ TURN = 2 * np.pi
 SAME_SPEED = 0.02  # relative
 MESH_ACCURACY = 1e-5  # of a signal's rms: how well one mesh stands for another at best
 ROUNDED = 1e6  # parts of a radian in which angles are compared
-NUMBERS = ("misfit", "rows", "equations", "goodness", "failure", "nonlinear", "seconds")
+NUMBERS = ("misfit", "rows", "equations", "goodness", "failure", "nonlinear", "seconds", "standing")
 ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out")
 
 
@@ -52,7 +52,8 @@ def _nothing() -> np.ndarray:
 class Source:
     """What a diagram is fitted to: a recording, its harmonics, and where the diagram's files are.
 
-    second: the frequency of lines that do not follow the shaft, and that the harmonics were fitted with.
+    second: the frequency of lines that do not follow the shaft, and that the harmonics were fitted with. standing:
+    nuisances of the diagram as given (see `Fit.criterion`).
     Whatever has ``recorded``, ``load``, ``fit`` and ``largest`` can stand in its place (`naming.name_missing`).
     """
 
@@ -61,6 +62,7 @@ class Source:
     folder: str | None = None
     trust_blocks: bool = False
     second: Second | None = None
+    standing: int | None = None
 
     def load(self, document: Mapping[str, Any]) -> Diagram:
         """Return the diagram of a document. Raises RotorsimError."""
@@ -135,7 +137,7 @@ class Fit:
     free, theta (m,), covariance (m, m), at_bound (m,). misfit: |r|^2 of the whitened data; equations: real ones, of
     which rows are left after nuisances. run_misfit, left_out (R,): |r|^2 of each run, and when it is predicted from
     the others. goodness: probability of the misfit. failure: why there is none of it. nonlinear: in its states.
-    seconds: of CPU time it took.
+    seconds: of CPU time it took. standing: nuisances that any diagram has (default: all of its own).
     """
 
     document: Mapping[str, Any]
@@ -152,6 +154,7 @@ class Fit:
     failure: str = ""
     nonlinear: bool = False
     seconds: float = 0.0
+    standing: int | None = None
 
     @property
     def freedom(self) -> int:
@@ -162,9 +165,12 @@ class Fit:
     def criterion(self) -> float:
         """Bayesian information criterion with the noise as it was measured: misfit and a charge per free parameter.
 
-        Nuisances cost what noise alone gives them, so that it is no merit to leave fewer means of slow states open.
+        Nuisances that the diagram as given has cost what noise alone gives them, so that it is no merit to leave fewer
+        means of slow states open; those that a law adds cost as much as its parameters.
         """
-        return self.misfit + self.nuisances + len(self.free) * float(np.log(max(self.equations, self.rows, 2)))
+        added = 0 if self.standing is None else max(self.nuisances - self.standing, 0)
+        charged = (len(self.free) + added) * float(np.log(max(self.equations, self.rows, 2)))
+        return self.misfit + (self.nuisances - added) + charged
 
     @property
     def nuisances(self) -> int:
@@ -207,7 +213,8 @@ def fit_document(
         return Fit(document, failure=error.problems[0].what, nonlinear=nonlinear, seconds=process_time() - began)
     except (ValueError, np.linalg.LinAlgError) as error:  # no settled motion to start from
         return Fit(document, failure=str(error), nonlinear=nonlinear, seconds=process_time() - began)
-    return replace(_fit_of(document, search, best), nonlinear=nonlinear, seconds=process_time() - began)
+    seconds = process_time() - began
+    return replace(_fit_of(document, search, best), nonlinear=nonlinear, seconds=seconds, standing=source.standing)
 
 
 def promise_of(document: Mapping[str, Any], source: Source, starts: Sequence[Sequence[Mapping[str, float]]]) -> float:

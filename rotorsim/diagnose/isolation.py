@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnose.insertion import Insertion, insertions
+from rotorsim.diagnose.finder import insertions
+from rotorsim.diagnose.insertion import Insertion
 from rotorsim.diagnose.signature_motion import SECOND, LinearMotion
 from rotorsim.diagnose.signatures import ALIAS, HARDLY, Shares, Signatures, runs_of, signatures_of
 from rotorsim.diagnose.structure import Gain, Structure

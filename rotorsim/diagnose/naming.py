@@ -118,10 +118,13 @@ def _reconsidered(
     """
     k = 0
     while len(chosen) > 1 and k < len(chosen):
-        others = [item for j, item in enumerate(chosen) if j != k]
-        without = trials.refitted(base, others, chosen[-1].fit)
-        if not without.failure and without.criterion <= chosen[-1].fit.criterion + trials.slack:
-            chosen = (*others[:-1], Candidate(others[-1].insertion, without))
+        others = trials.refitted(base, [item for j, item in enumerate(chosen) if j != k], chosen[-1].fit)
+        if not others:  # they stand on the one that was taken away
+            k += 1
+            continue
+        without = others[-1].fit
+        if without.criterion <= chosen[-1].fit.criterion + trials.slack:
+            chosen = others
             rounds = [item for j, item in enumerate(rounds) if j != k]
             k = 0
             continue

@@ -17,7 +17,10 @@ from rotorsim.identify.nonlinear_motion import NonlinearMotion
 from rotorsim.recordings.harmonics import RunHarmonics
 from rotorsim.recordings.recording import Recording
 
-__all__ = ["Held", "Prediction", "Score", "left_out_score", "predict", "score"]
+__all__ = ["Held", "Prediction", "Score", "left_out_score", "predict", "predicts", "score"]
+
+NOISE = 1.1  # times the noise floor: what a diagram leaves over that predicts all there is to predict
+PROVED = 0.9  # share of the mean square left unexplained before that a repaired diagram predicts
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,17 @@ class Score:
 def _mean(values: Mapping[str, float]) -> float | None:
     found = np.array(list(values.values()))
     return float(np.sqrt(np.mean(found**2))) if found.size and np.isfinite(found).all() else None
+
+
+def predicts(before: Score, after: Score) -> bool:
+    """Return whether a repaired diagram predicts runs that took no part: noise is left, or a tenth of what was.
+
+    True, too, where nothing can be said because one of them has no settled motion.
+    """
+    if before.total is None or after.total is None or after.noise is None:
+        return True
+    left, unexplained = after.total**2 - after.noise**2, before.total**2 - after.noise**2
+    return after.total <= NOISE * after.noise or left <= (1 - PROVED) * unexplained
 
 
 def predict(document: Mapping[str, Any], source: Source, held: Held) -> Prediction:

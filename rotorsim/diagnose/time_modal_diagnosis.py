@@ -11,8 +11,9 @@ from scipy.ndimage import gaussian_filter1d
 from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, verdict_of
+from rotorsim.diagnose.finder import insertions
 from rotorsim.diagnose.fitting import Fit, Source
-from rotorsim.diagnose.insertion import Insertion, fixed_of, insertions, starts_of
+from rotorsim.diagnose.insertion import Insertion, fixed_of, starts_of
 from rotorsim.diagnose.naming import name_missing
 from rotorsim.diagnose.scoring import Held
 from rotorsim.diagnose.time_modal import FREQUENCY, ModalSource, modal_errors, modal_score, open_modal_source

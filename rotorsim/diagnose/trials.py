@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from rotorsim.diagnose.finder import insertions
 from rotorsim.diagnose.fitting import LATER, Fit, Source, fit_from_plain, fit_to_plain
-from rotorsim.diagnose.insertion import LEAST, LINES, Insertion, fixed_of, insertions, starts_of
+from rotorsim.diagnose.insertion import LEAST, LINES, Insertion, fixed_of, starts_of
 from rotorsim.diagnose.places import open_places
 from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.registry import Registry
@@ -223,15 +224,32 @@ class Trials:
                 fits[j] = fit_from_plain(jobs[j][0], plain)
         return fits
 
-    def refitted(self, base: Fit, effects: Sequence[Candidate], near: Fit) -> Fit:
-        """Return the diagram with these effects only, fitted from their values in another fit."""
-        document = base.document
+    def refitted(self, base: Fit, effects: Sequence[Candidate], near: Fit) -> tuple[Candidate, ...]:
+        """Return these effects only, put in one by one; the last has the fit of all, from their values in ``near``.
+
+        Empty where they cannot stand alone.
+        """
+        document, known = dict(base.document), dict(near.values)
+        entered = []
         for item in effects:
-            document = item.insertion.document(document)
-        known = {name: value for name, value in near.values.items() if name in document["identify"]}
+            here = insertions(self.source.load(document), self.source.recorded, self.registry)
+            again = next((other for other in here if other.key == item.insertion.key), None)
+            if again is None:
+                return ()
+            document = again.document(document)
+            old, new = item.insertion.name, again.name
+            document["blocks"][new] = near.document["blocks"][old]
+            known |= {f"{new}.{key}": near.values[f"{old}.{key}"] for key in again.fault.free}
+            entered.append(again)
+        known = {name: value for name, value in known.items() if name in document["identify"]}
         document = values_in(document, known)  # a block that was put in the place of another has others
         with threadpool_limits(1, "blas"):
-            return self.source.fit(document, [[{}], [self.nominal]])
+            fit = self.source.fit(document, [[{}], [self.nominal]])
+        if fit.failure:
+            return ()
+        pairs = zip(entered[:-1], effects, strict=False)
+        kept = (Candidate(new, old.fit if new.name == old.insertion.name else fit) for new, old in pairs)
+        return (*kept, Candidate(entered[-1], fit))
 
 
 def _by_misfit(fits: Sequence[Fit]) -> list[int]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rotorsim.diagnose.fitting import Source
+from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.next_experiment import best_change
 from rotorsim.units import format_quantity
 
@@ -84,12 +84,15 @@ def statement(found: Diagnosis) -> str:
         if nearest is not None:
             left = found.named.fit.misfit / found.named.fit.freedom
             text += f": the nearest, {_list([e.physics for e in found.effects])}, leaves {left:.3g} times"
+        if found.disproved is not None and found.disproved.total is not None and before.noise is not None:
+            error, floor = _percent(found.disproved.total), _percent(before.noise)
+            text += f", and predicts held-out runs to {error} only (noise {floor})"
         text += "."
         if found.outside.get("description"):
             text += " " + str(found.outside["description"])
         return text + _held_out(found)
     for effect in found.effects:
-        text += " " + _sentence(effect)
+        text += " " + _sentence(effect, found.after)
     if found.named.nearly and not found.named.explained:
         left = found.named.fit.misfit / found.named.fit.freedom
         text += f" {left:.3g} times the variance of the noise are left: details of a law, or a small effect more."
@@ -98,12 +101,14 @@ def statement(found: Diagnosis) -> str:
     return text
 
 
-def _sentence(effect: Effect) -> str:
+def _sentence(effect: Effect, fit: Fit) -> str:
+    """Return what is missing, with its sizes in the fit of all effects."""
     names = list(effect.members)
-    fit = effect.candidate.fit
     known = {item.name: (j, item) for j, item in enumerate(fit.free)}
     values = []
-    for name in effect.candidate.parameters:
+    for name in effect.candidate.insertion.free:
+        if name not in known:
+            continue
         j, item = known[name]
         std = float(np.sqrt(max(fit.covariance[j, j], 0.0)))
         size = _quantity(float(fit.theta[j]), 0.0 if fit.at_bound[j] else std, item.unit)

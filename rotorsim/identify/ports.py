@@ -20,6 +20,7 @@ __all__ = ["DENSE", "Ports", "open_ports", "slow_states"]
 DENSE = 24  # states up to which matrices of all states are as fast
 SLOW = 5.0  # a mode that decays by less than e^-5 over the window may still move the mean
 RANK = 1e-10  # of the largest, for directions in units of the rows of A
+FAR = 1e3  # times the bound, to where modes are moved that are known
 FEW = 8  # modes nearest to zero that are looked at first
 KEPT = 64  # matrices whose slow states are known: many faults do not change them
 CONDITION = 1e6  # of their left and right vectors, up to which they are used
@@ -131,7 +132,22 @@ def _slow_states(matrix: bytes, n: int, window: float) -> np.ndarray:
 
 
 def _modes_near_zero(A: np.ndarray, bound: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return right and left eigenvectors (n, s) of |eigenvalue| < bound, or None where they cannot be told."""
+    """Return right and left eigenvectors (n, s) of |eigenvalue| < bound, or None where they cannot be told.
+
+    One Krylov space holds one mode only of those of equal eigenvalue (two axes alike): what was found is moved away,
+    and the rest searched again.
+    """
+    rest = A
+    right = left = np.zeros((len(A), 0), complex)
+    while True:
+        found = _some_modes_near_zero(rest, bound)
+        if found is None or not found[0].shape[1]:
+            return found and (right, left)
+        right, left = (np.hstack(pair) for pair in zip((right, left), found, strict=True))
+        rest = rest + FAR * bound * (found[0] @ found[1].T).real
+
+
+def _some_modes_near_zero(A: np.ndarray, bound: float) -> tuple[np.ndarray, np.ndarray] | None:
     n = len(A)
     factor = scipy.linalg.lu_factor(A - bound * np.eye(n), check_finite=False)
     pairs = []
@@ -153,4 +169,4 @@ def _modes_near_zero(A: np.ndarray, bound: float) -> tuple[np.ndarray, np.ndarra
     together = left.T @ right  # modes of equal frequency come in any combination
     if right.shape[1] and np.linalg.cond(together) > CONDITION:
         return None
-    return right, left @ np.linalg.inv(together)
+    return right, left @ np.linalg.inv(together).T

@@ -202,9 +202,7 @@ class _Page:
         place = f" at {effect.places[0][0]}" if effect.places else ""
         parts = [f"<h3>{escape(plain_words(effect.physics))}{escape(place)}</h3>"]
         values = self._values(self.found.after)
-        rows = [
-            [name.rpartition(".")[2], *estimate(values[name])] for name in effect.candidate.parameters if name in values
-        ]
+        rows = [[name.rpartition(".")[2], *estimate(values[name])] for name in insertion.free if name in values]
         if rows:
             parts.append(table(["parameter", "value", "90 % interval"], rows))
         told = [

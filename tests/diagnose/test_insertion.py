@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from rotorsim.diagnose.insertion import LINES, Insertion, fixed_of, insertions, starts_of
+from rotorsim.diagnose.finder import insertions
+from rotorsim.diagnose.insertion import LINES, Insertion, fixed_of, starts_of
 from rotorsim.diagram import load
 from rotorsim.diagram.diff import diff
 from rotorsim.diagram.load import shipped_diagrams
@@ -120,3 +121,67 @@ class Tide(Block):
     [tide] = [item for item in items if item.physics == "tide"]
     changed = {**tide.document(document("jeffcott")), "block_folders": [tmp_path.name]}
     assert "tide.pull" in {free.name for free in load(changed, folder=Path(tmp_path).parent, trust_blocks=True).free}
+
+
+def put(document: dict, *physics: str) -> dict:
+    """Return a document with faults put in one after another."""
+    for name in physics:
+        item = next(item for item in insertions(load(document), RECORDED) if item.physics == name)
+        document = item.document(document)
+    return document
+
+
+def ends(document: dict, *parts: str) -> set[tuple[str, str]]:
+    """Return the wires of displacement and current that touch blocks whose names begin so."""
+    touching = {(a, b) for a, b in document["wires"] if any(end.startswith(parts) for end in (a, b))}
+    return {(a, b) for a, b in touching if "velocity" not in a and not a.startswith("clock")}
+
+
+@pytest.mark.parametrize(
+    "order", [("sensor_rotation", "controller_gain_error"), ("controller_gain_error", "sensor_rotation")]
+)
+def test_a_sensor_and_a_wrong_gain_share_a_wire_in_either_order(order):
+    changed = put(document("jeffcott"), *order)
+    assert ends(changed, "sensor_rotation", "controller_gain_error") == {
+        ("rotor.displacement", "sensor_rotation.displacement"),
+        ("sensor_rotation.sensed_displacement", "controller_gain_error.displacement"),
+        ("controller_gain_error.weighted_displacement", "controller.displacement"),
+    }
+    assert changed["measured"] == {"rotor.displacement": "sensor_rotation.sensed_displacement"}
+    velocity = [wire for wire in changed["wires"] if "velocity" in wire[0] and wire[1] != "damper.velocity"]
+    assert ["sensor_rotation.sensed_velocity", "controller_gain_error.velocity"] in velocity
+    assert ["controller_gain_error.weighted_velocity", "controller.velocity"] in velocity
+
+
+def test_two_sensors_in_a_wire_are_both_read():
+    changed = put(document("jeffcott"), "runout", "sensor_rotation")
+    assert ends(changed, "runout", "sensor_rotation") == {
+        ("rotor.displacement", "runout.displacement"),
+        ("runout.sensed_displacement", "sensor_rotation.displacement"),
+        ("sensor_rotation.sensed_displacement", "controller.displacement"),
+    }
+    assert changed["measured"] == {"rotor.displacement": "sensor_rotation.sensed_displacement"}
+
+
+def test_what_only_the_recording_sees_stays_behind_what_the_loop_sees():
+    first = put(document("jeffcott"), "current_sensor_gain")
+    assert first["measured"] == {"controller.current": "current_sensor_gain.scaled_current"}
+    changed = put(first, "current_clipping")
+    assert ends(changed, "current_sensor_gain", "current_clipping") == {
+        ("controller.current", "current_clipping.current"),
+        ("current_clipping.limited", "current_sensor_gain.current"),
+        ("current_clipping.limited", "amb.current"),
+    }
+    assert changed["measured"] == first["measured"]
+
+
+def test_sensors_of_the_users_own_stay_before_what_is_put_in():
+    own = document("jeffcott")
+    own["blocks"]["probe"] = {"type": "matrix_gain", "parameters": {"gain": [[1.0, 0.0], [0.0, 1.0]]}}
+    own["wires"] = [w for w in own["wires"] if w != ["rotor.displacement", "controller.displacement"]]
+    own["wires"] += [["rotor.displacement", "probe.input"], ["probe.output", "controller.displacement"]]
+    own["measured"] = {"rotor.displacement": "probe.output"}
+    changed = put(own, "sensor_rotation")
+    assert ["probe.output", "sensor_rotation.displacement"] in changed["wires"]
+    assert ["sensor_rotation.sensed_displacement", "controller.displacement"] in changed["wires"]
+    assert changed["measured"] == {"rotor.displacement": "sensor_rotation.sensed_displacement"}

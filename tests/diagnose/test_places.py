@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from rotorsim.diagnose.finder import insertions
 from rotorsim.diagnose.fitting import Fit, Source
-from rotorsim.diagnose.insertion import Insertion, fixed_of, insertions, starts_of
+from rotorsim.diagnose.insertion import Insertion, fixed_of, starts_of
 from rotorsim.diagnose.places import Places, open_places
 from rotorsim.diagnose.values import values_in
 from rotorsim.identify.estimate import Search

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorsim.diagnose.insertion import Insertion, insertions, starts_of
+from rotorsim.diagnose.finder import insertions
+from rotorsim.diagnose.insertion import Insertion, starts_of
 from rotorsim.diagnose.isolation import Isolation, isolate, isolation_data
 from rotorsim.diagnose.signature_motion import Runs
 from rotorsim.diagnose.signatures import runs_of, signatures_of
@@ -163,7 +164,7 @@ def test_controller_faults_are_told_from_rotor_faults_with_the_current() -> None
 
 def test_controller_faults_are_not_told_from_rotor_faults_by_displacement_alone() -> None:
     model = _of("jeffcott", "rotor.displacement")
-    unrecorded = "control_delay/1@controller.current"
+    unrecorded = "control_delay/1@amb.current"
     assert model.redundancy == 2
     assert unrecorded in model.detectable
     assert set(ROTOR) <= model.taken_for[unrecorded]
@@ -296,7 +297,7 @@ def _settled(diagram: Diagram, changes: Mapping[str, float]) -> np.ndarray:
         ("seal_cross_coupling/0@rotor.force", "cross_stiffness", (200.0, 100.0), {}),
         ("rub/0@rotor.force", "stiffness", (40.0, 20.0), {}),
         ("sensor_gain/0@rotor.displacement", "gain_error", (2e-3, 1e-3), {}),
-        ("eddy_current_lag/1@controller.current", "share", (2e-3, 1e-3), {"time_constant": 1e-3}),
+        ("eddy_current_lag/1@amb.current", "share", (2e-3, 1e-3), {"time_constant": 1e-3}),
         ("current_sensor_gain/0@controller.current", "gain_error", (2e-3, 1e-3), {}),
     ],
 )

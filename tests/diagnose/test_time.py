@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from rotorsim.cli.app import rotorsim
 from rotorsim.diagnose.diagnosis import Diagnosis, diagnose
 from rotorsim.diagnose.files import diagnosis_data, save_diagnosis
-from rotorsim.diagnose.insertion import insertions
+from rotorsim.diagnose.finder import insertions
 from rotorsim.diagnose.time_data import channels_of, read_run
 from rotorsim.diagnose.time_search import TimeSearch
 from rotorsim.diagnose.time_views import views_of

@@ -5,9 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorsim.diagnose.conclusions import verdict_of
+from rotorsim.diagnose.conclusions import nearest, verdict_of
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.naming import AS_MUCH, NEARLY, Named, Round, _named
+from rotorsim.diagnose.scoring import Score, predicts
 from rotorsim.diagram.diagram import Free
 
 ROWS = 1000
@@ -46,6 +47,34 @@ def test_what_nothing_was_found_for_is_outside_or_nothing():
     assert verdict_of(Named(left(1.0), (), (), left(1.0), 1e-4), (), alike=True) == "not_identifiable"
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "proved"),
+    [
+        (0.5, 0.0101, True),  # noise is left
+        (0.0102, 0.0109, True),  # nothing to see before, nothing after
+        (0.05, 0.018, True),  # nine tenths of the mean square are predicted
+        (0.05, 0.019, False),
+        (0.0102, 0.0112, False),  # worse than before
+        (None, 0.02, True),  # the diagram as given has no settled motion there
+        (0.05, None, True),
+    ],
+)
+def test_effects_are_proved_by_runs_that_took_no_part(before, after, proved):
+    def scored(error: float | None) -> Score:
+        return Score({"rotor.displacement": float("nan") if error is None else error}, {"rotor.displacement": 0.01})
+
+    assert predicts(scored(before), scored(after)) is proved
+
+
+def test_effects_that_do_not_predict_are_outside_the_catalogue():
+    """A law may explain all runs that it is fitted to, and still be the wrong one."""
+    found = named(50.0, 1.0)
+    assert verdict_of(found, (EFFECT,)) == "missing_physics"
+    assert verdict_of(found, (EFFECT,), disproved=True) == "outside_catalogue"
+    assert nearest(found, None) is found.fit
+    assert nearest(found, None, disproved=True) is found.base
+
+
 def candidate(physics: str, misfit: float, extra: int, nuisances: int = 20) -> SimpleNamespace:
     free = tuple(Free(f"{physics}{k}", "", 0, 1.0, "", 0.0, np.inf) for k in range(extra))
     fit = Fit({}, free, misfit=misfit, rows=ROWS - nuisances, equations=ROWS, goodness=0.5)
@@ -68,3 +97,15 @@ def test_where_noise_explains_all_only_what_it_cannot_make_is_named():
     seen, unseen = candidate("internal_damping", 980.0, 1), candidate("seal_cross_coupling", 995.0, 1)
     assert chosen(fewer, seen, unseen) == ["internal_damping"]
     assert chosen(fewer, unseen) == []
+
+
+def test_means_that_a_law_adds_cost_as_much_as_its_parameters():
+    """What a fault brings along must not absorb for nothing what another explains with a parameter."""
+    numbers = {"misfit": 900.0, "equations": ROWS, "goodness": 0.5}
+    given = Fit({}, rows=ROWS - 20, **numbers)
+    same = Fit({}, rows=ROWS - 20, standing=20, **numbers)
+    fewer = Fit({}, rows=ROWS - 10, standing=20, **numbers)
+    more = Fit({}, rows=ROWS - 40, standing=20, **numbers)
+    assert given.criterion == same.criterion == 920.0
+    assert fewer.criterion == 910.0
+    assert more.criterion == pytest.approx(920.0 + 20 * np.log(ROWS))

@@ -77,6 +77,15 @@ def test_slow_states_of_large_systems_are_those_of_all_modes():
     assert slow_states(A + 50.0 * np.eye(n) - 100.0 * np.eye(n), 1.0).tolist() == []
 
 
+def test_slow_states_of_two_axes_that_are_exactly_alike():
+    n = DENSE
+    axis = np.diag(-np.linspace(40.0, 900.0, n)) + 2.0 * np.eye(n, k=1)
+    axis[5, 5] = -0.07
+    A = np.kron(axis, np.eye(2))
+    assert slow_states(A, 1.0).tolist() == [10, 11]
+    assert slow_states(np.kron(axis, np.eye(3)), 1.0).tolist() == [15, 16, 17]
+
+
 def machine(**parameters):
     document = shipped_diagrams()["fe_rigid"]
     diagram = load(document)
