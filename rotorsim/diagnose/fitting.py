@@ -32,8 +32,9 @@ LATER = "is nonlinear, and not fitted yet"
 ANGLES = 8  # values over a turn of a new angle that enters in more than one way
 NONLINEAR_TRIALS = 8  # of a group, of which the best is followed
 PROMISE_TRIALS = 2  # of a nonlinear diagram, twice as many of a linear one
-LINEAR_EVALUATIONS = 4  # for one of a nonlinear diagram
+LINEAR_EVALUATIONS = 12  # for one of a nonlinear diagram
 LINEAR_STARTS = 2  # that are followed to the end
+LINEAR_FOLLOWED = 4  # one more of a group, from the most promising on, for so many starts that a fault declares
 CORNERS, SHARP_EVALUATIONS = 20.0, 8  # misfit over equations that more orders of a law with corners may explain
 EXPLAINS = 1.2  # times the number of equations: a misfit that no other start could lower by much
 TURN = 2 * np.pi
@@ -263,7 +264,7 @@ def _best(
             trials = trials[:: max(1, len(trials) // NONLINEAR_TRIALS)]
         ranked = [ranking.force_step(search.coordinates.inside(theta), []) for theta in trials]
         ranked = sorted((item for item in ranked if np.isfinite(item[0])), key=lambda item: item[0])
-        chosen += [q for _, q in ranked[:1]]
+        chosen += [q for _, q in ranked[: 1 if nonlinear else 1 + len(group) // LINEAR_FOLLOWED]]
     best: np.ndarray | None = None
     least = np.inf
     for q in chosen:

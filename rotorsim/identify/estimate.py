@@ -25,6 +25,8 @@ EQUAL = 1e-6  # relative difference of two solutions that the data cannot tell a
 AT_BOUND = 1e-6
 MOST_EVALUATIONS = 60
 METHODS = ("trf", "dogbox")  # the first creeps in curved valleys near a bound: the second goes on from there
+PASSES = 3  # of both, where neither has converged
+GAIN = 1e-4  # of the misfit, that a pass must gain for another to follow
 NOTHING = 1e-11  # of the largest slope: rounding
 SINGULAR = 1e-13  # smallest eigenvalue of the information, of the largest, that counts
 
@@ -216,8 +218,9 @@ class Search:
 
         width = np.where(np.isfinite(high - low), high - low, 1.0)
         inside = np.clip(q, low + 1e-9 * width, high - 1e-9 * width)
-        part = inside[moving]
-        for method in METHODS if most >= MOST_EVALUATIONS else METHODS[:1]:
+        part, least = inside[moving], np.inf
+        passes = PASSES * METHODS if most >= MOST_EVALUATIONS else METHODS[:1]
+        for k, method in enumerate(passes):
             found = least_squares(
                 lambda q: self.residual(full(q)),
                 part,
@@ -231,8 +234,10 @@ class Search:
                 max_nfev=most,
             )
             part = found.x
-            if found.status > 0:
+            over = (k + 1) % len(METHODS) == 0
+            if found.status > 0 or (over and found.cost > (1 - GAIN) * least):
                 break
+            least = found.cost if over else least
         return full(part)
 
 
