@@ -25,6 +25,7 @@ FALSE_ALARM = 0.01  # probability that noise alone makes any row of the catalogu
 NEARLY, AS_MUCH = 0.999, 2.0  # share of what was unexplained, and variances of the noise left, for details of a law
 WORTH = 0.9  # share of what is left unexplained that one more effect must explain
 BEAM = 2  # explanations that the next round starts from
+AGAIN = 0.1  # share of what an effect explains, that a rival must explain to be tried in its place beside the others
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +131,7 @@ def _reconsidered(
             continue
         if k == len(chosen) - 1:  # it was found beside all the others
             break
-        again = trials.round(without)
+        again = trials.round(without, _worth_again(rounds[k], chosen[k]))
         rounds[k] = again
         best = again.best
         if best is not None and best.fit.criterion < chosen[-1].fit.criterion - CLASS - trials.slack:
@@ -140,6 +141,13 @@ def _reconsidered(
             continue
         k += 1
     return chosen, rounds
+
+
+def _worth_again(found: Round, chosen: Candidate) -> set[str]:
+    """Return the keys of what explained at least AGAIN of what the chosen effect did, when it was chosen."""
+    least = AGAIN * (found.before.misfit - chosen.fit.misfit)
+    worth = {item.insertion.key for item in found.tried if found.before.misfit - item.fit.misfit >= least}
+    return worth | {chosen.insertion.key}
 
 
 def _level(tried: Sequence[Candidate]) -> float:

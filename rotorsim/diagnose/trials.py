@@ -93,13 +93,15 @@ class Trials:
             return False
         return any(node.block.refinement for node in self.source.load(base.document).nodes.values())
 
-    def round(self, before: Fit) -> Round:
-        """Try every insertion into a fitted diagram."""
+    def round(self, before: Fit, only: Collection[str] | None = None) -> Round:
+        """Try every insertion into a fitted diagram, or those of some keys only."""
         document = values_in(before.document, before.values)
         diagram = self.source.load(document)
         found = insertions(diagram, self.source.recorded, self.registry)
         if self.physics is not None:
             found = [item for item in found if item.physics in self.physics]
+        if only is not None:
+            found = [item for item in found if item.key in only]
         self.counts["rounds"] += 1
         jobs = []
         largest = self.source.largest()

@@ -7,7 +7,7 @@ import pytest
 
 from rotorsim.diagnose.conclusions import nearest, verdict_of
 from rotorsim.diagnose.fitting import Fit
-from rotorsim.diagnose.naming import AS_MUCH, NEARLY, Named, Round, _named
+from rotorsim.diagnose.naming import AS_MUCH, NEARLY, Named, Round, _named, _worth_again
 from rotorsim.diagnose.scoring import Score, predicts
 from rotorsim.diagram.diagram import Free
 
@@ -109,3 +109,9 @@ def test_means_that_a_law_adds_cost_as_much_as_its_parameters():
     assert given.criterion == same.criterion == 920.0
     assert fewer.criterion == 910.0
     assert more.criterion == pytest.approx(920.0 + 20 * np.log(ROWS))
+
+
+def test_only_what_explained_something_is_tried_again_in_the_place_of_an_effect():
+    before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
+    found, near, far = candidate("rub", 1000.0, 1), candidate("clearance", 4590.0, 1), candidate("runout", 4610.0, 1)
+    assert _worth_again(Round(before, (found, near, far)), found) == {"rub", "clearance"}
