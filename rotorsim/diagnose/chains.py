@@ -15,7 +15,7 @@ ANY = "*"  # category of every block
 
 @dataclass(frozen=True)
 class Chain:
-    """From a signal ``start`` through blocks to ``tap``, from where it goes to a category; ``recorded``: what is read.
+    """From a signal ``start`` through blocks to ``tap``, from where it goes to a category.
 
     next: of the blocks that only the recording sees, the first after the tap.
     """
@@ -23,7 +23,6 @@ class Chain:
     start: Endpoint
     blocks: tuple[str, ...]
     tap: Endpoint
-    recorded: Endpoint
     next: str | None = None
 
 
@@ -41,12 +40,22 @@ class Chains:
         goal = self.diagram.measured.get(start, start)
         path = self._path(start, goal, frozenset())
         if path is None:  # a sensor of the user's own
-            tap = goal if self.targets(goal, category) else start
-            return Chain(start, (), tap, goal)
+            in_loop = bool(self.targets(goal, category))
+            return Chain(start, (), goal if in_loop else start, None if in_loop else self._toward(start, goal))
         last = max((k for k, end in enumerate(path) if self.targets(end, category)), default=len(path) - 1)
         blocks = tuple(end.block for end in path[1:])
         following = blocks[last] if last < len(blocks) else None
-        return Chain(start, blocks[:last], path[last], goal, following)
+        return Chain(start, blocks[:last], path[last], following)
+
+    def end(self, start: Endpoint) -> Endpoint:
+        """Return a signal as all blocks get it: behind those that took over every wire from it."""
+        at, passed = start, {start}
+        while True:
+            onward = self._onward(at)
+            if len(onward) != 1 or len(self._from[at]) != 1 or onward[0] in passed:
+                return at
+            at = onward[0]
+            passed.add(at)
 
     def beside(self, start: Endpoint, blocks: Sequence[str]) -> Endpoint:
         """Return where another signal comes to that goes through the same blocks."""
@@ -88,6 +97,19 @@ class Chains:
             rest = None if end.block in passed else self._path(end, goal, passed | {end.block})
             if rest is not None:
                 return [start, *rest]
+        return None
+
+    def _toward(self, start: Endpoint, goal: Endpoint) -> str | None:
+        """Return the block that takes a signal on its way to another, not through the block that gives it."""
+        for wire in self._from.get(start, []):
+            seen, new = {start.block, wire.target.block}, [wire.target.block]
+            while new:
+                block = new.pop()
+                if block == goal.block:
+                    return wire.target.block
+                after = {w.target.block for w in self.diagram.wires if w.source.block == block} - seen
+                seen |= after
+                new += after
         return None
 
     def _onward(self, source: Endpoint) -> list[Endpoint]:

@@ -83,7 +83,11 @@ def effects_of(named: Named) -> tuple[Effect, ...]:
 
 
 def _effect(candidate: Candidate, found: Round, slack: float) -> Effect:
-    """Return an effect with the physics and places that explain the data as well; slack: see `Named`."""
+    """Return an effect with the physics and places that explain the data as well; slack: see `Named`.
+
+    It is compared as it was in that round: its rivals stood beside the same others.
+    """
+    candidate = _as_tried(candidate, found)
     scale = max(candidate.fit.misfit / candidate.fit.freedom, 1.0)
     best: dict[str, float] = {}
     for item in found.tried:
@@ -103,6 +107,12 @@ def _effect(candidate: Candidate, found: Round, slack: float) -> Effect:
         if name in members and name != candidate.insertion.physics and not item.fit.failure and item.physical:
             rivals.setdefault(name, item)
     return Effect(candidate, members, rivals, places)
+
+
+def _as_tried(candidate: Candidate, found: Round) -> Candidate:
+    """Return a candidate with the fit that it has in a round."""
+    same = (item.fit for item in found.tried if item.insertion.key == candidate.insertion.key and not item.fit.failure)
+    return Candidate(candidate.insertion, next(same, candidate.fit))
 
 
 def verdict_of(named: Named, effects: Sequence[Effect], *, alike: bool = False, disproved: bool = False) -> str:
@@ -165,8 +175,10 @@ def _rejected(named: Named, effects: Sequence[Effect]) -> tuple[tuple[str, str],
         return ()
     out: dict[str, str] = {}
     members = {name for effect in effects for name in effect.members}
-    best = effects[0].candidate.fit
-    for item in named.rounds[0].tried:
+    found = named.first or named.rounds[0]
+    first = found.best
+    best = _as_tried(effects[0].candidate if first is None else first, found).fit
+    for item in found.tried:
         name = item.insertion.physics
         if name in members or name in out:
             continue

@@ -86,7 +86,8 @@ def diagnose(
             scores[fit] = score(document, source, held) if held else left_out_score(document, source)
         return scores[fit]
 
-    disproved = bool(effects and held) and not predicts(scored(base), scored(named.fit))
+    found_some = bool(effects) and (named.explained or named.nearly)
+    disproved = found_some and bool(held) and not predicts(scored(base), scored(named.fit))
     verdict = verdict_of(named, effects, alike=source.alike, disproved=disproved)
     unknown = unknown_of(named, effects, source) if verdict == "outside_catalogue" else None
     after = nearest(named, unknown, disproved=disproved)

@@ -101,7 +101,7 @@ class _Finder:
             if key in other.outputs and name != block
         ]  # fmt: skip
         first = [name for category, name in holders if category in ("clock", "controller")] or [n for _, n in holders]
-        return f"{first[0]}.{key}" if len(first) == 1 else None
+        return str(self.chains.end(Endpoint(first[0], key))) if len(first) == 1 else None
 
     def _inherited(self, fault: Fault, node: Node) -> dict[str, Any]:
         found: dict[str, Any] = {}

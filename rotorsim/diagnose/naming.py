@@ -33,7 +33,7 @@ class Named:
     """base: the diagram as given, refitted. chosen: the effects, in the order in which they were found; fit: with all.
 
     rounds: what was tried for each of them, with all others in place. level: probability of a false alarm for each.
-    slack: of the misfit, what says nothing because meshes are not exact.
+    slack: of the misfit, what says nothing because meshes are not exact. first: the round in which all was tried.
     """
 
     base: Fit
@@ -43,6 +43,7 @@ class Named:
     level: float
     counts: Mapping[str, int] = field(default_factory=dict)
     slack: float = 0.0
+    first: Round | None = None
 
     @property
     def explained(self) -> bool:
@@ -107,20 +108,20 @@ def _named(trials: Trials, base: Fit, most: int) -> Named:
         rounds = [*rounds, after]
     if is_adequate(chosen[-1].fit):
         chosen, rounds = _reconsidered(trials, base, chosen, rounds)
-    return Named(base, chosen, tuple(rounds), chosen[-1].fit, level, trials.counts, slack)
+    return Named(base, chosen, tuple(rounds), chosen[-1].fit, level, trials.counts, slack, first)
 
 
 def _reconsidered(
     trials: Trials, base: Fit, chosen: tuple[Candidate, ...], rounds: list[Round]
 ) -> tuple[tuple[Candidate, ...], list[Round]]:  # fmt: skip
-    """Return the choice without effects that others make superfluous, every one tried again beside the others.
+    """Return the choice without effects that others make superfluous, each tried again beside the others.
 
     Effects are found one by one, so that an early one may stand for what a later one explains better.
     """
     k = 0
     while len(chosen) > 1 and k < len(chosen):
         others = trials.refitted(base, [item for j, item in enumerate(chosen) if j != k], chosen[-1].fit)
-        if not others:  # they stand on the one that was taken away
+        if not others:  # they cannot be fitted without it
             k += 1
             continue
         without = others[-1].fit

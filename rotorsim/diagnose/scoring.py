@@ -21,6 +21,7 @@ __all__ = ["Held", "Prediction", "Score", "left_out_score", "predict", "predicts
 
 NOISE = 1.1  # times the noise floor: what a diagram leaves over that predicts all there is to predict
 PROVED = 0.9  # share of the mean square left unexplained before that a repaired diagram predicts
+SMALL = 1.5  # times the noise floor: of what is left unexplained below, errors of mesh and parameters are a large share
 
 
 @dataclass(frozen=True)
@@ -66,11 +67,13 @@ def _mean(values: Mapping[str, float]) -> float | None:
 def predicts(before: Score, after: Score) -> bool:
     """Return whether a repaired diagram predicts runs that took no part: noise is left, or a tenth of what was.
 
-    True, too, where nothing can be said because one of them has no settled motion.
+    Where little was to be explained it must not be worse. True, too, where one of them has no settled motion.
     """
     if before.total is None or after.total is None or after.noise is None:
         return True
     left, unexplained = after.total**2 - after.noise**2, before.total**2 - after.noise**2
+    if before.total <= SMALL * after.noise and after.total <= before.total:
+        return True
     return after.total <= NOISE * after.noise or left <= (1 - PROVED) * unexplained
 
 

@@ -240,8 +240,11 @@ class Trials:
                 return ()
             document = again.document(document)
             old, new = item.insertion.name, again.name
-            document["blocks"][new] = near.document["blocks"][old]
-            known |= {f"{new}.{key}": near.values[f"{old}.{key}"] for key in again.fault.free}
+            had = near.document["blocks"][old].get("parameters", {})
+            set_once = {key: had[key] for key in again.fault.fixed if key in had}
+            document["blocks"][new]["parameters"].update(set_once)
+            own = {f"{new}.{key}": f"{old}.{key}" for key in again.fault.free}
+            known |= {name: near.values[before] for name, before in own.items() if before in near.values}
             entered.append(again)
         known = {name: value for name, value in known.items() if name in document["identify"]}
         document = values_in(document, known)  # a block that was put in the place of another has others

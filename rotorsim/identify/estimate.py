@@ -200,7 +200,10 @@ class Search:
         return 1 + EQUAL if outside else 1.0
 
     def minimise(self, q: np.ndarray, held: tuple[int, ...] = (), *, most: int = MOST_EVALUATIONS) -> np.ndarray:
-        """Return q of least residual from a start, within bounds, some entries held, after ``most`` evaluations."""
+        """Return q of least residual from a start, within bounds, some entries held, after ``most`` evaluations.
+
+        From MOST_EVALUATIONS on, methods follow one another with as many each, as long as a pass of them gains.
+        """
         low, high = self.coordinates.bounds
         if not np.isfinite(self.residual(q)).all():
             hint = "start from other values, or leave out the runs nearest to the limit of stability"

@@ -2,11 +2,14 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from rotorsim.diagnose.finder import insertions
+from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.insertion import LINES, Insertion, fixed_of, starts_of
+from rotorsim.diagnose.trials import Candidate, Trials
 from rotorsim.diagram import load
 from rotorsim.diagram.diff import diff
 from rotorsim.diagram.load import shipped_diagrams
@@ -185,3 +188,49 @@ def test_sensors_of_the_users_own_stay_before_what_is_put_in():
     assert ["probe.output", "sensor_rotation.displacement"] in changed["wires"]
     assert ["sensor_rotation.sensed_displacement", "controller.displacement"] in changed["wires"]
     assert changed["measured"] == {"rotor.displacement": "sensor_rotation.sensed_displacement"}
+
+
+def test_a_sensor_fault_stands_before_a_probe_that_only_the_recording_sees():
+    own = document("jeffcott")
+    own["blocks"]["probe"] = {"type": "matrix_gain", "parameters": {"gain": [[1.0, 0.0], [0.0, 1.0]]}}
+    own["wires"] += [["rotor.displacement", "probe.input"]]
+    own["measured"] = {"rotor.displacement": "probe.output"}
+    changed = put(own, "sensor_rotation")
+    assert ["sensor_rotation.sensed_displacement", "probe.input"] in changed["wires"]
+    assert ["sensor_rotation.sensed_displacement", "controller.displacement"] in changed["wires"]
+    assert ["rotor.displacement", "probe.input"] not in changed["wires"]
+    assert changed["measured"] == {"rotor.displacement": "probe.output"}
+
+
+@pytest.mark.parametrize("order", [("speed_fluctuation", "residual_bow"), ("residual_bow", "speed_fluctuation")])
+def test_what_is_fed_does_not_depend_on_the_order_of_effects(order):
+    wires = put(document("jeffcott"), *order)["wires"]
+    assert [source for source, target in wires if target == "residual_bow.theta"] == ["speed_fluctuation.angle"]
+
+
+def without(name: str, recorded: list[str], *keys: str) -> dict:
+    """Return the document that is refitted without the first of some effects, which were put in one after another."""
+    given = document(name)
+    source = SimpleNamespace(load=load, recorded=recorded, fit=lambda document, starts: Fit(document, misfit=1.0))
+    fits, found = Fit(given), []
+    for key in keys:
+        item = next(item for item in insertions(load(fits.document), recorded) if item.key == key)
+        fits = Fit(item.document(fits.document))
+        found.append(Candidate(item, fits))
+    trials = Trials(source, None, None, None, None, None)
+    return trials.refitted(Fit(given), found[1:], found[-1].fit)[-1].fit.document
+
+
+def test_an_effect_that_shares_a_block_with_another_can_be_taken_away():
+    moved = without(
+        "fe_rigid", [*PROBES, *RECORDED[2:]], "breathing_crack/0@crack.force", "crack_location/0@rotor.force[3]"
+    )
+    assert moved["blocks"]["crack"] == document("fe_rigid")["blocks"]["crack"]
+    assert ["crack.force", "rotor.force[3]"] in moved["wires"]
+
+
+def test_an_effect_that_stood_behind_another_in_a_wire_can_stand_alone():
+    alone = without("jeffcott", RECORDED, "runout/0@rotor.displacement", "sensor_rotation/0@rotor.displacement")
+    assert "runout" not in alone["blocks"]
+    assert ["rotor.displacement", "sensor_rotation.displacement"] in alone["wires"]
+    assert alone["measured"] == {"rotor.displacement": "sensor_rotation.sensed_displacement"}

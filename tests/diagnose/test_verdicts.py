@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorsim.diagnose.conclusions import nearest, verdict_of
+from rotorsim.diagnose.conclusions import _effect, nearest, verdict_of
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.naming import AS_MUCH, NEARLY, Named, Round, _named, _worth_again
 from rotorsim.diagnose.scoring import Score, predicts
@@ -55,6 +55,7 @@ def test_what_nothing_was_found_for_is_outside_or_nothing():
         (0.05, 0.018, True),  # nine tenths of the mean square are predicted
         (0.05, 0.019, False),
         (0.0102, 0.0112, False),  # worse than before
+        (0.0120, 0.0111, True),  # little to explain, and less is left
         (None, 0.02, True),  # the diagram as given has no settled motion there
         (0.05, None, True),
     ],
@@ -115,3 +116,13 @@ def test_only_what_explained_something_is_tried_again_in_the_place_of_an_effect(
     before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
     found, near, far = candidate("rub", 1000.0, 1), candidate("clearance", 4590.0, 1), candidate("runout", 4610.0, 1)
     assert _worth_again(Round(before, (found, near, far)), found) == {"rub", "clearance"}
+
+
+def test_a_class_is_judged_as_the_effect_stood_in_its_round():
+    """An effect may carry a fit without another that was exchanged since: its rivals stood beside that one too."""
+    before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
+    in_round, rival = candidate("rub", 980.0, 1), candidate("clearance", 1500.0, 1)
+    stale = candidate("rub", 90000.0, 1)
+    effect = _effect(stale, Round(before, (in_round, rival)), 0.0)
+    assert effect.members == {"rub": 1.0}
+    assert effect.candidate.fit is in_round.fit
