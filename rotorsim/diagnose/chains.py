@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
+import networkx as nx
+
 from rotorsim.diagram.diagram import Diagram, Endpoint, Wire
 
 __all__ = ["Chain", "Chains"]
@@ -101,16 +103,11 @@ class Chains:
 
     def _toward(self, start: Endpoint, goal: Endpoint) -> str | None:
         """Return the block that takes a signal on its way to another, not through the block that gives it."""
-        for wire in self._from.get(start, []):
-            seen, new = {start.block, wire.target.block}, [wire.target.block]
-            while new:
-                block = new.pop()
-                if block == goal.block:
-                    return wire.target.block
-                after = {w.target.block for w in self.diagram.wires if w.source.block == block} - seen
-                seen |= after
-                new += after
-        return None
+        if goal.block == start.block:
+            return None
+        others = nx.subgraph_view(self.diagram.graph, filter_node=lambda block: block != start.block)
+        takers = (wire.target.block for wire in self._from.get(start, []) if wire.target.block != start.block)
+        return next((block for block in takers if nx.has_path(others, block, goal.block)), None)
 
     def _onward(self, source: Endpoint) -> list[Endpoint]:
         """Return the signals behind the blocks that stand in the wires from a signal."""

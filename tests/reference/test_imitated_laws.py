@@ -1,0 +1,32 @@
+"""A law that imitates another in the fitted runs, on data of the second program (benchmarks/concealed)."""
+
+import pytest
+
+from benchmarks.concealed.generator import make_case
+from benchmarks.concealed.writing import write_case
+from rotorsim.diagnose.diagnosis import diagnose
+from rotorsim.diagram import load
+from rotorsim.recordings import load_recording
+
+SEED = (77, 0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "law", "verdict"),
+    [("outside", "hertz_contact", "outside_catalogue"), ("one", "clearance", "missing_physics")],
+)
+def test_runs_that_took_no_part_tell_a_law_from_its_imitation(tmp_path, kind, law, verdict):
+    """With a clearance both leave noise in the fitted runs; it predicts the others only where there is one."""
+    write_case(make_case("case", kind, "jeffcott", SEED, 0, (law,)), tmp_path, SEED)
+    found = diagnose(
+        load("jeffcott"), load_recording(tmp_path / "case"), workers=1, physics=["clearance"],
+        hold_out=load_recording(tmp_path / "hold_out" / "case"),
+    )  # fmt: skip
+    assert found.named.explained
+    assert found.verdict == verdict
+    assert (found.disproved is None) == (verdict == "missing_physics")
+    assert ("and predicts held-out runs to" in found.statement) == (verdict == "outside_catalogue")
+    if verdict == "missing_physics":
+        assert found.score_after.total < 1.1 * found.score_after.noise
+    else:
+        assert found.disproved.total > 10 * found.disproved.noise
