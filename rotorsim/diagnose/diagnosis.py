@@ -11,8 +11,8 @@ from threadpoolctl import threadpool_limits
 from rotorsim.diagnose.base import base_fit, with_uncertain
 from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, nearest, unknown_of, verdict_of
 from rotorsim.diagnose.fitting import Fit, Source
-from rotorsim.diagnose.naming import name_missing
-from rotorsim.diagnose.scoring import Held, Score, left_out_score, predicts, score
+from rotorsim.diagnose.naming import NEARLY, name_missing
+from rotorsim.diagnose.scoring import DETAILS, Held, Score, left_out_score, predicts, score
 from rotorsim.diagnose.time_data import is_in_time
 from rotorsim.diagnose.time_diagnosis import diagnose_in_time
 from rotorsim.diagnose.values import values_in
@@ -87,7 +87,8 @@ def diagnose(
         return scores[fit]
 
     found_some = bool(effects) and (named.explained or named.nearly)
-    disproved = found_some and bool(held) and not predicts(scored(base), scored(named.fit))
+    details = DETAILS if named.explained else 1 - NEARLY  # what is left in the fitted runs may be left there
+    disproved = found_some and bool(held) and not predicts(scored(base), scored(named.fit), details)
     verdict = verdict_of(named, effects, alike=source.alike, disproved=disproved)
     unknown = unknown_of(named, effects, source) if verdict == "outside_catalogue" else None
     after = nearest(named, unknown, disproved=disproved)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from rotorsim.diagnose.fitting import Source, fit_document
 from rotorsim.errors import RotorsimError
@@ -17,11 +18,11 @@ from rotorsim.identify.nonlinear_motion import NonlinearMotion
 from rotorsim.recordings.harmonics import RunHarmonics
 from rotorsim.recordings.recording import Recording
 
-__all__ = ["Held", "Prediction", "Score", "left_out_score", "predict", "predicts", "score"]
+__all__ = ["Held", "HeldScore", "Prediction", "Score", "left_out_score", "predict", "predicts", "score", "surprise"]
 
-NOISE = 1.1  # times the noise floor: what a diagram leaves over that predicts all there is to predict
-PROVED = 0.9  # share of the mean square left unexplained before that a repaired diagram predicts
-SMALL = 1.5  # times the noise floor: of what is left unexplained below, errors of mesh and parameters are a large share
+SURPRISE = 0.01  # probability of what a diagram leaves in held-out runs, below which it does not predict them
+DETAILS = 1e-4  # share of what was left unexplained there, that details of a law may leave
+NOTHING = 1e-13  # of the largest eigenvalue: below, it is rounding
 
 
 @dataclass(frozen=True)
@@ -59,22 +60,30 @@ class Score:
         return _mean(self.floor)
 
 
+@dataclass(frozen=True)
+class HeldScore(Score):
+    """Score of runs that took no part. misfit: of their harmonics, by `surprise`; None: not known. rows: equations."""
+
+    misfit: float | None
+    rows: int
+
+
 def _mean(values: Mapping[str, float]) -> float | None:
     found = np.array(list(values.values()))
     return float(np.sqrt(np.mean(found**2))) if found.size and np.isfinite(found).all() else None
 
 
-def predicts(before: Score, after: Score) -> bool:
-    """Return whether a repaired diagram predicts runs that took no part: noise is left, or a tenth of what was.
+def predicts(before: Score, after: Score, details: float = DETAILS) -> bool:
+    """Return whether a repaired diagram predicts runs that took no part: noise and uncertain parameters make the rest.
 
-    Where little was to be explained it must not be worse. True, too, where one of them has no settled motion.
+    details: share of what was left unexplained before that may be left. True, too, where there is no settled motion.
     """
-    if before.total is None or after.total is None or after.noise is None:
+    if not (isinstance(before, HeldScore) and isinstance(after, HeldScore)):
         return True
-    left, unexplained = after.total**2 - after.noise**2, before.total**2 - after.noise**2
-    if before.total <= SMALL * after.noise and after.total <= before.total:
+    if before.misfit is None or after.misfit is None:
         return True
-    return after.total <= NOISE * after.noise or left <= (1 - PROVED) * unexplained
+    probable = bool(chi2.sf(after.misfit, after.rows) >= SURPRISE)
+    return probable or after.misfit - after.rows <= details * (before.misfit - before.rows)
 
 
 def predict(document: Mapping[str, Any], source: Source, held: Held) -> Prediction:
@@ -88,21 +97,43 @@ def predict(document: Mapping[str, Any], source: Source, held: Held) -> Predicti
     return Prediction(experiment, likelihood, likelihood.evaluate(experiment.theta0))
 
 
-def score(document: Mapping[str, Any], source: Source, held: Sequence[Held]) -> Score:
+def score(document: Mapping[str, Any], source: Source, held: Sequence[Held]) -> HeldScore:
     """Return NRMSE = sqrt(sum |x - x_model|^2 / sum |x - mean|^2) per port over runs, in time by Parseval.
 
-    What the harmonics leave over of a signal counts as not explained, in ``ports`` and in ``floor``.
+    What the harmonics leave over of a signal counts as not explained, in ``ports`` and in ``floor``. misfit is that of
+    `surprise`, the diagram being fitted to the runs of ``source``.
     """
     sums: dict[str, np.ndarray] = {}
-    for part in held:
-        try:
-            found = predict(document, source, part)
-        except (RotorsimError, np.linalg.LinAlgError, ValueError):
-            return Score({"": float("nan")}, {})
-        _add(sums, found)
+    try:
+        fitted = predict(document, source, Held(source.recording, source.harmonics))
+        found = [predict(document, source, part) for part in held]
+    except (RotorsimError, np.linalg.LinAlgError, ValueError):
+        return HeldScore({"": float("nan")}, {}, None, 0)
+    for part in found:
+        _add(sums, part)
     ports = {name: float(np.sqrt(s[0] / s[2])) for name, s in sums.items() if s[2] > 0}
     floor = {name: float(np.sqrt(s[1] / s[2])) for name, s in sums.items() if s[2] > 0}
-    return Score(ports, floor)
+    return HeldScore(ports, floor, surprise(fitted, found), sum(part.evaluation.rows for part in found))
+
+
+def surprise(fitted: Prediction, held: Sequence[Prediction]) -> float | None:
+    """Return the misfit of runs that took no part, with the noise and the uncertainty of the fitted parameters.
+
+    e^T (I + J (S^T S)^-1 J^T)^-1 e = |e|^2 - e^T J (S^T S + J^T J)^-1 J^T e, with the whitened residual e and slopes J
+    of the held-out runs and the slopes S of the fitted ones: chi-squared, if the structure is true. None where a run
+    has no settled motion.
+    """
+    e = np.concatenate([part.evaluation.residual for part in held])
+    J = np.concatenate([part.evaluation.slopes for part in held])
+    S = fitted.evaluation.slopes
+    if not (np.isfinite(e).all() and np.isfinite(J).all() and np.isfinite(S).all()):
+        return None
+    size = np.sqrt((S**2).sum(axis=0) + (J**2).sum(axis=0))
+    size[size == 0] = 1.0
+    S, J = S / size, J / size
+    onto = J.T @ e
+    known = np.linalg.pinv(S.T @ S + J.T @ J, rcond=NOTHING, hermitian=True)
+    return float(e @ e - onto @ known @ onto)
 
 
 def _add(sums: dict[str, np.ndarray], found: Prediction) -> None:

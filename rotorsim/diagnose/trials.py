@@ -30,6 +30,9 @@ SECOND = 8  # nonlinear fits that get as far as the second
 REFINED = 3  # fits carried to the end at least
 PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
 HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
+STARTED = (
+    0.1  # share of what the best explains: a nonlinear law that explains less gets SECOND_EVALUATIONS, and no more
+)
 NEAR = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
 
 _Job = tuple[dict[str, Any], list[list[dict[str, float]]]]
@@ -193,8 +196,11 @@ class Trials:
         if is_adequate(before):  # only what is not noise matters
             order = [k for k in order if before.misfit - fits[k].misfit > HINT * len(fits[k].free)][:SECOND]
         elif any(is_adequate(fit) for fit in fits):
-            near = NEAR * min(fit.misfit for fit in fits if not fit.failure)
-            order = [k for k in order if fits[k].misfit < near]
+            least = fits[order[0]].misfit
+            slow = before.misfit - STARTED * (before.misfit - least)
+            if before.misfit < NEAR * least:
+                self._again(jobs, fits, [k for k in order if _is_slow(fits[k], slow)], SECOND_EVALUATIONS)
+            order = [k for k in _by_misfit(fits) if fits[k].misfit < NEAR * least and not _is_slow(fits[k], slow)]
         else:
             order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < PROMISING * before.misfit]
         self._again(jobs, fits, order, None)
@@ -255,6 +261,11 @@ class Trials:
         pairs = zip(entered[:-1], effects, strict=False)
         kept = (Candidate(new, old.fit if new.name == old.insertion.name else fit) for new, old in pairs)
         return (*kept, Candidate(entered[-1], fit))
+
+
+def _is_slow(fit: Fit, most: float) -> bool:
+    """Return whether the fit of a nonlinear law has not got below a misfit: it may have begun too far away."""
+    return fit.nonlinear and fit.misfit > most
 
 
 def _by_misfit(fits: Sequence[Fit]) -> list[int]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.next_experiment import best_change
+from rotorsim.diagnose.scoring import HeldScore
 from rotorsim.units import format_quantity
 
 if TYPE_CHECKING:
@@ -84,9 +85,9 @@ def statement(found: Diagnosis) -> str:
         if nearest is not None:
             left = found.named.fit.misfit / found.named.fit.freedom
             text += f": the nearest, {_list([e.physics for e in found.effects])}, leaves {left:.3g} times"
-        if found.disproved is not None and found.disproved.total is not None and before.noise is not None:
-            error, floor = _percent(found.disproved.total), _percent(before.noise)
-            text += f", and predicts held-out runs to {error} only (noise {floor})"
+        lost = found.disproved
+        if isinstance(lost, HeldScore) and lost.misfit is not None:
+            text += f", but {lost.misfit / lost.rows:.3g} times what noise and its parameters make in held-out runs"
         text += "."
         if found.outside.get("description"):
             text += " " + str(found.outside["description"])

@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from rotorsim.diagnose.fitting import Fit, fit_from_plain, fit_to_plain, left_out
 from rotorsim.diagnose.naming import least_gain
+from rotorsim.diagnose.trials import SECOND_EVALUATIONS, Trials
 from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.diagram import Free
 
@@ -61,3 +62,28 @@ def test_values_are_written_where_parameters_are():
     assert new["blocks"]["left"]["parameters"]["stiffness"] == [1.0, 5.0]
     assert document["parameters"] == {"e": "24 um"}
     assert "parameters" not in document["blocks"]["rub"]
+
+
+def test_a_nonlinear_law_that_began_too_far_away_is_carried_on():
+    """Beside one that explains the data after few evaluations; but not for ever, if it explains hardly anything."""
+
+    def left(times: float, nonlinear: bool = True) -> Fit:
+        adequate = 0.5 if times < 1.2 else 0.0
+        return Fit({}, misfit=times * 1000, rows=1000, equations=1000, goodness=adequate, nonlinear=nonlinear)
+
+    def refined(before: float, fits: list[Fit], reached: list[float]) -> list[tuple[int, int | None]]:
+        trials, asked, ends = Trials(None, None, None, None, None, None), [], iter(reached)
+
+        def fit(jobs: list, most: int | None) -> list[Fit]:
+            asked.append((len(jobs), most))
+            return [left(next(ends)) for _ in jobs]
+
+        trials._fit = fit
+        trials._refined(left(before), [({"blocks": {}}, [])] * len(fits), fits)
+        return asked
+
+    explains, far, idle = left(1.04, nonlinear=False), left(1100.0), left(4.4)
+    assert refined(4.5, [explains, far], [1.1, 1.0, 1.0]) == [(1, SECOND_EVALUATIONS), (2, None)]
+    assert refined(4.5, [explains, far, idle], [4.3, 4.2, 1.0]) == [(2, SECOND_EVALUATIONS), (1, None)]
+    assert refined(4.5, [explains, left(4.4, nonlinear=False)], [1.0, 4.4]) == [(0, SECOND_EVALUATIONS), (2, None)]
+    assert refined(4500.0, [explains, far], [1.0]) == [(1, None)]  # no rival: so much was to explain

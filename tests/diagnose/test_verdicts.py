@@ -4,11 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from rotorsim.diagnose.conclusions import _effect, nearest, verdict_of
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.naming import AS_MUCH, NEARLY, Named, Round, _named, _worth_again
-from rotorsim.diagnose.scoring import Score, predicts
+from rotorsim.diagnose.scoring import DETAILS, SURPRISE, HeldScore, predicts
 from rotorsim.diagram.diagram import Free
 
 ROWS = 1000
@@ -48,23 +49,25 @@ def test_what_nothing_was_found_for_is_outside_or_nothing():
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "proved"),
+    ("before", "after", "details", "proved"),
     [
-        (0.5, 0.0101, True),  # noise is left
-        (0.0102, 0.0109, True),  # nothing to see before, nothing after
-        (0.05, 0.018, True),  # nine tenths of the mean square are predicted
-        (0.05, 0.019, False),
-        (0.0102, 0.0112, False),  # worse than before
-        (0.0120, 0.0111, True),  # little to explain, and less is left
-        (None, 0.02, True),  # the diagram as given has no settled motion there
-        (0.05, None, True),
+        (5e3, 1.0, DETAILS, True),  # noise is left
+        (1.05, 1.06, DETAILS, True),  # nothing to see before, nothing after
+        (3.0, float(chi2.isf(SURPRISE, ROWS)) / ROWS - 1e-6, DETAILS, True),
+        (3.0, float(chi2.isf(SURPRISE, ROWS)) / ROWS + 1e-6, DETAILS, False),
+        (1e6, 1 + 0.99e2, DETAILS, True),  # details of the law
+        (1e6, 1 + 1.01e2, DETAILS, False),
+        (1e4, 1.99e1, 1 - NEARLY, False),
+        (1e4, 0.99e1, 1 - NEARLY, True),  # what was left in the fitted runs may be left there
+        (None, 2.0, DETAILS, True),  # the diagram as given has no settled motion there
+        (5.0, None, DETAILS, True),
     ],
 )
-def test_effects_are_proved_by_runs_that_took_no_part(before, after, proved):
-    def scored(error: float | None) -> Score:
-        return Score({"rotor.displacement": float("nan") if error is None else error}, {"rotor.displacement": 0.01})
+def test_effects_are_proved_by_runs_that_took_no_part(before, after, details, proved):
+    def scored(times: float | None) -> HeldScore:
+        return HeldScore({}, {}, None if times is None else times * ROWS, ROWS)
 
-    assert predicts(scored(before), scored(after)) is proved
+    assert predicts(scored(before), scored(after), details) is proved
 
 
 def test_effects_that_do_not_predict_are_outside_the_catalogue():
