@@ -6,7 +6,10 @@ from typing import Any
 from rotorsim.blocks import _sensor
 
 from rotorsim.block import Block, Equations, Option, Param, cos, floor, tanh
-from rotorsim.fault import Fault, Of
+from rotorsim.fault import Fault, Of, Steps
+
+_LAW = "harmonics where the amplitude is below a few steps, noise above"
+_TOLD = "amplitude; a histogram of the readings"
 
 
 class Quantisation(Block):
@@ -28,9 +31,18 @@ class Quantisation(Block):
             through=_sensor.THROUGH,
             options={"law": "smooth"},
             free={"interval": (Of("displacement", 0.1), Of("displacement", 0.5))},
-            law="harmonics where the amplitude is below a few steps, noise above",
+            law=_LAW,
             confused_with=("noise",),
-            told_apart_by="amplitude; a histogram of the readings",
+            told_apart_by=_TOLD,
+        ),
+        Fault(
+            physics="quantisation",
+            enters="reading",
+            through={"displacement": "sensed_displacement"},
+            fixed={"interval": Steps()},
+            law=_LAW,
+            confused_with=("noise",),
+            told_apart_by=_TOLD,
         ),
     )
 

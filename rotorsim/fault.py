@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["ENTRIES", "Fault", "Lines", "Of"]
+__all__ = ["ENTRIES", "Fault", "Lines", "Of", "Steps"]
 
 ENTRIES = ("force", "wire", "reading", "replace", "move")
 
@@ -32,6 +32,11 @@ class Lines:
     """A value that follows the data: the frequency [rad/s] of lines that do not follow the shaft."""
 
 
+@dataclass(frozen=True)
+class Steps:
+    """A value that follows the data: the step between readings of the signal, where it is coarser than their noise."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Fault:
     """Declare physics that a model may leave out, and how this block adds it to a diagram.
@@ -52,7 +57,9 @@ class Fault:
 
     options: of the block where it enters. free: parameter -> starts (SI numbers or `Of`), all of them tried; bounds
     are those of the parameter; what is not free keeps its default. fixed: parameters that are set once, to a number
-    or by `Of`, and not fitted, or by `Lines`: it is tried only where the recording has lines that call for it.
+    or by `Of`, and not fitted, or by `Lines`: it is tried only where the recording has lines that call for it. By
+    `Steps`: the block is a converter, a "reading", which is put in where readings show its steps; harmonics are
+    compared with what goes into it.
     inherits: parameters that take the value that the block at the place has under the same name; "crack.sag" takes
     that of the one block of type crack, if there is one. law: in words, what the effect does with speed, order and
     amplitude.
@@ -62,7 +69,7 @@ class Fault:
     physics: str
     enters: str
     free: Mapping[str, tuple[float | Of, ...]] = field(default_factory=dict)
-    fixed: Mapping[str, float | Of | Lines] = field(default_factory=dict)
+    fixed: Mapping[str, float | Of | Lines | Steps] = field(default_factory=dict)
     of: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     between: tuple[str, str] = ("rotor", "controller")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorsim.diagnose.converters import Converter
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.insertion import Spot
 from rotorsim.diagnose.naming import CLASS, Named, least_gain, where
@@ -75,6 +76,21 @@ class Diagnosis:
     source: Source | None = None
     held: tuple[Held, ...] = ()
     disproved: Score | None = None
+    converters: tuple[Converter, ...] = ()
+
+    def taken(self, effect: Effect) -> dict[str, tuple[float, float, str]]:
+        """Return the parameters of an effect that the data gave by themselves: value, standard deviation, unit."""
+        insertion = effect.candidate.insertion
+        second = getattr(self.source, "second", None)
+        out = {} if second is None else dict.fromkeys(insertion.from_lines, (second.value, second.std, "rad/s"))
+        for converter in self.converters:
+            if converter.insertion is insertion:
+                step = converter.step
+                out |= {
+                    key: (step.size, step.std, insertion.kind.parameters[key].unit or "")
+                    for key in insertion.from_steps
+                }
+        return out
 
 
 def effects_of(named: Named) -> tuple[Effect, ...]:
@@ -115,13 +131,17 @@ def _as_tried(candidate: Candidate, found: Round) -> Candidate:
     return Candidate(candidate.insertion, next(same, candidate.fit))
 
 
-def verdict_of(named: Named, effects: Sequence[Effect], *, alike: bool = False, disproved: bool = False) -> str:
+def verdict_of(
+    named: Named, effects: Sequence[Effect], *, alike: bool = False, disproved: bool = False, converters: bool = False
+) -> str:  # fmt: skip
     """Return one of VERDICTS.
 
     alike: all runs have one speed and the same settings, which anything explains. disproved: with the effects the
-    diagram does not predict runs that took no part.
+    diagram does not predict runs that took no part. converters: readings show steps that the diagram lacks.
     """
     if not effects and is_adequate(named.base):
+        if converters:
+            return "outside_catalogue" if disproved else "missing_physics"
         return "not_identifiable" if alike else "consistent"
     if not effects or disproved or not (named.explained or named.nearly):
         return "outside_catalogue"
@@ -216,19 +236,29 @@ def nearest(named: Named, unknown: Unknown | None, *, disproved: bool = False) -
 def concluded(
     named: Named, effects: tuple[Effect, ...], verdict: str, *, fits: tuple[Fit, Fit], scores: Sequence[Score],
     source: Source, held: tuple[Held, ...], unknown: Unknown | None = None, warnings: Sequence[Problem] = (),
-    screened: Sequence[tuple[str, str]] = (), disproved: Score | None = None,
+    screened: Sequence[tuple[str, str]] = (), disproved: Score | None = None, converters: Sequence[Converter] = (),
 ) -> Diagnosis:  # fmt: skip
-    """Return the diagnosis without its words. fits, scores: before and after; screened: further rivals and why."""
+    """Return the diagnosis without its words. fits, scores: before and after; screened: further rivals and why.
+
+    converters: that the readings show, beside the effects that were found.
+    """
     before, after = fits
+    every = (*effects, *(_as_effect(converter, named.fit) for converter in converters))
     return Diagnosis(
-        verdict=verdict, effects=effects, places=_places(named, effects),
+        verdict=verdict, effects=every, places=_places(named, every),
         rejected=(*_rejected(named, effects), *(screened if effects else ())),
         before=before, after=after, document=values_in(after.document, after.values),
         score_before=scores[0], score_after=scores[1], next_experiment="", statement="", named=named,
         warnings=tuple(warnings), detectable=_detectable(named) if verdict == "consistent" else {},
         outside={} if unknown is None else {**unknown.data, "description": unknown.description},
-        source=source, held=held, disproved=disproved,
+        source=source, held=held, disproved=disproved, converters=tuple(converters),
     )  # fmt: skip
+
+
+def _as_effect(converter: Converter, fit: Fit) -> Effect:
+    """Return a converter as an effect that nothing else explains: readings are steps or they are not."""
+    item = converter.insertion
+    return Effect(Candidate(item, fit), {item.physics: 1.0}, {}, ((item.spot, 1.0),))
 
 
 def in_words(found: Diagnosis) -> Diagnosis:

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.base import base_fit, with_uncertain
 from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, nearest, unknown_of, verdict_of
+from rotorsim.diagnose.converters import find_converters, stated_steps, through_converters
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.naming import NEARLY, name_missing
 from rotorsim.diagnose.scoring import DETAILS, Held, Score, left_out_score, predicts, score
 from rotorsim.diagnose.time_data import is_in_time
 from rotorsim.diagnose.time_diagnosis import diagnose_in_time
+from rotorsim.diagnose.trials import is_adequate
 from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.registry import Registry
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identify.experiment import Experiment
 from rotorsim.recordings.checks import check_signals
+from rotorsim.recordings.converter_steps import Step
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second, find_second, with_second
@@ -54,49 +57,87 @@ def diagnose(
             diagram, recording, hold_out=hold_out, physics=physics, warnings=warnings, trust_blocks=trust_blocks,
             workers=workers, scheduler=scheduler, progress=progress,
         )  # fmt: skip
-    harmonics = _settled(tuple(harmonics_of(recording, recording.select("identify"))), warnings, "used")
-    if not harmonics:
-        hint = "diagnosis needs runs at constant speed that have settled"
-        raise RotorsimError(Problem("no run has a settled motion", recording.name, hint=hint), *warnings, exit_code=1)
     folder = str(Path(diagram.file).parent) if diagram.file else None
-    second = find_second(recording, harmonics)
-    if second is not None:
-        told = _beside(recording, harmonics, second, warnings, "used")
-        second, harmonics = (second, told) if told else (None, harmonics)
-    source = Source(recording, harmonics, folder, trust_blocks, second)
-    held = _held(recording, hold_out, second, warnings)
     folders = diagram.document.get("block_folders", []) if trust_blocks and folder else []
     registry = Registry([Path(folder or ".") / name for name in folders])
+    empty = Source(recording, (), folder, trust_blocks)
+    steps = stated_steps(diagram, recording)
+    given = data = _prepared(empty, hold_out, steps, warnings)
     with threadpool_limits(1, "blas"):
-        _refuse_still(source.open(source.load(with_uncertain(diagram))))  # says what is wrong, and where
-        base, refined = base_fit(diagram, source)
-    if base.failure:
-        raise RotorsimError(Problem(base.failure, diagram.name))
-    warnings += [Problem(note, severity="warning") for note in refined]
-    source = replace(source, standing=base.nuisances)
+        _refuse_still(data.source.open(data.source.load(with_uncertain(diagram))))  # says what is wrong, and where
+        before, refined = base_fit(diagram, data.source)
+    if before.failure:
+        raise RotorsimError(Problem(before.failure, diagram.name))
+    base = before
+    converters = [] if is_adequate(base) else find_converters(base.document, data.source, registry, physics)
+    if converters:
+        steps |= {name: step for converter in converters for name, step in converter.steps.items()}
+        data = _prepared(empty, hold_out, steps, warnings)
+        with threadpool_limits(1, "blas"):
+            base, refined = base_fit(data.source.load(converters[-1].document), data.source)
+    source, held = replace(data.source, standing=base.nuisances), data.held
     named = name_missing(
         base, source, registry=registry, physics=physics, workers=workers, scheduler=scheduler, progress=progress,
     )  # fmt: skip
     effects = effects_of(named)
-    scores: dict[Fit, Score] = {}
-
-    def scored(fit: Fit) -> Score:
-        if fit not in scores:
-            document = values_in(fit.document, fit.values)
-            scores[fit] = score(document, source, held) if held else left_out_score(document, source)
-        return scores[fit]
-
-    found_some = bool(effects) and (named.explained or named.nearly)
+    scored = _Scores(source, held)
+    found_some = bool(effects or converters) and (named.explained or named.nearly)
     details = DETAILS if named.explained else 1 - NEARLY  # what is left in the fitted runs may be left there
     disproved = found_some and bool(held) and not predicts(scored(base), scored(named.fit), details)
-    verdict = verdict_of(named, effects, alike=source.alike, disproved=disproved)
+    verdict = verdict_of(named, effects, alike=source.alike, disproved=disproved, converters=bool(converters))
     unknown = unknown_of(named, effects, source) if verdict == "outside_catalogue" else None
     after = nearest(named, unknown, disproved=disproved)
+    score_before = scored(base) if base is before else _Scores(given.source, given.held)(before)
     found = concluded(
-        named, effects, verdict, fits=(base, after), scores=(scored(base), scored(after)), source=source, held=held,
-        unknown=unknown, warnings=warnings, disproved=scored(named.fit) if disproved else None,
+        named, effects, verdict, fits=(before, after), scores=(score_before, scored(after)), source=source, held=held,
+        unknown=unknown, converters=converters, disproved=scored(named.fit) if disproved else None,
+        warnings=[*warnings, *data.warnings, *(Problem(note, severity="warning") for note in refined)],
     )  # fmt: skip
     return in_words(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """What a diagnosis is made from, what it is scored with, and what was left out of both."""
+
+    source: Source
+    held: tuple[Held, ...]
+    warnings: tuple[Problem, ...]
+
+
+def _prepared(
+    empty: Source, hold_out: Recording | None, steps: Mapping[str, Step], earlier: Sequence[Problem]
+) -> _Data:  # fmt: skip
+    """Return the harmonics of recordings whose signals went through converters of known steps."""
+    recording = through_converters(empty.recording, steps)
+    hold_out = None if hold_out is None else through_converters(hold_out, steps)
+    warnings: list[Problem] = []
+    harmonics = _settled(tuple(harmonics_of(recording, recording.select("identify"))), warnings, "used")
+    if not harmonics:
+        hint = "diagnosis needs runs at constant speed that have settled"
+        settled = Problem("no run has a settled motion", recording.name, hint=hint)
+        raise RotorsimError(settled, *earlier, *warnings, exit_code=1)
+    second = find_second(recording, harmonics)
+    if second is not None:
+        told = _beside(recording, harmonics, second, warnings, "used")
+        second, harmonics = (second, told) if told else (None, harmonics)
+    source = replace(empty, recording=recording, harmonics=harmonics, second=second)
+    return _Data(source, _held(recording, hold_out, second, warnings), tuple(warnings))
+
+
+class _Scores:
+    """Scores fits on held-out runs, or on runs left out one by one; each once."""
+
+    def __init__(self, source: Source, held: tuple[Held, ...]) -> None:
+        self.source, self.held = source, held
+        self.known: dict[Fit, Score] = {}
+
+    def __call__(self, fit: Fit) -> Score:
+        if fit not in self.known:
+            document = values_in(fit.document, fit.values)
+            scored = score(document, self.source, self.held) if self.held else left_out_score(document, self.source)
+            self.known[fit] = scored
+        return self.known[fit]
 
 
 def _checked(recording: Recording) -> list[Problem]:

@@ -56,7 +56,7 @@ def _missing(found: Diagnosis) -> list[dict[str, Any]]:
             "class": list(effect.members),
             "probability": effect.members[effect.physics],
             "block": effect.candidate.insertion.name,
-            "parameters": {**_effect_parameters(effect, found.after), **_from_lines(effect, found)},
+            "parameters": {**_effect_parameters(effect, found.after), **_taken(effect, found)},
         }
         for effect in found.effects
     ]
@@ -72,14 +72,13 @@ def _effect_parameters(effect: Effect, fit: Fit) -> dict[str, Any]:
     return {name.rpartition(".")[2]: every[name] for name in effect.candidate.insertion.free if name in every}
 
 
-def _from_lines(effect: Effect, found: Diagnosis) -> dict[str, Any]:
-    """Return the parameters that the lines beside the harmonics gave."""
-    second = getattr(found.source, "second", None)
-    if second is None:
-        return {}
-    ends = [_finite(end) for end in interval(second.value, second.std)]
-    value = {"value": second.value, "std": second.std, "interval90": ends, "unit": "rad/s"}
-    return {key: dict(value) for key in effect.candidate.insertion.from_lines}
+def _taken(effect: Effect, found: Diagnosis) -> dict[str, Any]:
+    """Return the parameters that lines beside the harmonics, or steps of the readings, gave."""
+    out = {}
+    for key, (value, std, unit) in found.taken(effect).items():
+        ends = [_finite(end) for end in interval(value, std)]
+        out[key] = {"value": value, "std": std, "interval90": ends, "unit": unit}
+    return out
 
 
 def _parameters(fit: Fit, found: Diagnosis | None = None) -> dict[str, Any]:
@@ -110,6 +109,9 @@ def repaired_document(found: Diagnosis) -> dict[str, Any]:
     """Return the repaired diagram: the values of the fit with their units, the new blocks beside the old ones."""
     document = copy.deepcopy(dict(found.document))
     units = {item.name: item.unit for item in found.after.free}
+    for effect in found.effects:
+        taken = found.taken(effect).items()
+        units |= {f"{effect.candidate.insertion.name}.{key}": unit for key, (_, _, unit) in taken}
     for name, unit in units.items():
         block, _, key = name.rpartition(".")
         holder = document["blocks"].get(block, {}).get("parameters", {}) if block else document.get("parameters", {})

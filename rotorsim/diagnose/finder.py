@@ -236,6 +236,8 @@ class _Finder:
             if node.block.category != fault.between[0] or key not in node.outputs:
                 continue
             for index in sorted(self._recorded_places(node, key)):
+                if not _fits(kind.inputs[key].shape, node.outputs[key].shape[len(index) :]):
+                    continue
                 name, start = self._new_name(fault.physics), Endpoint(block, key, index)
                 read = str(self.diagram.measured.get(start, start))
                 spot = self._spot(fault, self.chains.of(start, fault.between[1]), index)

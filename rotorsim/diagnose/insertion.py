@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rotorsim.block import Block
-from rotorsim.fault import Fault, Lines, Of
+from rotorsim.fault import Fault, Lines, Of, Steps
 
 __all__ = ["LEAST", "LINES", "Insertion", "Spot", "fixed_of", "starts_of"]
 
@@ -71,6 +71,11 @@ class Insertion:
         """The parameters that take the frequency of lines that do not follow the shaft."""
         return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Lines))
 
+    @property
+    def from_steps(self) -> tuple[str, ...]:
+        """The parameters that take the step between readings."""
+        return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Steps))
+
     def document(self, document: Mapping[str, Any], start: Mapping[str, float] | None = None) -> dict[str, Any]:
         """Return the document with the fault in it and its parameters free, from starts {parameter: SI value}."""
         new = copy.deepcopy(dict(document))
@@ -121,7 +126,8 @@ def starts_of(insertion: Insertion, largest: Mapping[str, float]) -> list[dict[s
 
 def fixed_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
     """Return the parameters of an insertion that are set once and not fitted."""
-    return {key: _number(item, largest) for key, item in insertion.fault.fixed.items()}
+    fixed = {key: item for key, item in insertion.fault.fixed.items() if not isinstance(item, Steps)}
+    return {key: _number(item, largest) for key, item in fixed.items()}
 
 
 def _number(item: float | Of | Lines, largest: Mapping[str, float]) -> float:

@@ -118,7 +118,7 @@ def isolate(
     recorded = entries_of(diagram, sensors)
     folders = diagram.document.get("block_folders", []) if trust_blocks and diagram.file else []
     registry = Registry([Path(diagram.file).parent / name for name in folders])
-    every = insertions(diagram, recorded, registry)
+    every = [item for item in insertions(diagram, recorded, registry) if not item.from_steps]  # readings show those
     faults = {item.key: item for item in every if physics is None or item.physics in physics}
     structure = structure_of(diagram, sensors, faults.values())
     laws, why = None, ""

@@ -116,7 +116,7 @@ def _screened(
     document = values_in(base.document, base.values)
     by_kind: dict[tuple[str, int], list[Insertion]] = {}
     for item in insertions(source.load(document), source.recorded, registry):
-        if (physics is None or item.physics in physics) and not item.from_lines:
+        if (physics is None or item.physics in physics) and not item.from_lines and not item.from_steps:
             by_kind.setdefault((item.physics, item.variant), []).append(item)
     least: dict[str, float] = {}
     for (name, _), items in by_kind.items():

@@ -108,7 +108,7 @@ class Trials:
         self.counts["rounds"] += 1
         jobs = []
         largest = self.source.largest()
-        found = [item for item in found if LINES in largest or not item.from_lines]
+        found = [item for item in found if (LINES in largest or not item.from_lines) and not item.from_steps]
         for item in found:
             sizes = _sizes(item, largest)
             starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rotorsim.diagnose.fitting import Fit, Source
+from rotorsim.diagnose.fitting import Source
 from rotorsim.diagnose.next_experiment import best_change
 from rotorsim.diagnose.scoring import HeldScore
 from rotorsim.units import format_quantity
@@ -93,7 +93,7 @@ def statement(found: Diagnosis) -> str:
             text += " " + str(found.outside["description"])
         return text + _held_out(found)
     for effect in found.effects:
-        text += " " + _sentence(effect, found.after)
+        text += " " + _sentence(effect, found)
     if found.named.nearly and not found.named.explained:
         left = found.named.fit.misfit / found.named.fit.freedom
         text += f" {left:.3g} times the variance of the noise are left: details of a law, or a small effect more."
@@ -102,8 +102,9 @@ def statement(found: Diagnosis) -> str:
     return text
 
 
-def _sentence(effect: Effect, fit: Fit) -> str:
+def _sentence(effect: Effect, found: Diagnosis) -> str:
     """Return what is missing, with its sizes in the fit of all effects."""
+    fit = found.after
     names = list(effect.members)
     known = {item.name: (j, item) for j, item in enumerate(fit.free)}
     values = []
@@ -114,15 +115,16 @@ def _sentence(effect: Effect, fit: Fit) -> str:
         std = float(np.sqrt(max(fit.covariance[j, j], 0.0)))
         size = _quantity(float(fit.theta[j]), 0.0 if fit.at_bound[j] else std, item.unit)
         values.append(f"{name.rpartition('.')[2]} {size}" + (" at its bound" if fit.at_bound[j] else ""))
-    found = ", ".join(values)
+    values += [f"{key} {_quantity(size, std, unit)}" for key, (size, std, unit) in found.taken(effect).items()]
+    sizes = ", ".join(values)
     if len(names) == 1:
         place = f" at {effect.places[0][0]}" if effect.places else ""
-        return f"Missing is {names[0]}{place}" + (f" ({found})." if found else ".")
+        return f"Missing is {names[0]}{place}" + (f" ({sizes})." if sizes else ".")
     best = {name: item.insertion.spot for name, item in effect.rivals.items()}
     best[effect.physics] = effect.candidate.insertion.spot
     alike = [f"{name} at {best[name]}" if name in best else name for name in names]
     text = f"Missing is one of these, which the data do not tell apart: {', '.join(alike)}"
-    return text + (f" (as {effect.physics}: {found})." if found else ".")
+    return text + (f" (as {effect.physics}: {sizes})." if sizes else ".")
 
 
 def _quantity(value: float, std: float, unit: str) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from rotorsim.block import Block, In, Out, Shape
 from rotorsim.diagram.traced import BlockTrace
 from rotorsim.errors import Place, Problem, RotorsimError
+from rotorsim.fault import Steps
 
 __all__ = ["Diagram", "Endpoint", "Free", "Node", "Port", "Solver", "Wire"]
 
@@ -136,13 +137,27 @@ class Diagram:
     measured: Mapping[Endpoint, Endpoint] = field(default_factory=dict)
 
     def as_measured(self, name: str) -> str:
-        """Return the signal of this diagram that a recording means by a flat name ("rotor.displacement[3,1]")."""
+        """Return the signal of this diagram that a recording means by a flat name ("rotor.displacement[3,1]").
+
+        Converters are looked through: their steps have no slope, and are taken out of the recording instead.
+        """
         base, _, inside = name.partition("[")
         index = tuple(int(part) - 1 for part in inside.rstrip("]").split(",")) if inside else ()
         for said, meant in self.measured.items():
             if f"{said.block}.{said.port}" == base and index[: len(said.index)] == said.index:
-                return str(Endpoint(meant.block, meant.port, (*meant.index, *index[len(said.index) :])))
+                read = self._before_converter(meant)
+                return str(Endpoint(read.block, read.port, (*read.index, *index[len(said.index) :])))
         return name
+
+    def _before_converter(self, read: Endpoint) -> Endpoint:
+        """Return what goes into the converter that gives a signal, or the signal where none does."""
+        for fault in self.nodes[read.block].block.faults:
+            if any(isinstance(item, Steps) for item in fault.fixed.values()):
+                entered = [Endpoint(read.block, key) for key, output in fault.through.items() if output == read.port]
+                sources = [wire.source for wire in self.wires if wire.target in entered]
+                if len(sources) == 1 and not read.index:
+                    return self._before_converter(sources[0])
+        return read
 
     @cached_property
     def traces(self) -> Mapping[str, BlockTrace]:

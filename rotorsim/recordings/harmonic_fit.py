@@ -25,6 +25,7 @@ TURN = 2 * np.pi
 MOST_ORDERS = 16
 DRIFT = 2  # degree of the drift of the mean
 NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something beside a harmonic is not told from it
+LEAST_TOLD = 1e-6  # of the best known combination of coefficients: information of one that samples tell nothing of
 ROUNDING = 1e-10  # of a signal's rms: what numbers of seven to sixteen digits and the fit itself leave over
 
 
@@ -53,7 +54,8 @@ class HarmonicFit:
     latter. gram: (2K+1, 2K+1), covariance of the real coefficients for noise of variance one, drift marginalised.
     angle_std: standard deviation of angle zero [rad]: it turns harmonic k by k times that.
     lines: lines that do not follow the shaft. drift: (degree, C) Legendre coefficients of the slow drift.
-    beside: what was fitted at combinations k theta + second t of the shaft with a second frequency.
+    beside: what was fitted at combinations k theta + second t of the shaft with a second frequency. own: place of a
+    channel -> (2K+1, 2K+1), covariance of its coefficients where its samples differ in what they tell.
     """
 
     run: str
@@ -72,6 +74,7 @@ class HarmonicFit:
     lines: tuple[Line, ...] = ()
     drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     beside: Beside | None = None
+    own: Mapping[int, np.ndarray] = field(default_factory=dict)
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -91,8 +94,12 @@ class HarmonicFit:
             middle[real, real] = middle[imag, imag] = block.real
             middle[imag, real], middle[real, imag] = block.imag, -block.imag
         spread = np.kron(root, np.eye(channels))
+        scatter = spread @ middle @ spread.T
+        for c, own in self.own.items():
+            scatter[c::channels] = scatter[:, c::channels] = 0.0
+            scatter[c::channels, c::channels] = own
         turned = real_vector(-1j * self.orders[:, None] * self.values) * self.angle_std
-        return np.asarray(spread @ middle @ spread.T + np.outer(turned, turned))
+        return np.asarray(scatter + np.outer(turned, turned))
 
     def covariance_at(self, columns: np.ndarray, orders: Sequence[int], resolution: float) -> np.ndarray:
         """Return the covariance (m, m) of the real harmonics of some channels and orders, as `real_vector` has them.
@@ -197,6 +204,13 @@ class Basis:
         root = solve_triangular(self._factor[0], np.diag(1 / self._size), lower=True)
         return np.asarray(root.T @ root)
 
+    def covariance(self, weights: np.ndarray) -> np.ndarray:
+        """Return the covariance (m, m) of the coefficients where each sample (n,) has an information of its own."""
+        normal = self._scaled.T @ (self._scaled * weights[:, None])
+        values, vectors = np.linalg.eigh(normal)
+        kept = np.maximum(values, LEAST_TOLD * values[-1])
+        return np.asarray((vectors / kept) @ vectors.T / np.outer(self._size, self._size))
+
 
 def harmonic_basis(run: str, time: np.ndarray, theta: np.ndarray, *, orders: int | None = None) -> Basis:
     """Return the columns of a harmonic fit at times and shaft angles (n,), for `fit_harmonics`.
@@ -221,6 +235,7 @@ def fit_harmonics(
     angle_std: float = 0.0,
     basis: Basis | None = None,
     second: tuple[float, np.ndarray] | None = None,
+    weights: Mapping[str, np.ndarray] | None = None,
 ) -> HarmonicFit:
     """Fit y = drift(t) + sum over |k| <= K of c_k e^{i k theta} to every channel by least squares.
 
@@ -229,6 +244,7 @@ def fit_harmonics(
     times and angles, which saves most of the work. Noise is taken as stationary; whether it is white is tested, and
     coloured noise is described by its cross-spectrum. Lines beside the multiples of the speed are found, reported
     and fitted along. second: a frequency [rad/s] and orders k whose combinations with the shaft are fitted, too.
+    weights: of signals whose samples (n,) differ in what they tell, the information of each.
 
     Raises RotorsimError for less than a turn, signals that are not finite, or no room for one harmonic.
     """
@@ -277,6 +293,7 @@ def fit_harmonics(
         lines=tuple(lines),
         drift=coefficients[m : m + drift],
         beside=combined,
+        own={names.index(name): basis.covariance(w)[:m, :m] for name, w in (weights or {}).items()},
     )
 
 

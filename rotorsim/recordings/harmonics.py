@@ -42,7 +42,10 @@ def harmonics_of(
             try:
                 angle = shaft_angle(recording, run)
                 signals = {channels[c].name: np.asarray(run.values[c]) for c in channels if c in run.values}
-                fit = fit_harmonics(run.id, run.time, angle.theta, signals, units, orders=orders, angle_std=angle.std)
+                fit = fit_harmonics(
+                    run.id, run.time, angle.theta, signals, units, orders=orders, angle_std=angle.std,
+                    weights={channels[c].name: np.asarray(w) for c, w in run.weights.items()},
+                )  # fmt: skip
                 found.append(RunHarmonics(run, angle, fit))
             except RotorsimError as error:
                 problems += error.problems

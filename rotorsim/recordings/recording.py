@@ -57,7 +57,8 @@ class Run:
     file: as shown to the user. time: (n,) [s], from 0 with a sample rate, else as in the time column.
     values: column -> (n,), SI. speed: nominal [rad/s]. tacho: (k,) [s], times of a once-per-turn pulse on the
     clock of ``time``. settings: block.parameter or diagram parameter -> value as in the JSON. use: "identify"
-    or "hold_out". place: where recording.json says so. sample_rate: as stated there [Hz].
+    or "hold_out". place: where recording.json says so. sample_rate: as stated there [Hz]. weights: column -> (n,),
+    1 / SI^2: the information of each sample, of columns where samples differ in that.
     """
 
     id: str
@@ -70,10 +71,12 @@ class Run:
     use: str
     place: Place
     sample_rate: float | None = None
+    weights: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         frozen: dict[str, Any] = {"time": _read_only(self.time)}
-        frozen["values"] = MappingProxyType({column: _read_only(array) for column, array in self.values.items()})
+        for name, arrays in (("values", self.values), ("weights", self.weights)):
+            frozen[name] = MappingProxyType({column: _read_only(array) for column, array in arrays.items()})
         frozen["settings"] = MappingProxyType(dict(self.settings))
         if self.tacho is not None:
             frozen["tacho"] = _read_only(self.tacho)

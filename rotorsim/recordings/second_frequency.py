@@ -220,6 +220,7 @@ def with_second(
             fit = fit_harmonics(
                 item.fit.run, item.run.time, theta, signals, dict(zip(item.fit.names, item.fit.units, strict=True)),
                 orders=int(item.fit.orders[-1]), angle_std=std, second=(at, orders),
+                weights={recording.channels[c].name: np.asarray(w) for c, w in item.run.weights.items()},
             )  # fmt: skip
             assert fit.beside is not None
             if not fit.beside.told.all():

@@ -13,7 +13,7 @@ from rotorsim.diagram import load
 from rotorsim.diagram.load import shipped_diagrams
 from rotorsim.diagram.registry import all_types
 from rotorsim.diagram.source import read_document
-from rotorsim.fault import Fault, Lines, Of
+from rotorsim.fault import Fault, Lines, Of, Steps
 from rotorsim.simulate import simulate
 
 # every effect that a rotor model commonly leaves out and that can be named
@@ -122,9 +122,9 @@ def started(cls: type[Block], fault: Fault) -> dict[str, Any]:
     """Parameters of the block at the first starts of a fault, where displacements are about 10 um."""
     scale = {"displacement": 1e-5, "velocity": 1e-3, "current": 0.05}
 
-    def number(value: float | Of | Lines) -> float:
-        if isinstance(value, Lines):
-            return 100.0
+    def number(value: float | Of | Lines | Steps) -> float:
+        if isinstance(value, (Lines, Steps)):
+            return 100.0 if isinstance(value, Lines) else 2e-6
         return value.factor * scale[value.input] ** value.power if isinstance(value, Of) else value
 
     free = {name: number(starts[0]) for name, starts in fault.free.items()}
