@@ -55,7 +55,8 @@ class Diagnosis:
     effects: what is missing (or, outside the catalogue, what was nearest). before, after: fits of the diagram as
     given and repaired; document: the repaired one. scores: hold-out NRMSE of both. rejected: (physics, why).
     detectable: physics -> smallest size that would have been seen, with its unit, where nothing was found. disproved:
-    hold-out NRMSE with effects that explain the fitted runs, but not these.
+    hold-out NRMSE with effects that explain the fitted runs, but not these. converters: that readings show; readings:
+    with harmonics as they are, source and held-out runs, where those of ``source`` are of what went into converters.
     """
 
     verdict: str
@@ -77,6 +78,7 @@ class Diagnosis:
     held: tuple[Held, ...] = ()
     disproved: Score | None = None
     converters: tuple[Converter, ...] = ()
+    readings: tuple[Source, tuple[Held, ...]] | None = None
 
     def taken(self, effect: Effect) -> dict[str, tuple[float, float, str]]:
         """Return the parameters of an effect that the data gave by themselves: value, standard deviation, unit."""
@@ -237,10 +239,11 @@ def concluded(
     named: Named, effects: tuple[Effect, ...], verdict: str, *, fits: tuple[Fit, Fit], scores: Sequence[Score],
     source: Source, held: tuple[Held, ...], unknown: Unknown | None = None, warnings: Sequence[Problem] = (),
     screened: Sequence[tuple[str, str]] = (), disproved: Score | None = None, converters: Sequence[Converter] = (),
+    readings: tuple[Source, tuple[Held, ...]] | None = None,
 ) -> Diagnosis:  # fmt: skip
     """Return the diagnosis without its words. fits, scores: before and after; screened: further rivals and why.
 
-    converters: that the readings show, beside the effects that were found.
+    converters: that the readings show, beside the effects that were found; readings: see `Diagnosis`.
     """
     before, after = fits
     every = (*effects, *(_as_effect(converter, named.fit) for converter in converters))
@@ -251,7 +254,7 @@ def concluded(
         score_before=scores[0], score_after=scores[1], next_experiment="", statement="", named=named,
         warnings=tuple(warnings), detectable=_detectable(named) if verdict == "consistent" else {},
         outside={} if unknown is None else {**unknown.data, "description": unknown.description},
-        source=source, held=held, disproved=disproved, converters=tuple(converters),
+        source=source, held=held, disproved=disproved, converters=tuple(converters), readings=readings,
     )  # fmt: skip
 
 

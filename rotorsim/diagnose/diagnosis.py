@@ -90,7 +90,8 @@ def diagnose(
     score_before = scored(base) if base is before else _Scores(given.source, given.held)(before)
     found = concluded(
         named, effects, verdict, fits=(before, after), scores=(score_before, scored(after)), source=source, held=held,
-        unknown=unknown, converters=converters, disproved=scored(named.fit) if disproved else None,
+        unknown=unknown, converters=converters, readings=(given.source, given.held) if converters else None,
+        disproved=scored(named.fit) if disproved else None,
         warnings=[*warnings, *data.warnings, *(Problem(note, severity="warning") for note in refined)],
     )  # fmt: skip
     return in_words(found)

@@ -115,23 +115,32 @@ def fitted_pair(found: Diagnosis) -> Pair | None:
     source = found.source
     if source is None or not getattr(source, "harmonics", ()):
         return None
-    return _pair(found, Held(source.recording, source.harmonics), held=False)
+    return _pair(found, _fitted(source), None if found.readings is None else _fitted(found.readings[0]), held=False)
 
 
 def held_pair(found: Diagnosis) -> Pair | None:
     """Return both diagrams beside the held-out runs (the larger set of two), or the fitted ones without any."""
-    parts = [part for part in found.held if part.harmonics]
-    if not parts:
+    part = _larger(found.held)
+    if part is None:
         return fitted_pair(found)
-    return _pair(found, max(parts, key=lambda part: len(part.harmonics)), held=True)
+    return _pair(found, part, None if found.readings is None else _larger(found.readings[1]), held=True)
 
 
-def _pair(found: Diagnosis, part: Held, *, held: bool) -> Pair | None:
+def _fitted(source: Source) -> Held:
+    return Held(source.recording, source.harmonics)
+
+
+def _larger(parts: Sequence[Held]) -> Held | None:
+    return max((part for part in parts if part.harmonics), key=lambda part: len(part.harmonics), default=None)
+
+
+def _pair(found: Diagnosis, part: Held, readings: Held | None, *, held: bool) -> Pair | None:
+    """Return both diagrams beside runs; the one as given beside readings as they are, where converters were found."""
     source = found.source
     assert source is not None
     first = values_in(found.before.document, found.before.values)
     same = not found.effects and found.after is found.before
-    before = _comparison(first, source, part)
+    before = _comparison(first, source, part if readings is None else readings)
     after = before if same else _comparison(found.document, source, part)
     return None if before is None and after is None else Pair(before, after, held, same, labels_of(found))
 

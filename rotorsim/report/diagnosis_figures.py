@@ -114,7 +114,8 @@ def _draw_spectrum(axes: Axes, pair: Pair, r: int, signal: Signal) -> None:
                   label="measured, 90 % interval", zorder=5)  # fmt: skip
     for name, compared in pair.models:
         look, predicted = LOOK[name], compared.model(r, signal)
-        value, left = (display(np.abs(part), signal.unit)[0] for part in (predicted, measured.value - predicted))
+        own = compared.measured(r, signal).value - predicted  # readings, or what went into their converter
+        value, left = (display(np.abs(part), signal.unit)[0] for part in (predicted, own))
         axes.plot(orders, value, look["marker"], ms=look["ms"], mfc="none", mec=look["color"], mew=1.3,
                   label=pair.labels[name], zorder=4)  # fmt: skip
         axes.plot(
