@@ -39,6 +39,7 @@ class Quantisation(Block):
             physics="quantisation",
             enters="reading",
             through={"displacement": "sensed_displacement"},
+            options={"law": "exact"},
             fixed={"interval": Steps()},
             law=_LAW,
             confused_with=("noise",),

@@ -18,6 +18,7 @@ from rotorsim.diagnose.trials import Candidate, Round, is_adequate
 from rotorsim.diagnose.values import values_in
 from rotorsim.errors import Problem
 from rotorsim.identify.profile import Z90
+from rotorsim.recordings.recording import Recording
 
 __all__ = [
     "VERDICTS", "Diagnosis", "Effect", "concluded", "effects_of", "in_words", "interval", "nearest", "unknown_of",
@@ -57,6 +58,7 @@ class Diagnosis:
     detectable: physics -> smallest size that would have been seen, with its unit, where nothing was found. disproved:
     hold-out NRMSE with effects that explain the fitted runs, but not these. converters: that readings show; readings:
     with harmonics as they are, source and held-out runs, where those of ``source`` are of what went into converters.
+    recordings: as they were given, held-out ones last.
     """
 
     verdict: str
@@ -79,6 +81,12 @@ class Diagnosis:
     disproved: Score | None = None
     converters: tuple[Converter, ...] = ()
     readings: tuple[Source, tuple[Held, ...]] | None = None
+    recordings: tuple[Recording, ...] = ()
+
+    @property
+    def searched(self) -> tuple[Effect, ...]:
+        """The effects that a search found, without the converters that readings show."""
+        return tuple(effect for effect in self.effects if not effect.candidate.insertion.from_steps)
 
     def taken(self, effect: Effect) -> dict[str, tuple[float, float, str]]:
         """Return the parameters of an effect that the data gave by themselves: value, standard deviation, unit."""
@@ -239,11 +247,11 @@ def concluded(
     named: Named, effects: tuple[Effect, ...], verdict: str, *, fits: tuple[Fit, Fit], scores: Sequence[Score],
     source: Source, held: tuple[Held, ...], unknown: Unknown | None = None, warnings: Sequence[Problem] = (),
     screened: Sequence[tuple[str, str]] = (), disproved: Score | None = None, converters: Sequence[Converter] = (),
-    readings: tuple[Source, tuple[Held, ...]] | None = None,
+    readings: tuple[Source, tuple[Held, ...]] | None = None, recordings: Sequence[Recording] = (),
 ) -> Diagnosis:  # fmt: skip
     """Return the diagnosis without its words. fits, scores: before and after; screened: further rivals and why.
 
-    converters: that the readings show, beside the effects that were found; readings: see `Diagnosis`.
+    converters: that the readings show, beside the effects that were found; readings, recordings: see `Diagnosis`.
     """
     before, after = fits
     every = (*effects, *(_as_effect(converter, named.fit) for converter in converters))
@@ -255,6 +263,7 @@ def concluded(
         warnings=tuple(warnings), detectable=_detectable(named) if verdict == "consistent" else {},
         outside={} if unknown is None else {**unknown.data, "description": unknown.description},
         source=source, held=held, disproved=disproved, converters=tuple(converters), readings=readings,
+        recordings=tuple(recordings),
     )  # fmt: skip
 
 

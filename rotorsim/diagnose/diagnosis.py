@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.base import base_fit, with_uncertain
 from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, nearest, unknown_of, verdict_of
-from rotorsim.diagnose.converters import find_converters, stated_steps, through_converters
+from rotorsim.diagnose.converters import find_converters
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.naming import NEARLY, name_missing
 from rotorsim.diagnose.scoring import DETAILS, Held, Score, left_out_score, predicts, score
@@ -24,6 +24,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identify.experiment import Experiment
 from rotorsim.recordings.checks import check_signals
 from rotorsim.recordings.converter_steps import Step
+from rotorsim.recordings.converters import stated_steps, through_converters
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second, find_second, with_second
@@ -61,7 +62,8 @@ def diagnose(
     folders = diagram.document.get("block_folders", []) if trust_blocks and folder else []
     registry = Registry([Path(folder or ".") / name for name in folders])
     empty = Source(recording, (), folder, trust_blocks)
-    steps = stated_steps(diagram, recording)
+    steps, unseen = stated_steps(diagram, recording)
+    warnings += unseen
     given = data = _prepared(empty, hold_out, steps, warnings)
     with threadpool_limits(1, "blas"):
         _refuse_still(data.source.open(data.source.load(with_uncertain(diagram))))  # says what is wrong, and where
@@ -72,6 +74,7 @@ def diagnose(
     converters = [] if is_adequate(base) else find_converters(base.document, data.source, registry, physics)
     if converters:
         steps |= {name: step for converter in converters for name, step in converter.steps.items()}
+        warnings += [problem for converter in converters for problem in converter.warnings]
         data = _prepared(empty, hold_out, steps, warnings)
         with threadpool_limits(1, "blas"):
             base, refined = base_fit(data.source.load(converters[-1].document), data.source)
@@ -91,6 +94,7 @@ def diagnose(
     found = concluded(
         named, effects, verdict, fits=(before, after), scores=(score_before, scored(after)), source=source, held=held,
         unknown=unknown, converters=converters, readings=(given.source, given.held) if converters else None,
+        recordings=[recording, *([] if hold_out is None else [hold_out])],
         disproved=scored(named.fit) if disproved else None,
         warnings=[*warnings, *data.warnings, *(Problem(note, severity="warning") for note in refined)],
     )  # fmt: skip

@@ -66,8 +66,9 @@ class Source:
     standing: int | None = None
 
     def load(self, document: Mapping[str, Any]) -> Diagram:
-        """Return the diagram of a document. Raises RotorsimError."""
-        return load(document, folder=Path(self.folder) if self.folder else None, trust_blocks=self.trust_blocks)
+        """Return the diagram of a document; recordings mean what goes into its converters. Raises RotorsimError."""
+        folder = Path(self.folder) if self.folder else None
+        return load(document, folder=folder, trust_blocks=self.trust_blocks).before_converters()
 
     def open(self, diagram: Diagram, *, given: Sequence[str] = (), inject: Sequence[str] = ()) -> Experiment:
         """Return a diagram beside the harmonics; see `rotorsim.identify.experiment.open_experiment`."""

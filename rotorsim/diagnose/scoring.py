@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from rotorsim.diagnose.fitting import Source, fit_document
+from rotorsim.diagnose.trials import MODEL_ERROR
 from rotorsim.errors import RotorsimError
 from rotorsim.identify.experiment import Experiment, open_experiment
 from rotorsim.identify.likelihood import Evaluation, Likelihood
@@ -82,7 +83,7 @@ def predicts(before: Score, after: Score, details: float = DETAILS) -> bool:
         return True
     if before.misfit is None or after.misfit is None:
         return True
-    probable = bool(chi2.sf(after.misfit, after.rows) >= SURPRISE)
+    probable = bool(chi2.sf(after.misfit, after.rows) >= SURPRISE) or after.misfit <= MODEL_ERROR * after.rows
     return probable or after.misfit - after.rows <= details * (before.misfit - before.rows)
 
 
@@ -105,27 +106,32 @@ def score(document: Mapping[str, Any], source: Source, held: Sequence[Held]) -> 
     """
     sums: dict[str, np.ndarray] = {}
     try:
-        fitted = predict(document, source, Held(source.recording, source.harmonics))
         found = [predict(document, source, part) for part in held]
     except (RotorsimError, np.linalg.LinAlgError, ValueError):
         return HeldScore({"": float("nan")}, {}, None, 0)
+    try:
+        fitted = predict(document, source, Held(source.recording, source.harmonics))
+    except (RotorsimError, np.linalg.LinAlgError, ValueError):
+        fitted = None
     for part in found:
         _add(sums, part)
     ports = {name: float(np.sqrt(s[0] / s[2])) for name, s in sums.items() if s[2] > 0}
     floor = {name: float(np.sqrt(s[1] / s[2])) for name, s in sums.items() if s[2] > 0}
-    return HeldScore(ports, floor, surprise(fitted, found), sum(part.evaluation.rows for part in found))
+    misfit = None if fitted is None else surprise(fitted, found)
+    return HeldScore(ports, floor, misfit, sum(part.evaluation.rows for part in found))
 
 
 def surprise(fitted: Prediction, held: Sequence[Prediction]) -> float | None:
     """Return the misfit of runs that took no part, with the noise and the uncertainty of the fitted parameters.
 
     e^T (I + J (S^T S)^-1 J^T)^-1 e = |e|^2 - e^T J (S^T S + J^T J)^-1 J^T e, with the whitened residual e and slopes J
-    of the held-out runs and the slopes S of the fitted ones: chi-squared, if the structure is true. None where a run
-    has no settled motion.
+    of the held-out runs and the slopes S of the fitted ones and of what is known of parameters beforehand: chi-squared,
+    if the structure is true. None where a run has no settled motion.
     """
     e = np.concatenate([part.evaluation.residual for part in held])
     J = np.concatenate([part.evaluation.slopes for part in held])
-    S = fitted.evaluation.slopes
+    priors = [0.0 if item.prior_std is None else 1 / item.prior_std for item in fitted.experiment.free]
+    S = np.concatenate([fitted.evaluation.slopes, np.diag(priors)])
     if not (np.isfinite(e).all() and np.isfinite(J).all() and np.isfinite(S).all()):
         return None
     size = np.sqrt((S**2).sum(axis=0) + (J**2).sum(axis=0))

@@ -127,7 +127,7 @@ class Trials:
         more = self._fit([jobs[k] for k in later], LAST_EVALUATIONS if explained else FIRST_EVALUATIONS)
         for k, fit in zip(later, more, strict=True):
             fits[k] = fit
-        fits = self._refined(before, jobs, fits)
+        fits = self._refined(before, jobs, fits, [(item.physics, item.variant) for item in found])
         tried = [Candidate(item, fit) for item, fit in zip(found, fits, strict=True)]
         return Round(before, tuple(_simplest_first(tried, self.slack)))
 
@@ -184,8 +184,10 @@ class Trials:
                 out[k::count] = result
         return out
 
-    def _refined(self, before: Fit, jobs: Sequence[_Job], fits: list[Fit]) -> list[Fit]:
-        """Return the fits, those that promise most carried to the end.
+    def _refined(
+        self, before: Fit, jobs: Sequence[_Job], fits: list[Fit], laws: Sequence[tuple[str, int]]
+    ) -> list[Fit]:  # fmt: skip
+        """Return the fits, those that promise most carried to the end. laws: physics and variant of each.
 
         Where one of all explains the data, only those near it matter any more.
         """
@@ -199,7 +201,10 @@ class Trials:
             least = fits[order[0]].misfit
             slow = before.misfit - STARTED * (before.misfit - least)
             if before.misfit < NEAR * least:
-                self._again(jobs, fits, [k for k in order if _is_slow(fits[k], slow)], SECOND_EVALUATIONS)
+                best_of: dict[tuple[str, int], int] = {}  # of the places of each law
+                for k in order:
+                    best_of.setdefault(laws[k], k)
+                self._again(jobs, fits, [k for k in best_of.values() if _is_slow(fits[k], slow)], SECOND_EVALUATIONS)
             order = [k for k in _by_misfit(fits) if fits[k].misfit < NEAR * least and not _is_slow(fits[k], slow)]
         else:
             order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < PROMISING * before.misfit]

@@ -22,6 +22,7 @@ from rotorsim.identify.regression import THESIS_ORDERS, Regression, open_regress
 from rotorsim.identify.scatter import scatter_of, with_covariance
 from rotorsim.identify.verdict import PRECISION, Verdict, judge
 from rotorsim.recordings.checks import check_signals
+from rotorsim.recordings.converters import stated_steps, through_converters
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.recording import Recording, Run
 from rotorsim.simulate.linear import refuse_sampled
@@ -114,6 +115,13 @@ def identify(
     if method not in METHODS:
         raise RotorsimError(Problem(f"no method '{method}'", hint=f"one of {', '.join(METHODS)}"))
     warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
+    steps, unseen = stated_steps(diagram, recording)
+    diagram, warnings = diagram.before_converters(), [*warnings, *unseen]
+    if steps and harmonics is None:
+        recording = through_converters(recording, steps)
+        hold_out = None if hold_out is None else through_converters(hold_out, steps)
+        wanted_runs = None if runs is None else {run.id for run in runs}
+        runs = runs if wanted_runs is None else [run for run in recording.runs if run.id in wanted_runs]
     wanted = diagram.free if free is None else free
     chosen = tuple(recording.select("identify") if runs is None else runs)
     with threadpool_limits(1, "blas"):  # many small matrices: threads cost more than they save

@@ -9,32 +9,42 @@ r - q/2 < y + e < r + q/2 with Gaussian noise e, so that harmonics of y and the 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import log_ndtr
 from threadpoolctl import threadpool_limits
 
-from rotorsim.recordings.harmonic_fit import harmonic_basis, real_vector
+from rotorsim.recordings.harmonic_fit import harmonic_basis, line_columns, real_vector
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.noise import Line
-from rotorsim.recordings.recording import Recording, Run
+from rotorsim.recordings.recording import Recording
 
 __all__ = ["Step", "find_steps", "step_of", "without_steps"]
 
-SEEN = 10.0  # standard deviations by which steps must change the harmonics of all runs
+SEEN = 10.0  # distance, in standard deviations of the noise, by which steps must change the harmonics of all runs
 UNEVEN = 0.02  # of a step, by which readings may miss their level: they are written with few digits
 KNOWN = 1e-6  # of a step, to which it is known at best: no converter is better calibrated
 FINE = 1.0  # standard deviations of what harmonics leave over: finer steps are noise
 RESOLUTION = 1e-6  # of a signal's rms, that harmonics cannot be trusted to
-SIMULATED = 4  # recordings by which the covariance is proved
+TELLING = 3.0  # times as many samples that tell something as the motion takes: less tell nothing of the noise
+BARELY = 1 / 3  # of a step: standard deviation of harmonics of which the readings tell no more
+SIMULATED = 4  # recordings by which the covariance is widened
+LINE = 15.0  # logarithm of the likelihood that a line adds which is there
+LEAST_NOISE = 0.03  # of a step: with less, few samples tell anything, and their likelihood is a box and no parabola
+NOTHING = 1e-12  # of the information of a sample at an edge
+SHORTEST = 1e-6  # part of a step of Newton's
 MOST, CLOSE = 60, 1e-10  # iterations; gain of the log likelihood of a sample at which they end
 ROOT = 0.5 * np.log(2 * np.pi)
 
 
 @dataclass(frozen=True)
 class Step:
-    """The step of a converter [SI] with its standard deviation. seen: standard deviations that it is seen by."""
+    """The step of a converter [SI] with its standard deviation.
+
+    seen: distance of all harmonics with it from those without it, in standard deviations of the noise.
+    """
 
     size: float
     std: float
@@ -88,115 +98,140 @@ def without_steps(recording: Recording, runs: Sequence[RunHarmonics], steps: Map
 
     Of each sample there is what the harmonics make of it and what its reading adds to that: the score of the likelihood
     over the mean information, so that least squares give the harmonics of greatest likelihood. Near the edge of a step
-    a reading tells much, amid a step little: the information of each goes along as its weight.
+    a reading tells much, amid a step little: the information of each goes along as its weight. The noise of a channel
+    is that of the runs that tell it.
     """
-    known = {item.run.id: item for item in runs}
-    new = []
+    new = {item.run.id: item.run for item in runs}
     with threadpool_limits(1, "blas"):
-        for run in recording.runs:
-            if run.id in known:
-                entered = _without(recording, known[run.id], (), steps)
-                lines = harmonics_of(recording, [entered])[0].fit.lines  # those of the readings may be their steps
-                run = _without(recording, known[run.id], lines, steps) if lines else entered
-            new.append(run)
-    return replace(recording, runs=tuple(new))
-
-
-def _without(recording: Recording, item: RunHarmonics, lines: Sequence[Line], steps: Mapping[str, Step]) -> Run:
-    """Return a run with the signals that went into its converters, which move by harmonics and these lines."""
-    run, columns = item.run, _columns(item, lines)
-    values, weights = dict(run.values), dict(run.weights)
-    for name, step in steps.items():
-        column = _column(recording, name)
-        if column in values:
-            values[column], weights[column] = _entered(np.asarray(values[column]), columns, step.size)
-    return replace(run, values=values, weights=weights)
+        for name, step in steps.items():
+            column = _column(recording, name)
+            here = [item for item in runs if column in item.run.values]
+            plain = [_Readings(item, column, step.size) for item in here]
+            noise = _noise(plain)
+            for item, readings in zip(here, plain, strict=True):
+                signal = readings.signal(readings.likeliest(noise))
+                alone = replace(item.run, values={**item.run.values, column: signal})
+                lines = harmonics_of(recording, [alone])[0].fit.lines  # those of the readings may be their steps
+                signal, weight = readings.with_lines(item, lines, noise).entered(noise)
+                run = new[item.run.id]
+                values, weights = {**run.values, column: signal}, {**run.weights, column: weight}
+                new[item.run.id] = replace(run, values=values, weights=weights)
+    return replace(recording, runs=tuple(new.get(run.id, run) for run in recording.runs))
 
 
 def _column(recording: Recording, name: str) -> str:
     return next(column for column, channel in recording.channels.items() if channel.name == name)
 
 
-def _columns(item: RunHarmonics, lines: Sequence[Line]) -> np.ndarray:
-    """Return the columns (n, m) of all that moves: harmonics, drift, and lines beside them."""
-    orders = int(item.fit.orders[-1])
-    columns = [harmonic_basis(item.run.id, item.run.time, item.angle.theta, orders=orders).columns]
-    for line in lines:
-        phase = 2 * np.pi * line.frequency * item.run.time
-        columns.append(np.column_stack([np.cos(phase), np.sin(phase)]))
-    return np.column_stack(columns)
+def _noise(readings: Sequence[_Readings]) -> float:
+    """Return the noise of a channel in steps, from the runs in which enough samples tell it; LEAST_NOISE: none does."""
+    total, weight = 0.0, 0.0
+    for item in readings:
+        x = item.likeliest()
+        told = item.told(x)[2]
+        telling, taken = float(told.sum() / x[-1] ** 2), item.columns.shape[1]
+        if telling > TELLING * taken:  # the motion takes as many of these samples as it has columns
+            total += telling / x[-1] ** 2
+            weight += telling - taken
+    return max(float(np.sqrt(total / weight)), LEAST_NOISE) if weight else LEAST_NOISE
 
 
-def _entered(readings: np.ndarray, columns: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return what went into a converter (n,), by the likeliest motion of these columns, and its information (n,).
+class _Readings:
+    """The readings of a channel in one run.
 
-    With few samples near edges the likelihood is no parabola: the information is divided by what simulated readings of
-    the same motion miss it by.
+    z: in steps (n,). columns (n, m) of all that moves: harmonics, drift and lines beside them; squares have mean one.
     """
-    q, _ = np.linalg.qr(columns / np.sqrt(np.mean(columns**2, axis=0)))
-    q *= np.sqrt(len(readings))
-    z = readings / step  # in steps
-    found = _likeliest(z, q)
-    motion, noise, score, told = _told(z, q, found)
-    random, missed = np.random.default_rng(0), []
-    for _ in range(SIMULATED):
-        again = np.round(motion + noise * random.standard_normal(len(z)))
-        moved, _, _, weights = _told(again, q, _likeliest(again, q, found))
-        missed.append(float(weights @ (moved - motion) ** 2) / q.shape[1])
-    signal = motion + score / told.mean()
-    return np.asarray(step * signal), np.asarray(told / max(1.0, float(np.mean(missed))) / step**2)
 
+    def __init__(self, item: RunHarmonics, column: str, step: float, lines: Sequence[Line] = ()) -> None:
+        self.column, self.step, self.lines = column, step, tuple(lines)
+        time, theta = item.run.time, item.angle.theta
+        harmonics = harmonic_basis(item.run.id, time, theta, orders=int(item.fit.orders[-1])).columns
+        every = np.column_stack([harmonics, *(line_columns(time, line) for line in lines)])
+        q, _ = np.linalg.qr(every / np.sqrt(np.mean(every**2, axis=0)))
+        self.columns = q * np.sqrt(len(time))
+        self.z = np.asarray(item.run.values[column]) / step
 
-def _told(
-    z: np.ndarray, columns: np.ndarray, x: np.ndarray
-) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:  # fmt: skip
-    """Return motion (n,), noise, and of each reading the slope and the bend of the log likelihood by the motion."""
-    inverse = float(x[-1])
-    motion = columns @ (x[:-1] / inverse)
-    upper, lower = inverse * (z + 0.5 - motion), inverse * (z - 0.5 - motion)
-    a, b, _ = _slopes(upper, lower)
-    told = np.maximum((upper * a + a**2 - 2 * a * b - lower * b + b**2) * inverse**2, 0.0)
-    return motion, 1 / inverse, (b - a) * inverse, told
-
-
-def _likeliest(z: np.ndarray, columns: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-    """Return factors c / sigma and 1 / sigma (m + 1,) of greatest likelihood, by Newton: it is concave in these.
-
-    z: readings in steps (n,). columns (n, m) with squares of mean one.
-    """
-    if start is None:
-        first = columns.T @ z / len(z)
-        left = float(np.mean((z - columns @ first) ** 2))
-        start = np.append(first, 1.0) / np.sqrt(max(left - 1 / 12, 0.01))
-    x = start
-    value = _log_likelihood(x, z, columns)
-    for _ in range(MOST):
-        upper = x[-1] * (z + 0.5) - columns @ x[:-1]
-        lower = x[-1] * (z - 0.5) - columns @ x[:-1]
-        a, b, _ = _slopes(upper, lower)
-        ends = np.column_stack([z + 0.5, z - 0.5])
-        gradient = np.append(-columns.T @ (a - b), a @ ends[:, 0] - b @ ends[:, 1])
-        uu, ul, ll = -upper * a - a**2, a * b, lower * b - b**2
-        by_end = np.column_stack([uu * ends[:, 0] + ul * ends[:, 1], ul * ends[:, 0] + ll * ends[:, 1]])
-        cross = -columns.T @ by_end.sum(axis=1)
-        hessian = np.empty((len(x), len(x)))
-        hessian[:-1, :-1] = columns.T @ (columns * (uu + 2 * ul + ll)[:, None])
-        hessian[:-1, -1] = hessian[-1, :-1] = cross
-        hessian[-1, -1] = float(np.sum(by_end * ends))
-        step = np.linalg.lstsq(hessian, -gradient, rcond=1e-14)[0]
-        length = 1.0
-        while length > 1e-6:
-            trial = x + length * step
-            better = _log_likelihood(trial, z, columns) if trial[-1] > 0 else -np.inf
-            if better >= value:
+    def with_lines(self, item: RunHarmonics, lines: Sequence[Line], noise: float) -> _Readings:
+        """Return these readings with the lines that they show, one by one: pseudo-noise of steps has false ones."""
+        best, value = self, _log_likelihood(self.likeliest(noise), self.z, self.columns)
+        for line in sorted(lines, key=lambda line: -max(line.amplitude)):
+            more = _Readings(item, self.column, self.step, [*best.lines, line])
+            gained = _log_likelihood(more.likeliest(noise), more.z, more.columns) - value
+            if gained < LINE:
                 break
-            length /= 2
-        else:
-            break
-        gained, x, value = better - value, trial, better
-        if gained < CLOSE * len(z):
-            break
-    return x
+            best, value = more, value + gained
+        return best
+
+    def entered(self, noise: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return what went into the converter (n,) with noise of a known size in steps, and its information (n,).
+
+        Where the likelihood is no parabola, the information is divided by what simulated readings of the same motion
+        miss it by. Where hardly any sample tells something, harmonics are those of the readings, to a part of a step.
+        """
+        x = self.likeliest(noise)
+        motion, _, told = self.told(x)
+        if told.sum() * noise**2 < TELLING * self.columns.shape[1]:
+            every = np.full(len(motion), 0.5 / len(motion) / (BARELY * self.step) ** 2)
+            return self.step * self.z, every
+        random, missed = np.random.default_rng(0), []
+        for _ in range(SIMULATED):
+            again = copy(self)
+            again.z = np.round(motion + noise * random.standard_normal(len(motion)))
+            moved, _, weights = again.told(again.likeliest(noise, x))
+            missed.append(float(weights @ (moved - motion) ** 2) / self.columns.shape[1])
+        return self.signal(x), told / max(1.0, float(np.mean(missed))) / self.step**2
+
+    def signal(self, x: np.ndarray) -> np.ndarray:
+        """Return the motion and what each reading adds to it, (n,) SI."""
+        motion, score, told = self.told(x)
+        return np.asarray(self.step * (motion + score / told.mean()))
+
+    def told(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the motion (n,), and of each reading slope and bend of the log likelihood by the motion."""
+        inverse = float(x[-1])
+        motion = self.columns @ (x[:-1] / inverse)
+        upper, lower = inverse * (self.z + 0.5 - motion), inverse * (self.z - 0.5 - motion)
+        a, b, _ = _slopes(upper, lower)
+        told = (upper * a + a**2 - 2 * a * b - lower * b + b**2) * inverse**2
+        return motion, (b - a) * inverse, np.maximum(told, NOTHING * inverse**2)
+
+    def likeliest(self, noise: float = 0.0, start: np.ndarray | None = None) -> np.ndarray:
+        """Return factors c / sigma and 1 / sigma (m + 1,) of greatest likelihood, by Newton: it is concave in these.
+
+        noise: sigma in steps, where it is known.
+        """
+        z, columns = self.z, self.columns
+        if start is None:
+            first = columns.T @ z / len(z)
+            left = float(np.mean((z - columns @ first) ** 2))
+            start = np.append(first, 1.0) / (noise or np.sqrt(max(left - 1 / 12, 0.01)))
+        x, ends = start, np.column_stack([z + 0.5, z - 0.5])
+        value = _log_likelihood(x, z, columns)
+        for _ in range(MOST):
+            motion = columns @ x[:-1]
+            upper, lower = x[-1] * ends[:, 0] - motion, x[-1] * ends[:, 1] - motion
+            a, b, _ = _slopes(upper, lower)
+            gradient = np.append(-columns.T @ (a - b), a @ ends[:, 0] - b @ ends[:, 1])
+            uu, ul, ll = -upper * a - a**2, a * b, lower * b - b**2
+            by_end = np.column_stack([uu * ends[:, 0] + ul * ends[:, 1], ul * ends[:, 0] + ll * ends[:, 1]])
+            hessian = np.empty((len(x), len(x)))
+            hessian[:-1, :-1] = columns.T @ (columns * (uu + 2 * ul + ll)[:, None])
+            hessian[:-1, -1] = hessian[-1, :-1] = -columns.T @ by_end.sum(axis=1)
+            hessian[-1, -1] = float(np.sum(by_end * ends))
+            step = np.zeros(len(x))
+            free = slice(len(x) - 1 if noise else len(x))
+            step[free] = np.linalg.lstsq(hessian[free, free], -gradient[free], rcond=1e-12)[0]
+            length, gained = 1.0, -np.inf
+            while length > SHORTEST and not gained >= 0:
+                trial = x + length * step
+                gained = _log_likelihood(trial, z, columns) - value if trial[-1] > 0 else -np.inf
+                length /= 2
+            if not gained >= 0:
+                break
+            x, value = trial, value + gained
+            if gained < CLOSE * len(z):
+                break
+        return x
 
 
 def _log_likelihood(x: np.ndarray, z: np.ndarray, columns: np.ndarray) -> float:

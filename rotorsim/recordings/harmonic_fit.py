@@ -17,14 +17,15 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.noise import Line, Noise, find_lines, noise_of
 
 __all__ = [
-    "Basis", "Beside", "HarmonicFit", "complex_values", "fit_harmonics", "harmonic_basis", "real_vector",
-    "scaled_cholesky",
+    "Basis", "Beside", "HarmonicFit", "complex_values", "fit_harmonics", "harmonic_basis", "line_columns",
+    "real_vector", "scaled_cholesky",
 ]  # fmt: skip
 
 TURN = 2 * np.pi
 MOST_ORDERS = 16
 DRIFT = 2  # degree of the drift of the mean
 NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something beside a harmonic is not told from it
+LOUD = 2.5  # times the noise, for lines of samples that differ in what they tell: those may follow the motion a little
 LEAST_TOLD = 1e-6  # of the best known combination of coefficients: information of one that samples tell nothing of
 ROUNDING = 1e-10  # of a signal's rms: what numbers of seven to sixteen digits and the fit itself leave over
 
@@ -98,6 +99,10 @@ class HarmonicFit:
         for c, own in self.own.items():
             scatter[c::channels] = scatter[:, c::channels] = 0.0
             scatter[c::channels, c::channels] = own
+            if self.residual[c] > 0:  # noise that is not white: by order
+                powers = [float(self.noise.at_order(k)[c, c].real) for k in range(len(self.orders))]
+                louder = np.sqrt(np.repeat(powers, [1, *[2] * (len(powers) - 1)])) / self.residual[c]
+                scatter[c::channels, c::channels] *= np.outer(louder, louder)
         turned = real_vector(-1j * self.orders[:, None] * self.values) * self.angle_std
         return np.asarray(scatter + np.outer(turned, turned))
 
@@ -264,9 +269,12 @@ def fit_harmonics(
     coefficients, left = basis.solve(y)
     rms = np.sqrt(np.mean((y - y.mean(axis=0)) ** 2, axis=0))
     reach = NEAR_JITTER if angle_std > 0 else NEAR  # an error of the speed spreads a harmonic to its sides
-    lines = find_lines(time, left, speed, K, ROUNDING * (rms + np.abs(y.mean(axis=0))), reach)
+    least = ROUNDING * (rms + np.abs(y.mean(axis=0)))
+    for c in (names.index(name) for name in weights or {}):
+        least[c] = LOUD * np.sqrt(np.mean(left[:, c] ** 2))
+    lines = find_lines(time, left, speed, K, least, reach)
     if lines:
-        columns = [basis.columns, *(_line_columns(time, line) for line in lines)]
+        columns = [basis.columns, *(line_columns(time, line) for line in lines)]
         basis = Basis(run, np.column_stack(columns), K, drift, turns)
         coefficients, left = basis.solve(y)
     m = 2 * K + 1
@@ -369,6 +377,7 @@ def _beside(
     return Beside(second[0], second[1], values, gram, told)
 
 
-def _line_columns(time: np.ndarray, line: Line) -> np.ndarray:
+def line_columns(time: np.ndarray, line: Line) -> np.ndarray:
+    """Return the columns (n, 2) of a line at times (n,)."""
     phase = TURN * line.frequency * time
     return np.column_stack([np.cos(phase), np.sin(phase)])

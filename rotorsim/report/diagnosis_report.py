@@ -283,13 +283,13 @@ class _Page:
             )
         reasons = dict(found.rejected)
         for number, item in enumerate(found.named.rounds, 1):
-            if number > 1 and number > len(found.effects):
+            if number > 1 and number > len(found.searched):
                 break
             parts.append(self._rivals(item, number, reasons if number == 1 else {}))
         return "\n".join(parts)
 
     def _rivals(self, item: Round, number: int, reasons: Mapping[str, str]) -> str:
-        effects = self.found.effects
+        effects = self.found.searched
         best: dict[str, Candidate] = {}
         for candidate in item.tried:
             best.setdefault(candidate.insertion.physics, candidate)

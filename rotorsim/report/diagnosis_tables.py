@@ -169,10 +169,11 @@ def document_hash(document: Mapping[str, Any]) -> str:
 
 
 def _recordings(found: Diagnosis) -> list[tuple[Any, str]]:
-    read, held = (found.source, found.held) if found.readings is None else found.readings
-    source = getattr(read, "recording", None)
+    if found.recordings:
+        return [(item, "held-out recording" if k else "recording") for k, item in enumerate(found.recordings)]
+    source = getattr(found.source, "recording", None)
     every = [(source, "recording")] if source is not None else []
-    return every + [(part.recording, "held-out recording") for part in held if part.recording is not source]
+    return every + [(part.recording, "held-out recording") for part in found.held if part.recording is not source]
 
 
 def _samples(recording: Any) -> str:

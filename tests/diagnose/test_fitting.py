@@ -79,7 +79,7 @@ def test_a_nonlinear_law_that_began_too_far_away_is_carried_on():
             return [left(next(ends)) for _ in jobs]
 
         trials._fit = fit
-        trials._refined(left(before), [({"blocks": {}}, [])] * len(fits), fits)
+        trials._refined(left(before), [({"blocks": {}}, [])] * len(fits), fits, [("law", k) for k in range(len(fits))])
         return asked
 
     explains, far, idle = left(1.04, nonlinear=False), left(1100.0), left(4.4)

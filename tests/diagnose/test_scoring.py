@@ -9,8 +9,10 @@ from scipy.stats import chi2, kstest
 from rotorsim.diagnose.scoring import surprise
 
 
-def prediction(residual: np.ndarray, slopes: np.ndarray) -> SimpleNamespace:
-    return SimpleNamespace(evaluation=SimpleNamespace(residual=residual, slopes=slopes))
+def prediction(residual: np.ndarray, slopes: np.ndarray, *stds: float | None) -> SimpleNamespace:
+    free = [SimpleNamespace(prior_std=std) for std in stds or [None] * slopes.shape[1]]
+    experiment = SimpleNamespace(free=free)
+    return SimpleNamespace(evaluation=SimpleNamespace(residual=residual, slopes=slopes), experiment=experiment)
 
 
 def test_surprise_is_what_a_fit_to_all_runs_leaves_more():
@@ -44,3 +46,11 @@ def test_surprise_is_chi_squared_where_the_structure_is_true():
 def test_no_surprise_is_known_without_a_settled_motion():
     S = np.ones((3, 1))
     assert surprise(prediction(np.zeros(3), S), [prediction(np.full(2, np.nan), np.ones((2, 1)))]) is None
+
+
+def test_what_is_known_beforehand_holds_a_parameter_that_no_run_shows():
+    S, J = np.zeros((5, 1)), np.ones((4, 1))
+    far = np.full(4, 3.0)
+    assert surprise(prediction(np.zeros(5), S), [prediction(far, J)]) == pytest.approx(0.0, abs=1e-9)
+    held = surprise(prediction(np.zeros(5), S, 0.1), [prediction(far, J)])
+    assert held == pytest.approx(36 * (1 - 4 / 104))  # e^T (I + J 0.01 J^T)^-1 e

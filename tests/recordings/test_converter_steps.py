@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from rotorsim.errors import Place
-from rotorsim.recordings.converter_steps import _slopes, find_steps, step_of, without_steps
+from rotorsim.recordings.converter_steps import Step, _slopes, find_steps, step_of, without_steps
 from rotorsim.recordings.harmonics import harmonics_of
 from rotorsim.recordings.recording import Channel, Recording, Run
 
@@ -17,26 +17,28 @@ COUNT, RATE, SPEED = 4000, 5000.0, 2 * np.pi * 23.7
 TRUE = {0: 3e-6, 1: 4e-6 - 2e-6j, 2: 0.8e-6j, 3: 0.3e-6}
 
 
-def recorded(step: float, noise: float, seed: int) -> tuple[Recording, list]:
-    """Return a run of one probe behind a converter, and its harmonics."""
+def recorded(step: float, noise: float, seed: int, sizes: tuple[float, ...] = (1.0,)) -> tuple[Recording, list]:
+    """Return runs of one probe behind a converter, each with the motion TRUE times a size, and their harmonics."""
     random = np.random.default_rng(seed)
     time = np.arange(COUNT) / RATE
     wave = sum((2 if k else 1) * np.real(c * np.exp(1j * k * SPEED * time)) for k, c in TRUE.items())
-    readings = wave + noise * random.standard_normal(COUNT)
-    readings = step * np.round(readings / step) if step else readings
-    values = {"x": readings, "angle": SPEED * time}
+    runs = []
+    for k, size in enumerate(sizes):
+        readings = size * wave + noise * random.standard_normal(COUNT)
+        readings = step * np.round(readings / step) if step else readings
+        values = {"x": readings, "angle": SPEED * time}
+        runs.append(Run(f"run{k}", "a.csv", time, values, SPEED, None, {}, "identify", Place("a"), RATE))
     channels = {
         "x": Channel("x", "rotor.displacement", "x", None, None, "m"),
         "angle": Channel("angle", "clock.theta", None, None, None, "rad"),
     }
-    run = Run("a", "a.csv", time, values, SPEED, None, {}, "identify", Place("a"), RATE)
-    recording = Recording("bench", "", Path(), channels, (run,))
+    recording = Recording("bench", "", Path(), channels, tuple(runs))
     return recording, harmonics_of(recording)
 
 
-def missed(fit) -> float:
+def missed(fit, size: float = 1.0) -> float:
     """Return the distance of harmonics from the truth, in variances."""
-    true = np.array([TRUE.get(int(k), 0.0) for k in fit.orders], complex)[:, None]
+    true = size * np.array([TRUE.get(int(k), 0.0) for k in fit.orders], complex)[:, None]
     e = fit.real_vector(fit.values - true)
     return float(e @ np.linalg.solve(fit.covariance, e))
 
@@ -85,6 +87,18 @@ def test_harmonics_behind_a_converter_are_found_with_their_covariance(share):
     assert chi2.ppf(0.001, equations) < entered < chi2.ppf(0.999, equations)
     if share < 0.3:
         assert plain > 2 * entered
+
+
+@pytest.mark.parametrize("share", [0.005, 0.02, 0.06, 0.2])
+def test_small_motions_beside_large_ones_tell_what_they_tell(share):
+    """Of a run that moves by a step or less hardly any sample tells the noise: it is that of the others."""
+    step, sizes = 2e-7, (1.0, 1.0, 0.2, 0.1, 0.05, 0.02, 0.005)  # 45 steps to a fifth of one
+    recording, runs = recorded(step, share * step, 0, sizes)
+    found = harmonics_of(without_steps(recording, runs, {"rotor.displacement[1]": Step(step, 0.0)}))
+    for size, item in zip(sizes, found, strict=True):
+        assert missed(item.fit, size) < 2.5 * (2 * len(item.fit.orders) - 1), size
+    for size, item in zip(sizes[:2], found[:2], strict=True):
+        assert missed(item.fit, size) > 0.2 * (2 * len(item.fit.orders) - 1)  # it is no merit to know nothing
 
 
 def test_only_steps_that_change_harmonics_are_seen():

@@ -7,8 +7,10 @@ from benchmarks.concealed.writing import write_case
 from rotorsim.diagnose.diagnosis import diagnose
 from rotorsim.diagnose.files import save_diagnosis
 from rotorsim.diagram import load
+from rotorsim.identify.identification import identify
 from rotorsim.recordings import load_recording
 from rotorsim.recordings.converter_steps import find_steps
+from rotorsim.recordings.converters import stated_steps
 from rotorsim.recordings.harmonics import harmonics_of
 
 SEED = (77, 1)
@@ -36,3 +38,48 @@ def test_usual_converters_are_not_named(tmp_path):
     write_case(make_case("case", "nothing", "jeffcott", SEED, 1), tmp_path, SEED)
     recording = load_recording(tmp_path / "case")
     assert find_steps(recording, harmonics_of(recording)) == {}
+
+
+def with_converter(document: dict, interval: str, **parameters: str) -> dict:
+    """Return the diagram with a converter in front of the recording of its displacement."""
+    block = {"type": "quantisation", "parameters": {"interval": interval, **parameters}}
+    return {
+        **document, "blocks": {**document["blocks"], "converter": block},
+        "wires": [*document["wires"], ["rotor.displacement", "converter.displacement"]],
+        "measured": {"rotor.displacement": "converter.sensed_displacement"},
+    }  # fmt: skip
+
+
+def test_a_stated_step_is_believed_only_where_readings_show_it(tmp_path):
+    write_case(make_case("case", "nothing", "jeffcott", SEED, 1), tmp_path, SEED)
+    recording = load_recording(tmp_path / "case")
+    stated = load(with_converter(load("jeffcott").document, "1 um"))
+    steps, problems = stated_steps(stated, recording)
+    assert steps == {}
+    what = "readings of rotor.displacement[{}] do not have the step of 1 um that is stated"
+    hint = "hint: state the step of the converter that made this recording, or leave it out"
+    assert [str(problem) for problem in problems] == [
+        f"warning: converter.interval: {what.format(k)}\n\n{hint}" for k in (1, 2)
+    ]  # fmt: skip
+
+
+def test_identification_takes_the_converter_of_a_diagram_out_of_readings(tmp_path):
+    """With it noise explains what is left over; without, steps are taken for the motion."""
+    case = make_case("case", "one", "jeffcott", SEED, 0, ("quantisation",))
+    write_case(case, tmp_path, SEED)
+    recording = load_recording(tmp_path / "case")
+    document = load("jeffcott").document
+    found = identify(load(with_converter(document, f"{case.truth()['effect']['lsb']!r} m")), recording, profile=False)
+    plain = identify(load("jeffcott"), recording, profile=False)
+    assert found.adequate
+    assert not plain.adequate
+    assert plain.excess > 2 * found.excess
+
+
+def test_only_a_converter_that_steps_is_looked_through():
+    document = load("jeffcott").document
+    exact = load(with_converter(document, "1 um"))
+    smooth = load(with_converter(document, "1 um", law="smooth"))
+    assert exact.before_converters().as_measured("rotor.displacement[2]") == "rotor.displacement[2]"
+    assert exact.as_measured("rotor.displacement[2]") == "converter.sensed_displacement[2]"
+    assert smooth.before_converters() is smooth
