@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from rotorsim.recordings.harmonic_fit import fit_harmonics, harmonic_basis
@@ -18,10 +19,14 @@ __all__ = ["Second", "find_second", "with_second"]
 TURN = 2 * np.pi
 ORDERS = 5  # combinations k W + nu with |k| up to this
 CLOSE = 0.4  # of the resolution of a run, by which a line may miss its place
-SHARE = 0.7  # of the strongest lines that one frequency must explain
+SHARE = 0.7  # of the strongest lines, by their sizes, that one frequency must explain
 STRONG = 6  # lines of a run that are looked at
 ROUNDS = 4
 EVEN = 10.0  # variances of the noise by which an angle that rises evenly may leave more over than the measured one
+PULSES = 8  # of a run, at least, to see its speed swing
+DRIFT = 2  # degree of slow changes of the speed
+LONGEST = 2.5  # periods of a swing in the longest run
+FALSE_ALARM = 1e-3
 LESS = 0.98  # of what a fit left over: then what the lines weigh against the noise is worth finding again
 
 
@@ -45,12 +50,13 @@ class Second:
 
 
 def find_second(recording: Recording, runs: Sequence[RunHarmonics]) -> Second | None:
-    """Return the second frequency of lines that at least two runs show, None if there is none.
+    """Return the second frequency of lines that at least two runs show, or of a swing of their pulses; None without.
 
     nu is taken as constant, or as a part of the speed: whichever explains more of the lines as |k W + nu|, with the
     smaller orders k.
     """
-    second = _guessed(runs)
+    seen = _guessed(runs)
+    second = seen or _swinging(runs)
     if second is None:
         return None
     with threadpool_limits(1, "blas"):
@@ -63,16 +69,19 @@ def find_second(recording: Recording, runs: Sequence[RunHarmonics]) -> Second | 
             if not (set(hidden) - set(second.orders) or any(less)):
                 break
             second, runs = replace(second, orders=tuple(sorted({*second.orders, *hidden}))), again
+    if seen is None and not second.even:  # no swing of one frequency: the measured angle follows it better
+        return None
     return _centred(second, np.sign([item.fit.speed for item in runs]))
 
 
 def _guessed(runs: Sequence[RunHarmonics]) -> Second | None:
     """Return the second frequency that explains most of the strongest lines, to their resolution."""
-    found = [(r, frequency) for r, item in enumerate(runs) for frequency in _beside_harmonics(item)[:STRONG]]
-    if len({r for r, _ in found}) < 2:
+    found = [(r, *line) for r, item in enumerate(runs) for line in _beside_harmonics(item)[:STRONG]]
+    if len({r for r, _, _ in found}) < 2:
         return None
-    where = np.array([r for r, _ in found])
-    at = np.array([frequency for _, frequency in found])
+    where = np.array([r for r, _, _ in found])
+    at = np.array([frequency for _, frequency, _ in found])
+    weight = np.array([size for _, _, size in found])
     speeds = np.array([item.fit.speed for item in runs])[where] / TURN
     close = CLOSE / np.array([item.run.time[-1] - item.run.time[0] for item in runs])[where]
     best: tuple[float, float, Second] | None = None
@@ -85,10 +94,11 @@ def _guessed(runs: Sequence[RunHarmonics]) -> Second | None:
             miss = np.abs(places - at[:, None])
             nearest = miss.argmin(axis=1)
             good = miss.min(axis=1) < close
-            if good.sum() < SHARE * len(at) or len(set(where[good])) < 2:
+            explained, every = float(weight[good].sum()), float(weight.sum())
+            if explained < SHARE * every or len(set(where[good])) < 2:
                 continue
-            order = np.abs(k[nearest])[good].mean()
-            rank = (good.sum() - 0.2 * order * len(at), -float((miss.min(axis=1)[good] / close[good]).mean()))
+            order = float(np.average(np.abs(k[nearest])[good], weights=weight[good]))
+            rank = (explained - 0.2 * order * every, -float((miss.min(axis=1)[good] / close[good]).mean()))
             if best is None or rank > best[:2]:
                 sign = np.sign(k[nearest] * speeds + value * unit)
                 own = (at * sign - k[nearest] * speeds)[good] / unit[good]
@@ -100,12 +110,44 @@ def _guessed(runs: Sequence[RunHarmonics]) -> Second | None:
     return None if best is None else best[2]
 
 
-def _beside_harmonics(item: RunHarmonics) -> list[float]:
-    """Return the frequencies [Hz] of lines that are no harmonics of higher orders than were fitted."""
+def _swinging(runs: Sequence[RunHarmonics]) -> Second | None:
+    """Return the frequency at which the pulses of all runs swing about an even speed, by more than they jitter.
+
+    An angle that follows the pulses takes lines of a slow swing away.
+    """
+    swings = []
+    for item in runs:
+        pulses = None if item.run.tacho is None else np.asarray(item.run.tacho)
+        if pulses is not None and len(pulses) >= PULSES:
+            k = np.arange(len(pulses))
+            early = pulses - np.polyval(np.polyfit(k, pulses, DRIFT), k)
+            swings.append((pulses - pulses.mean(), early / np.sqrt(np.mean(early**2))))
+    if len(swings) < 2:
+        return None
+    longest = max(float(np.ptp(t)) for t, _ in swings)
+    highest = 0.5 * min(len(t) / float(np.ptp(t)) for t, _ in swings)
+    grid = np.arange(LONGEST / longest, highest, 0.2 / longest)
+    if not len(grid):
+        return None
+    power = sum(np.abs(np.exp(-1j * TURN * np.outer(grid, t)) @ early) ** 2 * 2 / len(t) for t, early in swings)
+    best = int(np.argmax(power))
+    if power[best] < chi2.isf(FALSE_ALARM / len(grid), 2 * len(swings)):
+        return None
+    return Second(TURN * float(grid[best]), 0.0, False, (-1, 1))
+
+
+def _beside_harmonics(item: RunHarmonics) -> list[tuple[float, float]]:
+    """Return lines that are no harmonics of higher orders than were fitted: frequency [Hz] and size.
+
+    The size counts in what a channel leaves over, and as a share of that of the strongest.
+    """
     speed = abs(item.fit.speed) / TURN
     close = CLOSE / (item.run.time[-1] - item.run.time[0])
-    lines = [line.frequency for line in item.fit.lines]
-    return [at for at in lines if abs(at - speed * round(at / speed)) >= close]
+    scale = np.where(item.fit.residual > 0, item.fit.residual, np.inf)
+    sizes = [(line.frequency, float(np.max(np.asarray(line.amplitude) / scale))) for line in item.fit.lines]
+    kept = [(at, size) for at, size in sizes if abs(at - speed * round(at / speed)) >= close]
+    largest = max((size for _, size in kept), default=1.0)
+    return [(at, size / largest) for at, size in kept]
 
 
 def _centred(second: Second, direction: np.ndarray) -> Second:
@@ -128,7 +170,7 @@ def _shown(second: Second, runs: Sequence[RunHarmonics]) -> tuple[int, ...]:
     for item in runs:
         close = CLOSE / (item.run.time[-1] - item.run.time[0])
         places = np.abs(k * item.fit.speed + second.at(item.fit.speed)) / TURN
-        for frequency in _beside_harmonics(item):
+        for frequency, _ in _beside_harmonics(item):
             miss = np.abs(places - frequency)
             if miss.min() < close:
                 seen.setdefault(int(k[miss.argmin()]), set()).add(item.run.id)

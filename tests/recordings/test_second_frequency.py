@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.special import jv
 from scipy.stats import chi2
 
 from rotorsim.errors import Place
+from rotorsim.recordings import second_frequency
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.recording import Channel, Recording, Run
 from rotorsim.recordings.second_frequency import Second, find_second, with_second
@@ -292,3 +294,54 @@ def test_harmonics_of_higher_orders_than_are_fitted_are_no_second_frequency():
     assert all(item.fit.orders[-1] < 23 for item in runs)
     assert all(len(item.fit.lines) >= 3 for item in runs)
     assert find_second(made_here, runs) is None
+
+
+def test_weak_lines_of_other_origin_do_not_hide_a_second_frequency():
+    """Three runs show it strongly, and more weak lines that it does not explain (higher orders, noise)."""
+
+    def shown(speed: float, *lines: tuple[float, float]) -> SimpleNamespace:
+        found = [SimpleNamespace(frequency=at, amplitude=(size, 0.1 * size)) for at, size in lines]
+        fit = SimpleNamespace(speed=2 * np.pi * speed, residual=np.array([1.0, 1.0]), lines=found)
+        return SimpleNamespace(fit=fit, run=SimpleNamespace(time=np.array([0.0, 1.0])))
+
+    nu, weak = 56.7, 0.1
+    runs = [
+        shown(15.2, (nu + 15.2, 1.0), (41.9, weak), (193.1, weak), (23.3, weak)),
+        shown(24.9, (nu + 24.9, 0.6), (167.7, weak * 0.6), (9.1, weak * 0.6), (111.4, weak * 0.6)),
+        shown(40.5, (nu + 40.5, 2.0), (178.9, weak * 2), (64.2, weak * 2)),
+    ]
+    found = second_frequency._guessed(runs)
+    assert found is not None
+    assert found.value == pytest.approx(2 * np.pi * nu, rel=1e-9)
+    alone = [shown(15.2, (71.9, 1.0), (41.9, 1.0)), shown(24.9, (33.3, 1.0), (167.7, 1.0), (9.1, 1.0), (111.4, 1.0))]
+    assert second_frequency._guessed(alone) is None
+
+
+@pytest.mark.parametrize(("swing", "found"), [(2e-3, True), (0.0, False)])
+def test_pulses_show_a_slow_swing_that_the_measured_angle_follows(swing, found):
+    """theta = W t + swing sin(nu t): pulses lead by - swing / W sin(nu t), beside 1 us of jitter and a slow drift."""
+    random, nu = np.random.default_rng(4), 2 * np.pi * 3.7
+
+    def turned(speed: float) -> SimpleNamespace:
+        even = np.arange(0.05, 1.0, 1 / speed)
+        late = -swing / (2 * np.pi * speed) * np.sin(nu * even + speed) + 1e-3 * (even - 0.5) ** 2 / speed
+        return SimpleNamespace(run=SimpleNamespace(tacho=even + late + 1e-6 * random.standard_normal(len(even))))
+
+    runs = [turned(speed) for speed in (2.1, 15.3, 20.2, 31.4, 44.0, 63.0)]
+    second = second_frequency._swinging(runs)
+    assert (second is not None) is found
+    if second is not None:
+        assert second.value == pytest.approx(nu, rel=0.05)
+
+
+def test_pulses_that_only_jitter_show_no_swing():
+    """A thousand machines: a false alarm in about one of them."""
+    random = np.random.default_rng(6)
+    alarms = 0
+    for _ in range(1000):
+        runs = []
+        for speed in (15.3, 31.4, 44.0):
+            even = np.arange(0.05, 1.0, 1 / speed)
+            runs.append(SimpleNamespace(run=SimpleNamespace(tacho=even + 1e-6 * random.standard_normal(len(even)))))
+        alarms += second_frequency._swinging(runs) is not None
+    assert alarms <= 5
