@@ -11,8 +11,8 @@ from rotorsim.diagnose.fitting import Source
 from rotorsim.diagnose.insertion import Insertion
 from rotorsim.diagram.registry import Registry
 from rotorsim.errors import Problem
-from rotorsim.recordings.converter_steps import Step, find_steps, step_of
-from rotorsim.recordings.converters import SAME, is_entry, readings_of
+from rotorsim.recordings.converter_steps import Step, find_steps, readings_of, step_of
+from rotorsim.recordings.converters import SAME, is_entry
 
 __all__ = ["Converter", "find_converters"]
 

@@ -30,9 +30,7 @@ SECOND = 8  # nonlinear fits that get as far as the second
 REFINED = 3  # fits carried to the end at least
 PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
 HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
-STARTED = (
-    0.1  # share of what the best explains: a nonlinear law that explains less gets SECOND_EVALUATIONS, and no more
-)
+STARTED = 0.1  # share of what the best explains: of nonlinear laws below, SECOND_EVALUATIONS are the last
 NEAR = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
 
 _Job = tuple[dict[str, Any], list[list[dict[str, float]]]]

@@ -21,7 +21,7 @@ from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.noise import Line
 from rotorsim.recordings.recording import Recording
 
-__all__ = ["Step", "find_steps", "step_of", "without_steps"]
+__all__ = ["Step", "find_steps", "readings_of", "step_of", "without_steps"]
 
 SEEN = 10.0  # distance, in standard deviations of the noise, by which steps must change the harmonics of all runs
 UNEVEN = 0.02  # of a step, by which readings may miss their level: they are written with few digits
@@ -54,14 +54,11 @@ class Step:
 def find_steps(recording: Recording, runs: Sequence[RunHarmonics]) -> dict[str, Step]:
     """Return the steps of channels, by flat name, whose harmonics they change by more than noise does."""
     coarse: dict[str, Step] = {}
-    for c, name in enumerate(runs[0].fit.names if runs else ()):
-        column = _column(recording, name)
-        if not all(column in item.run.values for item in runs):
-            continue
-        step = step_of(np.concatenate([item.run.values[column] for item in runs]))
-        left = min(float(item.fit.residual[item.fit.names.index(name)]) for item in runs)
-        if step is not None and step.size > FINE * left:
-            coarse[runs[0].fit.names[c]] = step
+    for name in dict.fromkeys(name for item in runs for name in item.fit.names):
+        having = [item.fit.residual[item.fit.names.index(name)] for item in runs if name in item.fit.names]
+        step = step_of(readings_of(recording, name))
+        if step is not None and step.size > FINE * min(having):
+            coarse[name] = step
     if not coarse:
         return {}
     entered = without_steps(recording, runs, coarse)
@@ -69,10 +66,18 @@ def find_steps(recording: Recording, runs: Sequence[RunHarmonics]) -> dict[str, 
     again = harmonics_of(entered, [run for run in entered.runs if run.id in taken])
     found = {}
     for name, step in coarse.items():
-        seen = float(np.sqrt(sum(_changed(old, new, name) for old, new in zip(runs, again, strict=True))))
+        pairs = [(old, new) for old, new in zip(runs, again, strict=True) if name in old.fit.names]
+        seen = float(np.sqrt(sum(_changed(old, new, name) for old, new in pairs)))
         if seen > SEEN:
             found[name] = replace(step, seen=seen)
     return found
+
+
+def readings_of(recording: Recording, name: str) -> np.ndarray:
+    """Return the samples of a signal in all runs that have it, one after another (n,)."""
+    column = recording.column(name) or ""
+    parts = [run.values[column] for run in recording.runs if column in run.values]
+    return np.concatenate(parts) if parts else np.zeros(0)
 
 
 def step_of(readings: np.ndarray) -> Step | None:
@@ -104,7 +109,7 @@ def without_steps(recording: Recording, runs: Sequence[RunHarmonics], steps: Map
     new = {item.run.id: item.run for item in runs}
     with threadpool_limits(1, "blas"):
         for name, step in steps.items():
-            column = _column(recording, name)
+            column = recording.column(name) or ""
             here = [item for item in runs if column in item.run.values]
             plain = [_Readings(item, column, step.size) for item in here]
             noise = _noise(plain)
@@ -117,10 +122,6 @@ def without_steps(recording: Recording, runs: Sequence[RunHarmonics], steps: Map
                 values, weights = {**run.values, column: signal}, {**run.weights, column: weight}
                 new[item.run.id] = replace(run, values=values, weights=weights)
     return replace(recording, runs=tuple(new.get(run.id, run) for run in recording.runs))
-
-
-def _column(recording: Recording, name: str) -> str:
-    return next(column for column, channel in recording.channels.items() if channel.name == name)
 
 
 def _noise(readings: Sequence[_Readings]) -> float:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
-from rotorsim.recordings.converter_steps import Step, step_of, without_steps
+from rotorsim.recordings.converter_steps import Step, readings_of, step_of, without_steps
 from rotorsim.recordings.harmonics import harmonics_of
 from rotorsim.recordings.recording import Recording
 from rotorsim.units import format_quantity
 
-__all__ = ["is_entry", "readings_of", "stated_steps", "through_converters"]
+__all__ = ["is_entry", "stated_steps", "through_converters"]
 
 SAME = 1e-3  # of a step, within which readings show the one that is stated
 
@@ -48,13 +48,6 @@ def through_converters(recording: Recording, steps: Mapping[str, Step]) -> Recor
     known = {channel.name for channel in recording.channels.values()}
     here = {name: step for name, step in steps.items() if name in known}
     return without_steps(recording, harmonics_of(recording), here) if here else recording
-
-
-def readings_of(recording: Recording, name: str) -> np.ndarray:
-    """Return the samples of a signal in all runs that have it, one after another."""
-    column = recording.column(name) or ""
-    parts: Sequence[np.ndarray] = [run.values[column] for run in recording.runs if column in run.values]
-    return np.concatenate(parts) if parts else np.zeros(0)
 
 
 def is_entry(name: str, signal: str) -> bool:

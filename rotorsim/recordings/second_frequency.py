@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 from threadpoolctl import threadpool_limits
 
 from rotorsim.recordings.harmonic_fit import fit_harmonics, harmonic_basis
@@ -25,6 +25,8 @@ ROUNDS = 4
 EVEN = 10.0  # variances of the noise by which an angle that rises evenly may leave more over than the measured one
 PULSES = 8  # of a run, at least, to see its speed swing
 DRIFT = 2  # degree of slow changes of the speed
+ROUNDING = 1e-12  # of the length of a run
+MOVED = 2000  # times that spectra of pulses are moved against each other to see what coincides by chance
 LONGEST = 2.5  # periods of a swing in the longest run
 FALSE_ALARM = 1e-3
 LESS = 0.98  # of what a fit left over: then what the lines weigh against the noise is worth finding again
@@ -111,7 +113,7 @@ def _guessed(runs: Sequence[RunHarmonics]) -> Second | None:
 
 
 def _swinging(runs: Sequence[RunHarmonics]) -> Second | None:
-    """Return the frequency at which the pulses of all runs swing about an even speed, by more than they jitter.
+    """Return the frequency at which pulses of most runs swing about an even speed, by more than they jitter.
 
     An angle that follows the pulses takes lines of a slow swing away.
     """
@@ -121,17 +123,33 @@ def _swinging(runs: Sequence[RunHarmonics]) -> Second | None:
         if pulses is not None and len(pulses) >= PULSES:
             k = np.arange(len(pulses))
             early = pulses - np.polyval(np.polyfit(k, pulses, DRIFT), k)
-            swings.append((pulses - pulses.mean(), early / np.sqrt(np.mean(early**2))))
+            size = float(np.sqrt(np.mean(early**2)))
+            if size > ROUNDING * float(np.ptp(pulses)):
+                swings.append((pulses - pulses.mean(), early / size))
     if len(swings) < 2:
         return None
     longest = max(float(np.ptp(t)) for t, _ in swings)
-    highest = 0.5 * min(len(t) / float(np.ptp(t)) for t, _ in swings)
-    grid = np.arange(LONGEST / longest, highest, 0.2 / longest)
+    rates = [len(t) / float(np.ptp(t)) for t, _ in swings]
+    grid = np.arange(LONGEST / longest, 0.5 * min(rates), 0.2 / longest)
     if not len(grid):
         return None
-    power = sum(np.abs(np.exp(-1j * TURN * np.outer(grid, t)) @ early) ** 2 * 2 / len(t) for t, early in swings)
-    best = int(np.argmax(power))
-    if power[best] < chi2.isf(FALSE_ALARM / len(grid), 2 * len(swings)):
+    power = []
+    for rate, (t, early) in zip(rates, swings, strict=True):  # over the whole rate, above which it repeats
+        at = grid[0] + np.arange(0.0, rate, 0.2 / longest)
+        power.append(np.abs(np.exp(-1j * TURN * np.outer(at, t)) @ early) ** 2 * 2 / len(t))
+    shared = int(np.ceil(SHARE * len(swings)))
+
+    def shown(moved: Sequence[int]) -> np.ndarray:
+        parts = [np.roll(p, by)[: len(grid)] for p, by in zip(power, moved, strict=True)]
+        return np.asarray(np.sort(parts, axis=0)[-shared])
+
+    both = shown([0] * len(power))
+    best = int(np.argmax(both))
+    if binom.sf(shared - 1, len(swings), chi2.sf(both[best], 2)) > FALSE_ALARM / len(grid):
+        return None
+    random = np.random.default_rng(0)  # pulses of a coarse timer have strong lines, but others in every run
+    moved = random.integers(0, [len(p) for p in power], (MOVED, len(power)))
+    if sum(float(shown(by).max()) >= both[best] for by in moved) > FALSE_ALARM * MOVED:
         return None
     return Second(TURN * float(grid[best]), 0.0, False, (-1, 1))
 

@@ -345,3 +345,18 @@ def test_pulses_that_only_jitter_show_no_swing():
             runs.append(SimpleNamespace(run=SimpleNamespace(tacho=even + 1e-6 * random.standard_normal(len(even)))))
         alarms += second_frequency._swinging(runs) is not None
     assert alarms <= 5
+
+
+@pytest.mark.parametrize("timer", [0.0, 1e-7, 1e-5, 2e-4])
+def test_pulses_of_a_coarse_timer_show_no_swing(timer):
+    """At an even speed their rounding repeats, at a frequency of its own in every run."""
+    random = np.random.default_rng(8)
+    alarms = 0
+    for _ in range(200):
+        runs = []
+        for speed in random.uniform(8, 70, random.integers(2, 9)):
+            even = np.arange(random.uniform(0, 1 / speed), 1.0, 1 / speed)
+            pulses = timer * np.round(even / timer) if timer else even
+            runs.append(SimpleNamespace(run=SimpleNamespace(tacho=pulses)))
+        alarms += second_frequency._swinging(runs) is not None
+    assert alarms <= 2
