@@ -20,7 +20,8 @@ PROBES = 2  # other values of the parameters at which it is seen what they move
 WIDE = 0.1  # relative
 SAMPLES = 16  # of a turn
 CONSTANT = 1e-6  # relative difference of second frequencies that are one
-POINTS, TURNS = 8, 50.0  # samples for each coefficient beside harmonics, over so many turns of the slowest of all
+POINTS, TURNS = 3, 50.0  # samples for each coefficient on a torus, over so many turns of the slowest of all
+SWINGS = 3  # multiples of a second frequency that are told apart: an angle that swings by m makes J_n(k m) of order k
 
 
 @dataclass(eq=False)
@@ -107,19 +108,21 @@ class Torus:
         self.frequencies = orders * speeds[:, None] + second[:, None]
         if not forced:
             return
-        count = POINTS * (2 * K + 1)
+        k, multiples = np.arange(-K, K + 1), np.arange(-SWINGS, SWINGS + 1)
+        every = [(order, multiple) for multiple in multiples for order in k]
+        places = [SWINGS * len(k) + K + order for order in range(K + 1)]
+        first = (SWINGS + 1) * len(k) + K
+        count = POINTS * len(every)
         rng = np.random.default_rng(0)
-        k = np.arange(-K, K + 1)
         self.times = np.empty((len(speeds), count))
         self.projection = np.empty((len(speeds), K + 1 + len(orders), count), complex)
         for r, (speed, nu) in enumerate(zip(np.abs(speeds), second, strict=True)):
             slowest = min(speed, nu, *np.abs(speed * np.arange(1, 4) - nu))
             self.times[r] = rng.uniform(0, 2 * np.pi * TURNS / max(slowest, 1e-3 * speed), count)
-            at = np.concatenate([k * speed, k * speed + nu, -k * speed - nu])
-            every = np.linalg.pinv(np.exp(1j * self.times[r][:, None] * at), rcond=1e-9)
-            places = [K + order for order in range(K + 1)]
-            places += [3 * K + 1 + int(np.sign(speeds[r])) * int(order) for order in orders]
-            self.projection[r] = every[places]
+            at = np.asarray(every) @ (speed, nu)
+            coefficients = np.linalg.pinv(np.exp(1j * self.times[r][:, None] * at), rcond=1e-9)
+            beside = [first + int(np.sign(speeds[r])) * int(order) for order in orders]
+            self.projection[r] = coefficients[places + beside]
 
     def at(self, speeds: np.ndarray) -> Torus:
         """Return the combinations at other speeds: the second frequency is constant, or a part of the speed."""

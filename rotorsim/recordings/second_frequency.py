@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import binom, chi2
 from threadpoolctl import threadpool_limits
 
-from rotorsim.recordings.harmonic_fit import fit_harmonics, harmonic_basis
+from rotorsim.recordings.harmonic_fit import NEAR, HarmonicFit, fit_harmonics, harmonic_basis
 from rotorsim.recordings.harmonics import RunHarmonics
 from rotorsim.recordings.recording import Recording
 
@@ -45,6 +45,11 @@ class Second:
     follows: bool
     orders: tuple[int, ...]
     even: bool = False
+
+    @property
+    def swings(self) -> bool:
+        """Whether the angle may be what swings: it does so on both sides of an order, at a frequency of its own."""
+        return self.even and not self.follows and any(-k in self.orders for k in self.orders if k > 0)
 
     def at(self, speed: float) -> float:
         """Return the frequency [rad/s] at a speed [rad/s]."""
@@ -283,11 +288,25 @@ def with_second(
                 weights={recording.channels[c].name: np.asarray(w) for c, w in item.run.weights.items()},
             )  # fmt: skip
             assert fit.beside is not None
-            if not fit.beside.told.all():
+            if not fit.beside.told.all() or (second.swings and _twice(fit, float(np.ptp(item.run.time)))):
                 lost.append(item.fit.run)
                 continue
             kept.append(replace(item, fit=fit))
     return tuple(kept), lost
+
+
+def _twice(fit: HarmonicFit, duration: float) -> bool:
+    """Return whether twice or three times a swing's frequency adds to harmonics or combinations more than noise does.
+
+    A swing m of the angle makes J_1(k m) = k m / 2 of order k at nu, and J_2(k m) = J_1^2 / 2 at 2 nu.
+    """
+    assert fit.beside is not None
+    speed = abs(fit.speed) / TURN
+    multiples = np.array([2, 3]) * fit.beside.second / TURN
+    if (np.abs(multiples - speed * np.round(multiples / speed)) > NEAR / duration).all():
+        return False
+    own, beside = (np.abs(values).max(axis=0) for values in (fit.values[1:], fit.beside.values))
+    return bool((beside**2 > 2 * own * fit.residual * np.sqrt(fit.beside.gram.max())).any())
 
 
 def _signals(recording: Recording, item: RunHarmonics) -> dict[str, np.ndarray]:

@@ -72,9 +72,9 @@ def test_slopes_are_those_of_the_log_likelihood():
     np.testing.assert_allclose(-b, by_lower, rtol=1e-5, atol=1e-7)
 
 
-@pytest.mark.parametrize("share", [0.04, 0.1, 0.3, 0.6])
+@pytest.mark.parametrize("share", [0.02, 0.04, 0.1, 0.3, 0.6])
 def test_harmonics_behind_a_converter_are_found_with_their_covariance(share):
-    """Noise of a twentieth of a step to more than half of one: misses are chi-squared, plain harmonics' are not."""
+    """Noise of a fiftieth of a step to more than half of one: misses are chi-squared, plain harmonics' are not."""
     step, plain, entered, equations = 2e-7, 0.0, 0.0, 0
     for seed in range(12):
         recording, runs = recorded(step, share * step, seed)

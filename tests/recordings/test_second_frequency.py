@@ -360,3 +360,18 @@ def test_pulses_of_a_coarse_timer_show_no_swing(timer):
             runs.append(SimpleNamespace(run=SimpleNamespace(tacho=pulses)))
         alarms += second_frequency._swinging(runs) is not None
     assert alarms <= 2
+
+
+def test_runs_in_which_twice_a_strong_swing_falls_on_harmonics_are_left_out():
+    """A harmonic of 10 um with lines of 1 um beside it has lines of 50 nm at twice their distance: noise hides 5 nm."""
+
+    def hidden(speed: float, nu: float, line: float) -> bool:
+        beside = SimpleNamespace(second=TURN * nu, values=np.array([[line], [0.5j * line]]), gram=np.full(2, 1 / 5000))
+        values, residual = np.array([[1.0], [1e-5j], [2e-6]]), np.array([5e-9 * np.sqrt(5000)])
+        fit = SimpleNamespace(speed=-TURN * speed, values=values, residual=residual, beside=beside)
+        return second_frequency._twice(fit, 1.0)
+
+    assert hidden(20.0, 50.4, 1e-6)  # 100.8 Hz is 5X
+    assert hidden(20.0, 46.9, 1e-6)  # 140.7 Hz is 7X: twice the swing falls on its other side, 7X - 46.9 Hz
+    assert not hidden(20.0, 50.4, 1e-7)
+    assert not hidden(20.0, 53.9, 1e-6)
