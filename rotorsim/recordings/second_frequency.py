@@ -18,6 +18,7 @@ __all__ = ["Second", "find_second", "with_second"]
 
 TURN = 2 * np.pi
 ORDERS = 5  # combinations k W + nu with |k| up to this
+MULTIPLES = (1, 2, 3)  # of the frequency, that a strong swing of the angle has
 CLOSE = 0.4  # of the resolution of a run, by which a line may miss its place
 SHARE = 0.7  # of the strongest lines, by their sizes, that one frequency must explain
 STRONG = 6  # lines of a run that are looked at
@@ -188,7 +189,7 @@ def _centred(second: Second, direction: np.ndarray) -> Second:
 
 def _shown(second: Second, runs: Sequence[RunHarmonics]) -> tuple[int, ...]:
     """Return further orders that lines of at least two runs are at: stronger lines near them hid them before."""
-    k = np.arange(-ORDERS, ORDERS + 1)
+    k = np.array(_all_orders(runs))
     seen: dict[int, set[str]] = {}
     for item in runs:
         close = CLOSE / (item.run.time[-1] - item.run.time[0])
@@ -200,28 +201,58 @@ def _shown(second: Second, runs: Sequence[RunHarmonics]) -> tuple[int, ...]:
     return tuple(order for order, ids in seen.items() if len(ids) > 1)
 
 
+def _all_orders(runs: Sequence[RunHarmonics]) -> range:
+    """Return the orders of either sign that all runs have."""
+    highest = min(int(item.fit.orders[-1]) for item in runs)
+    return range(-highest, highest + 1)
+
+
 def _refined(second: Second, recording: Recording, runs: Sequence[RunHarmonics]) -> Second:
     """Return a second frequency where its combinations hold most power in all runs, with its standard deviation."""
     measured = _strongest(replace(second, even=False), recording, runs)
     even = _strongest(replace(second, even=True), recording, runs)
     if abs(even[1].value - second.value) > even[1].std:  # the swing that was taken out was one at the first value
         even = _strongest(even[1], recording, runs)
+    by_pulses = _by_pulses(even[1], runs)
+    if by_pulses is not None:
+        left = _rest(by_pulses, recording, runs)(by_pulses.value, _all_orders(runs), MULTIPLES)
+        even = min(even, (left, by_pulses), key=lambda pair: pair[0])
     return even[1] if even[0] < measured[0] + EVEN else measured[1]
+
+
+def _by_pulses(second: Second, runs: Sequence[RunHarmonics]) -> Second | None:
+    """Return the frequency near a first value at which the pulses of all runs swing, by maximum likelihood."""
+    having = [item for item in runs if item.run.tacho is not None and len(item.run.tacho) >= PULSES]
+    if not having:
+        return None
+
+    def left(value: float) -> float:
+        found = (_swing(item, replace(second, value=value).at(item.fit.speed)) for item in having)
+        return float(sum(len(rest) * np.log(np.mean(rest**2)) for _, _, rest in found))
+
+    at, bend = _least(left, second, having)
+    return replace(second, value=at, std=float(np.sqrt(2 / max(bend, 1e-300))))
+
+
+def _least(left: Callable[[float], float], second: Second, runs: Sequence[RunHarmonics]) -> tuple[float, float]:
+    """Return where a function of the frequency is least, within the resolution of a first value, and its bend there."""
+    scale = float(np.median([abs(item.fit.speed) for item in runs])) if second.follows else 1.0
+    width = 0.5 * TURN / max(float(item.run.time[-1] - item.run.time[0]) for item in runs) / scale
+    bounds = (second.value - width, second.value + width)
+    at = float(minimize_scalar(left, bounds=bounds, method="bounded", options={"xatol": 1e-6 * width}).x)
+    step = 0.05 * width
+    return at, float((left(at + step) - 2 * left(at) + left(at - step)) / step**2)
 
 
 def _strongest(second: Second, recording: Recording, runs: Sequence[RunHarmonics]) -> tuple[float, Second]:
     """Return the frequency near a first value that leaves least over, and what that leaves, in variances of the noise.
 
-    The latter with all combinations: a measured angle that follows a swing takes them all away.
+    The latter with all combinations and multiples: a measured angle that follows a swing takes them all away.
     """
     rest = _rest(second, recording, runs)
-    scale = float(np.median([abs(item.fit.speed) for item in runs])) if second.follows else 1.0
-    width = 0.5 * TURN / max(float(item.run.time[-1] - item.run.time[0]) for item in runs) / scale
-    bounds = (second.value - width, second.value + width)
-    at = float(minimize_scalar(rest, bounds=bounds, method="bounded", options={"xatol": 1e-6 * width}).x)
-    step = 0.05 * width
-    bend = (rest(at + step) - 2 * rest(at) + rest(at - step)) / step**2
-    return rest(at, range(-ORDERS, ORDERS + 1)), replace(second, value=at, std=float(np.sqrt(2 / max(bend, 1e-300))))
+    at, bend = _least(rest, second, runs)
+    std = float(np.sqrt(2 / max(bend, 1e-300)))
+    return rest(at, _all_orders(runs), MULTIPLES), replace(second, value=at, std=std)
 
 
 def _rest(second: Second, recording: Recording, runs: Sequence[RunHarmonics]) -> Callable[..., float]:
@@ -236,10 +267,11 @@ def _rest(second: Second, recording: Recording, runs: Sequence[RunHarmonics]) ->
         parts.append((time - time.mean(), theta, scale, basis, left / np.maximum(item.fit.residual, 1e-300)))
     every = sum(float((part[4] ** 2).sum()) for part in parts)
 
-    def rest(value: float, orders: Sequence[int] = second.orders) -> float:
+    def rest(value: float, orders: Sequence[int] = second.orders, multiples: Sequence[int] = (1,)) -> float:
         total = every
         for time, theta, scale, basis, left in parts:
-            phase = np.multiply.outer(theta, orders) + (value * scale * time)[:, None]
+            turned, swung = np.multiply.outer(theta, orders), np.multiply.outer(value * scale * time, multiples)
+            phase = (turned[:, :, None] + swung[:, None, :]).reshape(len(time), -1)
             columns = basis.solve(np.hstack([np.cos(phase), np.sin(phase)]))[1]
             onto = columns.T @ left
             total -= float((onto * np.linalg.lstsq(columns.T @ columns, onto, rcond=1e-9)[0]).sum())
@@ -253,18 +285,22 @@ def _even(item: RunHarmonics, second: float) -> tuple[np.ndarray, float]:
 
     With the standard deviation of angle zero, from what the pulses leave over.
     """
-    time, theta = item.run.time, item.angle.theta
-    at, turned = time, theta
+    best, middle, rest = _swing(item, second)
+    variance = float(rest @ rest) / max(len(rest) - len(best), 1)
+    return np.asarray(best[0] + best[1] * (item.run.time - middle)), float(np.sqrt(variance / len(rest)))
+
+
+def _swing(item: RunHarmonics, second: float) -> tuple[np.ndarray, float, np.ndarray]:
+    """Return angle, speed and swing (4,) that fit the pulses of a run, the time they count from, and what is left."""
+    at, turned = item.run.time, item.angle.theta
     pulses = item.run.tacho
     if pulses is not None and len(pulses) > 6:  # they are right where an angle between them is a guess
         at = np.asarray(pulses)
         turned = np.sign(item.fit.speed) * TURN * np.arange(len(at))
-    middle = at.mean()
+    middle = float(at.mean())
     columns = np.column_stack([np.ones(len(at)), at - middle, np.cos(second * at), np.sin(second * at)])
     best = np.linalg.lstsq(columns, turned, rcond=1e-9)[0]
-    rest = turned - columns @ best
-    variance = float(rest @ rest) / max(len(at) - len(best), 1)
-    return np.asarray(best[0] + best[1] * (time - middle)), float(np.sqrt(variance / len(at)))
+    return best, middle, turned - columns @ best
 
 
 def with_second(

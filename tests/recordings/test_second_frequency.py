@@ -199,20 +199,27 @@ def test_runs_in_which_a_line_is_too_near_to_a_harmonic_are_lost():
 # --- a shaft whose speed swings ---------------------------------------------------------------------------------------
 
 
-def swinging(nu: float, swing: float, seed: int) -> tuple[Recording, np.ndarray]:
+def swinging(
+    nu: float,
+    swing: float,
+    seed: int,
+    harmonics: np.ndarray = HARMONICS,
+    noise: float = NOISE,
+    speeds: Sequence[float] = SPEEDS,
+) -> tuple[Recording, np.ndarray]:
     """Return runs that are harmonics of theta = W t + theta0 + swing sin(nu t + phase), pulses at the true angle."""
     random = np.random.default_rng(seed)
     time = np.arange(N) / RATE
-    phases = random.uniform(0, TURN, len(SPEEDS))
+    phases = random.uniform(0, TURN, len(speeds))
     signals, tacho = [], []
-    for r, (speed, phase) in enumerate(zip(SPEEDS, phases, strict=True)):
+    for r, (speed, phase) in enumerate(zip(speeds, phases, strict=True)):
 
         def theta(t, W=speed, r=r, phase=phase):
             return W * t + 0.7 * r + swing * np.sin(nu * t + phase)
 
-        signals.append(closed_form(theta(time), HARMONICS) + NOISE * random.standard_normal((N, 2)))
+        signals.append(closed_form(theta(time), harmonics) + noise * random.standard_normal((N, 2)))
         tacho.append(pulses(theta, time[-1]))
-    return recording(signals, SPEEDS, tacho), phases
+    return recording(signals, speeds, tacho), phases
 
 
 @pytest.mark.parametrize("frequency", [5.3, 7.7, 23.17, 71.7])
@@ -360,6 +367,16 @@ def test_pulses_of_a_coarse_timer_show_no_swing(timer):
             runs.append(SimpleNamespace(run=SimpleNamespace(tacho=pulses)))
         alarms += second_frequency._swinging(runs) is not None
     assert alarms <= 2
+
+
+def test_a_strong_slow_swing_of_many_harmonics_is_found():
+    """Sidebands of orders 6 to 9 and of twice the frequency stand out of noise, and an angle by pulses follows most."""
+    nu, harmonics = TURN * 3.1, np.array([[1.0, 1.0j]] * 10) / np.arange(1, 11)[:, None]
+    data, _ = swinging(nu, 0.02, 7, harmonics, 1e-3, [*SPEEDS, TURN * 14.9, TURN * 30.3, TURN * 45.1])
+    second = find_second(data, harmonics_of(data))
+    assert second is not None
+    assert second.even
+    assert abs(second.value - nu) < 3 * second.std < 1e-2 * nu
 
 
 def test_runs_in_which_twice_a_strong_swing_falls_on_harmonics_are_left_out():
