@@ -137,6 +137,36 @@ class Comparison:
         """Return what the model says at the orders of `measured`, complex (n,)."""
         return signal.combined(self.predicted[r], self.experiment.predicted, self.orders(signal))
 
+    def lines(self, r: int, signal: Signal) -> tuple[Harmonics, np.ndarray] | None:
+        """Return lines at k W + nu beside the harmonics of run r, and what the model says; None where none were fitted.
+
+        Their places among the orders, k + nu / W: negative ones run backward.
+        """
+        fit, K = self.experiment.fits[r], self.experiment.motion.K
+        if fit.beside is None or self.predicted.shape[1] == K + 1:
+            return None
+        names = [name for name in (signal.x, signal.y) if name is not None]
+        columns = np.array([fit.names.index(name) for name in names])
+        predicted = self.predicted[r][K + 1 :]
+        predicted = predicted if fit.speed > 0 else predicted.conj()
+        predicted = predicted[:, [self.experiment.predicted.index(name) for name in names]]
+        covariance = fit.covariance_beside(columns, 0.0)
+        variance = np.diag(covariance).reshape(len(fit.beside.orders), -1).sum(axis=1)
+        at = fit.beside.orders + fit.beside.second / fit.speed
+        if signal.y is None:
+            places, values, model = np.abs(at), 2 * fit.beside.values[:, columns[0]], 2 * predicted[:, 0]
+            variance = 4 * variance
+        else:
+            places = np.concatenate([at, -at])
+            values, model = (
+                np.concatenate([v[:, 0] + 1j * v[:, 1], v[:, 0].conj() + 1j * v[:, 1].conj()])
+                for v in (fit.beside.values[:, columns], predicted)
+            )
+            variance = np.tile(variance, 2)
+        size = np.maximum(np.abs(values), 1e-300)
+        std, noise = np.sqrt(variance / 2), np.sqrt(-np.log(EXCEEDED) * variance)
+        return Harmonics(places, values, std, np.minimum(std / size, np.pi), noise), model
+
     def orbit(self, r: int, signal: Signal, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return measured and predicted motion x + i y that is synchronous to the shaft, at angles (n,)."""
         wave = np.exp(1j * np.outer(theta, self.orders(signal)))

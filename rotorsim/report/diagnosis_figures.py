@@ -93,6 +93,10 @@ def _order_range(pair: Pair, signal: Signal, runs: Sequence[int]) -> tuple[int, 
         for _, compared in pair.models:
             size = np.maximum(size, np.nan_to_num(np.abs(compared.model(r, signal))))
         seen += orders[size > STANDS_OUT * measured.noise].tolist()
+        beside = pair.any.lines(r, signal)
+        if beside is not None:
+            clear = np.abs(beside[0].value) > STANDS_OUT * beside[0].noise
+            seen += [round(place) for place in beside[0].orders[clear].tolist()]
     low, high = max(min(seen) - 1, int(orders.min())), min(max(seen) + 1, int(orders.max()))
     return (low if signal.y else 0), high
 
@@ -121,7 +125,31 @@ def _draw_spectrum(axes: Axes, pair: Pair, r: int, signal: Signal) -> None:
         axes.plot(
             orders, left, "x", ms=4.5, color=look["color"], mew=1.1, label=f"left over, {pair.labels[name]}", zorder=3
         )
+    _draw_lines(axes, pair, r, signal)
     axes.grid(axis="x", visible=False)
+
+
+def _draw_lines(axes: Axes, pair: Pair, r: int, signal: Signal) -> None:
+    """Draw lines beside the harmonics that stand out of the noise: smaller marks, and what each diagram says."""
+    for name, compared in pair.models:
+        found = compared.lines(r, signal)
+        if found is None:
+            continue
+        measured, model = found
+        clear = np.abs(measured.value) > measured.noise
+        at, look = measured.orders[clear], LOOK[name]
+        size, std, value, left = (
+            display(part[clear], signal.unit)[0]
+            for part in (
+                np.abs(measured.value), measured.amplitude_std, np.abs(model), np.abs(measured.value - model)
+            )
+        )  # fmt: skip
+        if compared is pair.any:
+            axes.vlines(at, 1e-300, size, color="#d8d8d8", lw=0.8, zorder=1)
+            axes.errorbar(at, size, np.array([np.minimum(Z90 * std, size * (1 - 1e-6)), Z90 * std]), fmt="d", ms=2.6,
+                          color=INK, elinewidth=0.8, label="measured at kX + nu", zorder=5)  # fmt: skip
+        axes.plot(at, value, look["marker"], ms=0.65 * look["ms"], mfc="none", mec=look["color"], mew=0.9, zorder=4)
+        axes.plot(at, left, "x", ms=0.65 * look["ms"], color=look["color"], mew=0.8, zorder=3)
 
 
 def _heights(axes: Axes, pair: Pair, signal: Signal, runs: Sequence[int], orders: tuple[int, int]) -> None:
@@ -132,6 +160,8 @@ def _heights(axes: Axes, pair: Pair, signal: Signal, runs: Sequence[int], orders
         tops.append(np.abs(measured.value[inside]).max())
         tops += [np.nan_to_num(np.abs(one.model(r, signal)[inside])).max() for _, one in pair.models]
         noises.append(measured.noise[inside].min())
+        beside = pair.any.lines(r, signal)
+        tops += [] if beside is None else np.abs(beside[0].value).tolist()
     low, high = display(0.15 * min(noises), signal.unit)[0], display(3.0 * max(tops), signal.unit)[0]
     if high > 0:
         axes.set_ylim(max(float(low), 1e-7 * float(high)), float(high))

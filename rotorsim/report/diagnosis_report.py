@@ -250,7 +250,8 @@ class _Page:
             parts.append("<p>There were no held-out runs: the figures show runs that were fitted.</p>")
         figures: list[tuple[str, Callable[[], Figure | None], str]] = [
             ("spectra", lambda: spectra_figure(shown),
-             "Full spectra: what noise alone would give is grey; crosses below it are explained."),
+             "Full spectra: what noise alone would give is grey; crosses below it are explained. Small marks, where "
+             "there are any: lines beside the harmonics, at kX + nu."),
             ("orbits", lambda: orbits_figure(shown),
              "Motion that is synchronous with the shaft, over one turn; the arrow shows its direction."),
             ("speed_curves", lambda: speed_curves_figure(shown, fitted),

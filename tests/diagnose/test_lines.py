@@ -14,7 +14,8 @@ from rotorsim.diagnose.files import diagnosis_data, save_diagnosis
 from rotorsim.diagram import load
 from rotorsim.errors import Place
 from rotorsim.recordings import Channel, Recording, Run
-from rotorsim.report.diagnosis_comparison import fitted_pair
+from rotorsim.report.diagnosis_comparison import fitted_pair, held_pair
+from rotorsim.report.diagnosis_figures import spectra_figure
 from rotorsim.simulate import simulate
 
 TURN = 2 * np.pi
@@ -214,3 +215,22 @@ def test_curves_over_speed_pass_through_what_is_predicted_of_the_runs(name):
         there = signal.combined(compared.predicted[r : r + 1], compared.experiment.predicted, orders)[0]
         moving = orders != 0  # the mean of a run that has not settled is its own
         assert np.abs(here - there)[moving].max() < 0.01 * NOISE["r"]
+
+
+@pytest.mark.parametrize("name", ["shaken", "swinging", "either way"])
+def test_spectra_show_lines_that_the_repaired_diagram_explains(name):
+    """|measured - model|^2 over its variance is one on average, in both directions; as given it is far more."""
+    pair = held_pair(diagnosed(name))
+    ratios = {"before": [], "after": []}
+    for label, compared in (("before", pair.before), ("after", pair.after)):
+        for r in range(len(compared.experiment.runs)):
+            for signal in compared.every:
+                measured, model = compared.lines(r, signal)
+                ratios[label] += (np.abs(measured.value - model) ** 2 / (2 * measured.amplitude_std**2)).tolist()
+    count = len(ratios["after"])
+    assert count >= 8
+    assert np.mean(ratios["after"]) < 1 + 4 / np.sqrt(count)
+    assert np.mean(ratios["before"]) > 100
+    made = spectra_figure(pair)
+    assert "measured at kX + nu" in [text.get_text() for text in made.legends[0].get_texts()]
+    assert held_pair(diagnosed("healthy")).any.lines(0, pair.every[0]) is None
