@@ -13,6 +13,7 @@ from rotorsim.diagram.registry import Registry
 from rotorsim.errors import Problem
 from rotorsim.recordings.converter_steps import Step, find_steps, readings_of, step_of
 from rotorsim.recordings.converters import SAME, is_entry
+from rotorsim.units import format_quantity
 
 __all__ = ["Converter", "find_converters"]
 
@@ -55,7 +56,7 @@ def find_converters(
             if step is not None and abs(step.size - best.size) <= SAME * best.size:
                 steps[name] = step
             else:
-                what = f"does not have the step that the readings beside it have, {best.size:.6g} m"
+                what = f"does not have the step that the readings beside it have, {format_quantity(best.size, 'm')}"
                 warnings.append(Problem(what, name, severity="warning"))
         document = item.document(document, dict.fromkeys(item.from_steps, best.size))
         found.append(Converter(item, document, steps, tuple(warnings)))

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import log_ndtr
+from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from rotorsim.recordings.harmonic_fit import harmonic_basis, line_columns, real_vector
@@ -31,7 +32,9 @@ RESOLUTION = 1e-6  # of a signal's rms, that harmonics cannot be trusted to
 TELLING = 3.0  # times as many samples that tell something as the motion takes: less tell nothing of the noise
 BARELY = 1 / 3  # of a step: standard deviation of harmonics of which the readings tell no more
 SIMULATED = 4  # recordings by which the covariance is widened
+CHANCE = 0.999  # probability of a miss that is still taken for one of a parabola
 LINE = 15.0  # logarithm of the likelihood that a line adds which is there
+FEW, DITHERED = 3.0, 0.1  # steps that a run must move by to be told, unless noise of so many steps dithers it
 LEAST_NOISE = 0.02  # of a step: with less, few samples tell anything, and their likelihood is a box and no parabola
 NOTHING = 1e-12  # of the information of a sample at an edge
 SHORTEST = 1e-6  # part of a step of Newton's
@@ -167,11 +170,13 @@ class _Readings:
         """Return what went into the converter (n,) with noise of a known size in steps, and its information (n,).
 
         Where the likelihood is no parabola, the information is divided by what simulated readings of the same motion
-        miss it by. Where hardly any sample tells something, harmonics are those of the readings, to a part of a step.
+        miss it by: by the most where that is no chance, as it has heavy tails. Where hardly any sample tells something,
+        or all tell of the same edges, harmonics are those of the readings, to a part of a step.
         """
         x = self.likeliest(noise)
         motion, _, told = self.told(x)
-        if told.sum() * noise**2 < TELLING * self.columns.shape[1]:
+        one_edge = noise < DITHERED and float(np.ptp(motion)) < FEW
+        if one_edge or told.sum() * noise**2 < TELLING * self.columns.shape[1]:
             every = np.full(len(motion), 0.5 / len(motion) / (BARELY * self.step) ** 2)
             return self.step * self.z, every
         random, missed = np.random.default_rng(0), []
@@ -180,7 +185,9 @@ class _Readings:
             again.z = np.round(motion + noise * random.standard_normal(len(motion)))
             moved, _, weights = again.told(again.likeliest(noise, x))
             missed.append(float(weights @ (moved - motion) ** 2) / self.columns.shape[1])
-        return self.signal(x), told / max(1.0, float(np.mean(missed))) / self.step**2
+        chance = chi2.ppf(CHANCE, self.columns.shape[1]) / self.columns.shape[1]
+        wide = max(missed) if max(missed) > chance else max(1.0, float(np.mean(missed)))
+        return self.signal(x), told / wide / self.step**2
 
     def signal(self, x: np.ndarray) -> np.ndarray:
         """Return the motion and what each reading adds to it, (n,) SI."""

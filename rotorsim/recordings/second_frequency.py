@@ -23,10 +23,10 @@ CLOSE = 0.4  # of the resolution of a run, by which a line may miss its place
 SHARE = 0.7  # of the strongest lines, by their sizes, that one frequency must explain
 STRONG = 6  # lines of a run that are looked at
 ROUNDS = 4
-EVEN = 10.0  # variances of the noise by which an angle that rises evenly may leave more over than the measured one
+EVEN = 10.0  # variances of the noise by which what one angle leaves over says nothing against another
 PULSES = 8  # of a run, at least, to see its speed swing
 DRIFT = 2  # degree of slow changes of the speed
-ROUNDING = 1e-12  # of the length of a run
+ROUNDING = 1e-12  # of the length of a run, or of a radian
 MOVED = 2000  # times that spectra of pulses are moved against each other to see what coincides by chance
 LONGEST = 2.5  # periods of a swing in the longest run
 FALSE_ALARM = 1e-3
@@ -214,9 +214,9 @@ def _refined(second: Second, recording: Recording, runs: Sequence[RunHarmonics])
     if abs(even[1].value - second.value) > even[1].std:  # the swing that was taken out was one at the first value
         even = _strongest(even[1], recording, runs)
     by_pulses = _by_pulses(even[1], runs)
-    if by_pulses is not None:
+    if by_pulses is not None:  # pulses that do not swing have a frequency of their own
         left = _rest(by_pulses, recording, runs)(by_pulses.value, _all_orders(runs), MULTIPLES)
-        even = min(even, (left, by_pulses), key=lambda pair: pair[0])
+        even = (left, by_pulses) if left < even[0] - EVEN else even
     return even[1] if even[0] < measured[0] + EVEN else measured[1]
 
 
@@ -228,7 +228,7 @@ def _by_pulses(second: Second, runs: Sequence[RunHarmonics]) -> Second | None:
 
     def left(value: float) -> float:
         found = (_swing(item, replace(second, value=value).at(item.fit.speed)) for item in having)
-        return float(sum(len(rest) * np.log(np.mean(rest**2)) for _, _, rest in found))
+        return float(sum(len(rest) * np.log(np.mean(rest**2) + ROUNDING**2) for _, _, rest in found))
 
     at, bend = _least(left, second, having)
     return replace(second, value=at, std=float(np.sqrt(2 / max(bend, 1e-300))))
@@ -338,7 +338,7 @@ def _twice(fit: HarmonicFit, duration: float) -> bool:
     """
     assert fit.beside is not None
     speed = abs(fit.speed) / TURN
-    multiples = np.array([2, 3]) * fit.beside.second / TURN
+    multiples = np.array(MULTIPLES[1:]) * fit.beside.second / TURN
     if (np.abs(multiples - speed * np.round(multiples / speed)) > NEAR / duration).all():
         return False
     own, beside = (np.abs(values).max(axis=0) for values in (fit.values[1:], fit.beside.values))

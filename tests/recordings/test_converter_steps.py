@@ -89,16 +89,33 @@ def test_harmonics_behind_a_converter_are_found_with_their_covariance(share):
         assert plain > 2 * entered
 
 
-@pytest.mark.parametrize("share", [0.005, 0.02, 0.06, 0.2])
+@pytest.mark.parametrize("share", [0.005, 0.01, 0.015])
+def test_with_less_noise_than_can_be_told_intervals_are_wide(share):
+    step, total, equations = 2e-7, 0.0, 0
+    for seed in range(6):
+        recording, runs = recorded(step, share * step, seed)
+        without = without_steps(recording, runs, {"rotor.displacement[1]": step_of(recording.runs[0].values["x"])})
+        [found] = harmonics_of(without)
+        total += missed(found.fit)
+        equations += 2 * len(found.fit.orders) - 1
+    assert 0.2 * equations < total < chi2.ppf(0.999, equations)  # it is no merit to know nothing
+
+
+@pytest.mark.parametrize("share", [0.005, 0.02, 0.04, 0.06, 0.2])
 def test_small_motions_beside_large_ones_tell_what_they_tell(share):
-    """Of a run that moves by a step or less hardly any sample tells the noise: it is that of the others."""
-    step, sizes = 2e-7, (1.0, 1.0, 0.2, 0.1, 0.05, 0.02, 0.005)  # 45 steps to a fifth of one
-    recording, runs = recorded(step, share * step, 0, sizes)
-    found = harmonics_of(without_steps(recording, runs, {"rotor.displacement[1]": Step(step, 0.0)}))
-    for size, item in zip(sizes, found, strict=True):
-        assert missed(item.fit, size) < 2.5 * (2 * len(item.fit.orders) - 1), size
-    for size, item in zip(sizes[:2], found[:2], strict=True):
-        assert missed(item.fit, size) > 0.2 * (2 * len(item.fit.orders) - 1)  # it is no merit to know nothing
+    """Of a run that moves by few steps few samples tell the noise: it is that of the others. 100 steps to half of one.
+
+    A likelihood with few edges is no parabola: a run may miss by twice its variance (5 to 10 steps: 1.5 times).
+    """
+    step, sizes, seeds = 2e-7, (1.0, 0.2, 0.1, 0.05, 0.02, 0.005), 6
+    total, equations = np.zeros(len(sizes)), 0
+    for seed in range(seeds):
+        recording, runs = recorded(step, share * step, seed, sizes)
+        found = harmonics_of(without_steps(recording, runs, {"rotor.displacement[1]": Step(step, 0.0)}))
+        total += [missed(item.fit, size) for size, item in zip(sizes, found, strict=True)]
+        equations += 2 * len(found[0].fit.orders) - 1
+    assert (total < 2 * equations).all()
+    assert total[0] > 0.2 * equations  # it is no merit to know nothing
 
 
 def test_only_steps_that_change_harmonics_are_seen():
