@@ -14,7 +14,7 @@ from rotorsim.diagnose.insertion import Spot
 from rotorsim.diagnose.naming import CLASS, Named, least_gain, where
 from rotorsim.diagnose.outside import Unknown, describe
 from rotorsim.diagnose.scoring import Held, Score
-from rotorsim.diagnose.trials import Candidate, Round, is_adequate
+from rotorsim.diagnose.trials import Candidate, Round, is_noise
 from rotorsim.diagnose.values import values_in
 from rotorsim.errors import Problem
 from rotorsim.identify.profile import Z90
@@ -149,7 +149,7 @@ def verdict_of(
     alike: all runs have one speed and the same settings, which anything explains. disproved: with the effects the
     diagram does not predict runs that took no part. converters: readings show steps that the diagram lacks.
     """
-    if not effects and is_adequate(named.base):
+    if not effects and is_noise(named.base):
         if converters:
             return "outside_catalogue" if disproved else "missing_physics"
         return "not_identifiable" if alike else "consistent"
@@ -193,7 +193,7 @@ def _places(named: Named, effects: Sequence[Effect]) -> tuple[tuple[Spot, float]
     for effect in effects:
         for spot, probability in effect.places:
             found[spot] = max(found.get(spot, 0.0), probability)
-    if not effects and not is_adequate(named.base):
+    if not effects and not is_noise(named.base):
         scale = max(named.base.misfit / named.base.freedom, 1.0)
         found = dict(where(named.rounds[0].tried, scale))
     return tuple(sorted(((s, p) for s, p in found.items() if p >= LIKELY), key=lambda pair: -pair[1]))

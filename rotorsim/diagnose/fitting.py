@@ -41,7 +41,10 @@ TURN = 2 * np.pi
 SAME_SPEED = 0.02  # relative
 MESH_ACCURACY = 1e-5  # of a signal's rms: how well one mesh stands for another at best
 ROUNDED = 1e6  # parts of a radian in which angles are compared
-NUMBERS = ("misfit", "rows", "equations", "goodness", "failure", "nonlinear", "seconds", "standing")
+NUMBERS = (
+    "misfit", "rows", "equations", "goodness", "failure", "nonlinear", "seconds", "standing",
+    "line_misfit", "line_rows",
+)  # fmt: skip
 ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out")
 
 
@@ -139,7 +142,8 @@ class Fit:
     free, theta (m,), covariance (m, m), at_bound (m,). misfit: |r|^2 of the whitened data; equations: real ones, of
     which rows are left after nuisances. run_misfit, left_out (R,): |r|^2 of each run, and when it is predicted from
     the others. goodness: probability of the misfit. failure: why there is none of it. nonlinear: in its states.
-    seconds: of CPU time it took. standing: nuisances that any diagram has (default: all of its own).
+    seconds: of CPU time it took. standing: nuisances that any diagram has (default: all of its own). line_misfit,
+    line_rows: |r|^2 and equations of the lines beside the harmonics.
     """
 
     document: Mapping[str, Any]
@@ -157,6 +161,8 @@ class Fit:
     nonlinear: bool = False
     seconds: float = 0.0
     standing: int | None = None
+    line_misfit: float = 0.0
+    line_rows: int = 0
 
     @property
     def freedom(self) -> int:
@@ -241,12 +247,14 @@ def _fit_of(document: Mapping[str, Any], search: Search, best: Estimate) -> Fit:
         return Fit(document, failure="no periodic motion was found")
     assert isinstance(search.likelihood, Likelihood)
     sizes = [len(w.keep) for w in search.likelihood.whiteners]
+    lines = np.tile(search.likelihood.is_beside, len(sizes))
     q = search.coordinates.inside(best.theta)
     loo = left_out(evaluation.residual, search.slopes(q)[: len(evaluation.residual)], sizes)
     return Fit(
         document=document, free=best.free, theta=best.theta, covariance=best.covariance, at_bound=best.at_bound,
         misfit=best.misfit, rows=evaluation.rows, equations=sum(sizes), run_misfit=evaluation.misfit,
-        left_out=loo, goodness=best.goodness,
+        left_out=loo, goodness=best.goodness, line_rows=int(lines.sum()),
+        line_misfit=float((evaluation.residual[: len(lines)][lines] ** 2).sum()),
     )  # fmt: skip
 
 

@@ -11,12 +11,12 @@ from scipy.stats import chi2
 
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.insertion import Spot
-from rotorsim.diagnose.trials import Candidate, Round, Trials, is_adequate
+from rotorsim.diagnose.trials import Candidate, Round, Trials, is_adequate, is_noise
 from rotorsim.diagram.registry import Registry
 from rotorsim.identify.coordinates import ANGLE_UNIT
 from rotorsim.jobs import local_workers
 
-__all__ = ["Candidate", "Named", "Round", "is_adequate", "least_gain", "name_missing"]
+__all__ = ["Candidate", "Named", "Round", "least_gain", "name_missing"]
 
 MESH_ERROR = 0.1  # of the equations, in the misfit: what meshes get wrong where another mesh is the truth
 CLASS = 10.0  # criterion within which two explanations are not told apart (odds of 150 to 1)
@@ -47,14 +47,15 @@ class Named:
 
     @property
     def explained(self) -> bool:
-        """Whether what is left over is noise."""
-        return is_adequate(self.fit)
+        """Whether what is left over is noise; faint lines, where they are all that the diagram as given leaves over."""
+        return is_adequate(self.fit) and (is_noise(self.fit) or not is_adequate(self.base))
 
     @property
     def nearly(self) -> bool:
         """Whether what is left over is so little that it may be details of the laws that were found."""
         left = self.fit.misfit / self.fit.freedom
-        return bool(self.chosen) and left <= AS_MUCH and _share(self.fit, self.base) >= NEARLY
+        much = not is_adequate(self.base)
+        return much and bool(self.chosen) and left <= AS_MUCH and _share(self.fit, self.base) >= NEARLY
 
 
 def name_missing(

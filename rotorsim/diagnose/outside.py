@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.insertion import Spot
@@ -14,14 +15,17 @@ from rotorsim.diagnose.values import values_in
 from rotorsim.errors import RotorsimError
 from rotorsim.identify.likelihood import Likelihood
 from rotorsim.identify.motion import Motion
+from rotorsim.recordings.second_frequency import Second
 
 __all__ = ["Unknown", "describe"]
 
 TERMS = ("cubic", "damping_growth", "drag", "friction", "quadratic", "cross", "cross_cubic", "quintic")
 MOST_TERMS = 4
+CHANCE = 1e-3  # probability that noise alone makes any order of a force
 SHOWN = 0.1  # of the largest harmonic of the force: those above are named
 KEPT = 0.1  # of the misfit left over that one more term of the map must explain
 NAME = "force_map"
+TURN = 2 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +44,8 @@ def describe(base: Fit, source: Source, spot: Spot) -> Unknown:
     words: list[str] = []
     force = _equivalent(document, source, spot)
     if force is not None:
-        speeds, F, X = force
-        data.update(_law(speeds, F, X, words))
+        data.update(_law(force, words))
+        data.update(_lines(force, source.second, words))
     mapped = _mapped(base, document, source, spot)
     if mapped is not None:
         fit, terms = mapped
@@ -56,8 +60,25 @@ def describe(base: Fit, source: Source, spot: Spot) -> Unknown:
     return Unknown(data, text, mapped[0] if mapped else None)
 
 
-def _equivalent(document: Mapping[str, Any], source: Source, spot: Spot) -> tuple[np.ndarray, ...] | None:
-    """Return speeds (R,), harmonics of the force (R, K+1, axes) and of the displacement there, or None."""
+@dataclass(frozen=True, eq=False)
+class _Force:
+    """What leaves least over beside a diagram: harmonics F (R, K+1, axes) at speeds (R,), told (K+1,): from noise.
+
+    X: of the displacement there, not a number where it was not measured. beside (R, L, axes), beside_told (L,): at the
+    lines beside the harmonics, of orders (L,).
+    """
+
+    speeds: np.ndarray
+    F: np.ndarray
+    X: np.ndarray
+    told: np.ndarray
+    orders: np.ndarray
+    beside: np.ndarray
+    beside_told: np.ndarray
+
+
+def _equivalent(document: Mapping[str, Any], source: Source, spot: Spot) -> _Force | None:
+    """Return the force at a spot that explains most, every order by itself; None where there is none."""
     if not isinstance(source, Source):  # in time: there are no harmonics
         return None
     try:
@@ -77,31 +98,69 @@ def _equivalent(document: Mapping[str, Any], source: Source, spot: Spot) -> tupl
     H = transfer[..., first : first + width]
     D = likelihood.data[:, :, : likelihood.c] - found.Y
     R, orders = len(D), likelihood.K + 1
-    F = np.zeros((R, orders, width), complex)
+    F = np.zeros((R, likelihood.orders, width), complex)
+    taken = np.zeros(likelihood.orders)
     for r in range(R):
-        for k in range(1, orders):
+        for k in range(1, likelihood.orders):
             columns = np.concatenate([H[r, k], 1j * H[r, k]], axis=1)
             white = likelihood.white_at(r, k, np.column_stack([columns, D[r, k]]))
             best = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=1e-10)[0]
             F[r, k] = best[:width] + 1j * best[width:]
+            taken[k] += float(np.sum((white[:, :-1] @ best) ** 2))
+    told = chi2.sf(taken, 2 * width * R) < CHANCE / likelihood.orders
     conjugate = getattr(port.declaration, "conjugate", None) or "displacement"
     suffix = "" if spot.node is None else f"{spot.node},"
     names = [f"{spot.block}.{conjugate}[{suffix}{axis + 1}]" for axis in range(width)]
-    if not all(name in experiment.predicted for name in names):
-        return experiment.motion.speeds, F, np.full_like(F, np.nan)
-    X = likelihood.data[:, :orders, [experiment.predicted.index(name) for name in names]]
-    return experiment.motion.speeds, F, X
+    X = np.full((R, orders, width), np.nan, complex)
+    if all(name in experiment.predicted for name in names):
+        X = likelihood.data[:, :orders, [experiment.predicted.index(name) for name in names]]
+    return _Force(
+        experiment.motion.speeds,
+        F[:, :orders],
+        X,
+        told[:orders],
+        experiment.beside_orders,
+        F[:, orders:],
+        told[orders:],
+    )
 
 
-def _law(speeds: np.ndarray, F: np.ndarray, X: np.ndarray, words: list[str]) -> dict[str, Any]:
+def _typical(F: np.ndarray) -> np.ndarray:
+    """Return the 0-peak sizes (orders,) of a force (R, orders, axes), rms over runs."""
+    return np.asarray(2 * np.sqrt((np.abs(F) ** 2).sum(axis=2).mean(axis=0)))
+
+
+def _lines(force: _Force, second: Second | None, words: list[str]) -> dict[str, Any]:
+    """Return where lines beside the harmonics are, and the force at them; add it in words."""
+    if second is None or not force.beside_told.any():
+        return {}
+    typical = _typical(force.beside)
+    shown = {
+        int(k): float(size) for k, size, told in zip(force.orders, typical, force.beside_told, strict=True) if told
+    }
+    value, unit = (second.value, "times the speed") if second.follows else (second.value / TURN, "Hz")
+    factor = 1.0 if second.follows else TURN
+    sizes = [f"{k:+d}X {size:.2g} N" if k else f"{size:.2g} N" for k, size in shown.items()]
+    words.append(f"lines beside the harmonics at {value:.4g} {unit} ({', '.join(sizes)})")
+    return {
+        "lines": {
+            "value": value, "std": second.std / factor, "unit": "orders" if second.follows else "Hz",
+            "orders": {str(k): size for k, size in shown.items()},
+        }
+    }  # fmt: skip
+
+
+def _law(force: _Force, words: list[str]) -> dict[str, Any]:
     """Return orders, exponents of speed and amplitude, work per turn; add them in words."""
-    W = np.abs(speeds)
+    F, X, W = force.F, force.X, np.abs(force.speeds)
     size = np.sqrt((np.abs(F) ** 2).sum(axis=2)) * 2
-    typical = np.sqrt((size**2).mean(axis=0))
+    typical = np.where(force.told, _typical(F), 0.0)
     orders = [int(k) for k in np.flatnonzero(typical > SHOWN * typical.max(initial=0.0)) if k]
+    if not orders:
+        return {}
     words.append("orders " + ", ".join(f"{k}X ({typical[k]:.2g} N)" for k in orders[:6]))
     data: dict[str, Any] = {"orders": {str(k): float(typical[k]) for k in orders}}
-    main = max(orders, key=lambda k: typical[k], default=1)
+    main = max(orders, key=lambda k: typical[k])
     good = size[:, main] > 0
     if good.sum() >= 3:
         columns = [np.ones(int(good.sum())), np.log(W[good])]

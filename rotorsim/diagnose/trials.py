@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.finder import insertions
@@ -17,7 +18,7 @@ from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.registry import Registry
 from rotorsim.jobs import Failure, run_jobs
 
-__all__ = ["Candidate", "Round", "Trials", "is_adequate"]
+__all__ = ["Candidate", "Round", "Trials", "is_adequate", "is_noise"]
 
 NOT_EXPLAINED = 1e-4  # probability of the misfit below which a model does not explain the data
 MODEL_ERROR = 1.05  # excess variance that is not worth a name, whatever its probability
@@ -73,6 +74,11 @@ def is_adequate(found: Fit) -> bool:
     if found.failure:
         return False
     return found.goodness >= NOT_EXPLAINED or found.misfit <= MODEL_ERROR * found.freedom
+
+
+def is_noise(found: Fit) -> bool:
+    """Return whether noise can make what a model leaves over, of few lines beside many harmonics too."""
+    return is_adequate(found) and float(chi2.sf(found.line_misfit, max(found.line_rows, 1))) >= NOT_EXPLAINED
 
 
 class Trials:

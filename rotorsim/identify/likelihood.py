@@ -57,6 +57,7 @@ class Likelihood:
         keep = np.ones((2 * self.orders - 1, self.c + self.V), bool)
         keep[0] = experiment.use_mean
         self.keep = np.flatnonzero(keep.ravel())
+        self.is_beside = self.keep >= (2 * self.K + 1) * (self.c + self.V)  # which rows of a run are of such lines
         self.whiteners = [self._whitener(r) for r in range(len(experiment.runs))]
         self.data_rows = [self.whiteners[r].apply(real_vector(self.data[r])) for r in range(len(self.data))]
 

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from rotorsim.identify.functions import Equations
 from rotorsim.identify.ports import DENSE, open_ports, slow_states
@@ -21,6 +23,8 @@ WIDE = 0.1  # relative
 SAMPLES = 16  # of a turn
 CONSTANT = 1e-6  # relative difference of second frequencies that are one
 POINTS, TURNS = 3, 50.0  # samples for each coefficient on a torus, over so many turns of the slowest of all
+SINGULAR = 1e-12  # part of the largest eigenvalue: combinations so near to each other that samples do not tell them
+TOLD = 5.0  # largest logarithm between diagonal entries of a Cholesky factor of combinations that are told well
 SWINGS = 3  # multiples of a second frequency that are told apart: an angle that swings by m makes J_n(k m) of order k
 
 
@@ -108,21 +112,9 @@ class Torus:
         self.frequencies = orders * speeds[:, None] + second[:, None]
         if not forced:
             return
-        k, multiples = np.arange(-K, K + 1), np.arange(-SWINGS, SWINGS + 1)
-        every = [(order, multiple) for multiple in multiples for order in k]
-        places = [SWINGS * len(k) + K + order for order in range(K + 1)]
-        first = (SWINGS + 1) * len(k) + K
-        count = POINTS * len(every)
-        rng = np.random.default_rng(0)
-        self.times = np.empty((len(speeds), count))
-        self.projection = np.empty((len(speeds), K + 1 + len(orders), count), complex)
-        for r, (speed, nu) in enumerate(zip(np.abs(speeds), second, strict=True)):
-            slowest = min(speed, nu, *np.abs(speed * np.arange(1, 4) - nu))
-            self.times[r] = rng.uniform(0, 2 * np.pi * TURNS / max(slowest, 1e-3 * speed), count)
-            at = np.asarray(every) @ (speed, nu)
-            coefficients = np.linalg.pinv(np.exp(1j * self.times[r][:, None] * at), rcond=1e-9)
-            beside = [first + int(np.sign(speeds[r])) * int(order) for order in orders]
-            self.projection[r] = coefficients[places + beside]
+        ways = tuple(int(order) for order in orders)
+        found = [_projection(float(W), float(nu), K, ways) for W, nu in zip(speeds, second, strict=True)]
+        self.times, self.projection = (np.array(parts) for parts in zip(*found, strict=True))
 
     def at(self, speeds: np.ndarray) -> Torus:
         """Return the combinations at other speeds: the second frequency is constant, or a part of the speed."""
@@ -130,6 +122,28 @@ class Torus:
         same = np.ptp(self.second) <= CONSTANT * self.second.max()
         second = np.full(len(speeds), self.second.mean()) if same else parts.mean() * np.abs(speeds)
         return Torus(speeds, self.K, second, self.orders, self.forced)
+
+
+@lru_cache(maxsize=64)
+def _projection(speed: float, nu: float, K: int, orders: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return random times (N,), and what gives harmonics and combinations of samples at these, (K+1+L, N)."""
+    k, multiples = np.arange(-K, K + 1), np.arange(-SWINGS, SWINGS + 1)
+    every = np.array([(order, multiple) for multiple in multiples for order in k])
+    zero, first = SWINGS * len(k) + K, (SWINGS + 1) * len(k) + K
+    rows = [zero + order for order in range(K + 1)] + [first + int(np.sign(speed)) * order for order in orders]
+    speed = abs(speed)
+    slowest = min(speed, nu, *np.abs(speed * np.arange(1, 4) - nu))
+    longest = 2 * np.pi * TURNS / max(slowest, 1e-3 * speed)
+    times = np.random.default_rng(0).uniform(0, longest, POINTS * len(every))
+    waves = np.exp(1j * times[:, None] * (every @ (speed, nu)))
+    normal = waves.conj().T @ waves
+    try:
+        factor = cho_factor(normal)
+        if np.ptp(np.log(np.abs(np.diag(factor[0])))) < TOLD:
+            return times, cho_solve(factor, waves.conj().T)[rows]
+    except np.linalg.LinAlgError:
+        pass
+    return times, np.linalg.pinv(normal, rcond=SINGULAR, hermitian=True)[rows] @ waves.conj().T
 
 
 class Motion:

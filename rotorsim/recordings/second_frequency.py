@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,8 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import binom, chi2
 from threadpoolctl import threadpool_limits
 
-from rotorsim.recordings.harmonic_fit import NEAR, HarmonicFit, fit_harmonics, harmonic_basis
+from rotorsim.recordings.faint_lines import faint_line, spectrum_of
+from rotorsim.recordings.harmonic_fit import NEAR, Basis, HarmonicFit, fit_harmonics, harmonic_basis
 from rotorsim.recordings.harmonics import RunHarmonics
 from rotorsim.recordings.recording import Recording
 
@@ -61,10 +62,12 @@ def find_second(recording: Recording, runs: Sequence[RunHarmonics]) -> Second | 
     """Return the second frequency of lines that at least two runs show, or of a swing of their pulses; None without.
 
     nu is taken as constant, or as a part of the speed: whichever explains more of the lines as |k W + nu|, with the
-    smaller orders k.
+    smaller orders k. Lines too faint for one run are looked for in all runs together.
     """
     seen = _guessed(runs)
-    second = seen or _swinging(runs)
+    swing = None if seen else _swinging(runs)
+    seen = seen or (None if swing else _faint(recording, runs))
+    second = seen or swing
     if second is None:
         return None
     with threadpool_limits(1, "blas"):
@@ -116,6 +119,28 @@ def _guessed(runs: Sequence[RunHarmonics]) -> Second | None:
                 factor = 1.0 if follows else TURN
                 best = (*rank, Second(factor * float(np.median(own)), 0.0, follows, twice or once))
     return None if best is None else best[2]
+
+
+def _faint(recording: Recording, runs: Sequence[RunHarmonics]) -> Second | None:
+    """Return the frequency of a line that all runs show together, though none by itself."""
+    with threadpool_limits(1, "blas"):
+        made = [
+            spectrum_of(
+                item.run.time, _left(recording, item, item.angle.theta)[1], item.fit.speed, int(item.fit.orders[-1])
+            )
+            for item in runs
+        ]
+        found = faint_line([item for item in made if item is not None], _all_orders(runs)[-1])
+    if found is None:
+        return None
+    value, follows, shown = found
+    return Second(value if follows else TURN * value, 0.0, follows, shown)
+
+
+def _left(recording: Recording, item: RunHarmonics, theta: np.ndarray) -> tuple[Basis, np.ndarray]:
+    """Return harmonics of an angle (n,), and what they leave over of the signals, (n, C)."""
+    basis = harmonic_basis(item.fit.run, item.run.time, theta, orders=int(item.fit.orders[-1]))
+    return basis, basis.solve(np.column_stack(list(_signals(recording, item).values())))[1]
 
 
 def _swinging(runs: Sequence[RunHarmonics]) -> Second | None:
@@ -221,16 +246,23 @@ def _refined(second: Second, recording: Recording, runs: Sequence[RunHarmonics])
 
 
 def _by_pulses(second: Second, runs: Sequence[RunHarmonics]) -> Second | None:
-    """Return the frequency near a first value at which the pulses of all runs swing, by maximum likelihood."""
+    """Return the frequency near a first value at which the pulses of all runs swing, by maximum likelihood.
+
+    None where they swing by no more than noise makes them.
+    """
     having = [item for item in runs if item.run.tacho is not None and len(item.run.tacho) >= PULSES]
     if not having:
         return None
 
+    def unlikely(rests: Iterable[np.ndarray]) -> float:
+        return float(sum(len(rest) * np.log(np.mean(rest**2) + ROUNDING**2) for rest in rests))
+
     def left(value: float) -> float:
-        found = (_swing(item, replace(second, value=value).at(item.fit.speed)) for item in having)
-        return float(sum(len(rest) * np.log(np.mean(rest**2) + ROUNDING**2) for _, _, rest in found))
+        return unlikely(_swing(item, replace(second, value=value).at(item.fit.speed))[2] for item in having)
 
     at, bend = _least(left, second, having)
+    if unlikely(_swing(item, None)[2] for item in having) - left(at) < chi2.isf(FALSE_ALARM, 2 * len(having)):
+        return None
     return replace(second, value=at, std=float(np.sqrt(2 / max(bend, 1e-300))))
 
 
@@ -261,8 +293,7 @@ def _rest(second: Second, recording: Recording, runs: Sequence[RunHarmonics]) ->
     for item in runs:
         time = item.run.time
         theta = _even(item, second.at(item.fit.speed))[0] if second.even else item.angle.theta
-        basis = harmonic_basis(item.fit.run, time, theta, orders=int(item.fit.orders[-1]))
-        left = basis.solve(np.column_stack(list(_signals(recording, item).values())))[1]
+        basis, left = _left(recording, item, theta)
         scale = abs(item.fit.speed) if second.follows else 1.0
         parts.append((time - time.mean(), theta, scale, basis, left / np.maximum(item.fit.residual, 1e-300)))
     every = sum(float((part[4] ** 2).sum()) for part in parts)
@@ -290,15 +321,20 @@ def _even(item: RunHarmonics, second: float) -> tuple[np.ndarray, float]:
     return np.asarray(best[0] + best[1] * (item.run.time - middle)), float(np.sqrt(variance / len(rest)))
 
 
-def _swing(item: RunHarmonics, second: float) -> tuple[np.ndarray, float, np.ndarray]:
-    """Return angle, speed and swing (4,) that fit the pulses of a run, the time they count from, and what is left."""
+def _swing(item: RunHarmonics, second: float | None) -> tuple[np.ndarray, float, np.ndarray]:
+    """Return angle, speed and swing (4,) that fit the pulses of a run, the time they count from, and what is left.
+
+    second: frequency of the swing [rad/s]; None: there is none.
+    """
     at, turned = item.run.time, item.angle.theta
     pulses = item.run.tacho
     if pulses is not None and len(pulses) > 6:  # they are right where an angle between them is a guess
         at = np.asarray(pulses)
         turned = np.sign(item.fit.speed) * TURN * np.arange(len(at))
     middle = float(at.mean())
-    columns = np.column_stack([np.ones(len(at)), at - middle, np.cos(second * at), np.sin(second * at)])
+    columns = np.column_stack([np.ones(len(at)), at - middle])
+    if second is not None:
+        columns = np.column_stack([columns, np.cos(second * at), np.sin(second * at)])
     best = np.linalg.lstsq(columns, turned, rcond=1e-9)[0]
     return best, middle, turned - columns @ best
 

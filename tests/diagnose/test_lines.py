@@ -14,6 +14,7 @@ from rotorsim.diagnose.files import diagnosis_data, save_diagnosis
 from rotorsim.diagram import load
 from rotorsim.errors import Place
 from rotorsim.recordings import Channel, Recording, Run
+from rotorsim.recordings.harmonics import harmonics_of
 from rotorsim.report.diagnosis_comparison import fitted_pair, held_pair
 from rotorsim.report.diagnosis_figures import spectra_figure
 from rotorsim.simulate import simulate
@@ -30,6 +31,7 @@ ACCELERATION, DIRECTION, SWING = 0.05, 0.6, 1.5e-3
 PHYSICS = (
     "base_excitation", "speed_fluctuation", "torsion_coupling", "residual_bow", "runout", "anisotropic_support",
 )  # fmt: skip
+FAINT = 4e-3  # of a shaking that every run shows
 ODD = np.arange(1, 10, 2)
 
 
@@ -130,6 +132,7 @@ def recording(machine: Machine, seed: int = 1) -> Recording:
 MACHINES = {
     "healthy": Machine(),
     "shaken": Machine(shaking=ACCELERATION, nu=SHAKEN),
+    "faint": Machine(shaking=ACCELERATION * FAINT, nu=SHAKEN),
     "swinging": Machine(swing=SWING, nu=SWINGING),
     "either way": Machine(swing=SWING, nu=SWINGING, directions=(1, -1, -1, 1, 1, -1)),
 }
@@ -137,8 +140,8 @@ MACHINES = {
 
 @cache
 def diagnosed(name: str) -> Diagnosis:
-    physics = PHYSICS[:2] if name == "either way" else PHYSICS
-    return diagnose(load("jeffcott"), recording(MACHINES[name]), physics=physics, workers=1)
+    few = {"either way": PHYSICS[:2], "faint": ("base_excitation", "residual_bow", "runout")}
+    return diagnose(load("jeffcott"), recording(MACHINES[name]), physics=few.get(name, PHYSICS), workers=1)
 
 
 def off(found: Diagnosis, name: str, true: float) -> float:
@@ -159,6 +162,30 @@ def test_a_shaken_base_is_named_and_measured():
     frequency = diagnosis_data(found)["missing"][0]["parameters"]["frequency"]
     assert abs(frequency["value"] - SHAKEN) < 3 * frequency["std"]
     assert frequency["std"] < 1e-4 * SHAKEN
+
+
+def test_a_shaking_too_faint_for_any_run_is_named_from_all():
+    found = diagnosed("faint")
+    assert not any(item.fit.lines for item in harmonics_of(recording(MACHINES["faint"])))
+    assert found.verdict == "missing_physics"
+    assert [list(effect.members) for effect in found.effects] == [["base_excitation"]]
+    assert abs(off(found, "base_excitation.acceleration", ACCELERATION * FAINT)) < 3
+    assert found.score_before.total < 1.1 * found.score_before.noise
+
+
+@pytest.mark.parametrize("name", ["shaken", "faint"])
+def test_lines_that_no_row_explains_are_described(name):
+    """The force that acts is mass times acceleration, 0-peak; faint: noise adds 40 % at most."""
+    machine = MACHINES[name]
+    found = diagnose(load("jeffcott"), recording(machine), physics=("residual_bow",), workers=1)
+    assert (found.verdict, found.effects) == ("outside_catalogue", ())
+    assert found.outside["place"] == "rotor.force"
+    assert "orders" not in found.outside  # harmonics are noise
+    lines = found.outside["lines"]
+    assert lines["unit"] == "Hz"
+    assert abs(lines["value"] - SHAKEN / TURN) < 4 * lines["std"]
+    assert lines["orders"]["0"] == pytest.approx(machine.mass * machine.shaking, rel=0.01 if name == "shaken" else 0.4)
+    assert f"lines beside the harmonics at {lines['value']:.4g} Hz" in found.statement
 
 
 def test_a_swinging_speed_is_named_as_a_class_and_measured():

@@ -1,5 +1,6 @@
 """Which verdict follows from what effects explain."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from rotorsim.diagnose.conclusions import _effect, nearest, verdict_of
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.naming import AS_MUCH, NEARLY, Named, Round, _named, _worth_again
 from rotorsim.diagnose.scoring import DETAILS, SURPRISE, HeldScore, predicts
+from rotorsim.diagnose.trials import is_adequate, is_noise
 from rotorsim.diagram.diagram import Free
 
 ROWS = 1000
@@ -46,6 +48,19 @@ def test_what_nothing_was_found_for_is_outside_or_nothing():
     assert verdict_of(Named(left(50.0), (), (), left(50.0), 1e-4), ()) == "outside_catalogue"
     assert verdict_of(Named(left(1.0), (), (), left(1.0), 1e-4), ()) == "consistent"
     assert verdict_of(Named(left(1.0), (), (), left(1.0), 1e-4), (), alike=True) == "not_identifiable"
+
+
+def test_faint_lines_are_not_noise_though_little_in_all():
+    base = replace(left(1.0), line_misfit=110.0, line_rows=30)
+    assert is_adequate(base)
+    assert not is_noise(base)
+    assert verdict_of(Named(base, (), (), base, 1e-4), ()) == "outside_catalogue"
+    chosen = (SimpleNamespace(fit=left(0.97)),)
+    assert verdict_of(Named(base, chosen, (), left(0.97), 1e-4), (EFFECT,)) == "missing_physics"
+    lines_left = replace(left(0.99), line_misfit=100.0, line_rows=30)
+    assert verdict_of(Named(base, chosen, (), lines_left, 1e-4), (EFFECT,)) == "outside_catalogue"
+    strong = replace(left(50.0), line_misfit=4e4, line_rows=30)
+    assert verdict_of(Named(strong, chosen, (), lines_left, 1e-4), (EFFECT,)) == "missing_physics"  # details of a law
 
 
 @pytest.mark.parametrize(
