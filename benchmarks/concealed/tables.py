@@ -86,6 +86,9 @@ def summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
         }
     out["held_out_gain"] = {
         "of_one_and_two": _numbers([item.get("gain") for item in known]),
+        "after_over_floor": _numbers([
+            item["after"] / item["floor"] for item in known if item.get("after") and item.get("floor")
+        ]),
         "at_least_90_%": _count([item["gain"] >= 0.9 for item in known if item.get("gain") is not None]),
         "noise_floor_claimed_over_true": _numbers([
             item["floor"] / item["true_floor"] for item in done if item.get("floor") and item.get("true_floor")
@@ -154,6 +157,7 @@ def markdown(result: dict[str, Any], title: str) -> str:
     gain = result["held_out_gain"]
     lines.append(f"| log(before/after) over log(before/noise floor), held-out | {_spread(gain['of_one_and_two'])} |")
     lines.append(f"| ... at least 90 % | {_share(gain['at_least_90_%'])} |")
+    lines.append(f"| error left over noise floor, held-out | {_spread(gain['after_over_floor'], percent=False)} |")
     lines.append(
         f"| noise floor claimed over the true one | {_spread(gain['noise_floor_claimed_over_true'], percent=False)} |"
     )

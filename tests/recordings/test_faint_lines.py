@@ -31,7 +31,7 @@ def test_a_line_too_faint_for_one_run_is_found_in_all(orders, nu, follows):
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.6
 
 
-def test_a_frequency_and_its_mirror_are_found_with_shafts_that_turn_back():
+def test_it_is_found_with_shafts_that_turn_back():
     data, _ = made({0: FAINT}, seed=3, speeds=-SPEEDS)
     second = find_second(data, harmonics_of(data))
     assert second is not None
