@@ -39,7 +39,7 @@ def command(
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
     from rotorsim.simulate.campbell_diagram import campbell
 
-    found = campbell(loaded, chosen, orders=multiples)
+    found = campbell(loaded, speeds=chosen, orders=multiples)
     if plot:
         from rotorsim.report.figures import save_figure
         from rotorsim.report.linear_figures import campbell_figure

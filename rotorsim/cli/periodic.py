@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import click
@@ -46,14 +45,13 @@ def command(
     found = periodic(loaded, speeds=chosen, harmonics=harmonics, subharmonic=subharmonic, signals=record or None)
     for name in found.drifting:
         common.note(f"{name} drifts: its mean has no settled value")
-    pairs = [name for name in found.harmonics if _is_pair(name, found.harmonics)]
     if plot:
-        if not pairs or len(found.speeds) < 2:
-            raise RotorsimError(Problem(what="--plot needs several speeds and a two-axis signal", hint="give --speeds"))
+        if len(found.speeds) < 2:
+            raise RotorsimError(Problem(what="--plot needs several speeds", hint="give --speeds"))
         from rotorsim.report.figures import save_figure
         from rotorsim.report.linear_figures import periodic_figure
 
-        save_figure(periodic_figure(found, pairs[0], loaded.name), plot)
+        save_figure(periodic_figure(found, title=loaded.name), plot)
         common.note(f"written: {plot}")
     failed = [
         Problem(what=text, subject=f"{loaded.name} at {common.rpm(float(speed)):.6g} rpm")
@@ -79,7 +77,7 @@ def command(
             }
         )
     else:
-        click.echo("\n\n".join(_table(found, name) for name in pairs or list(found.harmonics)))
+        click.echo("\n\n".join(_table(found, name) for name in found.two_axis or found.harmonics))
     return 1 if failed else 0
 
 
@@ -96,8 +94,3 @@ def _table(found: Periodic, name: str) -> str:
             if size > 1e-4 * largest
         ]
     return name + "\n" + common.table(("speed [rpm]", "order", f"amplitude [{unit}, 0-peak]", "phase [deg]"), lines)
-
-
-def _is_pair(name: str, known: Iterable[str]) -> bool:
-    """Whether a signal is x + i y: its first axis is there as well."""
-    return (f"{name[:-1]},1]" if name.endswith("]") else f"{name}[1]") in known

@@ -14,6 +14,7 @@ from rotorsim.compile.emit import Kernel, build_kernel, emit_c
 from rotorsim.compile.toolchain import Compiler, compile_c, find_compiler
 from rotorsim.compile.trace import Signal, Trace, flat_indices, trace_diagram
 from rotorsim.diagram.diagram import Diagram, Endpoint
+from rotorsim.diagram.values import ValueProblem, bounds_problem, numeric
 from rotorsim.errors import Problem, RotorsimError
 
 __all__ = ["Library", "Model", "compile_diagram"]
@@ -90,9 +91,10 @@ class Model:
                 self.p0[self.parameters[f"{name}.{key}"]] = np.ravel(value)
 
     def parameter_vector(self, overrides: Mapping[str, Any] | None = None) -> np.ndarray:
-        """Return p with some values replaced (SI; diagram parameters by name set all that refer to them).
+        """Return p with some values replaced; diagram parameters by name set all that refer to them.
 
-        Raises RotorsimError for unknown names and wrong shapes.
+        overrides: SI numbers, or texts with a unit ("1800 rpm"). Raises RotorsimError for unknown names, texts that do
+        not fit, values outside the declared bounds and wrong shapes.
         """
         p = self.p0.copy()
         problems = []
@@ -104,30 +106,52 @@ class Model:
                 hint = f"did you mean '{near[0]}'?" if near else "`rotorsim blocks TYPE` lists parameters"
                 problems.append(Problem(what="no such parameter", subject=name, hint=hint))
                 continue
-            for part in parts:
-                given = np.ravel(np.asarray(value, float))
+            for target, part in parts.items():
+                try:
+                    given = self._value(target, value)
+                except ValueProblem as problem:
+                    problems.append(Problem(what=problem.what, subject=name, hint=problem.hint))
+                    break
                 if given.size not in (1, part.stop - part.start):
                     what = f"{given.size} values given, {part.stop - part.start} expected"
                     problems.append(Problem(what=what, subject=name))
                 else:
-                    p[part] = given
+                    p[part] = given.ravel()
         if problems:
             raise RotorsimError(*problems)
         return p
 
-    def _parts_of(self, name: str) -> list[slice]:
+    def _value(self, name: str, value: Any) -> np.ndarray:
+        """Return a value for a parameter of a block ("" for one that no block follows) in SI; raise ValueProblem."""
+        block, _, key = name.rpartition(".")
+        if not block:
+            return numeric(value, None)
+        declared = self.diagram.nodes[block].block.parameters[key]
+        array = numeric(value, declared.unit)
+        outside = bounds_problem(array, declared)
+        if outside is not None:
+            raise outside
+        return array
+
+    def _parts_of(self, name: str) -> dict[str, slice]:
+        """Return the parameters of blocks that a name sets, with their parts of p."""
         if name in self.diagram.parameters:
-            return self.references.get(name, []) or [slice(0, 0)]
-        return [self.parameters[name]] if name in self.parameters else []
+            return self._followers.get(name, {}) or {"": slice(0, 0)}
+        return {name: self.parameters[name]} if name in self.parameters else {}
+
+    @cached_property
+    def _followers(self) -> dict[str, dict[str, slice]]:
+        found: dict[str, dict[str, slice]] = {}
+        for block, node in self.diagram.nodes.items():
+            for key, reference in node.references.items():
+                target = f"{block}.{key}"
+                found.setdefault(reference, {})[target] = self.parameters[target]
+        return found
 
     @cached_property
     def references(self) -> dict[str, list[slice]]:
         """Diagram parameter -> the parts of p that follow it."""
-        found: dict[str, list[slice]] = {}
-        for block, node in self.diagram.nodes.items():
-            for key, reference in node.references.items():
-                found.setdefault(reference, []).append(self.parameters[f"{block}.{key}"])
-        return found
+        return {name: list(parts.values()) for name, parts in self._followers.items()}
 
     @cached_property
     def _initial(self) -> ca.Function:

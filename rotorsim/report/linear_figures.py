@@ -10,14 +10,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
-from rotorsim.report.style import BLUE, GREEN, GREY, ORANGE, RED, display, figure, rpm, styled
+from rotorsim.report.style import BLUE, GREEN, GREY, ORANGE, RED, ROUNDING, display, figure, phase_line, rpm, styled
 
 if TYPE_CHECKING:
     from rotorsim.simulate.campbell_diagram import Campbell, Crossing
+    from rotorsim.simulate.eigenmodes import Modes
     from rotorsim.simulate.frequency import FrequencyResponse, Sensitivity
     from rotorsim.simulate.periodic_result import Periodic
 
-__all__ = ["campbell_figure", "frequency_response_figure", "periodic_figure", "sensitivity_figure"]
+__all__ = ["campbell_figure", "frequency_response_figure", "modes_figure", "periodic_figure", "sensitivity_figure"]
 
 _WHIRL = {"forward": (BLUE, "-"), "backward": (ORANGE, "--"), "planar": (GREEN, ":")}
 
@@ -151,32 +152,60 @@ def sensitivity_figure(found: Sensitivity, title: str = "") -> Figure:
 
 
 def periodic_figure(
-    found: Periodic, signal: str, title: str = "", *, orders: Sequence[float] = (1, 2, 3, -1)
-) -> Figure:
-    """Return the amplitude of harmonics of a two-axis signal over speed.
+    found: Periodic, signals: Sequence[str] | str | None = None, title: str = "",
+    *, orders: Sequence[float] = (1, 2, 3, -1),
+) -> Figure:  # fmt: skip
+    """Return amplitude and phase of harmonics over speed, one row of panels per signal.
 
-    Speeds without a solution are gaps, unstable motions crosses. Raises RotorsimError for signals not in the result.
+    signals: default those of two axes, else all. Speeds without a solution are gaps, unstable motions crosses; what is
+    rounding beside the largest harmonic is not drawn. Raises RotorsimError for signals not in the result.
     """
+    names = [signals] if isinstance(signals, str) else list(signals or found.two_axis or found.harmonics)
     there = [k for k in orders if np.isclose(found.orders, k, rtol=0, atol=1e-9).any()]
     speed = rpm(found.speeds)
     unstable = np.array([stable is False for stable in found.stable], bool)
+    mark = "-" if len(speed) > 1 else "o"
     with styled():
-        made = figure(7.5, 4.5, title)
-        axes = made.add_subplot()
-        largest = 0.0
-        for order in there:
-            values, unit = display(np.abs(found.harmonic(signal, order)), found.units.get(signal, ""))
-            largest = max(largest, float(np.nanmax(values, initial=0.0)))
-            mark = "-" if len(speed) > 1 else "o"
-            (line,) = axes.semilogy(speed, np.where(values > 0, values, np.nan), mark, label=f"{order:+g}X")
-            axes.plot(speed[unstable], values[unstable], "x", ms=5, color=line.get_color())
-            axes.set_ylabel(f"[{unit}, 0-peak]")
-        if largest > 0:  # what is zero but for rounding says nothing
-            axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-6 * largest))
+        made = figure(9.5, 0.7 + 2.6 * len(names), title or str(found.provenance.get("diagram", "")))
+        panels = made.subplots(len(names), 2, sharex=True, squeeze=False)
+        for (left, right), name in zip(panels, names, strict=True):
+            unit = found.units.get(name, "")
+            curves = np.array([found.harmonic(name, order) for order in there])
+            floor = ROUNDING * np.nanmax(np.abs(curves), initial=0.0)
+            for order, curve in zip(there, curves, strict=True):
+                seen = np.where(np.abs(curve) > floor, curve, np.nan)
+                sizes, shown = display(np.abs(seen), unit)
+                (line,) = left.plot(speed, sizes, mark, label=f"{order:+g}X")
+                right.plot(*phase_line(speed, seen), mark, color=line.get_color())
+                left.plot(speed[unstable], sizes[unstable], "x", ms=5, color=line.get_color())
+            left.set_title(name, loc="left")
+            left.set_ylabel(f"amplitude [{shown}, 0-peak]")
+            right.set_ylabel("phase [deg]")
+            right.set(ylim=(-190, 190), yticks=range(-180, 181, 90))
+            if floor > 0:
+                left.set_yscale("log")
+            left.margins(x=0)
         if unstable.any():
-            axes.plot([], [], "x", ms=5, color=GREY, label="unstable")
-        axes.set_title(f"harmonics of {signal}", loc="left")
-        axes.set_xlabel("speed [rpm]")
-        axes.margins(x=0)
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(there) + 1, borderaxespad=0.0)
+            panels[0, 0].plot([], [], "x", ms=5, color=GREY, label="unstable")
+        for axes in panels[-1]:
+            axes.set_xlabel("speed [rpm]")
+        made.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=len(there) + 1)
+    return made
+
+
+def modes_figure(found: Modes, title: str = "") -> Figure:
+    """Return the poles that oscillate: frequency [Hz] against damping ratio; unstable ones stand left of zero."""
+    with styled():
+        made = figure(6.5, 4.2, title or repr(found).partition(":")[0].removeprefix("Modes("))
+        axes = made.add_subplot()
+        for whirl, (colour, _) in _WHIRL.items():
+            chosen = [mode for mode in found.modes if mode.whirl == whirl]
+            sizes = [mode.damping_ratio for mode in chosen], [mode.frequency_hz for mode in chosen]
+            if chosen:
+                axes.plot(*sizes, "o", ms=6, mfc="white", mec=colour, label=whirl)
+        axes.axvline(0.0, color=RED, lw=0.8)
+        axes.set(xlabel="damping ratio (below zero: unstable)", ylabel="damped natural frequency [Hz]")
+        axes.set_ylim(bottom=0)
+        if found.modes:
+            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2)
     return made

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq, linear_sum_assignment
 
+from rotorsim._shown import Shown, xarray_module
 from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.simulate.eigenmodes import Eigen, _shape_signals, checked_speeds, eigen, require_speed, whirl
@@ -31,8 +32,8 @@ class Crossing:
     damping_ratio: float
 
 
-@dataclass(frozen=True)
-class Campbell:
+@dataclass(frozen=True, repr=False)
+class Campbell(Shown):
     """Modes over speed: one column per mode, followed by shape; NaN where a mode does not oscillate.
 
     speeds (n,) [rad/s]; frequency_hz, damping_ratio (n, modes); whirl (n, modes) text, "" where NaN.
@@ -44,6 +45,28 @@ class Campbell:
     whirl: np.ndarray
     crossings: tuple[Crossing, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    _figure = "rotorsim.report.linear_figures:campbell_figure"
+
+    def __repr__(self) -> str:
+        low, high = (end * 30 / np.pi for end in (self.speeds.min(), self.speeds.max()))
+        critical = [f"{item.speed * 30 / np.pi:.6g}" for item in self.crossings if item.order == 1]
+        found = f"critical speeds {', '.join(critical)} rpm" if critical else "no critical speed"
+        name = self.provenance.get("diagram", "")
+        return f"Campbell({name}: {self.frequency_hz.shape[1]} modes, {low:.6g}..{high:.6g} rpm, {found})"
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset over speed [rad/s] and mode; needs the optional package xarray."""
+        dims = ("speed", "mode")
+        variables = {
+            "frequency_hz": (dims, self.frequency_hz, {"units": "Hz"}),
+            "damping_ratio": (dims, self.damping_ratio, {"units": "1"}),
+            "whirl": (dims, self.whirl, {}),
+        }
+        coordinates = {
+            "speed": ("speed", self.speeds, {"units": "rad/s"}), "mode": np.arange(self.frequency_hz.shape[1]) + 1,
+        }  # fmt: skip
+        return xarray_module().Dataset(variables, coordinates, {k: str(v) for k, v in self.provenance.items()})
 
     def to_table(self) -> list[dict[str, Any]]:
         """Return one row per speed and mode."""
@@ -69,8 +92,8 @@ class _Point:
 
 def campbell(
     diagram: Diagram | Model,
-    speeds: Sequence[float] | np.ndarray,
     *,
+    speeds: Sequence[float] | np.ndarray,
     parameters: Mapping[str, Any] | None = None,
     orders: Sequence[int] = (1, 2),
 ) -> Campbell:

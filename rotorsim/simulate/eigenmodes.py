@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eig
 
+from rotorsim._shown import Shown
 from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
@@ -54,8 +55,8 @@ class Mode:
         return self.eigenvalue.real > 0.0
 
 
-@dataclass(frozen=True)
-class Modes:
+@dataclass(frozen=True, repr=False)
+class Modes(Shown):
     """The modes in ascending damped frequency, one per conjugate pair, and the poles that do not oscillate.
 
     real_poles [1/s], ascending. speed [rad/s]: value of the diagram parameter ``speed``, None without one.
@@ -69,6 +70,14 @@ class Modes:
     stable: bool
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    _figure = "rotorsim.report.linear_figures:modes_figure"
+
+    def __repr__(self) -> str:
+        listed = ", ".join(f"{mode.frequency_hz:.5g} Hz" for mode in self.modes[:4])
+        more = ", ..." if len(self.modes) > 4 else ""
+        state = "stable" if self.stable else "unstable"
+        return f"Modes({self.provenance.get('diagram', '')}: {state}, {len(self.modes)} modes: {listed}{more})"
 
     def to_table(self) -> list[dict[str, Any]]:
         """Return one row per mode: frequencies [Hz], damping ratio, whirl, whether it grows."""
@@ -123,7 +132,7 @@ def two_axis_signals(model: Model) -> tuple[str, ...]:
 
 
 def modes(
-    diagram: Diagram | Model, parameters: Mapping[str, Any] | None = None, *, at: np.ndarray | None = None
+    diagram: Diagram | Model, *, parameters: Mapping[str, Any] | None = None, at: np.ndarray | None = None
 ) -> Modes:
     """Return the modes of the closed loop: eigenvalues of A of d x/dt = A x at the operating point.
 

@@ -37,9 +37,9 @@ def simulate(
 ) -> Result:
     """Simulate from t = 0 to ``stop`` [s] and return the recorded signals.
 
-    parameters: SI values by name ("speed", "controller.KP"). method: "rk4" (fixed step, default) or
-    "dop853", "rk45", "radau", "bdf", "lsoda" (adaptive, zero crossings located). record: signal names,
-    parts allowed ("rotor.displacement[3]"). record_every: keep every n-th step. initial: x (n_x,).
+    parameters: by name ("speed", "controller.KP"), SI or texts with a unit ("1800 rpm"). method: "rk4" (fixed
+    step, default) or "dop853", "rk45", "radau", "bdf", "lsoda" (adaptive, zero crossings located). record: signal
+    names, parts allowed ("rotor.displacement[3]"). record_every: keep every n-th step. initial: x (n_x,).
     progress: called with the fraction done. A run that diverges or is interrupted returns what was
     computed, with status "diverged" or "stopped". Raises RotorsimError for wrong arguments.
     """

@@ -71,7 +71,7 @@ def test_periodic_as_text_and_figure(run) -> None:
 def test_periodic_figure_of_one_speed(run) -> None:
     result = run("periodic", "jeffcott", "--plot", "p.png")
     assert result.exit_code == 2
-    assert result.stderr.endswith("--plot needs several speeds and a two-axis signal\n\nhint: give --speeds\n")
+    assert result.stderr.endswith("--plot needs several speeds\n\nhint: give --speeds\n")
 
 
 RPM = math.pi / 30
