@@ -57,7 +57,7 @@ def harmonics_of(result: Result, angle: str) -> list[Harmonics]:
 
 
 def run_ups(result: Result, angle: str, shown: Collection[str]) -> list[dict[str, Any]]:
-    """Return speed and peak of the largest Hilbert envelope of both axes of two-axis signals in a run-up."""
+    """Return speed and peak of the largest turn of both axes of two-axis signals in a run-up, and their resonances."""
     speed = angle.replace(".theta", ".speed")
     if not angle or result.status != "finished" or speed not in result or np.ptp(result[speed]) == 0.0:
         return []
@@ -74,7 +74,9 @@ def run_ups(result: Result, angle: str, shown: Collection[str]) -> list[dict[str
             found = run_up(result, entry, speed=speed)
             rows.append(
                 {"signal": entry, "unit": result.units.get(name, found.unit), "resonance": found.resonance,
-                 "resonance_rpm": common.rpm(found.resonance), "peak": found.peak}
+                 "resonance_rpm": common.rpm(found.resonance), "peak": found.peak, "rises": found.rises,
+                 "orders": [{"order": one.order, "speed": one.speed, "speed_rpm": common.rpm(one.speed),
+                             "peak": one.peak} for one in found.resonances()]}
             )  # fmt: skip
     return rows
 
@@ -84,8 +86,13 @@ def run_up_table(result: Result, angle: str, shown: Collection[str]) -> str:
     lines = []
     for row in run_ups(result, angle, shown):
         unit, scale = common.display_unit(row["unit"])
-        lines.append((row["signal"], f"{row['resonance_rpm']:.1f}", f"{row['peak'] * scale:.6g}", unit))
-    header = ("run-up, Hilbert envelope", "largest at [rpm]", "0-peak", "unit")
+        largest = "largest turn, still rising" if row["rises"] else "largest turn"
+        lines.append((row["signal"], largest, f"{row['resonance_rpm']:.1f}", f"{row['peak'] * scale:.6g}", unit))
+        lines += [
+            ("", f"{one['order']}X", f"{one['speed_rpm']:.1f}", f"{one['peak'] * scale:.6g}", unit)
+            for one in row["orders"]
+        ]
+    header = ("run-up", "resonance of", "at [rpm]", "0-peak", "unit")
     return common.table(header, lines) if lines else ""
 
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.report.style import AXES, BLUE, GREY, INK, ORANGE, RED, display, figure, rpm, styled
+from rotorsim.report.style import AXES, BLUE, GREEN, GREY, INK, ORANGE, RED, ROUNDING, display, figure, rpm, styled
 from rotorsim.simulate.result import Result
 from rotorsim.simulate.spectrum import FullSpectrum, RunUp, angle_of, full_spectrum, last_turns, run_up
 
@@ -203,26 +203,30 @@ def spectrum_figure(
 
 
 def _draw_run_up(axes: Axes, found: RunUp) -> None:
-    speed = rpm(found.speed)
-    samples, unit = display(found.samples, found.unit)
-    curve, _ = display(found.envelope, found.unit)
-    peak, _ = display(found.peak, found.unit)
-    axes.plot(speed, samples, color=BLUE, lw=0.3, alpha=0.35, rasterized=True)
-    axes.plot(speed, curve, color=RED, lw=0.8, label="Hilbert envelope", rasterized=True)
-    for one, mark in zip(found.resonances(), "ov^", strict=False):
-        height, _ = display(one.peak, found.unit)
-        name = "largest" if one.order == 1 else f"met by {one.order}X"
-        label = f"{name} at {rpm(one.speed):.0f} rpm: {float(height):.4g} {unit}, 0-peak"
-        axes.plot(rpm(one.speed), height, mark, ms=6, mfc="white", mec=INK, ls="none", label=label, zorder=4)
-    top = 1.12 * max(float(peak), float(np.abs(samples[len(samples) // 50 :]).max()))
-    axes.set_title(f"run-up: {found.signal}", loc="left")
+    speeds, (peaks, unit) = rpm(found.speeds), display(found.peaks, found.unit)
+    samples, _ = display(found.samples, found.unit)
+    axes.plot(rpm(found.speed), samples, color=GREY, lw=0.3, alpha=0.25, rasterized=True)
+    axes.plot(speeds, peaks, color=INK, lw=0.9, label="peak of each turn")
+    largest = max(float(np.nanmax(curve, initial=0.0)) for curve in found.orders.values())
+    for (order, curve), colour in zip(found.orders.items(), (BLUE, ORANGE, GREEN), strict=False):
+        if np.nanmax(curve, initial=0.0) > ROUNDING * largest:
+            axes.plot(speeds, display(curve, found.unit)[0], color=colour, lw=1.0, label=f"{order}X")
+    marks = [(f"{one.order}X", one.speed, one.peak) for one in found.resonances()]
+    if found.rises:
+        marks.append(("still rising", found.resonance, found.peak))
+    for (name, speed, peak), mark in zip(marks, "ov^s", strict=False):
+        height = float(display(peak, found.unit)[0])
+        label = f"{name} at {rpm(speed):.0f} rpm: {height:.4g} {unit}, 0-peak"
+        axes.plot(rpm(speed), height, mark, ms=6, mfc="white", mec=INK, ls="none", label=label, zorder=4)
+    top = 1.12 * float(peaks[len(peaks) // 50 :].max())
+    axes.set_title(f"run-up: {found.signal}, about its mean", loc="left")
     axes.set(xlabel="speed [rpm]", ylabel=f"[{unit}, 0-peak]", ylim=(-top, top))
     axes.margins(x=0)
-    axes.legend(loc="upper left")
+    axes.legend(loc="lower left", fontsize=7.5)
 
 
 def run_up_figure(result: Result, signal: str) -> Figure:
-    """Return one axis of a run-up with its Hilbert envelope against the speed."""
+    """Return one axis of a run-up against the speed: samples, peak of each turn, orders and their resonances."""
     found = run_up(result, signal, speed=speed_of(result) or "clock.speed")
     with styled():
         made = figure(8.0, 4.0, title_of(result))
@@ -231,7 +235,7 @@ def run_up_figure(result: Result, signal: str) -> Figure:
 
 
 def overview(result: Result) -> Figure:
-    """Return one page of a run: time histories, orbit, full spectrum; of a run-up its envelopes.
+    """Return one page of a run: time histories, orbit, full spectrum; of a run-up its orders.
 
     Signals without two axes are drawn against time only, and so is everything of a run that did not finish.
     """
