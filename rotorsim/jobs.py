@@ -110,7 +110,8 @@ def run_jobs(
 
 def _check(scheduler: str | None, workers: int | None, chunk: int, on_error: str) -> None:
     problems = []
-    if scheduler not in (None, "synchronous", *_POOLS) and not re.fullmatch(r"(tcp|tls)://[^/]+:\d+", scheduler):
+    known = scheduler is None or scheduler == "synchronous" or scheduler in _POOLS
+    if not known and not re.fullmatch(r"(tcp|tls)://[^/]+:\d+", str(scheduler)):
         hint = "tcp://host:port of a Dask scheduler, or synchronous"
         problems.append(Problem(f"'{scheduler}' is not the address of a scheduler", "scheduler", hint=hint))
     if workers is not None and workers < 1:

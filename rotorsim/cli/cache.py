@@ -18,7 +18,7 @@ __all__ = ["command"]
 def command(clear: bool, as_json: bool) -> None:
     """Show or clear the cache of compiled models."""
     from rotorsim.compile.toolchain import cache_folder
-    from rotorsim.diagram.files import sweep
+    from rotorsim.diagram.files import HIDDEN, sweep
 
     folder = cache_folder()
     inside = list(folder.iterdir()) if folder.is_dir() else []
@@ -32,7 +32,7 @@ def command(clear: bool, as_json: bool) -> None:
                 shutil.rmtree(left, ignore_errors=True)
             elif re.fullmatch(r"fmu-[0-9a-f]{32}\.\d+", left.name):
                 left.unlink(missing_ok=True)
-        sweep(folder, ".rotorsim-")
+        sweep(folder, HIDDEN)
     if as_json:
         echo_json({"folder": str(folder), "files": len(files), "bytes": size, "cleared": clear})
     else:

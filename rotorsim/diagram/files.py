@@ -18,11 +18,11 @@ from pathlib import Path
 
 from rotorsim.errors import Place, Problem, RotorsimError
 
-__all__ = ["atomic_target", "sweep", "temporary_prefix", "write_atomically"]
+__all__ = ["HIDDEN", "atomic_target", "sweep", "temporary_prefix", "write_atomically"]
 
 _NO_ROOM = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQUOT") else [])}
 _FOREIGN = 86400.0  # s; what a process of another machine left on a shared disk is swept after a day
-_HIDDEN = ".rotorsim-"
+HIDDEN = ".rotorsim-"  # start of the names of files and folders that are not yet in their place
 
 
 @contextlib.contextmanager
@@ -39,12 +39,12 @@ def atomic_target(path: str | Path, *, size: int | None = None, mode: int | None
         raise RotorsimError(Problem("folder does not exist", place=Place(str(path.parent)), hint="create it first"))
     if path.is_dir():
         raise RotorsimError(Problem("is a folder", place=Place(str(path)), hint="give the name of a file"))
-    sweep(path.parent, _HIDDEN)
+    sweep(path.parent, HIDDEN)
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=temporary_prefix(_HIDDEN), suffix=path.suffix)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=temporary_prefix(HIDDEN), suffix=path.suffix)
     except OSError as error:
         if error.errno in _NO_ROOM:
-            raise _no_room(path, error, size, 0) from None
+            raise _no_room(path, error.errno, size, 0) from None
         why = error.strerror or str(error)
         raise RotorsimError(
             Problem(f"file cannot be written: {why}", place=Place(str(path)), hint="choose another folder")
@@ -57,28 +57,36 @@ def atomic_target(path: str | Path, *, size: int | None = None, mode: int | None
         with temporary.open("rb") as written:
             os.fsync(written.fileno())  # else a power cut after the rename may leave an empty file
         os.replace(temporary, path)
-    except OSError as error:
-        if error.errno not in _NO_ROOM:
+    except (OSError, RuntimeError) as error:
+        if _number(error) not in _NO_ROOM:
             raise
         done = temporary.stat().st_size if temporary.exists() else 0
         temporary.unlink(missing_ok=True)
-        raise _no_room(path, error, size, done) from None
+        raise _no_room(path, _number(error), size, done) from None
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def _no_room(path: Path, error: OSError, size: int | None, done: int) -> RotorsimError:
+def _number(error: OSError | RuntimeError) -> int | None:
+    """Return the number of an error of the system; HDF5 writes it into its own."""
+    if isinstance(error, OSError):
+        return error.errno
+    found = re.search(r"\berrno = (\d+)", str(error))
+    return int(found[1]) if found else None
+
+
+def _no_room(path: Path, number: int | None, size: int | None, done: int) -> RotorsimError:
     """Return the error of a disk (or quota, or limit of a file's size) that is full."""
     free = shutil.disk_usage(path.parent).free
-    takes = f"about {_megabytes(size)}" if size else f"more than {_megabytes(done)}"
+    takes = f"about {_shown(size)}" if size else f"more than {_shown(done)}"
     kept = "the file that was there is kept" if path.exists() else "nothing of it is left there"
-    what = f"{os.strerror(error.errno or 0).lower()}: it takes {takes}, {_megabytes(free)} are free; {kept}"
+    what = f"{os.strerror(number or 0).lower()}: it takes {takes}, {_shown(free)} are free; {kept}"
     hint = "make room there, or write to another disk"
     return RotorsimError(Problem(what, place=Place(str(path)), hint=hint), exit_code=1)
 
 
-def _megabytes(size: int) -> str:
-    return f"{size / 1e6:.3g} MB"
+def _shown(size: int) -> str:
+    return f"{size / 1e6:.3g} MB" if size >= 1e6 else f"{size / 1e3:.3g} kB"
 
 
 def _mode(path: Path) -> int:
