@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-__all__ = ["CONTROL", "Place", "Problem", "RotorsimError", "near_miss", "visible"]
+__all__ = ["CONTROL", "Place", "Problem", "RotorsimError", "escape", "near_miss", "visible"]
 
 # What steers a terminal or turns the direction of writing, and what XML cannot hold: C0 (but tab and line feed),
 # C1, marks of direction, halves of characters, and the two that are none.
@@ -16,6 +16,13 @@ CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u206
 def visible(text: str) -> str:
     """Return a text with its control characters written out, as ``\\u001b``: names of others reach the terminal."""
     return CONTROL.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def escape(text: str) -> str:
+    """Return a text for XML and HTML, which hold no control characters."""
+    from html import escape as escaped
+
+    return escaped(visible(text))
 
 
 @dataclass(frozen=True, order=True)

@@ -26,6 +26,7 @@ __all__ = ["VERBS", "main", "problem_data", "rotorsim"]
 VERBS = {
     "run": "Simulate a diagram; write, plot and summarise the recorded signals.",
     "check": "Find every mistake in diagrams and recordings.",
+    "new": "Copy a diagram that comes with rotorsim, to be edited.",
     "fmt": "Write diagrams in canonical form.",
     "blocks": "List the blocks, or show one: ports, parameters, equation, source.",
     "draw": "Draw a diagram as SVG.",
@@ -43,6 +44,7 @@ VERBS = {
     "fmu": "Export diagrams as FMUs for other tools; look into FMUs.",
     "ssp": "Export diagrams as systems of FMUs (SSP); import such systems as diagrams.",
     "cosim": "Co-simulate a diagram with FMUs, or parts of it; say what the coupling costs.",
+    "docs": "List the pages that come with rotorsim, or show one.",
     "cache": "Show or clear the cache of compiled models.",
     "version": "Print the version.",
 }

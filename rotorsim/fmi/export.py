@@ -6,14 +6,13 @@ import uuid
 import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 
 from rotorsim.compile.part import open_part
 from rotorsim.compile.toolchain import FLAGS
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.files import atomic_target
-from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.errors import Problem, RotorsimError, escape, near_miss
 from rotorsim.fmi.build import build_library, find_platforms
 from rotorsim.fmi.description import build_description, model_description
 from rotorsim.fmi.sources import make_sources, with_token

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from itertools import product
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.errors import Problem, RotorsimError, escape, near_miss
 
 if TYPE_CHECKING:
     from rotorsim.compile import Model
