@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
+from threading import Thread
 from types import TracebackType
 from typing import Any
 
@@ -163,10 +164,21 @@ class _Worker:
 
 def _work(pipe: Any, serve: Callable[[bytes], bytes]) -> None:
     """Perform tasks until the other end of the pipe is closed, by whatever end of that process."""
+    Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
         pipe.send_bytes(b"")
         while True:
             pipe.send_bytes(serve(pipe.recv_bytes()))
+
+
+def _end_with_parent() -> None:
+    """End this process with the one that started it, also amid a task that nobody waits for any more."""
+    from multiprocessing.connection import wait
+
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
 
 
 def _not_started(why: object) -> RotorsimError:

@@ -338,7 +338,8 @@ def test_local_processes(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of a process group")
-def test_ctrl_c_keeps_results_and_leaves_no_process(tmp_path):
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_ctrl_c_and_a_kill_keep_results_and_leave_no_process(tmp_path, how):
     import psutil
 
     store = tmp_path / "s.jsonl"
@@ -357,11 +358,15 @@ def test_ctrl_c_keeps_results_and_leaves_no_process(tmp_path):
             time.sleep(0.05)
         processes = psutil.Process(main.pid).children(recursive=True)
         assert len(processes) >= 2
-        os.killpg(main.pid, signal.SIGINT)  # as the terminal does
+        if how == signal.SIGINT:
+            os.killpg(main.pid, how)  # as the terminal does
+        else:
+            main.kill()
         said = main.communicate(timeout=60)[1]
-        assert main.returncode == -signal.SIGINT
-        assert said.count("Traceback") == 1  # nothing of the workers
-        assert said.strip().endswith("KeyboardInterrupt")
+        assert main.returncode == -how
+        if how == signal.SIGINT:
+            assert said.count("Traceback") == 1  # nothing of the workers
+            assert said.strip().endswith("KeyboardInterrupt")
         assert psutil.wait_procs(processes, timeout=30)[1] == []
         assert sorted(json.loads(line)["result"] for line in store.read_text().splitlines()) == [0, 1, 2]
     finally:

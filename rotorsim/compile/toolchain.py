@@ -117,6 +117,8 @@ def _trusted_folder() -> Path | None:
     """Return the cache folder, made where it is missing; None where there can be none, or others can write to it."""
     folder = cache_folder()
     try:
+        if not folder.is_absolute():  # of a home that is none
+            return None
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = folder.stat()
         if not hasattr(os, "geteuid"):
@@ -213,6 +215,8 @@ def compile_c(source: str, compiler: Compiler, optimise: str = "-O3") -> tuple[c
             text.write_text(source, encoding="utf-8")
             command = [*compiler.command, optimise, *FLAGS, "-o", str(target), str(text), "-lm"]
             run_compiler(command, compiler.command[0])
+            if not target.exists():
+                raise _failure(compiler.command[0], "wrote no library")
             library = keep(target.read_bytes(), key, suffix)
             try:
                 return ctypes.CDLL(str(library or target)), False
@@ -222,7 +226,9 @@ def compile_c(source: str, compiler: Compiler, optimise: str = "-O3") -> tuple[c
                 said = str(error).removeprefix(f"{library or target}: ")
                 raise _failure(compiler.command[0], f"wrote what is no library: {said}") from None
     except OSError as error:
-        raise _failure(compiler.command[0], f"has no library to show: {error.strerror or error}") from None
+        raise _failure(
+            compiler.command[0], f"has no folder to work in: {(error.strerror or str(error)).lower()}"
+        ) from None
 
 
 def run_compiler(command: Sequence[str], subject: str) -> None:

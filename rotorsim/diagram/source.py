@@ -31,7 +31,7 @@ _OTHER = re.compile(r"[^\[\]{}]+")
 _BRACKET_OR_STRING = re.compile(rf"[\[\]{{}}]|{_STRING}", re.DOTALL)
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")  # one half of a character: good only in pairs
 _ESCAPED = re.compile(
-    r"\\u(?:00[0-1789]|20|ff)|\\[bf]|[\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ufffe\uffff]", re.IGNORECASE
+    r"\\u(?:00[0-1789]|20|ff)|\\[bf]|[\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff]", re.IGNORECASE
 )
 _TOKEN = re.compile(rf"\s*(?:({_STRING})|([\[\]{{}},:])|([^\s\[\]{{}},:\"]+))", re.DOTALL)
 

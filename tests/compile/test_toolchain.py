@@ -48,7 +48,7 @@ VIRTUAL = "the model runs on CasADi's virtual machine: the same numbers, several
         (b"printf 'erreur: \\351chec\\n' >&2\nexit 1", "failed: erreur: \ufffdchec"),
         (b"echo 'in rs_run' >&2\nkill -9 $$", "was killed (SIGKILL): in rs_run"),
         (b'while [ "$1" != -o ]; do shift; done; echo garbage > "$2"', "wrote what is no library: file too short"),
-        (b"exit 0", "has no library to show: No such file or directory"),
+        (b"exit 0", "wrote no library"),
     ],
     ids=["fails", "says much", "not UTF-8", "killed", "garbage", "nothing"],
 )
@@ -64,6 +64,16 @@ def test_a_compiler_that_fails_is_reported_and_the_virtual_machine_runs(
     assert [str(item.message) for item in caught] == [f"{broken}: the C compiler {said}\n{VIRTUAL}"]
     assert result.provenance["path"] == "CasADi virtual machine (the C compiler failed)"
     assert [*fresh_cache.iterdir()] == []
+
+
+def test_a_full_disk_for_temporary_files_is_said_and_the_virtual_machine_runs(fresh_cache, monkeypatch):
+    def full(**options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("rotorsim.compile.toolchain.tempfile.TemporaryDirectory", full)
+    with pytest.warns(RuntimeWarning, match="the C compiler has no folder to work in: no space left on device"):
+        result = simulate(load(oscillator()), stop=0.01)
+    assert result.status == "finished"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a file that can be run")
