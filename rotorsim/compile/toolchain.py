@@ -136,7 +136,9 @@ def _trusted_folder() -> Path | None:
     return folder
 
 
+@cache
 def _distrust(folder: Path, why: str, cure: str) -> None:
+    """Say once why a cache is not used."""
     text = f"the cache {folder} {why}: it is not used, and every model is compiled anew ({cure})"
     warnings.warn(text, RuntimeWarning, stacklevel=4)
 

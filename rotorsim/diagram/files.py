@@ -78,9 +78,9 @@ def _number(error: OSError | RuntimeError) -> int | None:
 def _no_room(path: Path, number: int | None, size: int | None, done: int) -> RotorsimError:
     """Return the error of a disk (or quota, or limit of a file's size) that is full."""
     free = shutil.disk_usage(path.parent).free
-    takes = f"about {_shown(size)}" if size else f"more than {_shown(done)}"
+    takes = f"it takes about {_shown(size)}, " if size else f"it takes more than {_shown(done)}, " if done else ""
     kept = "the file that was there is kept" if path.exists() else "nothing of it is left there"
-    what = f"{os.strerror(number or 0).lower()}: it takes {takes}, {_shown(free)} are free; {kept}"
+    what = f"{os.strerror(number or 0).lower()}: {takes}{_shown(free)} are free; {kept}"
     hint = "make room there, or write to another disk"
     return RotorsimError(Problem(what, place=Place(str(path)), hint=hint), exit_code=1)
 
