@@ -187,6 +187,17 @@ def test_a_diagram_or_recording_with_control_characters_is_refused(run, tmp_path
     assert title.text == '\\u001b <ü> & – "'
 
 
+def test_a_figure_with_control_characters_in_a_name_is_valid_svg(tmp_path):
+    from matplotlib.figure import Figure
+
+    from rotorsim.report.figures import save_figure
+
+    figure = Figure((1, 1))
+    figure.suptitle(ESCAPES)
+    save_figure(figure, tmp_path / "x.svg")
+    assert ElementTree.parse(tmp_path / "x.svg").getroot().tag == "{http://www.w3.org/2000/svg}svg"
+
+
 @posix
 def test_what_a_killed_run_leaves_is_swept_by_the_next(tmp_path):
     """A process writes and is killed; the next write to that folder deletes its half, and nothing of anybody else."""

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.compile.emit import Kernel, build_kernel, emit_c
-from rotorsim.compile.toolchain import Compiler, CompilerError, compile_c, find_compiler
+from rotorsim.compile.toolchain import Compiler, CompilerError, compile_c, compiler_error, find_compiler
 from rotorsim.compile.trace import Signal, Trace, flat_indices, trace_diagram
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.errors import Problem, RotorsimError
@@ -55,7 +55,9 @@ class Library:
             ("rs_derivatives", [i64, ptr, ptr, ptr, ptr, i64, ptr, ptr], None),
             ("rs_run", [ptr, ptr, i64, i64, f64, f64, i64, ptr], i64),
         ):
-            function = getattr(self.handle, name)
+            function = getattr(self.handle, name, None)
+            if function is None:
+                raise compiler_error(compiler.command[0], f"wrote a library without {name}")
             function.argtypes, function.restype = arguments, result
             setattr(self, name[3:], function)
         if kernel.trace.samplers:

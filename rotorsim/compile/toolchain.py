@@ -28,6 +28,7 @@ __all__ = [
     "cache_folder",
     "cached",
     "compile_c",
+    "compiler_error",
     "find_compiler",
     "keep",
     "run_compiler",
@@ -218,7 +219,7 @@ def compile_c(source: str, compiler: Compiler, optimise: str = "-O3") -> tuple[c
             command = [*compiler.command, optimise, *FLAGS, "-o", str(target), str(text), "-lm"]
             run_compiler(command, compiler.command[0])
             if not target.exists():
-                raise _failure(compiler.command[0], "wrote no library")
+                raise compiler_error(compiler.command[0], "wrote no library")
             library = keep(target.read_bytes(), key, suffix)
             try:
                 return ctypes.CDLL(str(library or target)), False
@@ -226,9 +227,9 @@ def compile_c(source: str, compiler: Compiler, optimise: str = "-O3") -> tuple[c
                 if library is not None:
                     library.unlink(missing_ok=True)
                 said = str(error).removeprefix(f"{library or target}: ")
-                raise _failure(compiler.command[0], f"wrote what is no library: {said}") from None
+                raise compiler_error(compiler.command[0], f"wrote what is no library: {said}") from None
     except OSError as error:
-        raise _failure(
+        raise compiler_error(
             compiler.command[0], f"has no folder to work in: {(error.strerror or str(error)).lower()}"
         ) from None
 
@@ -238,9 +239,9 @@ def run_compiler(command: Sequence[str], subject: str) -> None:
     try:
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIME_LIMIT, check=False)
     except subprocess.TimeoutExpired:
-        raise _failure(subject, f"took longer than {TIME_LIMIT:.0f} s") from None
+        raise compiler_error(subject, f"took longer than {TIME_LIMIT:.0f} s") from None
     except OSError as error:
-        raise _failure(subject, f"cannot be started: {(error.strerror or str(error)).lower()}") from None
+        raise compiler_error(subject, f"cannot be started: {(error.strerror or str(error)).lower()}") from None
     if done.returncode == 0:
         return
     lines = (done.stderr.strip() or done.stdout.strip()).decode("utf-8", "replace").splitlines()[-SHOWN:]
@@ -248,9 +249,10 @@ def run_compiler(command: Sequence[str], subject: str) -> None:
     if done.returncode < 0:
         with suppress(ValueError):
             why = f"was killed ({signal.Signals(-done.returncode).name})"
-    raise _failure(subject, ": ".join([why, "\n".join(lines)] if lines else [why]))
+    raise compiler_error(subject, ": ".join([why, "\n".join(lines)] if lines else [why]))
 
 
-def _failure(subject: str, why: str) -> CompilerError:
+def compiler_error(subject: str, why: str) -> CompilerError:
+    """Return the error of a compiler: why it made nothing that can be used."""
     hint = "run with --no-compiler (slower, needs no compiler), or name another one in ROTORSIM_CC"
     return CompilerError(Problem(f"the C compiler {why}", subject, hint=hint))
