@@ -129,7 +129,7 @@ def test_closed_and_full_standard_output(tmp_path):
         assert shell("$R version > /dev/full", tmp_path) == (
             1,
             "error: standard output cannot be written: no space left on device\n\n"
-            "hint: the work is done, what it printed is lost: --out FILE keeps its data\n",
+            "hint: make room there; what was printed is lost, files that were named as written are not\n",
         )
         assert shell("$R check nowhere.json 2> /dev/full", tmp_path) == (2, "")
 
@@ -230,9 +230,13 @@ def test_what_another_user_left_is_not_swept(tmp_path, monkeypatch):
     gone.wait()
     left = tmp_path / f"{temporary_prefix('.rotorsim-').replace(f'-{os.getpid()}-', f'-{gone.pid}-')}x"
     left.write_text("")
+    elsewhere = tmp_path / f".rotorsim-00000000-{gone.pid}-x"
+    elsewhere.write_text("")
+    os.utime(elsewhere, (0, 0))
     monkeypatch.setattr(files.os, "geteuid", lambda: left.stat().st_uid + 1)
     sweep(tmp_path, ".rotorsim-")
     assert left.exists()
+    assert elsewhere.exists()
 
 
 @posix

@@ -247,7 +247,9 @@ def _unwritten(error: _UnwrittenError) -> int:
     if cause.errno == errno.EPIPE:
         return 128 + 13  # as of a program that SIGPIPE ends
     what = f"standard output cannot be written: {(cause.strerror or str(cause)).lower()}"
-    show_problems([Problem(what=what, hint="the work is done, what it printed is lost: --out FILE keeps its data")])
+    show_problems(
+        [Problem(what=what, hint="make room there; what was printed is lost, files that were named as written are not")]
+    )
     return 1
 
 

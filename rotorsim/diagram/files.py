@@ -10,6 +10,7 @@ import platform
 import re
 import shutil
 import stat
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -139,10 +140,10 @@ def sweep(folder: str | Path, prefix: str) -> None:
 
 
 def _is_left(status: os.stat_result, machine: str, process: int) -> bool:
-    if not hasattr(os, "geteuid") or machine != _machine():
-        return time.time() - status.st_mtime > _FOREIGN
-    if status.st_uid != os.geteuid() or process < 1:
+    if hasattr(os, "geteuid") and status.st_uid != os.geteuid():
         return False
+    if sys.platform == "win32" or machine != _machine() or process < 1:  # (on Windows, to ask is to kill)
+        return time.time() - status.st_mtime > _FOREIGN
     try:
         os.kill(process, 0)  # asks whether it is there, no more
     except ProcessLookupError:
