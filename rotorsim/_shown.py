@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from html import escape
 from importlib import import_module
 from typing import Any
 
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, escape
 
 __all__ = ["Shown", "html_table", "xarray_module"]
 

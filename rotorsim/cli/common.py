@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.errors import Place, Problem, RotorsimError, near_miss, visible
 
 if TYPE_CHECKING:
     import numpy as np
@@ -121,7 +121,7 @@ def plain(value: Any) -> Any:
 
 def note(text: str) -> None:
     """Say something about the work, on stderr."""
-    click.echo(text, err=True)
+    click.echo(visible(text), err=True)
 
 
 def table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:

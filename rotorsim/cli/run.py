@@ -68,7 +68,9 @@ def command(
     signals = tuple(dict.fromkeys([*shown, *hidden]))
 
     from rotorsim.simulate.run import simulate
+    from rotorsim.simulate.sinks import check_sinks
 
+    check_sinks(loaded)
     with common.progress_bar(loaded.name, progress) as show:
         # With a function to call, the run is cut into pieces, so that Ctrl-C is heard between them.
         result = simulate(

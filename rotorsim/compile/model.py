@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.compile.emit import Kernel, build_kernel, emit_c
-from rotorsim.compile.toolchain import Compiler, compile_c, find_compiler
+from rotorsim.compile.toolchain import Compiler, CompilerError, compile_c, compiler_error, find_compiler
 from rotorsim.compile.trace import Signal, Trace, flat_indices, trace_diagram
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.diagram.values import ValueProblem, bounds_problem, numeric
@@ -56,7 +56,9 @@ class Library:
             ("rs_derivatives", [i64, ptr, ptr, ptr, ptr, i64, ptr, ptr], None),
             ("rs_run", [ptr, ptr, i64, i64, f64, f64, i64, ptr], i64),
         ):
-            function = getattr(self.handle, name)
+            function = getattr(self.handle, name, None)
+            if function is None:
+                raise compiler_error(compiler.command[0], f"wrote a library without {name}")
             function.argtypes, function.restype = arguments, result
             setattr(self, name[3:], function)
         if kernel.trace.samplers:
@@ -85,6 +87,7 @@ class Model:
         self._outputs: dict[tuple[str, ...], ca.Function] = {}
         self._selected: dict[str, tuple[Signal, np.ndarray]] = {}
         self._libraries: dict[tuple[str, ...], Library | None] = {}
+        self.without = "no C compiler"  # why a run is without one, if it is
         self.p0 = np.zeros(self.n_p)
         for name, node in diagram.nodes.items():
             for key, value in node.values.items():
@@ -254,12 +257,22 @@ class Model:
         return build_kernel(self.trace, [self.expression(name) for name in record])
 
     def library(self, record: Sequence[str] = ()) -> Library | None:
-        """Return the compiled C functions that record the named signals, or None without a compiler."""
+        """Return the compiled C functions that record the named signals, or None without a compiler that works."""
         key = tuple(record)
         if key not in self._libraries:
-            compiler = find_compiler()
-            self._libraries[key] = Library(self.kernel(key), compiler) if compiler else None
+            self._libraries[key] = self._compiled(key)
         return self._libraries[key]
+
+    def _compiled(self, record: Sequence[str]) -> Library | None:
+        compiler = find_compiler()
+        if compiler is None:
+            return None
+        try:
+            return Library(self.kernel(record), compiler)
+        except CompilerError as failure:
+            self.without = "the C compiler failed"
+            failure.warn("the model runs on CasADi's virtual machine: the same numbers, several times slower")
+            return None
 
     def rhs_batch(self, t: np.ndarray, x: np.ndarray, z: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return dx/dt of n instants: t (n,), x (n, n_x), z (n_z,), p (n, n_p) -> (n, n_x)."""

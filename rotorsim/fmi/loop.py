@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from rotorsim.compile.instance import CompiledInstance
-from rotorsim.compile.toolchain import compile_c, find_compiler
+from rotorsim.compile.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.binding import STATUS
 from rotorsim.fmi.calls import Call
@@ -67,12 +67,13 @@ class FastLoop:
         self, members: Sequence[Slave | PartMember], L: np.ndarray, u0: np.ndarray, order: Sequence[int] | None = None
     ) -> None:  # fmt: skip
         wrong = [f"{member.name} {why}" for member in members if (why := _unfit(member))]
-        if wrong or find_compiler() is None:
-            what = "; ".join(wrong) or "there is no C compiler"
+        library = None if wrong else _library()
+        if library is None:
+            what = "; ".join(wrong) or "there is no C compiler that works"
             hint = 'FMUs take part with "in_process": true, as Co-Simulation; or leave out fast'
             raise RotorsimError(Problem(f"no fast loop: {what}", hint=hint))
         self.members = list(members)
-        self._function = _library().rs_cosimulate
+        self._function = library.rs_cosimulate
         self._keep: list[Any] = []
         self._made = (_Member * len(members))(*map(self._member, members))
         sizes = [len(_inputs(member)) for member in members]
@@ -93,7 +94,7 @@ class FastLoop:
     @staticmethod
     def possible(members: Sequence[Slave | PartMember]) -> bool:
         """Return whether there can be a fast loop over these members."""
-        return find_compiler() is not None and not any(map(_unfit, members))
+        return not any(map(_unfit, members)) and _library() is not None
 
     def run(
         self, t0: float, h: float, steps: int, *, every: int = 1, progress: Callable[[float], None] | None = None
@@ -216,10 +217,16 @@ def _at(array: np.ndarray) -> int:
 
 @cache
 def _library() -> Any:
+    """Return the library of the loop, or None without a compiler that works."""
     compiler = find_compiler()
-    assert compiler is not None
+    if compiler is None:
+        return None
     source = files("rotorsim.fmi").joinpath("c", "loop.c").read_text(encoding="utf-8")
-    library, _ = compile_c(source, compiler)
+    try:
+        library, _ = compile_c(source, compiler)
+    except CompilerError as failure:
+        failure.warn("the parts are coupled without the fast loop")
+        return None
     i64, f64, ptr = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
     library.rs_cosimulate.argtypes = [
         ptr, i64, ptr, i64, ptr, ptr, ptr, ptr, ptr, ptr, i64, ptr, f64, f64, i64, i64, i64, ptr, ptr,

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
+from rotorsim.diagram.files import sweep, temporary_prefix
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.archive import Archive, Limits
 from rotorsim.fmi.block import Sizes
@@ -162,7 +163,8 @@ class Fmu:
 
     def _unpacked(self) -> Path:
         if self.folder is None:
-            folder = Path(tempfile.mkdtemp(prefix="rotorsim-fmu-")).resolve()
+            sweep(tempfile.gettempdir(), "rotorsim-fmu-")
+            folder = Path(tempfile.mkdtemp(prefix=temporary_prefix("rotorsim-fmu-"))).resolve()
             self._finalizer = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
             try:
                 with Archive(self.path, self.limits) as archive:

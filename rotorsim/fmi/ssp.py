@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Node
-from rotorsim.diagram.files import atomic_target
+from rotorsim.diagram.files import atomic_target, sweep, temporary_prefix
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.fmi.cosimulation import sources_of
 from rotorsim.fmi.export import export_fmu
@@ -61,7 +61,8 @@ def export_ssp(
     cut = _cut(diagram, parts or {})
     foreign = _foreign(diagram, cut)
     warnings: dict[str, Problem] = {}
-    with tempfile.TemporaryDirectory(prefix="rotorsim-ssp-") as folder:
+    sweep(tempfile.gettempdir(), "rotorsim-ssp-")
+    with tempfile.TemporaryDirectory(prefix=temporary_prefix("rotorsim-ssp-")) as folder:
         files: dict[str, Path] = {}
         interfaces = {}
         for name, blocks in cut.items():

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.diagram.files import write_atomically
+from rotorsim.diagram.files import HIDDEN, sweep, temporary_prefix, write_atomically
 from rotorsim.diagram.fmt import format_document
 from rotorsim.diagram.load import load
 from rotorsim.errors import Place, Problem, RotorsimError
@@ -70,7 +70,8 @@ def import_ssp(file: str | File, folder: str | File, *, limits: Limits | None = 
             raise RotorsimError(Problem(what, structure.name, archive.place))
         _refuse(flat.problems)
         sources = {component.source for component in flat.components.values()}
-        temporary = File(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+        sweep(target.parent, HIDDEN)
+        temporary = File(tempfile.mkdtemp(prefix=temporary_prefix(HIDDEN), dir=target.parent))
         try:
             archive.unpack(temporary, lambda name: name in sources)
             writer = _Writer(structure, flat, temporary)

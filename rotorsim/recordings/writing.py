@@ -236,7 +236,8 @@ def _make_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
 
 
 def _write_table(path: Path, table: Mapping[str, np.ndarray]) -> None:
-    with atomic_target(path) as temporary:
+    size = sum(array.nbytes for array in table.values()) * (1 if path.suffix == ".npz" else 20 // 8)
+    with atomic_target(path, size=size) as temporary:
         if path.suffix == ".npz":
             with temporary.open("wb") as stream:
                 arrays: dict[str, Any] = dict(table)

@@ -268,7 +268,13 @@ def save_figure(made: Figure, path: Any) -> None:
     """Write a figure as .png, .svg or .pdf, whole or not at all."""
     from pathlib import Path
 
-    from rotorsim.diagram.files import atomic_target
+    from matplotlib.text import Text
 
+    from rotorsim.diagram.files import atomic_target
+    from rotorsim.errors import visible
+
+    for text in made.findobj(Text):
+        if visible(text.get_text()) != text.get_text():  # a name of others, which an SVG cannot hold
+            text.set_text(visible(text.get_text()))
     with atomic_target(Path(path)) as temporary, styled():
         made.savefig(temporary)

@@ -193,3 +193,53 @@ def test_swap_with_an_fmu_that_is_not_there(run, arguments: list[str], said: str
     result = run("swap", "mine.json", *arguments)
     assert result.exit_code == 2
     assert said in result.stderr
+
+
+def test_new_copies_a_shipped_diagram_under_its_name(run) -> None:
+    done = run("new", "mine")
+    assert (done.exit_code, done.stdout, done.stderr) == (0, "", "written: mine.json\n")
+    assert json.loads(run("new", "models.json", "--from", "fe_flexible", "--json").stdout) == {
+        "file": "models.json",
+        "from": "fe_flexible",
+    }
+    copied, shipped = Path("mine.json"), shipped_diagrams()["jeffcott"]
+    assert copied.read_text() == shipped.read_text().replace('"name": "jeffcott"', '"name": "mine"')
+    assert Path("diagram.schema.json").read_bytes() == shipped.with_name("diagram.schema.json").read_bytes()
+    assert run("check", "mine.json", "models.json").exit_code == 0
+    done = run("new", "mine.json", "--from", "jeffcot")
+    assert done.exit_code == 2
+    assert done.stderr == (
+        "error: --from jeffcot: no diagram of this name\n\nhint: did you mean 'jeffcott' or 'jeffcott_runup'?\n\n"
+        "mine.json: error: is there already\n\nhint: choose another name, or delete the file\n"
+    )
+
+
+def test_docs_shows_the_pages(run) -> None:
+    pages = Path(__file__).parents[2] / "docs"
+    lines = run("docs").stdout.splitlines()
+    assert [line.split()[0] for line in lines] == sorted(page.stem for page in pages.glob("*.md"))
+    assert "engine              How the engine works" in lines
+    assert run("docs", "engine").stdout == (pages / "engine.md").read_text()
+    data = json.loads(run("docs", "engine.md", "--json").stdout)
+    assert (data["page"], data["title"]) == ("engine", "How the engine works")
+    done = run("docs", "engin")
+    assert (done.exit_code, done.stderr) == (2, "error: no page 'engin'\n\nhint: did you mean 'engine'?\n")
+
+
+def test_blocks_of_the_folders_of_a_diagram(run) -> None:
+    Path("mine.json").write_text('{"block_folders": ["my_blocks"], "blocks": {}}')
+    Path("other.json").write_text("[")
+    Path("my_blocks").mkdir()
+    Path("my_blocks/my_block.py").write_text(
+        "from rotorsim.block import Block\nclass MyBlock(Block):\n    'Do nothing.'\nprint('it ran')\n"
+    )
+    done = run("blocks", "my_block")
+    assert (done.exit_code, done.stdout) == (2, "")  # block files are code: none runs without a word
+    assert done.stderr == (
+        "error: unknown block type 'my_block'\n\n"
+        "hint: add --trust-blocks if it is in my_blocks; did you mean 'clock'?\n"
+    )
+    assert run("blocks", "my_block", "--trust-blocks").stdout.startswith("it ran\nmy_block (elementary)\nDo nothing.\n")
+    assert "  my_block " in run("blocks", "--trust-blocks", "--diagram", "mine.json").stdout
+    done = run("blocks", "--trust-blocks", "--diagram", "other.json")
+    assert (done.exit_code, done.stderr.partition(" error: ")[0]) == (2, "other.json:1:2:")
