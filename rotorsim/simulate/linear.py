@@ -21,7 +21,7 @@ from rotorsim.simulate.matrix_function import MatrixFunction
 
 __all__ = [
     "LinearSystem", "as_model", "drifting_states", "equilibrium", "flat_names", "linearise",
-    "refuse_sampled", "speed_of", "state_names",
+    "refuse_sampled", "require_finite", "speed_of", "state_names",
 ]  # fmt: skip
 
 TURN_SAMPLES = 64  # instants for averages over one turn
@@ -183,6 +183,17 @@ def functions(model: Model) -> _Functions:
     return _CACHE[model]
 
 
+def require_finite(model: Model, A: np.ndarray) -> None:
+    """Raise RotorsimError, with the blocks, where a Jacobian (..., n, n) has entries that are not finite."""
+    bad = ~np.isfinite(A.reshape(-1, *A.shape[-2:])).all(axis=(0, 2))
+    if bad.any():
+        names = state_names(model)
+        first = {model.block_of_state(k): names[k] for k in np.flatnonzero(bad).tolist()[::-1]}
+        hint = "a parameter is out of all proportion: a mass, density or time constant of nearly nothing"
+        problems = [Problem(f"the rate of {name} has no finite derivatives", b, hint=hint) for b, name in first.items()]
+        raise RotorsimError(*problems[::-1])
+
+
 def drifting_states(A: np.ndarray) -> tuple[list[int], list[int]]:
     """Return the states with a pole at zero of their own, and all states that these drive.
 
@@ -246,6 +257,7 @@ def equilibrium(
         return mean, jacobian(times[None, :], points.T, z, p).mean(axis=0)
 
     f, A = evaluate(x)
+    require_finite(model, A)
     seeds, held = drifting_states(A) if hold_drifting or len(x) else ([], [])
     if seeds and not hold_drifting:
         raise RotorsimError(
@@ -345,7 +357,9 @@ def linearise(
         how = "averaged over one turn" if len(times) > 1 else "taken at t = 0"
         notes.append(f"the Jacobian depends on time and was {how}; parametric resonance is not seen")
     columns = [k for port in ports for k in np.arange(model.trace.v.numel())[model.trace.external[port].part]]
-    values = {key: f(times[None, :], x, z, p).mean(axis=0) for key, f in made.items()}
+    with np.errstate(all="ignore"):
+        values = {key: f(times[None, :], x, z, p).mean(axis=0) for key, f in made.items()}
+    require_finite(model, values["A"])
     values["B"], values["D"] = values["B"][:, columns], values["D"][:, columns]
     seeds, _ = drifting_states(values["A"])
     names = state_names(model)
