@@ -251,10 +251,14 @@ def equilibrium(
     jacobian = functions(model).state_matrix()
     names = state_names(model)
 
+    def rates(at: np.ndarray) -> np.ndarray:
+        return model.rhs_batch(times, np.repeat(at[None], len(times), 0), z, many)
+
     def evaluate(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         points = np.repeat(at[None], len(times), 0)
-        mean = model.rhs_batch(times, points, z, many).mean(axis=0)
-        return mean, jacobian(times[None, :], points.T, z, p).mean(axis=0)
+        return rates(at).mean(axis=0), jacobian(times[None, :], points.T, z, p).mean(axis=0)
+
+    forced = np.abs(rates(np.zeros_like(x))).mean(axis=0)  # what cancels over the turn, and against the springs
 
     f, A = evaluate(x)
     require_finite(model, A)
@@ -274,6 +278,9 @@ def equilibrium(
     for _ in range(50):
         try:
             step = np.linalg.solve(A[np.ix_(free, free)], -f[free])
+            if _is_rounding(step, A[np.ix_(free, free)], x[free], forced[free]):
+                x[free] += step
+                return x
         except np.linalg.LinAlgError:
             break
         x, f, A, done = _damped_step(evaluate, x, f, step, free)
@@ -288,6 +295,18 @@ def equilibrium(
         ),
         exit_code=1,
     )
+
+
+def _is_rounding(step: np.ndarray, A: np.ndarray, x: np.ndarray, forced: np.ndarray) -> bool:
+    """Return whether a Newton step is what rounding of the terms that cancel in f = A x + forced leaves.
+
+    |step| <= 1e-13 | |A^-1| (|A| |x| + |forced|) |, largest entries of balanced states: a state that an integral
+    action holds at zero has no size of its own. Source: Higham, Accuracy and Stability (2002), sec. 7.2, 25.2.
+    """
+    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    terms = np.abs(balanced) @ np.abs(x / scale) + forced / scale
+    reach = np.abs(np.linalg.inv(balanced)) @ terms
+    return bool(np.abs(step / scale).max(initial=0.0) <= 1e-13 * reach.max(initial=0.0))
 
 
 def _damped_step(
