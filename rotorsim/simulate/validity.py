@@ -19,7 +19,7 @@ from rotorsim.compile.instance import Instance
 from rotorsim.simulate.linear import functions, speed_of
 from rotorsim.simulate.stability import Growing, growing, largest_stable_step, rounded_down, step_factor
 
-__all__ = ["LARGEST_ERROR", "Stretch", "judge", "step_error"]
+__all__ = ["LARGEST_ERROR", "Stretch", "growth_rate", "judge", "step_error", "stretches_of"]
 
 LARGEST_ERROR = 0.01  # of the rms of a signal: what a run may be wrong by without a word
 STRETCH = (200, 20_000)  # steps of which the error is estimated, at the start and at the end
@@ -68,7 +68,7 @@ def judge(
     """
     x_end, z_end, saved = np.array(instance.x), np.array(instance.z), instance.save()
     p = instance.p  # type: ignore[attr-defined]
-    rate = _growth_rate(time, rows)
+    rate = growth_rate(time, rows)
     error, worst = (None, "") if h is None else step_error(model, instance, names, rows, h, stretches)
     if model.n_z:
         return _sampled(model, instance, saved, x_end, z_end, end, h, rate, error, worst, names, rows, stretches)
@@ -116,7 +116,7 @@ def _percent(share: float) -> str:
 # -- does it grow? -----------------------------------------------------------------------------------------------------
 
 
-def _growth_rate(time: np.ndarray, rows: np.ndarray) -> float:
+def growth_rate(time: np.ndarray, rows: np.ndarray) -> float:
     """Return how fast the motion still grows at its end [1/s], 0 where it does not.
 
     The range (peak to peak) of a signal grows from each of the last four eighths of the run to the next.
