@@ -112,10 +112,13 @@ def _report(
         common.note("written: " + ", ".join(files))
     found = summary.harmonics_of(result, angle)
     found = [item for item in found if item.signal.partition("[")[0] in {name.partition("[")[0] for name in shown}]
+    motion = summary.motion(result, angle, found)
     if as_json:
-        common.echo_json(_data(asked, found, files) | {"run_up": summary.run_ups(result, angle, shown)})
+        common.echo_json(
+            _data(asked, found, files) | {"motion": motion, "run_up": summary.run_ups(result, angle, shown)}
+        )
     else:
-        tables = [summary.peaks_table(asked, angle), *(item.table() for item in found)]
+        tables = [summary.peaks_table(asked, angle), summary.motion_line(motion), *(item.table() for item in found)]
         tables.append(summary.run_up_table(result, angle, shown))
         click.echo("\n\n".join(text for text in tables if text))
     if not result.message:
