@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -244,6 +245,9 @@ def clock_of(diagram: Diagram) -> str | None:
 MAX_SPEEDS = 100_000
 
 
+_SPAN = re.compile(r"\s*(\d+\.?\d*)\s*([A-Za-z/]*)\s*(?:-|\.\.|to)\s*(\d+\.?\d*)\s*([A-Za-z/]*)\s*")
+
+
 def speeds_of(text: str, option: str = "--speeds") -> np.ndarray:
     """Return the speeds [rad/s] of ``"900 rpm:100 rpm:6000 rpm"`` (start:step:stop), a list ``a,b,c``, or one.
 
@@ -253,7 +257,15 @@ def speeds_of(text: str, option: str = "--speeds") -> np.ndarray:
 
     hint = "write start:step:stop, as in '900 rpm:100 rpm:6000 rpm', or a list as in '900 rpm, 1200 rpm'"
     if ":" not in text:
-        return np.array([quantity(part.strip(), "rad/s", option) for part in text.split(",")])
+        try:
+            return np.array([quantity(part.strip(), "rad/s", option) for part in text.split(",")])
+        except RotorsimError:
+            if span := _SPAN.fullmatch(text):
+                low, high, unit = float(span[1]), float(span[3]), span[4] or span[2]
+                ends = f"{low:g} {unit}".strip(), f"{(high - low) / 10:.3g} {unit}".strip(), f"{high:g} {unit}".strip()
+                hint = f"a range is start:step:stop, as in '{':'.join(ends)}'"
+                raise RotorsimError(Problem(what=f"{option} {text}: a range without a step", hint=hint)) from None
+            raise
     parts = [quantity(part.strip(), "rad/s", option) for part in text.split(":")]
     if len(parts) != 3:
         raise RotorsimError(Problem(what=f"{option} {text}: {len(parts)} parts, 3 expected", hint=hint))

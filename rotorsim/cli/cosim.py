@@ -37,6 +37,9 @@ __all__ = ["command"]
 @click.option("--adaptive", type=click.FloatRange(0.0, 1.0, min_open=True), metavar="ERROR",
               help="Relative error allowed per step; the step then adapts.")  # fmt: skip
 @click.option("--fast", is_flag=True, help="The plain loop in C, for FMUs in process.")
+@click.option("--solver", type=click.Choice(("rk4", "dop853", "rk45", "radau", "bdf", "lsoda"), case_sensitive=False),
+              default="rk4", show_default=True,
+              help="Of the states of FMUs for Model Exchange; radau, bdf and lsoda are implicit.")  # fmt: skip
 @click.option("--no-check", is_flag=True, help="Run even if the linearised coupled loop is unstable.")
 @click.option("--out", metavar="FILE", help="Write the signals: .csv, .h5 or .npz.")
 @common.set_option
@@ -45,7 +48,7 @@ __all__ = ["command"]
 @common.json_option
 def command(
     diagram: str, step: str, stop: str | None, master: str, order: int | None, parts: tuple[str, ...],
-    rates: tuple[str, ...], adaptive: float | None, fast: bool, no_check: bool, out: str | None,
+    rates: tuple[str, ...], adaptive: float | None, fast: bool, solver: str, no_check: bool, out: str | None,
     settings: tuple[str, ...], trust_blocks: bool, progress: bool | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Co-simulate DIAGRAM: its FMUs, the parts given, and the rest exchange signals at communication points.
@@ -73,7 +76,7 @@ def command(
     with common.progress_bar("cosim", progress) as show:
         result = cosimulate_diagram(
             loaded, groups, step=width, stop=end, master=master, order=order, adaptive=adaptive, fast=fast,
-            check=not no_check, rates=every, progress=show,
+            check=not no_check, rates=every, solver=solver.lower(), progress=show,
         )  # fmt: skip
     if out:
         from rotorsim.simulate.files import save

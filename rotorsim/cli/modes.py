@@ -53,5 +53,7 @@ def command(
     ]
     click.echo(common.table(("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl"), rows))
     if len(found.real_poles):
-        poles = ", ".join(f"{pole:.4g}" for pole in found.real_poles)
+        grows = 0.0 if found.stable else 1e-9 * float(abs(found.real_poles).max())
+        marks = [" (grows)" if not found.stable and pole > grows else "" for pole in found.real_poles]
+        poles = ", ".join(f"{pole:.4g}{mark}" for pole, mark in zip(found.real_poles, marks, strict=True))
         click.echo(f"\npoles that do not oscillate [1/s]: {poles}")

@@ -59,6 +59,12 @@ def command(
         if not settled
     ]
     show_problems(failed)
+    shaky = [float(speed) for speed, stable in zip(found.speeds, found.stable, strict=True) if stable is False]
+    if shaky:
+        between = " .. ".join(f"{common.rpm(speed):.6g}" for speed in dict.fromkeys((shaky[0], shaky[-1])))
+        what = f"unstable at {len(shaky)} of {len(found.speeds)} speeds ({between} rpm): this motion is never reached"
+        hint = "'rotorsim modes' shows which pole grows"
+        show_problems([Problem(what, loaded.name, hint=hint, severity="warning")])
     if as_json:
         signals = {
             name: {"unit": found.units[name], "real": value.real, "imag": value.imag}
@@ -85,12 +91,21 @@ def _table(found: Periodic, name: str) -> str:
     """Return the harmonics of one signal that exceed 1e-4 of the largest at their speed."""
     unit, scale = common.display_unit(found.units[name])
     lines = []
-    for speed, values in zip(found.speeds, found.harmonics[name], strict=True):
+    shaky = False in found.stable
+    for speed, values, stable in zip(found.speeds, found.harmonics[name], found.stable, strict=True):
+        mark = (("unstable" if stable is False else "settled"),) if shaky else ()
         sizes = [abs(value) for value in values.tolist()]
         largest = max((size for size in sizes if math.isfinite(size)), default=0.0)
         lines += [
-            (f"{common.rpm(float(speed)):.6g}", f"{order:g}", f"{size * scale:.6g}", f"{common.degrees(value):.2f}")
+            (
+                f"{common.rpm(float(speed)):.6g}",
+                f"{order:g}",
+                f"{size * scale:.6g}",
+                f"{common.degrees(value):.2f}",
+                *mark,
+            )
             for order, value, size in zip(found.orders, values, sizes, strict=True)
             if size > 1e-4 * largest
         ]
-    return name + "\n" + common.table(("speed [rpm]", "order", f"amplitude [{unit}, 0-peak]", "phase [deg]"), lines)
+    header = ("speed [rpm]", "order", f"amplitude [{unit}, 0-peak]", "phase [deg]", *(("motion",) if shaky else ()))
+    return name + "\n" + common.table(header, lines)

@@ -198,9 +198,10 @@ def _result(
         if settings or without:
             raise RotorsimError(Problem(what="--set and --without need a diagram, not a saved result", subject=source))
         result = load_result(source)
-        if result.status == "diverged" or _is_huge(result):
+        bad = result.status in ("unstable", "diverged")
+        if bad or _is_huge(result):
             hint = "what was computed until then has no spectrum; 'rotorsim modes' shows which modes grow"
-            what = result.message if result.status == "diverged" else "this run diverged: its values are beyond 1e100"
+            what = result.message if bad else "this run diverged: its values are beyond 1e100"
             raise RotorsimError(Problem(what, place=Place(source), hint=hint), exit_code=1)
         angles = [name for name in result.signals if name.endswith(".theta")]
         return result, "clock.theta" if "clock.theta" in angles else angles[0] if len(angles) == 1 else None

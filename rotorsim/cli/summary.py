@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,8 +13,13 @@ if TYPE_CHECKING:
     from rotorsim.simulate.result import Result
     from rotorsim.simulate.spectrum import Harmonics
 
-__all__ = ["constant_speed", "harmonics_of", "peaks", "peaks_table", "run_line", "run_up_table", "run_ups", "two_axis"]
+__all__ = [
+    "constant_speed", "harmonics_of", "motion", "motion_line", "peaks", "peaks_table", "run_line", "run_up_table",
+    "run_ups", "two_axis",
+]  # fmt: skip
 
+SETTLED = 0.01  # of the largest harmonic: what may still change
+SLOWEST = 0.95  # ratio of changes that is believed: beyond, noise and not decay makes it
 CONSTANT = 1e-6  # relative change of speed below which it is constant
 
 
@@ -54,6 +59,58 @@ def harmonics_of(result: Result, angle: str) -> list[Harmonics]:
 
     window = last_turns(result, angle)
     return [harmonics(result, name, angle=angle, window=window) for name in two_axis(result)]
+
+
+def motion(result: Result, angle: str, found: Sequence[Harmonics]) -> dict[str, Any]:
+    """Return speed, window of the harmonics, and whether the motion has settled; {} where nothing turns steadily.
+
+    From harmonics R1, R2, R3 of three windows in a row: what changes as exp(-t / tau) has still
+    |R3 - R2| q / (1 - q) to go, q = |R3 - R2| / |R2 - R1|. Settled: less than 1 % of the largest harmonic.
+    """
+    speed = constant_speed(result, angle)
+    if speed is None:
+        return {}
+    from rotorsim.simulate.spectrum import harmonics, last_turns
+
+    made: dict[str, Any] = {"speed": speed, "speed_rpm": common.rpm(speed), "settled": None}
+    if not found:
+        return made
+    start, stop = last_turns(result, angle)
+    width = stop - start
+    made |= {"window": [start, stop], "turns": round(width * speed / (2 * np.pi))}
+    if start - 2 * width < -1e-9:
+        return made
+    worst: tuple[float, dict[str, Any]] = (-1.0, {})
+    for item in found:
+        before = [harmonics(result, item.signal, angle=angle, window=(start - k * width, stop - k * width)).values
+                  for k in (2, 1)]  # fmt: skip
+        one, two = np.abs(before[1] - before[0]), np.abs(item.values - before[1])
+        q = np.minimum(np.divide(two, one, out=np.ones_like(two), where=one > 0), SLOWEST)
+        left, largest = two * q / (1 - q), float(np.abs(item.values).max(initial=0.0))
+        k = int(np.argmax(left))
+        share = float(left[k]) / largest if largest > 0 else 0.0
+        if share > worst[0]:
+            at = {"signal": item.signal, "order": item.orders[k], "left": float(left[k]), "unit": item.unit}
+            worst = (share, {**at, "share": share})
+    return made | {"settled": worst[0] <= SETTLED, "still_changes": worst[1]}
+
+
+def motion_line(motion: dict[str, Any]) -> str:
+    """Return `motion` as text."""
+    if not motion:
+        return ""
+    text = f"{motion['speed_rpm']:.6g} rpm ({motion['speed']:.6g} rad/s)"
+    if "window" in motion:
+        start, stop = motion["window"]
+        text += f"; harmonics over {start:.6g} .. {stop:.6g} s, {motion['turns']} turn{'s' * (motion['turns'] != 1)}"
+    if motion["settled"]:
+        return f"{text}; settled"
+    if motion["settled"] is False:
+        change = motion["still_changes"]
+        unit, scale = common.display_unit(change["unit"])
+        left = f"{change['left'] * scale:.2g} {unit} ({100 * change['share']:.2g} % of the largest)"
+        return f"{text}; not settled: order {change['order']:g} of {change['signal']} has about {left} still to go"
+    return text
 
 
 def run_ups(result: Result, angle: str, shown: Collection[str]) -> list[dict[str, Any]]:

@@ -15,9 +15,11 @@ from rotorsim.fmi.cut import couple, open_coupling, sources_of
 from rotorsim.fmi.fmu_participant import FmuParticipant
 from rotorsim.fmi.loop import FastLoop
 from rotorsim.fmi.masters import Master, make_master
+from rotorsim.fmi.model_exchange import ModelExchange
 from rotorsim.fmi.stability import CouplingStability, coupling_stability, why_not_linear
 from rotorsim.fmi.waveform import relaxed
 from rotorsim.simulate.result import Result
+from rotorsim.simulate.validity import growth_rate
 
 __all__ = ["cosimulate", "cosimulate_diagram", "couple", "open_coupling", "sources_of"]
 
@@ -39,7 +41,8 @@ def cosimulate_diagram(
 def cosimulate(
     coupling: Coupling, diagram: Diagram, *, step: float, stop: float | None = None, master: str = "gauss_seidel",
     order: int | None = None, tolerance: float = 1e-8, adaptive: float | None = None, check: bool = False,
-    fast: bool = False, rates: Mapping[str, int] | None = None, progress: Callable[[float], None] | None = None,
+    fast: bool = False, rates: Mapping[str, int] | None = None, solver: str = "rk4",
+    progress: Callable[[float], None] | None = None,
 ) -> Result:  # fmt: skip
     """Advance the participants from 0 to stop with communication steps; return the outputs at these points.
 
@@ -52,12 +55,20 @@ def cosimulate(
     the finite numbers ends the run; what was found until then is kept, with status and message. check: refuse a step
     with which the linearised loop is unstable though the loop as a whole is stable. fast: the plain loop in C, inputs
     held and outputs taken as each participant left them (no sweeps through direct feedthrough), for FMUs in process.
+    solver: of the states of FMUs for Model Exchange: "rk4" with the steps of the run, or "radau", "bdf", "lsoda"
+    (implicit), "dop853", "rk45" with steps of their own. Where RK4 is unstable at the poles of such an FMU, or the
+    linearised loop is unstable as a whole and the motion grows, the run ends with status "diverged" or "unstable".
     """
     end = diagram.solver.stop if stop is None else stop
     every = coupling.rates_of(rates or {})
     _refuse(coupling, master, order, adaptive, fast, every)
+    exchanging = [p.integrator for p in coupling.participants if isinstance(p, FmuParticipant) and p.integrator]
+    for integrator in exchanging:
+        integrator.method = solver
     if master == "waveform" and 0 < step <= end:
-        return _by_waveform(coupling, diagram, step, end, tolerance, progress)
+        found = _by_waveform(coupling, diagram, step, end, tolerance, progress)
+        status, message = _judged(exchanging, _Told(step, master), 0.0, found.status, found.message)
+        return replace(found, status=status, message=message)
     if not 0 < step <= end:
         what = f"communication step {step:g} s is not between 0 and the stop time {end:g} s"
         raise RotorsimError(Problem(what, hint="give one that is positive and no longer than the run"))
@@ -103,9 +114,27 @@ def cosimulate(
             break
         if progress is not None:
             progress(t / end)
+    if status in ("finished", "diverged"):
+        growth = growth_rate(np.array(times), np.array(rows)) if adaptive is None else 0.0
+        status, message = _judged(exchanging, told, growth, status, message)
     result = _result(coupling, diagram, np.array(times), np.array(rows), status, message, worker, told)
     signals = {**result.signals, "coupling.error": np.array(mismatch)}
     return replace(result, signals=signals, units={**result.units, "coupling.error": "1"})
+
+
+def _judged(
+    exchanging: Sequence[ModelExchange], told: _Told, growth: float, status: str, message: str
+) -> tuple[str, str]:
+    """Return status and message of a run that reached its end, or left the finite numbers."""
+    for integrator in exchanging:
+        why = integrator.unstable_step()
+        if why:
+            return "diverged", f"{integrator.slave.name}: {why}\n\nhint: --solver radau (implicit), or a smaller --step"
+    whole = told.found is not None and not told.found.stable and told.found.largest_step == 0
+    if status == "finished" and whole and growth > 0:  # a nonlinear loop may settle on a bounded motion
+        what = f"the linearised loop is unstable as a whole, with any step, and its motion grows at {growth:.3g} 1/s"
+        return "unstable", what
+    return status, message
 
 
 @dataclass

@@ -21,6 +21,7 @@ __all__ = ["orbit", "overview", "run_up_figure", "save_figure", "spectrum_figure
 
 TURNS = 4.0  # shown in time histories
 HUGE = 1e100  # the axes of matplotlib overflow far beyond
+GROWN = 1e3  # from the first to the second half of an unstable run: then on a logarithmic scale
 
 
 def two_axis_signals(result: Result) -> list[str]:
@@ -75,6 +76,11 @@ def _key(axes: Axes, columns: int = 1) -> None:
 def _draw_time(axes: Axes, result: Result, signal: str, part: slice) -> None:
     values = result[signal][part]
     grown = result.status == "diverged" or bool(np.abs(values).max(initial=0.0) > HUGE)
+    if result.status == "unstable":  # at first its growth is still seen on a linear scale
+        half = len(result.time) // 2
+        grown |= bool(
+            np.abs(result[signal][half:]).max(initial=0.0) > GROWN * np.abs(result[signal][:half]).max(initial=0)
+        )
     if grown:  # growth without bound is a straight line on a logarithmic scale
         size = np.abs(values)
         values = np.where((size > 0) & (size < HUGE), size, np.nan)

@@ -75,6 +75,11 @@ def campbell_figure(found: Campbell, title: str = "", *, orders: Sequence[int] =
                 axes.plot(speed[part], found.frequency_hz[part, mode], line, color=colour, label=label)
                 shown.add(kind)
         top = _top(found, orders)
+        if len(found.stable) and not found.stable.all():
+            there = ~found.stable
+            for mode in range(found.frequency_hz.shape[1]):
+                axes.plot(speed[there], found.frequency_hz[there, mode], "x", ms=4, color=RED)
+            axes.plot([], [], "x", ms=4, color=RED, label="machine unstable")
         for order in orders:
             line_hz = order * np.asarray(found.speeds) / (2 * np.pi)
             inside = np.flatnonzero(line_hz <= top)

@@ -14,6 +14,7 @@ from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.simulate.eigenmodes import Eigen, _shape_signals, checked_speeds, eigen, require_speed, whirl
 from rotorsim.simulate.linear import as_model, linearise
+from rotorsim.simulate.stability import growing
 
 __all__ = ["Campbell", "Crossing", "campbell"]
 
@@ -22,7 +23,10 @@ UNMATCHED = 0.98  # cost from which two modes are not the same one
 
 @dataclass(frozen=True)
 class Crossing:
-    """Where a mode's damped frequency equals ``order`` times the speed: a critical speed (order 1)."""
+    """Where a mode's damped frequency equals ``order`` times the speed: a critical speed (order 1).
+
+    stable: whether no pole of the machine grows at this speed; a settled motion is never reached where one does.
+    """
 
     order: int
     speed: float
@@ -30,6 +34,7 @@ class Crossing:
     mode: int
     whirl: str
     damping_ratio: float
+    stable: bool = True
 
 
 @dataclass(frozen=True, repr=False)
@@ -37,6 +42,7 @@ class Campbell(Shown):
     """Modes over speed: one column per mode, followed by shape; NaN where a mode does not oscillate.
 
     speeds (n,) [rad/s]; frequency_hz, damping_ratio (n, modes); whirl (n, modes) text, "" where NaN.
+    stable (n,): whether no pole of the machine grows there, also none that does not oscillate.
     """
 
     speeds: np.ndarray
@@ -44,6 +50,7 @@ class Campbell(Shown):
     damping_ratio: np.ndarray
     whirl: np.ndarray
     crossings: tuple[Crossing, ...]
+    stable: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     _figure = "rotorsim.report.linear_figures:campbell_figure"
@@ -77,6 +84,7 @@ class Campbell(Shown):
                 "frequency_hz": float(self.frequency_hz[j, k]),
                 "damping_ratio": float(self.damping_ratio[j, k]),
                 "whirl": str(self.whirl[j, k]),
+                "stable": bool(self.stable[j]),
             }
             for j, speed in enumerate(self.speeds)
             for k in range(self.frequency_hz.shape[1])
@@ -88,6 +96,7 @@ class Campbell(Shown):
 class _Point:
     eigen: Eigen
     whirl: list[str]
+    stable: bool
 
 
 def campbell(
@@ -115,7 +124,7 @@ def campbell(
         given = {**(parameters or {}), "speed": speed}
         system = linearise(model, parameters=given, inputs=(), outputs=outputs)
         found = eigen(system.A)
-        return _Point(found, whirl(found, system))
+        return _Point(found, whirl(found, system), not growing(system.A))
 
     points = [point(float(speed)) for speed in values]
     columns = _follow(points)
@@ -141,6 +150,7 @@ def campbell(
         damping_ratio=damping,
         whirl=direction,
         crossings=tuple(sorted(crossings, key=lambda c: (c.order, c.speed, c.mode))),
+        stable=np.array([at.stable for at in points], bool),
         provenance={"diagram": model.diagram.name, "set": dict(parameters or {}), "analysis": "campbell"},
     )
 
@@ -221,6 +231,7 @@ def _crossings(
                 mode=mode + 1,
                 whirl=at.whirl[number],
                 damping_ratio=float(-value.real / abs(value)),
+                stable=at.stable,
             )
         )
     return found

@@ -14,6 +14,7 @@ from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate.linear import LinearSystem, as_model, linearise, speed_of
+from rotorsim.simulate.stability import growing
 
 __all__ = ["Mode", "Modes", "modes", "two_axis_signals"]
 
@@ -152,7 +153,6 @@ def modes(
     direction = whirl(found, system)
     pairs = _displacements(model)
     shapes = system.C[: sum(pairs)] @ found.right if pairs else np.zeros((0, len(found.values)))
-    everything = np.concatenate([found.values.real, found.real])
     return Modes(
         modes=tuple(
             Mode(complex(value), direction[k], _normalised(shapes[:, k])) for k, value in enumerate(found.values)
@@ -160,15 +160,10 @@ def modes(
         real_poles=found.real,
         shape_names=system.outputs[: sum(pairs)],
         speed=speed_of(model, model.parameter_vector(parameters)),
-        stable=bool((everything <= _rounding(system.A)).all()),
+        stable=not growing(system.A),
         notes=system.notes,
         provenance={**system.provenance, "analysis": "modes"},
     )
-
-
-def _rounding(A: np.ndarray) -> float:
-    """Return the size of an eigenvalue that is zero but for rounding."""
-    return float(1e-12 * np.abs(A).max(initial=0.0) ** 0.5)
 
 
 def _shape_signals(model: Model) -> tuple[str, ...]:

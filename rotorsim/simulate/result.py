@@ -45,8 +45,9 @@ class Result(Shown):
     """Recorded signals of one run; nothing in it can be changed.
 
     time: (n,) [s]. signals: name -> (n, *shape), SI. units: name -> unit. status: "finished",
-    "diverged" (a state stopped being finite) or "stopped" (interrupted); message: advice.
-    counters: steps, evaluations, CPU seconds. provenance: what was run, with what.
+    "unstable" (the machine is, by its poles), "diverged" (a state stopped being finite, or the step is beyond the
+    stability limit) or "stopped" (interrupted); message: the reason, or advice. counters: steps, evaluations,
+    CPU seconds, step_error (of a fixed step, relative). provenance: what was run, with what.
 
     ``result["rotor.displacement"]`` is the whole signal, ``result["rotor.displacement[3,1]"]`` one entry of it.
     Raises RotorsimError for signals that are not as long as time.

@@ -107,3 +107,48 @@ def test_wrong_speeds(text: str, what: str) -> None:
     with pytest.raises(RotorsimError) as caught:
         speeds_of(text)
     assert caught.value.problems[0].what == what
+
+
+def test_what_is_unstable_is_marked(run) -> None:
+    found = run("campbell", "jeffcott", "--set", "controller.KD=-5", "--speeds", "0 rpm, 9000 rpm", "--plot", "c.svg")
+    lines = found.stdout.splitlines()
+    assert found.exit_code == 0
+    assert [line.split()[-1] for line in lines[:3]] == ["machine", "unstable", "unstable"]
+    assert [line.split()[-1] for line in lines[4:]] == ["machine", *["unstable"] * 4]
+    assert found.stderr.endswith(
+        "warning: jeffcott: unstable at 2 of 2 speeds (0 .. 9000 rpm): a pole grows there\n\n"
+        "hint: 'rotorsim modes --set speed=...' shows which; a critical speed there is never reached\n"
+    )
+    data = json.loads(run("campbell", "jeffcott", "--set", "controller.KD=-5", "--speeds", "0, 900", "--json").stdout)
+    assert (data["stable"], {c["stable"] for c in data["critical_speeds"]}) == ([False, False], {False})
+    settled = run("periodic", "jeffcott", "--set", "controller.KD=-5")
+    rows = [line.split() for line in settled.stdout.splitlines() if line]
+    assert [row[-1] for row in rows[1:4]] == ["motion", "unstable", "unstable"]
+    assert "warning: jeffcott: unstable at 1 of 1 speeds (1500 rpm): this motion is never reached" in settled.stderr
+    real = run("modes", "jeffcott", "--set", "controller.KP=-20000").stdout.splitlines()[-1]
+    assert real.count("(grows)") == 4
+
+
+def test_what_is_stable_is_not_marked(run) -> None:
+    for arguments in (["campbell", "jeffcott", "--speeds", "0 rpm, 9000 rpm"], ["periodic", "jeffcott"]):
+        found = run(*arguments)
+        assert "stable" not in found.stdout + found.stderr
+    data = json.loads(run("campbell", "jeffcott", "--speeds", "0, 900", "--json").stdout)
+    assert data["stable"] == [True, True]
+
+
+@pytest.mark.parametrize("verb", ["modes", "periodic", "campbell"])
+def test_a_body_of_no_mass_is_named(run, verb: str) -> None:
+    found = run(verb, "fe_flexible", "--set", "rotor.density=1e-300")
+    assert (found.exit_code, found.stdout) == (2, "")
+    assert found.stderr.endswith(
+        "error: rotor: the rate of rotor.velocity[1,1] has no finite derivatives\n\n"
+        "hint: a parameter is out of all proportion: a mass, density or time constant of nearly nothing\n"
+    )
+
+
+def test_a_range_without_a_step_is_told_how_to_be_written(run) -> None:
+    assert run("periodic", "jeffcott", "--speeds", "900-6000 rpm").stderr == (
+        "error: --speeds 900-6000 rpm: a range without a step\n\n"
+        "hint: a range is start:step:stop, as in '900 rpm:510 rpm:6000 rpm'\n"
+    )

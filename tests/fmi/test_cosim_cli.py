@@ -57,8 +57,10 @@ def test_a_sampled_controller(run: Run, tmp_path: Path) -> None:
 
 def test_a_loop_that_is_unstable_as_a_whole(run: Run, tmp_path: Path) -> None:
     done = run("cosim", sampled(tmp_path, 1e-3), *PART, "--step", "0.1 ms")
-    assert done.exit_code == 0
+    assert done.exit_code == 1
+    assert done.stdout.splitlines()[0].startswith("unstable: ")
     assert done.stdout.splitlines()[1] == "the linearised loop is unstable as a whole, with any step"
+    assert "error: the linearised loop is unstable as a whole, with any step, and its motion grows at " in done.stderr
 
 
 @pytest.mark.parametrize(("more", "why"), [
