@@ -6,6 +6,7 @@ the angle, beside a slow drift of the mean. What is left over says how uncertain
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -27,6 +28,7 @@ DRIFT = 2  # degree of the drift of the mean
 NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something beside a harmonic is not told from it
 LOUD = 2.5  # times the noise, for lines of samples that differ in what they tell: those may follow the motion a little
 LEAST_TOLD = 1e-6  # of the best known combination of coefficients: information of one that samples tell nothing of
+SLACK = 3.0  # times the rms of the curvature of a turn: what it says of the angle is then a quarter of what is known
 ROUNDING = 1e-10  # of a signal's rms: what numbers of seven to sixteen digits and the fit itself leave over
 
 
@@ -110,15 +112,17 @@ class HarmonicFit:
     def turned(self) -> np.ndarray:
         """What the uncertain angle zero adds to the covariance of `real_vector`: it is turned @ turned.T, (m, 4).
 
-        An error d turns harmonic k of all channels by e^{-i k d}. The second moment of c_k (1 - e^{-i k d}), d uniform
-        with standard deviation `angle_std`, by five Gauss points (that at zero adds nothing): the chord as well as
-        the tangent, since (k d)^2 / 2 is soon above the noise.
+        An error d of the angle turns harmonic k of all channels: c_k (1 - e^{-i k d}) = - sum of (-i k d)^n / n! c_k.
+        Columns: the first four terms at the rms of d^n, d uniform with standard deviation s = `angle_std`:
+        (sqrt(3) s)^n / sqrt(2 n + 1). The second and the third are above the noise of a good sensor from a degree on.
+        Those after the first are taken as independent and SLACK times as large: d alone makes them, so that knowing
+        them would make it seem better known than it is, d^2 by (20 / 9) / SLACK^2 of 1 / s^2 at d = s.
         """
-        points, weights = np.polynomial.legendre.leggauss(5)
-        far = np.abs(points) > 0.1
-        angles = np.sqrt(3) * self.angle_std * points[far]
-        columns = [real_vector(-np.expm1(-1j * self.orders[:, None] * d) * self.values) for d in angles]
-        return np.asarray(np.column_stack(columns) * np.sqrt(weights[far] / 2))
+        size = 3**0.5 * self.angle_std * -1j * self.orders[:, None]
+        terms = [
+            size**n / math.factorial(n) / (2 * n + 1) ** 0.5 * (SLACK if n > 1 else 1.0) for n in (1, 2, 3, 4)
+        ]
+        return np.column_stack([real_vector(term * self.values) for term in terms])
 
     def covariance_at(self, columns: np.ndarray, orders: Sequence[int], resolution: float) -> np.ndarray:
         """Return the covariance (m, m) of the real harmonics of some channels and orders, as `real_vector` has them.
