@@ -29,6 +29,7 @@ NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something bes
 LOUD = 2.5  # times the noise, for lines of samples that differ in what they tell: those may follow the motion a little
 LEAST_TOLD = 1e-6  # of the best known combination of coefficients: information of one that samples tell nothing of
 SLACK = 3.0  # times the rms of the curvature of a turn: what it says of the angle is then a quarter of what is known
+TURNS = 1e-3  # probability of a harmonic as large by noise alone, below which it is turned by an error of the angle
 ROUNDING = 1e-10  # of a signal's rms: what numbers of seven to sixteen digits and the fit itself leave over
 
 
@@ -116,13 +117,17 @@ class HarmonicFit:
         Columns: the first four terms at the rms of d^n, d uniform with standard deviation s = `angle_std`:
         (sqrt(3) s)^n / sqrt(2 n + 1). The second and the third are above the noise of a good sensor from a degree on.
         Those after the first are taken as independent and SLACK times as large: d alone makes them, so that knowing
-        them would make it seem better known than it is, d^2 by (20 / 9) / SLACK^2 of 1 / s^2 at d = s.
+        them would make it seem better known than it is, d^2 by (20 / 9) / SLACK^2 of 1 / s^2 at d = s. Harmonics that
+        noise makes are not turned: what depends on their noise would be taken off it.
         """
         size = 3**0.5 * self.angle_std * -1j * self.orders[:, None]
         terms = [
             size**n / math.factorial(n) / (2 * n + 1) ** 0.5 * (SLACK if n > 1 else 1.0) for n in (1, 2, 3, 4)
         ]
-        return np.column_stack([real_vector(term * self.values) for term in terms])
+        power = [2 * self.gram[max(2 * k - 1, 0), max(2 * k - 1, 0)] * np.diag(self.noise.at_order(k)).real
+                 for k in range(len(self.orders))]  # fmt: skip
+        told = np.abs(self.values) ** 2 > -math.log(TURNS) * np.array(power)
+        return np.column_stack([real_vector(term * np.where(told, self.values, 0.0)) for term in terms])
 
     def covariance_at(self, columns: np.ndarray, orders: Sequence[int], resolution: float) -> np.ndarray:
         """Return the covariance (m, m) of the real harmonics of some channels and orders, as `real_vector` has them.
