@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.harmonic_fit import HarmonicFit, fit_harmonics
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
-from rotorsim.recordings.shaft_angle import ShaftAngle, shaft_angle
+from rotorsim.recordings.shaft_angle import ShaftAngle, refuse_run_up, shaft_angle
 
 __all__ = ["RunHarmonics", "harmonics_of"]
 
@@ -44,6 +44,7 @@ def harmonics_of(
         for run in chosen:
             try:
                 angle = shaft_angle(recording, run)
+                refuse_run_up(f"run {run.id}", run.place, run.time, angle.theta)
                 angle = replace(angle, sampled=angle.sampled * len(chosen) ** 0.5)
                 signals = {channels[c].name: np.asarray(run.values[c]) for c in channels if c in run.values}
                 fit = fit_harmonics(

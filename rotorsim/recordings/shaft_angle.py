@@ -7,10 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.recordings.recording import Recording, Run
 
-__all__ = ["ShaftAngle", "at_equal_angles", "pulse_edges", "pulse_resolution", "pulse_times", "shaft_angle"]
+__all__ = [
+    "ShaftAngle", "at_equal_angles", "pulse_edges", "pulse_resolution", "pulse_times", "refuse_run_up", "run_up", "shaft_angle",
+    "speed_change", "steady_limit",
+]  # fmt: skip
 
 TURN = 2 * np.pi
 MOST_COEFFICIENTS = 8  # of the polynomial through the pulses
@@ -20,6 +23,9 @@ STAMPED = np.sqrt(1 / 6)  # of the middle of that interval against the stated ti
 ON_GRID = 1e-6  # of a sample period: nearer to a sample than rounding of doubles explains
 CHANCE = 1e-6  # that pulses which are not sampled all lie there
 DIGITS = 9  # behind the point, to which stated times may be rounded: more are no resolution of an instrument
+DAMPING = 0.1  # ratio of the mode that a steady run may cross: amplification factor 5, where API 617 asks for margins
+PHASE = np.radians(1.0)  # by which a drift of the speed may turn its response
+LEAST = 0.01  # of the speed: a drift that is never refused
 PLATEAU = 0.1  # of the height of a pulse: nearer to a level than that, a sample may be before or after the edge
 
 
@@ -205,6 +211,47 @@ def _shared(left: np.ndarray, jitter: float, each: float) -> float:
     teeth = min(max(2 * changes, 1), len(left))
     seen = min(jitter, each) ** 2
     return float(np.sqrt(each**2 - seen + seen * (1 / teeth - 1 / len(left))))
+
+
+def speed_change(time: np.ndarray, theta: np.ndarray) -> float:
+    """Return the even change of the speed over samples of the shaft angle (n,), as a share of the mean speed."""
+    u = 2 * (time - time[0]) / (time[-1] - time[0]) - 1
+    _, first, second = np.polynomial.polynomial.polyfit(u, theta - theta[0], 2)
+    return float(4 * second / first) if first else 0.0
+
+
+def steady_limit(turns: float) -> float:
+    """Return the `speed_change` e up to which a run of N turns is taken as steady.
+
+    The response of a mode of damping ratio z lags behind a drifting speed: by 1 / (z W) in time, at resonance by
+    e / (2 pi N z^2) in phase; and averaged over the run it is wrong by (e / z)^2 / 12. Both stay below a degree at
+    z = 0.1: e < 0.11 % N and e < 4.6 %. A drift of 1 % is never refused, however short the run.
+    """
+    lag = TURN * turns * DAMPING**2 * PHASE
+    return float(max(LEAST, min(lag, DAMPING * np.sqrt(12 * PHASE))))
+
+
+def refuse_run_up(subject: str, place: Place, time: np.ndarray, theta: np.ndarray) -> None:
+    """Raise RotorsimError where the speed changes by more than `steady_limit` over samples of the angle (n,)."""
+    said = run_up(time, theta)
+    if said:
+        limit = 100 * steady_limit(abs(float(theta[-1] - theta[0])) / TURN)
+        hint = f"cut out a part in which it changes by less than {limit:.2g} %, or record runs at steady speeds"
+        what = f"{said}: its orders are not those of one speed"
+        raise RotorsimError(Problem(what, subject, place, hint))
+
+
+def run_up(time: np.ndarray, theta: np.ndarray) -> str:
+    """Return how the speed changes where it is not steady, empty where it is: ``run-up from 600 to 9600 rpm``."""
+    if len(time) < 8 or not (np.isfinite(theta).all() and (np.diff(time) > 0).all()):
+        return ""
+    change = speed_change(time, theta)
+    if abs(change) <= steady_limit(abs(float(theta[-1] - theta[0])) / TURN):
+        return ""
+    n = max(len(time) // 50, 2)
+    first = abs(theta[n - 1] - theta[0]) / (time[n - 1] - time[0]) * 30 / np.pi
+    last = abs(theta[-1] - theta[-n]) / (time[-1] - time[-n]) * 30 / np.pi
+    return f"{'run-up' if change > 0 else 'coast-down'} from {first:.4g} to {last:.4g} rpm"
 
 
 def pulse_times(time: np.ndarray, voltage: np.ndarray) -> np.ndarray:
