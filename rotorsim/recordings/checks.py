@@ -197,12 +197,14 @@ class _RunFinder:
 
     def contradicts(self, turning: _Turning, mean: float, other: str, speed: float) -> None:
         ratio = mean / speed if speed else 0.0
-        hint = "correct the speed, the pulses or the sample rate in recording.json"
+        by_samples = turning.what == "the angle" or self.run.tacho is None
+        hint = "correct the speed or sample_rate in recording.json" if by_samples else ""
         if round(ratio) > 1 and abs(ratio / round(ratio) - 1.0) < _SPEED:
             hint = f"there may be {round(ratio)} pulses in a turn: keep one"
-            if turning.what != "the tacho" or self.run.tacho is None:
-                hint += f"; or sample_rate is {round(ratio)} times too high"
-        elif ratio > 0 and round(1 / ratio) > 1 and abs(ratio * round(1 / ratio) - 1.0) < _SPEED:
+            if by_samples:
+                hint = f"sample_rate may be {round(ratio)} times too high"
+                hint += f", or there are {round(ratio)} pulses in a turn" * (turning.what != "the angle")
+        elif by_samples and ratio > 0 and round(1 / ratio) > 1 and abs(ratio * round(1 / ratio) - 1.0) < _SPEED:
             hint = f"sample_rate may be {round(1 / ratio)} times too low"
         what = f"tacho: {turning.what} says {_rpm(mean)}, {other} {_rpm(speed)}"
         self.say(what, hint=hint, error=True, place=self.run.place)
