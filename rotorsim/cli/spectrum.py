@@ -70,6 +70,8 @@ def command(
     if runs:
         raise RotorsimError(Problem(what="--run needs a recording", subject=source))
     result, angle = _result(source, settings, without, trust_blocks, signals)
+    import numpy as np
+
     from rotorsim.cli.summary import two_axis
     from rotorsim.simulate.spectrum import full_spectrum, harmonics, last_turns
 
@@ -82,6 +84,11 @@ def command(
     if span is not None:
         span = _inside(result, span, angle, window or "")
     span = span or (last_turns(result, angle) if angle else None)
+    if angle is not None and span is not None:
+        from rotorsim.recordings.shaft_angle import refuse_run_up
+
+        part = slice(*np.searchsorted(result.time, span))
+        refuse_run_up(source, Place(), result.time[part], result[angle][part])
     found = [full_spectrum(result, name, window=span, angle=angle) for name in names]
     running = _running(result, angle, span)
     fits = _fits(result, names, method, span, angle) if method else None

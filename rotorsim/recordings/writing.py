@@ -187,6 +187,8 @@ def _run_entry(run: NewRun, part: slice, suffix: str) -> dict[str, Any]:
         if speed is None:
             speed = float(theta[-1] - theta[0]) / float(time[-1] - time[0])
         entry["tacho"] = _pulses(time if rate is None else time - time[0], theta)
+        if entry["tacho"]:
+            entry["tacho_resolution"] = 0  # interpolated, not sampled: even where all happen to be at a sample
     if speed is not None:
         entry["speed"] = float(speed)
     if run.settings:

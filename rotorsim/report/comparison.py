@@ -118,8 +118,7 @@ class Comparison:
         """Return what was measured in run r."""
         fit, orders = self.experiment.fits[r], self.orders(signal)
         value = signal.combined(fit.values, fit.names, orders)
-        turned = real_vector(-1j * fit.orders[:, None] * fit.values) * fit.angle_std
-        own = fit.covariance - np.outer(turned, turned)
+        own = fit.covariance - fit.turned @ fit.turned.T
         total = np.array([_covariance(fit, fit.covariance, signal, int(k)) for k in orders])
         alone = np.array([_covariance(fit, own, signal, int(k)) for k in orders])
         size = np.abs(value)
