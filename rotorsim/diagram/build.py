@@ -103,6 +103,11 @@ class Builder:
                 what = problem.what if raw.file in problem.what else f"{raw.file}: {problem.what}"
                 self.error(what, raw.name, raw.place("file"), problem.hint)
             return None
+        said = {(problem.what, problem.subject) for problem in self.problems}
+        for warning in found.fmu_warnings:  # type: ignore[attr-defined]
+            what = f"{raw.file}: {warning.subject}: {warning.what}"
+            if (what, raw.name) not in said:
+                self.problems.append(Problem(what, raw.name, raw.place("file"), warning.hint, "warning"))
         return found
 
     def work(

@@ -190,13 +190,25 @@ def _fast(
     members: list[Any] = [p.slave if isinstance(p, FmuParticipant) else p for p in coupling.participants]
     sequence = coupling.order if told.master == "gauss_seidel" else None
     count = round(end / step)
-    made = FastLoop(members, coupling.L, coupling.u0, sequence).run(0.0, step, count, progress=progress)
-    rows = np.vstack([first, made])
+    (fu, ou), (fy, oy) = (scales_of(coupling, which) for which in ("u_scales", "y_scales"))
+    L, u0 = coupling.L * fy / fu[:, None], (coupling.L @ oy + coupling.u0 - ou) / fu  # in the units of the FMUs
+    made = FastLoop(members, L, u0, sequence).run(0.0, step, count, progress=progress)
+    rows = np.vstack([first, made * fy + oy])
     status, message = "finished", ""
     if len(made) < count or not np.isfinite(rows[-1]).all():
         status, message = "diverged", f"left the finite numbers at t = {len(made) * step:g} s: a smaller step"
     worker.counters["steps"] = len(made)
     return _result(coupling, diagram, np.arange(len(rows)) * step, rows, status, message, worker, told)
+
+
+def scales_of(coupling: Coupling, which: str) -> np.ndarray:
+    """Return factors and offsets (2, n) of all inputs or outputs: SI = factor * value + offset."""
+    found = [np.zeros((0, 2))]
+    for p in coupling.participants:
+        n = len(p.inputs if which == "u_scales" else p.outputs)
+        own = getattr(p, which) if isinstance(p, FmuParticipant) else None
+        found.append(np.tile((1.0, 0.0), (n, 1)) if own is None else own)
+    return np.concatenate(found).T
 
 
 def _doubled(worker: Master, t: float, h: float, allowed: float, most: float) -> tuple[float, np.ndarray, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -154,7 +155,10 @@ class _Reader:
             display = {}
             for shown in element.all("DisplayUnit"):
                 scale = self.attributes(shown, f"unit {name[:80]}")
-                display[shown.get("name")] = (scale.number("factor", 1.0), scale.number("offset", 0.0))
+                inverse = self.version == "3.0" and scale.flag("inverse")
+                display[shown.get("name")] = (scale.number("factor", 1.0), scale.number("offset", 0.0), inverse)
+                if not 0.0 < abs(display[shown.get("name")][0]) < math.inf:
+                    scale.wrong("factor", "is no factor")
             if name in units:
                 self.wrong(element, "is defined twice", f"unit {name[:80]}")
             powers: dict[str, int] = {
@@ -162,6 +166,10 @@ class _Reader:
                 for key in ("kg", "m", "s", "A", "K", "mol", "cd", "rad") if base and key in base.attributes
             }  # fmt: skip
             factor, offset = (read.number(key, default) for key, default in (("factor", 1.0), ("offset", 0.0)))
+            if not 0.0 < abs(factor) < math.inf:
+                read.wrong("factor", "is no factor")
+            if not math.isfinite(offset):
+                read.wrong("offset", "is not finite")
             units[name] = FmuUnit(name, factor, offset, powers, display, base is not None)
         return units
 
@@ -227,7 +235,7 @@ class _Reader:
             name, read.whole("valueReference", None, most=2**32 - 1), kind, causality, variability, initial,
             values.start(element), values.text("unit"), values.text("displayUnit"), element.get("description"),
             values.number("min"), values.number("max"), values.number("nominal"), (), "", declared,
-            clocked=bool(element.get("clocks")), place=self.place(element),
+            clocked=bool(element.get("clocks")), relative=values.flag("relativeQuantity"), place=self.place(element),
         )  # fmt: skip
         state = Attributes(inner, name, self.wrong).whole("derivative", -1, most=2**32 - 1)
         return variable, None if state < 0 else state

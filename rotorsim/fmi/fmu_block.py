@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import prod
 from pathlib import Path
@@ -20,7 +20,6 @@ from rotorsim.block import Block, Equations, In, Option, Out, Param, Shape
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.model_description import FmuVariable, ModelDescription
 from rotorsim.fmi.slave import describe_fmu
-from rotorsim.units import UnitError, parse_unit
 
 __all__ = ["FmuPort", "block_class", "ports_of"]
 
@@ -31,7 +30,11 @@ _NUMERIC = (*_REAL, "Integer", "Int64", "Int32", "Int16", "Int8", "UInt64", "UIn
 
 @dataclass(frozen=True)
 class FmuPort:
-    """A port or parameter of an ``fmu`` block: the FMU's own names of its entries, row-major."""
+    """A port or parameter of an ``fmu`` block: the FMU's own names of its entries, row-major.
+
+    Ports are in SI units, whatever the FMU has: scales (n, 2) are factor and offset of the entries, SI value = factor *
+    value of the FMU + offset. start: SI.
+    """
 
     name: str
     shape: Shape
@@ -39,7 +42,16 @@ class FmuPort:
     entries: tuple[str, ...]
     start: np.ndarray | None
     description: str
+    scales: np.ndarray
     discrete: bool = False
+
+    def to_si(self, values: Any) -> np.ndarray:
+        """Return values (n,) of the FMU in SI units."""
+        return np.asarray(self.scales[:, 0] * np.ravel(values) + self.scales[:, 1])
+
+    def of_fmu(self, values: Any) -> np.ndarray:
+        """Return SI values (n,) in the units of the FMU."""
+        return np.asarray((np.ravel(values) - self.scales[:, 1]) / self.scales[:, 0])
 
 
 def ports_of(description: ModelDescription, causality: str, prefix: str) -> dict[str, FmuPort]:
@@ -57,7 +69,7 @@ def ports_of(description: ModelDescription, causality: str, prefix: str) -> dict
             groups.setdefault(base, []).append((index, name, variable, start))
     found: dict[str, FmuPort] = {}
     for base, members in groups.items():
-        port = _port(base, members, prefix)
+        port = _port(description, base, members, prefix)
         if port.name in found:
             raise RotorsimError(
                 Problem(f"two variables would be called '{port.name}'", description.name, description.place)
@@ -66,7 +78,10 @@ def ports_of(description: ModelDescription, causality: str, prefix: str) -> dict
     return found
 
 
-def _port(base: str, members: Sequence[tuple[tuple[int, ...], str, FmuVariable, float | None]], prefix: str) -> FmuPort:
+def _port(
+    description: ModelDescription, base: str, members: Sequence[tuple[tuple[int, ...], str, FmuVariable, float | None]],
+    prefix: str,
+) -> FmuPort:  # fmt: skip
     members = sorted(members, key=lambda member: member[0])
     indices = np.array([member[0] for member in members])
     shape: Shape = ()
@@ -76,11 +91,16 @@ def _port(base: str, members: Sequence[tuple[tuple[int, ...], str, FmuVariable, 
             shape = (len(members),)
     variable = members[0][2]
     starts = [member[3] for member in members]
-    start = None if any(value is None for value in starts) else np.array(starts, float).reshape(shape)
-    return FmuPort(
-        port_name(base, prefix), shape, _unit(variable.unit), tuple(m[1] for m in members), start, variable.description,
-        variable.variability in ("discrete", "constant", "fixed"),
+    units = {v.name: description.unit_of(v) for _, _, v, _ in members}
+    scales = np.array([(unit.factor, unit.offset) if (unit := units[v.name]) else (1.0, 0.0) for _, _, v, _ in members])
+    shown = {unit.si if unit else None for unit in units.values()}
+    port = FmuPort(
+        port_name(base, prefix), shape, shown.pop() if len(shown) == 1 else None, tuple(m[1] for m in members), None,
+        variable.description, scales, variable.variability in ("discrete", "constant", "fixed"),
     )  # fmt: skip
+    if any(value is None for value in starts):
+        return port
+    return replace(port, start=port.to_si(np.array(starts, float)).reshape(shape))
 
 
 def port_name(base: str, prefix: str) -> str:
@@ -90,13 +110,19 @@ def port_name(base: str, prefix: str) -> str:
     return f"_{text}" if text[:1].isdigit() else text
 
 
-def _unit(text: str) -> str | None:
-    """Return a unit that rotorsim knows, None for others: they fit anything."""
-    try:
-        parse_unit(text)
-    except UnitError:
-        return None
-    return text or None
+def unit_warnings(description: ModelDescription) -> list[Problem]:
+    """Return a warning for every unit of a variable at work that is neither defined nor known, and so fits anything."""
+    names: dict[str, FmuVariable] = {}
+    for variable in description.by_causality("input", "output", "parameter"):
+        if variable.unit and variable.type in _REAL and description.unit_of(variable) is None:
+            names.setdefault(variable.unit, variable)
+    return [
+        Problem(
+            f"the unit '{unit[:80]}' is neither defined in the FMU nor known: it is taken as it is and fits all",
+            variable.name[:200], variable.place, severity="warning",
+        )
+        for unit, variable in names.items()
+    ]  # fmt: skip
 
 
 def prefix_of(description: ModelDescription) -> str:
@@ -118,7 +144,7 @@ def _made(path: Path, _stamp: tuple[int, int]) -> type[Block]:
     body: dict[str, Any] = {
         "__doc__": f"{description.description or description.name} (FMU).\n\nIts equations are inside the FMU.",
         "type_name": "fmu", "category": "fmu", "opaque": True, "source": description.name,
-        "fmu_path": path, "fmu_description": description,
+        "fmu_path": path, "fmu_description": description, "fmu_warnings": unit_warnings(description),
         "fmu_inputs": inputs, "fmu_outputs": outputs, "fmu_parameters": parameters,
         "file": Option(str(path), kind=str, doc="file of the FMU"),
         "interface": Option("any", choices=("any", "cs", "me"), kind=str, doc="cs, me, or any: cs where it is offered"),

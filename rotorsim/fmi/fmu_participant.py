@@ -34,6 +34,7 @@ class FmuParticipant:
     seen from there on. Model Exchange: its states are integrated here, with steps ``internal``, from event to event.
 
     moving, following: as of a compiled part; outputs of variability discrete do not move between events.
+    Inputs and outputs are in SI units here; u_scales, y_scales (n, 2): factors and offsets, None where all are SI.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class FmuParticipant:
         self.outputs = tuple(n for p in outputs.values() for n in entry_names(f"{name}.{p.name}", p.shape))
         self._u_names = [entry for port in inputs.values() for entry in port.entries]
         self._y_names = [entry for port in outputs.values() for entry in port.entries]
+        self.u_scales, self.y_scales = _scales(inputs), _scales(outputs)
         self.kind = description.kinds[slave.kind]
         discrete = [entry.variable.variability != "continuous" for entry in description.resolve(self._u_names)]
         self.integrator = ModelExchange(slave, np.array(discrete, bool)) if slave.kind == "me" else None
@@ -81,21 +83,31 @@ class FmuParticipant:
         self.slave.exit_initialisation()
         self._started = True
         if self.integrator is not None:
-            self.integrator.begin(t, u)
+            self.integrator.begin(t, self._of_fmu(u))
         elif self.slave.ended:
             raise self._ended(t)
 
     def output(self, t: float, u: np.ndarray) -> np.ndarray:
+        u = self._of_fmu(u)
         if self.integrator is None:
-            return np.asarray(self.slave.exchange(u, t))
-        return np.asarray(self.integrator.output(t, u) if self._started else self.slave.outputs(t, None, u))
+            return self._si(self.slave.exchange(u, t))
+        return self._si(self.integrator.output(t, u) if self._started else self.slave.outputs(t, None, u))
+
+    def _of_fmu(self, u: np.ndarray) -> np.ndarray:
+        """Return inputs (n_u,) in the units of the FMU."""
+        return u if self.u_scales is None else (u - self.u_scales[:, 1]) / self.u_scales[:, 0]
+
+    def _si(self, y: np.ndarray) -> np.ndarray:
+        """Return outputs (n_y,) in SI units."""
+        return y if self.y_scales is None else self.y_scales[:, 0] * y + self.y_scales[:, 1]
 
     def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Return rates of the outputs by a very short step that is taken back."""
         h = RATE_STEP * self._last
         before = self.output(t, u)
         if self.integrator is not None:
-            return np.asarray((self.integrator.slope(t, h, lambda tau: u + rate * tau) - before) / h)
+            after = self._si(self.integrator.slope(t, h, lambda tau: self._of_fmu(u + rate * tau)))
+            return np.asarray((after - before) / h)
         saved = self.slave.save_state()
         after = self._advance(t, h, lambda tau: u + rate * tau, 1)
         self.slave.restore_state(saved)
@@ -105,7 +117,8 @@ class FmuParticipant:
     def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
         self._last = h
         if self.integrator is not None:
-            self.integrator.advance(t, h, u, min(max(1, int(np.ceil(h / self.internal - 1e-9))), 10_000))
+            own = u if self.u_scales is None else lambda tau: self._of_fmu(u(tau))
+            self.integrator.advance(t, h, own, min(max(1, int(np.ceil(h / self.internal - 1e-9))), 10_000))
             return self.output(t + h, u(h))
         if self.sampled:
             return self._advance(t, h, lambda _: u(h), 1)
@@ -119,14 +132,14 @@ class FmuParticipant:
         width = h / count
         for k in range(count):
             try:
-                self.slave.exchange(u((k + 0.5) * width), t + k * width, width)
+                self.slave.exchange(self._of_fmu(u((k + 0.5) * width)), t + k * width, width)
             except FmuError as failure:
                 if failure.kind == "discard" and self.slave.ended:
                     raise self._ended(failure.last if failure.last is not None else t + k * width) from None
                 raise
             if self.slave.ended:
                 raise self._ended(t + (k + 1) * width)
-        return self.slave.exchange(u(h), t + h)
+        return self._si(self.slave.exchange(self._of_fmu(u(h)), t + h))
 
     def next_hit(self, t: float) -> float:
         return np.inf if self.integrator is None else self.integrator.next_time
@@ -180,16 +193,37 @@ class FmuParticipant:
         if self.integrator is None and not description.states:
             return "does not tell its states"
         n = len(description.states)
-        unknowns, knowns = [*description.derivatives, *self._y_names], [*description.states, *self._u_names]
+        smooth = [
+            np.array([entry.variable.type in FLOATS for entry in description.resolve(names)], bool)
+            for names in (self._y_names, self._u_names)
+        ]
+        stepped = [name for name, taken, floats in zip(self._y_names, used, smooth[0], strict=True) if taken > floats]
+        if stepped:
+            return f"gives others whole numbers or flags ({stepped[0]}), which have no derivatives"
+        rows, columns = (np.flatnonzero([True] * n + list(mask)) for mask in smooth)
+        every = [*description.derivatives, *self._y_names], [*description.states, *self._u_names]
+        unknowns, knowns = ([names[k] for k in at] for names, at in zip(every, (rows, columns), strict=True))
+        J = np.zeros((len(every[0]), len(every[1])))
         try:
-            J = self.slave.jacobian(unknowns, knowns) if unknowns and knowns else np.zeros((len(unknowns), len(knowns)))
+            if unknowns and knowns:
+                J[np.ix_(rows, columns)] = self.slave.jacobian(unknowns, knowns)
         except RotorsimError as error:
             return error.problems[0].what
+        if self.y_scales is not None:
+            J[n:] *= self.y_scales[:, :1]
+        if self.u_scales is not None:
+            J[:, n:] /= self.u_scales[:, 0]
         return LinearModel(J[:n, :n], J[:n, n:], J[n:, :n], J[n:, n:])
 
     def close(self) -> None:
         """Free the instance and what was unpacked."""
         self.fmu.close()
+
+
+def _scales(ports: dict[str, FmuPort]) -> np.ndarray | None:
+    """Return factors and offsets (n, 2) of all entries, or None where all are 1 and 0."""
+    found = np.concatenate([np.zeros((0, 2)), *(port.scales for port in ports.values())])
+    return None if (found == (1.0, 0.0)).all() else found
 
 
 def _depends(dependencies: Any, output: str, name: str) -> bool:
@@ -217,11 +251,11 @@ def fmu_participant(name: str, node: Node, wired: Collection[str], stop: float, 
         raise RotorsimError(Problem(what, name, node.place, f"it offers {offered}"))
     given = {**block.fmu_parameters, **{key: port for key, port in block.fmu_inputs.items() if key not in wired}}
     parameters = {
-        entry: float(value)
+        entry: float(own)
         for key, port in given.items()
         if key in node.values
-        for entry, value, start in zip(
-            port.entries, np.ravel(node.values[key]), np.ravel(port.start), strict=True
+        for entry, value, own, start in zip(
+            port.entries, np.ravel(node.values[key]), port.of_fmu(node.values[key]), np.ravel(port.start), strict=True
         )
         if value != start
     }  # fmt: skip

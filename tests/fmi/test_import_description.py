@@ -41,8 +41,10 @@ def test_fmi2() -> None:
     assert found.n_events == 1
     u = found.variables["u"]
     assert (u.type, u.causality, u.variability, u.initial, u.start) == ("Float64", "input", "continuous", "exact", 0.0)
-    assert found.unit_of(u) == parse_unit("N")
-    assert found.units["m"].display == {"mm": (1000.0, 0.0)}
+    unit = found.unit_of(u)
+    assert unit is not None
+    assert unit.unit == parse_unit("N")
+    assert found.units["m"].display == {"mm": (1000.0, 0.0, False)}
     assert found.variables["enabled"].start is True
     assert found.variables["label"].start == "none"
     assert (found.experiment.start, found.experiment.stop, found.experiment.step) == (0.0, 2.0, 0.01)
