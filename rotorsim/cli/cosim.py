@@ -95,6 +95,10 @@ def command(
         )
         for line in ["stability of the coupling: not analysed (--no-check)"] if no_check else _stability(made):
             click.echo(line)
+        for name, about in made.get("fmus", {}).items():
+            if about["most_parts"] > 1:
+                click.echo(f"{name}: its inputs move within a step: taken in up to {about['most_parts']} parts, "
+                           f"{about['do_steps']} calls of doStep")  # fmt: skip
         if text := _peaks(loaded, result):
             click.echo(f"\n{text}")
     if result.status != "finished":

@@ -56,6 +56,7 @@ def cosimulate(
     end = diagram.solver.stop if stop is None else stop
     every = coupling.rates_of(rates or {})
     _refuse(coupling, master, order, adaptive, fast, every)
+    _refuse_rigid(coupling, step, end, adaptive, every)
     if master == "waveform" and 0 < step <= end:
         return _by_waveform(coupling, diagram, step, end, tolerance, progress)
     if not 0 < step <= end:
@@ -168,6 +169,25 @@ def _refuse(
         raise RotorsimError(*problems)
 
 
+def _refuse_rigid(
+    coupling: Coupling, step: float, end: float, adaptive: float | None, rates: Sequence[int]
+) -> None:  # fmt: skip
+    """Refuse steps of several lengths where an FMU cannot vary its communication step."""
+    problems = []
+    for participant, rate in zip(coupling.participants, rates, strict=True):
+        if not isinstance(participant, FmuParticipant) or not participant.rigid:
+            continue
+        what, count = "cannot vary its communication step", end / (rate * step)
+        if adaptive is not None:
+            problems.append(Problem(f"{what}, as adaptive steps do", participant.name, hint="take fixed steps"))
+        elif abs(count - round(count)) > 1e-6:
+            what += f": its steps of {rate * step:g} s do not divide the stop time {end:g} s"
+            hint = f"such as --step '{end / max(1, round(count)) / rate:.9g} s'"
+            problems.append(Problem(what, participant.name, hint=hint))
+    if problems:
+        raise RotorsimError(*problems)
+
+
 def _by_waveform(
     coupling: Coupling, diagram: Diagram, step: float, end: float, tolerance: float,
     progress: Callable[[float], None] | None,
@@ -198,6 +218,9 @@ def _fast(
     if len(made) < count or not np.isfinite(rows[-1]).all():
         status, message = "diverged", f"left the finite numbers at t = {len(made) * step:g} s: a smaller step"
     worker.counters["steps"] = len(made)
+    for participant in coupling.participants:
+        if isinstance(participant, FmuParticipant):
+            participant.most_parts, participant.do_steps = 1, len(made)
     return _result(coupling, diagram, np.arange(len(rows)) * step, rows, status, message, worker, told)
 
 
@@ -255,4 +278,7 @@ def _result(
             signals.update({names[k]: rows[:, k] for k in columns})
     ports = {f"{b}.{n}": p.unit for b, node in diagram.nodes.items() for n, p in node.outputs.items()}
     units = {name: ports.get(name.partition("[")[0]) or "" for name in signals}
-    return Result(times, signals, units, status, message, dict(worker.counters), told.provenance(worker.told_order))
+    made = told.provenance(worker.told_order)
+    if fmus := {p.name: p.told() for p in coupling.participants if isinstance(p, FmuParticipant)}:
+        made["fmus"] = fmus
+    return Result(times, signals, units, status, message, dict(worker.counters), made)

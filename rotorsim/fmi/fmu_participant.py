@@ -30,8 +30,8 @@ class FmuParticipant:
     """An FMU behind the interface of a participant; its names are those of the ports of its block.
 
     Co-Simulation: inputs that move during a step are met by substeps of the FMU's own step, each with the inputs of
-    its middle. Where all outputs are sampled it is given the inputs of the end of the step, as its new outputs are
-    seen from there on. Model Exchange: its states are integrated here, with steps ``internal``, from event to event.
+    its middle, if it can vary its communication step; if it cannot (rigid), each step is one, and all must be equal.
+    Where all outputs are sampled it is given the inputs of the end of the step, as its new outputs are seen from there on. Model Exchange: its states are integrated here, with steps ``internal``, from event to event.
 
     moving, following: as of a compiled part; outputs of variability discrete do not move between events.
     Inputs and outputs are in SI units here; u_scales, y_scales (n, 2): factors and offsets, None where all are SI.
@@ -58,6 +58,9 @@ class FmuParticipant:
         self.has_rates = self.can_restore and (self.integrator is not None or self.kind.can_vary_step)
         own = self.kind.fixed_step or description.experiment.step
         self.internal = min(internal, own) if own else internal
+        self.rigid = self.integrator is None and not self.kind.can_vary_step
+        self.most_parts = self.do_steps = 0
+        self._width = 0.0  # of all steps, where it is rigid
         self.feedthrough = np.array(
             [[_depends(description.dependencies, y, u) for u in self._u_names] for y in self._y_names], bool
         ).reshape(len(self._y_names), len(self._u_names))
@@ -73,6 +76,7 @@ class FmuParticipant:
             self._forget()
             self.slave.reset()
         self._begun, self._started = True, False
+        self._width = 0.0
         self.slave.setup(
             t, 1.01 * self.stop, parameters=self.parameters, inputs=self._u_names, outputs=self._y_names,
             exit_initialisation=False,
@@ -120,17 +124,34 @@ class FmuParticipant:
             own = u if self.u_scales is None else lambda tau: self._of_fmu(u(tau))
             self.integrator.advance(t, h, own, min(max(1, int(np.ceil(h / self.internal - 1e-9))), 10_000))
             return self.output(t + h, u(h))
+        if self.rigid:
+            h = self._equal(t, h)
         if self.sampled:
             return self._advance(t, h, lambda _: u(h), 1)
         start, end = u(0.0), u(h)
         moves = bool((np.abs(end - start) > HELD * (np.abs(end) + np.abs(start))).any())
         most = max(1, int(np.ceil(h / self.internal - 1e-9)))
-        return self._advance(t, h, u, min(most, MOST_SUBSTEPS) if moves else 1)
+        return self._advance(t, h, u, min(most, MOST_SUBSTEPS) if moves and not self.rigid else 1)
+
+    def _equal(self, t: float, h: float) -> float:
+        """Return the step that all steps of a rigid FMU have. Raises FmuError if this is another."""
+        self._width = self._width or h
+        if abs(h - self._width) <= 1e-9 * self._width + 8.0 * np.finfo(float).eps * abs(t):
+            return self._width
+        what = f"cannot vary its communication step: the first was {self._width:.9g} s, this would be one of {h:.9g} s"
+        hint = "take fixed steps (no --adaptive) that divide the stop time and the sample times of the others"
+        raise self.slave.step_failed("-", what, "refused", t, hint)
+
+    def told(self) -> dict[str, Any]:
+        """Return what is to be known of its run: do_steps, most_parts (parts of one step of the master)."""
+        return {"interface": self.slave.kind, "do_steps": self.do_steps, "most_parts": self.most_parts}
 
     def _advance(self, t: float, h: float, u: Callable[[float], np.ndarray], count: int) -> np.ndarray:
         """Take steps of Co-Simulation. Raises FmuError, also where the FMU asks for the end."""
         width = h / count
+        self.most_parts = max(self.most_parts, count)
         for k in range(count):
+            self.do_steps += 1
             try:
                 self.slave.exchange(self._of_fmu(u((k + 0.5) * width)), t + k * width, width)
             except FmuError as failure:

@@ -101,8 +101,8 @@ def test_other_dimensions_are_refused(tmp_path: Path) -> None:
 def test_units_that_nobody_knows_are_said(tmp_path: Path) -> None:
     diagram = with_gauge(gauge_fmu(tmp_path, description(y='unit="furlong"')))
     assert [(problem.severity, problem.subject, problem.what) for problem in diagram.warnings] == [
-        ("warning", "it", "gauge.fmu: y: the unit 'furlong' is neither defined in the FMU nor known: it is taken as it is "
-         "and fits all"),
+        ("warning", "it", "gauge.fmu: y: the unit 'furlong' is neither defined in the FMU nor known: it is taken as it "
+         "is and fits all"),
     ]  # fmt: skip
     assert not with_gauge(gauge_fmu(tmp_path, description(MYUM, y='unit="myum"'))).warnings
 
