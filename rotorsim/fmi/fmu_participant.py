@@ -31,7 +31,8 @@ class FmuParticipant:
 
     Co-Simulation: inputs that move during a step are met by substeps of the FMU's own step, each with the inputs of
     its middle, if it can vary its communication step; if it cannot (rigid), each step is one, and all must be equal.
-    Where all outputs are sampled it is given the inputs of the end of the step, as its new outputs are seen from there on. Model Exchange: its states are integrated here, with steps ``internal``, from event to event.
+    Where all outputs are sampled it is given the inputs of the end of the step, as its new outputs are seen from there
+    on. Model Exchange: its states are integrated here, with steps ``internal``, from event to event.
 
     moving, following: as of a compiled part; outputs of variability discrete do not move between events.
     Inputs and outputs are in SI units here; u_scales, y_scales (n, 2): factors and offsets, None where all are SI.

@@ -70,7 +70,7 @@ def description(
 
 def gauge_fmu(folder: Path, text: str | bytes = "", name: str = "gauge.fmu") -> Path:
     """Write the FMU, with another model description if one is given."""
-    return make_fmu(folder / name, description=text or description(), library_bytes=library("2.0", "gauge"))  # type: ignore[arg-type]
+    return make_fmu(folder / name, description=text or description(), library_bytes=library("2.0", "gauge"))
 
 
 def with_gauge(
