@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Collection
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Node
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.fmi.binding import CallError
 from rotorsim.fmi.failure import FmuError
 from rotorsim.fmi.fmu_block import FmuPort
 from rotorsim.fmi.linear import LinearModel
@@ -23,6 +25,7 @@ __all__ = ["FmuParticipant", "fmu_participant"]
 KEPT = 8  # saved states that a master may come back to
 RATE_STEP = 1e-3  # of the last step, over which rates of outputs are taken
 MOST_SUBSTEPS = 32
+SHOWN = 5  # messages
 HELD = 1e-12  # relative difference over a step within which inputs count as held
 
 
@@ -40,9 +43,10 @@ class FmuParticipant:
 
     def __init__(
         self, name: str, fmu: Fmu, slave: Slave, inputs: dict[str, FmuPort], outputs: dict[str, FmuPort],
-        parameters: dict[str, Any], stop: float, internal: float,
+        parameters: dict[str, Any], stop: float, internal: float, tolerance: float | None = None,
     ) -> None:  # fmt: skip
         self.name, self.fmu, self.slave, self.parameters, self.stop = name, fmu, slave, parameters, stop
+        self.tolerance = tolerance
         self.blocks = (name,)
         description = fmu.description
         self.inputs = tuple(n for p in inputs.values() for n in entry_names(f"{name}.{p.name}", p.shape))
@@ -61,6 +65,7 @@ class FmuParticipant:
         self.internal = min(internal, own) if own else internal
         self.rigid = self.integrator is None and not self.kind.can_vary_step
         self.most_parts = self.do_steps = 0
+        self.warned = 0  # times, besides those that the instance has counted
         self._width = 0.0  # of all steps, where it is rigid
         self.feedthrough = np.array(
             [[_depends(description.dependencies, y, u) for u in self._u_names] for y in self._y_names], bool
@@ -79,7 +84,7 @@ class FmuParticipant:
         self._begun, self._started = True, False
         self._width = 0.0
         self.slave.setup(
-            t, 1.01 * self.stop, parameters=self.parameters, inputs=self._u_names, outputs=self._y_names,
+            t, self.stop, self.tolerance, parameters=self.parameters, inputs=self._u_names, outputs=self._y_names,
             exit_initialisation=False,
         )  # fmt: skip
 
@@ -144,8 +149,27 @@ class FmuParticipant:
         raise self.slave.step_failed("-", what, "refused", t, hint)
 
     def told(self) -> dict[str, Any]:
-        """Return what is to be known of its run: do_steps, most_parts (parts of one step of the master)."""
-        return {"interface": self.slave.kind, "do_steps": self.do_steps, "most_parts": self.most_parts}
+        """Return what is to be known of its run.
+
+        do_steps; most_parts: of one step of the master; warnings: calls that returned a warning; messages: how many, by
+        status; said: the last that are no mere news; texts: its outputs that are texts.
+        """
+        lines: list[tuple[str, str, str]] = []
+        counts: dict[str, int] = {}
+        texts: dict[str, str] = {}
+        names = [v.name for v in self.fmu.description.by_causality("output") if v.type == "String" and not v.clocked]
+        with contextlib.suppress(RotorsimError, CallError):
+            lines, counts = self.slave.messages()
+            texts = dict(zip(names, self.slave.get(names), strict=True)) if self._started else {}
+        said = list(dict.fromkeys(f"{status}: {text}" for status, _, text in lines if status != "OK" and text))
+        return {
+            "interface": self.slave.kind, "do_steps": self.do_steps, "most_parts": self.most_parts,
+            "warnings": self.slave.warned + self.warned, "messages": counts, "said": said[-SHOWN:], "texts": texts,
+        }  # fmt: skip
+
+    def final(self) -> np.ndarray:
+        """Return the outputs (n_y,) as they are, whatever the FMU is at. Raises RotorsimError."""
+        return np.asarray(self._si(np.array(self.slave.get(self._y_names), float)))
 
     def _advance(self, t: float, h: float, u: Callable[[float], np.ndarray], count: int) -> np.ndarray:
         """Take steps of Co-Simulation. Raises FmuError, also where the FMU asks for the end."""
@@ -255,36 +279,61 @@ def _depends(dependencies: Any, output: str, name: str) -> bool:
     return known is None or name in known or name.partition("[")[0] in known
 
 
-def fmu_participant(name: str, node: Node, wired: Collection[str], stop: float, internal: float) -> FmuParticipant:
+def fmu_participant(
+    name: str, node: Node, wired: Collection[str], stop: float, internal: float, *, tolerance: float | None = None,
+    log: Callable[[str, float, str, str, str], None] | None = None,
+) -> FmuParticipant:  # fmt: skip
     """Open the FMU of a block and return it as a participant.
 
-    wired: its input ports that something feeds; the others keep the values that the block gives them.
+    wired: its input ports that something feeds; the others keep the values that the block gives them. tolerance: told
+    to the FMU, None: the one that it proposes. log: gets block, time, status, category and text of every message.
     Raises RotorsimError.
     """
     block: Any = node.block
     option = block.option
-    fmu = open_fmu(block.fmu_path, in_process=bool(option.in_process))
+    own: list[Slave] = []
+
+    def hear(status: str, category: str, text: str) -> None:
+        if log is not None:
+            log(name, own[0].time if own else 0.0, status, category, text)
+
+    fmu = open_fmu(
+        block.fmu_path, in_process=bool(option.in_process), log=hear if log is not None else None,
+        sizes=block.fmu_description.sizes,
+    )  # fmt: skip
     kinds = fmu.description.kinds
     kind = option.interface if option.interface != "any" else "cs" if "cs" in kinds else "me"
     if kind not in kinds:
         offered = ", ".join(kinds) or "neither"
         fmu.close()
         what = f"the FMU offers no interface '{kind}'"
+        if list(kinds) == ["se"]:
+            clocks = ", ".join(fmu.description.clocks[:5])
+            what = "the FMU offers Scheduled Execution only, which is driven by clocks: not supported"
+            raise RotorsimError(Problem(what, name, node.place, f"its clocks are {clocks}" if clocks else ""))
         raise RotorsimError(Problem(what, name, node.place, f"it offers {offered}"))
     given = {**block.fmu_parameters, **{key: port for key, port in block.fmu_inputs.items() if key not in wired}}
-    parameters = {
-        entry: float(own)
+    parameters: dict[str, Any] = {
+        entry: float(raw)
         for key, port in given.items()
         if key in node.values
-        for entry, value, own, start in zip(
-            port.entries, np.ravel(node.values[key]), port.of_fmu(node.values[key]), np.ravel(port.start), strict=True
+        for entry, value, raw, start in zip(
+            port.entries, np.ravel(node.values[key]), port.of_fmu(node.values[key]),
+            [None] * len(port.entries) if port.start is None else np.ravel(port.start), strict=True
         )
         if value != start
     }  # fmt: skip
+    for key, chosen in block.fmu_options.items():
+        value = getattr(option, key)
+        settable = chosen.variable.causality != "structuralParameter" and key not in wired
+        if settable and value != chosen.default:
+            parameters[chosen.variable.name] = chosen.of_fmu(value)
     try:
         slave = fmu.instantiate(kind, name)
     except BaseException:
         fmu.close()
         raise
     inputs = {key: port for key, port in block.fmu_inputs.items() if key in wired}
-    return FmuParticipant(name, fmu, slave, inputs, block.fmu_outputs, parameters, stop, internal)
+    own.append(slave)
+    allowed = fmu.description.experiment.tolerance if tolerance is None else tolerance
+    return FmuParticipant(name, fmu, slave, inputs, block.fmu_outputs, parameters, stop, internal, allowed)

@@ -174,7 +174,8 @@ class ModelDescription:
 
     states, derivatives: names of the entries of x and of its derivative, in the order of the FMU. outputs: names as
     the model structure lists them. dependencies: output or derivative -> the variables it depends on directly
-    (None: on all). platforms: folders with a library for the kind asked.
+    (None: on all). platforms: folders with a library for the kind asked. items: names of the values of each type that
+    enumerates. sizes: values of structural parameters that are not their start values; the arrays have their shapes.
     """
 
     version: str  # "2.0" or "3.0"
@@ -199,6 +200,8 @@ class ModelDescription:
     platforms: tuple[str, ...] = ()
     place: Place = field(default_factory=Place)
     warnings: tuple[Problem, ...] = ()
+    items: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    sizes: Mapping[str, int] = field(default_factory=dict)
 
     def by_causality(self, *causalities: str) -> list[FmuVariable]:
         """Return the variables of these causalities, in the order of the file."""

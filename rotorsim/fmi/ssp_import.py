@@ -246,7 +246,7 @@ class _Writer:
             array = np.array(port.start, float)
             for k, value in mine.items():
                 factor, offset = port.scales[k]
-                array.flat[k] = factor * value + offset
+                array.flat[k] = factor * float(value) + offset
             if not np.array_equal(array, port.start):
                 parameters[key] = array.tolist()
         for name, value in given.items():

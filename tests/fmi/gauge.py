@@ -22,9 +22,10 @@ _DISCRETE_IN, _DISCRETE_OUT = ('causality="input" variability="discrete"', 'caus
 
 def description(
     units: str = "", u: str = "", y: str = "", scale: str = "", *, varies: str = "true", more: str = "",
-    real: bool = False,
+    real: bool = False, talks: bool = False,
 ) -> str:  # fmt: skip
-    """Return the model description. units: <Unit> elements; u, y, scale: attributes of these; real: Real alone."""
+    """Return the model description. units: <Unit> elements; u, y, scale: attributes of these; real: Real alone
+    (and talk, with talks)."""
     rows = [
         (1, "u", 'causality="input"', "Real", f'start="0" {u}'),
         (2, "y", 'causality="output"', "Real", y),
@@ -47,7 +48,7 @@ def description(
         (1, "text", _FIXED, "String", 'start="none"'),
         (2, "said", _DISCRETE_OUT, "String", ""),
     ]
-    rows = [row for row in rows if row[3] == "Real" or not real]
+    rows = [row for row in rows if row[3] == "Real" or not real or (talks and row[1] == "talk")]
     variables = "".join(
         f'<ScalarVariable name="{name}" valueReference="{r}" {how}><{kind} {rest}/></ScalarVariable>'
         for r, name, how, kind, rest in rows
