@@ -142,6 +142,17 @@ def unit_warnings(description: ModelDescription) -> list[Problem]:
     ]  # fmt: skip
 
 
+def _silent(description: ModelDescription, outputs: Mapping[str, FmuPort], prefix: str) -> list[Problem]:
+    """Return a warning where nothing of an FMU can be seen."""
+    inside = [] if outputs else [*ports_of(description, ("local",), prefix)]
+    if not inside:
+        return []
+    shown = ", ".join(inside[:5]) + (", ..." if len(inside) > 5 else "")
+    hint = f'"record": ["BLOCK.{inside[0]}"]; there are {shown}'
+    what = "it has no outputs, and none of the variables inside is recorded or wired"
+    return [Problem(what, hint=hint, severity="warning")]
+
+
 def prefix_of(description: ModelDescription) -> str:
     """Return the first part "name." that all inputs and outputs share, or nothing."""
     names = [v.name for v in description.by_causality("input", "output")]
@@ -204,7 +215,7 @@ def _made(
         "__doc__": f"{description.description or description.name} (FMU).\n\nIts equations are inside the FMU.",
         "type_name": "fmu", "category": "fmu", "opaque": True, "source": description.name,
         "fmu_path": path, "fmu_description": description, "fmu_options": options,
-        "fmu_warnings": [*description.warnings, *unit_warnings(description)],
+        "fmu_warnings": [*description.warnings, *unit_warnings(description), *_silent(description, outputs, prefix)],
         "fmu_inputs": inputs, "fmu_outputs": outputs, "fmu_parameters": parameters,
         "file": Option(str(path), kind=str, doc="file of the FMU"),
         "interface": Option("any", choices=("any", "cs", "me"), kind=str, doc="cs, me, or any: cs where it is offered"),

@@ -86,7 +86,7 @@ def import_ssp(file: str | File, folder: str | File, *, limits: Limits | None = 
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
     diagram = load(document, folder=target)  # its FMUs are where they stay
-    warnings = (*writer.warnings, *diagram.warnings)
+    warnings = (*archive.warnings, *writer.warnings, *diagram.warnings)
     return ImportedSsp(target / DIAGRAM, diagram, structure, tuple(sorted(sources)), warnings)
 
 

@@ -124,6 +124,8 @@ def test_derivatives_are_in_si_units(tmp_path: Path) -> None:
         participant.initialise(0.0, np.ones(len(coupling.u0))[part])
         participant.start(0.0, np.ones(len(coupling.u0))[part])
     made = it.linear(np.array([True, False]))  # type: ignore[attr-defined]
+    why = it.linear(np.array([True, True]))  # type: ignore[attr-defined]
+    assert why == "gives others whole numbers or flags (count), which have no derivatives"
     assert it.output(0.0, np.array([2000.0])).tolist() == [0.001, 0.0]
     assert it.output_rate(0.0, np.array([0.0]), np.array([1.0]))[0] == pytest.approx(0.0, abs=1e-6)
     coupling.close()

@@ -95,6 +95,17 @@ def test_what_the_fmu_is_told_of_the_experiment(tmp_path: Path, file: Path) -> N
     assert last(cosimulate_diagram(diagram, step=0.1), "told_tolerance") == [1e-7]
 
 
+def test_an_fmu_without_outputs_says_what_can_be_recorded(tmp_path: Path) -> None:
+    text = description(real=True).replace('causality="output"', 'causality="local"')
+    file = gauge_fmu(tmp_path, text[: text.index("<Outputs>")] + "</ModelStructure></fmiModelDescription>")
+    warning = with_gauge(file, record=["in.output"]).warnings[0]
+    assert warning.what == "gauge.fmu: it has no outputs, and none of the variables inside is recorded or wired"
+    assert warning.hint == '"record": ["BLOCK.y"]; there are y, told_stop, told_tolerance, told_start, last'
+    diagram = with_gauge(file, record=["it.y"])
+    assert not diagram.warnings
+    assert cosimulate_diagram(diagram, step=0.5)["it.y"][-1] == 1.0
+
+
 # -- sizes of arrays ---------------------------------------------------------------------------------------------------
 
 THREE = """<fmiModelDescription fmiVersion="3.0" modelName="n" instantiationToken="t">
@@ -194,6 +205,14 @@ def test_the_log_is_kept(tmp_path: Path, run: Run, file: Path, in_process: bool)
     refused = run("cosim", path, "--step", "0.1 s", "--log", "no/said.txt")
     assert refused.exit_code == 2
     assert "--log no/said.txt: cannot be written: no such file or directory" in refused.stderr
+
+
+def test_messages_that_are_lost_are_counted(file: Path) -> None:
+    heard: list[tuple[str, str]] = []
+    diagram = with_gauge(file, talk=8)
+    cosimulate_diagram(diagram, step=0.5, log=lambda block, t, status, category, text: heard.append((status, text)))
+    assert heard.count(("OK", "flood")) == 2000
+    assert heard[1000] == heard[-1] == ("Warning", "200 more messages came at once and are lost")
 
 
 def test_what_it_prints_does_not_break_json(
