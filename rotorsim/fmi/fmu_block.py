@@ -24,6 +24,7 @@ from rotorsim.fmi.slave import describe_fmu
 __all__ = ["FmuPort", "block_class", "ports_of"]
 
 _INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")
+_TAKEN = ("file", "interface", "in_process")  # options of the block itself; a value of the FMU of this name gets a "_"
 _WORDS: dict[str, type] = {"Boolean": bool, "String": str}  # types whose values are given as such
 
 
@@ -168,12 +169,16 @@ def options_of(description: ModelDescription, prefix: str) -> dict[str, FmuOptio
         sized = variable.causality == "structuralParameter"
         if variable.start is None or variable.clocked or not (variable.type in _WORDS or items or sized):
             continue
-        name, start = port_name(variable.name, prefix), variable.start
+        name, start = _value_name(port_name(variable.name, prefix)), variable.start
         if items and not variable.dimensions:
             start = next((item for item, value in items.items() if value == start), start)
         if not variable.dimensions or variable.type in _WORDS:
             found[name] = FmuOption(name, variable, list(start) if isinstance(start, tuple) else start, items)
     return found
+
+
+def _value_name(name: str) -> str:
+    return f"{name}_" if name in _TAKEN else name
 
 
 def _option(option: FmuOption) -> Any:
@@ -207,7 +212,7 @@ def _made(
     options = options_of(description, prefix)
     resized = set(description.sizes)
     parameters = {
-        name: port
+        _value_name(name): port
         for name, port in ports_of(description, ("parameter",), prefix, (*FLOATS, *INTEGERS)).items()
         if name not in options and (port.start is not None or resized)
     }
@@ -230,13 +235,13 @@ def _made(
             )
     starts = {
         name: port for name, port in inputs.items()
-        if port.start is not None and name not in parameters and name not in options
+        if port.start is not None and name not in parameters and name not in options and name not in _TAKEN
     }  # fmt: skip
     body |= {f"_s_{name}": _option(option) for name, option in options.items()}
-    for port in (*parameters.values(), *starts.values()):
-        body[f"_p_{port.name}"] = Param(
+    for name, port in {**parameters, **starts}.items():
+        body[f"_p_{name}"] = Param(
             port.start.tolist() if port.start is not None and port.shape else port.start,
-            name=port.name, shape=port.shape, unit=port.unit, doc=port.description,
+            name=name, shape=port.shape, unit=port.unit, doc=port.description,
         )  # fmt: skip
     body["equations"] = _equations
     return type("Fmu", (Block,), body)

@@ -44,6 +44,14 @@ def test_values_of_every_type_are_set(file: Path) -> None:
     assert last(cosimulate_diagram(with_gauge(file, record=ALL, mode=4), step=0.5), "mode_out") == [4.0]
 
 
+def test_values_named_as_options_of_the_block(tmp_path: Path) -> None:
+    text = description().replace('name="text"', 'name="file"').replace('name="end_at"', 'name="interface"')
+    file = gauge_fmu(tmp_path, text)
+    found = cosimulate_diagram(with_gauge(file, file_="table.txt", interface_=0.5, interface="cs"), step=0.25)
+    assert found.provenance["fmus"]["it"]["texts"] == {"said": "table.txt"}
+    assert found.time[-1] == 0.5
+
+
 @pytest.mark.parametrize(
     ("name", "value", "what"),
     [
