@@ -6,6 +6,7 @@ part that all inputs and outputs share ("rotor.") is left out; other dots become
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -72,7 +73,7 @@ def ports_of(
     description: ModelDescription, causalities: Sequence[str], prefix: str, types: Sequence[str] = NUMERIC
 ) -> dict[str, FmuPort]:  # fmt: skip
     """Return the variables of some causalities grouped to ports: numbers; flags as 0 and 1."""
-    groups: dict[str, list[tuple[tuple[int, ...], str, FmuVariable, float | None]]] = {}
+    groups: dict[tuple[str, int], list[tuple[tuple[int, ...], str, FmuVariable, float | None]]] = {}
     for variable in description.by_causality(*causalities):
         if variable.type not in types or variable.clocked:
             continue
@@ -82,9 +83,9 @@ def ports_of(
             match = _INDEX.fullmatch(name)
             base = match[1] if match else name
             index = tuple(int(part) for part in match[2].split(",")) if match else ()
-            groups.setdefault(base, []).append((index, name, variable, start))
+            groups.setdefault((base, len(index)), []).append((index, name, variable, start))
     found: dict[str, FmuPort] = {}
-    for base, members in groups.items():
+    for (base, _), members in groups.items():
         port = _port(description, base, members, prefix)
         if port.name in found and "local" in causalities:
             continue  # it cannot be named
@@ -116,8 +117,8 @@ def _port(
         port_name(base, prefix), shape, shown.pop() if len(shown) == 1 else None, tuple(m[1] for m in members), None,
         variable.description, scales, variable.variability in ("discrete", "constant", "fixed"),
     )  # fmt: skip
-    if any(value is None for value in starts):
-        return port
+    if not all(value is not None and math.isfinite(value) for value in starts):
+        return port  # what is not finite cannot be given here: the FMU keeps it
     return replace(port, start=port.to_si(np.array(starts, float)).reshape(shape))
 
 

@@ -44,6 +44,15 @@ def test_values_of_every_type_are_set(file: Path) -> None:
     assert last(cosimulate_diagram(with_gauge(file, record=ALL, mode=4), step=0.5), "mode_out") == [4.0]
 
 
+def test_names_of_several_ranks_and_starts_that_are_not_finite(tmp_path: Path) -> None:
+    text = description().replace('name="told_stop"', 'name="a[1]"').replace('name="told_start"', 'name="a[1,2]"')
+    file = gauge_fmu(tmp_path, text.replace('start="1e9"', 'start="INF"'))
+    found = cosimulate_diagram(with_gauge(file, record=["it.a", "it.y"]), step=0.5)
+    assert found["it.a"].tolist() == [[1.0]] * 3  # the stop time: the first that has the name
+    with pytest.raises(RotorsimError, match="unknown parameter 'end_at'"):
+        with_gauge(file, end_at=0.5)
+
+
 def test_values_named_as_options_of_the_block(tmp_path: Path) -> None:
     text = description().replace('name="text"', 'name="file"').replace('name="end_at"', 'name="interface"')
     file = gauge_fmu(tmp_path, text)
