@@ -156,7 +156,7 @@ class Master:
             self._look_back(t, h)
         self.tick += 1
         due = [k for k, rate in enumerate(self.rates) if last or self.tick % rate == 0]
-        foreseen = self._foreseen(t + h)
+        foreseen = self.foreseen(t + h)
         return self._accept(t + h, self._advance(due, t + h, foreseen.copy()), due, foreseen)
 
     def _look_back(self, t: float, h: float) -> None:
@@ -219,7 +219,7 @@ class Master:
         known = self.known[a]
         return next((y for time, y in reversed(known) if time <= t), known[0][1])
 
-    def _foreseen(self, t: float) -> np.ndarray:
+    def foreseen(self, t: float) -> np.ndarray:
         """Return the outputs at t as the points known so far tell them."""
         parts = []
         for a, part in enumerate(self.coupling.y_parts):

@@ -234,7 +234,9 @@ class _RunFinder:
                 self.say(what, hint="fit against the measured angle; fewer turns in a run wander less", place=run.place)
         if angle.sampled > _SAMPLED:
             zero = f"shaft angle zero is uncertain by {math.degrees(angle.sampled):.2g} deg at {_rpm(abs(angle.speed))}"
-            hint = 'sample the pulse so fast that its edge shows, or time the edges; "tacho_resolution": 0 says they were'
+            hint = (
+                'sample the pulse so fast that its edge shows, or time the edges; "tacho_resolution": 0 says they were'
+            )
             if run.tacho is None:
                 hint = "sample the pulse so fast that its edge shows, or time the edges and give them as tacho"
             self.say(f"sampled pulses: they lie on samples, so that {zero}", hint=hint, place=run.place)

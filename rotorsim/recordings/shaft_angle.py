@@ -111,9 +111,7 @@ def pulse_resolution(recording: Recording, run: Run) -> float:
 
 
 def _has_pulses(run: Run) -> bool:
-    return (
-        run.tacho is not None and len(run.tacho) >= 2 and len(run.time) >= 2 and bool(np.isfinite(run.tacho).all())
-    )
+    return run.tacho is not None and len(run.tacho) >= 2 and len(run.time) >= 2 and bool(np.isfinite(run.tacho).all())
 
 
 def _last_digit(times: np.ndarray) -> int:
