@@ -12,7 +12,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.failure import FmuError
 from rotorsim.fmi.fmu_block import FmuPort
 from rotorsim.fmi.linear import LinearModel
-from rotorsim.fmi.model_description import FLOATS
+from rotorsim.fmi.model_description import FLOATS, ModelDescription
 from rotorsim.fmi.model_exchange import ModelExchange
 from rotorsim.fmi.participant import InputHistory
 from rotorsim.fmi.slave import Fmu, Slave, open_fmu
@@ -173,7 +173,7 @@ class FmuParticipant:
         ]  # fmt: skip
         sampled += [
             name for name, taken, moves in zip(self._y_names, used, self.moving, strict=True)
-            if taken and not moves and description.dependencies.get(name) != ()
+            if taken and not moves and not _still(description, name)
         ]  # fmt: skip
         if sampled:
             return f"has values that change at events ({sampled[0]}), which directional derivatives do not show"
@@ -190,6 +190,12 @@ class FmuParticipant:
     def close(self) -> None:
         """Free the instance and what was unpacked."""
         self.fmu.close()
+
+
+def _still(description: ModelDescription, output: str) -> bool:
+    """Return whether an output depends on parameters at most."""
+    known = description.dependencies.get(output)
+    return known is not None and all(description.variables[k].causality == "parameter" for k in known)
 
 
 def _depends(dependencies: Any, output: str, name: str) -> bool:

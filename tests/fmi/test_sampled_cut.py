@@ -266,14 +266,17 @@ def test_it_is_said_where_the_stability_is_not_told(tmp_path: Path) -> None:
     )
 
 
-def test_constants_of_an_fmu_do_not_stand_in_the_way(tmp_path: Path) -> None:
-    """All but the controller as an FMU: its speed is of variability discrete and depends on nothing."""
-    diagram = load("jeffcott")
-    rest = [name for name in diagram.nodes if name != "controller"]
-    export_ssp(diagram, tmp_path / "j.ssp", {"controller": ["controller"], "others": rest})
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_constants_of_an_fmu_do_not_stand_in_the_way(tmp_path: Path, version: str) -> None:
+    """A force beside the controller is of variability discrete, and depends on a parameter at most."""
+    made = dict(load("jeffcott").document)
+    made["blocks"] = {**made["blocks"], "load": {"type": "constant", "parameters": {"value": [1.0, 0.0]}}}
+    made["wires"] = [*made["wires"], ["load.output", "rotor.force"]]
+    diagram, part = load(made), ["controller", "load"]
+    export_ssp(diagram, tmp_path / "j.ssp", {"part": part}, version=version)
     cut = import_ssp(tmp_path / "j.ssp", tmp_path / "j").diagram
     found = cosimulate_diagram(cut, step=1e-4, stop=1e-3, check=True).provenance
-    told = coupling_stability(couple(diagram, [["controller"]]), 1e-4, master="gauss_seidel")
+    told = coupling_stability(couple(diagram, [part]), 1e-4, master="gauss_seidel")
     assert told is not None
     assert found["damping_kept"] == pytest.approx(told.kept, rel=1e-9)
     assert found["largest_stable_step"] == pytest.approx(told.largest_step, rel=1e-5)
