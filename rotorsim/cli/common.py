@@ -57,8 +57,9 @@ without_option = click.option(
     "--without", multiple=True, metavar="BLOCK", help="Cut the wires of this block (no crack, no AMB, ...); repeatable."
 )
 trust_option = click.option(
-    "--trust-blocks", is_flag=True, help="Load the block files in the folders that the diagram names: they are code."
-)
+    "--trust-blocks", is_flag=True,
+    help="Run what the diagram brings along, block files in its folders and (cosim) FMUs: they are code.",
+)  # fmt: skip
 
 
 def diagram_options(function: F) -> F:

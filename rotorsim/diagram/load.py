@@ -68,8 +68,9 @@ def load(
     """Load a diagram from a file, the name of a shipped diagram, or a document in memory.
 
     set: "speed", "block.param" or "solver.step" -> number or text with a unit. without: blocks removed
-    with their wires; inputs cut that way read zero. trust_blocks: run the block files of
-    ``block_folders``. folder: of the files that a document in memory names.
+    with their wires; inputs cut that way read zero. trust_blocks: run the code that comes with it: the
+    block files of ``block_folders`` here, its FMUs in a co-simulation. folder: of the files that a
+    document in memory names.
     Raises RotorsimError with every mistake found; warnings are in ``diagram.warnings``.
     """
     document, root, said = _source(source, folder)
@@ -128,6 +129,7 @@ def load(
         warnings=tuple(p for p in problems if p.severity == "warning"),
         free=free,
         measured=measured,
+        trusted=trust_blocks,
     )
     traces, failed = trace_blocks(diagram)
     _raise_errors([*problems, *failed])
