@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,6 +13,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.coupling import Coupling
 from rotorsim.fmi.cut import couple, open_coupling, sources_of
+from rotorsim.fmi.failure import FmuError
 from rotorsim.fmi.fmu_participant import FmuParticipant
 from rotorsim.fmi.loop import FastLoop
 from rotorsim.fmi.masters import Master, make_master
@@ -26,10 +28,14 @@ LARGEST_ADAPTIVE = 100  # the adaptive step over the one given
 
 def cosimulate_diagram(
     diagram: Diagram, groups: Sequence[Iterable[str]] = (), *, step: float, stop: float | None = None,
-    parameters: Mapping[str, Any] | None = None, **settings: Any,
+    parameters: Mapping[str, Any] | None = None, log: Callable[[str, float, str, str, str], None] | None = None,
+    **settings: Any,
 ) -> Result:  # fmt: skip
-    """Open the FMUs of a diagram, co-simulate it, and close them; settings as for `cosimulate`."""
-    coupling = open_coupling(diagram, groups, stop=stop, parameters=parameters)
+    """Open the FMUs of a diagram, co-simulate it, and close them; settings as for `cosimulate`.
+
+    log: gets block, time [s], status, category and text of every message of an FMU.
+    """
+    coupling = open_coupling(diagram, groups, stop=stop, parameters=parameters, log=log)
     try:
         return cosimulate(coupling, diagram, step=step, stop=stop, **settings)
     finally:
@@ -56,6 +62,7 @@ def cosimulate(
     end = diagram.solver.stop if stop is None else stop
     every = coupling.rates_of(rates or {})
     _refuse(coupling, master, order, adaptive, fast, every)
+    _refuse_rigid(coupling, step, end, adaptive, every)
     if master == "waveform" and 0 < step <= end:
         return _by_waveform(coupling, diagram, step, end, tolerance, progress)
     if not 0 < step <= end:
@@ -84,10 +91,9 @@ def cosimulate(
             else:
                 target, y, width = _doubled(worker, t, min(width, end - t), adaptive, step)
         except RotorsimError as error:
-            status = "stopped"
-            problem = error.problems[0]
-            message = ": ".join(part for part in (problem.subject, problem.what) if part)
-            message += f"\n\nhint: {problem.hint}" if problem.hint else ""
+            status, message = _stopped(error)
+            if (last := _last_sample(coupling, worker, error, t)) is not None:
+                times, rows, mismatch = _with_last(times, rows, mismatch, *last)
             break
         t = target
         times.append(t)
@@ -106,6 +112,37 @@ def cosimulate(
     result = _result(coupling, diagram, np.array(times), np.array(rows), status, message, worker, told)
     signals = {**result.signals, "coupling.error": np.array(mismatch)}
     return replace(result, signals=signals, units={**result.units, "coupling.error": "1"})
+
+
+def _stopped(error: RotorsimError) -> tuple[str, str]:
+    """Return status and message of a run that an error has ended."""
+    problem = error.problems[0]
+    message = ": ".join(part for part in (problem.subject, problem.what) if part)
+    return "stopped", message + (f"\n\nhint: {problem.hint}" if problem.hint else "")
+
+
+def _last_sample(
+    coupling: Coupling, worker: Master, error: RotorsimError, t: float
+) -> tuple[float, np.ndarray] | None:  # fmt: skip
+    """Return time and outputs where an FMU itself asks for the end; those of the others are as foreseen there."""
+    problem = error.problems[0]
+    if not isinstance(error, FmuError) or error.kind != "ended" or error.time is None or error.time < t:
+        return None
+    y = np.array(worker.foreseen(error.time), float)
+    for participant, part in zip(coupling.participants, coupling.y_parts, strict=True):
+        if isinstance(participant, FmuParticipant) and participant.slave.name == problem.subject:
+            with contextlib.suppress(RotorsimError):
+                y[part] = participant.final()
+                return error.time, y
+    return None
+
+
+def _with_last(
+    times: list[float], rows: list[np.ndarray], mismatch: list[float], t: float, y: np.ndarray
+) -> tuple[list[float], list[np.ndarray], list[float]]:
+    """Return the rows with a last one; it takes the place of one at the same time."""
+    keep = len(times) - (t <= times[-1] + 1e-12 * abs(t))
+    return [*times[:keep], t], [*rows[:keep], y], [*mismatch[:keep], 0.0]
 
 
 @dataclass
@@ -168,6 +205,25 @@ def _refuse(
         raise RotorsimError(*problems)
 
 
+def _refuse_rigid(
+    coupling: Coupling, step: float, end: float, adaptive: float | None, rates: Sequence[int]
+) -> None:  # fmt: skip
+    """Refuse steps of several lengths where an FMU cannot vary its communication step."""
+    problems = []
+    for participant, rate in zip(coupling.participants, rates, strict=True):
+        if not isinstance(participant, FmuParticipant) or not participant.rigid:
+            continue
+        what, count = "cannot vary its communication step", end / (rate * step)
+        if adaptive is not None:
+            problems.append(Problem(f"{what}, as adaptive steps do", participant.name, hint="take fixed steps"))
+        elif abs(count - round(count)) > 1e-6:
+            what += f": its steps of {rate * step:g} s do not divide the stop time {end:g} s"
+            hint = f"such as --step '{end / max(1, round(count)) / rate:.9g} s'"
+            problems.append(Problem(what, participant.name, hint=hint))
+    if problems:
+        raise RotorsimError(*problems)
+
+
 def _by_waveform(
     coupling: Coupling, diagram: Diagram, step: float, end: float, tolerance: float,
     progress: Callable[[float], None] | None,
@@ -190,13 +246,42 @@ def _fast(
     members: list[Any] = [p.slave if isinstance(p, FmuParticipant) else p for p in coupling.participants]
     sequence = coupling.order if told.master == "gauss_seidel" else None
     count = round(end / step)
-    made = FastLoop(members, coupling.L, coupling.u0, sequence).run(0.0, step, count, progress=progress)
-    rows = np.vstack([first, made])
-    status, message = "finished", ""
-    if len(made) < count or not np.isfinite(rows[-1]).all():
+    if abs(count * step - end) > 1e-6 * step:
+        hint = f"such as --step '{end / count:.9g} s'"
+        raise RotorsimError(
+            Problem(f"takes whole steps: {step:g} s does not divide {end:g} s", "the fast loop", hint=hint)
+        )
+    (fu, ou), (fy, oy) = (scales_of(coupling, which) for which in ("u_scales", "y_scales"))
+    L, u0 = coupling.L * fy / fu[:, None], (coupling.L @ oy + coupling.u0 - ou) / fu  # in the units of the FMUs
+    loop = FastLoop(members, L, u0, sequence)
+    status, message, last = "finished", "", None
+    try:
+        made = loop.run(0.0, step, count, progress=progress)
+    except FmuError as error:
+        made, (status, message) = loop.rows, _stopped(error)
+        last = _last_sample(coupling, worker, error, len(made) * step)
+    rows = np.vstack([first, made * fy + oy])
+    if status == "finished" and (len(made) < count or not np.isfinite(rows[-1]).all()):
         status, message = "diverged", f"left the finite numbers at t = {len(made) * step:g} s: a smaller step"
     worker.counters["steps"] = len(made)
-    return _result(coupling, diagram, np.arange(len(rows)) * step, rows, status, message, worker, told)
+    for k, participant in enumerate(coupling.participants):
+        if isinstance(participant, FmuParticipant):
+            participant.most_parts, participant.do_steps, participant.warned = 1, len(made), loop.warned(k)
+    times = [*(np.arange(len(rows)) * step)]
+    if last is not None:
+        times, kept, _ = _with_last(times, [*rows], times, *last)
+        rows = np.array(kept)
+    return _result(coupling, diagram, np.array(times), rows, status, message, worker, told)
+
+
+def scales_of(coupling: Coupling, which: str) -> np.ndarray:
+    """Return factors and offsets (2, n) of all inputs or outputs: SI = factor * value + offset."""
+    found = [np.zeros((0, 2))]
+    for p in coupling.participants:
+        n = len(p.inputs if which == "u_scales" else p.outputs)
+        own = getattr(p, which) if isinstance(p, FmuParticipant) else None
+        found.append(np.tile((1.0, 0.0), (n, 1)) if own is None else own)
+    return np.concatenate(found).T
 
 
 def _doubled(worker: Master, t: float, h: float, allowed: float, most: float) -> tuple[float, np.ndarray, float]:
@@ -243,4 +328,7 @@ def _result(
             signals.update({names[k]: rows[:, k] for k in columns})
     ports = {f"{b}.{n}": p.unit for b, node in diagram.nodes.items() for n, p in node.outputs.items()}
     units = {name: ports.get(name.partition("[")[0]) or "" for name in signals}
-    return Result(times, signals, units, status, message, dict(worker.counters), told.provenance(worker.told_order))
+    made = told.provenance(worker.told_order)
+    if fmus := {p.name: p.told() for p in coupling.participants if isinstance(p, FmuParticipant)}:
+        made["fmus"] = fmus
+    return Result(times, signals, units, status, message, dict(worker.counters), made)

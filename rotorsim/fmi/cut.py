@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -142,8 +142,11 @@ def _refuse_foreign_code(diagram: Diagram) -> None:
 def open_coupling(
     diagram: Diagram, groups: Sequence[Iterable[str]] = (), *, stop: float | None = None,
     parameters: Mapping[str, Any] | None = None, use_compiler: bool = True,
+    log: Callable[[str, float, str, str, str], None] | None = None,
 ) -> Coupling:  # fmt: skip
     """Return the participants of a diagram: its FMUs, the groups of blocks given, and the rest; FMUs are opened.
+
+    log: gets block, time, status, category and text of every message of an FMU.
 
     Close them with `Coupling.close`. Raises RotorsimError, also for a diagram of one participant, and for one with
     FMUs that was not loaded with trust_blocks=True.
@@ -155,7 +158,10 @@ def open_coupling(
         for name, node in diagram.nodes.items():
             if node.block.opaque:
                 wired = {wire.target.port for wire in diagram.wires if wire.target.block == name}
-                opened[name] = fmu_participant(name, node, wired, end, diagram.solver.step)
+                told = diagram.solver.rtol if "rtol" in (diagram.document.get("solver") or {}) else None
+                opened[name] = fmu_participant(
+                    name, node, wired, end, diagram.solver.step, tolerance=told, log=log
+                )  # fmt: skip
         if not opened and not groups:
             hint = "cut it with --part BLOCK,BLOCK, or `rotorsim run` it"
             raise RotorsimError(Problem("has no FMU: there is nothing to be coupled", diagram.name, hint=hint))

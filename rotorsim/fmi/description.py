@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from rotorsim.fmi.variables import DERIVATIVE, DISCRETE, EVENT, INPUT, OUTPUT, PARAMETER, STATE, Interface, Variable
-from rotorsim.units import Unit, parse_unit
+from rotorsim.units import BASES, Unit, parse_unit
 
 __all__ = ["build_description", "model_description"]
 
@@ -132,9 +132,9 @@ def _units(root: Element, interface: Interface) -> None:
 
 
 def _base_unit(parent: Element, unit: Unit) -> None:
-    powers = dict(zip(("m", "kg", "s", "A", "K", "rad"), unit.dimension, strict=True))
+    powers = dict(zip(BASES, unit.dimension, strict=True))
     element = SubElement(parent, "BaseUnit")
-    for base in ("kg", "m", "s", "A", "K", "rad"):
+    for base in ("kg", "m", "s", "A", "K", "mol", "cd", "rad"):
         if powers[base]:
             element.set(base, str(powers[base]))
     if unit.factor != 1.0:

@@ -79,6 +79,7 @@ class Instance:
         self.command(
             "begin", start=float(start), stop=stop, tolerance=tolerance, values=values, inputs=input_runs,
             outputs=output_runs, about=list(given),
+            sizes=[make_run(self.description, *size, sizes=True) for size in self.description.sizes.items()],
         )  # fmt: skip
         self.input_names, self.output_names = tuple(e.name for e in written), tuple(e.name for e in read)
         self._views(self._all, len(self.input_names), len(self.output_names))
@@ -202,6 +203,21 @@ class Instance:
         if self.log and name != "log":
             self._forward_log()
         return answer
+
+    @property
+    def time(self) -> float:
+        """The time of the last call that has one [s]."""
+        return self._t
+
+    @property
+    def warned(self) -> int:
+        """How many calls have returned a warning."""
+        return int(self._head[Head.WARNED]) if self._phase != "freed" else 0
+
+    def messages(self) -> tuple[list[tuple[str, str, str]], dict[str, int]]:
+        """Return the last messages that nobody has taken yet, and how many there have been by status."""
+        answer = self.worker.command("log")
+        return [(str(a), str(b), str(c)) for a, b, c in answer.get("log", ())], dict(answer.get("counts", {}))
 
     def _forward_log(self) -> None:
         """Hand new messages over to the user's function."""

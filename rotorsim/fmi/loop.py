@@ -52,7 +52,7 @@ class _Member(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in (
             "instance", "do_step", "set", "get", "run", "record", "p", "m", "x", "z", "y", "row",
         )),
-        ("step", ctypes.c_double), ("last", ctypes.c_double),
+        ("step", ctypes.c_double), ("last", ctypes.c_double), ("warned", ctypes.c_int64),
     ]  # fmt: skip
 
 
@@ -89,6 +89,7 @@ class FastLoop:
         self._order = np.array(range(len(members)) if order is None else order, np.int64)
         self._sequential = int(order is not None)
         self._failed = np.zeros(2, np.int64)
+        self.rows = np.empty((0, self.n_y))  # what was computed until a failure
 
     @staticmethod
     def possible(members: Sequence[Slave | PartMember]) -> bool:
@@ -114,6 +115,7 @@ class FastLoop:
             )  # fmt: skip
             written = (done + taken) // every
             if self._failed[1]:
+                self.rows = rows[:written].copy()
                 self._raise(int(self._failed[0]), int(self._failed[1]), t0 + (done + taken) * h)
             if taken < end - done or (written and not np.isfinite(rows[written - 1]).all()):
                 return rows[:written].copy()
@@ -122,15 +124,21 @@ class FastLoop:
                 progress(done / steps)
         return rows
 
+    def warned(self, k: int) -> int:
+        """Return how often an FMU has returned a warning in this loop."""
+        return int(self._made[k].warned)
+
     def _raise(self, k: int, what: int, t: float) -> None:
-        """Raise the failure of a member as `Slave.exchange` does."""
+        """Raise the failure of a member as `Slave.exchange` does, with the time of an end that it asks for."""
         member = self.members[k]
         assert isinstance(member, Slave)
         if what == 5:
-            raise member.step_failed("DoStep", "asks for the end of the simulation", "ended", t)
+            raise member.step_failed("-", "asks for the end of the simulation", "ended", self._made[k].last)
         if what == 4:
             raise member.step_failed("DoStep", "returned early", "discard", t)
         status = what // 16
+        if status == 2 and what % 16 == 2 and (end := member.asked_end()) is not None:
+            raise member.step_failed("-", "asks for the end of the simulation", "ended", end)
         word = STATUS[status] if status < len(STATUS) else f"status {status}"
         kind = {2: "discard", 4: "fatal"}.get(status, "error")
         returned = f"returned fmi{member.description.version[0]}{word}"

@@ -13,6 +13,7 @@ import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.coupling import Coupling
+from rotorsim.fmi.participant import Held, InputHistory
 
 __all__ = ["MASTERS", "GaussSeidel", "Jacobi", "Master", "Polynomial", "SavedMaster", "make_master"]
 
@@ -156,7 +157,7 @@ class Master:
             self._look_back(t, h)
         self.tick += 1
         due = [k for k, rate in enumerate(self.rates) if last or self.tick % rate == 0]
-        foreseen = self._foreseen(t + h)
+        foreseen = self.foreseen(t + h)
         return self._accept(t + h, self._advance(due, t + h, foreseen.copy()), due, foreseen)
 
     def _look_back(self, t: float, h: float) -> None:
@@ -181,7 +182,7 @@ class Master:
         self.counters["participant_steps"] += 1
         return self.coupling.participants[k].step(start, end - start, self._inputs(k, start, end - start, until))
 
-    def _inputs(self, k: int, start: float, h: float, until: float | None) -> Polynomial:
+    def _inputs(self, k: int, start: float, h: float, until: float | None) -> InputHistory:
         """Return the inputs of participant k from start to start + h."""
         total = [self.coupling.u0[self.coupling.u_parts[k]]]
         for source in self._sources[k]:
@@ -195,7 +196,7 @@ class Master:
                         total[power] = total[power] + part
                     else:
                         total.append(part)
-        return Polynomial(total, h)
+        return Polynomial(total, h) if len(total) > 1 else Held(total[0])
 
     def _points(self, a: int, stride: int, until: float | None) -> list[Point]:
         """Return the newest point of a participant and earlier ones, as many as the order wants.
@@ -219,7 +220,7 @@ class Master:
         known = self.known[a]
         return next((y for time, y in reversed(known) if time <= t), known[0][1])
 
-    def _foreseen(self, t: float) -> np.ndarray:
+    def foreseen(self, t: float) -> np.ndarray:
         """Return the outputs at t as the points known so far tell them."""
         parts = []
         for a, part in enumerate(self.coupling.y_parts):
@@ -236,7 +237,7 @@ class Master:
     ) -> tuple[np.ndarray, np.ndarray]:
         coupling = self.coupling
         u = coupling.inputs_of(y)
-        if coupling.feedthrough.any():
+        if coupling.passes:
             u, y = coupling.consistent(t, u, y, due)
         self._compare(u, coupling.inputs_of(foreseen))
         for k in due:

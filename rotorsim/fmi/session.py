@@ -54,9 +54,14 @@ class Session:
 
     def _do_begin(
         self, start: float, stop: float | None, tolerance: float | None, values: Sequence[Any],
-        inputs: Sequence[Any], outputs: Sequence[Any],
+        inputs: Sequence[Any], outputs: Sequence[Any], sizes: Sequence[Any] = (),
     ) -> None:  # fmt: skip
         calls = self._calls()
+        if sizes:
+            calls.call("EnterConfigurationMode", "EnterConfigurationMode")
+            for run, numbers in sizes:
+                calls.set(run, numbers)
+            calls.call("ExitConfigurationMode", "ExitConfigurationMode")
         self.steps = Steps(calls, self.n_x, self.n_z, inputs, outputs)
         self.steps.unbound = int(not self.saved)
         self.run = self.steps.run
@@ -89,6 +94,10 @@ class Session:
         calls.call("ExitInitializationMode", "ExitInitializationMode")
         steps.begin()
 
+    def _do_reached(self) -> dict[str, Any]:
+        last, ended = self._steps().reached()
+        return {"last": last, "ended": ended}
+
     def _do_terminate(self) -> None:
         self._calls().call("Terminate", "Terminate")
 
@@ -107,7 +116,8 @@ class Session:
         return {"log": self.calls.log.taken()}
 
     def _do_log(self) -> dict[str, Any]:
-        return {"log": self._calls().log.taken()}
+        log = self._calls().log
+        return {"log": log.taken(), "counts": dict(log.counts)}
 
     # -- values --------------------------------------------------------------------------------------------------------
 

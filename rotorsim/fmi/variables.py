@@ -393,7 +393,7 @@ def _nominals(part: Part) -> dict[str, float]:
 
 
 def _nominal(unit: str | None) -> float:
-    length, mass, time, current, kelvin, angle = parse_unit(unit or "m").dimension
-    if (mass, current, kelvin) != (0, 0, 0) or length + angle != 1:
+    length, mass, time, current, kelvin, angle, *others = parse_unit(unit or "m").dimension
+    if any((mass, current, kelvin, *others)) or length + angle != 1:
         return 1.0
     return float(10.0 ** (-5 - 3 * time))

@@ -22,6 +22,7 @@ typedef struct {
     const double *p;
     double *m, *x, *z, *y, *row;
     double step, last;
+    int64_t warned;
 } rs_member;
 
 typedef int (*access2)(void *, const uint32_t *, size_t, void *);
@@ -33,12 +34,13 @@ typedef void (*record_part)(double, const double *, const double *, const double
 
 enum { SET = 1, STEP, GET, EARLY, ENDED };
 
-static int access(const rs_member *a, const rs_call *calls, int64_t n) {
+static int access(rs_member *a, const rs_call *calls, int64_t n) {
     for (int64_t k = 0; k < n; k++) {
         const rs_call *c = calls + k;
         int status = a->kind == 2 ? ((access2)c->function)(a->instance, c->references, c->n_references, c->values)
                                   : ((access3)c->function)(a->instance, c->references, c->n_references, c->values, c->n);
         if (status > 1) return status;
+        a->warned += status;
     }
     return 0;
 }
@@ -61,10 +63,12 @@ static int advance(rs_member *a, double t, double h) {
     if (h > 0.0) {
         if (a->kind == 2) {
             if ((status = ((step2)a->do_step)(a->instance, t, h, (int)a->unbound)) > 1) return STEP + 16 * status;
+            a->warned += status;
         } else {
             bool event = false, ended = false, early = false;
             status = ((step3)a->do_step)(a->instance, t, h, a->unbound, &event, &ended, &early, &a->last);
             if (status > 1) return STEP + 16 * status;
+            a->warned += status;
             if (early && fabs(a->last - t - h) > 1e-9 * h) return EARLY;
             if (ended) return ENDED;
         }
