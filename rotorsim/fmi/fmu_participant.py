@@ -45,7 +45,8 @@ class FmuParticipant:
         self, name: str, fmu: Fmu, slave: Slave, inputs: dict[str, FmuPort], outputs: dict[str, FmuPort],
         parameters: dict[str, Any], stop: float, internal: float, tolerance: float | None = None,
     ) -> None:  # fmt: skip
-        self.name, self.fmu, self.slave, self.parameters, self.stop = name, fmu, slave, parameters, stop
+        self.name, self.fmu, self.slave, self.parameters = name, fmu, slave, parameters
+        self.stop: float | None = stop
         self.tolerance = tolerance
         self.blocks = (name,)
         description = fmu.description
