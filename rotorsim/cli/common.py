@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from rotorsim.errors import Place, Problem, RotorsimError, near_miss, visible
+from rotorsim.errors import Problem, RotorsimError, near_miss, visible
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,8 +58,9 @@ without_option = click.option(
     "--without", multiple=True, metavar="BLOCK", help="Cut the wires of this block (no crack, no AMB, ...); repeatable."
 )
 trust_option = click.option(
-    "--trust-blocks", is_flag=True, help="Load the block files in the folders that the diagram names: they are code."
-)
+    "--trust-blocks", is_flag=True,
+    help="Run what the diagram brings along, block files in its folders and (cosim) FMUs: they are code.",
+)  # fmt: skip
 
 
 def diagram_options(function: F) -> F:
@@ -165,17 +166,12 @@ def open_diagram(diagram: str, settings: Sequence[str], without: Sequence[str], 
 
 def document_of(diagram: str) -> tuple[Path, dict[str, Any]]:
     """Return the file and the JSON of a diagram (a file, or the name of a shipped one), not validated."""
-    from rotorsim.diagram.load import shipped_diagrams
+    from rotorsim.cli.app import show_problems
+    from rotorsim.diagram.load import find_diagram
     from rotorsim.diagram.source import read_document
 
-    path = Path(diagram)
-    shipped = shipped_diagrams()
-    if not path.exists():
-        if diagram in shipped:
-            path = shipped[diagram]
-        elif not path.suffix:
-            hint = near_miss(diagram, shipped)
-            raise RotorsimError(Problem("no such file and no diagram of this name", place=Place(diagram), hint=hint))
+    path, said = find_diagram(diagram)
+    show_problems(said)
     source = read_document(path)
     if not isinstance(source.data, dict):
         raise RotorsimError(Problem("a diagram is a JSON object {...}", place=source.locate()))

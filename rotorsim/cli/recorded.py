@@ -24,11 +24,18 @@ FILE = "recording.json"
 
 
 def is_recording(source: str) -> bool:
-    """Return whether a name on the command line is a recording: its folder, or its recording.json."""
+    """Return whether a name on the command line is a recording: its folder, or its recording.json.
+
+    A folder without that file does not stand before a shipped diagram of its name.
+    """
     path = Path(source)
     try:
-        if path.is_dir() or path.name == FILE:
+        if path.name == FILE or (path / FILE).exists():
             return True
+        if path.is_dir():
+            from rotorsim.diagram.load import shipped_diagrams
+
+            return source not in shipped_diagrams()
         if path.suffix != ".json" or not path.is_file():
             return False
         data = json.loads(path.read_bytes())

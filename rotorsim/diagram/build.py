@@ -63,7 +63,10 @@ class Builder:
         given: dict[str, np.ndarray] = {}
         references: dict[str, str] = {}
         for name, value in raw.parameters.items():
-            if name in cls.options:
+            if name == "file" and raw.type_name in FROM_FILE:
+                hint = f"it has the block's ports: rotorsim swap DIAGRAM {raw.name} {raw.type_name} --set file=FILE"
+                self.error("the file is a key of the block, no parameter", raw.name, raw.place_of(name, key=True), hint)
+            elif name in cls.options:
                 options[name] = value
             elif name in cls.parameters:
                 array = self.parameter(raw, name, value, cls.parameters[name], references)

@@ -147,7 +147,7 @@ class Diagram:
     document: the JSON it came from, with ``set`` in it (for fmt, swap, diff and provenance). file: its name.
     warnings: what is odd but no mistake. free: what ``identify`` leaves to be estimated. measured: what a recording
     calls the first signal is the second one here, behind the model of a sensor. looked_through: converters that are
-    left out of that (`before_converters`).
+    left out of that (`before_converters`). trusted: whether the code that it brings along may run (its FMUs).
     """
 
     name: str
@@ -165,6 +165,7 @@ class Diagram:
     free: tuple[Free, ...] = ()
     measured: Mapping[Endpoint, Endpoint] = field(default_factory=dict)
     looked_through: frozenset[str] = frozenset()
+    trusted: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", _fixed(self.parameters))

@@ -15,9 +15,11 @@ from rotorsim.fmi.coupling import Coupling
 from rotorsim.fmi.cut import couple, open_coupling, sources_of
 from rotorsim.fmi.failure import FmuError
 from rotorsim.fmi.fmu_participant import FmuParticipant
+from rotorsim.fmi.instance import is_finite
 from rotorsim.fmi.loop import FastLoop
-from rotorsim.fmi.masters import Master, make_master
+from rotorsim.fmi.masters import Master, held_mismatch, make_master
 from rotorsim.fmi.model_exchange import ModelExchange
+from rotorsim.fmi.participant import CompiledParticipant
 from rotorsim.fmi.stability import CouplingStability, coupling_stability, why_not_linear
 from rotorsim.fmi.waveform import relaxed
 from rotorsim.simulate.result import Result
@@ -80,6 +82,10 @@ def cosimulate(
         what = f"communication step {step:g} s is not between 0 and the stop time {end:g} s"
         raise RotorsimError(Problem(what, hint="give one that is positive and no longer than the run"))
     worker = make_master(master, coupling, order=order, tolerance=tolerance, rates=every)
+    if master == "iterative":  # it finds rates by very short steps that are taken back, also at the end
+        for participant in coupling.participants:
+            if isinstance(participant, FmuParticipant):
+                participant.stop = None
     mismatch = [0.0]
     times, rows = [0.0], []
     status, message = "finished", ""
@@ -90,8 +96,12 @@ def cosimulate(
         told.look(coupling, every)
     elif check:
         told.why_not = "the step adapts itself"
+    plain = adaptive is None and worker.simplify()
     if fast:
         return _fast(coupling, diagram, step, end, worker, rows[0], told, progress)
+    if plain and _may_be_fast(coupling, step, end):
+        most = len(coupling.u0) + 2 if coupling.passes else 0
+        return _fast(coupling, diagram, step, end, worker, rows[0], told, progress, most)
     t, count, width = 0.0, 0, step
     while t < end - 1e-9 * step:
         try:
@@ -110,13 +120,8 @@ def cosimulate(
         times.append(t)
         rows.append(y)
         mismatch.append(worker.mismatch)
-        if not np.isfinite(y).all():
-            status = "diverged"
-            bad = int(np.flatnonzero(~np.isfinite(y))[0])
-            names = [name for p in coupling.participants for name in p.outputs]
-            message = (
-                f"{names[bad]} left the finite numbers at t = {t:g} s: a smaller communication step, or another master"
-            )
+        if not is_finite(y):
+            status, message = _diverged(coupling, y, t)
             break
         if progress is not None:
             progress(t / end)
@@ -124,7 +129,12 @@ def cosimulate(
         growth = growth_rate(np.array(times), np.array(rows)) if adaptive is None else 0.0
         status, message = _judged(exchanging, told, growth, status, message)
     result = _result(coupling, diagram, np.array(times), np.array(rows), status, message, worker, told)
-    signals = {**result.signals, "coupling.error": np.array(mismatch)}
+    errors = held_mismatch(coupling, np.array(rows)) if plain else np.array(mismatch)
+    return _with_error(result, errors)
+
+
+def _with_error(result: Result, errors: np.ndarray) -> Result:
+    signals = {**result.signals, "coupling.error": errors}
     return replace(result, signals=signals, units={**result.units, "coupling.error": "1"})
 
 
@@ -141,6 +151,33 @@ def _judged(
         what = f"the linearised loop is unstable as a whole, with any step, and its motion grows at {growth:.3g} 1/s"
         return "unstable", what
     return status, message
+
+
+def _diverged(coupling: Coupling, y: np.ndarray, t: float) -> tuple[str, str]:
+    """Return status and message of a run whose outputs (n_y,) at time t are not all finite."""
+    bad = int(np.flatnonzero(~np.isfinite(y))[0])
+    name = [name for p in coupling.participants for name in p.outputs][bad]
+    return "diverged", f"{name} left the finite numbers at t = {t:g} s: a smaller communication step, or another master"
+
+
+def _may_be_fast(coupling: Coupling, step: float, end: float) -> bool:
+    """Return whether the loop in C does just what the plain steps of a master do.
+
+    Not with algebraic loops, where a part samples (it is stopped there), where steps must be equal to the last bit, or
+    where messages are wanted as they come.
+    """
+    whole = abs(round(end / step) * step - end) <= 1e-9 * step
+    members: list[Any] = []
+    for participant in coupling.participants:
+        if isinstance(participant, FmuParticipant):
+            if participant.rigid or participant.slave.log:
+                return False
+            members.append(participant.slave)
+        elif isinstance(participant, CompiledParticipant) and not participant.part.trace.samplers:
+            members.append(participant)
+        else:
+            return False
+    return whole and not (coupling.passes and coupling.has_loop) and FastLoop.possible(members)
 
 
 def _stopped(error: RotorsimError) -> tuple[str, str]:
@@ -266,7 +303,7 @@ def _by_waveform(
 
 def _fast(
     coupling: Coupling, diagram: Diagram, step: float, end: float, worker: Master, first: np.ndarray, told: _Told,
-    progress: Callable[[float], None] | None,
+    progress: Callable[[float], None] | None, sweeps: int = 0,
 ) -> Result:  # fmt: skip
     """Run the loop in C; see `rotorsim.fmi.loop`."""
     if told.master == "iterative" or worker.order > 0:
@@ -282,17 +319,22 @@ def _fast(
         )
     (fu, ou), (fy, oy) = (scales_of(coupling, which) for which in ("u_scales", "y_scales"))
     L, u0 = coupling.L * fy / fu[:, None], (coupling.L @ oy + coupling.u0 - ou) / fu  # in the units of the FMUs
-    loop = FastLoop(members, L, u0, sequence)
+    loop = FastLoop(members, L, u0, sequence, sweeps)
+    loop.begin((first - oy) / fy)
     status, message, last = "finished", "", None
+    failure: FmuError | None = None
     try:
         made = loop.run(0.0, step, count, progress=progress)
     except FmuError as error:
-        made, (status, message) = loop.rows, _stopped(error)
-        last = _last_sample(coupling, worker, error, len(made) * step)
+        failure, made, (status, message) = error, loop.rows, _stopped(error)
     rows = np.vstack([first, made * fy + oy])
     if status == "finished" and (len(made) < count or not np.isfinite(rows[-1]).all()):
-        status, message = "diverged", f"left the finite numbers at t = {len(made) * step:g} s: a smaller step"
+        status, message = _diverged(coupling, rows[-1], len(made) * step)
     worker.counters["steps"] = len(made)
+    worker.counters["participant_steps"] = len(made) * len(members)
+    if failure is not None:
+        worker.known = [[(len(made) * step, rows[-1][part])] for part in coupling.y_parts]
+        last = _last_sample(coupling, worker, failure, len(made) * step)
     for k, participant in enumerate(coupling.participants):
         if isinstance(participant, FmuParticipant):
             participant.most_parts, participant.do_steps, participant.warned = 1, len(made), loop.warned(k)
@@ -300,7 +342,10 @@ def _fast(
     if last is not None:
         times, kept, _ = _with_last(times, [*rows], times, *last)
         rows = np.array(kept)
-    return _result(coupling, diagram, np.array(times), rows, status, message, worker, told)
+    if status in ("finished", "diverged"):
+        status, message = _judged((), told, growth_rate(np.array(times), rows), status, message)
+    result = _result(coupling, diagram, np.array(times), rows, status, message, worker, told)
+    return _with_error(result, held_mismatch(coupling, rows))
 
 
 def scales_of(coupling: Coupling, which: str) -> np.ndarray:

@@ -130,6 +130,15 @@ def sources_of(diagram: Diagram, name: str) -> list[str]:
     return found
 
 
+def _refuse_foreign_code(diagram: Diagram) -> None:
+    """Refuse to run the FMUs of a diagram that nobody vouches for: a process of their own is no wall against malice."""
+    what = "FMUs are programs; they are not run unless you say so"
+    hint = "if you trust where they come from, add --trust-blocks (trust_blocks=True)"
+    foreign = [(name, node.place) for name, node in diagram.nodes.items() if node.block.opaque]
+    if foreign and not diagram.trusted:
+        raise RotorsimError(*[Problem(what, name, place, hint) for name, place in foreign])
+
+
 def open_coupling(
     diagram: Diagram, groups: Sequence[Iterable[str]] = (), *, stop: float | None = None,
     parameters: Mapping[str, Any] | None = None, use_compiler: bool = True,
@@ -139,9 +148,11 @@ def open_coupling(
 
     log: gets block, time, status, category and text of every message of an FMU.
 
-    Close them with `Coupling.close`. Raises RotorsimError, also for a diagram of one participant.
+    Close them with `Coupling.close`. Raises RotorsimError, also for a diagram of one participant, and for one with
+    FMUs that was not loaded with trust_blocks=True.
     """
     end = diagram.solver.stop if stop is None else stop
+    _refuse_foreign_code(diagram)
     opened: dict[str, Participant] = {}
     try:
         for name, node in diagram.nodes.items():

@@ -16,7 +16,7 @@ from rotorsim.fmi.fmu_block import FmuPort
 from rotorsim.fmi.linear import LinearModel
 from rotorsim.fmi.model_description import FLOATS, ModelDescription
 from rotorsim.fmi.model_exchange import ModelExchange
-from rotorsim.fmi.participant import InputHistory
+from rotorsim.fmi.participant import Held, InputHistory
 from rotorsim.fmi.slave import Fmu, Slave, open_fmu
 from rotorsim.simulate.linear import entry_names
 
@@ -45,7 +45,8 @@ class FmuParticipant:
         self, name: str, fmu: Fmu, slave: Slave, inputs: dict[str, FmuPort], outputs: dict[str, FmuPort],
         parameters: dict[str, Any], stop: float, internal: float, tolerance: float | None = None,
     ) -> None:  # fmt: skip
-        self.name, self.fmu, self.slave, self.parameters, self.stop = name, fmu, slave, parameters, stop
+        self.name, self.fmu, self.slave, self.parameters = name, fmu, slave, parameters
+        self.stop: float | None = stop
         self.tolerance = tolerance
         self.blocks = (name,)
         description = fmu.description
@@ -132,8 +133,10 @@ class FmuParticipant:
             return self.output(t + h, u(h))
         if self.rigid:
             h = self._equal(t, h)
+        if isinstance(u, Held):
+            return self._advance(t, h, u, 1)
         if self.sampled:
-            return self._advance(t, h, lambda _: u(h), 1)
+            return self._advance(t, h, Held(u(h)), 1)
         start, end = u(0.0), u(h)
         moves = bool((np.abs(end - start) > HELD * (np.abs(end) + np.abs(start))).any())
         most = max(1, int(np.ceil(h / self.internal - 1e-9)))
@@ -178,14 +181,14 @@ class FmuParticipant:
         for k in range(count):
             self.do_steps += 1
             try:
-                self.slave.exchange(self._of_fmu(u((k + 0.5) * width)), t + k * width, width)
+                y = self.slave.exchange(self._of_fmu(u((k + 0.5) * width)), t + k * width, width)
             except FmuError as failure:
                 if failure.kind == "discard" and self.slave.ended:
                     raise self._ended(failure.last if failure.last is not None else t + k * width) from None
                 raise
             if self.slave.ended:
                 raise self._ended(t + (k + 1) * width)
-        return self._si(self.slave.exchange(self._of_fmu(u(h)), t + h))
+        return self._si(y if isinstance(u, Held) else self.slave.exchange(self._of_fmu(u(h)), t + h))
 
     def next_hit(self, t: float) -> float:
         return np.inf if self.integrator is None else self.integrator.next_time
@@ -232,7 +235,7 @@ class FmuParticipant:
         ]  # fmt: skip
         sampled += [
             name for name, taken, moves in zip(self._y_names, used, self.moving, strict=True)
-            if taken and not moves and description.dependencies.get(name) != ()
+            if taken and not moves and not _still(description, name)
         ]  # fmt: skip
         if sampled:
             return f"has values that change at events ({sampled[0]}), which directional derivatives do not show"
@@ -264,6 +267,12 @@ class FmuParticipant:
     def close(self) -> None:
         """Free the instance and what was unpacked."""
         self.fmu.close()
+
+
+def _still(description: ModelDescription, output: str) -> bool:
+    """Return whether an output depends on parameters at most."""
+    known = description.dependencies.get(output)
+    return known is not None and all(description.variables[k].causality == "parameter" for k in known)
 
 
 def _scales(ports: dict[str, FmuPort]) -> np.ndarray | None:

@@ -7,6 +7,7 @@ diagram. Inputs are held during a step: u = L y + u0.
 from __future__ import annotations
 
 import ctypes
+import time
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.resources import files
@@ -24,7 +25,7 @@ from rotorsim.fmi.process import LocalWorker
 
 __all__ = ["FastLoop", "PartMember"]
 
-_CHUNK = 10_000  # steps between looks at Ctrl-C and progress
+_FIRST, _SLICE = 100, 0.1  # steps taken first; s between looks at Ctrl-C and progress
 _WHAT = {1: "Set", 2: "DoStep", 3: "Get"}
 
 
@@ -59,12 +60,14 @@ class _Member(ctypes.Structure):
 class FastLoop:
     """Members, set up and coupled by L (n_u, n_y) and u0 (n_u,); `run` takes steps.
 
-    order: of the members for Gauss-Seidel; None: Jacobi. Raises RotorsimError where a member cannot take part, or
+    order: of the members for Gauss-Seidel; None: Jacobi. sweeps: how often, at most, inputs and outputs are made to
+    agree after a step. Raises RotorsimError where a member cannot take part, or
     there is no C compiler; `possible` asks before.
     """
 
     def __init__(
-        self, members: Sequence[Slave | PartMember], L: np.ndarray, u0: np.ndarray, order: Sequence[int] | None = None
+        self, members: Sequence[Slave | PartMember], L: np.ndarray, u0: np.ndarray, order: Sequence[int] | None = None,
+        sweeps: int = 0,
     ) -> None:  # fmt: skip
         wrong = [f"{member.name} {why}" for member in members if (why := _unfit(member))]
         library = None if wrong else _library()
@@ -88,9 +91,14 @@ class FastLoop:
         self._start = np.searchsorted(rows, np.arange(len(self._u) + 1)).astype(np.int64)
         self._u0 = np.ascontiguousarray(u0, float)
         self._order = np.array(range(len(members)) if order is None else order, np.int64)
-        self._sequential = int(order is not None)
+        self._sequential, self._sweeps = int(order is not None), sweeps
         self._failed = np.zeros(2, np.int64)
         self.rows = np.empty((0, self.n_y))  # what was computed until a failure
+
+    def begin(self, y: np.ndarray) -> None:
+        """Say what the outputs y (n_y,) are at the start: the first step takes its inputs from them."""
+        for at, value in zip(self._y.tolist(), y.tolist(), strict=True):
+            ctypes.c_double.from_address(at).value = value
 
     @staticmethod
     def possible(members: Sequence[Slave | PartMember]) -> bool:
@@ -107,12 +115,14 @@ class FastLoop:
         """
         rows = np.empty((steps // every, self.n_y))
         done = written = 0
+        chunk = _FIRST
         while done < steps:
-            end = min(steps, done + max(_CHUNK // every, 1) * every)
+            end = min(steps, done + max(chunk // every, 1) * every)
+            begun = time.perf_counter()
             taken = self._function(
                 ctypes.addressof(self._made), len(self.members), *map(_at, (self._order,)), self._sequential,
                 *map(_at, (self._first, self._start, self._column, self._gain, self._u0, self._u)), self.n_y,
-                _at(self._y), t0, h, done, end, every, _at(rows[written:]), _at(self._failed),
+                _at(self._y), t0, h, done, end, every, self._sweeps, _at(rows[written:]), _at(self._failed),
             )  # fmt: skip
             written = (done + taken) // every
             if self._failed[1]:
@@ -121,6 +131,8 @@ class FastLoop:
             if taken < end - done or (written and not np.isfinite(rows[written - 1]).all()):
                 return rows[:written].copy()
             done = end
+            if time.perf_counter() - begun < _SLICE:
+                chunk *= 2
             if progress:
                 progress(done / steps)
         return rows
@@ -237,7 +249,7 @@ def _library() -> Any:
         return None
     i64, f64, ptr = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
     library.rs_cosimulate.argtypes = [
-        ptr, i64, ptr, i64, ptr, ptr, ptr, ptr, ptr, ptr, i64, ptr, f64, f64, i64, i64, i64, ptr, ptr,
+        ptr, i64, ptr, i64, ptr, ptr, ptr, ptr, ptr, ptr, i64, ptr, f64, f64, i64, i64, i64, i64, ptr, ptr,
     ]  # fmt: skip
     library.rs_cosimulate.restype = i64
     return library

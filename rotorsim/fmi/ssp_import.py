@@ -50,10 +50,12 @@ class ImportedSsp:
     warnings: tuple[Problem, ...] = ()
 
 
-def import_ssp(file: str | File, folder: str | File, *, limits: Limits | None = None) -> ImportedSsp:
+def import_ssp(
+    file: str | File, folder: str | File, *, limits: Limits | None = None, trust_blocks: bool = False
+) -> ImportedSsp:
     """Unpack a system of FMUs into a new folder, and write it as diagram.json there.
 
-    folder: must not exist, or be empty; it stays as it is when something is wrong.
+    folder: must not exist, or be empty; it stays as it is when something is wrong. trust_blocks: as for `load`.
     Raises RotorsimError with every mistake and everything that is not supported.
     """
     target = File(folder)
@@ -86,7 +88,7 @@ def import_ssp(file: str | File, folder: str | File, *, limits: Limits | None = 
             os.replace(temporary, target)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
-    diagram = load(document, folder=target)  # its FMUs are where they stay
+    diagram = load(document, folder=target, trust_blocks=trust_blocks)  # its FMUs are where they stay
     warnings = (*archive.warnings, *writer.warnings, *diagram.warnings)
     return ImportedSsp(target / DIAGRAM, diagram, structure, tuple(sorted(sources)), warnings)
 

@@ -137,7 +137,7 @@ def make_interface(
         doc = collector.port_doc(name)
         collector.add(name, INPUT, signal.shape, signal.unit, start=np.zeros(size_of(signal.shape)), description=doc)
     x_const, z_const = (_constant_entries(e) for e in (part.trace.x0, part.trace.z0))
-    dependencies = find_dependencies(part, record, x_const)
+    dependencies = find_dependencies(part, record, x_const, z_const)
     at = 0
     for name in record:
         shape = part.shape_of(name)

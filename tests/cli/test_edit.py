@@ -181,11 +181,72 @@ def test_swap_puts_an_fmu_into_the_place_of_a_block(run):
 
 
 @pytest.mark.parametrize(
+    ("diagram", "file", "out", "written"),
+    [
+        ("jeffcott", "c.fmu", "new.json", "c.fmu"),
+        ("jeffcott", "c.fmu", "sub/new.json", "../c.fmu"),
+        ("jeffcott", "sub/d.fmu", "sub/new.json", "d.fmu"),
+        ("sub/mine.json", "c.fmu", "new.json", "c.fmu"),
+        ("sub/mine.json", "c.fmu", None, "../c.fmu"),  # in place
+        ("jeffcott", "ABSOLUTE/c.fmu", "new.json", "c.fmu"),
+    ],
+)
+def test_the_fmu_is_named_from_where_the_user_stands(run, diagram, file, out, written) -> None:
+    Path("sub").mkdir()
+    Path("sub/mine.json").write_text(shipped_diagrams()["jeffcott"].read_text())
+    assert run("fmu", "export", "jeffcott", "--block", "controller", "-o", "c.fmu").exit_code == 0
+    Path("sub/d.fmu").write_bytes(Path("c.fmu").read_bytes())
+    file = file.replace("ABSOLUTE", str(Path.cwd()))
+    result = run(
+        "swap", diagram, "controller", "fmu", "--set", f"file={file}", *(["-o", out] if out else ["--in-place"])
+    )
+    assert (result.exit_code, result.stderr) == (0, f"controller: pid -> fmu; written: {out or diagram}\n")
+    new = out or diagram
+    assert json.loads(Path(new).read_text())["blocks"]["controller"] == {"type": "fmu", "file": written}
+    assert run("check", new).exit_code == 0
+
+
+def test_the_file_of_an_fmu_is_no_parameter(run) -> None:
+    """It was accepted, and the FMU stayed the old one."""
+    assert run("fmu", "export", "jeffcott", "--block", "controller", "-o", "c.fmu").exit_code == 0
+    assert run("swap", "jeffcott", "controller", "fmu", "--set", "file=c.fmu", "-o", "new.json").exit_code == 0
+    result = run("cosim", "new.json", "--step", "0.1 ms", "--set", "controller.file=other.fmu")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == (
+        "--set: error: controller: the file is a key of the block, no parameter\n\n"
+        "hint: it has the block's ports: rotorsim swap DIAGRAM controller fmu --set file=FILE\n"
+    )
+
+
+def test_a_folder_does_not_stand_before_a_shipped_diagram(run) -> None:
+    Path("jeffcott").mkdir()
+    assert run("swap", "jeffcott", "controller", "pd").stderr == "controller: pid -> pd\n"
+    result = run("check", "jeffcott")
+    assert (result.exit_code, result.stdout) == (0, "jeffcott: 8 blocks, 14 wires, no mistakes\n")
+    result = run("swap", "jeffcott", "controller", "pd", "--in-place")
+    assert result.stderr.startswith("error: jeffcott comes with rotorsim and stays as it is")
+
+
+def test_a_file_before_a_shipped_diagram_is_told(run) -> None:
+    Path("jeffcott").write_text(shipped_diagrams()["fe_rigid"].read_text())
+    warning = (
+        "jeffcott: warning: this is the file of the current folder, not the diagram that comes with rotorsim\n\n"
+        "hint: write ./jeffcott to mean the file; rename it to mean the other\n"
+    )
+    for arguments in (("check", "jeffcott"), ("diff", "jeffcott", "./jeffcott"), ("modes", "jeffcott")):
+        assert run(*arguments).stderr.startswith(warning)
+    assert run("check", "./jeffcott").stderr == ""
+
+
+@pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["controller", "fmu"], "error: controller: an FMU needs its file\n\nhint: add --set file=controller.fmu"),
         (["controler", "fmu", "--set", "file=c.fmu"], "error: controler: no block 'controler'\n\nhint: did you mean"),
-        (["controller", "fmu", "--set", "file=c.fmu"], "error: controller: cannot read c.fmu: no such file"),
+        (
+            ["controller", "fmu", "--set", "file=c.fmu"],
+            "error: --set file=c.fmu: there is no such file\n\nhint: it is t",
+        ),
     ],
 )
 def test_swap_with_an_fmu_that_is_not_there(run, arguments: list[str], said: str) -> None:

@@ -89,4 +89,4 @@ def with_gauge(
         "solver": {"step": step, "stop": stop},
         "record": list(record),
     }
-    return load(document, folder=file.parent)
+    return load(document, folder=file.parent, trust_blocks=True)

@@ -11,9 +11,12 @@ import pytest
 
 from rotorsim.diagram.edit import swap
 from rotorsim.diagram.load import load
+from rotorsim.errors import RotorsimError
+from rotorsim.fmi.cosimulation import cosimulate_diagram
 from tests.cli.conftest import Run
 from tests.fmi.events import events_fmu
 
+TRUST = ("--trust-blocks",)
 PART = ("--part", "controller", "--stop", "0.02 s")
 
 
@@ -95,9 +98,29 @@ def alone(folder: Path, parameters: dict[str, Any]) -> str:
     return "it.json"
 
 
+@pytest.mark.parametrize("parameters", [{}, {"in_process": True}])
+def test_the_code_of_an_fmu_is_not_run_unless_trusted(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, parameters: dict[str, Any]
+) -> None:
+    """A process of its own protects from a crash, not from malice: both ask, as block files do."""
+    ran: list[str] = []
+    monkeypatch.setattr("rotorsim.fmi.cut.fmu_participant", lambda name, *_: ran.append(name))
+    name = alone(tmp_path, parameters)
+    done = run("cosim", name, "--step", "0.1 s")
+    assert (done.exit_code, done.stdout, ran) == (2, "", [])
+    assert done.stderr == (
+        "it.json:1:27: error: it: FMUs are programs; they are not run unless you say so\n\n"
+        "hint: if you trust where they come from, add --trust-blocks (trust_blocks=True)\n"
+    )
+    assert run("check", name).exit_code == 0  # its ports are read, nothing is run
+    with pytest.raises(RotorsimError, match="FMUs are programs"):
+        cosimulate_diagram(load(tmp_path / name), step=0.1)
+    assert ran == []
+
+
 def test_what_was_computed_until_the_end_is_kept(run: Run, tmp_path: Path) -> None:
     """A clock that asks for the end at its third tick, 0.75 s."""
-    done = run("cosim", alone(tmp_path, {"model": 2, "stop_at": 3.0}), "--step", "0.1 s", "--out", "x.csv")
+    done = run("cosim", alone(tmp_path, {"model": 2, "stop_at": 3.0}), *TRUST, "--step", "0.1 s", "--out", "x.csv")
     assert done.exit_code == 1
     lines = done.stdout.splitlines()
     assert lines[:3] == [
@@ -167,10 +190,10 @@ def test_mistakes(run: Run, arguments: str) -> None:
 
 
 def test_an_interface_that_is_not_offered(run: Run, tmp_path: Path) -> None:
-    done = run("cosim", alone(tmp_path, {"interface": "cs"}), "--step", "0.1 s")
+    done = run("cosim", alone(tmp_path, {"interface": "cs"}), *TRUST, "--step", "0.1 s")
     assert done.exit_code == 2
     assert "error: it: the FMU offers no interface 'cs'\n\nhint: it offers me\n" in done.stderr
-    done = run("cosim", alone(tmp_path, {"interface": "se"}), "--step", "0.1 s")
+    done = run("cosim", alone(tmp_path, {"interface": "se"}), *TRUST, "--step", "0.1 s")
     assert done.exit_code == 2
     assert "it.interface: 'se' is not a choice\n\nhint: one of: any, cs, me\n" in done.stderr
 
@@ -180,7 +203,7 @@ def test_states_that_cannot_be_taken_back(run: Run, tmp_path: Path) -> None:
     document = json.loads((tmp_path / name).read_text())
     document["blocks"]["it"]["file"] = events_fmu(tmp_path, saves=False).name
     (tmp_path / name).write_text(json.dumps(document))
-    done = run("cosim", name, "--step", "0.1 s", "--adaptive", "1e-3")
+    done = run("cosim", name, *TRUST, "--step", "0.1 s", "--adaptive", "1e-3")
     assert (done.exit_code, done.stderr) == (
         2, "error: adaptive steps: cannot take a step back: it\n\nhint: take fixed steps\n"
     )  # fmt: skip

@@ -62,7 +62,9 @@ def test_inputs_and_parameters_are_in_si_units(tmp_path: Path) -> None:
     unwired = with_gauge(file, wires=[], blocks={}, scale=0.004, u="20 K")
     other = with_gauge(file, scale=0.003)
     both = load(
-        {**unwired.document, "blocks": {**unwired.document["blocks"], "in": {"type": "constant"}}}, folder=tmp_path
+        {**unwired.document, "blocks": {**unwired.document["blocks"], "in": {"type": "constant"}}},
+        folder=tmp_path,
+        trust_blocks=True,
     )
     assert cosimulate_diagram(both, step=0.5)["it.y"][-1] == pytest.approx(4 * -253.15, rel=1e-15)
     assert other.nodes["it"].values["scale"] == 0.003
@@ -80,14 +82,16 @@ def two(folder: Path, y: str, u: str, units: str = MYUM) -> dict[str, object]:
 
 @pytest.mark.parametrize("fast", [False, True])
 def test_a_wire_between_units_converts(tmp_path: Path, fast: bool) -> None:
-    found = cosimulate_diagram(load(two(tmp_path, 'unit="myum"', 'unit="m"'), folder=tmp_path), step=0.1, fast=fast)
+    found = cosimulate_diagram(
+        load(two(tmp_path, 'unit="myum"', 'unit="m"'), folder=tmp_path, trust_blocks=True), step=0.1, fast=fast
+    )
     assert found["b.y"][-1] == pytest.approx(5e-6, rel=1e-14)
     assert found.units["b.y"] == "m"
 
 
 @pytest.mark.parametrize("fast", [False, True])
 def test_a_wire_between_offsets_converts(tmp_path: Path, fast: bool) -> None:
-    diagram = load(two(tmp_path, 'unit="degC"', 'unit="degF"'), folder=tmp_path)
+    diagram = load(two(tmp_path, 'unit="degC"', 'unit="degF"'), folder=tmp_path, trust_blocks=True)
     found = cosimulate_diagram(diagram, step=0.1, fast=fast)
     assert found["b.y"][-1] == pytest.approx(278.15, rel=1e-14)  # 5 degC are 41 degF
 
@@ -96,7 +100,7 @@ def test_other_dimensions_are_refused(tmp_path: Path) -> None:
     """Exponents decide, not names."""
     units = MYUM + '<Unit name="mym"><BaseUnit A="1"/></Unit>'
     with pytest.raises(RotorsimError) as caught:
-        load(two(tmp_path, 'unit="myum"', 'unit="mym"', units), folder=tmp_path)
+        load(two(tmp_path, 'unit="myum"', 'unit="mym"', units), folder=tmp_path, trust_blocks=True)
     assert [problem.what for problem in caught.value.problems] == ["units differ: a.y [m], but b.u [A]"]
 
 
@@ -120,7 +124,7 @@ def test_derivatives_are_in_si_units(tmp_path: Path) -> None:
         },
         "wires": [["in.output", "it.u"]], "solver": {"step": 0.01, "stop": 0.1}, "record": ["it.y"],
     }  # fmt: skip
-    coupling = open_coupling(load(document, folder=tmp_path))
+    coupling = open_coupling(load(document, folder=tmp_path, trust_blocks=True))
     it = next(p for p in coupling.participants if p.name == "it")
     for participant, part in zip(coupling.participants, coupling.u_parts, strict=True):
         participant.initialise(0.0, np.ones(len(coupling.u0))[part])

@@ -95,11 +95,11 @@ def test_variables_inside_are_recorded_by_name(tmp_path: Path) -> None:
     """The ball has no output v: x' = v, v' = -9.81."""
     diagram = alone(events_fmu(tmp_path), "ball", step=0.01, stop=0.25)
     document = {**diagram.document, "record": ["it.x", "it.v", "it.gravity"]}
-    found = cosimulate_diagram(load(document, folder=tmp_path), [], step=0.05)
+    found = cosimulate_diagram(load(document, folder=tmp_path, trust_blocks=True), [], step=0.05)
     assert found["it.v"].tolist() == pytest.approx((-9.81 * found.time).tolist(), rel=1e-12)
     assert set(found["it.gravity"].tolist()) == {9.81}
     with pytest.raises(RotorsimError, match="has no output 'vv'"):
-        load({**document, "record": ["it.vv"]}, folder=tmp_path)
+        load({**document, "record": ["it.vv"]}, folder=tmp_path, trust_blocks=True)
 
 
 def test_what_the_fmu_is_told_of_the_experiment(tmp_path: Path, file: Path) -> None:
@@ -108,7 +108,9 @@ def test_what_the_fmu_is_told_of_the_experiment(tmp_path: Path, file: Path) -> N
     assert found["it.y"][-1] == 1.0
     proposed = gauge_fmu(tmp_path, description(more='<DefaultExperiment tolerance="1e-5"/>'), "other.fmu")
     assert last(cosimulate_diagram(with_gauge(proposed, record=ALL), step=0.1), "told_tolerance") == [1e-5]
-    diagram = load(with_gauge(proposed, record=ALL).document, folder=tmp_path, set={"solver.rtol": 1e-7})
+    diagram = load(
+        with_gauge(proposed, record=ALL).document, folder=tmp_path, set={"solver.rtol": 1e-7}, trust_blocks=True
+    )
     assert last(cosimulate_diagram(diagram, step=0.1), "told_tolerance") == [1e-7]
 
 
@@ -160,19 +162,19 @@ def test_an_fmu_of_another_size_at_work(tmp_path: Path) -> None:
         },
         "wires": [["in.output", "it.u"]], "solver": {"step": 0.1, "stop": 0.2}, "record": ["it.y"],
     }  # fmt: skip
-    found = cosimulate_diagram(load(document, folder=tmp_path), step=0.1)
+    found = cosimulate_diagram(load(document, folder=tmp_path, trust_blocks=True), step=0.1)
     assert found["it.y"].tolist() == [[5.0, 10.0, 15.0, 20.0]] * 3
     own = document["blocks"]["it"]["parameters"]
     own["k"] = [1.0, 1.0, 2.0, 2.0]
-    found = cosimulate_diagram(load(document, folder=tmp_path), step=0.1)
+    found = cosimulate_diagram(load(document, folder=tmp_path, trust_blocks=True), step=0.1)
     assert found["it.y"].tolist() == [[1.0, 2.0, 6.0, 8.0]] * 3
     own["n"] = 3
     with pytest.raises(RotorsimError) as caught:
-        load(document, folder=tmp_path)
+        load(document, folder=tmp_path, trust_blocks=True)
     assert "shape" in str(caught.value)
     own["n"] = -1
     with pytest.raises(RotorsimError, match=r"it\.n: -1 must be at least 0"):
-        load(document, folder=tmp_path)
+        load(document, folder=tmp_path, trust_blocks=True)
 
 
 def test_sizes_are_told_before_the_start(tmp_path: Path) -> None:
@@ -200,26 +202,26 @@ def written(folder: Path, file: Path, **values: Any) -> str:
 def test_warnings_are_counted_and_shown(tmp_path: Path, run: Run, fast: bool) -> None:
     file = gauge_fmu(tmp_path, description(real=True, talks=True))
     more = ["--fast"] if fast else []
-    done = run("cosim", written(tmp_path, file, talk=2), "--step", "0.1 s", "--json", *more)
+    done = run("cosim", "--trust-blocks", written(tmp_path, file, talk=2), "--step", "0.1 s", "--json", *more)
     assert done.exit_code == 0
     about = json.loads(done.stdout)["coupling"]["fmus"]["it"]
     assert (about["warnings"], about["messages"]) == (10, {"Warning": 10})
     assert "it: 10 calls returned a warning; 10 messages of warnings or errors\n" in done.stderr
     assert "it said: Warning: step 10 is odd\n" in done.stderr
     assert "--log FILE keeps all that it says" in done.stderr
-    quiet = run("cosim", written(tmp_path, file, talk=0), "--step", "0.1 s", *more)
+    quiet = run("cosim", "--trust-blocks", written(tmp_path, file, talk=0), "--step", "0.1 s", *more)
     assert "it" not in quiet.stderr.split()
 
 
 @pytest.mark.parametrize("in_process", [True, False])
 def test_the_log_is_kept(tmp_path: Path, run: Run, file: Path, in_process: bool) -> None:
     path = written(tmp_path, file, talk=6, in_process=in_process)
-    assert run("cosim", path, "--step", "0.1 s", "--log", "said.txt").exit_code == 0
+    assert run("cosim", "--trust-blocks", path, "--step", "0.1 s", "--log", "said.txt").exit_code == 0
     lines = (tmp_path / "said.txt").read_text().splitlines()
     assert len(lines) == 20
     assert lines[:2] == ["0\tit\tOK\tlogEvents\tstep 1", "0\tit\tWarning\tlogStatusWarning\tstep 1 is odd"]
     assert lines[-1] == "0.9\tit\tWarning\tlogStatusWarning\tstep 10 is odd"
-    refused = run("cosim", path, "--step", "0.1 s", "--log", "no/said.txt")
+    refused = run("cosim", "--trust-blocks", path, "--step", "0.1 s", "--log", "no/said.txt")
     assert refused.exit_code == 2
     assert "--log no/said.txt: cannot be written: no such file or directory" in refused.stderr
 
@@ -236,7 +238,7 @@ def test_what_it_prints_does_not_break_json(
     tmp_path: Path, run: Run, file: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:  # fmt: skip
     """In this process it prints past Python, to the descriptor itself."""
-    done = run("cosim", written(tmp_path, file, talk=1), "--step", "0.1 s", "--json")
+    done = run("cosim", "--trust-blocks", written(tmp_path, file, talk=1), "--step", "0.1 s", "--json")
     assert json.loads(done.stdout)["status"] == "finished"
     printed = capfd.readouterr()
     assert (printed.out, printed.err.count("what ")) == ("", 10)
@@ -277,7 +279,11 @@ def test_clocks_are_named(tmp_path: Path) -> None:
         'causality="input" intervalVariability="constant"/></ModelVariables><ModelStructure/></fmiModelDescription>'
     )
     file = make_fmu(tmp_path / "c.fmu", "3.0", description=text, library_bytes=b"none")
-    diagram = load({"blocks": {"it": {"type": "fmu", "file": "c.fmu"}, "in": {"type": "constant"}}}, folder=tmp_path)
+    diagram = load(
+        {"blocks": {"it": {"type": "fmu", "file": "c.fmu"}, "in": {"type": "constant"}}},
+        folder=tmp_path,
+        trust_blocks=True,
+    )
     with pytest.raises(RotorsimError) as caught:
         cosimulate_diagram(diagram, step=0.1)
     problem = caught.value.problems[0]

@@ -77,23 +77,27 @@ static int advance(rs_member *a, double t, double h) {
     return 0;
 }
 
-/* u = u0 + L y for the inputs first..last-1; L by rows: start, column, gain. */
-static void connect(int64_t first, int64_t last, const int64_t *start, const int64_t *column, const double *gain,
+/* u = u0 + L y for the inputs first..last-1; L by rows: start, column, gain. Return whether any of them changed. */
+static bool connect(int64_t first, int64_t last, const int64_t *start, const int64_t *column, const double *gain,
                     const double *u0, double **u, double **y) {
+    bool changed = false;
     for (int64_t i = first; i < last; i++) {
         double sum = u0[i];
         for (int64_t j = start[i]; j < start[i + 1]; j++) sum += gain[j] * *y[column[j]];
+        changed = changed || *u[i] != sum;
         *u[i] = sum;
     }
+    return changed;
 }
 
 /* Take the steps n0..n1-1 of length h from t0 on. order: of the members; sequential: those that come later see the new
-   outputs of the earlier (Gauss-Seidel), else all see the old (Jacobi). rows: y after each step that `every` divides.
+   outputs of the earlier (Gauss-Seidel), else all see the old (Jacobi). sweeps: how often, at most, inputs and outputs
+   are made to agree after a step. rows: y after each step that `every` divides.
    Returns the number of steps done; failed: {member, what}, what = 0 if none. */
 RS_EXPORT int64_t rs_cosimulate(rs_member *members, int64_t count, const int64_t *order, int64_t sequential,
                                 const int64_t *first, const int64_t *start, const int64_t *column, const double *gain,
                                 const double *u0, double **u, int64_t n_y, double **y, double t0, double h, int64_t n0,
-                                int64_t n1, int64_t every, double *rows, int64_t *failed) {
+                                int64_t n1, int64_t every, int64_t sweeps, double *rows, int64_t *failed) {
     failed[0] = failed[1] = 0;
     for (int64_t n = n0; n < n1; n++) {
         double t = t0 + (double)n * h, width = t0 + (double)(n + 1) * h - t;
@@ -108,6 +112,15 @@ RS_EXPORT int64_t rs_cosimulate(rs_member *members, int64_t count, const int64_t
                 return n - n0;
             }
         }
+        for (int64_t s = 0; s < sweeps && connect(0, first[count], start, column, gain, u0, u, y); s++)
+            for (int64_t k = 0; k < count; k++) {
+                int what = advance(members + k, t + width, 0.0);
+                if (what) {
+                    failed[0] = k;
+                    failed[1] = what;
+                    return n - n0;
+                }
+            }
         if ((n + 1) % every == 0) {
             bool finite = true;
             for (int64_t j = 0; j < n_y; j++) {
