@@ -81,7 +81,7 @@ def motion(result: Result, angle: str, found: Sequence[Harmonics]) -> dict[str, 
     width = stop - start
     turns = max(round(width * speed / (2 * np.pi)), 1)
     made |= {"window": [start, stop], "turns": turns}
-    samples = np.searchsorted(result.time, stop) - np.searchsorted(result.time, start)
+    samples = int(np.searchsorted(result.time, stop) - np.searchsorted(result.time, start))
     few = width * min(max(int(FEW * turns / max(samples, 1)), 1), turns) / turns
     if start - 2 * width < -1e-9:
         return made
