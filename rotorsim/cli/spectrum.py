@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotorsim.cli import common, recorded
+from rotorsim.cli.app import show_problems
 from rotorsim.errors import Place, Problem, RotorsimError
 
 if TYPE_CHECKING:
@@ -222,4 +223,7 @@ def _result(
     result = simulate(loaded, record=tuple(dict.fromkeys(wanted)))
     if result.status != "finished":
         raise RotorsimError(Problem(what=result.message, subject=loaded.name), exit_code=1)
+    if result.message:
+        hint = "a smaller step: --set solver.step=..."
+        show_problems([Problem(result.message, loaded.name, hint=hint, severity="warning")])
     return result, angle

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rotorsim.cli import common
+from rotorsim.errors import RotorsimError
 
 if TYPE_CHECKING:
     from rotorsim.simulate.result import Result
@@ -18,6 +19,7 @@ __all__ = [
     "run_ups", "two_axis",
 ]  # fmt: skip
 
+FEW = 1500  # samples that tell whether the motion has settled
 SETTLED = 0.01  # of the largest harmonic: what may still change
 SLOWEST = 0.95  # ratio of changes that is believed: beyond, noise and not decay makes it
 CONSTANT = 1e-6  # relative change of speed below which it is constant
@@ -77,14 +79,20 @@ def motion(result: Result, angle: str, found: Sequence[Harmonics]) -> dict[str, 
         return made
     start, stop = last_turns(result, angle)
     width = stop - start
-    made |= {"window": [start, stop], "turns": round(width * speed / (2 * np.pi))}
+    turns = max(round(width * speed / (2 * np.pi)), 1)
+    made |= {"window": [start, stop], "turns": turns}
+    samples = int(np.searchsorted(result.time, stop) - np.searchsorted(result.time, start))
+    few = width * min(max(int(FEW * turns / max(samples, 1)), 1), turns) / turns
     if start - 2 * width < -1e-9:
         return made
     worst: tuple[float, dict[str, Any]] = (-1.0, {})
     for item in found:
-        before = [harmonics(result, item.signal, angle=angle, window=(start - k * width, stop - k * width)).values
-                  for k in (2, 1)]  # fmt: skip
-        one, two = np.abs(before[1] - before[0]), np.abs(item.values - before[1])
+        ends = [stop - k * width for k in (2, 1, 0)]
+        try:
+            first, then, last = (harmonics(result, item.signal, angle=angle, window=(e - few, e)).values for e in ends)
+        except RotorsimError:  # too few samples to tell the orders apart
+            return made
+        one, two = np.abs(then - first), np.abs(last - then)
         q = np.minimum(np.divide(two, one, out=np.ones_like(two), where=one > 0), SLOWEST)
         left, largest = two * q / (1 - q), float(np.abs(item.values).max(initial=0.0))
         k = int(np.argmax(left))

@@ -101,7 +101,7 @@ def _told(
     if h is None or error is None or error <= LARGEST_ERROR:
         return Verdict(error=error)
     enough = _step_that_would_do(model, instance, names, rows, h, stretches)
-    what = f"the step {h:.3g} s is too large: '{worst}' is wrong by about {_percent(error)} of its rms"
+    what = f"the step {h:.3g} s is too large: '{worst}' is wrong by about {_size(error)} its rms"
     if enough is None:
         text = f"{what}, and no step down to {h / 2**MOST_HALVINGS:.2g} s brings it below 1 %"
     else:
@@ -109,8 +109,8 @@ def _told(
     return Verdict(message=text, error=error)
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %" if share < 10 else f"{share:.2g} times"
+def _size(share: float) -> str:
+    return f"{100 * share:.2g} % of" if share < 1 else f"{share:.2g} times"
 
 
 # -- does it grow? -----------------------------------------------------------------------------------------------------
