@@ -57,9 +57,9 @@ def command(
         hint = "'rotorsim modes --set speed=...' shows which; a critical speed there is never reached"
         show_problems([Problem(what, loaded.name, hint=hint, severity="warning")])
     if as_json:
-        crossings = [
+        every = [
             {"order": c.order, "speed": c.speed, "speed_rpm": common.rpm(c.speed), "frequency_hz": c.frequency_hz,
-             "mode": c.mode + 1, "whirl": c.whirl, "damping_ratio": c.damping_ratio, "stable": c.stable}
+             "mode": c.mode, "whirl": c.whirl, "damping_ratio": c.damping_ratio, "stable": c.stable}
             for c in found.crossings
         ]  # fmt: skip
         common.echo_json(
@@ -71,26 +71,30 @@ def command(
                 "damping_ratio": found.damping_ratio,
                 "whirl": found.whirl,
                 "stable": found.stable,
-                "critical_speeds": crossings,
+                "critical_speeds": every,
             }
         )
         return
-    count = found.frequency_hz.shape[1]
+    shown = [k for k, resonant in enumerate(found.resonant) if resonant]
     rows = [
         (
             f"{common.rpm(float(speed)):.6g}",
-            *(f"{f:.4f}" if math.isfinite(f) else "-" for f in frequencies),
+            *(f"{f:.4f}" if math.isfinite(f) else "-" for f in frequencies[shown]),
             *_machine(bool(stable), shaky),
         )
         for speed, frequencies, stable in zip(found.speeds, found.frequency_hz, found.stable, strict=True)
     ]
     last = ("machine",) if shaky else ()
-    click.echo(common.table(("speed [rpm]", *(f"mode {k + 1} [Hz]" for k in range(count)), *last), rows))
-    if found.crossings:
+    click.echo(common.table(("speed [rpm]", *(f"mode {k + 1} [Hz]" for k in shown), *last), rows))
+    if len(shown) < len(found.resonant):
+        left_out = len(found.resonant) - len(shown)
+        common.note(f"{left_out} modes with a damping ratio above 0.707 at all speeds, no resonance: --json has them")
+    crossings = [c for c in found.crossings if found.resonant[c.mode - 1]]
+    if crossings:
         rows = [
             (f"{c.order}X", f"{common.rpm(c.speed):.2f}", f"{c.frequency_hz:.4f}", f"{c.damping_ratio:.5f}", c.whirl,
              *_machine(c.stable, shaky))
-            for c in found.crossings
+            for c in crossings
         ]  # fmt: skip
         click.echo()
         click.echo(

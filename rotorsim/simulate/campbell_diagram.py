@@ -12,7 +12,7 @@ from scipy.optimize import brentq, linear_sum_assignment
 from rotorsim._shown import Shown, xarray_module
 from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.simulate.eigenmodes import Eigen, _shape_signals, checked_speeds, eigen, require_speed, whirl
+from rotorsim.simulate.eigenmodes import RESONANT, Eigen, _shape_signals, checked_speeds, eigen, require_speed, whirl
 from rotorsim.simulate.linear import as_model, linearise
 from rotorsim.simulate.stability import growing
 
@@ -23,7 +23,7 @@ UNMATCHED = 0.98  # cost from which two modes are not the same one
 
 @dataclass(frozen=True)
 class Crossing:
-    """Where a mode's damped frequency equals ``order`` times the speed: a critical speed (order 1).
+    """Where the damped frequency of ``mode`` (from 1) equals ``order`` times the speed: a critical speed (order 1).
 
     stable: whether no pole of the machine grows at this speed; a settled motion is never reached where one does.
     """
@@ -74,6 +74,11 @@ class Campbell(Shown):
             "speed": ("speed", self.speeds, {"units": "rad/s"}), "mode": np.arange(self.frequency_hz.shape[1]) + 1,
         }  # fmt: skip
         return xarray_module().Dataset(variables, coordinates, {k: str(v) for k, v in self.provenance.items()})
+
+    @property
+    def resonant(self) -> np.ndarray:
+        """Which modes have a damping ratio below 1/sqrt(2) at some speed, (modes,)."""
+        return np.asarray(np.nanmin(self.damping_ratio, axis=0, initial=np.inf) < RESONANT)
 
     def to_table(self) -> list[dict[str, Any]]:
         """Return one row per speed and mode."""

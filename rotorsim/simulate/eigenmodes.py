@@ -20,6 +20,7 @@ __all__ = ["Mode", "Modes", "modes", "two_axis_signals"]
 
 OSCILLATES = 1e-8  # imaginary part, relative to the largest |eigenvalue|, above which a pole oscillates
 DEGENERATE = 1e-7  # relative distance of eigenvalues that count as one (isotropic rotor without gyroscopic effect)
+RESONANT = 0.5**0.5  # damping ratio below which a forced response has a maximum
 PLANAR = 1e-6  # relative difference of forward and backward amplitude below which the motion is a line
 
 
@@ -49,6 +50,11 @@ class Mode:
     def damping_ratio(self) -> float:
         """-Re(lambda) / |lambda|."""
         return -self.eigenvalue.real / abs(self.eigenvalue)
+
+    @property
+    def resonant(self) -> bool:
+        """Whether a forced response has a maximum near the mode: its damping ratio is below 1/sqrt(2)."""
+        return self.damping_ratio < RESONANT
 
     @property
     def unstable(self) -> bool:

@@ -152,3 +152,26 @@ def test_a_range_without_a_step_is_told_how_to_be_written(run) -> None:
         "error: --speeds 900-6000 rpm: a range without a step\n\n"
         "hint: a range is start:step:stop, as in '900 rpm:510 rpm:6000 rpm'\n"
     )
+
+
+def test_modes_without_a_resonance_come_last(run) -> None:
+    """offset_disc turns two pairs of poles beyond 1/sqrt(2) of critical damping: no force brings them to resonance."""
+    first, last = run("modes", "offset_disc").stdout.split(
+        "\n\ndamped beyond 0.707, which no force brings to resonance\n"
+    )
+    ratios = [
+        [float(line.split()[3]) for line in part.splitlines()[1:] if line[:1].isdigit()] for part in (first, last)
+    ]
+    assert max(ratios[0]) < 0.7072 < min(ratios[1])
+    assert [len(part) for part in ratios] == [2, 2]
+    table = run("campbell", "offset_disc", "--speeds", "1400 rpm, 1500 rpm")
+    assert table.stdout.splitlines()[0].split() == ["speed", "[rpm]", "mode", "3", "[Hz]", "mode", "4", "[Hz]"]
+    assert "2 modes with a damping ratio above 0.707 at all speeds, no resonance: --json has them" in table.stderr
+
+
+def test_a_critical_speed_names_its_mode(run) -> None:
+    data = json.loads(run("campbell", "offset_disc", "--speeds", "7000 rpm, 7400 rpm", "--json").stdout)
+    assert len(data["critical_speeds"]) == 2
+    for one in data["critical_speeds"]:
+        ends = [row[one["mode"] - 1] for row in data["frequency_hz"]]
+        assert min(ends) - 1e-6 <= one["frequency_hz"] <= max(ends) + 1e-6
