@@ -173,8 +173,8 @@ def _symbol(symbol: str, text: str) -> tuple[float, Dimension]:
 
 
 _FOREIGN = {
-    "r": "rev", "degree": "deg", "°C": "degC", "℃": "degC", "Nm": "N.m", "Nms": "N.m.s", "S": "A/V", "VA": "V.A",
-    "l": "dm^3", "L": "dm^3", "t": "Mg", "ohm": "Ohm", "sec": "s", "RPM": "rpm", "Wh": "W.h", "var": "V.A",
+    "-": "1", "r": "rev", "degree": "deg", "°C": "degC", "℃": "degC", "Nm": "N.m", "Nms": "N.m.s", "S": "A/V",
+    "VA": "V.A", "l": "dm^3", "L": "dm^3", "t": "Mg", "ohm": "Ohm", "sec": "s", "RPM": "rpm", "Wh": "W.h", "var": "V.A",
 }  # fmt: skip
 _OFFSETS = {"degC": (1.0, 273.15), "degF": (1.0 / 1.8, 459.67 / 1.8)}  # K = factor * value + offset
 _WORD = re.compile(r"([^\W\d_]+|[°℃]C?|%)([+-]?\d+)?")

@@ -17,7 +17,7 @@ from typing import Any
 __all__ = ["STATUS", "TYPES", "CallError", "Library", "Log"]
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-KEPT, LONGEST = 50, 2000  # messages kept until they are taken, characters of one
+KEPT, LONGEST = 1000, 2000  # messages kept until they are taken, characters of one
 
 # Our type -> the word in the names of the functions, the type of C.
 TYPES: dict[str, dict[str, tuple[str, Any]]] = {

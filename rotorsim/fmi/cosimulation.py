@@ -253,9 +253,9 @@ def _refuse_rigid(
         what, count = "cannot vary its communication step", end / (rate * step)
         if adaptive is not None:
             problems.append(Problem(f"{what}, as adaptive steps do", participant.name, hint="take fixed steps"))
-        elif abs(count - round(count)) > 1e-6:
+        elif abs(count - round(count)) > 1e-9:
             what += f": its steps of {rate * step:g} s do not divide the stop time {end:g} s"
-            hint = f"such as --step '{end / max(1, round(count)) / rate:.9g} s'"
+            hint = f"such as --step '{end / max(1, round(count)) / rate:.15g} s'"
             problems.append(Problem(what, participant.name, hint=hint))
     if problems:
         raise RotorsimError(*problems)
@@ -284,7 +284,7 @@ def _fast(
     sequence = coupling.order if told.master == "gauss_seidel" else None
     count = round(end / step)
     if abs(count * step - end) > 1e-6 * step:
-        hint = f"such as --step '{end / count:.9g} s'"
+        hint = f"such as --step '{end / count:.15g} s'"
         raise RotorsimError(
             Problem(f"takes whole steps: {step:g} s does not divide {end:g} s", "the fast loop", hint=hint)
         )

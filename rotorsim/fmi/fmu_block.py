@@ -6,6 +6,7 @@ part that all inputs and outputs share ("rotor.") is left out; other dots become
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from rotorsim.fmi.slave import describe_fmu
 __all__ = ["FmuPort", "block_class", "ports_of"]
 
 _INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")
+_TAKEN = ("file", "interface", "in_process")  # options of the block itself; a value of the FMU of this name gets a "_"
 _WORDS: dict[str, type] = {"Boolean": bool, "String": str}  # types whose values are given as such
 
 
@@ -71,7 +73,7 @@ def ports_of(
     description: ModelDescription, causalities: Sequence[str], prefix: str, types: Sequence[str] = NUMERIC
 ) -> dict[str, FmuPort]:  # fmt: skip
     """Return the variables of some causalities grouped to ports: numbers; flags as 0 and 1."""
-    groups: dict[str, list[tuple[tuple[int, ...], str, FmuVariable, float | None]]] = {}
+    groups: dict[tuple[str, int], list[tuple[tuple[int, ...], str, FmuVariable, float | None]]] = {}
     for variable in description.by_causality(*causalities):
         if variable.type not in types or variable.clocked:
             continue
@@ -81,9 +83,9 @@ def ports_of(
             match = _INDEX.fullmatch(name)
             base = match[1] if match else name
             index = tuple(int(part) for part in match[2].split(",")) if match else ()
-            groups.setdefault(base, []).append((index, name, variable, start))
+            groups.setdefault((base, len(index)), []).append((index, name, variable, start))
     found: dict[str, FmuPort] = {}
-    for base, members in groups.items():
+    for (base, _), members in groups.items():
         port = _port(description, base, members, prefix)
         if port.name in found and "local" in causalities:
             continue  # it cannot be named
@@ -115,8 +117,8 @@ def _port(
         port_name(base, prefix), shape, shown.pop() if len(shown) == 1 else None, tuple(m[1] for m in members), None,
         variable.description, scales, variable.variability in ("discrete", "constant", "fixed"),
     )  # fmt: skip
-    if any(value is None for value in starts):
-        return port
+    if not all(value is not None and math.isfinite(value) for value in starts):
+        return port  # what is not finite cannot be given here: the FMU keeps it
     return replace(port, start=port.to_si(np.array(starts, float)).reshape(shape))
 
 
@@ -142,6 +144,17 @@ def unit_warnings(description: ModelDescription) -> list[Problem]:
     ]  # fmt: skip
 
 
+def _silent(description: ModelDescription, outputs: Mapping[str, FmuPort], prefix: str) -> list[Problem]:
+    """Return a warning where nothing of an FMU can be seen."""
+    inside = [] if outputs else [*ports_of(description, ("local",), prefix)]
+    if not inside:
+        return []
+    shown = ", ".join(inside[:5]) + (", ..." if len(inside) > 5 else "")
+    hint = f'"record": ["BLOCK.{inside[0]}"]; there are {shown}'
+    what = "it has no outputs, and none of the variables inside is recorded or wired"
+    return [Problem(what, hint=hint, severity="warning")]
+
+
 def prefix_of(description: ModelDescription) -> str:
     """Return the first part "name." that all inputs and outputs share, or nothing."""
     names = [v.name for v in description.by_causality("input", "output")]
@@ -157,12 +170,16 @@ def options_of(description: ModelDescription, prefix: str) -> dict[str, FmuOptio
         sized = variable.causality == "structuralParameter"
         if variable.start is None or variable.clocked or not (variable.type in _WORDS or items or sized):
             continue
-        name, start = port_name(variable.name, prefix), variable.start
+        name, start = _value_name(port_name(variable.name, prefix)), variable.start
         if items and not variable.dimensions:
             start = next((item for item, value in items.items() if value == start), start)
         if not variable.dimensions or variable.type in _WORDS:
             found[name] = FmuOption(name, variable, list(start) if isinstance(start, tuple) else start, items)
     return found
+
+
+def _value_name(name: str) -> str:
+    return f"{name}_" if name in _TAKEN else name
 
 
 def _option(option: FmuOption) -> Any:
@@ -196,7 +213,7 @@ def _made(
     options = options_of(description, prefix)
     resized = set(description.sizes)
     parameters = {
-        name: port
+        _value_name(name): port
         for name, port in ports_of(description, ("parameter",), prefix, (*FLOATS, *INTEGERS)).items()
         if name not in options and (port.start is not None or resized)
     }
@@ -204,7 +221,7 @@ def _made(
         "__doc__": f"{description.description or description.name} (FMU).\n\nIts equations are inside the FMU.",
         "type_name": "fmu", "category": "fmu", "opaque": True, "source": description.name,
         "fmu_path": path, "fmu_description": description, "fmu_options": options,
-        "fmu_warnings": [*description.warnings, *unit_warnings(description)],
+        "fmu_warnings": [*description.warnings, *unit_warnings(description), *_silent(description, outputs, prefix)],
         "fmu_inputs": inputs, "fmu_outputs": outputs, "fmu_parameters": parameters,
         "file": Option(str(path), kind=str, doc="file of the FMU"),
         "interface": Option("any", choices=("any", "cs", "me"), kind=str, doc="cs, me, or any: cs where it is offered"),
@@ -219,13 +236,13 @@ def _made(
             )
     starts = {
         name: port for name, port in inputs.items()
-        if port.start is not None and name not in parameters and name not in options
+        if port.start is not None and name not in parameters and name not in options and name not in _TAKEN
     }  # fmt: skip
     body |= {f"_s_{name}": _option(option) for name, option in options.items()}
-    for port in (*parameters.values(), *starts.values()):
-        body[f"_p_{port.name}"] = Param(
+    for name, port in {**parameters, **starts}.items():
+        body[f"_p_{name}"] = Param(
             port.start.tolist() if port.start is not None and port.shape else port.start,
-            name=port.name, shape=port.shape, unit=port.unit, doc=port.description,
+            name=name, shape=port.shape, unit=port.unit, doc=port.description,
         )  # fmt: skip
     body["equations"] = _equations
     return type("Fmu", (Block,), body)

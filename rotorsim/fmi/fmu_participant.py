@@ -69,7 +69,7 @@ class FmuParticipant:
         self.warned = 0  # times, besides those that the instance has counted
         self._width = 0.0  # of all steps, where it is rigid
         self.feedthrough = np.array(
-            [[_depends(description.dependencies, y, u) for u in self._u_names] for y in self._y_names], bool
+            [[_depends(description, y, u) for u in self._u_names] for y in self._y_names], bool
         ).reshape(len(self._y_names), len(self._u_names))
         self.moving = np.array([not port.discrete for port in outputs.values() for _ in port.entries], bool)
         self.following = self.feedthrough & self.moving[:, None]
@@ -281,10 +281,14 @@ def _scales(ports: dict[str, FmuPort]) -> np.ndarray | None:
     return None if (found == (1.0, 0.0)).all() else found
 
 
-def _depends(dependencies: Any, output: str, name: str) -> bool:
-    """Return whether an output follows an input at once, as the model structure says (not said: it does)."""
-    base = output.partition("[")[0]
-    known = dependencies.get(output, dependencies.get(base, ()))
+def _depends(description: ModelDescription, output: str, name: str) -> bool:
+    """Return whether an output follows an input at once, as the model structure says (not said: it does).
+
+    Of variables inside, which the structure does not list, nothing is said.
+    """
+    base, dependencies = output.partition("[")[0], description.dependencies
+    inside = description.resolve([output])[0].variable.causality == "local"
+    known = dependencies.get(output, dependencies.get(base, None if inside else ()))
     return known is None or name in known or name.partition("[")[0] in known
 
 
@@ -295,7 +299,8 @@ def fmu_participant(
     """Open the FMU of a block and return it as a participant.
 
     wired: its input ports that something feeds; the others keep the values that the block gives them. tolerance: told
-    to the FMU, None: the one that it proposes. log: gets block, time, status, category and text of every message.
+    to the FMU, None: the one that it proposes for its own solver. log: gets block, time, status, category and text of
+    every message.
     Raises RotorsimError.
     """
     block: Any = node.block
@@ -344,5 +349,6 @@ def fmu_participant(
         raise
     inputs = {key: port for key, port in block.fmu_inputs.items() if key in wired}
     own.append(slave)
-    allowed = fmu.description.experiment.tolerance if tolerance is None else tolerance
+    proposed = fmu.description.experiment.tolerance if kind == "cs" else None  # of its own solver
+    allowed = proposed if tolerance is None else tolerance
     return FmuParticipant(name, fmu, slave, inputs, block.fmu_outputs, parameters, stop, internal, allowed)

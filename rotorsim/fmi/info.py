@@ -90,9 +90,6 @@ def _not_supported(description: ModelDescription) -> list[str]:
     binary = [name for name, variable in description.variables.items() if variable.type == "Binary"]
     if binary:
         found.append(f"binary variables: {_some(binary)}")
-    sizes = [v.name for v in description.by_causality("structuralParameter")]
-    if sizes:
-        found.append(f"changing structural parameters: {_some(sizes)}")
     return found
 
 

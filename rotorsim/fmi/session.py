@@ -59,18 +59,12 @@ class Session:
         calls = self._calls()
         if sizes:
             calls.call("EnterConfigurationMode", "EnterConfigurationMode")
-            for run, numbers in sizes:
-                calls.set(run, numbers)
+            self._set_all(calls, sizes, 0)
             calls.call("ExitConfigurationMode", "ExitConfigurationMode")
         self.steps = Steps(calls, self.n_x, self.n_z, inputs, outputs)
         self.steps.unbound = int(not self.saved)
         self.run = self.steps.run
-        for k, (run, numbers) in enumerate(values):
-            try:
-                calls.set(run, numbers)
-            except CallError as error:
-                error.more["at"] = k
-                raise
+        self._set_all(calls, values, len(sizes))
         end = (1, stop) if stop is not None else (0, 0.0)
         accuracy = (1, tolerance) if tolerance is not None else (0, 0.0)
         if calls.two:
@@ -79,6 +73,16 @@ class Session:
         else:
             calls.call("EnterInitializationMode", "EnterInitializationMode", *accuracy, start, *end)
             self._check_counts(calls)
+
+    @staticmethod
+    def _set_all(calls: Calls, values: Sequence[Any], first: int) -> None:
+        """Set variables one after the other; a failure says which it was, counted from ``first``."""
+        for k, (run, numbers) in enumerate(values, first):
+            try:
+                calls.set(run, numbers)
+            except CallError as error:
+                error.more["at"] = k
+                raise
 
     def _check_counts(self, calls: Calls) -> None:
         """FMI 3.0: compare the numbers of states and event indicators with the description."""

@@ -88,7 +88,7 @@ def import_ssp(
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
     diagram = load(document, folder=target, trust_blocks=trust_blocks)  # its FMUs are where they stay
-    warnings = (*writer.warnings, *diagram.warnings)
+    warnings = (*archive.warnings, *writer.warnings, *diagram.warnings)
     return ImportedSsp(target / DIAGRAM, diagram, structure, tuple(sorted(sources)), warnings)
 
 

@@ -122,7 +122,7 @@ def test_what_was_computed_until_the_end_is_kept(run: Run, tmp_path: Path) -> No
     assert done.exit_code == 1
     lines = done.stdout.splitlines()
     assert lines[:3] == [
-        "stopped: 7 communication steps to 0.7 s, gauss_seidel",
+        "stopped: 7 communication steps to 0.75 s, gauss_seidel",
         "stability of the coupling: not analysed (it offers no directional derivatives)",
         "",
     ]
@@ -135,7 +135,7 @@ def test_what_was_computed_until_the_end_is_kept(run: Run, tmp_path: Path) -> No
         "written: x.csv\nerror: it: asks for the end of the simulation (t = 0.75 s)\n\n"
         "hint: what was computed until then is in x.csv\n"
     )
-    assert len(x) == 8
+    assert len(x) == 9
 
 
 BASE = "--step 1e-4 --stop 0.02 --part controller"

@@ -50,10 +50,10 @@ def test_steps_in_parts_are_said(tmp_path: Path, run: Run) -> None:
     ("step", "options", "what", "hint"),
     [
         (0.3, {}, "cannot vary its communication step: its steps of 0.3 s do not divide the stop time 1 s",
-         "such as --step '0.333333333 s'"),
+         "such as --step '0.333333333333333 s'"),
         (0.1, {"rates": {"it": 3}},
          "cannot vary its communication step: its steps of 0.3 s do not divide the stop time 1 s",
-         "such as --step '0.111111111 s'"),
+         "such as --step '0.111111111111111 s'"),
     ],
 )  # fmt: skip
 def test_steps_that_do_not_divide_the_run(
@@ -63,6 +63,21 @@ def test_steps_that_do_not_divide_the_run(
         cosimulate_diagram(ramped(tmp_path, "false"), step=step, **options)
     problem = caught.value.problems[0]
     assert (problem.subject, problem.what, problem.hint) == ("it", what, hint)
+
+
+def test_the_step_of_the_hint_fits(tmp_path: Path) -> None:
+    found = cosimulate_diagram(ramped(tmp_path, "false"), step=0.333333333333333)
+    assert (found.status, found["it.steps"].tolist()) == ("finished", [0, 1, 2, 3])
+
+
+def test_the_fast_loop_takes_whole_steps(tmp_path: Path) -> None:
+    """It rounded: 1.05 s of 1 s."""
+    diagram = with_gauge(gauge_fmu(tmp_path, description(real=True)), stop=1.0)
+    with pytest.raises(RotorsimError) as caught:
+        cosimulate_diagram(diagram, step=0.35, fast=True)
+    problem = caught.value.problems[0]
+    assert problem.what == "takes whole steps: 0.35 s does not divide 1 s"
+    assert problem.hint == "such as --step '0.333333333333333 s'"
 
 
 def test_sample_hits_between_equal_steps(tmp_path: Path) -> None:

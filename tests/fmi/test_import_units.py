@@ -12,8 +12,10 @@ from rotorsim.errors import RotorsimError
 from rotorsim.fmi.cosimulation import cosimulate_diagram
 from rotorsim.fmi.cut import open_coupling
 from rotorsim.fmi.description_reader import read_description
+from rotorsim.fmi.export import export_fmu
 from rotorsim.fmi.fmu_block import block_class
 from rotorsim.fmi.info import information, information_text
+from rotorsim.fmi.slave import describe_fmu
 from rotorsim.units import UnitError, parse_foreign_unit
 from tests.fmi.gauge import description, gauge_fmu, with_gauge
 from tests.fmi.plant import description2, make_fmu
@@ -128,6 +130,8 @@ def test_derivatives_are_in_si_units(tmp_path: Path) -> None:
         participant.initialise(0.0, np.ones(len(coupling.u0))[part])
         participant.start(0.0, np.ones(len(coupling.u0))[part])
     made = it.linear(np.array([True, False]))  # type: ignore[attr-defined]
+    why = it.linear(np.array([True, True]))  # type: ignore[attr-defined]
+    assert why == "gives others whole numbers or flags (count), which have no derivatives"
     assert it.output(0.0, np.array([2000.0])).tolist() == [0.001, 0.0]
     assert it.output_rate(0.0, np.array([0.0]), np.array([1.0]))[0] == pytest.approx(0.0, abs=1e-6)
     coupling.close()
@@ -153,6 +157,19 @@ def test_display_units(tmp_path: Path) -> None:
     data = information(read_description(three.encode(), "x"))
     assert data["variables"]["parameters"][0]["display"] == "5 l/(100 km)"
     assert data["variables"]["parameters"][0]["si_factor"] == 1e6
+
+
+def test_display_units_of_our_own_fmus(tmp_path: Path) -> None:
+    """One rad/s is 9.5493 rpm and 0.159155 Hz; one metre is 1000 mm and 1e6 um."""
+    export_fmu(load("jeffcott"), tmp_path / "a.fmu", platforms=[])
+    units = describe_fmu(tmp_path / "a.fmu").units
+    shown = {f"{unit}: {name}": display[0] for unit in ("rad/s", "m") for name, display in units[unit].display.items()}
+    assert shown == {
+        "rad/s: rpm": pytest.approx(9.549296585513721, rel=1e-12),
+        "rad/s: Hz": pytest.approx(0.15915494309189535, rel=1e-12),
+        "m: mm": pytest.approx(1e3, rel=1e-12),
+        "m: um": pytest.approx(1e6, rel=1e-12),
+    }
 
 
 def test_a_factor_of_zero_is_refused() -> None:

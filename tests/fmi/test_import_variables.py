@@ -44,6 +44,23 @@ def test_values_of_every_type_are_set(file: Path) -> None:
     assert last(cosimulate_diagram(with_gauge(file, record=ALL, mode=4), step=0.5), "mode_out") == [4.0]
 
 
+def test_names_of_several_ranks_and_starts_that_are_not_finite(tmp_path: Path) -> None:
+    text = description().replace('name="told_stop"', 'name="a[1]"').replace('name="told_start"', 'name="a[1,2]"')
+    file = gauge_fmu(tmp_path, text.replace('start="1e9"', 'start="INF"'))
+    found = cosimulate_diagram(with_gauge(file, record=["it.a", "it.y"]), step=0.5)
+    assert found["it.a"].tolist() == [[1.0]] * 3  # the stop time: the first that has the name
+    with pytest.raises(RotorsimError, match="unknown parameter 'end_at'"):
+        with_gauge(file, end_at=0.5)
+
+
+def test_values_named_as_options_of_the_block(tmp_path: Path) -> None:
+    text = description().replace('name="text"', 'name="file"').replace('name="end_at"', 'name="interface"')
+    file = gauge_fmu(tmp_path, text)
+    found = cosimulate_diagram(with_gauge(file, file_="table.txt", interface_=0.5, interface="cs"), step=0.25)
+    assert found.provenance["fmus"]["it"]["texts"] == {"said": "table.txt"}
+    assert found.time[-1] == 0.5
+
+
 @pytest.mark.parametrize(
     ("name", "value", "what"),
     [
@@ -95,6 +112,17 @@ def test_what_the_fmu_is_told_of_the_experiment(tmp_path: Path, file: Path) -> N
         with_gauge(proposed, record=ALL).document, folder=tmp_path, set={"solver.rtol": 1e-7}, trust_blocks=True
     )
     assert last(cosimulate_diagram(diagram, step=0.1), "told_tolerance") == [1e-7]
+
+
+def test_an_fmu_without_outputs_says_what_can_be_recorded(tmp_path: Path) -> None:
+    text = description(real=True).replace('causality="output"', 'causality="local"')
+    file = gauge_fmu(tmp_path, text[: text.index("<Outputs>")] + "</ModelStructure></fmiModelDescription>")
+    warning = with_gauge(file, record=["in.output"]).warnings[0]
+    assert warning.what == "gauge.fmu: it has no outputs, and none of the variables inside is recorded or wired"
+    assert warning.hint == '"record": ["BLOCK.y"]; there are y, told_stop, told_tolerance, told_start, last'
+    diagram = with_gauge(file, record=["it.y"])
+    assert not diagram.warnings
+    assert cosimulate_diagram(diagram, step=0.5)["it.y"][-1] == 1.0
 
 
 # -- sizes of arrays ---------------------------------------------------------------------------------------------------
@@ -196,6 +224,14 @@ def test_the_log_is_kept(tmp_path: Path, run: Run, file: Path, in_process: bool)
     refused = run("cosim", "--trust-blocks", path, "--step", "0.1 s", "--log", "no/said.txt")
     assert refused.exit_code == 2
     assert "--log no/said.txt: cannot be written: no such file or directory" in refused.stderr
+
+
+def test_messages_that_are_lost_are_counted(file: Path) -> None:
+    heard: list[tuple[str, str]] = []
+    diagram = with_gauge(file, talk=8)
+    cosimulate_diagram(diagram, step=0.5, log=lambda block, t, status, category, text: heard.append((status, text)))
+    assert heard.count(("OK", "flood")) == 2000
+    assert heard[1000] == heard[-1] == ("Warning", "200 more messages came at once and are lost")
 
 
 def test_what_it_prints_does_not_break_json(

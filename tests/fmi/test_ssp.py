@@ -12,7 +12,19 @@ from rotorsim.errors import RotorsimError
 from rotorsim.fmi.archive import Limits
 from rotorsim.fmi.ssp_import import import_ssp
 from tests.fmi.plant import make_fmu
-from tests.fmi.systems import MM, component, document, imported, refusal, system, values, wire, written
+from tests.fmi.systems import (
+    MM,
+    component,
+    document,
+    fmu_bytes,
+    fmu_text,
+    imported,
+    refusal,
+    system,
+    values,
+    wire,
+    written,
+)
 
 
 def test_components_wires_and_solver(tmp_path: Path) -> None:
@@ -37,6 +49,19 @@ def test_connections_of_other_units_are_wires(tmp_path: Path) -> None:
     found = document(imported(tmp_path, system(pair, joined, units=MM)))
     assert {name: block["type"] for name, block in found["blocks"].items()} == {"a": "fmu", "b": "fmu"}
     assert sorted(found["wires"]) == [["a.y", "b.u"], ["b.y[1]", "a.u[2]"]]
+
+
+def test_angles_may_be_left_out_of_definitions(tmp_path: Path) -> None:
+    """The system defines rad/s with and the FMU without rad, or both without it."""
+    text = fmu_text("spin", "rad/s").replace('m="1" factor="1.0"', 's="-1"')
+    for more in ("", 'rad="1"'):
+        units = f'<ssc:Unit name="rad/s"><ssc:BaseUnit s="-1" {more}/></ssc:Unit>'
+        pair = component("a", source="resources/w.fmu", unit="rad/s") + component("b", source="resources/w.fmu")
+        made = tmp_path / f"system{len(more)}"
+        made.mkdir()
+        done = imported(made, system(pair, wire("a.y[1]", "b.u[1]"), units=units), w__fmu=fmu_bytes(made, text))
+        assert document(done)["wires"] == [["a.y[1]", "b.u[1]"]]
+        assert done.diagram.nodes["b"].inputs["u"].unit == "rad/s"
 
 
 @pytest.mark.parametrize(
