@@ -121,9 +121,7 @@ class HarmonicFit:
         noise makes are not turned: what depends on their noise would be taken off it.
         """
         size = 3**0.5 * self.angle_std * -1j * self.orders[:, None]
-        terms = [
-            size**n / math.factorial(n) / (2 * n + 1) ** 0.5 * (SLACK if n > 1 else 1.0) for n in (1, 2, 3, 4)
-        ]
+        terms = [size**n / math.factorial(n) / (2 * n + 1) ** 0.5 * (SLACK if n > 1 else 1.0) for n in (1, 2, 3, 4)]
         power = [2 * self.gram[max(2 * k - 1, 0), max(2 * k - 1, 0)] * np.diag(self.noise.at_order(k)).real
                  for k in range(len(self.orders))]  # fmt: skip
         told = np.abs(self.values) ** 2 > -math.log(TURNS) * np.array(power)

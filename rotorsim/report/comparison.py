@@ -14,7 +14,7 @@ from rotorsim.identify.identification import Identification
 from rotorsim.identify.likelihood import Likelihood, harmonics_of_time
 from rotorsim.identify.motion import Motion
 from rotorsim.identify.nonlinear_motion import NonlinearMotion
-from rotorsim.recordings.harmonic_fit import HarmonicFit, real_vector
+from rotorsim.recordings.harmonic_fit import HarmonicFit
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.style import rpm
 from rotorsim.units import format_quantity
