@@ -116,9 +116,9 @@ def _unpacked(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> int:
     """Return the bytes that an array of an archive takes as double precision, by its header."""
     try:
         with archive.open(info) as stream:
-            major, _ = np.lib.format.read_magic(stream)  # type: ignore[no-untyped-call]
+            major, _ = np.lib.format.read_magic(stream)
             read = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
-            shape = read(stream)[0]  # type: ignore[no-untyped-call]
+            shape = read(stream)[0]
         return max(math.prod(shape) * 8, info.file_size)
     except Exception:  # said when the array is read
         return info.file_size

@@ -106,8 +106,10 @@ def pulse_resolution(recording: Recording, run: Run) -> float:
     digit = 10.0**-digits if digits <= DIGITS else 0.0
     chances = [_by_chance(other, digit) for other in runs]
     sampled = max(chances) <= 1 and float(np.prod(chances)) < CHANCE
-    rounded = digit if any(_scatter(np.asarray(other.tacho)) > digit / 10 for other in runs) else 0.0
-    return max(rounded, float(np.median(np.diff(run.time))) if sampled else 0.0)
+    step = float(np.median(np.diff(run.time)))
+    scattered = any(_scatter(np.asarray(other.tacho)) > digit / 10 for other in runs)
+    # times such as 0.04, 0.08, ... need two digits because of the speed: without scatter they are not rounded to 10 ms
+    return max(digit if digit <= step or scattered else 0.0, step if sampled else 0.0)
 
 
 def _has_pulses(run: Run) -> bool:
@@ -125,7 +127,9 @@ def _last_digit(times: np.ndarray) -> int:
 
 def _scatter(times: np.ndarray) -> float:
     """Return the standard deviation of pulses [s] about a speed that changes evenly from turn to turn."""
-    return float(np.sqrt(np.mean(np.diff(times, 3) ** 2) / 20)) if len(times) > 3 else 0.0
+    turns = np.linspace(-1, 1, len(times))
+    left = times - np.polynomial.Polynomial.fit(turns, times, 2)(turns) if len(times) > 3 else np.zeros(1)
+    return float(np.sqrt(np.mean(left**2)))
 
 
 def _by_chance(run: Run, digit: float) -> float:
