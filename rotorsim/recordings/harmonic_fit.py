@@ -17,7 +17,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.noise import Line, Noise, find_lines, noise_of
 
 __all__ = [
-    "Basis", "Beside", "HarmonicFit", "complex_values", "fit_harmonics", "harmonic_basis", "line_columns",
+    "Basis", "Beside", "HarmonicFit", "check_samples", "complex_values", "fit_harmonics", "harmonic_basis", "line_columns",
     "real_vector", "scaled_cholesky",
 ]  # fmt: skip
 
@@ -209,6 +209,13 @@ class Basis:
         root = solve_triangular(self._factor[0], np.diag(1 / self._size), lower=True)
         return np.asarray(root.T @ root)
 
+    @cached_property
+    def kept(self) -> np.ndarray:
+        """Share of white noise that the fit leaves of each line of the spectrum, (n // 2 + 1,)."""
+        base = solve_triangular(self._factor[0], self._scaled.T, lower=True)
+        taken = (np.abs(np.fft.rfft(base, axis=1)) ** 2).sum(axis=0) / base.shape[1]
+        return np.asarray(np.maximum(1 - taken, 0.0))
+
     def covariance(self, weights: np.ndarray) -> np.ndarray:
         """Return the covariance (m, m) of the coefficients where each sample (n,) has an information of its own."""
         normal = self._scaled.T @ (self._scaled * weights[:, None])
@@ -241,6 +248,7 @@ def fit_harmonics(
     basis: Basis | None = None,
     second: tuple[float, np.ndarray] | None = None,
     weights: Mapping[str, np.ndarray] | None = None,
+    lost: float = 0.0,
 ) -> HarmonicFit:
     """Fit y = drift(t) + sum over |k| <= K of c_k e^{i k theta} to every channel by least squares.
 
@@ -249,14 +257,15 @@ def fit_harmonics(
     times and angles, which saves most of the work. Noise is taken as stationary; whether it is white is tested, and
     coloured noise is described by its cross-spectrum. Lines beside the multiples of the speed are found, reported
     and fitted along. second: a frequency [rad/s] and orders k whose combinations with the shaft are fitted, too.
-    weights: of signals whose samples (n,) differ in what they tell, the information of each.
+    weights: of signals whose samples (n,) differ in what they tell, the information of each. lost: share of the
+    samples that were put in for lost ones, and tell nothing.
 
     Raises RotorsimError for less than a turn, signals that are not finite, or no room for one harmonic.
     """
     names = tuple(signals)
     y = np.column_stack([signals[name] for name in names])
     n = len(y)
-    _check(run, names, y, theta)
+    check_samples(run, names, y, theta)
     if basis is None:
         basis = harmonic_basis(run, time, theta, orders=orders)
     turns, K, drift = basis.turns, basis.orders, basis.drift
@@ -272,7 +281,7 @@ def fit_harmonics(
     least = ROUNDING * (rms + np.abs(y.mean(axis=0)))
     for c in (names.index(name) for name in weights or {}):
         least[c] = LOUD * np.sqrt(np.mean(left[:, c] ** 2))
-    lines = find_lines(time, left, speed, K, least, reach)
+    lines = find_lines(time, left, speed, K, least, reach, basis.kept)
     if lines:
         columns = [basis.columns, *(line_columns(time, line) for line in lines)]
         basis = Basis(run, np.column_stack(columns), K, drift, turns)
@@ -280,7 +289,7 @@ def fit_harmonics(
     m = 2 * K + 1
     scale = np.sqrt(np.mean(y**2, axis=0))
     floor = ROUNDING * np.where(scale > 0, scale, 1.0)
-    noise = noise_of(left, time, speed, K, n - basis.columns.shape[1], floor, lines)
+    noise = noise_of(left, time, speed, K, n - basis.columns.shape[1], floor, lines, basis.kept)
     known = units or {}
     first = m + drift
     combined = None if second is None else _beside(second, told, coefficients[first:], basis.inverse[first:, first:])
@@ -294,7 +303,7 @@ def fit_harmonics(
         rms=rms,
         residual=np.sqrt(np.mean(left**2, axis=0)),
         noise=noise,
-        gram=basis.inverse[:m, :m],
+        gram=basis.inverse[:m, :m] / (1 - lost),
         angle_std=angle_std,
         turns=turns,
         samples=n,
@@ -305,7 +314,8 @@ def fit_harmonics(
     )
 
 
-def _check(run: str, names: Sequence[str], y: np.ndarray, theta: np.ndarray) -> None:
+def check_samples(run: str, names: Sequence[str], y: np.ndarray, theta: np.ndarray) -> None:
+    """Raise RotorsimError for samples (n, C) that are too few, or not finite, or less than a turn of the shaft."""
     if len(theta) < 4:
         raise RotorsimError(
             Problem(f"only {len(theta)} samples", f"run {run}", hint="harmonics need a turn of the shaft")

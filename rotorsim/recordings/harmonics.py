@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.recordings.harmonic_fit import HarmonicFit, fit_harmonics
+from rotorsim.recordings.harmonic_fit import HarmonicFit, check_samples, fit_harmonics, harmonic_basis
+from rotorsim.recordings.held import without_held
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 from rotorsim.recordings.shaft_angle import ShaftAngle, shaft_angle
 
@@ -18,11 +19,15 @@ __all__ = ["RunHarmonics", "harmonics_of"]
 
 @dataclass(frozen=True, eq=False)
 class RunHarmonics:
-    """One run of a recording with its shaft angle and the harmonics of its channels."""
+    """One run of a recording with its shaft angle and the harmonics of its channels.
+
+    run: with samples that were lost and held put right; lost: how many, in the channel that lost most.
+    """
 
     run: Run
     angle: ShaftAngle
     fit: HarmonicFit
+    lost: int = 0
 
 
 def harmonics_of(
@@ -41,12 +46,20 @@ def harmonics_of(
         for run in recording.runs if runs is None else runs:
             try:
                 angle = shaft_angle(recording, run)
-                signals = {channels[c].name: np.asarray(run.values[c]) for c in channels if c in run.values}
+                columns = [c for c in channels if c in run.values]
+                y = np.column_stack([run.values[c] for c in columns])
+                check_samples(run.id, [channels[c].name for c in columns], y, angle.theta)
+                basis = harmonic_basis(run.id, run.time, angle.theta, orders=orders)
+                y, held = without_held(basis, y)
+                lost = int(held.sum(axis=0).max(initial=0))
+                if lost:
+                    run = replace(run, values={**run.values, **dict(zip(columns, y.T, strict=True))})
                 fit = fit_harmonics(
-                    run.id, run.time, angle.theta, signals, units, orders=orders, angle_std=angle.std,
+                    run.id, run.time, angle.theta, {channels[c].name: y[:, k] for k, c in enumerate(columns)}, units,
+                    angle_std=angle.std, basis=basis, lost=lost / len(y),
                     weights={channels[c].name: np.asarray(w) for c, w in run.weights.items()},
                 )  # fmt: skip
-                found.append(RunHarmonics(run, angle, fit))
+                found.append(RunHarmonics(run, angle, fit, lost))
             except RotorsimError as error:
                 problems += error.problems
     if problems:
