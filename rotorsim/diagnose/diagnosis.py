@@ -13,6 +13,7 @@ from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_w
 from rotorsim.diagnose.converters import find_converters
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.naming import NEARLY, name_missing
+from rotorsim.diagnose.pickups import find_pickups, pickup_warnings
 from rotorsim.diagnose.scoring import DETAILS, Held, Score, left_out_score, predicts, score
 from rotorsim.diagnose.time_data import is_in_time
 from rotorsim.diagnose.time_diagnosis import diagnose_in_time
@@ -26,11 +27,13 @@ from rotorsim.recordings.checks import check_signals
 from rotorsim.recordings.converter_steps import Step
 from rotorsim.recordings.converters import stated_steps, through_converters
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
+from rotorsim.recordings.pickup import with_pickups
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second, find_second, with_second
 
 __all__ = ["Diagnosis", "diagnose"]
 
+PICKUPS = 3  # times that lines which are picked up are looked for, behind stronger ones
 SETTLED = 0.5  # of the rms of all signals: what harmonics leave over of a run that has no settled motion
 
 
@@ -68,6 +71,14 @@ def diagnose(
     with threadpool_limits(1, "blas"):
         _refuse_still(data.source.open(data.source.load(with_uncertain(diagram))))  # says what is wrong, and where
         before, refined = base_fit(diagram, data.source)
+        picked: list[float] = []
+        for _ in range(PICKUPS):
+            more = [] if before.failure else find_pickups(before, data.source)
+            if not more:
+                break
+            picked += more
+            given = data = _prepared(empty, hold_out, steps, warnings, picked)
+            before, refined = base_fit(diagram, data.source)
     if before.failure:
         raise RotorsimError(Problem(before.failure, diagram.name))
     base = before
@@ -75,7 +86,7 @@ def diagnose(
     if converters:
         steps |= {name: step for converter in converters for name, step in converter.steps.items()}
         warnings += [problem for converter in converters for problem in converter.warnings]
-        data = _prepared(empty, hold_out, steps, warnings)
+        data = _prepared(empty, hold_out, steps, warnings, picked)
         with threadpool_limits(1, "blas"):
             base, refined = base_fit(data.source.load(converters[-1].document), data.source)
     source, held = replace(data.source, standing=base.nuisances), data.held
@@ -111,9 +122,13 @@ class _Data:
 
 
 def _prepared(
-    empty: Source, hold_out: Recording | None, steps: Mapping[str, Step], earlier: Sequence[Problem]
+    empty: Source, hold_out: Recording | None, steps: Mapping[str, Step], earlier: Sequence[Problem],
+    picked: Sequence[float] = (),
 ) -> _Data:  # fmt: skip
-    """Return the harmonics of recordings whose signals went through converters of known steps."""
+    """Return the harmonics of recordings whose signals went through converters of known steps.
+
+    picked: frequencies [Hz] of lines that channels pick up, and that no part of the machine makes.
+    """
     recording = through_converters(empty.recording, steps)
     hold_out = None if hold_out is None else through_converters(hold_out, steps)
     warnings: list[Problem] = []
@@ -122,12 +137,14 @@ def _prepared(
         hint = "diagnosis needs runs at constant speed that have settled"
         settled = Problem("no run has a settled motion", recording.name, hint=hint)
         raise RotorsimError(settled, *earlier, *warnings, exit_code=1)
+    harmonics, lines = with_pickups(recording, harmonics, picked)
+    warnings += pickup_warnings(lines, recording)
     second = find_second(recording, harmonics)
     if second is not None:
         told = _beside(recording, harmonics, second, warnings, "used")
         second, harmonics = (second, told) if told else (None, harmonics)
     source = replace(empty, recording=recording, harmonics=harmonics, second=second)
-    return _Data(source, _held(recording, hold_out, second, warnings), tuple(warnings))
+    return _Data(source, _held(recording, hold_out, second, picked, warnings), tuple(warnings))
 
 
 class _Scores:
@@ -176,13 +193,15 @@ def _beside(
 
 
 def _held(
-    recording: Recording, hold_out: Recording | None, second: Second | None, warnings: list[Problem]
-) -> tuple[Held, ...]:
+    recording: Recording, hold_out: Recording | None, second: Second | None, picked: Sequence[float],
+    warnings: list[Problem],
+) -> tuple[Held, ...]:  # fmt: skip
     """Return the runs that are only scored; those that do not follow the shaft are left out, with a warning."""
     found = []
     parts = [(recording, recording.select("hold_out")), *([] if hold_out is None else [(hold_out, hold_out.runs)])]
     for part, runs in parts:
         kept = _settled(tuple(harmonics_of(part, runs)) if runs else (), warnings, "scored")
+        kept = with_pickups(part, kept, picked)[0]
         if kept and second is not None:
             kept = _beside(part, kept, second, warnings, "scored")
         found += [Held(part, kept)] if kept else []
@@ -198,4 +217,9 @@ def _settled(runs: Sequence[RunHarmonics], warnings: list[Problem], use: str) ->
             warnings.append(Problem(what, f"run {item.run.id}", item.run.place, severity="warning"))
         else:
             kept.append(item)
+    lost = [item.lost for item in kept if item.lost]
+    if lost:
+        count = f"{sum(lost)} samples in {len(lost)} of {len(kept)} runs"
+        what = f"{count} repeat the one before, as lost ones do: they are not {use}"
+        warnings.append(Problem(what, f"run {kept[0].run.id}" if len(kept) == 1 else "", severity="warning"))
     return tuple(kept)

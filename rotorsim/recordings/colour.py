@@ -8,7 +8,7 @@ __all__ = ["colour_of", "density", "of_mean"]
 
 STEEPNESS = (0.25, 3.0)  # of the slope: below it is white to the eye, above it is a drift
 GROWTH = 1.08  # from one bin of lines to the next
-ROUNDS, HALVINGS = 30, 8
+ROUNDS, HALVINGS = 12, 6
 ENOUGH = 0.01  # of minus the logarithm of the likelihood: a step that gains less is the last
 OUTLIER = 12.0  # times the density, once in e^12 = 160 000 lines of noise: a line, that no density is taken from
 SHARE_OF_WHITE = 1e-9

@@ -187,7 +187,9 @@ def _autoregressive(left: np.ndarray, omega: np.ndarray, freedom: int) -> tuple[
         inner = transfer @ covariance @ transfer.conj().T
         spectrum[k][np.ix_(used, used)] = inner * np.outer(size[used], size[used])
     spectrum[0] = spectrum[0].real
-    level = float(np.linalg.slogdet(covariance)[1] + 2 * np.log(size[used]).sum())  # log det of the density, in the mean
+    level = float(
+        np.linalg.slogdet(covariance)[1] + 2 * np.log(size[used]).sum()
+    )  # log det of the density, in the mean
     return spectrum, n * level + p * C * C * np.log(n)
 
 
@@ -253,7 +255,9 @@ def noise_of(
     found: list[tuple[float, np.ndarray]] = []
     if _is_white(np.abs(inner) ** 2) and _is_together(inner):
         together = (inner.T @ inner.conj()).real / len(inner)
-        level = 2 * float(np.log(shape[usable]).sum()) / len(inner) + float(np.linalg.slogdet(together[~dead][:, ~dead])[1])
+        level = 2 * float(np.log(shape[usable]).sum()) / len(inner) + float(
+            np.linalg.slogdet(together[~dead][:, ~dead])[1]
+        )
         found.append((n * level + 3 * channels * np.log(n), scale * together))
     modelled = _autoregressive(left, np.arange(K + 1) * speed * step, freedom)
     if modelled is not None:
