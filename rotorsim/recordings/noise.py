@@ -151,7 +151,7 @@ def _autoregressive(left: np.ndarray, omega: np.ndarray, freedom: int) -> tuple[
 
     e_n = A_1 e_(n-1) + ... + A_p e_(n-p) + w_n by least squares, the order p up to 8 by the Bayesian information
     criterion; None where w is not white or there are too few samples. With minus twice the logarithm of Whittle's
-    likelihood for each line of the spectrum, and what its parameters cost. Source: Lutkepohl, New Introduction to Multiple
+    likelihood, its constant left out, and what its parameters cost. Source: Lutkepohl, New Introduction to Multiple
     Time Series Analysis (2005), ch. 3-4.
     """
     size = np.sqrt(np.mean(left**2, axis=0))
@@ -224,9 +224,9 @@ def noise_of(
 ) -> Noise:  # fmt: skip
     """Return the noise in a residual (n, C) with the given degrees of freedom, at orders 0..K of the speed.
 
-    White noise is one covariance. Coloured noise is white and flicker noise in each channel where that leaves white
-    noise over; or that of an autoregression, where one of low order does; else its spectrum is averaged over lines about
-    each order, lines found left out. floor: (C,) standard deviation that is never undercut (rounding of the data).
+    White noise is one covariance. Coloured noise is white and flicker noise in each channel, or an autoregression of
+    low order, whichever is more likely of those that leave white noise over; else its spectrum is averaged over lines
+    about each order, lines found left out. floor: (C,) standard deviation never undercut (rounding of the data).
     kept: share of white noise that the fit leaves of each line of the spectrum, (n // 2 + 1,).
     """
     n, channels = left.shape

@@ -133,7 +133,7 @@ def _faint(recording: Recording, runs: Sequence[RunHarmonics]) -> Second | None:
 
 
 def spectra_of(recording: Recording, runs: Sequence[RunHarmonics]) -> list[Spectrum | None]:
-    """Return the spectrum of what harmonics leave over of every run, of noise that grows to low frequencies made even."""
+    """Return the spectrum of what harmonics leave over of every run, by the colour of its noise."""
     return [
         spectrum_of(
             item.run.time, _left(recording, item, item.angle.theta)[1], item.fit.speed, int(item.fit.orders[-1]),
