@@ -19,6 +19,7 @@ __all__ = ["find_pickups", "pickup_warnings"]
 
 TURN = 2 * np.pi
 FORCE = 0.9  # of what a line holds: a force that explains it, by transfer functions that need not be quite right
+ODDS = 2 * float(np.log(1000.0))  # the mains are picked up, unless a force is a thousand times more likely
 
 
 @dataclass(frozen=True)
@@ -37,17 +38,20 @@ def find_pickups(base: Fit, source: Source) -> list[float]:
 
     Looked at are the mains and their multiples, and a second frequency without sidebands (`Source.second`).
     """
-    frequencies = find_mains(source.recording, source.harmonics)
+    odds = dict.fromkeys(find_mains(source.recording, source.harmonics), ODDS)
     second = source.second
     if second is not None and not second.follows and second.orders == (0,):
         close = 1 / max(float(np.ptp(item.run.time)) for item in source.harmonics)
         own = second.value / TURN
-        frequencies = [at for at in frequencies if abs(at - own) > close] + [own]
-    return sorted(at for at in frequencies if _is_pickup(base, source, at))
+        near = [at for at in odds if abs(at - own) <= close]
+        odds = {at: value for at, value in odds.items() if at not in near} | {own: ODDS if near else 0.0}
+    return sorted(at for at, value in odds.items() if _is_pickup(base, source, at, value))
 
 
-def _is_pickup(base: Fit, source: Source, frequency: float) -> bool:
+def _is_pickup(base: Fit, source: Source, frequency: float, odds: float) -> bool:
     """Return whether a line [Hz] is less likely to be a force somewhere than pick-up of some or all channels.
+
+    odds: twice the logarithm of those for pick-up before the channels are looked at.
 
     A force has one complex amplitude for each entry of its port in each run, and the closed loop says what all channels
     show of it. Pick-up has one for each channel that picks up. Compared by the Bayesian information criterion.
@@ -58,7 +62,7 @@ def _is_pickup(base: Fit, source: Source, frequency: float) -> bool:
         return False
     opened = open_places(base, replace(source, harmonics=told, second=second))
     if opened is None:  # the diagram is not linear: the mains are taken for what they mostly are
-        return not (source.second is not None and abs(source.second.value / TURN - frequency) < 1e-9)
+        return odds > 0
     likelihood, order = opened.likelihood, opened.likelihood.K + 1
     runs = range(len(told))
     lines = [likelihood.data[r, order, : likelihood.c] for r in runs]
@@ -81,15 +85,14 @@ def _is_pickup(base: Fit, source: Source, frequency: float) -> bool:
     forces = [explained([opened.transfer[r, order][:, group] for r in runs]) for group in groups.values()]
     channels: dict[str, list[int]] = {}
     for k, name in enumerate(likelihood.experiment.predicted):
-        channels.setdefault(name, []).append(k)
-        channels.setdefault(_part(name), []).append(k)
-        channels.setdefault(name.partition("[")[0], []).append(k)
+        for part in {name, _part(name), name.partition("[")[0]}:
+            channels.setdefault(part, []).append(k)
     some = [explained([unit[:, group]] * len(told)) for group in channels.values() if len(group) < likelihood.c]
     force = min(forces, key=lambda item: item.criterion(rows))
     partial = min((item.criterion(rows) for item in some), default=np.inf)
-    if force.criterion(rows) < partial and whole - force.rest - force.free > FORCE * (whole - rows):
+    if force.criterion(rows) + odds < partial and whole - force.rest - force.free > FORCE * (whole - rows):
         return False
-    return min(partial, rows * float(np.log(rows))) < force.criterion(rows)
+    return min(partial, rows * float(np.log(rows))) < force.criterion(rows) + odds
 
 
 def _part(name: str) -> str:
