@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 
 from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.base import base_fit, with_uncertain
 from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, nearest, unknown_of, verdict_of
 from rotorsim.diagnose.converters import find_converters
+from rotorsim.diagnose.drifts import drift_warnings, find_drifts, with_drifts
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.naming import NEARLY, name_missing
 from rotorsim.diagnose.pickups import find_pickups, pickup_warnings
@@ -79,6 +81,11 @@ def diagnose(
             picked += more
             given = data = _prepared(empty, hold_out, steps, warnings, picked)
             before, refined = base_fit(diagram, data.source)
+        drifts = {} if before.failure else find_drifts(before, data.source)
+        if drifts:
+            warnings += drift_warnings(drifts, recording)
+            given = data = _prepared(empty, hold_out, steps, warnings, picked, drifts)
+            before, refined = base_fit(diagram, data.source)
     if before.failure:
         raise RotorsimError(Problem(before.failure, diagram.name))
     base = before
@@ -86,7 +93,7 @@ def diagnose(
     if converters:
         steps |= {name: step for converter in converters for name, step in converter.steps.items()}
         warnings += [problem for converter in converters for problem in converter.warnings]
-        data = _prepared(empty, hold_out, steps, warnings, picked)
+        data = _prepared(empty, hold_out, steps, warnings, picked, drifts)
         with threadpool_limits(1, "blas"):
             base, refined = base_fit(data.source.load(converters[-1].document), data.source)
     source, held = replace(data.source, standing=base.nuisances), data.held
@@ -123,11 +130,12 @@ class _Data:
 
 def _prepared(
     empty: Source, hold_out: Recording | None, steps: Mapping[str, Step], earlier: Sequence[Problem],
-    picked: Sequence[float] = (),
+    picked: Sequence[float] = (), drifts: Mapping[str, float] = MappingProxyType({}),
 ) -> _Data:  # fmt: skip
     """Return the harmonics of recordings whose signals went through converters of known steps.
 
-    picked: frequencies [Hz] of lines that channels pick up, and that no part of the machine makes.
+    picked: frequencies [Hz] of lines that channels pick up, and that no part of the machine makes. drifts: of the
+    offsets of channels (`rotorsim.diagnose.drifts`).
     """
     recording = through_converters(empty.recording, steps)
     hold_out = None if hold_out is None else through_converters(hold_out, steps)
@@ -139,12 +147,13 @@ def _prepared(
         raise RotorsimError(settled, *earlier, *warnings, exit_code=1)
     harmonics, lines = with_pickups(recording, harmonics, picked)
     warnings += pickup_warnings(lines, recording)
+    harmonics = with_drifts(harmonics, drifts)
     second = find_second(recording, harmonics)
     if second is not None:
         told = _beside(recording, harmonics, second, warnings, "used")
         second, harmonics = (second, told) if told else (None, harmonics)
     source = replace(empty, recording=recording, harmonics=harmonics, second=second)
-    return _Data(source, _held(recording, hold_out, second, picked, warnings), tuple(warnings))
+    return _Data(source, _held(recording, hold_out, second, picked, drifts, warnings), tuple(warnings))
 
 
 class _Scores:
@@ -194,14 +203,14 @@ def _beside(
 
 def _held(
     recording: Recording, hold_out: Recording | None, second: Second | None, picked: Sequence[float],
-    warnings: list[Problem],
+    drifts: Mapping[str, float], warnings: list[Problem],
 ) -> tuple[Held, ...]:  # fmt: skip
     """Return the runs that are only scored; those that do not follow the shaft are left out, with a warning."""
     found = []
     parts = [(recording, recording.select("hold_out")), *([] if hold_out is None else [(hold_out, hold_out.runs)])]
     for part, runs in parts:
         kept = _settled(tuple(harmonics_of(part, runs)) if runs else (), warnings, "scored")
-        kept = with_pickups(part, kept, picked)[0]
+        kept = with_drifts(with_pickups(part, kept, picked)[0], drifts)
         if kept and second is not None:
             kept = _beside(part, kept, second, warnings, "scored")
         found += [Held(part, kept)] if kept else []

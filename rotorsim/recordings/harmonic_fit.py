@@ -109,8 +109,8 @@ class HarmonicFit:
                 louder = np.sqrt(np.repeat(powers, [1, *[2] * (len(powers) - 1)])) / self.residual[c]
                 scatter[c::channels, c::channels] *= np.outer(louder, louder)
         for k, variance in self.hum.items():
-            at = np.arange(max(2 * k - 1, 0) * channels, (2 * k + 1) * channels)
-            scatter[at, at] += np.tile(variance, len(at) // channels)
+            rows = np.arange(max(2 * k - 1, 0) * channels, (2 * k + 1) * channels)
+            scatter[rows, rows] += np.tile(variance, len(rows) // channels)
         turned = real_vector(-1j * self.orders[:, None] * self.values) * self.angle_std
         return np.asarray(scatter + np.outer(turned, turned))
 

@@ -127,7 +127,7 @@ def _size(runs: Sequence[RunHarmonics], frequency: float, name: str) -> float:
             noise.append(float(gram * item.fit.noise.at_order(order)[c, c].real))
     if not squares or 2 * np.sum(np.divide(squares, np.maximum(noise, 1e-300))) < chi2.isf(SEEN, 2 * len(squares)):
         return 0.0
-    return float(np.sqrt(max(np.mean(squares) - np.mean(noise), 0.0)))
+    return float(np.sqrt(max(float(np.mean(squares) - np.mean(noise)), 0.0)))
 
 
 def _again(
