@@ -226,9 +226,10 @@ def _settled(runs: Sequence[RunHarmonics], warnings: list[Problem], use: str) ->
             warnings.append(Problem(what, f"run {item.run.id}", item.run.place, severity="warning"))
         else:
             kept.append(item)
-    lost = [item.lost for item in kept if item.lost]
+    lost = [item for item in kept if item.lost]
     if lost:
-        count = f"{sum(lost)} samples in {len(lost)} of {len(kept)} runs"
-        what = f"{count} repeat the one before, as lost ones do: they are not {use}"
-        warnings.append(Problem(what, f"run {kept[0].run.id}" if len(kept) == 1 else "", severity="warning"))
+        what = f"{sum(item.lost for item in lost)} samples repeat the one before, as lost ones do: they are not {use}"
+        first, *_, last = lost[0].run.id, lost[-1].run.id
+        subject = f"run {first}" if len(lost) == 1 else f"{len(lost)} runs from {first} to {last}"
+        warnings.append(Problem(what, subject, severity="warning"))
     return tuple(kept)
