@@ -36,6 +36,7 @@ from rotorsim.recordings.second_frequency import Second, find_second, with_secon
 __all__ = ["Diagnosis", "diagnose"]
 
 PICKUPS = 3  # times that lines which are picked up are looked for, behind stronger ones
+DRIFTING = 2.0  # times the noise: a diagram that leaves more does not say what drifts of itself
 SETTLED = 0.5  # of the rms of all signals: what harmonics leave over of a run that has no settled motion
 
 
@@ -81,11 +82,16 @@ def diagnose(
             picked += more
             given = data = _prepared(empty, hold_out, steps, warnings, picked)
             before, refined = base_fit(diagram, data.source)
-        drifts = {} if before.failure else find_drifts(before, data.source)
+        drifts: dict[str, float] = {} if before.failure else find_drifts(before, data.source)
         if drifts:
-            warnings += drift_warnings(drifts, recording)
-            given = data = _prepared(empty, hold_out, steps, warnings, picked, drifts)
-            before, refined = base_fit(diagram, data.source)
+            less = _prepared(empty, hold_out, steps, warnings, picked, drifts)
+            explained, finer = base_fit(diagram, less.source)
+            if explained.failure or explained.misfit > DRIFTING * explained.freedom:
+                drifts = {}  # what the diagram lacks may drift, too
+            else:
+                given = data = less
+                before, refined = explained, finer
+                warnings += drift_warnings(drifts, recording)
     if before.failure:
         raise RotorsimError(Problem(before.failure, diagram.name))
     base = before

@@ -95,6 +95,9 @@ def test_an_offset_that_drifts_is_its_sensors():
     assert 0.85 < less.misfit / less.rows < 1.1
     said = [(problem.subject, problem.what) for problem in drift_warnings(drifts, source.recording)]
     assert said[0] == ("rotor.displacement[1]", "its offset drifts, by 2e-08 m over a run: its mean counts less")
+    found = diagnose(load("jeffcott"), source.recording, physics=["sensor_offset"], workers=1)
+    assert found.verdict == "consistent"
+    assert said[0] in [(problem.subject, problem.what) for problem in found.warnings]
 
 
 def test_what_has_not_drifted_does_not():
