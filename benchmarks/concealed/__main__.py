@@ -15,6 +15,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 def _make(arguments: argparse.Namespace) -> int:
     from benchmarks.concealed import sets
     from benchmarks.concealed.generator import known_rows
+    from benchmarks.concealed.measuring import NUISANCES
 
     only = tuple(name.strip() for name in arguments.rows.split(",") if name.strip())
     wrong = sorted(set(only) - known_rows(arguments.kind))
@@ -22,8 +23,13 @@ def _make(arguments: argparse.Namespace) -> int:
         raise ValueError(
             f"--rows: no {', '.join(wrong)} of kind {arguments.kind}; hint: python -m benchmarks.concealed rows"
         )
+    nuisances = tuple(name.strip() for name in arguments.nuisances.split(",") if name.strip())
+    nuisances = NUISANCES if nuisances == ("all",) else nuisances
+    wrong = sorted(set(nuisances) - set(NUISANCES))
+    if wrong:
+        raise ValueError(f"--nuisances: no {', '.join(wrong)}; hint: all, or of {', '.join(NUISANCES)}")
     folder = Path(arguments.folder)
-    jobs = sets.plan(folder, arguments.instances, arguments.seed, arguments.kind, arguments.machine, only)
+    jobs = sets.plan(folder, arguments.instances, arguments.seed, arguments.kind, arguments.machine, only, nuisances)
     done = sets.make(jobs, arguments.processes)
     if arguments.json:
         print(json.dumps(done, indent=1))
@@ -90,6 +96,7 @@ def main(arguments: list[str] | None = None) -> int:
     make.add_argument("--kind", default="mixed", choices=["mixed", "nothing", "one", "two", "alias", "outside"])
     make.add_argument("--machine", default="both", choices=["both", "jeffcott", "fe_rigid"])
     make.add_argument("--rows", default="", help="only these rows or laws, by commas")
+    make.add_argument("--nuisances", default="", help="defects of the measuring chain, by commas, or all")
     make.add_argument("--processes", type=int, default=2)
     make.set_defaults(do=_make)
     run = verbs.add_parser("run", help="run rotorsim diagnose on each case that has no diagnosis yet")

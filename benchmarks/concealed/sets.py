@@ -17,11 +17,14 @@ from benchmarks.concealed.generator import KINDS, MIX, make_case
 from benchmarks.concealed.writing import write_case
 
 Job = tuple[
-    str, str, str, int, tuple[int, ...], tuple[str, ...], str
-]  # name, kind, machine, number, seed, rows, folder
+    str, str, str, int, tuple[int, ...], tuple[str, ...], tuple[str, ...], str
+]  # name, kind, machine, number, seed, rows, nuisances, folder
 
 
-def plan(folder: Path, instances: int, seed: int, kind: str, machine: str, only: tuple[str, ...]) -> list[Job]:
+def plan(
+    folder: Path, instances: int, seed: int, kind: str, machine: str, only: tuple[str, ...],
+    nuisances: tuple[str, ...] = (),
+) -> list[Job]:  # fmt: skip
     """Return the jobs of a set. A case depends on seed, machine, kind and its number, on nothing else."""
     machines = ("jeffcott", "fe_rigid") if machine == "both" else (machine,)
     jobs: list[Job] = []
@@ -38,7 +41,7 @@ def plan(folder: Path, instances: int, seed: int, kind: str, machine: str, only:
         counts[which, chosen] = number + 1
         name = f"{which[0]}{index:04d}"
         case_seed = (seed, ("jeffcott", "fe_rigid").index(which), KINDS.index(chosen), number)
-        jobs.append((name, chosen, which, number, case_seed, only, str(folder)))
+        jobs.append((name, chosen, which, number, case_seed, only, nuisances, str(folder)))
     return jobs
 
 
@@ -46,11 +49,11 @@ def one(job: Job) -> dict[str, Any]:
     """Make and write one case; return how long it took."""
     from threadpoolctl import threadpool_limits
 
-    name, kind, machine, number, seed, only, folder = job
+    name, kind, machine, number, seed, only, nuisances, folder = job
     begin, cpu = time.perf_counter(), time.process_time()
     with threadpool_limits(1):
         case = make_case(name, kind, machine, seed, number, only)
-        write_case(case, Path(folder), seed)
+        write_case(case, Path(folder), seed, nuisances)
     return {
         "case": name, "kind": kind, "missing": [fault.law or fault.physics for fault in case.faults],
         "detectability": case.visible, "attempts": case.attempts,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.concealed.generator import RATE, Case
-from benchmarks.concealed.measuring import pulses, read_signals
+from benchmarks.concealed.measuring import Nuisances, draw_nuisances, pulses, read_signals
 
 Array = NDArray[Any]
 FORMATS = ("csv", "npz", "mat")
 
 
-def write_case(case: Case, folder: Path, seed: tuple[int, ...]) -> None:
-    """Measure a case and write it."""
+def write_case(case: Case, folder: Path, seed: tuple[int, ...], nuisances: tuple[str, ...] = ()) -> None:
+    """Measure a case, with nuisances, and write it. Without them it is the same as before there were any."""
     rng = np.random.default_rng([*seed, 1])
-    columns = read_signals(case.motion, case.instruments, rng, case.coarse)
+    more = np.random.default_rng([*seed, 2]) if nuisances else None
+    drawn = Nuisances() if more is None else draw_nuisances(more, nuisances, RATE)
+    columns = read_signals(case.motion, case.instruments, rng, case.coarse, drawn, RATE, more)
     duration = case.runs[0].samples / RATE
-    tacho = pulses(case.motion, duration, case.instruments.jitter, rng)
+    tacho = pulses(case.motion, duration, float(np.hypot(case.instruments.jitter, drawn.jitter)), rng, drawn.grid)
     suffix = FORMATS[int(rng.integers(len(FORMATS)))]
     for use, place in (("identify", folder / case.name), ("hold_out", folder / "hold_out" / case.name)):
         place.mkdir(parents=True, exist_ok=True)
@@ -41,7 +44,9 @@ def write_case(case: Case, folder: Path, seed: tuple[int, ...]) -> None:
         (place / "recording.json").write_text(json.dumps(recording, indent=1) + "\n")
     truths = folder / "truth"
     truths.mkdir(exist_ok=True)
-    (truths / f"{case.name}.json").write_text(json.dumps(case.truth(), indent=1) + "\n")
+    (truths / f"{case.name}.json").write_text(
+        json.dumps(case.truth() | ({"nuisances": asdict(drawn)} if nuisances else {}), indent=1) + "\n"
+    )
 
 
 def _source(case: Case) -> str:

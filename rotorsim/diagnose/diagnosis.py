@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 
 from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.base import base_fit, with_uncertain
 from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, nearest, unknown_of, verdict_of
 from rotorsim.diagnose.converters import find_converters
+from rotorsim.diagnose.drifts import drift_warnings, find_drifts, with_drifts
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.naming import NEARLY, name_missing
+from rotorsim.diagnose.pickups import find_pickups, pickup_warnings
 from rotorsim.diagnose.scoring import DETAILS, Held, Score, left_out_score, predicts, score
 from rotorsim.diagnose.time_data import is_in_time
 from rotorsim.diagnose.time_diagnosis import diagnose_in_time
@@ -26,11 +29,14 @@ from rotorsim.recordings.checks import check_signals
 from rotorsim.recordings.converter_steps import Step
 from rotorsim.recordings.converters import stated_steps, through_converters
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
+from rotorsim.recordings.pickup import with_pickups
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second, find_second, with_second
 
 __all__ = ["Diagnosis", "diagnose"]
 
+PICKUPS = 3  # times that lines which are picked up are looked for, behind stronger ones
+DRIFTING = 2.0  # times the noise: a diagram that leaves more does not say what drifts of itself
 SETTLED = 0.5  # of the rms of all signals: what harmonics leave over of a run that has no settled motion
 
 
@@ -68,6 +74,24 @@ def diagnose(
     with threadpool_limits(1, "blas"):
         _refuse_still(data.source.open(data.source.load(with_uncertain(diagram))))  # says what is wrong, and where
         before, refined = base_fit(diagram, data.source)
+        picked: list[float] = []
+        for _ in range(PICKUPS):
+            more = [] if before.failure else find_pickups(before, data.source)
+            if not more:
+                break
+            picked += more
+            given = data = _prepared(empty, hold_out, steps, warnings, picked)
+            before, refined = base_fit(diagram, data.source)
+        drifts: dict[str, float] = {} if before.failure else find_drifts(before, data.source)
+        if drifts:
+            less = _prepared(empty, hold_out, steps, warnings, picked, drifts)
+            explained, finer = base_fit(diagram, less.source)
+            if explained.failure or explained.misfit > DRIFTING * explained.freedom:
+                drifts = {}  # what the diagram lacks may drift, too
+            else:
+                given = data = less
+                before, refined = explained, finer
+                warnings += drift_warnings(drifts, recording)
     if before.failure:
         raise RotorsimError(Problem(before.failure, diagram.name))
     base = before
@@ -75,7 +99,7 @@ def diagnose(
     if converters:
         steps |= {name: step for converter in converters for name, step in converter.steps.items()}
         warnings += [problem for converter in converters for problem in converter.warnings]
-        data = _prepared(empty, hold_out, steps, warnings)
+        data = _prepared(empty, hold_out, steps, warnings, picked, drifts)
         with threadpool_limits(1, "blas"):
             base, refined = base_fit(data.source.load(converters[-1].document), data.source)
     source, held = replace(data.source, standing=base.nuisances), data.held
@@ -111,9 +135,14 @@ class _Data:
 
 
 def _prepared(
-    empty: Source, hold_out: Recording | None, steps: Mapping[str, Step], earlier: Sequence[Problem]
+    empty: Source, hold_out: Recording | None, steps: Mapping[str, Step], earlier: Sequence[Problem],
+    picked: Sequence[float] = (), drifts: Mapping[str, float] = MappingProxyType({}),
 ) -> _Data:  # fmt: skip
-    """Return the harmonics of recordings whose signals went through converters of known steps."""
+    """Return the harmonics of recordings whose signals went through converters of known steps.
+
+    picked: frequencies [Hz] of lines that channels pick up, and that no part of the machine makes. drifts: of the
+    offsets of channels (`rotorsim.diagnose.drifts`).
+    """
     recording = through_converters(empty.recording, steps)
     hold_out = None if hold_out is None else through_converters(hold_out, steps)
     warnings: list[Problem] = []
@@ -122,12 +151,15 @@ def _prepared(
         hint = "diagnosis needs runs at constant speed that have settled"
         settled = Problem("no run has a settled motion", recording.name, hint=hint)
         raise RotorsimError(settled, *earlier, *warnings, exit_code=1)
+    harmonics, lines = with_pickups(recording, harmonics, picked)
+    warnings += pickup_warnings(lines, recording)
+    harmonics = with_drifts(harmonics, drifts)
     second = find_second(recording, harmonics)
     if second is not None:
         told = _beside(recording, harmonics, second, warnings, "used")
         second, harmonics = (second, told) if told else (None, harmonics)
     source = replace(empty, recording=recording, harmonics=harmonics, second=second)
-    return _Data(source, _held(recording, hold_out, second, warnings), tuple(warnings))
+    return _Data(source, _held(recording, hold_out, second, picked, drifts, warnings), tuple(warnings))
 
 
 class _Scores:
@@ -176,13 +208,15 @@ def _beside(
 
 
 def _held(
-    recording: Recording, hold_out: Recording | None, second: Second | None, warnings: list[Problem]
-) -> tuple[Held, ...]:
+    recording: Recording, hold_out: Recording | None, second: Second | None, picked: Sequence[float],
+    drifts: Mapping[str, float], warnings: list[Problem],
+) -> tuple[Held, ...]:  # fmt: skip
     """Return the runs that are only scored; those that do not follow the shaft are left out, with a warning."""
     found = []
     parts = [(recording, recording.select("hold_out")), *([] if hold_out is None else [(hold_out, hold_out.runs)])]
     for part, runs in parts:
         kept = _settled(tuple(harmonics_of(part, runs)) if runs else (), warnings, "scored")
+        kept = with_drifts(with_pickups(part, kept, picked)[0], drifts)
         if kept and second is not None:
             kept = _beside(part, kept, second, warnings, "scored")
         found += [Held(part, kept)] if kept else []
@@ -198,4 +232,10 @@ def _settled(runs: Sequence[RunHarmonics], warnings: list[Problem], use: str) ->
             warnings.append(Problem(what, f"run {item.run.id}", item.run.place, severity="warning"))
         else:
             kept.append(item)
+    lost = [item for item in kept if item.lost]
+    if lost:
+        what = f"{sum(item.lost for item in lost)} samples repeat the one before, as lost ones do: they are not {use}"
+        first, *_, last = lost[0].run.id, lost[-1].run.id
+        subject = f"run {first}" if len(lost) == 1 else f"{len(lost)} runs from {first} to {last}"
+        warnings.append(Problem(what, subject, severity="warning"))
     return tuple(kept)

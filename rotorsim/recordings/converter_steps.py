@@ -150,7 +150,7 @@ class _Readings:
         self.column, self.step, self.lines = column, step, tuple(lines)
         time, theta = item.run.time, item.angle.theta
         harmonics = harmonic_basis(item.run.id, time, theta, orders=int(item.fit.orders[-1])).columns
-        every = np.column_stack([harmonics, *(line_columns(time, line) for line in lines)])
+        every = np.column_stack([harmonics, *(line_columns(time, line.frequency) for line in lines)])
         q, _ = np.linalg.qr(every / np.sqrt(np.mean(every**2, axis=0)))
         self.columns = q * np.sqrt(len(time))
         self.z = np.asarray(item.run.values[column]) / step

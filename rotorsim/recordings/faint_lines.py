@@ -9,6 +9,8 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
+from rotorsim.recordings.colour import density
+
 __all__ = ["Spectrum", "faint_line", "spectrum_of"]
 
 TURN = 2 * np.pi
@@ -41,13 +43,20 @@ class Spectrum:
         return np.asarray(np.where(place < len(self.power), self.power[np.minimum(place, len(self.power) - 1)], np.nan))
 
 
-def spectrum_of(time: np.ndarray, left: np.ndarray, speed: float, K: int) -> Spectrum | None:
+def spectrum_of(
+    time: np.ndarray, left: np.ndarray, speed: float, K: int, colour: np.ndarray | None = None
+) -> Spectrum | None:
     """Return the spectrum of the residual (n, C) of harmonics up to order K; None where nothing is left over.
+
+    colour (C, 3): of noise that grows towards low frequencies (`rotorsim.recordings.colour.density`).
 
     Channels are made independent, and weighed against what is on either side of a line where that is more than
     elsewhere: skirts of harmonics that grow are no lines.
     """
     n = len(time)
+    if colour is not None:
+        shape = np.sqrt(density(colour, np.arange(n // 2 + 1)))
+        left = np.fft.irfft(np.fft.rfft(left, axis=0) / np.where(shape > 0, shape, 1.0), n, axis=0)
     size = np.sqrt(np.mean(left**2, axis=0))
     scaled = left[:, size > 0] / size[size > 0]
     values, vectors = np.linalg.eigh(scaled.T @ scaled / n)

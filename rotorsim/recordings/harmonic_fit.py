@@ -18,13 +18,14 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.noise import Line, Noise, find_lines, noise_of
 
 __all__ = [
-    "Basis", "Beside", "HarmonicFit", "complex_values", "fit_harmonics", "harmonic_basis", "line_columns",
-    "real_vector", "scaled_cholesky",
+    "Basis", "Beside", "HarmonicFit", "check_samples", "complex_values", "fit_harmonics", "harmonic_basis",
+    "line_columns", "real_vector", "scaled_cholesky", "with_lines",
 ]  # fmt: skip
 
 TURN = 2 * np.pi
 MOST_ORDERS = 16
 DRIFT = 2  # degree of the drift of the mean
+APART = 0.5  # of the resolution, from which on a steady line has columns of its own: its variance doubles there
 NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something beside a harmonic is not told from it
 LOUD = 2.5  # times the noise, for lines of samples that differ in what they tell: those may follow the motion a little
 LEAST_TOLD = 1e-6  # of the best known combination of coefficients: information of one that samples tell nothing of
@@ -60,6 +61,8 @@ class HarmonicFit:
     lines: lines that do not follow the shaft. drift: (degree, C) Legendre coefficients of the slow drift.
     beside: what was fitted at combinations k theta + second t of the shaft with a second frequency. own: place of a
     channel -> (2K+1, 2K+1), covariance of its coefficients where its samples differ in what they tell.
+    pickups: frequency [Hz] -> complex amplitude (C,), 0-peak, of a line that was fitted along, and its variance for
+    noise of variance one. hum: order -> (C,) variance of the real and of the imaginary part by a line that is too near.
     """
 
     run: str
@@ -79,6 +82,8 @@ class HarmonicFit:
     drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     beside: Beside | None = None
     own: Mapping[int, np.ndarray] = field(default_factory=dict)
+    pickups: Mapping[float, tuple[np.ndarray, float]] = field(default_factory=dict)
+    hum: Mapping[int, np.ndarray] = field(default_factory=dict)
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -106,6 +111,9 @@ class HarmonicFit:
                 powers = [float(self.noise.at_order(k)[c, c].real) for k in range(len(self.orders))]
                 louder = np.sqrt(np.repeat(powers, [1, *[2] * (len(powers) - 1)])) / self.residual[c]
                 scatter[c::channels, c::channels] *= np.outer(louder, louder)
+        for k, variance in self.hum.items():
+            rows = np.arange(max(2 * k - 1, 0) * channels, (2 * k + 1) * channels)
+            scatter[rows, rows] += np.tile(variance, len(rows) // channels)
         turned = self.turned
         return np.asarray(scatter + turned @ turned.T)
 
@@ -230,6 +238,13 @@ class Basis:
         root = solve_triangular(self._factor[0], np.diag(1 / self._size), lower=True)
         return np.asarray(root.T @ root)
 
+    @cached_property
+    def kept(self) -> np.ndarray:
+        """Share of white noise that the fit leaves of each line of the spectrum, (n // 2 + 1,)."""
+        base = solve_triangular(self._factor[0], self._scaled.T, lower=True)
+        taken = (np.abs(np.fft.rfft(base, axis=1)) ** 2).sum(axis=0) / base.shape[1]
+        return np.asarray(np.maximum(1 - taken, 0.0))
+
     def covariance(self, weights: np.ndarray) -> np.ndarray:
         """Return the covariance (m, m) of the coefficients where each sample (n,) has an information of its own."""
         normal = self._scaled.T @ (self._scaled * weights[:, None])
@@ -262,6 +277,9 @@ def fit_harmonics(
     basis: Basis | None = None,
     second: tuple[float, np.ndarray] | None = None,
     weights: Mapping[str, np.ndarray] | None = None,
+    lost: float = 0.0,
+    pickups: Sequence[float] = (),
+    hum: Mapping[int, np.ndarray] | None = None,
 ) -> HarmonicFit:
     """Fit y = drift(t) + sum over |k| <= K of c_k e^{i k theta} to every channel by least squares.
 
@@ -270,14 +288,16 @@ def fit_harmonics(
     times and angles, which saves most of the work. Noise is taken as stationary; whether it is white is tested, and
     coloured noise is described by its cross-spectrum. Lines beside the multiples of the speed are found, reported
     and fitted along. second: a frequency [rad/s] and orders k whose combinations with the shaft are fitted, too.
-    weights: of signals whose samples (n,) differ in what they tell, the information of each.
+    weights: of signals whose samples (n,) differ in what they tell, the information of each. lost: share of the
+    samples that were put in for lost ones, and tell nothing. pickups: frequencies [Hz] of lines that are fitted along,
+    but for those too near to an order; hum: what those add to the variance of the harmonics, by order, (C,).
 
     Raises RotorsimError for less than a turn, signals that are not finite, or no room for one harmonic.
     """
     names = tuple(signals)
     y = np.column_stack([signals[name] for name in names])
     n = len(y)
-    _check(run, names, y, theta)
+    check_samples(run, names, y, theta)
     if basis is None:
         basis = harmonic_basis(run, time, theta, orders=orders)
     turns, K, drift = basis.turns, basis.orders, basis.drift
@@ -287,23 +307,33 @@ def fit_harmonics(
         told = _told_apart(second, speed, K, float(time[-1] - time[0]))
         beside = [_combination(theta, time, int(k), second[0]) for k in second[1][told]]
         basis = Basis(run, np.column_stack([basis.columns, *beside]), K, drift, turns) if beside else basis
+    steady = [at for at in pickups if _is_apart(at, speed, K, float(time[-1] - time[0]))]
+    if steady:
+        basis = with_lines(basis, run, time, steady)
     coefficients, left = basis.solve(y)
     rms = np.sqrt(np.mean((y - y.mean(axis=0)) ** 2, axis=0))
     reach = NEAR_JITTER if angle_std > 0 else NEAR  # an error of the speed spreads a harmonic to its sides
     least = ROUNDING * (rms + np.abs(y.mean(axis=0)))
     for c in (names.index(name) for name in weights or {}):
         least[c] = LOUD * np.sqrt(np.mean(left[:, c] ** 2))
-    lines = find_lines(time, left, speed, K, least, reach)
+    lines = find_lines(time, left, speed, K, least, reach, basis.kept)
     if lines:
-        columns = [basis.columns, *(line_columns(time, line) for line in lines)]
-        basis = Basis(run, np.column_stack(columns), K, drift, turns)
+        basis = with_lines(basis, run, time, [line.frequency for line in lines])
         coefficients, left = basis.solve(y)
     m = 2 * K + 1
     scale = np.sqrt(np.mean(y**2, axis=0))
     floor = ROUNDING * np.where(scale > 0, scale, 1.0)
-    noise = noise_of(left, time, speed, K, n - basis.columns.shape[1], floor, lines)
+    noise = noise_of(left, time, speed, K, n - basis.columns.shape[1], floor, lines, basis.kept)
     known = units or {}
     first = m + drift
+    at = first + 2 * int(told.sum())
+    picked = {
+        frequency: (
+            coefficients[at + 2 * k] - 1j * coefficients[at + 2 * k + 1],
+            float(np.diag(basis.inverse)[at + 2 * k : at + 2 * k + 2].sum()),
+        )
+        for k, frequency in enumerate(steady)
+    }
     combined = None if second is None else _beside(second, told, coefficients[first:], basis.inverse[first:, first:])
     return HarmonicFit(
         run=run,
@@ -315,7 +345,7 @@ def fit_harmonics(
         rms=rms,
         residual=np.sqrt(np.mean(left**2, axis=0)),
         noise=noise,
-        gram=basis.inverse[:m, :m],
+        gram=basis.inverse[:m, :m] / (1 - lost),
         angle_std=angle_std,
         turns=turns,
         samples=n,
@@ -323,10 +353,13 @@ def fit_harmonics(
         drift=coefficients[m : m + drift],
         beside=combined,
         own={names.index(name): basis.covariance(w)[:m, :m] for name, w in (weights or {}).items()},
+        pickups=picked,
+        hum=hum or {},
     )
 
 
-def _check(run: str, names: Sequence[str], y: np.ndarray, theta: np.ndarray) -> None:
+def check_samples(run: str, names: Sequence[str], y: np.ndarray, theta: np.ndarray) -> None:
+    """Raise RotorsimError for samples (n, C) that are too few, or not finite, or less than a turn of the shaft."""
     if len(theta) < 4:
         raise RotorsimError(
             Problem(f"only {len(theta)} samples", f"run {run}", hint="harmonics need a turn of the shaft")
@@ -398,7 +431,19 @@ def _beside(
     return Beside(second[0], second[1], values, gram, told)
 
 
-def line_columns(time: np.ndarray, line: Line) -> np.ndarray:
-    """Return the columns (n, 2) of a line at times (n,)."""
-    phase = TURN * line.frequency * time
+def _is_apart(frequency: float, speed: float, K: int, duration: float) -> bool:
+    """Return whether a line [Hz] has a place of its own beside the mean and the harmonics up to order K."""
+    away = np.abs(frequency - np.abs(speed) / TURN * np.arange(K + 1)).min()
+    return bool(away * duration >= APART)
+
+
+def with_lines(basis: Basis, run: str, time: np.ndarray, frequencies: Sequence[float]) -> Basis:
+    """Return a basis with columns of lines [Hz] at times (n,)."""
+    columns = [basis.columns, *(line_columns(time, frequency) for frequency in frequencies)]
+    return Basis(run, np.column_stack(columns), basis.orders, basis.drift, basis.turns)
+
+
+def line_columns(time: np.ndarray, frequency: float) -> np.ndarray:
+    """Return the columns (n, 2) of a line [Hz] at times (n,)."""
+    phase = TURN * frequency * time
     return np.column_stack([np.cos(phase), np.sin(phase)])

@@ -6,23 +6,32 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.recordings.harmonic_fit import HarmonicFit, fit_harmonics
+from rotorsim.recordings.harmonic_fit import HarmonicFit, check_samples, fit_harmonics, harmonic_basis
+from rotorsim.recordings.held import without_held
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 from rotorsim.recordings.shaft_angle import ShaftAngle, refuse_run_up, shaft_angle
 
-__all__ = ["RunHarmonics", "harmonics_of"]
+__all__ = ["RunHarmonics", "harmonics_of", "with_one_jitter"]
+
+LINE = 2  # numbers that pulses of an even speed have: angle zero and the speed
+WANDERS = 1e-3  # probability that pulses of one jitter scatter so much in a run
 
 
 @dataclass(frozen=True, eq=False)
 class RunHarmonics:
-    """One run of a recording with its shaft angle and the harmonics of its channels."""
+    """One run of a recording with its shaft angle and the harmonics of its channels.
+
+    run: with samples that were lost and held put right; lost: how many, in the channel that lost most.
+    """
 
     run: Run
     angle: ShaftAngle
     fit: HarmonicFit
+    lost: int = 0
 
 
 def harmonics_of(
@@ -40,20 +49,58 @@ def harmonics_of(
     chosen = recording.runs if runs is None else runs
     found: list[RunHarmonics] = []
     problems: list[Problem] = []
+    angles: list[tuple[Run, ShaftAngle]] = []
+    for run in chosen:
+        try:
+            angle = shaft_angle(recording, run)
+            refuse_run_up(f"run {run.id}", run.place, run.time, angle.theta)
+            angles.append((run, replace(angle, sampled=angle.sampled * len(chosen) ** 0.5)))
+        except RotorsimError as error:
+            problems += error.problems
     with threadpool_limits(1, "blas"):  # matrices of 5000 x 35: threads cost more than they save
-        for run in chosen:
+        for run, angle in zip([run for run, _ in angles], with_one_jitter([angle for _, angle in angles]), strict=True):
             try:
-                angle = shaft_angle(recording, run)
-                refuse_run_up(f"run {run.id}", run.place, run.time, angle.theta)
-                angle = replace(angle, sampled=angle.sampled * len(chosen) ** 0.5)
-                signals = {channels[c].name: np.asarray(run.values[c]) for c in channels if c in run.values}
+                columns = [c for c in channels if c in run.values]
+                y = np.column_stack([run.values[c] for c in columns])
+                check_samples(run.id, [channels[c].name for c in columns], y, angle.theta)
+                basis = harmonic_basis(run.id, run.time, angle.theta, orders=orders)
+                y, held = without_held(basis, y)
+                lost = int(held.sum(axis=0).max(initial=0))
+                if lost:
+                    run = replace(run, values={**run.values, **dict(zip(columns, y.T, strict=True))})
                 fit = fit_harmonics(
-                    run.id, run.time, angle.theta, signals, units, orders=orders, angle_std=angle.std,
+                    run.id, run.time, angle.theta, {channels[c].name: y[:, k] for k, c in enumerate(columns)}, units,
+                    angle_std=angle.std, basis=basis, lost=lost / len(y),
                     weights={channels[c].name: np.asarray(w) for c, w in run.weights.items()},
                 )  # fmt: skip
-                found.append(RunHarmonics(run, angle, fit))
+                found.append(RunHarmonics(run, angle, fit, lost))
             except RotorsimError as error:
                 problems += error.problems
     if problems:
         raise RotorsimError(*problems)
+    return found
+
+
+def with_one_jitter(angles: Sequence[ShaftAngle]) -> list[ShaftAngle]:
+    """Return angles whose pulses jitter by one time, that of the instrument, from what those of all runs leave over.
+
+    A few pulses tell little of their jitter, and two tell nothing. Runs whose pulses scatter by more than that, for
+    their speed wanders, keep their own.
+    """
+    count = np.array([max(angle.pulses - LINE, 0) if angle.source == "tacho" else 0 for angle in angles])
+    square = np.array([(angle.jitter / angle.speed) ** 2 for angle in angles])
+    alike = count > 0
+    for _ in angles:
+        if not alike.any():
+            return list(angles)
+        jitter = float(np.average(square[alike], weights=count[alike]))
+        wide = alike & (square * count > jitter * chi2.isf(WANDERS, np.maximum(count, 1)))
+        if not wide.any() or (wide == alike).all():
+            break
+        worst = int(np.argmax(np.where(wide, square, -1.0)))
+        alike[worst] = False
+    found = []
+    for angle, own, n in zip(angles, square, count, strict=True):
+        shared = angle.source == "tacho" and own * n <= jitter * chi2.isf(WANDERS, max(n, 1))
+        found.append(replace(angle, jitter=abs(angle.speed) * float(np.sqrt(jitter))) if shared else angle)
     return found

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from rotorsim.recordings.colour import colour_of, density, of_mean
+
 __all__ = ["Line", "Noise", "find_lines", "noise_of"]
 
 TURN = 2 * np.pi
@@ -15,9 +17,11 @@ FALSE_ALARM = 1e-3  # chance that noise alone shows a line somewhere in one run
 MOST_LINES = 20
 GAP, NEIGHBOURS = 3, 24  # the level of the noise at a line: the mean of so many others, these next to it left out
 BANDS = 16
+LEAST_BAND = 7  # lines of the narrowest
 NOT_WHITE = 1e-4  # probability below which noise is not called white
 MOST_LAGS = 8  # of an autoregression
 SMOOTHING = 12  # lines on each side over which a coloured spectrum is averaged, at least
+LEAST_KEPT = 0.3  # of the noise that a fit leaves of a line: below, the line says little of the noise
 
 
 @dataclass(frozen=True)
@@ -34,11 +38,14 @@ class Noise:
     """Cross-spectrum of the noise at the harmonics: spectrum (K+1, C, C), or (1, C, C) where it is white.
 
     Scaled so that white noise of covariance S has spectrum S. freedom: degrees of freedom it was estimated with.
+    colour: (C, 3) of the density that grows towards low frequencies (see `rotorsim.recordings.colour.density`), of
+    noise that is not white.
     """
 
     spectrum: np.ndarray
     white: bool
     freedom: float
+    colour: np.ndarray | None = None
 
     def at_order(self, k: int) -> np.ndarray:
         """Return the cross-spectrum (C, C), Hermitian, at order k."""
@@ -46,12 +53,13 @@ class Noise:
 
 
 def find_lines(
-    time: np.ndarray, left: np.ndarray, speed: float, K: int, floor: np.ndarray, near: float = 1.5
+    time: np.ndarray, left: np.ndarray, speed: float, K: int, floor: np.ndarray, near: float = 1.5,
+    kept: np.ndarray | None = None,
 ) -> list[Line]:  # fmt: skip
     """Return the lines that stand out of the residual (n, C) of a harmonic fit, largest first (of the residual's rms).
 
     Noise alone shows one in a thousand runs. floor: (C,) amplitudes below which nothing counts. near: so many lines of
-    the spectrum beside a fitted harmonic belong to it and are not reported.
+    the spectrum beside a fitted harmonic belong to it and are not reported. kept: see `noise_of`.
     """
     n = len(left)
     if n < 64:
@@ -60,9 +68,14 @@ def find_lines(
     power = np.abs(np.fft.rfft(left, axis=0)[1:-1]) ** 2 / n
     mean = power.mean(axis=0)
     threshold = np.log(power.size / FALSE_ALARM)
-    if not (power > threshold * mean).any() and _is_white(power):
+    left_of = np.ones(len(power)) if kept is None else kept[1 : len(power) + 1]
+    usable = left_of > LEAST_KEPT
+    if not (power > threshold * mean).any() and _is_white(power[usable] / left_of[usable, None]):
         return []
-    level = np.maximum(_beside(power), floor**2)
+    at_line = np.arange(1, len(power) + 1)
+    shape = density(colour_of(power[usable] / left_of[usable, None], at_line[usable]), at_line)
+    shape = np.where(shape > 0, shape, 1.0)  # a level that falls within the neighbours is no line of its upper end
+    level = np.maximum(_beside(power / shape) * shape, floor**2)
     # power over the mean of its neighbours has an F distribution with 2 and 2 NEIGHBOURS degrees of freedom
     threshold = NEIGHBOURS * np.expm1(threshold / NEIGHBOURS)
     ratio = np.divide(power, level, out=np.zeros_like(power), where=level > 0)
@@ -110,24 +123,35 @@ def _refined(signal: np.ndarray, time: np.ndarray, frequency: float, resolution:
     return frequency
 
 
+def _bands(n: int) -> np.ndarray:
+    """Return where bands of n lines start: BANDS of one width, of which the lowest is divided into octaves.
+
+    Flicker noise that fills a few lines only moves the harmonics of a slow shaft all the same.
+    """
+    width = n / BANDS
+    octaves = [width / 2**k for k in range(1, 32) if width / 2**k >= LEAST_BAND]
+    return np.unique([0, *np.array(octaves[::-1], int), *np.linspace(0, n, BANDS, endpoint=False).astype(int)])
+
+
 def _is_white(power: np.ndarray) -> bool:
     """Return whether the power of every channel is the same in all bands of frequency (chi-squared test)."""
-    starts = np.linspace(0, len(power), BANDS, endpoint=False).astype(int)
-    sizes = np.diff(np.append(starts, len(power)))
-    if sizes[0] < 4:
+    if len(power) < 4 * BANDS:
         return True
+    starts = _bands(len(power))
+    sizes = np.diff(np.append(starts, len(power)))
     sums = np.add.reduceat(power, starts, axis=0)
     means, overall = sums / sizes[:, None], sums.sum(axis=0) / len(power)
     with np.errstate(invalid="ignore", divide="ignore"):
         statistic = np.nansum(sizes[:, None] * (means / overall - 1) ** 2, axis=0)
-    return bool((statistic < chi2.isf(NOT_WHITE / power.shape[1], BANDS - 1)).all())
+    return bool((statistic < chi2.isf(NOT_WHITE / power.shape[1], len(starts) - 1)).all())
 
 
-def _autoregressive(left: np.ndarray, omega: np.ndarray, freedom: int) -> np.ndarray | None:
+def _autoregressive(left: np.ndarray, omega: np.ndarray, freedom: int) -> tuple[np.ndarray, float] | None:
     """Return the cross-spectrum (K+1, C, C) at angles per sample omega of an autoregression of the residual.
 
     e_n = A_1 e_(n-1) + ... + A_p e_(n-p) + w_n by least squares, the order p up to 8 by the Bayesian information
-    criterion; None where w is not white or there are too few samples. Source: Lutkepohl, New Introduction to Multiple
+    criterion; None where w is not white or there are too few samples. With minus twice the logarithm of Whittle's
+    likelihood, its constant left out, and what its parameters cost. Source: Lutkepohl, New Introduction to Multiple
     Time Series Analysis (2005), ch. 3-4.
     """
     size = np.sqrt(np.mean(left**2, axis=0))
@@ -163,7 +187,10 @@ def _autoregressive(left: np.ndarray, omega: np.ndarray, freedom: int) -> np.nda
         inner = transfer @ covariance @ transfer.conj().T
         spectrum[k][np.ix_(used, used)] = inner * np.outer(size[used], size[used])
     spectrum[0] = spectrum[0].real
-    return spectrum
+    level = float(
+        np.linalg.slogdet(covariance)[1] + 2 * np.log(size[used]).sum()
+    )  # log det of the density, in the mean
+    return spectrum, n * level + p * C * C * np.log(n)
 
 
 def _is_together(transform: np.ndarray) -> bool:
@@ -192,37 +219,54 @@ def _is_together(transform: np.ndarray) -> bool:
 
 
 def noise_of(
-    left: np.ndarray, time: np.ndarray, speed: float, K: int, freedom: int, floor: np.ndarray, lines: Sequence[Line]
-) -> Noise:
+    left: np.ndarray, time: np.ndarray, speed: float, K: int, freedom: int, floor: np.ndarray, lines: Sequence[Line],
+    kept: np.ndarray | None = None,
+) -> Noise:  # fmt: skip
     """Return the noise in a residual (n, C) with the given degrees of freedom, at orders 0..K of the speed.
 
-    White noise is one covariance. Coloured noise is that of an autoregression, where one of low order leaves white
-    noise over; else its spectrum is averaged over lines about each order, lines found left out.
-    floor: (C,) standard deviation that is never undercut (rounding of the data).
+    White noise is one covariance. Coloured noise is white and flicker noise in each channel, or an autoregression of
+    low order, whichever is more likely of those that leave white noise over; else its spectrum is averaged over lines
+    about each order, lines found left out. floor: (C,) standard deviation never undercut (rounding of the data).
+    kept: share of white noise that the fit leaves of each line of the spectrum, (n // 2 + 1,).
     """
-    n = len(left)
+    n, channels = left.shape
     at_least = np.diag(floor**2)
-    transform = np.fft.rfft(left, axis=0) / np.sqrt(n)
-    inner = transform[1:-1]
+    kept = np.full(n // 2 + 1, max(freedom, 1) / n) if kept is None else kept
+    transform = np.fft.rfft(left, axis=0) / np.sqrt(n * np.maximum(kept, LEAST_KEPT))[:, None]
+    step = (time[-1] - time[0]) / (n - 1)
+    usable = kept > LEAST_KEPT
+    usable[[0, -1]] = False
+    for line in lines:
+        at = round(line.frequency * n * step)
+        usable[max(0, at - 2) : at + 3] = False
+    inner = transform[usable]
     if len(inner) < 8 or (_is_white(np.abs(inner) ** 2) and _is_together(inner)):
         return Noise((left.T @ left / max(freedom, 1) + at_least)[None], True, float(max(freedom, 1)))
-    step = (time[-1] - time[0]) / (n - 1)
+    at_line = np.arange(len(transform))
+    colour = colour_of(np.abs(inner) ** 2, at_line[usable])
+    spacing = abs(speed) / TURN * n * step
+    orders = np.sqrt(np.vstack([of_mean(colour), density(colour, spacing * np.arange(1, K + 1))]))
+    shape = np.sqrt(density(colour, at_line))
+    dead = shape[-1] == 0
+    orders[:, dead], shape[:, dead] = 1.0, 1.0
+    transform = transform / shape
+    inner = transform[usable]
+    scale = orders[:, :, None] * orders[:, None, :]
+    found: list[tuple[float, np.ndarray]] = []
+    if _is_white(np.abs(inner) ** 2) and _is_together(inner):
+        together = (inner.T @ inner.conj()).real / len(inner)
+        level = 2 * float(np.log(shape[usable]).sum()) / len(inner) + float(
+            np.linalg.slogdet(together[~dead][:, ~dead])[1]
+        )
+        found.append((n * level + 3 * channels * np.log(n), scale * together))
     modelled = _autoregressive(left, np.arange(K + 1) * speed * step, freedom)
     if modelled is not None:
-        return Noise(modelled + at_least, False, float(max(freedom, 1)))
-    resolution = 1 / (n * step)
-    usable = np.ones(len(transform), bool)
-    usable[0] = False
-    for line in lines:
-        at = round(line.frequency / resolution)
-        usable[max(0, at - 2) : at + 3] = False
-    spacing = abs(speed) / TURN / resolution
-    channels = left.shape[1]
+        found.append((modelled[1], modelled[0]))
+    if found:
+        likely = min(found, key=lambda item: item[0])[1]
+        return Noise(likely + at_least, False, float(max(freedom, 1)), colour)
     width = max(SMOOTHING, 2 * channels, round(spacing / 2))
-    for k in range(1, K + 1):  # the fit has taken out what was there
-        usable[min(round(k * spacing), len(usable) - 1)] = False
-    spectrum = np.empty((K + 1, left.shape[1], left.shape[1]), complex)
-    share = n / max(freedom, 1)
+    spectrum = np.empty((K + 1, channels, channels), complex)
     for k in range(K + 1):
         reach = width
         while True:
@@ -233,6 +277,6 @@ def noise_of(
             reach *= 2
         # the inverse of a cross-spectrum estimated from N lines is too large by N / (N - channels) in the mean
         unbiased = max(len(part) - channels, 1)
-        spectrum[k] = share * np.einsum("ni,nj->ij", part, part.conj()) / unbiased + at_least
+        spectrum[k] = scale[k] * np.einsum("ni,nj->ij", part, part.conj()) / unbiased + at_least
     spectrum[0] = spectrum[0].real
-    return Noise(spectrum, False, float(4 * width))
+    return Noise(spectrum, False, float(4 * width), colour)

@@ -10,12 +10,12 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import binom, chi2
 from threadpoolctl import threadpool_limits
 
-from rotorsim.recordings.faint_lines import faint_line, spectrum_of
-from rotorsim.recordings.harmonic_fit import NEAR, Basis, HarmonicFit, fit_harmonics, harmonic_basis
+from rotorsim.recordings.faint_lines import Spectrum, faint_line, spectrum_of
+from rotorsim.recordings.harmonic_fit import NEAR, Basis, HarmonicFit, fit_harmonics, harmonic_basis, with_lines
 from rotorsim.recordings.harmonics import RunHarmonics
 from rotorsim.recordings.recording import Recording
 
-__all__ = ["Second", "find_second", "with_second"]
+__all__ = ["Second", "find_second", "signals_of", "spectra_of", "strongest", "with_second"]
 
 TURN = 2 * np.pi
 ORDERS = 5  # combinations k W + nu with |k| up to this
@@ -124,12 +124,7 @@ def _guessed(runs: Sequence[RunHarmonics]) -> Second | None:
 def _faint(recording: Recording, runs: Sequence[RunHarmonics]) -> Second | None:
     """Return the frequency of a line that all runs show together, though none by itself."""
     with threadpool_limits(1, "blas"):
-        made = [
-            spectrum_of(
-                item.run.time, _left(recording, item, item.angle.theta)[1], item.fit.speed, int(item.fit.orders[-1])
-            )
-            for item in runs
-        ]
+        made = spectra_of(recording, runs)
         found = faint_line([item for item in made if item is not None], _all_orders(runs)[-1])
     if found is None:
         return None
@@ -137,10 +132,23 @@ def _faint(recording: Recording, runs: Sequence[RunHarmonics]) -> Second | None:
     return Second(value if follows else TURN * value, 0.0, follows, shown)
 
 
+def spectra_of(recording: Recording, runs: Sequence[RunHarmonics]) -> list[Spectrum | None]:
+    """Return the spectrum of what harmonics leave over of every run, by the colour of its noise."""
+    return [
+        spectrum_of(
+            item.run.time, _left(recording, item, item.angle.theta)[1], item.fit.speed, int(item.fit.orders[-1]),
+            item.fit.noise.colour,
+        )
+        for item in runs
+    ]  # fmt: skip
+
+
 def _left(recording: Recording, item: RunHarmonics, theta: np.ndarray) -> tuple[Basis, np.ndarray]:
     """Return harmonics of an angle (n,), and what they leave over of the signals, (n, C)."""
     basis = harmonic_basis(item.fit.run, item.run.time, theta, orders=int(item.fit.orders[-1]))
-    return basis, basis.solve(np.column_stack(list(_signals(recording, item).values())))[1]
+    if item.fit.pickups:
+        basis = with_lines(basis, item.fit.run, item.run.time, list(item.fit.pickups))
+    return basis, basis.solve(np.column_stack(list(signals_of(recording, item).values())))[1]
 
 
 def _swinging(runs: Sequence[RunHarmonics]) -> Second | None:
@@ -234,10 +242,10 @@ def _all_orders(runs: Sequence[RunHarmonics]) -> range:
 
 def _refined(second: Second, recording: Recording, runs: Sequence[RunHarmonics]) -> Second:
     """Return a second frequency where its combinations hold most power in all runs, with its standard deviation."""
-    measured = _strongest(replace(second, even=False), recording, runs)
-    even = _strongest(replace(second, even=True), recording, runs)
+    measured = strongest(replace(second, even=False), recording, runs)
+    even = strongest(replace(second, even=True), recording, runs)
     if abs(even[1].value - second.value) > even[1].std:  # the swing that was taken out was one at the first value
-        even = _strongest(even[1], recording, runs)
+        even = strongest(even[1], recording, runs)
     by_pulses = _by_pulses(even[1], runs)
     if by_pulses is not None:  # pulses that do not swing have a frequency of their own
         left = _rest(by_pulses, recording, runs)(by_pulses.value, _all_orders(runs), MULTIPLES)
@@ -276,7 +284,7 @@ def _least(left: Callable[[float], float], second: Second, runs: Sequence[RunHar
     return at, float((left(at + step) - 2 * left(at) + left(at - step)) / step**2)
 
 
-def _strongest(second: Second, recording: Recording, runs: Sequence[RunHarmonics]) -> tuple[float, Second]:
+def strongest(second: Second, recording: Recording, runs: Sequence[RunHarmonics]) -> tuple[float, Second]:
     """Return the frequency near a first value that leaves least over, and what that leaves, in variances of the noise.
 
     The latter with all combinations and multiples: a measured angle that follows a swing takes them all away.
@@ -351,13 +359,14 @@ def with_second(
     orders = np.array(second.orders)
     with threadpool_limits(1, "blas"):
         for item in runs:
-            signals = _signals(recording, item)
+            signals = signals_of(recording, item)
             at = second.at(item.fit.speed)
             theta, std = _even(item, at) if second.even else (item.angle.theta, item.angle.std)
             fit = fit_harmonics(
                 item.fit.run, item.run.time, theta, signals, dict(zip(item.fit.names, item.fit.units, strict=True)),
                 orders=int(item.fit.orders[-1]), angle_std=std, second=(at, orders),
                 weights={recording.channels[c].name: np.asarray(w) for c, w in item.run.weights.items()},
+                lost=item.lost / len(item.run.time), pickups=list(item.fit.pickups), hum=item.fit.hum,
             )  # fmt: skip
             assert fit.beside is not None
             if not fit.beside.told.all() or (second.swings and _twice(fit, float(np.ptp(item.run.time)))):
@@ -381,7 +390,7 @@ def _twice(fit: HarmonicFit, duration: float) -> bool:
     return bool((beside**2 > 2 * own * fit.residual * np.sqrt(fit.beside.gram.max())).any())
 
 
-def _signals(recording: Recording, item: RunHarmonics) -> dict[str, np.ndarray]:
+def signals_of(recording: Recording, item: RunHarmonics) -> dict[str, np.ndarray]:
     """Return the samples of the channels that were fitted."""
     columns = {channel.name: c for c, channel in recording.channels.items() if c in item.run.values}
     return {name: np.asarray(item.run.values[columns[name]]) for name in item.fit.names}
