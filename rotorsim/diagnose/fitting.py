@@ -57,7 +57,8 @@ class Source:
     """What a diagram is fitted to: a recording, its harmonics, and where the diagram's files are.
 
     second: the frequency of lines that do not follow the shaft, and that the harmonics were fitted with. standing:
-    nuisances of the diagram as given (see `Fit.criterion`).
+    nuisances of the diagram as given (see `Fit.criterion`); given: its free parameters, whose sizes and priors hold in
+    every later fit, whatever value that begins from.
     Whatever has ``recorded``, ``load``, ``fit`` and ``largest`` can stand in its place (`naming.name_missing`).
     """
 
@@ -67,6 +68,7 @@ class Source:
     trust_blocks: bool = False
     second: Second | None = None
     standing: int | None = None
+    given: tuple[Free, ...] = ()
 
     def load(self, document: Mapping[str, Any]) -> Diagram:
         """Return the diagram of a document; recordings mean what goes into its converters. Raises RotorsimError."""
@@ -79,7 +81,15 @@ class Source:
         return open_experiment(
             diagram, self.recording, runs=[item.run for item in self.harmonics], given=given, inject=inject,
             harmonics=self.harmonics, resolution=MESH_ACCURACY if has_mesh else RESOLUTION,
+            free=[self._as_given(item) for item in diagram.free],
         )  # fmt: skip
+
+    def _as_given(self, item: Free) -> Free:
+        """Return a free parameter with size and prior of the diagram as given, not of the fit that it starts from."""
+        first = next((other for other in self.given if other.name == item.name), None)
+        if first is None:
+            return item
+        return replace(item, scale=first.scale, prior_mean=first.prior_mean, prior_std=first.prior_std)
 
     @property
     def recorded(self) -> list[str]:

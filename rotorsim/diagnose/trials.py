@@ -32,6 +32,7 @@ REFINED = 3  # fits carried to the end at least
 PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
 HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
 STARTED = 0.1  # share of what the best explains: of nonlinear laws below, SECOND_EVALUATIONS are the last
+RESTART = 0.1  # of its scale: how far off a bound a parameter of the diagram begins again
 NEAR = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
 
 _Job = tuple[dict[str, Any], list[list[dict[str, float]]]]
@@ -112,14 +113,15 @@ class Trials:
         self.counts["rounds"] += 1
         jobs = []
         largest = self.source.largest()
+        away = self._off_bounds(before)
         found = [item for item in found if (LINES in largest or not item.from_lines) and not item.from_steps]
         for item in found:
             sizes = _sizes(item, largest)
             starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
             here = [dict(zip(item.free, start.values(), strict=True)) for start in starts]
-            groups = [here]
+            groups = [[{**off, **start} for off in (({}, away) if away else ({},)) for start in here]]
             if not before.nonlinear:  # else it costs too much to begin once more from values as given
-                groups.append([{**self.nominal, **start} for start in here])
+                groups.append([{**self.nominal, **away, **start} for start in here])
             jobs.append((item.document(document, {**fixed, **starts[0]}), groups))
         if len(jobs) > MOST_FITS:
             kept = self._screened(before, found, jobs)
@@ -134,6 +136,18 @@ class Trials:
         fits = self._refined(before, jobs, fits, [(item.physics, item.variant) for item in found])
         tried = [Candidate(item, fit) for item, fit in zip(found, fits, strict=True)]
         return Round(before, tuple(_simplest_first(tried, self.slack)))
+
+    def _off_bounds(self, fit: Fit) -> dict[str, float]:
+        """Return where parameters of the diagram as given that ended at a bound begin again: as given, off the bound.
+
+        What held one there may be gone with the next effect.
+        """
+        found = {}
+        for item, ended in zip(fit.free, fit.at_bound, strict=True):
+            if ended and item.name in self.nominal:
+                off = min(RESTART * (item.scale or 1.0), (item.high - item.low) / 2)
+                found[item.name] = float(np.clip(self.nominal[item.name], item.low + off, item.high - off))
+        return found
 
     def _screened(self, before: Fit, found: Sequence[Insertion], jobs: Sequence[_Job]) -> list[int]:
         """Return which insertions are fitted where places are many."""
@@ -217,7 +231,10 @@ class Trials:
 
     def _again(self, jobs: Sequence[_Job], fits: list[Fit], which: Sequence[int], most: int | None) -> None:
         """Carry some fits on from where they are, in place."""
-        continued: list[_Job] = [(values_in(jobs[k][0], fits[k].values), [[{}]]) for k in which]
+        continued: list[_Job] = []
+        for k in which:
+            away = {} if fits[k].nonlinear else self._off_bounds(fits[k])
+            continued.append((values_in(jobs[k][0], fits[k].values), [[{}], *([[away]] if away else [])]))
         for k, fit in zip(which, self._fit(continued, most), strict=True):
             if not fit.failure and fit.misfit <= fits[k].misfit:
                 fits[k] = replace(fit, seconds=fit.seconds + fits[k].seconds)
@@ -264,7 +281,7 @@ class Trials:
         known = {name: value for name, value in known.items() if name in document["identify"]}
         document = values_in(document, known)  # a block that was put in the place of another has others
         with threadpool_limits(1, "blas"):
-            fit = self.source.fit(document, [[{}], [self.nominal]])
+            fit = self.source.fit(document, [[{}], [{**self.nominal, **self._off_bounds(near)}]])
         if fit.failure:
             return ()
         pairs = zip(entered[:-1], effects, strict=False)

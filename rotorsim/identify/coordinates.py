@@ -82,12 +82,12 @@ def coordinates_of(
 
 
 def _scale(free: Free) -> float:
+    """Return the size of a step that means something: never that of a value which a fit has brought to nothing."""
     if free.unit == ANGLE_UNIT:
         return 1.0
-    if free.value:
-        return abs(free.value)
-    if free.prior_std:
-        return free.prior_std
+    size = free.scale or abs(free.value) or free.prior_std
+    if size:
+        return size
     return abs(free.high) if np.isfinite(free.high) and free.high else 1.0
 
 
