@@ -39,7 +39,7 @@ class ThermalBow(Block):
     growth = Param(1e-6, unit="m", low=0.0, doc="|b_1|")
     growth_phase = Param(0.0, unit="rad", doc="angle of b_1")
     time_constant = Param(30.0, unit="s", above=0.0, doc="time constant tau of warming")
-    grown = State(doc="1 - e^{-t / tau}")
+    grown = State(between=(0.0, 1.0), doc="1 - e^{-t / tau}")
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
         bow = p.amplitude * _plane.unit(u.theta + p.phase)

@@ -181,11 +181,13 @@ class State(Declaration):
 
     unless_wired: the state exists only while this optional input is not wired.
     when: function of the options; the state exists only where it returns True.
+    between: what its mean over a run can be that is too short for it to settle, (low, high).
     """
 
     init: float | str = 0.0
     unless_wired: str | None = None
     when: Callable[[Any], bool] | None = None
+    between: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

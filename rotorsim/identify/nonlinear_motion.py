@@ -87,9 +87,10 @@ class NonlinearMotion:
             self.last = np.where(settled[:, None, None], found, self.last)
         return self._linearised(at, X, settled)
 
-    def means_of_zero(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Return zero means of the slow states of each run."""
-        return [np.zeros(slow.shape[1]) for slow in self.opened(theta).slow]
+    def first_means(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Return means of the slow states of each run to begin from: amid what they can be, else zero."""
+        self.opened(theta)
+        return [np.where(np.isfinite(ends).all(axis=1), np.nan_to_num(ends).mean(axis=1), 0.0) for ends in self.between]
 
     def opened(self, theta: np.ndarray) -> Ports:
         """Return the ports of all that no parameter and no nonlinear law moves, found at the first theta (m,)."""
@@ -101,7 +102,8 @@ class NonlinearMotion:
         A = whole.J(self.times[:, 0][None], np.zeros((n, R)), self.p.T, many)
         if not np.isfinite(A).all():
             raise ValueError("the equations are not finite at rest")
-        slow = [slow_states(A[r], self.windows[r]) for r in range(R)]
+        slow = [slow_states(A[r], self.windows[r], self.equations.means) for r in range(R)]
+        self.between = [self.equations.means[states] for states in slow]
         times = self.times[:, ::8]
         count = times.shape[1]
         at_rest = (np.zeros((n, R * count)), np.repeat(self.p, count, 0).T, np.repeat(theta[None], R * count, 0).T)

@@ -15,7 +15,11 @@ import numpy as np
 import scipy.linalg
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
-__all__ = ["DENSE", "Ports", "open_ports", "slow_states"]
+from rotorsim.compile import Model
+
+__all__ = ["DENSE", "Ports", "means_of", "open_ports", "slow_states"]
+
+LAW = "fault"  # category of blocks that stand for a law, not for a machine
 
 DENSE = 24  # states up to which matrices of all states are as fast
 SLOW = 5.0  # a mode that decays by less than e^-5 over the window may still move the mean
@@ -105,12 +109,31 @@ def _normalised(group: np.ndarray, least: float) -> np.ndarray:
     return np.asarray(group / np.maximum(np.abs(group).max(axis=0, initial=0.0), least))
 
 
-def slow_states(A: np.ndarray, window: float) -> np.ndarray:
+def means_of(model: Model) -> np.ndarray:
+    """Return what the mean of every state can be where it has no time to settle, (n_x, 2): low, high.
+
+    -inf, inf: anything, after a start at any time. Not a number: a state of a law (a filter that stands for its loss or
+    its lag) is taken as settled unless its block says what its mean can be: a law with a free mean in every run would
+    explain each run by itself, whatever its size.
+    """
+    found = np.full((model.n_x, 2), [-np.inf, np.inf])
+    for name, signal in model.states.items():
+        block, _, key = name.rpartition(".")
+        kind = model.diagram.nodes[block].block
+        between = kind.states[key].between
+        if between is not None or kind.category == LAW:
+            found[signal.part] = between or (np.nan, np.nan)
+    return found
+
+
+def slow_states(A: np.ndarray, window: float, means: np.ndarray | None = None) -> np.ndarray:
     """Return one state for each mode that is slow against the window: those that take part in them most.
 
-    Their mean may be anything after a start at any time; a free integrator has no mean at all.
+    Their mean may be anything after a start at any time; a free integrator has no mean at all. means: of each state
+    (n, 2), see `means_of`; those that are taken as settled are left out.
     """
-    return _slow_states(np.ascontiguousarray(A, float).tobytes(), len(A), window).copy()
+    found = _slow_states(np.ascontiguousarray(A, float).tobytes(), len(A), window)
+    return found.copy() if means is None else found[~np.isnan(means[found, 0])]
 
 
 @lru_cache(maxsize=KEPT)
