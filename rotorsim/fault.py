@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["ENTRIES", "Fault", "Lines", "Of", "Steps"]
+__all__ = ["ENTRIES", "Fault", "Lines", "Longest", "Of", "Steps"]
 
 ENTRIES = ("force", "wire", "reading", "replace", "move")
 
@@ -25,6 +25,13 @@ class Of:
     factor: float
     least: bool = False
     power: int = 1
+
+
+@dataclass(frozen=True)
+class Longest:
+    """A time that follows the data: ``factor`` times the length of the longest run."""
+
+    factor: float
 
 
 @dataclass(frozen=True)
@@ -60,6 +67,8 @@ class Fault:
     or by `Of`, and not fitted, or by `Lines`: it is tried only where the recording has lines that call for it. By
     `Steps`: the block is a converter, a "reading", which is put in where readings show its steps; harmonics are
     compared with what goes into it.
+    most: what the magnitude of a free parameter can be at most, beside the bounds of the parameter. sizes: parameters
+    that the effect is proportional to: where the data tell none of them from zero, there is no effect.
     inherits: parameters that take the value that the block at the place has under the same name; "crack.sag" takes
     that of the one block of type crack, if there is one. law: in words, what the effect does with speed, order and
     amplitude.
@@ -70,6 +79,8 @@ class Fault:
     enters: str
     free: Mapping[str, tuple[float | Of, ...]] = field(default_factory=dict)
     fixed: Mapping[str, float | Of | Lines | Steps] = field(default_factory=dict)
+    most: Mapping[str, Of | Longest] = field(default_factory=dict)
+    sizes: tuple[str, ...] = ()
     of: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     between: tuple[str, str] = ("rotor", "controller")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnose.insertion import LEAST, LINES
+from rotorsim.diagnose.insertion import LEAST, LINES, LONGEST
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.load import load
 from rotorsim.errors import RotorsimError
@@ -22,6 +22,7 @@ from rotorsim.identify.likelihood import Likelihood
 from rotorsim.identify.motion import Motion
 from rotorsim.identify.nonlinear_likelihood import likelihood_of
 from rotorsim.identify.nonlinear_motion import NonlinearMotion
+from rotorsim.identify.profile import Z90, linear_intervals
 from rotorsim.recordings.harmonics import RunHarmonics
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second
@@ -45,7 +46,7 @@ NUMBERS = (
     "misfit", "rows", "equations", "goodness", "failure", "nonlinear", "seconds", "standing",
     "line_misfit", "line_rows",
 )  # fmt: skip
-ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out")
+ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out", "ends")
 
 
 def _nothing() -> np.ndarray:
@@ -126,7 +127,7 @@ class Source:
     def largest(self) -> dict[str, float]:
         """Return the largest magnitude of every recorded signal, by its flat name, and of the rates of displacements.
 
-        "least NAME": in the run in which it is smallest.
+        "least NAME": in the run in which it is smallest. LONGEST: the length of the longest run.
         """
         sizes: dict[str, list[float]] = {}
         for item in self.harmonics:
@@ -140,6 +141,7 @@ class Source:
                     sizes.setdefault(f"{port.removesuffix('displacement')}velocity[{rest}", []).append(rate)
         found = {name: max(values) for name, values in sizes.items()}
         found |= {f"{LEAST} {name}": min(values) for name, values in sizes.items()}
+        found[LONGEST] = max(float(np.ptp(item.run.time)) for item in self.harmonics)
         if self.second is not None and not self.second.follows:
             found[LINES] = self.second.value
         return found
@@ -153,7 +155,7 @@ class Fit:
     which rows are left after nuisances. run_misfit, left_out (R,): |r|^2 of each run, and when it is predicted from
     the others. goodness: probability of the misfit. failure: why there is none of it. nonlinear: in its states.
     seconds: of CPU time it took. standing: nuisances that any diagram has (default: all of its own). line_misfit,
-    line_rows: |r|^2 and equations of the lines beside the harmonics.
+    line_rows: |r|^2 and equations of the lines beside the harmonics. ends (m, 2): of 90 % intervals within the bounds.
     """
 
     document: Mapping[str, Any]
@@ -173,6 +175,7 @@ class Fit:
     standing: int | None = None
     line_misfit: float = 0.0
     line_rows: int = 0
+    ends: np.ndarray = field(default_factory=_nothing)
 
     @property
     def freedom(self) -> int:
@@ -194,6 +197,24 @@ class Fit:
     def nuisances(self) -> int:
         """Unknowns of no interest, such as the means of states that have not settled."""
         return max(self.equations - self.rows, 0)
+
+    @property
+    def widening(self) -> float:
+        """The factor on intervals where the diagram does not explain the data."""
+        return float(np.sqrt(max(self.misfit / self.freedom, 1.0))) if self.goodness < 1e-4 else 1.0
+
+    def interval90(self, j: int) -> tuple[float, float]:
+        """Return the 90 % interval of a parameter, within its bounds: one-sided at one, infinite if undetermined."""
+        value, item = float(self.theta[j]), self.free[j]
+        ends = self.ends[j] if len(self.ends) else value + Z90 * self.std(j) * np.array([-1.0, 1.0]) / self.widening
+        low, high = (value + self.widening * (float(end) - value) for end in ends)
+        return max(low, item.low), min(high, item.high)
+
+    def std(self, j: int) -> float:
+        """Return the standard deviation of a parameter; at a bound, that which its one-sided interval stands for."""
+        if self.at_bound[j] and len(self.ends):
+            return self.widening * float(np.abs(self.ends[j] - self.theta[j]).max()) / Z90
+        return self.widening * float(np.sqrt(max(float(self.covariance[j, j]), 0.0)))
 
     @property
     def values(self) -> dict[str, float]:
@@ -259,11 +280,13 @@ def _fit_of(document: Mapping[str, Any], search: Search, best: Estimate) -> Fit:
     sizes = [len(w.keep) for w in search.likelihood.whiteners]
     lines = np.tile(search.likelihood.is_beside, len(sizes))
     q = search.coordinates.inside(best.theta)
+    covariance = best.covariance.copy()
+    covariance[best.undetermined, best.undetermined] = np.inf
     loo = left_out(evaluation.residual, search.slopes(q)[: len(evaluation.residual)], sizes)
     return Fit(
-        document=document, free=best.free, theta=best.theta, covariance=best.covariance, at_bound=best.at_bound,
+        document=document, free=best.free, theta=best.theta, covariance=covariance, at_bound=best.at_bound,
         misfit=best.misfit, rows=evaluation.rows, equations=sum(sizes), run_misfit=evaluation.misfit,
-        left_out=loo, goodness=best.goodness, line_rows=int(lines.sum()),
+        left_out=loo, goodness=best.goodness, ends=linear_intervals(search, best), line_rows=int(lines.sum()),
         line_misfit=float((evaluation.residual[: len(lines)][lines] ** 2).sum()),
     )  # fmt: skip
 

@@ -64,8 +64,8 @@ class _Reader:
         node = self.nodes.get(block)
         if node is None or key not in node.values:
             return None
-        declared = node.block.parameters[key]
-        return _Found(node.values[key], declared.unit or "1", [declared], _usual(node, key))
+        own = node.block.parameters[key]
+        return _Found(node.values[key], own.unit or "1", [own], _usual(node, key))
 
     def one(self, name: str, given: Any) -> list[Free]:
         path: JsonPath = ("identify", name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,63 +50,47 @@ class NonlinearLikelihood(Likelihood):
         """Return the whitened residual and its slopes at theta (m,)."""
         motion = self.experiment.motion
         assert isinstance(motion, NonlinearMotion)
-        means = self.means or motion.first_means(theta)
+        fresh = motion.fresh_means(theta)
+        means = [m.copy() for m in self.means or motion.means_of_zero(theta)]
+        for m, (places, values, _) in zip(means, fresh, strict=True):
+            m[places] = values
         for _ in range(self.rounds):
             found = motion.predict(theta, means)
-            parts = [self._run(found, r, means[r], motion.between[r]) for r in range(len(self.data))]
-            if not found.settled.all() or all(_still(part.residual, part.gain) for part in parts):
+            parts = [self._run(found, r, *fresh[r]) for r in range(len(self.data))]
+            if not found.settled.all() or all(_still(e, gain) for e, _, _, gain in parts):
                 break
-            means = [m + part.change for m, part in zip(means, parts, strict=True)]
+            means = [m + best for m, (_, _, best, _) in zip(means, parts, strict=True)]
         if found.settled.all():
             self.means = means
-        many = [len(rows) for rows in self.data_rows]
-        misfit = np.array([float(part.residual @ part.residual) for part in parts])
-        counted = sum(many) - round(sum(part.freedom for part in parts))
+        residuals, rows = [part[0] for part in parts], [part[1] for part in parts]
+        misfit = np.array([float(e @ e) for e in residuals])
+        counted = sum(len(e) for e in residuals) - sum(len(part[3]) for part in parts)
         Y = np.pad(found.Y, ((0, 0), (0, self.beside), (0, 0)))
-        # what is known of means comes after the data of all runs
-        residuals = [part.residual[:n] for part, n in zip(parts, many, strict=True)]
-        residuals += [part.residual[n:] for part, n in zip(parts, many, strict=True)]
-        rows = [part.slopes[:n] for part, n in zip(parts, many, strict=True)]
-        rows += [part.slopes[n:] for part, n in zip(parts, many, strict=True)]
         return Evaluation(np.concatenate(residuals), np.concatenate(rows), misfit, Y, counted)
 
-    def _run(self, found: Prediction, r: int, means: np.ndarray, between: np.ndarray) -> _Part:
-        """Return residual and slopes of a run without what the means of its slow states can explain.
+    def _run(
+        self, found: Prediction, r: int, places: np.ndarray, _: np.ndarray, by_theta: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        """Return residual and slopes of a run without what the means can explain, their change, and its size.
 
-        A mean that can only be between two ends counts as one of a normal distribution of the same mean and variance as
-        all between them: an equation more, so that a law which is next to nothing explains nothing by it.
+        places: slow states whose means are known, by_theta (k, m): how these follow the parameters.
         """
         white = self.whiteners[r]
         more = (0, self.beside)  # nothing moves beside the harmonics
         e = self.data_rows[r] - white.apply(real_vector(np.pad(found.Y[r], (more, (0, 0)))))
-        slopes = np.pad(found.slopes[r], (more, (0, 0), (0, 0)))
+        slopes = found.slopes[r] + found.by_means[r][..., places] @ by_theta
+        slopes = np.pad(slopes, (more, (0, 0), (0, 0)))
         j = -white.apply(np.moveaxis(real_vector(np.moveaxis(slopes, -1, 0)), 0, -1))
-        columns = np.pad(found.by_means[r], (more, (0, 0), (0, 0)))
-        if not columns.shape[-1] or not found.settled[r]:
-            return _Part(e, j, np.zeros(columns.shape[-1]), np.zeros(0), 0.0)
-        effects = white.apply(np.moveaxis(real_vector(np.moveaxis(columns, -1, 0)), 0, -1))
-        known = np.flatnonzero(np.isfinite(between).all(axis=1))
-        if len(known):
-            std = np.ptp(between[known], axis=1) / np.sqrt(12)
-            e = np.append(e, (between[known].mean(axis=1) - means[known]) / std)
-            j = np.vstack([j, np.zeros((len(known), j.shape[1]))])
-            effects = np.vstack([effects, np.zeros((len(known), effects.shape[1]))])
-            effects[len(effects) - len(known) + np.arange(len(known)), known] = 1 / std
-        q, best = fitted_columns(effects, e)
+        open_ones = np.setdiff1d(np.arange(found.by_means[r].shape[-1]), places)
+        columns = np.pad(found.by_means[r][..., open_ones], (more, (0, 0), (0, 0)))
+        change = np.zeros(found.by_means[r].shape[-1])
+        if not len(open_ones) or not found.settled[r]:
+            return e, j, change, np.zeros(0)
+        q, change[open_ones] = fitted_columns(
+            white.apply(np.moveaxis(real_vector(np.moveaxis(columns, -1, 0)), 0, -1)), e
+        )
         gain = q.T @ e
-        freedom = float((q[: len(self.data_rows[r])] ** 2).sum())
-        return _Part(e - q @ gain, j - q @ (q.T @ j), best, gain, freedom)
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """One run: residual and slopes beside its means, what these change by and its size, and how many they count as."""
-
-    residual: np.ndarray
-    slopes: np.ndarray
-    change: np.ndarray
-    gain: np.ndarray
-    freedom: float
+        return e - q @ gain, j - q @ (q.T @ j), change, gain
 
 
 def _still(residual: np.ndarray, gain: np.ndarray) -> bool:

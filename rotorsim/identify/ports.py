@@ -17,7 +17,9 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
 from rotorsim.compile import Model
 
-__all__ = ["DENSE", "Ports", "means_of", "open_ports", "slow_states"]
+__all__ = ["ANY", "DENSE", "FRESH", "SETTLED", "Ports", "means_of", "open_ports", "slow_states"]
+
+ANY, SETTLED, FRESH = 0, 1, 2  # what the mean of a slow state is, see `means_of`
 
 LAW = "fault"  # category of blocks that stand for a law, not for a machine
 
@@ -110,19 +112,20 @@ def _normalised(group: np.ndarray, least: float) -> np.ndarray:
 
 
 def means_of(model: Model) -> np.ndarray:
-    """Return what the mean of every state can be where it has no time to settle, (n_x, 2): low, high.
+    """Return what is known of the mean of every state where it has no time to settle, (n_x,).
 
-    -inf, inf: anything, after a start at any time. Not a number: a state of a law (a filter that stands for its loss or
-    its lag) is taken as settled unless its block says what its mean can be: a law with a free mean in every run would
-    explain each run by itself, whatever its size.
+    ANY: it may be anything, after a start at any time. SETTLED: it is where it comes to rest: a state of a law (a
+    filter that stands for its loss or its lag); with a free mean in every run a law would explain each by itself,
+    whatever its size. FRESH: it has come as far as since the start of the run.
     """
-    found = np.full((model.n_x, 2), [-np.inf, np.inf])
+    found = np.full(model.n_x, ANY)
     for name, signal in model.states.items():
         block, _, key = name.rpartition(".")
         kind = model.diagram.nodes[block].block
-        between = kind.states[key].between
-        if between is not None or kind.category == LAW:
-            found[signal.part] = between or (np.nan, np.nan)
+        if kind.category == LAW:
+            found[signal.part] = SETTLED
+        if kind.states[key].fresh:
+            found[signal.part] = FRESH
     return found
 
 
@@ -130,10 +133,12 @@ def slow_states(A: np.ndarray, window: float, means: np.ndarray | None = None) -
     """Return one state for each mode that is slow against the window: those that take part in them most.
 
     Their mean may be anything after a start at any time; a free integrator has no mean at all. means: of each state
-    (n, 2), see `means_of`; those that are taken as settled are left out.
+    (n,), see `means_of`: those that are taken as settled are left out, those that start with the run are always in.
     """
     found = _slow_states(np.ascontiguousarray(A, float).tobytes(), len(A), window)
-    return found.copy() if means is None else found[~np.isnan(means[found, 0])]
+    if means is None:
+        return found.copy()
+    return np.union1d(found[means[found] != SETTLED], np.flatnonzero(means == FRESH))
 
 
 @lru_cache(maxsize=KEPT)
