@@ -94,8 +94,10 @@ class Source:
 
     @property
     def recorded(self) -> list[str]:
-        """The flat names of the recorded signals."""
-        return [channel.name for channel in self.recording.channels.values()]
+        """The flat names of the recorded signals, without those that are zero throughout: nothing senses there."""
+        runs = [item.run.values for item in self.harmonics]
+        channels = self.recording.channels.items()
+        return [item.name for key, item in channels if not runs or any(key in run and run[key].any() for run in runs)]
 
     def fit(
         self, document: Mapping[str, Any], starts: Sequence[Sequence[Mapping[str, float]]], *, most: int | None = None,
