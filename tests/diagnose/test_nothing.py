@@ -105,3 +105,31 @@ def test_a_time_cannot_be_longer_than_thirty_runs():
     document = bow.document(shipped("jeffcott").document, starts_of(bow, sizes)[0], limits)
     assert document["identify"]["thermal_bow.time_constant"] == pytest.approx({"low": 0.015, "high": 15.0})
     assert document["identify"]["thermal_bow.growth_phase"] == {}
+
+
+def bow(growth: float, time_constant: float):
+    """Return the likelihood of a thermal bow beside the shipped rotor, and where its parameters are."""
+    [item] = [item for item in places("jeffcott") if item.physics == "thermal_bow"]
+    start = {"growth": growth, "growth_phase": 0.7, "time_constant": time_constant}
+    experiment = source("jeffcott").open(source("jeffcott").load(item.document(shipped("jeffcott").document, start)))
+    names = [free.name for free in experiment.free]
+    return likelihood_of(experiment), [names.index(name) for name in item.free]
+
+
+@pytest.mark.parametrize("time_constant", [0.05, 0.4, 10.0, 1e4])
+def test_a_bow_that_grows_has_come_as_far_as_since_the_start_of_the_run(time_constant):
+    """Its mean over T = 0.4995 s is b (1 - tau / T (1 - e^(-T / tau))), in every run: as of a bow that stays."""
+    likelihood, places = bow(2e-6, time_constant)
+    theta = likelihood.experiment.theta0
+    T = 0.4995
+    mean = 2e-6 * (1 - time_constant / T * -np.expm1(-T / time_constant))
+    grown = likelihood.evaluate(theta)
+    stays, own = bow(mean, 1e-5)
+    settled = stays.evaluate(np.where(np.isin(np.arange(len(theta)), own), stays.experiment.theta0, theta))
+    assert grown.rows == settled.rows == evaluated("jeffcott", None).rows
+    np.testing.assert_allclose(grown.misfit, settled.misfit, rtol=1e-3)
+    for j in places:  # the slopes of the misfit are those of differences
+        step = 1e-4 * theta[j] * (np.arange(len(theta)) == j)
+        slope = (likelihood.evaluate(theta + step).misfit.sum() - likelihood.evaluate(theta - step).misfit.sum()) / 2
+        exact = 2 * grown.residual @ grown.slopes[:, j] * step[j]
+        assert exact == pytest.approx(slope, rel=1e-3, abs=1e-9 * grown.misfit.sum())
