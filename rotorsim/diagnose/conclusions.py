@@ -125,7 +125,7 @@ def _effect(candidate: Candidate, found: Round, slack: float) -> Effect:
     weights = {name: float(np.exp(-0.5 * value)) for name, value in near.items()}
     total = sum(weights.values())
     members = {name: weight / total for name, weight in sorted(weights.items(), key=lambda pair: -pair[1])}
-    same = [item for item in found.tried if item.insertion.physics in members]
+    same = [candidate, *(item for item in found.tried if item.insertion.physics in members)]  # it is there, if all fail
     places = tuple((spot, p) for spot, p in where(same, scale) if p >= LIKELY)
     rivals: dict[str, Candidate] = {}
     for item in found.tried:

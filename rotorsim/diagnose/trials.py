@@ -188,7 +188,10 @@ class Trials:
         return found
 
     def _screened(self, before: Fit, found: Sequence[Insertion], jobs: Sequence[_Job]) -> list[int]:
-        """Return which insertions are fitted where places are many."""
+        """Return which insertions are fitted where places are many: each law at its best place, then the best places.
+
+        A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
+        """
         if is_adequate(before):
             return self._promising(found, jobs, before.misfit - HINT * MOST_FITS)
         places = open_places(before, self.source)
@@ -200,10 +203,14 @@ class Trials:
         if not known:
             return self._promising(found, jobs)
         kept = [k for k, bound in enumerate(bounds) if bound is None]
+        best: dict[tuple[str, int], int] = {}
+        for k in sorted((k for k in range(len(found)) if bounds[k] is not None), key=lambda k: bounds[k] or 0.0):
+            best.setdefault((found[k].physics, found[k].variant), k)
+        kept += best.values()
         for least in known:
             if least > POSSIBLE * known[0]:
                 break
-            here = [k for k, bound in enumerate(bounds) if bound == least]
+            here = [k for k, bound in enumerate(bounds) if bound == least and k not in kept]
             if least > known[0] and len(kept) + len(here) > MOST_FITS:
                 break
             kept += here

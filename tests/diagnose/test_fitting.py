@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from rotorsim.diagnose.conclusions import _effect
 from rotorsim.diagnose.fitting import Fit, Source, fit_from_plain, fit_to_plain, left_out
 from rotorsim.diagnose.naming import least_gain
-from rotorsim.diagnose.trials import SECOND_EVALUATIONS, Candidate, Trials
+from rotorsim.diagnose.trials import SECOND_EVALUATIONS, Candidate, Round, Trials
 from rotorsim.diagnose.values import values_in
 from rotorsim.diagram import load
 from rotorsim.diagram.diagram import Free
@@ -174,3 +175,27 @@ def test_an_interval_of_a_fit_stays_within_the_bounds():
     assert right.interval90(1) == (0.0, 6.0)
     plain = replace(right, ends=np.zeros(0))
     assert plain.interval90(0) == pytest.approx((0.0, 10.0 + 1.644854 * 200.0))
+
+
+def test_an_effect_is_where_it_was_put_though_its_other_places_fail():
+    spot = SimpleNamespace(block="rotor", port="force", node=2)
+    insertion = SimpleNamespace(physics="crack_location", spot=spot, key="crack_location/0@rotor.force[2]")
+    good = SimpleNamespace(insertion=insertion, fit=Fit({}, misfit=1.0, rows=9, equations=9), physical=True)
+    failed = SimpleNamespace(insertion=insertion, fit=Fit({}, failure="was not fitted"), physical=True)
+    found = _effect(good, Round(good.fit, (failed,)), 0.0)
+    assert found.places == ((spot, 1.0),)
+
+
+def test_every_law_is_fitted_at_its_best_place_however_many_places_there_are(monkeypatch):
+    """A law of two ports, with much less left over, must not keep a law of one from the place where it is best."""
+    items = [("second_crack", 2, 4e3), ("rub", 4, 5e4), ("rub", 3, 9e7), ("runout", 1, 4.9e4), ("runout", 2, 4e7)]
+    items += [("seal", node, 6e4 + node) for node in range(100)]
+    found = [SimpleNamespace(physics=p, variant=0, node=node, left=left) for p, node, left in items]
+    monkeypatch.setattr(
+        "rotorsim.diagnose.trials.open_places", lambda *_: SimpleNamespace(bound=lambda item: item.left)
+    )
+    trials = Trials(None, None, None, None, None, None)
+    kept = trials._screened(Fit({}, misfit=1e8, rows=9, equations=9), found, [({}, [])] * len(found))
+    told = {(found[k].physics, found[k].node) for k in kept}
+    assert told == {("second_crack", 2), ("rub", 4), ("runout", 1), ("seal", 0)}
+    assert len(kept) == len(told)
