@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from rotorsim.diagnose.conclusions import _effect
 from rotorsim.diagnose.fitting import Fit, Source, fit_from_plain, fit_to_plain, left_out
+from rotorsim.diagnose.insertion import Spot
 from rotorsim.diagnose.naming import least_gain
 from rotorsim.diagnose.trials import SECOND_EVALUATIONS, Candidate, Round, Trials
 from rotorsim.diagnose.values import values_in
@@ -178,7 +179,7 @@ def test_an_interval_of_a_fit_stays_within_the_bounds():
 
 
 def test_an_effect_is_where_it_was_put_though_its_other_places_fail():
-    spot = SimpleNamespace(block="rotor", port="force", node=2)
+    spot = Spot("rotor", "force", 2)
     insertion = SimpleNamespace(physics="crack_location", spot=spot, key="crack_location/0@rotor.force[2]")
     good = SimpleNamespace(insertion=insertion, fit=Fit({}, misfit=1.0, rows=9, equations=9), physical=True)
     failed = SimpleNamespace(insertion=insertion, fit=Fit({}, failure="was not fitted"), physical=True)
