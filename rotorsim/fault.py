@@ -11,7 +11,7 @@ from typing import Any
 
 __all__ = ["ENTRIES", "Fault", "Lines", "Longest", "Of", "Steps"]
 
-ENTRIES = ("force", "wire", "reading", "replace", "move")
+ENTRIES = ("force", "shaft", "wire", "reading", "replace", "move")
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ class Fault:
     - "force": the block's outputs that have the unit of an additive input of a block (N, N m, or whatever is wired)
       go there. Its inputs come from the outputs of the same name of that block, at the same node; those that it does
       not have (``theta``, ``speed``) from the one block that has them.
+    - "shaft": the same at all nodes of a block at once, of which it takes all that it ``inherits``.
     - "wire": the block stands in a wire that leads from a block of category ``between[0]`` to one of category
       ``between[1]`` ("*": to every block); ``through`` maps its inputs to its outputs. The wire is known by the name
       of the input (the output of that name of the source); further outputs go to optional inputs of their name. With
@@ -69,9 +70,9 @@ class Fault:
     compared with what goes into it.
     most: what the magnitude of a free parameter can be at most, beside the bounds of the parameter. sizes: parameters
     that the effect is proportional to: where the data tell none of them from zero, there is no effect.
-    inherits: parameters that take the value that the block at the place has under the same name; "crack.sag" takes
-    that of the one block of type crack, if there is one. law: in words, what the effect does with speed, order and
-    amplitude.
+    inherits: parameters and options that take the value that the block at the place has under the same name;
+    "crack.sag" takes that of the one block of type crack, if there is one. law: in words, what the effect does with
+    speed, order and amplitude.
     confused_with: physics that read alike; told_apart_by: the experiment that tells them apart.
     """
 
