@@ -105,6 +105,9 @@ def test_a_time_cannot_be_longer_than_thirty_runs():
     document = bow.document(shipped("jeffcott").document, starts_of(bow, sizes)[0], limits)
     assert document["identify"]["thermal_bow.time_constant"] == pytest.approx({"low": 0.015, "high": 15.0})
     assert document["identify"]["thermal_bow.growth_phase"] == {}
+    [offset] = [item for item in places("jeffcott") if item.physics == "sensor_offset"]
+    assert limits_of(offset, sizes)["offset_x"] == pytest.approx((-0.03, 0.03))  # a sensor may be off to either side
+    assert limits_of(bow, {}) == {}
 
 
 def bow(growth: float, time_constant: float):
