@@ -39,6 +39,7 @@ LINEAR_FOLLOWED = 4  # one more of a group, from the most promising on, for so m
 CORNERS, SHARP_EVALUATIONS = 20.0, 8  # misfit over equations that more orders of a law with corners may explain
 EXPLAINS = 1.2  # times the number of equations: a misfit that no other start could lower by much
 TURN = 2 * np.pi
+NOTHING = 1e-12  # of the information about a parameter: rounding
 SAME_SPEED = 0.02  # relative
 MESH_ACCURACY = 1e-5  # of a signal's rms: how well one mesh stands for another at best
 ROUNDED = 1e6  # parts of a radian in which angles are compared
@@ -46,7 +47,7 @@ NUMBERS = (
     "misfit", "rows", "equations", "goodness", "failure", "nonlinear", "seconds", "standing",
     "line_misfit", "line_rows",
 )  # fmt: skip
-ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out", "ends")
+ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out", "ends", "alone")
 
 
 def _nothing() -> np.ndarray:
@@ -158,6 +159,7 @@ class Fit:
     the others. goodness: probability of the misfit. failure: why there is none of it. nonlinear: in its states.
     seconds: of CPU time it took. standing: nuisances that any diagram has (default: all of its own). line_misfit,
     line_rows: |r|^2 and equations of the lines beside the harmonics. ends (m, 2): of 90 % intervals within the bounds.
+    alone (m,): standard deviations with all other parameters of the same block known.
     """
 
     document: Mapping[str, Any]
@@ -178,6 +180,7 @@ class Fit:
     line_misfit: float = 0.0
     line_rows: int = 0
     ends: np.ndarray = field(default_factory=_nothing)
+    alone: np.ndarray = field(default_factory=_nothing)
 
     @property
     def freedom(self) -> int:
@@ -288,9 +291,31 @@ def _fit_of(document: Mapping[str, Any], search: Search, best: Estimate) -> Fit:
     return Fit(
         document=document, free=best.free, theta=best.theta, covariance=covariance, at_bound=best.at_bound,
         misfit=best.misfit, rows=evaluation.rows, equations=sum(sizes), run_misfit=evaluation.misfit,
-        left_out=loo, goodness=best.goodness, ends=linear_intervals(search, best), line_rows=int(lines.sum()),
+        left_out=loo, goodness=best.goodness, ends=linear_intervals(search, best), alone=_alone(best),
+        line_rows=int(lines.sum()),
         line_misfit=float((evaluation.residual[: len(lines)][lines] ** 2).sum()),
     )  # fmt: skip
+
+
+def _alone(found: Estimate) -> np.ndarray:
+    """Return the standard deviations (m,) with all other parameters of the same block known, and no others.
+
+    Where only a combination is determined, as of the size and the time constant of a drift, each still has one.
+    """
+    back = np.linalg.inv(found.coordinates.slopes(found.theta))
+    information = back.T @ found.information @ back
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    unit = np.where(size > 0, size, 1.0)
+    scaled = information / np.outer(unit, unit)
+    blocks = [item.base.rpartition(".")[0] or item.name for item in found.free]
+    out = np.full(len(blocks), np.inf)
+    for j, block in enumerate(blocks):
+        rest = [k for k, other in enumerate(blocks) if other != block and not found.at_bound[k]]
+        known = np.linalg.pinv(scaled[np.ix_(rest, rest)], rcond=NOTHING, hermitian=True)
+        left = float(scaled[j, j] - scaled[j, rest] @ known @ scaled[rest, j])
+        if size[j] > 0 and left > NOTHING:
+            out[j] = 1 / (size[j] * np.sqrt(left))
+    return out
 
 
 def _best(

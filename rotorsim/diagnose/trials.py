@@ -71,7 +71,8 @@ class Candidate:
         """Why this cannot be, empty where it can.
 
         A parameter of the fault ended at a bound; the data tell none of its sizes from zero (their 90 % intervals hold
-        it); or it needs a parameter of the diagram far beyond all reason, as one that cancels the effect is.
+        it, were the rest of its law known); or it needs a parameter of the diagram far beyond all reason, as one that
+        cancels the effect is.
         """
         fit = self.fit
         if fit.failure:
@@ -80,7 +81,8 @@ class Candidate:
             return f"its {', '.join(name.rpartition('.')[2] for name in self.ended)} ended at a physical bound"
         names = [item.name for item in fit.free]
         sizes = [name for name in self.parameters if name.rpartition(".")[2] in self.insertion.fault.sizes]
-        told = (abs(fit.theta[j]) > Z90 * np.sqrt(fit.covariance[j, j]) for j in map(names.index, sizes))
+        std = fit.alone if len(fit.alone) else np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+        told = (abs(fit.theta[j]) > Z90 * std[j] for j in map(names.index, sizes))
         if sizes and not any(told):
             return f"its {' and '.join(name.rpartition('.')[2] for name in sizes)} cannot be told from zero"
         return f"needs {self.astray}" if self.astray else ""

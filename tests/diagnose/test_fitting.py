@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import chi2
 
 from rotorsim.diagnose.conclusions import _effect
-from rotorsim.diagnose.fitting import Fit, Source, fit_from_plain, fit_to_plain, left_out
+from rotorsim.diagnose.fitting import Fit, Source, _alone, fit_from_plain, fit_to_plain, left_out
 from rotorsim.diagnose.insertion import Spot
 from rotorsim.diagnose.naming import least_gain
 from rotorsim.diagnose.trials import SECOND_EVALUATIONS, Candidate, Round, Trials
@@ -19,6 +19,8 @@ from rotorsim.diagnose.values import values_in
 from rotorsim.diagram import load
 from rotorsim.diagram.diagram import Free
 from rotorsim.diagram.load import shipped_diagrams
+from rotorsim.identify.coordinates import Coordinates
+from rotorsim.identify.estimate import Estimate
 
 
 def test_a_run_left_out_is_what_a_fit_without_it_predicts():
@@ -200,3 +202,22 @@ def test_every_law_is_fitted_at_its_best_place_however_many_places_there_are(mon
     told = {(found[k].physics, found[k].node) for k in kept}
     assert told == {("second_crack", 2), ("rub", 4), ("runout", 1), ("seal", 0)}
     assert len(kept) == len(told)
+
+
+def test_a_size_is_told_from_zero_though_only_its_rate_is_known():
+    """Growth over time constant is one number g / tau = 2 +- 0.1, beside an offset that trades with it by half."""
+    names = ("offset", "bow.growth", "bow.time_constant")
+    free = tuple(Free(name, name, 0, 1.0, "m", -np.inf, np.inf) for name in names)
+    theta = np.array([0.0, 6.0, 3.0])
+    rate = np.array([0.0, 1 / 3, -6 / 9])  # of g / tau
+    J = np.array([rate + np.array([0.5, 0.0, 0.0]), [np.sqrt(0.75), 0.0, 0.0]]) / 0.1
+    coordinates = Coordinates(np.ones(3), (), np.full(3, -np.inf), np.full(3, np.inf))
+    at_bound = np.zeros(3, bool)
+    found = Estimate(free, theta, coordinates, None, J.T @ J, at_bound, 1.0, 1)
+    assert found.undetermined.tolist() == [False, True, True]
+    # offset and rate are correlated by half: of the rate 3 / 4 of the information are left beside the offset
+    assert _alone(found)[1] == pytest.approx(0.3 / np.sqrt(0.75), rel=1e-9)
+    fit = Fit({}, free, theta, np.diag([1.0, np.inf, np.inf]), at_bound, 1.0, 9, 9, alone=_alone(found))
+    insertion = SimpleNamespace(free=names[1:], fault=SimpleNamespace(sizes=("growth",)))
+    assert Candidate(insertion, fit).physical
+    assert Candidate(insertion, replace(fit, alone=fit.alone * 11)).unphysical == "its growth cannot be told from zero"
