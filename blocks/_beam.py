@@ -14,6 +14,11 @@ Table = list[list[Any]]
 BAND = 3  # off-diagonals of a chain of beam elements in one plane
 
 
+def entry(values: Any, k: int) -> Any:
+    """Return entry k of a parameter that has one for each element or disc, or one for all."""
+    return values[k] if values.shape[0] > 1 else values
+
+
 def shear_coefficient(poisson_ratio: Any, inner: Any, outer: Any) -> Any:
     """Return kappa of a hollow circular section (Cowper 1966, table 1)."""
     m2 = (inner / outer) ** 2

@@ -27,6 +27,7 @@ class AmbCrossCoupling(Block):
             through={"current": "effective_current"},
             recorded="before",
             free={"real_coupling": (0.01,), "imaginary_coupling": (0.01,)},
+            sizes=("real_coupling", "imaginary_coupling"),
             law="-1X of the force from the conjugate of the 1X current, and -k from k",
             confused_with=("anisotropic_support", "sensor_gain_mismatch"),
             told_apart_by="another set of gains: the coupling follows the current, a support the displacement",

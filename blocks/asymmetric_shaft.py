@@ -24,6 +24,7 @@ class AsymmetricShaft(Block):
             physics="asymmetric_shaft",
             enters="force",
             free={"asymmetry": (1e2,), "phase": (0.0, 1.05, -1.05)},
+            sizes=("asymmetry",),
             inherits=("crack.sag",),
             law="2X from the sag, 1X from the conjugate of 1X; k from the conjugate of 2 - k",
             confused_with=("open_crack", "parallel_misalignment"),

@@ -24,6 +24,7 @@ class BaseExcitation(Block):
             physics="base_excitation",
             enters="force",
             free={"acceleration": (0.1,), "direction": (0.7,)},
+            sizes=("acceleration",),
             fixed={"frequency": Lines()},
             inherits=("mass",),
             law="a line at a frequency that does not follow speed",

@@ -27,6 +27,7 @@ class BladePass(Block):
                 "backward": (0.2,),
                 "backward_phase": (0.0,),
             },
+            sizes=("amplitude", "backward"),
             law=f"orders {blades} and -{blades} alone, constant in speed",
             confused_with=("runout",),
             told_apart_by="load: the force follows the flow; the order is the number of blades",

@@ -28,6 +28,7 @@ class ControllerGainError(Block):
             through=THROUGH,
             recorded="before",
             free={"displacement_error": (0.01,), "velocity_error": (0.01,)},
+            sizes=("displacement_error", "velocity_error"),
             law="residual of the control law, in proportion to displacement and to velocity",
             confused_with=("current_sensor_gain", "control_delay", "amplifier_bandwidth"),
             told_apart_by="the current in the coil measured by another instrument",

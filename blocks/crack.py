@@ -58,6 +58,7 @@ class Crack(Block):
             enters="force",
             options={"opening": "switching"},
             free={"stiffness": (1e5,), "phase": _plane.ANGLES},
+            sizes=("stiffness",),
             inherits=("crack.sag",),
             law="the harmonics of a crack at another angle: phases between harmonics drift, 2X may cancel",
             confused_with=("crack_location",),

@@ -4,7 +4,7 @@ from math import pi
 from typing import Any
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, State, sqrt
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Longest
 
 # sqrt(s) ~ sum of r s / (s + a): poles a [rad/s] and weights r (minimax), within 0.45 % for s = i w, 1 Hz to 1 kHz
 _POLES = [2 * pi * f for f in (0.225103, 1.90529, 8.70976, 35.8635, 133.342, 505.173, 4000.0)]
@@ -40,6 +40,8 @@ class EddyCurrentLag(Block):
             recorded="before",
             options={"law": "sqrt"},
             free={"time_constant": (1e-6, 1e-4)},
+            most={"time_constant": Longest(30.0)},
+            sizes=("time_constant",),
             law=f"{_LAW}; with the square root of frequency",
             confused_with=_CONFUSED,
             told_apart_by=_TOLD,
@@ -52,6 +54,8 @@ class EddyCurrentLag(Block):
             recorded="before",
             options={"law": "first_order"},
             free={"time_constant": (1e-3, 2e-4), "share": (0.2,)},
+            most={"time_constant": Longest(30.0)},
+            sizes=("share",),
             law=f"{_LAW}; of part of the force, strongest near 1 / time_constant",
             confused_with=_CONFUSED,
             told_apart_by=_TOLD,

@@ -21,6 +21,7 @@ class GyroscopicError(Block):
             physics="gyroscopic_error",
             enters="force",
             free={"inertia": (1e-4,)},
+            sizes=("inertia",),
             law="splits forward and backward whirl, in proportion to speed",
             confused_with=("moment_unbalance", "seal_cross_coupling"),
             told_apart_by="modes against speed (Campbell diagram)",

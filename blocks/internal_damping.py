@@ -24,6 +24,7 @@ class InternalDamping(Block):
             physics="internal_damping",
             enters="force",
             free={"damping": (1.0,)},
+            sizes=("damping",),
             law="no force on a forward circular 1X orbit; damps backward orders, drives forward ones below 1X",
             confused_with=("seal_cross_coupling", "viscous_damping"),
             told_apart_by="the sign of its loss for orders above and below 1X, and its growth with speed",

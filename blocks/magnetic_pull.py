@@ -19,6 +19,7 @@ class MagneticPull(Block):
             physics="magnetic_pull",
             enters="force",
             free={"stiffness": (1e3,)},
+            sizes=("stiffness",),
             law="softens; no order of its own; alias of a stiffness",
             confused_with=("support_stiffness", "force_displacement_factor", "mass_error", "sensor_gain"),
             told_apart_by="the motor without current: run down with the supply cut",

@@ -26,6 +26,7 @@ class MassError(Block):
             physics="mass_error",
             enters="force",
             free={"mass": (0.02,)},
+            sizes=("mass",),
             law="grows with the square of frequency; shifts the critical speed",
             confused_with=("sensor_gain", "support_stiffness", "magnetic_pull"),
             told_apart_by="weigh the rotor; a known mass added",

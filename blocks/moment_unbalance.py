@@ -21,6 +21,7 @@ class MomentUnbalance(Block):
             physics="moment_unbalance",
             enters="force",
             free={"skew": (1e-4,), "phase": _plane.ANGLES},
+            sizes=("skew",),
             inherits=("polar_inertia", "diametral_inertia"),
             law="1X on the tilt, grows with the square of speed",
             confused_with=("unbalance_elsewhere", "gyroscopic_error", "angular_misalignment"),

@@ -22,6 +22,7 @@ class NonCollocation(Block):
             enters="wire",
             through=_sensor.THROUGH,
             free={"distance": (0.005,)},
+            sizes=("distance",),
             law="grows with mode 2, where the shaft tilts at the bearing",
             confused_with=("sensor_gain",),
             told_apart_by="speeds near the second mode; measure where the sensor sits",

@@ -5,7 +5,7 @@ from typing import Any
 from rotorsim.blocks import _plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Of
 
 
 class ResidualBow(Block):
@@ -24,6 +24,8 @@ class ResidualBow(Block):
             physics="residual_bow",
             enters="force",
             free={"amplitude": (1e-6,), "phase": _plane.ANGLES},
+            most={"amplitude": Of("displacement", 1e3)},  # it moves the shaft by b / |1 - (W / w_n)^2|: W up to 30 w_n
+            sizes=("amplitude",),
             inherits=("stiffness",),
             law="1X forward, force constant in speed, present at slow roll",
             confused_with=("runout", "parallel_misalignment", "thermal_bow"),

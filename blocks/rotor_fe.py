@@ -117,7 +117,7 @@ class RotorFe(Block):
             for k, node in enumerate(self.option.disc_nodes):
                 across = free[2 * self._place(node)]
                 if across is not None:
-                    rest[across] = rest[across] - _entry(p.disc_damping, k) * v[plane][across]
+                    rest[across] = rest[across] - _beam.entry(p.disc_damping, k) * v[plane][across]
             solved = solve_factored(lower, inverse_d, rest)
             accelerations.append([a - p.mass_damping * b for a, b in zip(solved, v[plane], strict=True)])
         return Equations(
@@ -157,7 +157,7 @@ class RotorFe(Block):
         parts_of = self.option.subdivisions
         for e in range(self.option.elements * parts_of):
             sizes = (p.element_length, p.outer_diameter, p.inner_diameter)
-            length, outer, inner = (_entry(v, e // parts_of) for v in sizes)
+            length, outer, inner = (_beam.entry(v, e // parts_of) for v in sizes)
             length = length / parts_of
             area = pi / 4 * (outer**2 - inner**2)
             second = pi / 64 * (outer**4 - inner**4)
@@ -183,10 +183,10 @@ class RotorFe(Block):
         for k, node in enumerate(self.option.disc_nodes):
             across, slope = free[2 * self._place(node)], free[2 * self._place(node) + 1]
             if across is not None:
-                disc[across] = disc.get(across, 0.0) + _entry(p.disc_mass, k)
+                disc[across] = disc.get(across, 0.0) + _beam.entry(p.disc_mass, k)
             if slope is not None and not self.option.point_discs:
-                disc[slope] = disc.get(slope, 0.0) + p.disc_inertia_factor * _entry(p.disc_diametral_inertia, k)
-                gyroscopic.add(slope, slope, p.disc_inertia_factor * _entry(p.disc_polar_inertia, k))
+                disc[slope] = disc.get(slope, 0.0) + p.disc_inertia_factor * _beam.entry(p.disc_diametral_inertia, k)
+                gyroscopic.add(slope, slope, p.disc_inertia_factor * _beam.entry(p.disc_polar_inertia, k))
         for number, inertia in disc.items():
             mass.add(number, number, inertia)
         return mass, gyroscopic, stiffness, disc
@@ -204,8 +204,3 @@ class RotorFe(Block):
             return 0.0 if number is None else values[plane][number]
 
         return matrix([[at(node, 0), at(node, 1)] for node in range(1, self.option.elements + 2)])
-
-
-def _entry(values: Any, k: int) -> Any:
-    """Return entry k of a parameter that has one for each element or disc, or one for all."""
-    return values[k] if values.shape[0] > 1 else values

@@ -5,7 +5,7 @@ from typing import Any
 from rotorsim.blocks import _plane, _sensor
 
 from rotorsim.block import Block, Equations, In, Param
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Of
 
 _LAW = "constant amplitude at every speed, at slow roll too; the controller follows it, so that it drives a force"
 _CONFUSED = ("residual_bow", "blade_pass", "sensor_offset")
@@ -19,11 +19,14 @@ def _fault(forward: int, backward: int) -> Fault:
         free |= {f"amplitude{k}": (1e-6 if k == 1 else 3e-7,), f"phase{k}": _plane.ANGLES}
     for k in range(1, backward + 1):
         free |= {f"backward{k}": (3e-7,), f"backward_phase{k}": (0.0,)}
+    sizes = tuple(key for key in free if "phase" not in key)
     return Fault(
         physics="runout",
         enters="wire",
         through=_sensor.THROUGH,
         free=free,
+        most={key: Of("displacement", 1e3) for key in sizes},
+        sizes=sizes,
         law=_LAW,
         confused_with=_CONFUSED,
         told_apart_by=_TOLD,

@@ -24,6 +24,7 @@ class SensorGain(Block):
             enters="wire",
             through=_sensor.THROUGH,
             free={"gain_error": (0.01,)},
+            sizes=("gain_error",),
             law="every order by the same factor; scales mass and stiffness alike",
             confused_with=("mass_error", "support_stiffness", "current_sensor_gain"),
             told_apart_by="a known displacement (the sensor moved by a micrometer), a trial weight",

@@ -5,7 +5,7 @@ from typing import Any
 from rotorsim.blocks import _sensor
 
 from rotorsim.block import Block, Equations, Param, vec
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Of
 
 
 class SensorOffset(Block):
@@ -22,6 +22,8 @@ class SensorOffset(Block):
             enters="wire",
             through=_sensor.THROUGH,
             free={"offset_x": (1e-6,), "offset_y": (1e-6,)},
+            most={"offset_x": Of("displacement", 1e3), "offset_y": Of("displacement", 1e3)},
+            sizes=("offset_x", "offset_y"),
             law="order 0 only",
             confused_with=("sag", "parallel_misalignment"),
             told_apart_by="the bearing without current, the rotor lifted or turned by hand",

@@ -24,6 +24,7 @@ class SensorRotation(Block):
             enters="wire",
             through=_sensor.THROUGH,
             free={"angle": (0.01,)},
+            sizes=("angle",),
             law="acts as cross-coupling: damping of forward whirl falls, of backward whirl rises, or the reverse",
             confused_with=("seal_cross_coupling", "internal_damping"),
             told_apart_by="another set of gains: the coupling follows them; turn the sensors",

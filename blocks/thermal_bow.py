@@ -5,7 +5,7 @@ from typing import Any
 from rotorsim.blocks import _plane
 
 from rotorsim.block import Block, Equations, In, Out, Param, State
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Longest, Of
 
 
 class ThermalBow(Block):
@@ -24,6 +24,8 @@ class ThermalBow(Block):
             physics="thermal_bow",
             enters="force",
             free={"growth": (1e-6,), "growth_phase": _plane.ANGLES, "time_constant": (10.0, 100.0)},
+            most={"growth": Of("displacement", 1e3), "time_constant": Longest(30.0)},  # a longer one: no drift is seen
+            sizes=("growth",),
             inherits=("stiffness",),
             law="the vector of 1X drifts at constant speed and comes to rest; force constant in speed",
             confused_with=("residual_bow", "unbalance_elsewhere"),
@@ -39,7 +41,7 @@ class ThermalBow(Block):
     growth = Param(1e-6, unit="m", low=0.0, doc="|b_1|")
     growth_phase = Param(0.0, unit="rad", doc="angle of b_1")
     time_constant = Param(30.0, unit="s", above=0.0, doc="time constant tau of warming")
-    grown = State(doc="1 - e^{-t / tau}")
+    grown = State(fresh=True, doc="1 - e^{-t / tau}")
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
         bow = p.amplitude * _plane.unit(u.theta + p.phase)

@@ -5,7 +5,7 @@ from typing import Any
 from rotorsim.blocks import _plane
 
 from rotorsim.block import Block, Equations, In, Out, Param, cos, sin, vec
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Of
 
 
 class Unbalance(Block):
@@ -24,6 +24,10 @@ class Unbalance(Block):
             physics="unbalance_elsewhere",
             enters="force",
             free={"eccentricity": (5e-6,), "phase": _plane.ANGLES},
+            most={
+                "eccentricity": Of("displacement", 1e3)
+            },  # it moves the shaft by about e (W / w_n)^2: W from w_n / 30
+            sizes=("eccentricity",),
             inherits=("mass",),
             law="1X forward, grows with the square of speed",
             confused_with=("moment_unbalance", "residual_bow", "runout"),

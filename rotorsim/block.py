@@ -181,11 +181,13 @@ class State(Declaration):
 
     unless_wired: the state exists only while this optional input is not wired.
     when: function of the options; the state exists only where it returns True.
+    fresh: it begins from ``init`` with the first sample of every recorded run, however slow it is.
     """
 
     init: float | str = 0.0
     unless_wired: str | None = None
     when: Callable[[Any], bool] | None = None
+    fresh: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

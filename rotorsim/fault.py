@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["ENTRIES", "Fault", "Lines", "Of", "Steps"]
+__all__ = ["ENTRIES", "Fault", "Lines", "Longest", "Of", "Steps"]
 
-ENTRIES = ("force", "wire", "reading", "replace", "move")
+ENTRIES = ("force", "shaft", "wire", "reading", "replace", "move")
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,13 @@ class Of:
     factor: float
     least: bool = False
     power: int = 1
+
+
+@dataclass(frozen=True)
+class Longest:
+    """A time that follows the data: ``factor`` times the length of the longest run."""
+
+    factor: float
 
 
 @dataclass(frozen=True)
@@ -46,6 +53,7 @@ class Fault:
     - "force": the block's outputs that have the unit of an additive input of a block (N, N m, or whatever is wired)
       go there. Its inputs come from the outputs of the same name of that block, at the same node; those that it does
       not have (``theta``, ``speed``) from the one block that has them.
+    - "shaft": the same at all nodes of a block at once, of which it takes all that it ``inherits``.
     - "wire": the block stands in a wire that leads from a block of category ``between[0]`` to one of category
       ``between[1]`` ("*": to every block); ``through`` maps its inputs to its outputs. The wire is known by the name
       of the input (the output of that name of the source); further outputs go to optional inputs of their name. With
@@ -60,9 +68,11 @@ class Fault:
     or by `Of`, and not fitted, or by `Lines`: it is tried only where the recording has lines that call for it. By
     `Steps`: the block is a converter, a "reading", which is put in where readings show its steps; harmonics are
     compared with what goes into it.
-    inherits: parameters that take the value that the block at the place has under the same name; "crack.sag" takes
-    that of the one block of type crack, if there is one. law: in words, what the effect does with speed, order and
-    amplitude.
+    most: what the magnitude of a free parameter can be at most, beside the bounds of the parameter. sizes: parameters
+    that the effect is proportional to: where the data tell none of them from zero, there is no effect.
+    inherits: parameters and options that take the value that the block at the place has under the same name;
+    "crack.sag" takes that of the one block of type crack, if there is one. law: in words, what the effect does with
+    speed, order and amplitude.
     confused_with: physics that read alike; told_apart_by: the experiment that tells them apart.
     """
 
@@ -70,6 +80,8 @@ class Fault:
     enters: str
     free: Mapping[str, tuple[float | Of, ...]] = field(default_factory=dict)
     fixed: Mapping[str, float | Of | Lines | Steps] = field(default_factory=dict)
+    most: Mapping[str, Of | Longest] = field(default_factory=dict)
+    sizes: tuple[str, ...] = ()
     of: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     between: tuple[str, str] = ("rotor", "controller")

@@ -131,7 +131,7 @@ def _effect(candidate: Candidate, found: Round, slack: float) -> Effect:
     weights = {name: float(np.exp(-0.5 * value)) for name, value in near.items()}
     total = sum(weights.values())
     members = {name: weight / total for name, weight in sorted(weights.items(), key=lambda pair: -pair[1])}
-    same = [item for item in found.tried if item.insertion.physics in members]
+    same = [candidate, *(item for item in found.tried if item.insertion.physics in members)]  # it is there, if all fail
     places = tuple((spot, p) for spot, p in where(same, scale) if p >= LIKELY)
     rivals: dict[str, Candidate] = {}
     for item in found.tried:
@@ -180,7 +180,7 @@ def _detectable(named: Named) -> dict[str, dict[str, Any]]:
     out: dict[str, dict[str, Any]] = {}
     for item in named.rounds[0].tried:
         fit, physics = item.fit, item.insertion.physics
-        if physics in out or fit.failure or fit.nonlinear or not item.parameters or not item.physical:
+        if physics in out or fit.failure or fit.nonlinear or not item.parameters or item.ended:
             continue
         j = [free.name for free in fit.free].index(item.parameters[0])
         std = float(np.sqrt(max(fit.covariance[j, j], 0.0)))
@@ -228,10 +228,8 @@ def _why(item: Candidate, best: Fit) -> str:
     fit = item.fit
     if fit.failure:
         return f"cannot be fitted: {fit.failure}"
-    if not item.physical:
-        names = [free.name for free in fit.free]
-        ended = [name for name in item.parameters if fit.at_bound[names.index(name)]]
-        return f"its {', '.join(name.rpartition('.')[2] for name in ended)} ended at a physical bound"
+    if item.unphysical:
+        return item.unphysical
     if fit.misfit > 2 * best.misfit:
         left = fit.misfit / fit.freedom
         return f"leaves {left:.3g} times the variance of the noise, against {best.misfit / best.freedom:.3g}"

@@ -102,7 +102,7 @@ def diagnose(
         data = _prepared(empty, hold_out, steps, warnings, picked, drifts)
         with threadpool_limits(1, "blas"):
             base, refined = base_fit(data.source.load(converters[-1].document), data.source)
-    source, held = replace(data.source, standing=base.nuisances), data.held
+    source, held = replace(data.source, standing=base.nuisances, given=before.free), data.held
     named = name_missing(
         base, source, registry=registry, physics=physics, workers=workers, scheduler=scheduler, progress=progress,
     )  # fmt: skip

@@ -83,13 +83,11 @@ def _taken(effect: Effect, found: Diagnosis) -> dict[str, Any]:
 
 def _parameters(fit: Fit, found: Diagnosis | None = None) -> dict[str, Any]:
     out = {}
-    widen = math.sqrt(max(fit.misfit / fit.freedom, 1.0)) if fit.goodness < 1e-4 else 1.0
     for j, item in enumerate(fit.free):
-        std = widen * math.sqrt(max(float(fit.covariance[j, j]), 0.0))
-        value = float(fit.theta[j])
-        ends = interval(value, std)
         out[item.name] = {
-            "value": value, "std": _finite(std), "interval90": [_finite(end) for end in ends], "unit": item.unit,
+            "value": float(fit.theta[j]), "std": _finite(fit.std(j)),
+            "interval90": [_finite(end) for end in fit.interval90(j)], "unit": item.unit,
+            "at_bound": bool(fit.at_bound[j]),
         }  # fmt: skip
     return out
 

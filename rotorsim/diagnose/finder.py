@@ -43,8 +43,8 @@ class _Finder:
     def find(self, kind: type[Block], fault: Fault, variant: int) -> Iterator[Insertion]:
         """Yield the insertions of one declaration."""
         how = {
-            "force": self._forces, "wire": self._wires, "reading": self._readings, "replace": self._replaced,
-            "move": self._moved,
+            "force": self._forces, "shaft": self._shafts, "wire": self._wires, "reading": self._readings,
+            "replace": self._replaced, "move": self._moved,
         }[fault.enters]  # fmt: skip
         yield from how(kind, fault, variant)
 
@@ -91,6 +91,17 @@ class _Finder:
         values = {**dict(fault.options), **self._inherited(fault, node)}
         return Insertion(kind, fault, spot, name, tuple(wires), (), {}, values, feeds, variant)
 
+    def _shafts(self, kind: type[Block], fault: Fault, variant: int) -> Iterator[Insertion]:
+        for block, node in self.diagram.nodes.items():
+            pairs = [(node.inputs[key], key) for key in kind.outputs if key in node.inputs]
+            if len(pairs) < len(kind.outputs) or not all(_is_additive(port) for port, _ in pairs):
+                continue
+            if not all(key in node.values or key in node.block.options for key in fault.inherits):
+                continue
+            made = self._force(kind, fault, variant, block, node, pairs, None)
+            if made is not None:
+                yield made
+
     def _feed(self, key: str, node: Node, block: str, index: str) -> str | None:
         """Return the signal for an input: the output of that name at the place, else of the only block with one."""
         if key in node.outputs:
@@ -111,6 +122,9 @@ class _Finder:
             for holder in others if type_name else [node]:
                 if key in holder.values:
                     found[key] = np.asarray(holder.values[key]).tolist()
+                    break
+                if key in holder.block.options:
+                    found[key] = getattr(holder.block.option, key)
                     break
         return found
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnose.insertion import LEAST, LINES
+from rotorsim.diagnose.insertion import LEAST, LINES, LONGEST
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.load import load
 from rotorsim.errors import RotorsimError
@@ -22,6 +22,7 @@ from rotorsim.identify.likelihood import Likelihood
 from rotorsim.identify.motion import Motion
 from rotorsim.identify.nonlinear_likelihood import likelihood_of
 from rotorsim.identify.nonlinear_motion import NonlinearMotion
+from rotorsim.identify.profile import Z90, linear_intervals
 from rotorsim.recordings.harmonics import RunHarmonics
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second
@@ -38,6 +39,7 @@ LINEAR_FOLLOWED = 4  # one more of a group, from the most promising on, for so m
 CORNERS, SHARP_EVALUATIONS = 20.0, 8  # misfit over equations that more orders of a law with corners may explain
 EXPLAINS = 1.2  # times the number of equations: a misfit that no other start could lower by much
 TURN = 2 * np.pi
+NOTHING = 1e-12  # of the information about a parameter: rounding
 SAME_SPEED = 0.02  # relative
 MESH_ACCURACY = 1e-5  # of a signal's rms: how well one mesh stands for another at best
 ROUNDED = 1e6  # parts of a radian in which angles are compared
@@ -45,7 +47,7 @@ NUMBERS = (
     "misfit", "rows", "equations", "goodness", "failure", "nonlinear", "seconds", "standing",
     "line_misfit", "line_rows",
 )  # fmt: skip
-ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out")
+ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out", "ends", "alone")
 
 
 def _nothing() -> np.ndarray:
@@ -57,7 +59,8 @@ class Source:
     """What a diagram is fitted to: a recording, its harmonics, and where the diagram's files are.
 
     second: the frequency of lines that do not follow the shaft, and that the harmonics were fitted with. standing:
-    nuisances of the diagram as given (see `Fit.criterion`).
+    nuisances of the diagram as given (see `Fit.criterion`); given: its free parameters, whose sizes and priors hold in
+    every later fit, whatever value that begins from.
     Whatever has ``recorded``, ``load``, ``fit`` and ``largest`` can stand in its place (`naming.name_missing`).
     """
 
@@ -67,6 +70,7 @@ class Source:
     trust_blocks: bool = False
     second: Second | None = None
     standing: int | None = None
+    given: tuple[Free, ...] = ()
 
     def load(self, document: Mapping[str, Any]) -> Diagram:
         """Return the diagram of a document; recordings mean what goes into its converters. Raises RotorsimError."""
@@ -79,12 +83,22 @@ class Source:
         return open_experiment(
             diagram, self.recording, runs=[item.run for item in self.harmonics], given=given, inject=inject,
             harmonics=self.harmonics, resolution=MESH_ACCURACY if has_mesh else RESOLUTION,
+            free=[self._as_given(item) for item in diagram.free],
         )  # fmt: skip
+
+    def _as_given(self, item: Free) -> Free:
+        """Return a free parameter with size and prior of the diagram as given, not of the fit that it starts from."""
+        first = next((other for other in self.given if other.name == item.name), None)
+        if first is None:
+            return item
+        return replace(item, scale=first.scale, prior_mean=first.prior_mean, prior_std=first.prior_std)
 
     @property
     def recorded(self) -> list[str]:
-        """The flat names of the recorded signals."""
-        return [channel.name for channel in self.recording.channels.values()]
+        """The flat names of the recorded signals, without those that are zero throughout: nothing senses there."""
+        runs = [item.run.values for item in self.harmonics]
+        channels = self.recording.channels.items()
+        return [item.name for key, item in channels if not runs or any(key in run and run[key].any() for run in runs)]
 
     def fit(
         self, document: Mapping[str, Any], starts: Sequence[Sequence[Mapping[str, float]]], *, most: int | None = None,
@@ -116,7 +130,7 @@ class Source:
     def largest(self) -> dict[str, float]:
         """Return the largest magnitude of every recorded signal, by its flat name, and of the rates of displacements.
 
-        "least NAME": in the run in which it is smallest.
+        "least NAME": in the run in which it is smallest. LONGEST: the length of the longest run.
         """
         sizes: dict[str, list[float]] = {}
         for item in self.harmonics:
@@ -130,6 +144,7 @@ class Source:
                     sizes.setdefault(f"{port.removesuffix('displacement')}velocity[{rest}", []).append(rate)
         found = {name: max(values) for name, values in sizes.items()}
         found |= {f"{LEAST} {name}": min(values) for name, values in sizes.items()}
+        found[LONGEST] = max(float(np.ptp(item.run.time)) for item in self.harmonics)
         if self.second is not None and not self.second.follows:
             found[LINES] = self.second.value
         return found
@@ -143,7 +158,8 @@ class Fit:
     which rows are left after nuisances. run_misfit, left_out (R,): |r|^2 of each run, and when it is predicted from
     the others. goodness: probability of the misfit. failure: why there is none of it. nonlinear: in its states.
     seconds: of CPU time it took. standing: nuisances that any diagram has (default: all of its own). line_misfit,
-    line_rows: |r|^2 and equations of the lines beside the harmonics.
+    line_rows: |r|^2 and equations of the lines beside the harmonics. ends (m, 2): of 90 % intervals within the bounds.
+    alone (m,): standard deviations with all other parameters of the same block known.
     """
 
     document: Mapping[str, Any]
@@ -163,6 +179,8 @@ class Fit:
     standing: int | None = None
     line_misfit: float = 0.0
     line_rows: int = 0
+    ends: np.ndarray = field(default_factory=_nothing)
+    alone: np.ndarray = field(default_factory=_nothing)
 
     @property
     def freedom(self) -> int:
@@ -184,6 +202,24 @@ class Fit:
     def nuisances(self) -> int:
         """Unknowns of no interest, such as the means of states that have not settled."""
         return max(self.equations - self.rows, 0)
+
+    @property
+    def widening(self) -> float:
+        """The factor on intervals where the diagram does not explain the data."""
+        return float(np.sqrt(max(self.misfit / self.freedom, 1.0))) if self.goodness < 1e-4 else 1.0
+
+    def interval90(self, j: int) -> tuple[float, float]:
+        """Return the 90 % interval of a parameter, within its bounds: one-sided at one, infinite if undetermined."""
+        value, item = float(self.theta[j]), self.free[j]
+        ends = self.ends[j] if len(self.ends) else value + Z90 * self.std(j) * np.array([-1.0, 1.0]) / self.widening
+        low, high = (value + self.widening * (float(end) - value) for end in ends)
+        return max(low, item.low), min(high, item.high)
+
+    def std(self, j: int) -> float:
+        """Return the standard deviation of a parameter; at a bound, that which its one-sided interval stands for."""
+        if self.at_bound[j] and len(self.ends):
+            return self.widening * float(np.abs(self.ends[j] - self.theta[j]).max()) / Z90
+        return self.widening * float(np.sqrt(max(float(self.covariance[j, j]), 0.0)))
 
     @property
     def values(self) -> dict[str, float]:
@@ -249,13 +285,37 @@ def _fit_of(document: Mapping[str, Any], search: Search, best: Estimate) -> Fit:
     sizes = [len(w.keep) for w in search.likelihood.whiteners]
     lines = np.tile(search.likelihood.is_beside, len(sizes))
     q = search.coordinates.inside(best.theta)
+    covariance = best.covariance.copy()
+    covariance[best.undetermined, best.undetermined] = np.inf
     loo = left_out(evaluation.residual, search.slopes(q)[: len(evaluation.residual)], sizes)
     return Fit(
-        document=document, free=best.free, theta=best.theta, covariance=best.covariance, at_bound=best.at_bound,
+        document=document, free=best.free, theta=best.theta, covariance=covariance, at_bound=best.at_bound,
         misfit=best.misfit, rows=evaluation.rows, equations=sum(sizes), run_misfit=evaluation.misfit,
-        left_out=loo, goodness=best.goodness, line_rows=int(lines.sum()),
+        left_out=loo, goodness=best.goodness, ends=linear_intervals(search, best), alone=_alone(best),
+        line_rows=int(lines.sum()),
         line_misfit=float((evaluation.residual[: len(lines)][lines] ** 2).sum()),
     )  # fmt: skip
+
+
+def _alone(found: Estimate) -> np.ndarray:
+    """Return the standard deviations (m,) with all other parameters of the same block known, and no others.
+
+    Where only a combination is determined, as of the size and the time constant of a drift, each still has one.
+    """
+    back = np.linalg.inv(found.coordinates.slopes(found.theta))
+    information = back.T @ found.information @ back
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    unit = np.where(size > 0, size, 1.0)
+    scaled = information / np.outer(unit, unit)
+    blocks = [item.base.rpartition(".")[0] or item.name for item in found.free]
+    out = np.full(len(blocks), np.inf)
+    for j, block in enumerate(blocks):
+        rest = [k for k, other in enumerate(blocks) if other != block and not found.at_bound[k]]
+        known = np.linalg.pinv(scaled[np.ix_(rest, rest)], rcond=NOTHING, hermitian=True)
+        left = float(scaled[j, j] - scaled[j, rest] @ known @ scaled[rest, j])
+        if size[j] > 0 and left > NOTHING:
+            out[j] = 1 / (size[j] * np.sqrt(left))
+    return out
 
 
 def _best(

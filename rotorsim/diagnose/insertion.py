@@ -7,12 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from rotorsim.block import Block
-from rotorsim.fault import Fault, Lines, Of, Steps
+import numpy as np
 
-__all__ = ["LEAST", "LINES", "Insertion", "Spot", "fixed_of", "starts_of"]
+from rotorsim.block import Block
+from rotorsim.fault import Fault, Lines, Longest, Of, Steps
+
+__all__ = ["LEAST", "LINES", "LONGEST", "Insertion", "Spot", "fixed_of", "limits_of", "starts_of"]
 
 LEAST = "least"  # before the name of a signal: its size in the run in which it is smallest
+LONGEST = "longest run"  # among the largest magnitudes of signals: how long it is [s]
 LINES = "lines"  # among the largest magnitudes of signals: the frequency of lines that do not follow the shaft
 
 
@@ -76,8 +79,14 @@ class Insertion:
         """The parameters that take the step between readings."""
         return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Steps))
 
-    def document(self, document: Mapping[str, Any], start: Mapping[str, float] | None = None) -> dict[str, Any]:
-        """Return the document with the fault in it and its parameters free, from starts {parameter: SI value}."""
+    def document(
+        self, document: Mapping[str, Any], start: Mapping[str, float] | None = None,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+    ) -> dict[str, Any]:  # fmt: skip
+        """Return the document with the fault in it and its parameters free, from starts {parameter: SI value}.
+
+        limits: (low, high) of its free parameters, where they are narrower than what the block allows.
+        """
         new = copy.deepcopy(dict(document))
         entered = self.fault.enters
         if entered in ("replace", "move"):
@@ -104,7 +113,11 @@ class Insertion:
             new["wires"] += [list(wire) for wire in self.wires]
         if self.measured:
             new["measured"] = {**new.get("measured", {}), **self.measured}
-        new["identify"] = {**new.get("identify", {}), **{name: {} for name in self.free}}
+        ends = limits or {}
+        free = {
+            key: dict(zip(("low", "high"), ends[key], strict=True)) if key in ends else {} for key in self.fault.free
+        }
+        new["identify"] = {**new.get("identify", {}), **{f"{self.name}.{key}": given for key, given in free.items()}}
         return new
 
 
@@ -119,9 +132,27 @@ def starts_of(insertion: Insertion, largest: Mapping[str, float]) -> list[dict[s
     """
     combined: list[dict[str, float]] = [{}]
     for key, options in insertion.fault.free.items():
-        values = [_number(item, largest) for item in options]
-        combined = [{**start, key: value} for start in combined for value in values]
+        low, high = limits_of(insertion, largest).get(key, (-np.inf, np.inf))
+        values = [float(np.clip(_number(item, largest), low, high)) for item in options]
+        combined = [{**start, key: value} for start in combined for value in dict.fromkeys(values)]
     return combined
+
+
+def limits_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """Return (low, high) of the free parameters that the data bound more narrowly than the block does."""
+    found = {}
+    for key, item in insertion.fault.most.items():
+        known = largest.get(LONGEST if isinstance(item, Longest) else item.input)
+        if key not in insertion.fault.free or not known:
+            continue
+        declared = insertion.kind.parameters[key]
+        most = item.factor * known if isinstance(item, Longest) else _number(item, largest)
+        least = declared.low if declared.low is not None else declared.above
+        if (declared.high is None or most < declared.high) and (least is None or most > least):
+            # an open end is left by a thousandth of the way, as where a value is given (`rotorsim.diagram.free`)
+            low = -most if least is None else least if declared.low is not None else least + 1e-3 * (most - least)
+            found[key] = (low, most)
+    return found
 
 
 def fixed_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:

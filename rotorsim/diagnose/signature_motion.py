@@ -131,7 +131,7 @@ class LinearMotion:
         C = self.equations.C(*self._points(zero, theta, [0]))
         found = []
         for r in range(len(A)):
-            slow = slow_states(A[r], WINDOW)
+            slow = slow_states(A[r], WINDOW, self.all.means)
             rest = np.setdiff1d(np.arange(A.shape[1]), slow)
             states = np.zeros((A.shape[1], len(slow)))
             states[slow, np.arange(len(slow))] = 1.0

@@ -12,10 +12,13 @@ from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.finder import insertions
 from rotorsim.diagnose.fitting import LATER, Fit, Source, fit_from_plain, fit_to_plain
-from rotorsim.diagnose.insertion import LEAST, LINES, Insertion, fixed_of, starts_of
+from rotorsim.diagnose.insertion import LEAST, LINES, LONGEST, Insertion, fixed_of, limits_of, starts_of
 from rotorsim.diagnose.places import open_places
 from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.registry import Registry
+from rotorsim.fault import Of
+from rotorsim.identify.coordinates import ANGLE_UNIT
+from rotorsim.identify.profile import Z90
 from rotorsim.jobs import Failure, run_jobs
 
 __all__ = ["Candidate", "Round", "Trials", "is_adequate", "is_noise"]
@@ -32,6 +35,8 @@ REFINED = 3  # fits carried to the end at least
 PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
 HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
 STARTED = 0.1  # share of what the best explains: of nonlinear laws below, SECOND_EVALUATIONS are the last
+ASTRAY = 100.0  # times its size, as given and in the fit before: nobody states a value so wrong, and what cancels is so
+RESTART = 0.1  # of its scale: how far off a bound a parameter of the diagram begins again
 NEAR = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
 
 _Job = tuple[dict[str, Any], list[list[dict[str, float]]]]
@@ -39,10 +44,11 @@ _Job = tuple[dict[str, Any], list[list[dict[str, float]]]]
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An insertion and the refitted diagram with it."""
+    """An insertion and the refitted diagram with it. astray: parameters of the diagram that have left all reason."""
 
     insertion: Insertion
     fit: Fit
+    astray: str = ""
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -50,10 +56,36 @@ class Candidate:
         return tuple(name for name in self.insertion.free if name in self.fit.values)
 
     @property
+    def ended(self) -> tuple[str, ...]:
+        """The parameters of the fault that ended at a bound."""
+        ended = {item.name for item, end in zip(self.fit.free, self.fit.at_bound, strict=True) if end}
+        return tuple(name for name in self.parameters if name in ended)
+
+    @property
     def physical(self) -> bool:
-        """Whether no parameter of the fault ended at a bound."""
-        names = [item.name for item in self.fit.free]
-        return not any(self.fit.at_bound[names.index(name)] for name in self.parameters)
+        """Whether this can be: see `unphysical`."""
+        return not self.unphysical
+
+    @property
+    def unphysical(self) -> str:
+        """Why this cannot be, empty where it can.
+
+        A parameter of the fault ended at a bound; the data tell none of its sizes from zero (their 90 % intervals hold
+        it, were the rest of its law known); or it needs a parameter of the diagram far beyond all reason, as one that
+        cancels the effect is.
+        """
+        fit = self.fit
+        if fit.failure:
+            return ""
+        if self.ended:
+            return f"its {', '.join(name.rpartition('.')[2] for name in self.ended)} ended at a physical bound"
+        names = [item.name for item in fit.free]
+        sizes = [name for name in self.parameters if name.rpartition(".")[2] in self.insertion.fault.sizes]
+        std = fit.alone if len(fit.alone) else np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+        told = (abs(fit.theta[j]) > Z90 * std[j] for j in map(names.index, sizes))
+        if sizes and not any(told):
+            return f"its {' and '.join(name.rpartition('.')[2] for name in sizes)} cannot be told from zero"
+        return f"needs {self.astray}" if self.astray else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,15 +144,16 @@ class Trials:
         self.counts["rounds"] += 1
         jobs = []
         largest = self.source.largest()
+        away = self._off_bounds(before)
         found = [item for item in found if (LINES in largest or not item.from_lines) and not item.from_steps]
         for item in found:
             sizes = _sizes(item, largest)
             starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
             here = [dict(zip(item.free, start.values(), strict=True)) for start in starts]
-            groups = [here]
+            groups = [[{**off, **start} for off in (({}, away) if away else ({},)) for start in here]]
             if not before.nonlinear:  # else it costs too much to begin once more from values as given
-                groups.append([{**self.nominal, **start} for start in here])
-            jobs.append((item.document(document, {**fixed, **starts[0]}), groups))
+                groups.append([{**self.nominal, **away, **start} for start in here])
+            jobs.append((item.document(document, {**fixed, **starts[0]}, limits_of(item, sizes)), groups))
         if len(jobs) > MOST_FITS:
             kept = self._screened(before, found, jobs)
             found, jobs = [found[k] for k in kept], [jobs[k] for k in kept]
@@ -132,11 +165,35 @@ class Trials:
         for k, fit in zip(later, more, strict=True):
             fits[k] = fit
         fits = self._refined(before, jobs, fits, [(item.physics, item.variant) for item in found])
-        tried = [Candidate(item, fit) for item, fit in zip(found, fits, strict=True)]
+        tried = [Candidate(item, fit, self._astray(before, fit)) for item, fit in zip(found, fits, strict=True)]
         return Round(before, tuple(_simplest_first(tried, self.slack)))
 
+    def _astray(self, before: Fit, fit: Fit) -> str:
+        """Return in words the parameters of the diagram that are ASTRAY times what was given and fitted before."""
+        found, known = [], before.values
+        for item, value in zip(fit.free, fit.theta, strict=True):
+            usual = max(item.scale, abs(self.nominal.get(item.name, 0.0)), abs(known.get(item.name, 0.0)))
+            if item.name in self.nominal and item.unit != ANGLE_UNIT and abs(value) > ASTRAY * usual > 0:
+                found.append(f"{item.name} {abs(value) / usual:.2g} times as large")
+        return " and ".join(found)
+
+    def _off_bounds(self, fit: Fit) -> dict[str, float]:
+        """Return where parameters of the diagram as given that ended at a bound begin again: as given, off the bound.
+
+        What held one there may be gone with the next effect.
+        """
+        found = {}
+        for item, ended in zip(fit.free, fit.at_bound, strict=True):
+            if ended and item.name in self.nominal:
+                off = min(RESTART * (item.scale or 1.0), (item.high - item.low) / 2)
+                found[item.name] = float(np.clip(self.nominal[item.name], item.low + off, item.high - off))
+        return found
+
     def _screened(self, before: Fit, found: Sequence[Insertion], jobs: Sequence[_Job]) -> list[int]:
-        """Return which insertions are fitted where places are many."""
+        """Return which insertions are fitted where places are many: each law at its best place, then the best places.
+
+        A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
+        """
         if is_adequate(before):
             return self._promising(found, jobs, before.misfit - HINT * MOST_FITS)
         places = open_places(before, self.source)
@@ -148,10 +205,14 @@ class Trials:
         if not known:
             return self._promising(found, jobs)
         kept = [k for k, bound in enumerate(bounds) if bound is None]
+        best: dict[tuple[str, int], int] = {}
+        for k in sorted((k for k in range(len(found)) if bounds[k] is not None), key=lambda k: bounds[k] or 0.0):
+            best.setdefault((found[k].physics, found[k].variant), k)
+        kept += best.values()
         for least in known:
             if least > POSSIBLE * known[0]:
                 break
-            here = [k for k, bound in enumerate(bounds) if bound == least]
+            here = [k for k, bound in enumerate(bounds) if bound == least and k not in kept]
             if least > known[0] and len(kept) + len(here) > MOST_FITS:
                 break
             kept += here
@@ -217,7 +278,10 @@ class Trials:
 
     def _again(self, jobs: Sequence[_Job], fits: list[Fit], which: Sequence[int], most: int | None) -> None:
         """Carry some fits on from where they are, in place."""
-        continued: list[_Job] = [(values_in(jobs[k][0], fits[k].values), [[{}]]) for k in which]
+        continued: list[_Job] = []
+        for k in which:
+            away = {} if fits[k].nonlinear else self._off_bounds(fits[k])
+            continued.append((values_in(jobs[k][0], fits[k].values), [[{}], *([[away]] if away else [])]))
         for k, fit in zip(which, self._fit(continued, most), strict=True):
             if not fit.failure and fit.misfit <= fits[k].misfit:
                 fits[k] = replace(fit, seconds=fit.seconds + fits[k].seconds)
@@ -253,18 +317,19 @@ class Trials:
             again = next((other for other in here if other.key == item.insertion.key), None)
             if again is None:
                 return ()
-            document = again.document(document)
             old, new = item.insertion.name, again.name
             had = near.document["blocks"][old].get("parameters", {})
+            own = {key: near.values[f"{old}.{key}"] for key in again.fault.free if f"{old}.{key}" in near.values}
             set_once = {key: had[key] for key in again.fault.fixed if key in had}
-            document["blocks"][new]["parameters"].update(set_once)
-            own = {f"{new}.{key}": f"{old}.{key}" for key in again.fault.free}
-            known |= {name: near.values[before] for name, before in own.items() if before in near.values}
+            bounds = {key: near.document["identify"].get(f"{old}.{key}", {}) for key in again.fault.free}
+            limits = {key: (given["low"], given["high"]) for key, given in bounds.items() if given}
+            document = again.document(document, {**own, **set_once}, limits)
+            known |= {f"{new}.{key}": value for key, value in own.items()}
             entered.append(again)
         known = {name: value for name, value in known.items() if name in document["identify"]}
         document = values_in(document, known)  # a block that was put in the place of another has others
         with threadpool_limits(1, "blas"):
-            fit = self.source.fit(document, [[{}], [self.nominal]])
+            fit = self.source.fit(document, [[{}], [{**self.nominal, **self._off_bounds(near)}]])
         if fit.failure:
             return ()
         pairs = zip(entered[:-1], effects, strict=False)
@@ -305,8 +370,16 @@ def _fit_batch(argument: tuple[list[_Job], Source, int | None, bool]) -> list[di
 
 
 def _sizes(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
-    """Return the magnitudes of the inputs of an insertion that were recorded (at their node or any)."""
-    out = {key: value for key, value in largest.items() if key == LINES}
+    """Return the magnitudes of the inputs of an insertion that were recorded (at their node or any).
+
+    Of signals that bound it but do not feed it, those of the block where it acts.
+    """
+    out = {key: value for key, value in largest.items() if key in (LINES, LONGEST)}
+    for bound in insertion.fault.most.values():
+        key = bound.input if isinstance(bound, Of) else ""
+        near = [v for name, v in largest.items() if name.partition("[")[0] == f"{insertion.spot.block}.{key}"]
+        if near:
+            out[key] = max(near)
     for key, source in insertion.feeds.items():
         for which in ("", f"{LEAST} "):
             exact = [v for name, v in largest.items() if name.startswith(which + source.rstrip("]"))]

@@ -125,7 +125,8 @@ class Free:
     """A parameter that is estimated from recordings: ``name`` with its index, or a diagram parameter.
 
     base: the parameter without index; entry: which of its values, row-major. value: where the search starts
-    (SI). low, high: physical bounds. prior_mean, prior_std: of a normal prior, None without one.
+    (SI). low, high: physical bounds. prior_mean, prior_std: of a normal prior, None without one. scale: a typical size,
+    0 where nothing says one.
     """
 
     name: str
@@ -137,6 +138,7 @@ class Free:
     high: float
     prior_mean: float | None = None
     prior_std: float | None = None
+    scale: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -22,17 +22,19 @@ SPEED = "speed"
 KEYS = ("low", "high", "prior", "description")
 PRIOR_KEYS = ("mean", "std")
 MOST = 1e100
+COLLAPSED = 1e-3  # of what is usual: a value below says nothing of its size (an earlier fit may have ended at a bound)
 _NAME = re.compile(r"([A-Za-z_][\w./]*?)(?:\[\s*(\d{1,6}(?:\s*,\s*\d{1,6})*)\s*\])?")
 _PERCENT = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
 
 
 @dataclass
 class _Found:
-    """What a name stands for: its value, unit, shape and the declarations that bound it."""
+    """What a name stands for: its value, unit, shape, the declarations that bound it, and sizes that are usual."""
 
     value: np.ndarray
     unit: str
     declared: list[_Param] = field(default_factory=list)
+    usual: list[float] = field(default_factory=list)
 
 
 class _Reader:
@@ -49,18 +51,21 @@ class _Reader:
 
     def find(self, base: str) -> _Found | None:
         if base in self.parameters:
-            declared = [
-                node.block.parameters[key]
+            followers = [
+                (node, key)
                 for node in self.nodes.values()
                 for key, reference in node.references.items()
                 if reference == base
             ]
-            return _Found(self.parameters[base], self.units.get(base, "1"), declared)
+            declared = [node.block.parameters[key] for node, key in followers]
+            usual = [size for node, key in followers for size in _usual(node, key)]
+            return _Found(self.parameters[base], self.units.get(base, "1"), declared, usual)
         block, _, key = base.rpartition(".")
         node = self.nodes.get(block)
         if node is None or key not in node.values:
             return None
-        return _Found(node.values[key], node.block.parameters[key].unit or "1", [node.block.parameters[key]])
+        own = node.block.parameters[key]
+        return _Found(node.values[key], own.unit or "1", [own], _usual(node, key))
 
     def one(self, name: str, given: Any) -> list[Free]:
         path: JsonPath = ("identify", name)
@@ -129,7 +134,9 @@ class _Reader:
             self.error(f"the value {value:g} {found.unit} is outside its bounds {low:g} .. {high:g}", path)
         else:
             flat = int(np.ravel_multi_index(index, found.value.shape)) if index else 0
-            return Free(name, base, flat, value, found.unit, low, high, mean, std)
+            usual = std or next((size for size in found.usual if size), 0.0)
+            scale = abs(value) if abs(value) > COLLAPSED * usual else usual
+            return Free(name, base, flat, value, found.unit, low, high, mean, std, scale)
         return None
 
     def number(self, given: Mapping[str, Any], key: str, unit: str, path: JsonPath, default: float) -> float:
@@ -166,6 +173,14 @@ class _Reader:
         elif std > MOST:
             self.error("the standard deviation must be finite", (*path, "std"))
         return mean, std
+
+
+def _usual(node: Node, key: str) -> list[float]:
+    """Return the sizes that a block declares for a parameter: its default, and where a diagnosis starts."""
+    default = node.block.parameters[key].default
+    starts = [start for fault in node.block.faults for start in fault.free.get(key, ())]
+    found = [*(np.ravel(default).tolist() if default is not None else []), *starts]
+    return [abs(float(size)) for size in found if isinstance(size, int | float)]
 
 
 def _lowest(declared: _Param, value: float) -> float | None:

@@ -39,7 +39,7 @@ class Coordinates:
         """Return theta of q; angles within half a turn of ``near``, else of zero."""
         theta = q * self.scale
         for a, b in self.pairs:
-            theta[a] = np.hypot(q[a], q[b]) * self.scale[a]
+            theta[a] = min(np.hypot(q[a], q[b]) * self.scale[a], self.high[a])
             theta[b] = np.arctan2(q[b], q[a])
             if near is not None:
                 theta[b] = near[b] + np.angle(np.exp(1j * (theta[b] - near[b])))
@@ -57,11 +57,19 @@ class Coordinates:
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of q; a pair has none, for its amplitude cannot be negative."""
+        """Bounds of q; those of a pair hold its largest amplitude, which cannot be negative."""
         low, high = self.low / self.scale, self.high / self.scale
-        for pair in self.pairs:
-            low[list(pair)], high[list(pair)] = -np.inf, np.inf
+        for a, b in self.pairs:
+            low[[a, b]], high[[a, b]] = -high[a], high[a]
         return low, high
+
+    def at_bound(self, q: np.ndarray, near: float) -> np.ndarray:
+        """Return which parameters (m,) are at a bound, or as near as that in q."""
+        low, high = self.bounds
+        found = (q <= low + near) | (q >= high - near)
+        for a, b in self.pairs:
+            found[a], found[b] = np.hypot(q[a], q[b]) >= high[a] - near, False
+        return np.asarray(found)
 
 
 def coordinates_of(
@@ -82,12 +90,12 @@ def coordinates_of(
 
 
 def _scale(free: Free) -> float:
+    """Return the size of a step that means something: never that of a value which a fit has brought to nothing."""
     if free.unit == ANGLE_UNIT:
         return 1.0
-    if free.value:
-        return abs(free.value)
-    if free.prior_std:
-        return free.prior_std
+    size = free.scale or abs(free.value) or free.prior_std
+    if size:
+        return size
     return abs(free.high) if np.isfinite(free.high) and free.high else 1.0
 
 
@@ -97,14 +105,14 @@ def amplitude_pairs(
     """Return the pairs (amplitude, angle) that enter as a cos phi and a sin phi, as an unbalance does.
 
     Found from the traced forcing: with amplitude one, the force at every angle is made up of those at 0 and pi / 2.
-    Bounds other than "not negative", or priors, leave a pair as it is.
+    Lower bounds other than zero, or priors, leave a pair as it is.
     """
     plain = [item.prior_std is None for item in free]
     angles = [
         j for j, item in enumerate(free)
         if item.unit == ANGLE_UNIT and plain[j] and item.low == -np.inf and item.high == np.inf
     ]  # fmt: skip
-    amplitudes = [j for j, item in enumerate(free) if plain[j] and item.low in (0.0, -np.inf) and item.high == np.inf]
+    amplitudes = [j for j, item in enumerate(free) if plain[j] and item.low in (0.0, -np.inf) and item.high > 0]
     amplitudes = [j for j in amplitudes if free[j].unit != ANGLE_UNIT]
     if not angles or not amplitudes:
         return ()

@@ -28,7 +28,8 @@ METHODS = ("trf", "dogbox")  # the first creeps in curved valleys near a bound: 
 PASSES = 3  # of both, where neither has converged
 GAIN = 1e-4  # of the misfit, that a pass must gain for another to follow
 NOTHING = 1e-11  # of the largest slope: rounding
-SINGULAR = 1e-13  # smallest eigenvalue of the information, of the largest, that counts
+SINGULAR = 1e-13  # smallest eigenvalue of the information, each parameter's own being one: below, it is rounding
+PART = 0.01  # of a direction that the data say nothing about: who takes part by more is not determined
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,27 +60,41 @@ class Estimate:
         return self.misfit / max(self.freedom, 1)
 
     @cached_property
-    def eigen(self) -> tuple[np.ndarray, np.ndarray]:
-        """Eigenvalues (m,) of the information and its eigenvectors (m, m) in q; bounded parameters left out."""
+    def _in_q(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Covariance of q (m, m), directions that the data say nothing about (m, d), and units (m,).
+
+        Parameters at bounds are left out. Each counts in units of what the data say about it alone, so that none is
+        small beside others.
+        """
         information = self.information.copy()
         information[self.at_bound], information[:, self.at_bound] = 0.0, 0.0
-        return np.linalg.eigh(information)
+        size = np.sqrt(np.maximum(np.diag(information), 0.0))
+        idle = size <= NOTHING * size.max(initial=0.0)
+        size = np.where(idle, max(NOTHING * size.max(initial=0.0), 1e-100), size)
+        values, vectors = np.linalg.eigh(information / np.outer(size, size))
+        covariance = (vectors / np.maximum(values, SINGULAR)) @ vectors.T / np.outer(size, size)
+        covariance[self.at_bound], covariance[:, self.at_bound] = 0.0, 0.0
+        nothing = np.hstack([vectors[:, values <= SINGULAR], np.eye(len(size))[:, idle]])
+        nothing[self.at_bound] = 0.0
+        return covariance, nothing, 1 / size
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Covariance of theta (m, m); infinite along directions that the data say nothing about."""
-        values, vectors = self.eigen
-        floor = max(SINGULAR * values[-1], 1e-100)
-        inverse = 1 / np.maximum(values, floor)
-        q = (vectors * inverse) @ vectors.T
-        q[self.at_bound], q[:, self.at_bound] = 0.0, 0.0
+        """Covariance of theta (m, m), very large where `undetermined`; zero at bounds."""
         J = self.coordinates.slopes(self.theta)
-        return np.asarray(J @ q @ J.T)
+        return np.asarray(J @ self._in_q[0] @ J.T)
+
+    @cached_property
+    def undetermined(self) -> np.ndarray:
+        """Which of theta (m,) the data say nothing about, alone or beside the others: their variance is infinite."""
+        _, nothing, unit = self._in_q
+        J = self.coordinates.slopes(self.theta) * unit
+        return np.asarray((np.abs(J @ nothing) > PART * np.linalg.norm(J, axis=1)[:, None]).any(axis=1))
 
     @property
     def std(self) -> np.ndarray:
         """Standard deviations of theta (m,)."""
-        return np.sqrt(np.maximum(np.diag(self.covariance), 0))
+        return np.where(self.undetermined, np.inf, np.sqrt(np.maximum(np.diag(self.covariance), 0)))
 
 
 class Search:
@@ -269,8 +284,7 @@ def summary(search: Search, q: np.ndarray) -> Estimate:
             theta[j] = np.angle(np.exp(1j * theta[j]))
     evaluation = search.evaluation(q)
     J = search.slopes(q)
-    low, high = coordinates.bounds
-    at_bound = (q <= low + AT_BOUND) | (q >= high - AT_BOUND)
+    at_bound = coordinates.at_bound(q, AT_BOUND)
     freedom = evaluation.rows - len(free)
     return Estimate(
         free, theta, coordinates, evaluation, J.T @ J, at_bound, float(evaluation.misfit.sum()), freedom

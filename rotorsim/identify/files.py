@@ -32,6 +32,7 @@ def identification_data(found: Identification, *, diagram_file: str = DIAGRAM) -
             "interval90": [_finite(end) for end in item.interval90],
             "joint90": [_finite(end) for end in item.joint90],
             "unit": item.unit,
+            "at_bound": item.at_bound,
         }
     identifiable = {}
     for name, item in found.parameters.items():

@@ -14,6 +14,7 @@ import numpy as np
 from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identify.ports import means_of
 from rotorsim.simulate.forcing import Jumps
 from rotorsim.simulate.matrix_function import MatrixFunction
 
@@ -105,6 +106,7 @@ class Equations:
             raise RotorsimError(Problem("the diagram is not linear in its states", model.diagram.name))
         self.kept = reached_states(jacobians["A"].sparsity(), jacobians["C"].sparsity())
         keep = self.kept.tolist()
+        self.means = means_of(model)[keep]
         jacobians["A"], jacobians["B"] = jacobians["A"][keep, keep], jacobians["B"][keep, :]
         jacobians["C"] = jacobians["C"][:, keep]
         self._symbols, self._jacobians = (trace.t, trace.p, theta), jacobians

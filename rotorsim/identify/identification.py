@@ -18,7 +18,7 @@ from rotorsim.identify.experiment import open_experiment
 from rotorsim.identify.likelihood import Likelihood
 from rotorsim.identify.motion import Motion
 from rotorsim.identify.nonlinear_likelihood import likelihood_of
-from rotorsim.identify.profile import Z90, joint_factor, profile_intervals
+from rotorsim.identify.profile import Z90, joint_factor, linear_intervals, profile_intervals
 from rotorsim.identify.regression import THESIS_ORDERS, Regression, open_regression
 from rotorsim.identify.scatter import scatter_of, with_covariance
 from rotorsim.identify.verdict import PRECISION, Verdict, judge
@@ -38,7 +38,8 @@ NOT_EXPLAINED = 1e-3  # probability of the misfit below which the model is said 
 class Identified:
     """One identified parameter (SI): value, standard deviation, central 90 % interval, and the verdict on it.
 
-    joint90: intervals that hold all parameters at once with 90 %.
+    joint90: intervals that hold all parameters at once with 90 %. at_bound: the search ended at a physical bound; the
+    interval is then one-sided, and std is what it stands for.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Identified:
     joint90: tuple[float, float]
     unit: str
     verdict: Verdict
+    at_bound: bool = False
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -163,7 +165,9 @@ def identify(
         elif profile:
             intervals = profile_intervals(search, result, widen)
         else:
-            intervals = _about(result, np.sqrt(np.diag(covariance)), np.zeros(len(result.theta)))
+            ends = result.theta[:, None] + widen * (linear_intervals(search, result) - result.theta[:, None])
+            low, high = (np.array([getattr(item, end) for item in result.free]) for end in ("low", "high"))
+            intervals = np.clip(ends, low[:, None], high[:, None])
         verdicts = judge(result, intervals, precision=precision, widen=widen if method == "likelihood" else 1.0)
         left = [item.name for item, verdict in zip(result.free, verdicts, strict=True) if not verdict.identifiable]
         advice: list[Advice] = []
@@ -184,12 +188,16 @@ def identify(
     std = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = np.nan_to_num(covariance / np.outer(std, std))
+    if method == "likelihood":
+        reach = np.abs(intervals - result.theta[:, None]).max(axis=1) / Z90
+        std = np.where(result.at_bound, reach, np.where(result.undetermined, np.inf, std))
     joint = result.theta[:, None] + joint_factor(correlation) * (intervals - result.theta[:, None])
     parameters = {
         item.name: Identified(
             item.name, float(result.theta[j]), float(std[j]),
             (float(intervals[j, 0]), float(intervals[j, 1])),
             (max(float(joint[j, 0]), item.low), min(float(joint[j, 1]), item.high)), item.unit, verdicts[j],
+            bool(result.at_bound[j]),
         )
         for j, item in enumerate(result.free)
     }  # fmt: skip

@@ -178,7 +178,7 @@ class Motion:
         if forced:
             F, dF = self.forcing(self.equations, many, K)
         if self.slow is None:
-            self.slow = [slow_states(A[r], self.windows[r]) for r in range(R)]
+            self.slow = [slow_states(A[r], self.windows[r], self.equations.means) for r in range(R)]
         return Response(
             A=A, B=found["B"][0], C=found["C"][0], D=found["D"][0],
             dA=found["A"][1], dB=found["B"][1], dC=found["C"][1], dD=found["D"][1],

@@ -12,6 +12,7 @@ import numpy as np
 from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Free
 from rotorsim.identify.functions import instants, known_values, reached_states, slots_of, suit, with_values
+from rotorsim.identify.ports import means_of
 from rotorsim.simulate.matrix_function import MatrixFunction
 
 __all__ = ["NonlinearEquations", "PortEquations", "is_linear"]
@@ -48,6 +49,7 @@ class NonlinearEquations:
         pattern = ca.jacobian(f, trace.x).sparsity()
         self.kept = reached_states(pattern, ca.jacobian(g, trace.x).sparsity())
         keep = self.kept.tolist()
+        self.means = means_of(model)[keep]
         x = ca.SX.sym("x", len(keep))
         whole: Any = ca.SX(model.x0(model.p0))
         whole[keep] = x

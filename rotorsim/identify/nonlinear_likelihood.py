@@ -50,10 +50,13 @@ class NonlinearLikelihood(Likelihood):
         """Return the whitened residual and its slopes at theta (m,)."""
         motion = self.experiment.motion
         assert isinstance(motion, NonlinearMotion)
-        means = self.means or motion.means_of_zero(theta)
+        fresh = motion.fresh_means(theta)
+        means = [m.copy() for m in self.means or motion.means_of_zero(theta)]
+        for m, (places, values, _) in zip(means, fresh, strict=True):
+            m[places] = values
         for _ in range(self.rounds):
             found = motion.predict(theta, means)
-            parts = [self._run(found, r) for r in range(len(self.data))]
+            parts = [self._run(found, r, *fresh[r]) for r in range(len(self.data))]
             if not found.settled.all() or all(_still(e, gain) for e, _, _, gain in parts):
                 break
             means = [m + best for m, (_, _, best, _) in zip(means, parts, strict=True)]
@@ -65,19 +68,29 @@ class NonlinearLikelihood(Likelihood):
         Y = np.pad(found.Y, ((0, 0), (0, self.beside), (0, 0)))
         return Evaluation(np.concatenate(residuals), np.concatenate(rows), misfit, Y, counted)
 
-    def _run(self, found: Prediction, r: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return residual and slopes of a run without what the means can explain, their change, and its size."""
+    def _run(
+        self, found: Prediction, r: int, places: np.ndarray, _: np.ndarray, by_theta: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        """Return residual and slopes of a run without what the means can explain, their change, and its size.
+
+        places: slow states whose means are known, by_theta (k, m): how these follow the parameters.
+        """
         white = self.whiteners[r]
         more = (0, self.beside)  # nothing moves beside the harmonics
         e = self.data_rows[r] - white.apply(real_vector(np.pad(found.Y[r], (more, (0, 0)))))
-        slopes = np.pad(found.slopes[r], (more, (0, 0), (0, 0)))
+        slopes = found.slopes[r] + found.by_means[r][..., places] @ by_theta
+        slopes = np.pad(slopes, (more, (0, 0), (0, 0)))
         j = -white.apply(np.moveaxis(real_vector(np.moveaxis(slopes, -1, 0)), 0, -1))
-        columns = np.pad(found.by_means[r], (more, (0, 0), (0, 0)))
-        if not columns.shape[-1] or not found.settled[r]:
-            return e, j, np.zeros(columns.shape[-1]), np.zeros(0)
-        q, best = fitted_columns(white.apply(np.moveaxis(real_vector(np.moveaxis(columns, -1, 0)), 0, -1)), e)
+        open_ones = np.setdiff1d(np.arange(found.by_means[r].shape[-1]), places)
+        columns = np.pad(found.by_means[r][..., open_ones], (more, (0, 0), (0, 0)))
+        change = np.zeros(found.by_means[r].shape[-1])
+        if not len(open_ones) or not found.settled[r]:
+            return e, j, change, np.zeros(0)
+        q, change[open_ones] = fitted_columns(
+            white.apply(np.moveaxis(real_vector(np.moveaxis(columns, -1, 0)), 0, -1)), e
+        )
         gain = q.T @ e
-        return e - q @ gain, j - q @ (q.T @ j), best, gain
+        return e - q @ gain, j - q @ (q.T @ j), change, gain
 
 
 def _still(residual: np.ndarray, gain: np.ndarray) -> bool:

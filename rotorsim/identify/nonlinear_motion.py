@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorsim.identify.nonlinear_equations import NonlinearEquations, PortEquations
-from rotorsim.identify.ports import Ports, open_ports, slow_states
+from rotorsim.identify.ports import FRESH, Ports, open_ports, slow_states
 
 __all__ = ["NonlinearMotion", "Prediction"]
 
@@ -91,6 +91,35 @@ class NonlinearMotion:
         """Return zero means of the slow states of each run."""
         return [np.zeros(slow.shape[1]) for slow in self.opened(theta).slow]
 
+    def fresh_means(self, theta: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Return which slow states of each run start with it (k,), their means (k,) and d mean / d theta (k, m).
+
+        x' = f - a x from x_0 on has over a window T the mean x_0 g + f T (1 - g) / u,  g = (1 - e^-u) / u,  u = a T.
+        """
+        self.opened(theta)
+        equations, whole = self.equations, self.equations.whole
+        x_0 = equations.model.x0(equations.model.p0)[equations.kept]
+        found = []
+        for r, (slow, T) in enumerate(zip(self.slow, self.windows, strict=True)):
+            places = np.flatnonzero(equations.means[slow] == FRESH)
+            values, slopes = np.zeros(len(places)), np.zeros((len(places), len(theta)))
+            for k, state in enumerate(slow[places]):
+                x = np.zeros((equations.n, 2))
+                x[state, 1] = 1.0
+                point = (
+                    self.times[r, :1].repeat(2)[None],
+                    x,
+                    self.p[r, :, None].repeat(2, 1),
+                    theta[:, None].repeat(2, 1),
+                )
+                f, df = whole.f(*point)[:, state, 0], whole.f_theta(*point)[:, state]
+                u, du = (f[0] - f[1]) * T, (df[0] - df[1]) * T
+                g, rest = _settling(u)
+                values[k] = x_0[state] * g[0] + f[0] * T * rest[0]
+                slopes[k] = (x_0[state] * g[1] + f[0] * T * rest[1]) * du + df[0] * T * rest[0]
+            found.append((places, values, slopes))
+        return found
+
     def opened(self, theta: np.ndarray) -> Ports:
         """Return the ports of all that no parameter and no nonlinear law moves, found at the first theta (m,)."""
         if self.ports is not None:
@@ -101,7 +130,8 @@ class NonlinearMotion:
         A = whole.J(self.times[:, 0][None], np.zeros((n, R)), self.p.T, many)
         if not np.isfinite(A).all():
             raise ValueError("the equations are not finite at rest")
-        slow = [slow_states(A[r], self.windows[r]) for r in range(R)]
+        slow = [slow_states(A[r], self.windows[r], self.equations.means) for r in range(R)]
+        self.slow = slow
         times = self.times[:, ::8]
         count = times.shape[1]
         at_rest = (np.zeros((n, R * count)), np.repeat(self.p, count, 0).T, np.repeat(theta[None], R * count, 0).T)
@@ -226,6 +256,17 @@ class NonlinearMotion:
 
     def _harmonics(self, values: np.ndarray) -> np.ndarray:
         return np.asarray(np.fft.rfft(values, axis=1)[:, : self.H + 1] / self.count)
+
+
+def _settling(u: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return g = (1 - e^-u) / u and (1 - g) / u, each with its derivative by u."""
+    if abs(u) < 1e-3:  # three terms of the series: 1e-12
+        g, rest = 1 - u / 2 + u**2 / 6 - u**3 / 24, 1 / 2 - u / 6 + u**2 / 24 - u**3 / 120
+        return (g, -1 / 2 + u / 3 - u**2 / 8), (rest, -1 / 6 + u / 12 - u**2 / 40)
+    g = -np.expm1(-u) / u
+    dg = (np.exp(-u) - g) / u
+    rest = (1 - g) / u
+    return (g, dg), (rest, -(dg + rest) / u)
 
 
 def _size(residual: np.ndarray, C: np.ndarray) -> np.ndarray:

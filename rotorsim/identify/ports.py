@@ -15,7 +15,13 @@ import numpy as np
 import scipy.linalg
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
-__all__ = ["DENSE", "Ports", "open_ports", "slow_states"]
+from rotorsim.compile import Model
+
+__all__ = ["ANY", "DENSE", "FRESH", "SETTLED", "Ports", "means_of", "open_ports", "slow_states"]
+
+ANY, SETTLED, FRESH = 0, 1, 2  # what the mean of a slow state is, see `means_of`
+
+LAW = "fault"  # category of blocks that stand for a law, not for a machine
 
 DENSE = 24  # states up to which matrices of all states are as fast
 SLOW = 5.0  # a mode that decays by less than e^-5 over the window may still move the mean
@@ -105,12 +111,34 @@ def _normalised(group: np.ndarray, least: float) -> np.ndarray:
     return np.asarray(group / np.maximum(np.abs(group).max(axis=0, initial=0.0), least))
 
 
-def slow_states(A: np.ndarray, window: float) -> np.ndarray:
+def means_of(model: Model) -> np.ndarray:
+    """Return what is known of the mean of every state where it has no time to settle, (n_x,).
+
+    ANY: it may be anything, after a start at any time. SETTLED: it is where it comes to rest: a state of a law (a
+    filter that stands for its loss or its lag); with a free mean in every run a law would explain each by itself,
+    whatever its size. FRESH: it has come as far as since the start of the run.
+    """
+    found = np.full(model.n_x, ANY)
+    for name, signal in model.states.items():
+        block, _, key = name.rpartition(".")
+        kind = model.diagram.nodes[block].block
+        if kind.category == LAW:
+            found[signal.part] = SETTLED
+        if kind.states[key].fresh:
+            found[signal.part] = FRESH
+    return found
+
+
+def slow_states(A: np.ndarray, window: float, means: np.ndarray | None = None) -> np.ndarray:
     """Return one state for each mode that is slow against the window: those that take part in them most.
 
-    Their mean may be anything after a start at any time; a free integrator has no mean at all.
+    Their mean may be anything after a start at any time; a free integrator has no mean at all. means: of each state
+    (n,), see `means_of`: those that are taken as settled are left out, those that start with the run are always in.
     """
-    return _slow_states(np.ascontiguousarray(A, float).tobytes(), len(A), window).copy()
+    found = _slow_states(np.ascontiguousarray(A, float).tobytes(), len(A), window)
+    if means is None:
+        return found.copy()
+    return np.union1d(found[means[found] != SETTLED], np.flatnonzero(means == FRESH))
 
 
 @lru_cache(maxsize=KEPT)

@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from rotorsim.identify.estimate import Estimate, Search
 
-__all__ = ["Z90", "joint_factor", "profile_intervals"]
+__all__ = ["Z90", "joint_factor", "linear_intervals", "profile_intervals"]
 
 Z90 = float(norm.ppf(0.95))  # half width of a central 90 % interval, in standard deviations
 NORMAL = 0.02  # the profile agrees so well with a parabola that its end points are those of the parabola
@@ -28,11 +28,11 @@ def profile_intervals(search: Search, found: Estimate, widen: float = 1.0) -> np
     intervals = np.empty((len(found.free), 2))
     best = polar.residual(polar.coordinates.inside(found.theta))
     least = float(best @ best)
-    whole = _unbounded(found)
+    whole, nothing = _unbounded(found), found.undetermined
     for j, item in enumerate(found.free):
         used = whole if found.at_bound[j] else covariance
         std = float(np.sqrt(max(used[j, j], 0.0))) * widen
-        if not 0 < std < np.inf:
+        if nothing[j] or not 0 < std < np.inf:
             intervals[j] = item.low, item.high
             continue
         ridge = used[:, j] / used[j, j]
@@ -40,6 +40,38 @@ def profile_intervals(search: Search, found: Estimate, widen: float = 1.0) -> np
             end = _end(polar, found.theta, ridge, j, sign * Z90 * std, least, (Z90 * widen) ** 2)
             intervals[j, side] = float(np.clip(end, item.low, item.high))
     return intervals
+
+
+def linear_intervals(search: Search, found: Estimate) -> np.ndarray:
+    """Return 90 % intervals (m, 2) [SI] by linear theory, cut at the physical bounds: where undetermined, all between.
+
+    At a bound the profile rises by 2 b x + h x^2 over a step x off it, h = |J_j|^2 and b = J_j^T r beside all other
+    parameters: the interval is one-sided, up to the x of a rise by 2.71.
+    """
+    low, high = search.coordinates.low, search.coordinates.high
+    half = Z90 * found.std
+    intervals = np.column_stack([np.maximum(found.theta - half, low), np.minimum(found.theta + half, high)])
+    q = search.coordinates.inside(found.theta)
+    if not found.at_bound.any():
+        return intervals
+    r, J = search.residual(q), search.slopes(q)
+    base, _, _ = np.linalg.svd(_units(J[:, ~found.at_bound]), full_matrices=False)
+    for j in np.flatnonzero(found.at_bound):
+        scale = search.coordinates.scale[j]
+        below = found.theta[j] - low[j] <= high[j] - found.theta[j]
+        own = (1.0 if below else -1.0) * (J[:, j] - base @ (base.T @ J[:, j]))
+        h, b = float(own @ own), max(float(own @ r), 0.0)
+        # x = (sqrt(b^2 + h 2.71) - b) / h, without its difference of large numbers
+        rise = Z90**2 / (b + np.sqrt(b**2 + h * Z90**2)) * scale if h > 0 or b > 0 else np.inf
+        end = found.theta[j] + (rise if below else -rise)
+        intervals[j] = (low[j], min(end, high[j])) if below else (max(end, low[j]), high[j])
+    return intervals
+
+
+def _units(J: np.ndarray) -> np.ndarray:
+    """Return columns of length one, without those of none."""
+    size = np.linalg.norm(J, axis=0)
+    return np.asarray(J[:, size > 0] / size[size > 0])
 
 
 def joint_factor(correlation: np.ndarray) -> float:

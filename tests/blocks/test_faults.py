@@ -51,7 +51,8 @@ def test_a_fault_says_what_it_looks_like(cls: type[Block], fault: Fault) -> None
 def test_the_names_of_a_fault_are_declared(cls: type[Block], fault: Fault) -> None:
     assert fault.free.keys() | fault.fixed.keys() <= cls.parameters.keys()
     assert not fault.free.keys() & fault.fixed.keys()
-    assert {name.rpartition(".")[2] for name in fault.inherits} <= cls.parameters.keys()
+    assert {name.rpartition(".")[2] for name in fault.inherits} <= cls.parameters.keys() | cls.options.keys()
+    assert set(fault.most) | set(fault.sizes) <= fault.free.keys()
     assert fault.options.keys() <= cls.options.keys()
     for name, value in fault.options.items():
         option = cls.options[name]
@@ -62,7 +63,7 @@ def test_the_names_of_a_fault_are_declared(cls: type[Block], fault: Fault) -> No
 
 @every_fault
 def test_the_ends_of_a_fault_fit(cls: type[Block], fault: Fault) -> None:
-    if fault.enters == "force":
+    if fault.enters in ("force", "shaft"):
         assert {"force", "moment"} & cls.outputs.keys()
     if fault.enters in ("wire", "reading"):
         assert fault.through
@@ -100,7 +101,7 @@ def test_variants_of_one_effect_differ() -> None:
 def test_a_fault_that_enters_nowhere_is_refused() -> None:
     with pytest.raises(ValueError) as caught:
         Fault(physics="rub", enters="torque")
-    assert str(caught.value) == "enters must be one of force, wire, reading, replace, move, not 'torque'"
+    assert str(caught.value) == "enters must be one of force, shaft, wire, reading, replace, move, not 'torque'"
 
 
 # --- in a diagram -------------------------------------------------------------------------------------------------
@@ -109,7 +110,7 @@ def test_a_fault_that_enters_nowhere_is_refused() -> None:
 def diagram_of(fault: Fault) -> dict[str, Any]:
     """A rotor whose disc tilts; one of several nodes for what acts at another place."""
     beam = "rotor_fe" in fault.of
-    name = "fe_rigid" if fault.enters == "move" or beam else "offset_disc"
+    name = "fe_rigid" if fault.enters in ("move", "shaft") or beam else "offset_disc"
     document = copy.deepcopy(dict(read_document(shipped_diagrams()[name]).data))
     document["wires"] = [list(wire) for wire in document["wires"]]
     if beam:  # what the fault changes is not so before
@@ -155,7 +156,7 @@ def put_in(document: dict[str, Any], cls: type[Block], fault: Fault) -> list[str
                 if wire[0] == source and fault.between[1] in ("*", all_types()[kind].category):
                     wire[0] = f"fault.{fault.through[port]}"
         wires.append([source, f"fault.{port}"])
-    if fault.enters == "force":
+    if fault.enters in ("force", "shaft"):
         wires += [[f"fault.{port}", f"rotor.{port}"] for port in ("force", "moment") if port in cls.outputs]
     return [f"fault.{port}" for port in cls.outputs]
 
