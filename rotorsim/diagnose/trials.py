@@ -39,10 +39,11 @@ _Job = tuple[dict[str, Any], list[list[dict[str, float]]]]
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An insertion and the refitted diagram with it."""
+    """An insertion and the refitted diagram with it; final: whether the fit was carried to the end."""
 
     insertion: Insertion
     fit: Fit
+    final: bool = True
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -131,9 +132,27 @@ class Trials:
         more = self._fit([jobs[k] for k in later], LAST_EVALUATIONS if explained else FIRST_EVALUATIONS)
         for k, fit in zip(later, more, strict=True):
             fits[k] = fit
-        fits = self._refined(before, jobs, fits, [(item.physics, item.variant) for item in found])
-        tried = [Candidate(item, fit) for item, fit in zip(found, fits, strict=True)]
+        fits, ended = self._refined(before, jobs, fits, [(item.physics, item.variant) for item in found])
+        tried = [
+            Candidate(item, fit, bool(fit.failure) or not fit.nonlinear or k in ended)
+            for k, (item, fit) in enumerate(zip(found, fits, strict=True))
+        ]
         return Round(before, tuple(_simplest_first(tried, self.slack)))
+
+    def completed(self, found: Round, physics: Collection[str]) -> Round:
+        """Return a round with these physics carried to the end, each law at its best place."""
+        tried = list(found.tried)
+        best: dict[tuple[str, int], int] = {}
+        for k in sorted(range(len(tried)), key=lambda k: tried[k].fit.misfit):
+            item = tried[k]
+            if item.insertion.physics in physics and not item.fit.failure:
+                best.setdefault((item.insertion.physics, item.insertion.variant), k)
+        which = [k for k in best.values() if not tried[k].final]
+        jobs: list[_Job] = [(values_in(tried[k].fit.document, tried[k].fit.values), [[{}]]) for k in which]
+        for k, fit in zip(which, self._fit(jobs, None), strict=True):
+            better = not fit.failure and fit.misfit <= tried[k].fit.misfit
+            tried[k] = Candidate(tried[k].insertion, fit if better else tried[k].fit)
+        return Round(found.before, tuple(_simplest_first(tried, self.slack))) if which else found
 
     def _screened(self, before: Fit, found: Sequence[Insertion], jobs: Sequence[_Job]) -> list[int]:
         """Return which insertions are fitted where places are many."""
@@ -190,10 +209,10 @@ class Trials:
 
     def _refined(
         self, before: Fit, jobs: Sequence[_Job], fits: list[Fit], laws: Sequence[tuple[str, int]]
-    ) -> list[Fit]:  # fmt: skip
-        """Return the fits, those that promise most carried to the end. laws: physics and variant of each.
+    ) -> tuple[list[Fit], set[int]]:  # fmt: skip
+        """Return the fits, and which of them were carried to the end: those that promise most.
 
-        Where one of all explains the data, only those near it matter any more.
+        laws: physics and variant of each. Where one of all explains the data, only those near it matter any more.
         """
         if not any(is_adequate(fit) for fit in fits):
             order = [k for k in _by_misfit(fits) if fits[k].nonlinear]
@@ -213,7 +232,7 @@ class Trials:
         else:
             order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < PROMISING * before.misfit]
         self._again(jobs, fits, order, None)
-        return fits
+        return fits, set(order)
 
     def _again(self, jobs: Sequence[_Job], fits: list[Fit], which: Sequence[int], most: int | None) -> None:
         """Carry some fits on from where they are, in place."""
