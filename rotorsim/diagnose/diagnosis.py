@@ -90,7 +90,7 @@ def diagnose(
     effects = effects_of(named)
     proof = None
     if (effects or converters) and named.explains:
-        left = max(1 - named.share, 0.0) if named.mostly else 0.0
+        left = 0.0 if named.explained else max(1 - named.share, 0.0)
         proof = prove(scored(base), scored(named.fit), left=left, held=bool(held))
     disproved = proof is not None and proof.status == "disproved"
     faint = is_faint(base)

@@ -40,6 +40,7 @@ def diagnosis_data(found: Diagnosis) -> dict[str, Any]:
             "noise_floor": found.score_after.noise if found.score_after.noise is not None else found.score_before.noise,
             "held_out": "hold_out" if found.held else "left_out",
         },
+        "nearest": _nearest(found),
         "next_experiment": found.next_experiment,
         "statement": found.statement,
         "diagram": DIAGRAM,
@@ -67,6 +68,15 @@ def _missing(found: Diagnosis) -> list[dict[str, Any]]:
         }
         for number, effect in enumerate(found.effects)
     ]
+
+
+def _nearest(found: Diagnosis) -> dict[str, Any] | None:
+    """Return which rows explain most in the fitted runs, and the share of what was to be explained."""
+    named = found.named
+    if not named.chosen:
+        return None
+    left = _finite(named.fit.misfit / named.fit.freedom)
+    return {"physics": [i.insertion.physics for i in named.chosen], "share": named.share, "excess_variance": left}
 
 
 def _explained(item: Explained) -> dict[str, Any] | None:
