@@ -29,7 +29,7 @@ __all__ = [
 
 VERDICTS = ("consistent", "missing_physics", "outside_catalogue", "not_identifiable")
 LIKELY = 0.01  # probability from which a place or a member of a class is listed
-MOST_CLASS = 4  # physics that explain the data alike, beyond which nothing is named
+MOST_CLASS = 4  # physics that explain the data alike, beyond which nothing is named: a longer list is no name
 REJECTED = 12  # rivals that are listed
 
 

@@ -19,10 +19,16 @@ from rotorsim.diagnose.trials import is_adequate
 from rotorsim.diagram.files import write_atomically
 from rotorsim.diagram.fmt import format_document
 
-__all__ = ["diagnosis_data", "repaired_document", "save_diagnosis"]
+__all__ = ["diagnosis_data", "diagnosis_schema", "repaired_document", "save_diagnosis"]
 
 DIAGRAM = "diagram.json"
 RESULT = "diagnosis.json"
+
+
+def diagnosis_schema() -> dict[str, Any]:
+    """Return the JSON schema of diagnosis.json, which says what each key means."""
+    schema: dict[str, Any] = json.loads(Path(__file__).with_name("diagnosis.schema.json").read_text(encoding="utf-8"))
+    return schema
 
 
 def diagnosis_data(found: Diagnosis) -> dict[str, Any]:

@@ -14,12 +14,18 @@ from rotorsim.diagnose.trials import MODEL_ERROR, is_noise
 
 __all__ = ["Proof", "Share", "is_faint", "is_material", "prove", "share_explained"]
 
-SURPRISE = 0.01  # probability of what a diagram leaves in held-out runs, below which noise does not make it
-DETAILS = 1e-4  # share of what was left unexplained there that details of an otherwise exact law may leave
-BEYOND = 10.0  # times the share left in fitted runs, that may be left in others: they go to other speeds and gains
-MOST = 0.98  # share of what is to be explained that a cause must explain to be named
-MATERIAL = 0.5  # of the fall of the misfit in fitted runs, that must be seen in runs left out
-FAINT = 1.5  # times the variance of the noise: what is left below may be the model of the noise
+SURPRISE = 0.01  # probability of what a diagram leaves in held-out runs, below which noise does not make it: a right
+# repair is disproved in one case of a hundred, as often as a false alarm is raised
+DETAILS = 1e-4  # share of what was left unexplained there that an otherwise exact law may leave: 1 % of the amplitude,
+# what harmonics of a law with corners are good to
+BEYOND = 10.0  # times the share left in fitted runs, that may be left in others, at other speeds and gains: three
+# times the amplitude, as for forces that grow with the square of a speed 1.7 times higher
+MOST = 0.98  # share of what is to be explained that a cause must explain to be named: between laws that imitate others
+# and right laws with details, `python -m benchmarks.concealed shares` (docs/diagnosis.md)
+MATERIAL = 0.5  # of the fall of the misfit in fitted runs, that must be seen in runs left out: a true effect shows all
+# of it there, what was fitted to noise nothing, or the reverse
+FAINT = 1.5  # times the variance of the noise: what is left below may be the model of the noise; healthy recordings with
+# pink noise, drift, lost samples and jitter leave up to 1.36
 LEVEL = 0.9  # of intervals
 
 

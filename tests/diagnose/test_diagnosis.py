@@ -3,11 +3,12 @@
 import json
 from functools import cache
 
+import jsonschema
 import numpy as np
 import pytest
 
 from rotorsim.diagnose.diagnosis import Diagnosis, diagnose
-from rotorsim.diagnose.files import diagnosis_data, save_diagnosis
+from rotorsim.diagnose.files import diagnosis_data, diagnosis_schema, save_diagnosis
 from rotorsim.diagram import load
 from rotorsim.recordings import Recording
 from rotorsim.simulate import simulate
@@ -101,6 +102,13 @@ def test_the_files_are_what_others_read(tmp_path):
     found = diagnosed(True)
     files = save_diagnosis(found, tmp_path)
     data = json.loads(files[0].read_text())
+    jsonschema.Draft202012Validator(diagnosis_schema()).validate(data)
+    assert data["proof"]["status"] == "proved"
+    assert data["missing"][0]["explained"]["share"] == pytest.approx(1.0, abs=0.01)
+    low, high = data["missing"][0]["explained"]["interval90"]
+    assert low < data["missing"][0]["explained"]["share"] <= high
+    assert data["missing"][0]["explained"]["explainable"] > 0.98
+    assert (data["residual"], data["open"]) == (None, [])
     assert set(data) >= {
         "verdict", "where", "missing", "rejected", "parameters", "fit", "next_experiment", "statement", "diagram",
     }  # fmt: skip
@@ -109,7 +117,7 @@ def test_the_files_are_what_others_read(tmp_path):
     [missing] = data["missing"]
     assert missing["physics"] in missing["class"]
     amplitude = missing["parameters"]["amplitude"]
-    assert set(amplitude) == {"value", "std", "interval90", "unit"}
+    assert set(amplitude) == {"value", "std", "interval90", "unit", "at_bound"}
     assert data["fit"]["before"]["hold_out"] > data["fit"]["after"]["hold_out"]
     assert data["rejected"][0].keys() == {"physics", "why"}
     repaired = load(tmp_path / data["diagram"])
