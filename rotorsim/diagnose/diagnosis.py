@@ -93,7 +93,7 @@ def diagnose(
         left = 0.0 if named.explained else max(1 - named.share, 0.0)
         proof = prove(scored(base), scored(named.fit), left=left, held=bool(held))
     disproved = proof is not None and proof.status == "disproved"
-    faint = is_faint(base)
+    faint = is_faint(base, scored(base))
     if faint and effects and (disproved or not named.explains):
         named, effects = without_effects(named), ()
     verdict = verdict_of(

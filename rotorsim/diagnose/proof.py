@@ -96,14 +96,17 @@ def is_material(before: Score, after: Score, base: Fit, fit: Fit) -> bool:
         return True
     seen = (before.misfit - after.misfit) / max(after.rows, 1)
     falls = seen >= MATERIAL * (base.misfit - fit.misfit) / max(base.rows, 1)
-    return falls and (not is_faint(base) or after.total < before.total)
+    return falls and (not is_faint(base, before) or after.total < before.total)
 
 
-def is_faint(found: Fit) -> bool:
+def is_faint(found: Fit, scored: Score) -> bool:
     """Return whether what a diagram leaves is so little that the model of the noise may be wrong by as much.
 
-    Lines beside the harmonics are told from noise by their own.
+    scored: of runs that took no part, where it must be as little. Lines beside the harmonics are told from noise by
+    their own.
     """
+    if isinstance(scored, HeldScore) and scored.misfit is not None and scored.misfit > FAINT * scored.rows:
+        return False
     return found.misfit <= FAINT * found.freedom and is_noise(replace(found, goodness=1.0))
 
 

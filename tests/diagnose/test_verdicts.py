@@ -133,15 +133,15 @@ def test_a_cause_is_named_only_where_it_lowers_the_error_of_other_runs(fitted, b
 
 def test_little_that_nothing_explains_is_no_missing_physics():
     """Noise that is not what its model says leaves up to one and a half times its variance: no verdict by itself."""
-    for times, faint in ((1.49, True), (1.51, False)):
-        assert is_faint(left(times)) is faint
+    for times, elsewhere, faint in ((1.49, 1.49, True), (1.51, 1.0, False), (1.0, 1.51, False), (1.49, None, True)):
+        assert is_faint(left(times), scored(elsewhere)) is faint
     nothing = Named(left(1.36), (), (), left(1.36), 1e-4)
     assert verdict_of(nothing, (), faint=True) == "consistent"
     assert verdict_of(nothing, (), faint=True, alike=True) == "not_identifiable"
     assert verdict_of(nothing, ()) == "outside_catalogue"
     assert verdict_of(named(1.36, 1.25), (EFFECT,), faint=True) == "consistent"  # it explains too little
     assert verdict_of(named(1.36, 1.0), (EFFECT,), faint=True) == "missing_physics"
-    assert not is_faint(replace(left(1.0), line_misfit=110.0, line_rows=30))
+    assert not is_faint(replace(left(1.0), line_misfit=110.0, line_rows=30), scored(1.0))
 
 
 def test_effects_that_do_not_predict_are_outside_the_catalogue():
