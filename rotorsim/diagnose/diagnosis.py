@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from rotorsim.diagnose.base import base_fit, with_uncertain
 from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, nearest, unknown_of, verdict_of
 from rotorsim.diagnose.converters import find_converters
-from rotorsim.diagnose.explaining import explanations, residual_of
+from rotorsim.diagnose.explaining import explanations, is_force, residual_of
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.naming import name_missing, without_effects
 from rotorsim.diagnose.proof import is_faint, is_material, prove
@@ -93,7 +93,8 @@ def diagnose(
         left = 0.0 if named.explained else max(1 - named.share, 0.0)
         proof = prove(scored(base), scored(named.fit), left=left, held=bool(held))
     disproved = proof is not None and proof.status == "disproved"
-    faint = is_faint(base, scored(base))
+    with threadpool_limits(1, "blas"):
+        faint = is_faint(base, scored(base)) and not is_force(base, source)
     if faint and effects and (disproved or not named.explains):
         named, effects = without_effects(named), ()
     verdict = verdict_of(

@@ -15,7 +15,7 @@ from rotorsim.diagnose.naming import Named
 from rotorsim.diagnose.places import open_places
 from rotorsim.diagnose.proof import Share, share_explained
 from rotorsim.diagnose.scoring import Held, HeldScore, predict, score, standardised
-from rotorsim.diagnose.trials import Candidate, is_adequate
+from rotorsim.diagnose.trials import NOT_EXPLAINED, Candidate, is_adequate
 from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
@@ -25,8 +25,9 @@ from rotorsim.identify.motion import Motion
 if TYPE_CHECKING:
     from rotorsim.diagnose.conclusions import Effect
 
-__all__ = ["Explained", "explanations", "residual_of"]
+__all__ = ["Explained", "explanations", "is_force", "residual_of"]
 
+SLIGHT = 1.2  # times the variance of the noise: less cannot be told from noise of some channels that is not as modelled
 CHANCE = 1e-3  # probability that noise alone makes any order of a residual
 FAILURES = (RotorsimError, ValueError, np.linalg.LinAlgError)
 
@@ -92,6 +93,29 @@ def _least(
             return None
         found += runs
     return found
+
+
+def is_force(base: Fit, source: Source) -> bool:
+    """Return whether free harmonics of a force at some one place explain what a linear diagram leaves over.
+
+    Errors of channels, each by itself, are not in displacement and current as the loop demands of a force.
+    """
+    if base.misfit <= SLIGHT * base.freedom:
+        return False
+    places = open_places(base, source)
+    if places is None:
+        return False
+    for key in {name.partition("[")[0]: None for name in places.places}:
+        by_node: dict[str, list[str]] = {}
+        for name in places.places:
+            port, _, index = name.partition("[")
+            if port == key:
+                by_node.setdefault(index.rpartition(",")[0], []).append(name)
+        for names in by_node.values():
+            misfit, rows = (sum(part) for part in zip(*places.free("force", *names), strict=True))
+            if chi2.sf(misfit, max(rows, 1)) >= NOT_EXPLAINED:
+                return True
+    return False
 
 
 def residual_of(base: Fit, after: Fit, source: Source) -> Mapping[str, Any] | None:

@@ -43,7 +43,11 @@ class Places:
     def least(self, item: Insertion) -> list[tuple[float, float]] | None:
         """Return of each run the least misfit that an insertion can leave, and the equations that are left then."""
         key = self.entries(item)
-        return None if key is None else self._rests(key[0] == "force", key[1:])
+        return None if key is None else self.free(*key)
+
+    def free(self, kind: str, *names: str) -> list[tuple[float, float]]:
+        """Return of each run misfit and equations with free harmonics of inputs ("force") or channels ("reading")."""
+        return self._rests(kind == "force", names)
 
     def entries(self, item: Insertion) -> tuple[str, ...] | None:
         """Return "force" and the inputs where an insertion acts, or "reading" and the channels that it falsifies."""

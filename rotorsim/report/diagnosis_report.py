@@ -345,6 +345,8 @@ class _Page:
             if kept is not None and name in kept.members:
                 chosen = "nearest" if self.found.verdict == "outside_catalogue" else "kept"
                 why = chosen if name == kept.physics else "explains the data as well"
+            elif not candidate.final:
+                why = "not fitted to the end: not rejected"
             elif kept is not None:
                 why = why_lost(fit, kept.candidate.fit, reasons.get(name, ""))
             if fit.failure:

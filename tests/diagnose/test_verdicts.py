@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rotorsim.diagnose import explaining
 from rotorsim.diagnose.conclusions import _effect, _open, _rejected, nearest, verdict_of
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.naming import Named, Round, _completed, _level, _named, _reconsidered, _simplified, least_gain
@@ -42,6 +43,30 @@ EFFECT = SimpleNamespace(members={"rub": 1.0})
 )
 def test_details_of_a_law_do_not_make_it_another(before, after, verdict):
     assert verdict_of(named(before, after), (EFFECT,)) == verdict
+
+
+@pytest.mark.parametrize(
+    ("base", "free", "force"),
+    [
+        (1.37, 1.03, True),  # a friction with memory: of 650 equations 669 are left, probability 29 %
+        (1.36, 1.25, False),  # noise of one channel that is not as modelled: probability 1e-5
+        (1.19, 1.0, False),  # too little to tell
+        (1.21, 1.0, True),
+    ],
+)
+def test_what_is_in_all_channels_as_the_loop_demands_is_a_force(monkeypatch, base, free, force):
+    asked = []
+
+    def left_by(kind: str, *names: str) -> list[tuple[float, float]]:
+        asked.append((kind, names))
+        return [(free * 300, 300.0), (free * 350, 350.0)]
+
+    names = ("rotor.force[1]", "rotor.force[2]", "beam.force[4,1]", "beam.force[4,2]")
+    places = SimpleNamespace(places=dict.fromkeys(names), free=left_by)
+    monkeypatch.setattr(explaining, "open_places", lambda *_: places)
+    assert explaining.is_force(left(base), None) is force
+    assert not asked or asked[0] == ("force", ("rotor.force[1]", "rotor.force[2]"))
+    assert len(asked) < 2 or asked[1] == ("force", ("beam.force[4,1]", "beam.force[4,2]"))
 
 
 def test_what_nothing_was_found_for_is_outside_or_nothing():
