@@ -43,13 +43,12 @@ def test_what_noise_does_not_explain_widens_all_intervals():
     assert estimates(fitted(misfit=3600.0, goodness=2e-4))["bow.phase"].std == pytest.approx(0.1)
 
 
-def test_at_a_bound_only_that_end_is_known():
+def test_no_interval_has_zero_width_at_a_bound():
     data = _parameters(fitted(ended=(True, False, True)))
-    assert data["bow.amplitude"] == {
-        "value": 1.5e-6, "std": None, "interval90": [1.5e-6, None], "unit": "m", "at_bound": True,
-    }  # fmt: skip
-    assert data["share"]["interval90"] == [None, 0.9]
-    assert data["bow.phase"]["at_bound"] is False
+    for name, ended in (("bow.amplitude", True), ("bow.phase", False), ("share", True)):
+        low, high = data[name]["interval90"]
+        assert None in (low, high) or low < high
+        assert data[name]["at_bound"] is ended
     assert estimate(data["share"]) == ["0.9", "at its bound"]
 
 

@@ -186,7 +186,7 @@ def candidate(
     insertion = SimpleNamespace(
         physics=physics, variant=0, spot="rotor.force", key=physics, free=(), fault=SimpleNamespace(confused_with=alike)
     )  # fmt: skip
-    return SimpleNamespace(fit=fit, insertion=insertion, physical=True, parameters=(), final=True)
+    return SimpleNamespace(fit=fit, insertion=insertion, physical=True, unphysical="", parameters=(), final=True)
 
 
 def chosen(*tried: SimpleNamespace) -> list[str]:
@@ -209,7 +209,8 @@ def test_what_is_left_is_noise_or_not_worth_a_name(times, goodness, adequate):
 
 def test_a_parameter_at_its_bound_makes_a_law_unphysical_but_not_one_of_the_diagram():
     found = law({"bow.amplitude": (0.0, 0.1), "damping": (1.0, 0.1)})
-    item = Candidate(SimpleNamespace(free=("bow.amplitude",)), replace(found, at_bound=np.array([True, False])))
+    insertion = SimpleNamespace(free=("bow.amplitude",), fault=SimpleNamespace(sizes=()))
+    item = Candidate(insertion, replace(found, at_bound=np.array([True, False])))
     assert not item.physical
     assert replace(item, fit=replace(found, at_bound=np.array([False, True]))).physical
     assert Round(found, (item,)).best is None
@@ -268,10 +269,11 @@ def test_another_effect_must_explain_nine_tenths_of_what_is_left(second, chosen)
 
 def test_places_that_allow_ten_times_the_least_are_not_looked_at(monkeypatch):
     bounds = {"near": 1000.0, "far": 9990.0, "beyond": 10010.0}
-    places = SimpleNamespace(bound=lambda item: bounds.get(item))
+    places = SimpleNamespace(bound=lambda item: bounds.get(item.spot))
+    found = [SimpleNamespace(physics="rub", variant=0, spot=spot) for spot in ("beyond", "far", "near", "unknown")]
     monkeypatch.setattr("rotorsim.diagnose.trials.open_places", lambda before, source: places)
     trials = Trials(None, None, None, 1, None, None)
-    kept = trials._screened(left(50.0), ["beyond", "far", "near", "unknown"], [])
+    kept = trials._screened(left(50.0), found, [])
     assert sorted(kept) == [1, 2, 3]
 
 
@@ -317,7 +319,8 @@ def test_known_look_alikes_are_fitted_to_the_end_and_may_take_the_place():
 def test_a_look_alike_is_carried_on_from_where_it_is_at_its_best_place():
     def tried(spot: str, misfit: float) -> SimpleNamespace:
         fit = Fit({"blocks": {}}, misfit=misfit, rows=ROWS, equations=ROWS, nonlinear=True)
-        insertion = SimpleNamespace(physics="rub", variant=0, spot=spot, free=())
+        fault = SimpleNamespace(sizes=())
+        insertion = SimpleNamespace(physics="rub", variant=0, spot=spot, free=(), fault=fault)
         return SimpleNamespace(insertion=insertion, fit=fit, final=False, physical=True)
 
     far, near = tried("far", 9e5), tried("near", 9e4)
