@@ -133,8 +133,8 @@ def share_explained(
     value = float((b - a).sum()) / to_explain
     R = len(b)
     if R < 2:
-        return Share(value)
+        return Share(min(value, 1.0))
     without = np.array([np.delete(b - a, r).sum() / np.delete(b - f, r).sum() for r in range(R)])
     spread = float(np.sqrt((R - 1) / R * ((without - without.mean()) ** 2).sum()))
     half = float(t.isf((1 - LEVEL) / 2, R - 1)) * spread
-    return Share(value, (value - half, min(value + half, 1.0)))
+    return Share(min(value, 1.0), (value - half, min(value + half, 1.0)))

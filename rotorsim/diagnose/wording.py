@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["next_experiment", "statement"]
 
+ALL = 0.999  # a share from which its digits say nothing
 ONE_SPEED = "at one speed unbalance imitates bow and runout, and force factors imitate stiffness and damping"
 MORE_RUNS = "runs at several speeds, from slow roll to above the first critical, and some with other gains"
 
@@ -117,9 +118,12 @@ def _explains(item: Explained, found: Diagnosis) -> str:
     """Return how much of what is to be explained an effect explains."""
     if item.share is None:
         return ""
-    ends = "" if item.share.interval is None else " ({} to {})".format(*(_percent(end) for end in item.share.interval))
     of = "is left without it" if item.explainable is None else "anything at that place could explain"
-    return f" On {_kind(found)} it explains {_percent(item.share.value)}{ends} of what {of}."
+    if item.share.interval is None or item.share.interval[0] > ALL:
+        much = f"more than {_percent(ALL)}" if item.share.value > ALL else _percent(item.share.value)
+    else:
+        much = "{} ({} to {})".format(*(_percent(share) for share in (item.share.value, *item.share.interval)))
+    return f" On {_kind(found)} it explains {much} of what {of}."
 
 
 def _residual(found: Diagnosis) -> str:
