@@ -1,7 +1,8 @@
 """What a step of an FMU costs: in this process, in its own, in a loop of C, and in a loop written over FMPy.
 
 ``python -m benchmarks.fmu_steps [--steps 20000] [--repeats 5]``: the plant FMUs of the tests, one RK4 step of two
-states at each call; wall time per step, medians of interleaved runs (a step of two processes is no CPU time of one).
+states at each call; wall time per step, medians of interleaved runs (a step of two processes is no CPU time of one),
+and CPU time of this process. Masters: `rotorsim cosim` with the default master, over a pair.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import at_least, at_most
+from rotorsim.diagram.load import load
+from rotorsim.fmi.cosimulation import cosimulate, open_coupling
 from rotorsim.fmi.loop import FastLoop
 from rotorsim.fmi.slave import Slave, open_fmu
 
@@ -87,6 +90,34 @@ def fmpy_pair(file: Path) -> Callable[[int], float]:
     return run
 
 
+def master(file: Path, *, here: bool) -> Callable[[int], float]:
+    """Return a run of the default master over a pair."""
+    block = {"type": "fmu", "file": file.name, "parameters": {"in_process": here}}
+    wires = [["a.y", "b.u"], ["b.y", "a.u"]]
+    document = {"blocks": {"a": block, "b": block}, "wires": wires, "record": ["a.y"]}
+    diagram = load(document, folder=file.parent, trust_blocks=True)
+
+    def run(steps: int) -> float:
+        coupling = open_coupling(diagram, stop=steps * H)
+        begun = time.perf_counter()
+        found = cosimulate(coupling, diagram, step=H, stop=steps * H)
+        taken = time.perf_counter() - begun
+        coupling.close()
+        assert found.status == "finished", found.message
+        return taken
+
+    return run
+
+
+def wirable(file: Path) -> Path:
+    """Write a plant whose input fits its output and does not reach it at once."""
+    from tests.fmi.plant import description2, make_fmu
+
+    text = description2().replace('unit="N"', 'unit="m"').replace('dependencies="2 6"', 'dependencies="2"')
+    text = text.replace('causality="output" variability="discrete"', 'variability="discrete"')
+    return make_fmu(file, description=text.replace('<Unknown index="15" dependencies=""/>', ""))
+
+
 def main() -> int:
     """Measure and print."""
     from tests.fmi.plant import make_fmu
@@ -96,7 +127,7 @@ def main() -> int:
     parser.add_argument("--repeats", type=int, default=5)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        file = make_fmu(Path(folder, "plant.fmu"))
+        file, wired = make_fmu(Path(folder, "plant.fmu")), wirable(Path(folder, "wired.fmu"))
         with open_fmu(file, in_process=True) as here, open_fmu(file) as apart:
             slaves = [fmu.instantiate("cs") for fmu in (here, here, apart, apart)]
             for slave in slaves:
@@ -108,18 +139,26 @@ def main() -> int:
                 "pair, own processes": lambda n: pair(slaves[2:], n, both=True),
                 "pair, loop in C": lambda n: fast(slaves[:2], n),
                 "pair, loop over FMPy": fmpy_pair(file),
+                "pair, master, in process": master(wired, here=True),
+                "pair, master, own processes": master(wired, here=False),
             }
             times: dict[str, list[float]] = {name: [] for name in actions}
+            used: dict[str, list[float]] = {name: [] for name in actions}
             for _ in range(given.repeats + 1):
                 for name, action in actions.items():
+                    begun = time.process_time()
                     times[name].append(1e6 * action(given.steps) / given.steps)
+                    used[name].append(1e6 * (time.process_time() - begun) / given.steps)
     medians = {name: statistics.median(found[1:]) for name, found in times.items()}
+    cpu = {name: statistics.median(found[1:]) for name, found in used.items()}
     for name, value in medians.items():
-        print(f"{name:<24} {value:8.2f} us per step (best {min(times[name]):.2f})")
+        print(f"{name:<28} {value:8.2f} us per step (best {min(times[name]):.2f}), CPU {cpu[name]:.2f} us")
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
     added = medians["one, own process"] - medians["one, in process"]
     gain = medians["pair, loop over FMPy"] / medians["pair, loop in C"]
+    held = cpu["pair, master, in process"] / cpu["pair, loop over FMPy"]
     lines = [
+        at_most("a pair: CPU of the master in process / of the loop over FMPy", held, 0.5, "{:.2f}"),
         at_most("a process of its own adds to a step", added, 20, "{:.1f}", "us"),
         at_least("a pair: loop over FMPy / loop in C", gain, 5, "{:.1f}"),
     ]

@@ -2,7 +2,8 @@
 
 import rotorsim
 diagram = rotorsim.load("jeffcott")
-result = rotorsim.simulate(diagram, parameters={"speed": 2 * np.pi * 25})
+result = rotorsim.simulate(diagram, parameters={"speed": "1500 rpm"})
+result.plot().savefig("jeffcott.png")
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ _HOME = {
     "campbell": "simulate",
     "frequency_response": "simulate",
     "sensitivity": "simulate",
+    "identify": "identify",
+    "diagnose": "diagnose",
+    "load_recording": "recordings",
     "Result": "simulate",
     "RotorsimError": "errors",
     "Block": "block",

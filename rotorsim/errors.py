@@ -2,10 +2,27 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-__all__ = ["Place", "Problem", "RotorsimError", "near_miss"]
+__all__ = ["CONTROL", "Place", "Problem", "RotorsimError", "escape", "near_miss", "visible"]
+
+# What steers a terminal or turns the direction of writing, and what XML cannot hold: C0 (but tab and line feed),
+# C1, overrides of direction, halves of characters, and the two that are none.
+CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
+
+
+def visible(text: str) -> str:
+    """Return a text with its control characters written out, as ``\\u001b``: names of others reach the terminal."""
+    return CONTROL.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def escape(text: str) -> str:
+    """Return a text for XML and HTML, which hold no control characters."""
+    from html import escape as escaped
+
+    return escaped(visible(text))
 
 
 @dataclass(frozen=True, order=True)
@@ -38,7 +55,7 @@ class Problem:
     def __str__(self) -> str:
         head = ": ".join(part for part in (str(self.place), self.severity, self.subject) if part)
         text = f"{head}: {self.what}"
-        return f"{text}\n\nhint: {self.hint}" if self.hint else text
+        return visible(f"{text}\n\nhint: {self.hint}" if self.hint else text)
 
 
 class RotorsimError(Exception):

@@ -1,6 +1,7 @@
-"""Lists of independent jobs (sweeps, Monte-Carlo, bootstraps, fits) on local processes or a cluster, by Dask.
+"""Lists of independent jobs (sweeps, Monte-Carlo, bootstraps, fits) on local processes, or on a cluster by Dask.
 
-Results go to a store as they finish; an interrupted run resumes from it.
+Results go to a store as they finish; an interrupted run resumes from it. Local processes are reached over pipes
+(`rotorsim.processes`): nothing listens on the network.
 """
 
 from __future__ import annotations
@@ -12,21 +13,20 @@ import os
 import pickle
 import re
 import reprlib
-import signal
 import time
 import warnings
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import islice
-from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobstore import Outcome, open_store, plain
+from rotorsim.processes import Pool
 
 __all__ = ["Failure", "local_workers", "run_jobs"]
 
@@ -37,17 +37,17 @@ SHOWN = 5  # failures in an error
 
 _SAME_VERSION = ("python", "dask", "distributed", "cloudpickle", "numpy", "rotorsim")
 _TICK = 1.0  # s, between looks at the workers
-_THREADS = ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMEXPR")
-_ONE_THREAD = {**dict.fromkeys([f"{name}_NUM_THREADS" for name in _THREADS], "1"), "VECLIB_MAXIMUM_THREADS": "1"}
-_SETTINGS = {
-    "distributed.scheduler.allowed-failures": RETRIES,
-    "distributed.scheduler.worker-ttl": None,  # a worker is silent while compiled code holds the interpreter
-    "distributed.worker.profile.enabled": False,
-    "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
-    "distributed.admin.large-graph-warning-threshold": "1 TiB",
-}
+_SETTINGS = {"distributed.admin.large-graph-warning-threshold": "1 TiB"}
+_POOLS: dict[str, Pool] = {}  # of `local_workers`, under the names that stand for them
 
 Job = tuple[int, Any]  # index and argument
+
+_KILLED: Outcome = {
+    "failure": {
+        "type": "KilledWorker",
+        "text": "the process that ran this job died, each time: killed, out of memory or crashed",
+    }
+}
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,9 @@ def run_jobs(
     run again, failed ones are; a list that was made longer runs what is new.
     key: whatever else decides the results than the name of the function and the arguments.
     scheduler: None: processes of this machine, one thread each (in a script, call it under
-    ``if __name__ == "__main__":``); "synchronous": this process; "tcp://host:port": a Dask cluster.
+    ``if __name__ == "__main__":``); "synchronous": this process; "tcp://host:port" or "tls://host:port": a Dask
+    cluster. Whoever reaches such a scheduler can run code on its workers, and in this process, which unpickles what
+    it answers: name only one that nobody else can reach, or one that TLS guards (Dask's configuration).
     workers: processes (default: one for every CPU), or how many jobs at a time a cluster gets. With one worker or
     one job all is done in this process.
     progress: called with the fraction done (0..1). chunk: jobs handed over at a time; more for short jobs.
@@ -108,7 +110,8 @@ def run_jobs(
 
 def _check(scheduler: str | None, workers: int | None, chunk: int, on_error: str) -> None:
     problems = []
-    if scheduler not in (None, "synchronous") and not re.fullmatch(r"(tcp|tls)://[^/]+:\d+", scheduler):
+    known = scheduler is None or scheduler == "synchronous" or scheduler in _POOLS
+    if not known and not re.fullmatch(r"(tcp|tls)://[^/]+:\d+", str(scheduler)):
         hint = "tcp://host:port of a Dask scheduler, or synchronous"
         problems.append(Problem(f"'{scheduler}' is not the address of a scheduler", "scheduler", hint=hint))
     if workers is not None and workers < 1:
@@ -151,11 +154,17 @@ def _finished(
         for index, argument in jobs:
             yield index, _outcome(function, argument)
         return
-    with _cluster(scheduler, workers or 1) as client, client.as_current():
-        try:
-            yield from _spread(client, function, jobs, workers, chunk)
-        except (OSError, _distributed().CancelledError):
-            raise _lost("the connection to the scheduler is lost") from None
+    if scheduler is None:
+        with Pool(workers or 1, _serve) as pool:
+            yield from _shared_out(pool, function, jobs, chunk)
+    elif scheduler in _POOLS:
+        yield from _shared_out(_POOLS[scheduler], function, jobs, chunk)
+    else:
+        with _cluster(scheduler) as client, client.as_current():
+            try:
+                yield from _spread(client, function, jobs, workers, chunk)
+            except (OSError, _distributed().CancelledError):
+                raise _lost("the connection to the scheduler is lost") from None
 
 
 def _cpus() -> int:
@@ -183,6 +192,38 @@ def _perform(payload: bytes) -> list[tuple[int, Outcome]]:
     """Run the jobs of one task, in a worker."""
     function, jobs = pickle.loads(payload)
     return [(index, _outcome(function, argument)) for index, argument in jobs]
+
+
+def _serve(payload: bytes) -> bytes:
+    """Run the jobs of one task, in a process of this machine."""
+    try:
+        return pickle.dumps(_perform(payload))
+    except Exception as error:  # what was sent cannot be read there
+        return pickle.dumps(_failure(error))
+
+
+def _shared_out(
+    pool: Pool, function: Callable[[Any], Any], jobs: list[Job], chunk: int
+) -> Iterator[tuple[int, Outcome]]:
+    """Yield index and outcome of every job as the processes finish them.
+
+    The jobs of a task that killed its process are run again one by one; one that kills it each time has failed.
+    """
+    deaths: Counter[int] = Counter()
+
+    def lost(task: list[Job]) -> list[list[Job]]:
+        if len(task) > 1:
+            return [[job] for job in task]
+        deaths[task[0][0]] += 1
+        return [task] if deaths[task[0][0]] <= RETRIES else []
+
+    tasks = deque(jobs[first : first + chunk] for first in range(0, len(jobs), chunk))
+    for task, reply in pool.perform(tasks, lambda task: _pickled(function, task), lost):
+        if reply is None:
+            yield task[0][0], _KILLED
+            continue
+        outcomes = pickle.loads(reply)
+        yield from outcomes if isinstance(outcomes, list) else ((index, outcomes) for index, _ in task)
 
 
 def _spread(
@@ -222,8 +263,7 @@ def _spread(
             elif len(task) > 1:
                 waiting.extendleft([job] for job in reversed(task))
             else:
-                text = "the process that ran this job died, each time: killed, out of memory or crashed"
-                yield task[0][0], {"failure": {"type": "KilledWorker", "text": text}}
+                yield task[0][0], _KILLED
 
 
 def _pickled(function: Callable[[Any], Any], task: list[Job]) -> bytes:
@@ -248,28 +288,16 @@ def _distributed() -> Any:
 
 
 @contextmanager
-def _cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
-    """Give a client of the cluster; end all that was started here."""
+def _cluster(scheduler: str) -> Iterator[Any]:
+    """Give a client of the cluster, which logs nothing."""
     _distributed()
     levels = {log: log.level for log in map(logging.getLogger, ("distributed", "distributed.client"))}
-    environment = {name: os.environ.get(name) for name in (*_ONE_THREAD, "PYTHONHASHSEED")}
-    children = set(multiprocessing.active_children())
     try:
         for log in levels:
             log.setLevel(logging.CRITICAL)
-        with import_module("dask").config.set(_SETTINGS), ExitStack() as stack:
-            if scheduler is not None:
-                yield stack.enter_context(_connected(scheduler))
-            else:
-                os.environ.update(_ONE_THREAD)  # an inherited value would win
-                yield _local(workers, stack)
+        with import_module("dask").config.set(_SETTINGS), _connected(scheduler) as client:
+            yield client
     finally:
-        _kill(set(multiprocessing.active_children()) - children)
-        for name, value in environment.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
         for log, level in levels.items():
             log.setLevel(level)
 
@@ -284,56 +312,13 @@ def local_workers(workers: int | None = None) -> Iterator[str | None]:
     if count == 1 or _is_worker():
         yield "synchronous"
         return
-    with _cluster(None, count) as client:
-        yield str(client.scheduler.address)
-
-
-def _local(workers: int, stack: ExitStack) -> Any:
-    """Return a client of new processes with one thread each; only the machine limits their memory."""
-    children = set(multiprocessing.active_children())
-    with _uninterrupted():
+    with Pool(count, _serve) as pool:
+        name = f"processes-{id(pool):x}"
+        _POOLS[name] = pool
         try:
-            cluster = _distributed().LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, memory_limit=0,
-                dashboard_address=None, silence_logs=logging.CRITICAL,
-                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # else a second run warns of a taken port
-            )  # fmt: skip
-        except (RuntimeError, OSError) as error:
-            what = f"the worker processes do not start: {error}"
-            hint = 'in a script, call it under `if __name__ == "__main__":`; or use the scheduler "synchronous"'
-            raise RotorsimError(Problem(what, hint=hint), exit_code=1) from None
-        stack.enter_context(cluster)
-        client = stack.enter_context(_distributed().Client(cluster, set_as_default=False))
-
-        def stop(error: type[BaseException] | None, *_: object) -> None:
-            if error:  # closing would wait for the jobs that are being run
-                for nanny in cluster.workers.values():
-                    nanny.auto_restart = False
-                _kill(set(multiprocessing.active_children()) - children)
-
-        stack.push(stop)
-    return client
-
-
-@contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Let Ctrl-C wait; processes and threads that are started here never get it."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    resource_tracker.ensure_running()  # else it is started with the first process and unblocks the signal
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-def _kill(children: set[Any]) -> None:
-    for child in children:
-        child.kill()
-    for child in children:
-        child.join()
+            yield name
+        finally:
+            del _POOLS[name]
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Units: quantities as text to SI numbers and back, and whether two units fit.
 
-A unit is a factor and a dimension vector (m, kg, s, A, K, rad). Angle is a dimension of its own, so that an
+A unit is a factor and a dimension vector (m, kg, s, A, K, rad, mol, cd). Angle is a dimension of its own, so that an
 angle and a pure number are told apart. A revolution is 2 pi rad; hence rpm and Hz (revolutions per second)
 convert to rad/s, and ``1/s`` does not.
 
@@ -18,17 +18,17 @@ from functools import lru_cache
 from rotorsim.errors import near_miss
 
 __all__ = [
-    "Unit", "UnitError", "compatible", "conversion", "convert", "format_quantity", "parse_quantity", "parse_unit",
-    "split_quantity",
+    "BASES", "Unit", "UnitError", "compatible", "conversion", "convert", "format_quantity", "parse_foreign_unit",
+    "parse_quantity", "parse_unit", "split_quantity",
 ]  # fmt: skip
 
 Dimension = tuple[int, ...]
-_BASE = ("m", "kg", "s", "A", "K", "rad")
-_NONE: Dimension = (0, 0, 0, 0, 0, 0)
+BASES = ("m", "kg", "s", "A", "K", "rad", "mol", "cd")
+_NONE: Dimension = (0,) * len(BASES)
 _REVOLUTION = 2.0 * math.pi
 
-_SYMBOLS: dict[str, tuple[float, Dimension]] = {
-    "1": (1.0, _NONE), "%": (0.01, _NONE),
+_KNOWN: dict[str, tuple[float, Dimension]] = {
+    "1": (1.0, ()), "%": (0.01, ()),
     "m": (1.0, (1, 0, 0, 0, 0, 0)), "g": (1e-3, (0, 1, 0, 0, 0, 0)), "s": (1.0, (0, 0, 1, 0, 0, 0)),
     "A": (1.0, (0, 0, 0, 1, 0, 0)), "K": (1.0, (0, 0, 0, 0, 1, 0)), "rad": (1.0, (0, 0, 0, 0, 0, 1)),
     "N": (1.0, (1, 1, -2, 0, 0, 0)), "Pa": (1.0, (-1, 1, -2, 0, 0, 0)), "bar": (1e5, (-1, 1, -2, 0, 0, 0)),
@@ -40,9 +40,32 @@ _SYMBOLS: dict[str, tuple[float, Dimension]] = {
     "min": (60.0, (0, 0, 1, 0, 0, 0)), "h": (3600.0, (0, 0, 1, 0, 0, 0)),
     "in": (0.0254, (1, 0, 0, 0, 0, 0)), "mil": (2.54e-5, (1, 0, 0, 0, 0, 0)),
     "lb": (0.45359237, (0, 1, 0, 0, 0, 0)), "lbf": (4.4482216152605, (1, 1, -2, 0, 0, 0)),
+    "mol": (1.0, (0, 0, 0, 0, 0, 0, 1)), "cd": (1.0, (0, 0, 0, 0, 0, 0, 0, 1)),
 }  # fmt: skip
+_SYMBOLS = {name: (factor, (*powers, *_NONE)[: len(BASES)]) for name, (factor, powers) in _KNOWN.items()}
 _PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}
-_PREFIXED = {"m", "g", "s", "A", "K", "rad", "N", "Pa", "bar", "J", "W", "C", "V", "Ohm", "F", "H", "T", "Wb", "Hz"}
+_PREFIXED = {
+    "m",
+    "g",
+    "s",
+    "A",
+    "K",
+    "rad",
+    "N",
+    "Pa",
+    "bar",
+    "J",
+    "W",
+    "C",
+    "V",
+    "Ohm",
+    "F",
+    "H",
+    "T",
+    "Wb",
+    "Hz",
+    "mol",
+}
 _ALIASES = {"Ω": "Ohm", "°": "deg", "µ": "u", "μ": "u", "·": " ", "²": "^2", "³": "^3", "⁻": "^-", "¹": "1"}
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
@@ -59,7 +82,7 @@ class UnitError(ValueError):
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit: ``factor`` times the SI unit of ``dimension`` = powers of (m, kg, s, A, K, rad)."""
+    """A unit: ``factor`` times the SI unit of ``dimension`` = powers of `BASES`."""
 
     factor: float
     dimension: Dimension
@@ -67,7 +90,7 @@ class Unit:
     @property
     def si(self) -> str:
         """The SI unit of this dimension in base units, e.g. ``"kg m^2/s^2"``; ``"1"`` for a pure number."""
-        powers = dict(zip(_BASE, self.dimension, strict=True))
+        powers = dict(zip(BASES, self.dimension, strict=True))
         above = " ".join(_power(base, n) for base, n in powers.items() if n > 0)
         below = "".join(f"/{_power(base, -n)}" for base, n in powers.items() if n < 0)
         return (above or "1") + below
@@ -89,7 +112,7 @@ def parse_unit(text: str) -> Unit:
     if not tokens:
         return Unit(1.0, _NONE)
     stack: list[tuple[float, list[int], int]] = []  # outer products, with the sign that the bracket gets
-    factor, dimension, sign = 1.0, [0] * 6, 1
+    factor, dimension, sign = 1.0, [0] * len(BASES), 1
     last: tuple[float, Dimension, int] | None = None  # the factor that a power would apply to
     for caret, exponent, slash, opening, closing, _star, symbol, other in tokens:
         if other:
@@ -111,7 +134,7 @@ def parse_unit(text: str) -> Unit:
             sign, last = -1, None
         elif opening:
             stack.append((factor, dimension, sign))
-            factor, dimension, sign, last = 1.0, [0] * 6, 1, None
+            factor, dimension, sign, last = 1.0, [0] * len(BASES), 1, None
         elif closing:
             if not stack or sign < 0:
                 raise UnitError(f"'{text}' is not a unit: a bracket is not opened, or empty after '/'")
@@ -149,6 +172,39 @@ def _symbol(symbol: str, text: str) -> tuple[float, Dimension]:
     raise UnitError(f"unknown unit '{symbol}'{where}", _near_unit(symbol))
 
 
+_FOREIGN = {
+    "-": "1", "r": "rev", "degree": "deg", "°C": "degC", "℃": "degC", "Nm": "N.m", "Nms": "N.m.s", "S": "A/V",
+    "VA": "V.A", "l": "dm^3", "L": "dm^3", "t": "Mg", "ohm": "Ohm", "sec": "s", "RPM": "rpm", "Wh": "W.h", "var": "V.A",
+}  # fmt: skip
+_OFFSETS = {"degC": (1.0, 273.15), "degF": (1.0 / 1.8, 459.67 / 1.8)}  # K = factor * value + offset
+_WORD = re.compile(r"([^\W\d_]+|[°℃]C?|%)([+-]?\d+)?")
+
+
+def parse_foreign_unit(text: str) -> tuple[Unit, float, str]:
+    """Return the unit, its offset [SI] and its spelling here of a unit as other tools write it.
+
+    Read are ``m/s2``, ``kg.m2``, ``min-1``, ``r/min``, ``N.m/rad``, ``degC`` beside what `parse_unit` reads. The value
+    in SI units is factor * value + offset. Raises UnitError. Source: Modelica specification 3.6, chapter 19.
+    """
+    name = _FOREIGN.get(text.strip(), text.strip())
+    if name in _OFFSETS:
+        factor, offset = _OFFSETS[name]
+        return Unit(factor, _SYMBOLS["K"][1]), offset, "K"
+    try:
+        return parse_unit(name), 0.0, name
+    except UnitError:
+        pass
+    spelled = _WORD.sub(_respelled, name)
+    return parse_unit(spelled), 0.0, spelled
+
+
+def _respelled(match: re.Match[str]) -> str:
+    word, power = match.groups()
+    word = _FOREIGN.get(word, word)
+    word = "K" if word in _OFFSETS else f"({word})" if word != match[1] else word  # in a product, a difference
+    return word + (f"^{int(power)}" if power else "")
+
+
 def _near_unit(symbol: str) -> str:
     known = set(_SYMBOLS) - {"1"}
     known |= {prefix + base for prefix in ("n", "u", "m", "k", "M", "G") for base in _PREFIXED - {"rad", "K", "bar"}}
@@ -174,7 +230,12 @@ def compatible(a: str | None, b: str | None) -> str:
     one, two = parse_unit(a), parse_unit(b)
     if one.dimension == two.dimension:
         return "same" if math.isclose(one.factor, two.factor, rel_tol=1e-12) else "scaled"
-    return "angle" if one.dimension[:5] == two.dimension[:5] else "different"
+    return "angle" if _but_angle(one.dimension) == _but_angle(two.dimension) else "different"
+
+
+def _but_angle(dimension: Dimension) -> Dimension:
+    at = BASES.index("rad")
+    return dimension[:at] + dimension[at + 1 :]
 
 
 @lru_cache(maxsize=4096)

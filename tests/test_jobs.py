@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorsim import jobs
+from rotorsim import jobs, processes
 from rotorsim.errors import RotorsimError
-from rotorsim.jobs import Failure, run_jobs
+from rotorsim.jobs import Failure, local_workers, run_jobs
 
 ROOT = Path(__file__).parents[1]
 
@@ -258,24 +258,72 @@ def test_wrong_options_are_said_all_at_once():
     assert len(raised.value.problems) == 4
 
 
+def sockets() -> set[Any]:
+    """Return what this process and its children listen on: ports and named sockets."""
+    import psutil
+
+    found = set()
+    for process in (psutil.Process(), *psutil.Process().children(recursive=True)):
+        with suppress(psutil.Error):
+            kept = process.net_connections("all")
+            found |= {c.laddr for c in kept if c.laddr and (c.status == "LISTEN" or c.family == socket.AF_UNIX)}
+    return found
+
+
+def test_local_workers_are_kept_for_several_lists():
+    with local_workers(2) as name:
+        seen = {run_jobs(process_of, [1, 2, 3], scheduler=name)[0] for _ in range(3)}
+        assert len(seen) <= 2
+        assert os.getpid() not in seen
+        with pytest.raises(KeyboardInterrupt):
+            run_jobs(square, [1, 2, 3], scheduler=name, progress=interrupt)
+        assert run_jobs(square, [1, 2, 3], scheduler=name) == [1, 4, 9]
+    assert multiprocessing.active_children() == []
+    with pytest.raises(RotorsimError, match="is not the address of a scheduler"):
+        run_jobs(square, [1, 2], scheduler=name)
+    with local_workers(1) as name:
+        assert name == "synchronous"
+
+
+def interrupt(_: float) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell's exit codes")
+def test_a_script_that_does_not_guard_its_start_is_told_so(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text("import math\nfrom rotorsim.jobs import run_jobs\nrun_jobs(math.sqrt, [1.0, 4.0], workers=2)\n")
+    done = subprocess.run([sys.executable, str(script)], cwd=ROOT, capture_output=True, text=True, check=False,
+                          env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=60)  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.endswith(
+        "RotorsimError: error: the worker processes do not start: they end at once\n\n"
+        'hint: in a script, call it under `if __name__ == "__main__":`; or use the scheduler "synchronous"\n'
+    )
+
+
 def test_local_processes(tmp_path, monkeypatch):
     """Order, failures, a job that kills its process, jobs within a job, BLAS threads, and nothing left behind."""
     monkeypatch.setenv("OMP_NUM_THREADS", "8")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    environment = {name: os.environ.get(name) for name in (*jobs._ONE_THREAD, "PYTHONHASHSEED")}
+    environment = {name: os.environ.get(name) for name in processes.ENVIRONMENT}
     arguments: list[dict[str, Any]] = [{"do": "square", "number": number} for number in range(12)]
     arguments[2] = {"do": "fail"}
     arguments[4] = {"do": "die"}
     arguments[7] = {"do": "nest"}
     arguments[9] = {"do": "environment"}
     fractions: list[float] = []
+    reachable: set[Any] = set()
+
+    def look(fraction: float) -> None:
+        fractions.append(fraction)
+        reachable.update(sockets())
+
     store = tmp_path / "s.jsonl"
-    options: dict[str, Any] = {"workers": 2, "chunk": 3, "on_error": "return", "progress": fractions.append}
-    with socket.socket() as other:
-        with suppress(OSError):
-            other.bind(("127.0.0.1", 8787))  # Dask's usual port: another run may have it
-            other.listen()
-        found = run_jobs(versatile, arguments, store=store, **options)
+    before = sockets()
+    options: dict[str, Any] = {"workers": 2, "chunk": 3, "on_error": "return", "progress": look}
+    found = run_jobs(versatile, arguments, store=store, **options)
+    assert reachable <= before  # another user of this machine finds no port and no socket to speak to
     assert [found[k] for k in (0, 1, 3, 5, 6, 8, 10, 11)] == [0, 1, 9, 25, 36, 64, 100, 121]
     assert found[2] == Failure(2, "ValueError", "asked to fail")
     assert isinstance(found[4], Failure)
@@ -290,7 +338,8 @@ def test_local_processes(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of a process group")
-def test_ctrl_c_keeps_results_and_leaves_no_process(tmp_path):
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_ctrl_c_and_a_kill_keep_results_and_leave_no_process(tmp_path, how):
     import psutil
 
     store = tmp_path / "s.jsonl"
@@ -309,11 +358,15 @@ def test_ctrl_c_keeps_results_and_leaves_no_process(tmp_path):
             time.sleep(0.05)
         processes = psutil.Process(main.pid).children(recursive=True)
         assert len(processes) >= 2
-        os.killpg(main.pid, signal.SIGINT)  # as the terminal does
+        if how == signal.SIGINT:
+            os.killpg(main.pid, how)  # as the terminal does
+        else:
+            main.kill()
         said = main.communicate(timeout=60)[1]
-        assert main.returncode == -signal.SIGINT
-        assert said.count("Traceback") == 1  # nothing of the workers
-        assert said.strip().endswith("KeyboardInterrupt")
+        assert main.returncode == -how
+        if how == signal.SIGINT:
+            assert said.count("Traceback") == 1  # nothing of the workers
+            assert said.strip().endswith("KeyboardInterrupt")
         assert psutil.wait_procs(processes, timeout=30)[1] == []
         assert sorted(json.loads(line)["result"] for line in store.read_text().splitlines()) == [0, 1, 2]
     finally:

@@ -1,4 +1,4 @@
-"""The package list is complete, and a wheel holds the blocks and the diagrams."""
+"""The package list is complete; an sdist holds everything, and a wheel the blocks, the diagrams and the pages."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
 from importlib.metadata import PackageNotFoundError, version
@@ -21,7 +22,7 @@ def test_the_package_list_is_complete() -> None:
     inside = {
         ".".join(init.parent.relative_to(ROOT).parts) for init in (ROOT / "rotorsim").rglob("__init__.py")
     }  # fmt: skip
-    expected = inside | {"rotorsim.blocks", "rotorsim.diagrams"}
+    expected = inside | {"rotorsim.blocks", "rotorsim.diagrams", "rotorsim.docs"}
     assert set(PROJECT["tool"]["setuptools"]["packages"]) == expected
 
 
@@ -30,8 +31,8 @@ def test_every_folder_with_code_is_a_package() -> None:
     assert [str(folder) for folder in folders if not (folder / "__init__.py").exists()] == []
 
 
-@pytest.mark.parametrize("folder", ["blocks", "diagrams"])
-def test_block_and_diagram_folders_have_a_docstring_only_init(folder: str) -> None:
+@pytest.mark.parametrize("folder", ["blocks", "diagrams", "docs"])
+def test_block_diagram_and_page_folders_have_a_docstring_only_init(folder: str) -> None:
     body = ast.parse((ROOT / folder / "__init__.py").read_text()).body
     assert len(body) == 1
     assert isinstance(body[0], ast.Expr)
@@ -73,33 +74,47 @@ def test_every_third_party_import_is_a_declared_dependency() -> None:
     assert unknown == set()
 
 
-def test_a_wheel_holds_every_source_and_diagram(tmp_path: Path) -> None:
+FOLDERS = (".ci", "benchmarks", "blocks", "diagrams", "docs", "rotorsim", "tests")
+FILES = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "CONTRIBUTING.md", ".gitignore")
+
+
+def sources() -> list[str]:
+    """Return what the repository holds, less what tools have made."""
+    found = [file.relative_to(ROOT) for folder in FOLDERS for file in (ROOT / folder).rglob("*") if file.is_file()]
+    made = {"__pycache__", ".hypothesis", ".pytest_cache"}
+    return [*FILES, *(file.as_posix() for file in found if not made & set(file.parts))]
+
+
+def test_an_sdist_holds_everything_and_a_wheel_from_it_what_runs(tmp_path: Path) -> None:
     try:
         major = int(version("setuptools").split(".")[0])
     except PackageNotFoundError:
         major = 0
     if major < 77:
-        pytest.skip("setuptools >= 77 is not installed, and a wheel cannot be built without it or the network")
+        pytest.skip("setuptools >= 77 is not installed, and nothing can be built without it or the network")
     # A copy, so that the build leaves nothing behind in the repository.
-    tracked = ["pyproject.toml", "README.md", "LICENSE"]
     copy = tmp_path / "source"
-    copy.mkdir()
-    for name in tracked:
+    for name in sources():
+        (copy / name).parent.mkdir(parents=True, exist_ok=True)
         (copy / name).write_bytes((ROOT / name).read_bytes())
-    wanted = []
-    for folder, package in (("rotorsim", "rotorsim"), ("blocks", "rotorsim/blocks"), ("diagrams", "rotorsim/diagrams")):
-        for source in (ROOT / folder).rglob("*"):
-            inside = source.relative_to(ROOT / folder)
-            if source.suffix in {".py", ".json", ".c", ".h", ".typed"} and "__pycache__" not in inside.parts:
-                wanted.append(f"{package}/{inside.as_posix()}")
-                target = copy / folder / inside
-                target.parent.mkdir(parents=True, exist_ok=True)
-                target.write_bytes(source.read_bytes())
-    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--no-index",
-               "--disable-pip-version-check", "-q", "-w", str(tmp_path / "wheel"), str(copy)]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
-    [wheel] = (tmp_path / "wheel").glob("rotorsim-*.whl")
-    names = set(zipfile.ZipFile(wheel).namelist())
-    assert sorted(set(wanted) - names) == []
+
+    def build(kind: str, folder: Path) -> Path:
+        code = f"import sys; from setuptools import build_meta; print(build_meta.build_{kind}(sys.argv[1]))"
+        command = [sys.executable, "-c", code, str(tmp_path)]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == 0, done.stderr
+        return tmp_path / done.stdout.splitlines()[-1]
+
+    with tarfile.open(build("sdist", copy)) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+        assert sorted(set(sources()) - names) == []
+        archive.extractall(tmp_path / "unpacked", filter="data")
+    [unpacked] = (tmp_path / "unpacked").iterdir()
+    names = set(zipfile.ZipFile(build("wheel", unpacked)).namelist())
+    homes = {"rotorsim/": "", "blocks/": "rotorsim/", "diagrams/": "rotorsim/", "docs/": "rotorsim/"}
+    wanted = {home + name for name in sources() for start, home in homes.items() if name.startswith(start)}
+    assert sorted(wanted - names) == []
+    assert {name for name in names if not name.startswith("rotorsim/")} == {
+        name for name in names if ".dist-info/" in name
+    }
     assert any(name.endswith("licenses/LICENSE") for name in names)

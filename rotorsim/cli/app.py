@@ -1,22 +1,24 @@
 """The command ``rotorsim``: finds the verb, runs it, and turns every failure into words and an exit code.
 
-Exit codes: 0 fine, 1 finding or failure in the data, 2 misuse or bad input, 130 interrupted.
+Exit codes: 0 fine, 1 finding or failure in the data, 2 misuse or bad input, 130 interrupted, 141 when the reader of
+standard output has gone before everything was said.
 """
 
 from __future__ import annotations
 
 import contextlib
 import difflib
+import errno
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn, TextIO, cast
 
 import click
 
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, visible
 
 __all__ = ["VERBS", "main", "problem_data", "rotorsim"]
 
@@ -24,6 +26,7 @@ __all__ = ["VERBS", "main", "problem_data", "rotorsim"]
 VERBS = {
     "run": "Simulate a diagram; write, plot and summarise the recorded signals.",
     "check": "Find every mistake in diagrams and recordings.",
+    "new": "Copy a diagram that comes with rotorsim, to be edited.",
     "fmt": "Write diagrams in canonical form.",
     "blocks": "List the blocks, or show one: ports, parameters, equation, source.",
     "draw": "Draw a diagram as SVG.",
@@ -41,9 +44,13 @@ VERBS = {
     "fmu": "Export diagrams as FMUs for other tools; look into FMUs.",
     "ssp": "Export diagrams as systems of FMUs (SSP); import such systems as diagrams.",
     "cosim": "Co-simulate a diagram with FMUs, or parts of it; say what the coupling costs.",
+    "docs": "List the pages that come with rotorsim, or show one.",
     "cache": "Show or clear the cache of compiled models.",
     "version": "Print the version.",
 }
+
+
+_FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))  # of a disk, a file, a quota
 
 
 class _Verbs(click.Group):
@@ -81,24 +88,72 @@ class _Verbs(click.Group):
         arguments = list(sys.argv[1:] if args is None else args)
         debug = "--debug" in arguments
         arguments = [argument for argument in arguments if argument != "--debug"]
-        previous = warnings.showwarning
+        previous = warnings.showwarning, sys.stdout, sys.stderr
         warnings.showwarning = _show_warning
+        sys.stdout, sys.stderr = cast(TextIO, _Output(sys.stdout)), cast(TextIO, _Messages(sys.stderr))
+        try:
+            code = self._code(arguments, extra, debug)
+            sys.stdout.flush()
+        except _UnwrittenError as error:
+            code = _unwritten(error)
+        finally:
+            warnings.showwarning, sys.stdout, sys.stderr = previous
+        sys.exit(code)
+
+    def _code(self, arguments: Sequence[str], extra: dict[str, Any], debug: bool) -> int:
+        """Run the verb and explain its failure; return the exit code."""
         try:
             extra.pop("standalone_mode", None)
             extra["prog_name"] = "rotorsim"
             code = super().main(arguments, standalone_mode=False, **extra)
-            _flush()
-        except BrokenPipeError:
-            code = _broken_pipe()
+        except _UnwrittenError:
+            raise
         except BaseException as error:
             if debug and not isinstance(error, click.exceptions.Exit):
                 import traceback
 
                 traceback.print_exc()
-            code = _explain(error, as_json="--json" in arguments)
-        finally:
-            warnings.showwarning = previous
-        sys.exit(code if isinstance(code, int) else 0)
+            return _explain(error, as_json="--json" in arguments)
+        return code if isinstance(code, int) else 0
+
+
+class _UnwrittenError(Exception):
+    """Standard output took no more. (No OSError, which click would explain itself.)"""
+
+
+class _Output:
+    """Standard output: control characters in names of others are written out, so that none steers a terminal."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        return int(self._try(lambda: self._stream.write(visible(text))))
+
+    def flush(self) -> None:
+        self._try(self._stream.flush)
+
+    def _try(self, act: Callable[[], Any]) -> Any:
+        try:
+            return act()
+        except OSError as error:
+            raise _UnwrittenError from error
+
+
+class _Messages(_Output):
+    """Standard error: where nobody can read it any more, the work goes on all the same."""
+
+    def write(self, text: str) -> int:
+        return int(self._try(lambda: self._stream.write(text)))
+
+    def _try(self, act: Callable[[], Any]) -> Any:
+        try:
+            return act()
+        except OSError:
+            return 0
 
 
 def _explain(error: BaseException, as_json: bool) -> int:
@@ -118,6 +173,9 @@ def _explain(error: BaseException, as_json: bool) -> int:
         problems, code = (Problem(what=error.format_message()),), 2
     elif isinstance(error, MemoryError):
         problems, code = (Problem(what="not enough memory", hint="record less, or shorten the run with --stop"),), 1
+    elif isinstance(error, OSError) and error.errno in _FULL:
+        what = ": ".join(str(part) for part in (error.filename, os.strerror(error.errno or 0).lower()) if part)
+        problems, code = (Problem(what=what, hint="make room, or write to another disk"),), 1
     elif isinstance(error, OSError) and error.filename is not None:
         problems, code = (Problem(what=f"{error.filename}: {(error.strerror or str(error)).lower()}"),), 2
     else:
@@ -178,16 +236,33 @@ def _show_warning(message: Any, category: Any, *_: Any, **__: Any) -> None:
     show_problems([Problem(what=str(message), severity="warning")])
 
 
-def _flush() -> None:
-    sys.stdout.flush()
-    sys.stderr.flush()
+def _unwritten(error: _UnwrittenError) -> int:
+    """Leave quietly when the reader of a pipe has gone (``rotorsim blocks | head``); say it of a full disk.
 
-
-def _broken_pipe() -> int:
-    """Leave quietly when the reader of a pipe has gone (``rotorsim blocks | head``)."""
-    with contextlib.suppress(OSError, ValueError):
+    The exit code is never 0: a finding may not have been said.
+    """
+    cause = cast(OSError, error.__cause__)
+    with contextlib.suppress(OSError, ValueError):  # else Python tries again to write what is left, at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
+    if cause.errno == errno.EPIPE:
+        return 128 + 13  # as of a program that SIGPIPE ends
+    what = f"standard output cannot be written: {(cause.strerror or str(cause)).lower()}"
+    show_problems(
+        [Problem(what=what, hint="make room there; what was printed is lost, files that were named as written are not")]
+    )
+    return 1
+
+
+def _open_streams() -> None:
+    """Open what the caller has closed (``rotorsim ... >&-``) to nowhere: else a file would take its number, and get
+    what a compiler or an FMU prints.
+    """  # fmt: skip
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
 
 
 @click.command(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -204,4 +279,5 @@ def rotorsim() -> None:
 
 def main() -> NoReturn:
     """Run the command line of this process."""
+    _open_streams()
     rotorsim.main()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+
 import click
 
 from rotorsim.cli.common import echo_json, json_option
@@ -15,13 +18,21 @@ __all__ = ["command"]
 def command(clear: bool, as_json: bool) -> None:
     """Show or clear the cache of compiled models."""
     from rotorsim.compile.toolchain import cache_folder
+    from rotorsim.diagram.files import HIDDEN, sweep
 
     folder = cache_folder()
-    files = [file for file in folder.glob("*") if file.suffix in {".so", ".dll"}] if folder.is_dir() else []
-    size = sum(file.stat().st_size for file in files)
+    inside = list(folder.iterdir()) if folder.is_dir() else []
+    files = [file for file in inside if file.suffix in {".so", ".dll", ".dylib"}]
+    size = sum(file.lstat().st_size for file in files)
     if clear:
         for file in files:
             file.unlink(missing_ok=True)
+        for left in inside:  # by runs that were killed, of this version or an older one
+            if left.name.startswith("build-") and left.is_dir() and not left.is_symlink():
+                shutil.rmtree(left, ignore_errors=True)
+            elif re.fullmatch(r"fmu-[0-9a-f]{32}\.\d+", left.name):
+                left.unlink(missing_ok=True)
+        sweep(folder, HIDDEN)
     if as_json:
         echo_json({"folder": str(folder), "files": len(files), "bytes": size, "cleared": clear})
     else:

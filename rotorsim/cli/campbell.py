@@ -37,19 +37,29 @@ def command(
     chosen = common.speeds_of(speeds)
     multiples = _whole_numbers(orders)
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
+    from rotorsim.cli.app import show_problems
     from rotorsim.simulate.campbell_diagram import campbell
 
-    found = campbell(loaded, chosen, orders=multiples)
+    found = campbell(loaded, speeds=chosen, orders=multiples)
     if plot:
         from rotorsim.report.figures import save_figure
         from rotorsim.report.linear_figures import campbell_figure
 
         save_figure(campbell_figure(found, loaded.name, orders=multiples), plot)
         common.note(f"written: {plot}")
+    shaky = not found.stable.all()
+    if shaky:
+        speeds_there = found.speeds[~found.stable]
+        between = " .. ".join(
+            f"{common.rpm(float(speed)):.6g}" for speed in dict.fromkeys(speeds_there[[0, -1]].tolist())
+        )
+        what = f"unstable at {len(speeds_there)} of {len(found.speeds)} speeds ({between} rpm): a pole grows there"
+        hint = "'rotorsim modes --set speed=...' shows which; a critical speed there is never reached"
+        show_problems([Problem(what, loaded.name, hint=hint, severity="warning")])
     if as_json:
-        crossings = [
+        every = [
             {"order": c.order, "speed": c.speed, "speed_rpm": common.rpm(c.speed), "frequency_hz": c.frequency_hz,
-             "mode": c.mode + 1, "whirl": c.whirl, "damping_ratio": c.damping_ratio}
+             "mode": c.mode, "whirl": c.whirl, "damping_ratio": c.damping_ratio, "stable": c.stable}
             for c in found.crossings
         ]  # fmt: skip
         common.echo_json(
@@ -60,23 +70,41 @@ def command(
                 "frequency_hz": found.frequency_hz,
                 "damping_ratio": found.damping_ratio,
                 "whirl": found.whirl,
-                "critical_speeds": crossings,
+                "stable": found.stable,
+                "critical_speeds": every,
             }
         )
         return
-    count = found.frequency_hz.shape[1]
+    shown = [k for k, resonant in enumerate(found.resonant) if resonant]
     rows = [
-        (f"{common.rpm(float(speed)):.6g}", *(f"{f:.4f}" if math.isfinite(f) else "-" for f in frequencies))
-        for speed, frequencies in zip(found.speeds, found.frequency_hz, strict=True)
+        (
+            f"{common.rpm(float(speed)):.6g}",
+            *(f"{f:.4f}" if math.isfinite(f) else "-" for f in frequencies[shown]),
+            *_machine(bool(stable), shaky),
+        )
+        for speed, frequencies, stable in zip(found.speeds, found.frequency_hz, found.stable, strict=True)
     ]
-    click.echo(common.table(("speed [rpm]", *(f"mode {k + 1} [Hz]" for k in range(count))), rows))
-    if found.crossings:
+    last = ("machine",) if shaky else ()
+    click.echo(common.table(("speed [rpm]", *(f"mode {k + 1} [Hz]" for k in shown), *last), rows))
+    if len(shown) < len(found.resonant):
+        left_out = len(found.resonant) - len(shown)
+        common.note(f"{left_out} modes with a damping ratio above 0.707 at all speeds, no resonance: --json has them")
+    crossings = [c for c in found.crossings if found.resonant[c.mode - 1]]
+    if crossings:
         rows = [
-            (f"{c.order}X", f"{common.rpm(c.speed):.2f}", f"{c.frequency_hz:.4f}", f"{c.damping_ratio:.5f}", c.whirl)
-            for c in found.crossings
-        ]
+            (f"{c.order}X", f"{common.rpm(c.speed):.2f}", f"{c.frequency_hz:.4f}", f"{c.damping_ratio:.5f}", c.whirl,
+             *_machine(c.stable, shaky))
+            for c in crossings
+        ]  # fmt: skip
         click.echo()
-        click.echo(common.table(("order", "critical speed [rpm]", "frequency [Hz]", "damping ratio", "whirl"), rows))
+        click.echo(
+            common.table(("order", "critical speed [rpm]", "frequency [Hz]", "damping ratio", "whirl", *last), rows)
+        )
+
+
+def _machine(stable: bool, shown: bool) -> tuple[str, ...]:
+    """Return the last column of a table, which is there only where something is unstable."""
+    return ("stable" if stable else "unstable",) if shown else ()
 
 
 def _whole_numbers(text: str) -> tuple[int, ...]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rotorsim.cli import common, recorded
 from rotorsim.errors import Problem, RotorsimError
+
+if TYPE_CHECKING:
+    from rotorsim.diagram.diagram import Diagram
 
 __all__ = ["command"]
 
@@ -24,8 +27,12 @@ def command(
 ) -> int:
     """Find every mistake in diagrams and recordings: file:line:column, what is wrong, how to cure it.
 
-    Of a recording (a folder with recording.json) the signals are checked as well. Exit code 2 if there is any
-    mistake, 1 if only the signals of a recording have errors; warnings do not count.
+    Of a recording (a folder with recording.json) the signals are checked as well; after a diagram, also whether the
+    diagram has the signals and the parameters that it names. Exit code 2 if there is any mistake, 1 if only the
+    signals of a recording have errors; warnings do not count.
+
+    \b
+    rotorsim check jeffcott measured
     """
     from rotorsim.cli.app import show_problems
 
@@ -35,11 +42,12 @@ def command(
         raise RotorsimError(Problem(what="--set and --without need a diagram, not a recording", subject=sources[0]))
     report: dict[str, list[dict[str, Any]]] = {"diagrams": [], "recordings": []}
     mistakes = code = 0
+    against: Diagram | None = None
     for source in sources:
         if kinds[source]:
-            entry, problems, found, line = _recording(source)
+            entry, problems, found, line = _recording(source, against)
         else:
-            entry, problems, found, line = _diagram(source, values, without, trust_blocks)
+            against, (entry, problems, found, line) = _diagram(source, values, without, trust_blocks)
         code = max(code, found)
         mistakes += sum(problem.severity == "error" for problem in problems)
         report["recordings" if kinds[source] else "diagrams"].append(entry)
@@ -56,12 +64,15 @@ def command(
 Found = tuple[dict[str, Any], Sequence[Problem], int, str]
 
 
-def _diagram(name: str, settings: Mapping[str, Any], without: Sequence[str], trust_blocks: bool) -> Found:
-    """Return the entry of a diagram for --json, its problems, the exit code and what it holds."""
+def _diagram(
+    name: str, settings: Mapping[str, Any], without: Sequence[str], trust_blocks: bool
+) -> tuple[Diagram | None, Found]:
+    """Return a diagram, and its entry for --json, its problems, the exit code and what it holds."""
     from rotorsim.cli.app import problem_data
     from rotorsim.diagram.load import load
 
     entry: dict[str, Any] = {"diagram": name, "valid": True}
+    loaded = None
     try:
         loaded = load(name, set=settings, without=without, trust_blocks=trust_blocks)
         problems, code = loaded.warnings, 0
@@ -70,11 +81,14 @@ def _diagram(name: str, settings: Mapping[str, Any], without: Sequence[str], tru
         problems, code = error.problems, 2
         entry["valid"] = False
     entry["problems"] = [problem_data(problem) for problem in problems]
-    return entry, problems, code, "" if code else f"{entry['blocks']} blocks, {entry['wires']} wires"
+    return loaded, (entry, problems, code, "" if code else f"{entry['blocks']} blocks, {entry['wires']} wires")
 
 
-def _recording(name: str) -> Found:
-    """Return the same of a recording; its signals are looked at when its files can be read."""
+def _recording(name: str, against: Diagram | None) -> Found:
+    """Return the same of a recording; its signals are looked at when its files can be read.
+
+    against: the diagram whose signals and parameters it names.
+    """
     from rotorsim.cli.app import problem_data
     from rotorsim.recordings.checks import check_signals
     from rotorsim.recordings.loading import load_recording
@@ -85,6 +99,11 @@ def _recording(name: str) -> Found:
         recording = load_recording(name)
         problems = (*recording.warnings, *check_signals(recording))
         code = 1 if any(problem.severity == "error" for problem in problems) else 0
+        if against is not None:
+            from rotorsim.identify.experiment import check_against
+
+            foreign = check_against(against, recording)
+            problems, code = (*problems, *foreign), 2 if foreign else code
         entry |= recorded.contents(recording)
         line = recorded.contents_line(recording)
     except RotorsimError as error:

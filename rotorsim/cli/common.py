@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.errors import Problem, RotorsimError, near_miss, visible
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,8 +58,9 @@ without_option = click.option(
     "--without", multiple=True, metavar="BLOCK", help="Cut the wires of this block (no crack, no AMB, ...); repeatable."
 )
 trust_option = click.option(
-    "--trust-blocks", is_flag=True, help="Load the block files in the folders that the diagram names: they are code."
-)
+    "--trust-blocks", is_flag=True,
+    help="Run what the diagram brings along, block files in its folders and (cosim) FMUs: they are code.",
+)  # fmt: skip
 
 
 def diagram_options(function: F) -> F:
@@ -121,7 +123,7 @@ def plain(value: Any) -> Any:
 
 def note(text: str) -> None:
     """Say something about the work, on stderr."""
-    click.echo(text, err=True)
+    click.echo(visible(text), err=True)
 
 
 def table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
@@ -164,17 +166,12 @@ def open_diagram(diagram: str, settings: Sequence[str], without: Sequence[str], 
 
 def document_of(diagram: str) -> tuple[Path, dict[str, Any]]:
     """Return the file and the JSON of a diagram (a file, or the name of a shipped one), not validated."""
-    from rotorsim.diagram.load import shipped_diagrams
+    from rotorsim.cli.app import show_problems
+    from rotorsim.diagram.load import find_diagram
     from rotorsim.diagram.source import read_document
 
-    path = Path(diagram)
-    shipped = shipped_diagrams()
-    if not path.exists():
-        if diagram in shipped:
-            path = shipped[diagram]
-        elif not path.suffix:
-            hint = near_miss(diagram, shipped)
-            raise RotorsimError(Problem("no such file and no diagram of this name", place=Place(diagram), hint=hint))
+    path, said = find_diagram(diagram)
+    show_problems(said)
     source = read_document(path)
     if not isinstance(source.data, dict):
         raise RotorsimError(Problem("a diagram is a JSON object {...}", place=source.locate()))
@@ -244,6 +241,9 @@ def clock_of(diagram: Diagram) -> str | None:
 MAX_SPEEDS = 100_000
 
 
+_SPAN = re.compile(r"\s*(\d+\.?\d*)\s*([A-Za-z/]*)\s*(?:-|\.\.|to)\s*(\d+\.?\d*)\s*([A-Za-z/]*)\s*")
+
+
 def speeds_of(text: str, option: str = "--speeds") -> np.ndarray:
     """Return the speeds [rad/s] of ``"900 rpm:100 rpm:6000 rpm"`` (start:step:stop), a list ``a,b,c``, or one.
 
@@ -253,7 +253,15 @@ def speeds_of(text: str, option: str = "--speeds") -> np.ndarray:
 
     hint = "write start:step:stop, as in '900 rpm:100 rpm:6000 rpm', or a list as in '900 rpm, 1200 rpm'"
     if ":" not in text:
-        return np.array([quantity(part.strip(), "rad/s", option) for part in text.split(",")])
+        try:
+            return np.array([quantity(part.strip(), "rad/s", option) for part in text.split(",")])
+        except RotorsimError:
+            if span := _SPAN.fullmatch(text):
+                low, high, unit = float(span[1]), float(span[3]), span[4] or span[2]
+                ends = f"{low:g} {unit}".strip(), f"{(high - low) / 10:.3g} {unit}".strip(), f"{high:g} {unit}".strip()
+                hint = f"a range is start:step:stop, as in '{':'.join(ends)}'"
+                raise RotorsimError(Problem(what=f"{option} {text}: a range without a step", hint=hint)) from None
+            raise
     parts = [quantity(part.strip(), "rad/s", option) for part in text.split(":")]
     if len(parts) != 3:
         raise RotorsimError(Problem(what=f"{option} {text}: {len(parts)} parts, 3 expected", hint=hint))

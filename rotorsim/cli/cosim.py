@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -37,16 +38,20 @@ __all__ = ["command"]
 @click.option("--adaptive", type=click.FloatRange(0.0, 1.0, min_open=True), metavar="ERROR",
               help="Relative error allowed per step; the step then adapts.")  # fmt: skip
 @click.option("--fast", is_flag=True, help="The plain loop in C, for FMUs in process.")
+@click.option("--solver", type=click.Choice(("rk4", "dop853", "rk45", "radau", "bdf", "lsoda"), case_sensitive=False),
+              default="rk4", show_default=True,
+              help="Of the states of FMUs for Model Exchange; radau, bdf and lsoda are implicit.")  # fmt: skip
 @click.option("--no-check", is_flag=True, help="Run even if the linearised coupled loop is unstable.")
 @click.option("--out", metavar="FILE", help="Write the signals: .csv, .h5 or .npz.")
+@click.option("--log", "log", metavar="FILE", help="Write all that the FMUs say, every category; - is the terminal.")
 @common.set_option
 @common.trust_option
 @common.progress_option
 @common.json_option
 def command(
     diagram: str, step: str, stop: str | None, master: str, order: int | None, parts: tuple[str, ...],
-    rates: tuple[str, ...], adaptive: float | None, fast: bool, no_check: bool, out: str | None,
-    settings: tuple[str, ...], trust_blocks: bool, progress: bool | None, as_json: bool,
+    rates: tuple[str, ...], adaptive: float | None, fast: bool, solver: str, no_check: bool, out: str | None,
+    log: str | None, settings: tuple[str, ...], trust_blocks: bool, progress: bool | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Co-simulate DIAGRAM: its FMUs, the parts given, and the rest exchange signals at communication points.
 
@@ -58,6 +63,7 @@ def command(
     rotorsim cosim jeffcott --part controller --step "20 us" --order 1 --rate controller=5
     """
     from rotorsim.fmi.cosimulation import cosimulate_diagram
+    from rotorsim.fmi.process import printing_elsewhere
 
     common.check_target("--out", out, (".csv", ".h5", ".npz"))
     width = common.quantity(step, "s", "--step")
@@ -70,10 +76,10 @@ def command(
         if not names:
             raise RotorsimError(Problem(f"--part '{part}': names no block", hint="such as --part controller,reference"))
     loaded = common.open_diagram(diagram, settings, (), trust_blocks)
-    with common.progress_bar("cosim", progress) as show:
+    with common.progress_bar("cosim", progress) as show, printing_elsewhere(), _logging(log) as hear:
         result = cosimulate_diagram(
             loaded, groups, step=width, stop=end, master=master, order=order, adaptive=adaptive, fast=fast,
-            check=not no_check, rates=every, progress=show,
+            check=not no_check, rates=every, solver=solver.lower(), progress=show, log=hear,
         )  # fmt: skip
     if out:
         from rotorsim.simulate.files import save
@@ -81,6 +87,7 @@ def command(
         save(result, out)
         common.note(f"written: {out}")
     made = dict(result.provenance)
+    show_problems(_warnings(made, log))
     if as_json:
         import numpy as np
 
@@ -95,6 +102,10 @@ def command(
         )
         for line in ["stability of the coupling: not analysed (--no-check)"] if no_check else _stability(made):
             click.echo(line)
+        for name, about in made.get("fmus", {}).items():
+            if about["most_parts"] > 1:
+                click.echo(f"{name}: its inputs move within a step: taken in up to {about['most_parts']} parts, "
+                           f"{about['do_steps']} calls of doStep")  # fmt: skip
         if text := _peaks(loaded, result):
             click.echo(f"\n{text}")
     if result.status != "finished":
@@ -102,6 +113,45 @@ def command(
         kept = f"what was computed until then is in {out}" if out else "--out FILE keeps what was computed until then"
         show_problems([Problem(what, hint=f"{hint}; {kept}" if hint else kept)])
         sys.exit(1)
+
+
+@contextmanager
+def _logging(file: str | None) -> Iterator[Callable[[str, float, str, str, str], None] | None]:
+    """Give a function that writes messages of FMUs to a file, or None."""
+    if file is None:
+        yield None
+        return
+    try:
+        stream = sys.stderr if file == "-" else open(file, "w", encoding="utf-8")  # noqa: SIM115 - closed below
+    except OSError as error:
+        why = (error.strerror or str(error)).lower()
+        raise RotorsimError(Problem(f"--log {file}: cannot be written: {why}")) from None
+
+    def hear(block: str, time: float, status: str, category: str, text: str) -> None:
+        plain = "".join(c if c.isprintable() else " " for c in text)
+        print(f"{time:.9g}\t{block}\t{status}\t{category}\t{plain}", file=stream)
+
+    try:
+        yield hear
+    finally:
+        if file != "-":
+            stream.close()
+
+
+def _warnings(made: Mapping[str, Any], log: str | None) -> list[Problem]:
+    """Return what FMUs have warned of."""
+    found = []
+    for name, about in made.get("fmus", {}).items():
+        odd = sum(count for status, count in about["messages"].items() if status != "OK")
+        parts = [f"{about['warnings']} call{'s' * (about['warnings'] != 1)} returned a warning"] * bool(
+            about["warnings"]
+        )
+        parts += [f"{odd} message{'s' * (odd != 1)} of warnings or errors"] * bool(odd)
+        if parts:
+            what = "; ".join(parts) + "".join(f"\n  it said: {line[:300]}" for line in about["said"])
+            hint = "" if log else "--log FILE keeps all that it says"
+            found.append(Problem(what, name, hint=hint, severity="warning"))
+    return found
 
 
 def _peaks(diagram: Diagram, result: Result) -> str:

@@ -29,7 +29,11 @@ _EITHER = "--sensors rotor.displacement,controller.current asks what could be to
 @click.option("--speeds", metavar="SPEEDS", help="With --sensors: of the runs, as '900 rpm:300 rpm:2100 rpm'.")
 @click.option("--physics", metavar="LIST", help="Only these rows of the catalogue, such as runout,residual_bow.")
 @click.option("--workers", type=click.IntRange(1), metavar="N", help="Processes (default: one for every CPU).")
-@click.option("--scheduler", metavar="ADDRESS", help="Dask cluster, tcp://host:port (default: this machine).")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Dask cluster that you trust to run code here, tls://host:port or tcp://host:port (default: this machine).",
+)
 @common.set_option
 @common.trust_option
 @common.progress_option

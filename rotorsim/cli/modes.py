@@ -41,17 +41,25 @@ def command(
             }
         )
         return
-    rows = [
-        (
-            str(k),
-            f"{mode.frequency_hz:.4f}",
-            f"{mode.natural_frequency_hz:.4f}",
-            f"{round(mode.damping_ratio, 6) + 0.0:.6f}",
-            mode.whirl + (", grows" if mode.damping_ratio < -ROUNDING else ""),
-        )
-        for k, mode in enumerate(found.modes, 1)
-    ]
-    click.echo(common.table(("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl"), rows))
+    numbered = list(enumerate(found.modes, 1))
+    for title, resonant in (("", True), ("\ndamped beyond 0.707, which no force brings to resonance", False)):
+        rows = [
+            (
+                str(k),
+                f"{mode.frequency_hz:.4f}",
+                f"{mode.natural_frequency_hz:.4f}",
+                f"{round(mode.damping_ratio, 6) + 0.0:.6f}",
+                mode.whirl + (", grows" if mode.damping_ratio < -ROUNDING else ""),
+            )
+            for k, mode in numbered
+            if mode.resonant == resonant
+        ]
+        if rows and title:
+            click.echo(title)
+        if rows or resonant:
+            click.echo(common.table(("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl"), rows))
     if len(found.real_poles):
-        poles = ", ".join(f"{pole:.4g}" for pole in found.real_poles)
+        grows = 0.0 if found.stable else 1e-9 * float(abs(found.real_poles).max())
+        marks = [" (grows)" if not found.stable and pole > grows else "" for pole in found.real_poles]
+        poles = ", ".join(f"{pole:.4g}{mark}" for pole, mark in zip(found.real_poles, marks, strict=True))
         click.echo(f"\npoles that do not oscillate [1/s]: {poles}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import click
@@ -46,14 +45,13 @@ def command(
     found = periodic(loaded, speeds=chosen, harmonics=harmonics, subharmonic=subharmonic, signals=record or None)
     for name in found.drifting:
         common.note(f"{name} drifts: its mean has no settled value")
-    pairs = [name for name in found.harmonics if _is_pair(name, found.harmonics)]
     if plot:
-        if not pairs or len(found.speeds) < 2:
-            raise RotorsimError(Problem(what="--plot needs several speeds and a two-axis signal", hint="give --speeds"))
+        if len(found.speeds) < 2:
+            raise RotorsimError(Problem(what="--plot needs several speeds", hint="give --speeds"))
         from rotorsim.report.figures import save_figure
         from rotorsim.report.linear_figures import periodic_figure
 
-        save_figure(periodic_figure(found, pairs[0], loaded.name), plot)
+        save_figure(periodic_figure(found, title=loaded.name), plot)
         common.note(f"written: {plot}")
     failed = [
         Problem(what=text, subject=f"{loaded.name} at {common.rpm(float(speed)):.6g} rpm")
@@ -61,6 +59,12 @@ def command(
         if not settled
     ]
     show_problems(failed)
+    shaky = [float(speed) for speed, stable in zip(found.speeds, found.stable, strict=True) if stable is False]
+    if shaky:
+        between = " .. ".join(f"{common.rpm(speed):.6g}" for speed in dict.fromkeys((shaky[0], shaky[-1])))
+        what = f"unstable at {len(shaky)} of {len(found.speeds)} speeds ({between} rpm): this motion is never reached"
+        hint = "'rotorsim modes' shows which pole grows"
+        show_problems([Problem(what, loaded.name, hint=hint, severity="warning")])
     if as_json:
         signals = {
             name: {"unit": found.units[name], "real": value.real, "imag": value.imag}
@@ -79,7 +83,7 @@ def command(
             }
         )
     else:
-        click.echo("\n\n".join(_table(found, name) for name in pairs or list(found.harmonics)))
+        click.echo("\n\n".join(_table(found, name) for name in found.two_axis or found.harmonics))
     return 1 if failed else 0
 
 
@@ -87,17 +91,21 @@ def _table(found: Periodic, name: str) -> str:
     """Return the harmonics of one signal that exceed 1e-4 of the largest at their speed."""
     unit, scale = common.display_unit(found.units[name])
     lines = []
-    for speed, values in zip(found.speeds, found.harmonics[name], strict=True):
+    shaky = False in found.stable
+    for speed, values, stable in zip(found.speeds, found.harmonics[name], found.stable, strict=True):
+        mark = (("unstable" if stable is False else "settled"),) if shaky else ()
         sizes = [abs(value) for value in values.tolist()]
         largest = max((size for size in sizes if math.isfinite(size)), default=0.0)
         lines += [
-            (f"{common.rpm(float(speed)):.6g}", f"{order:g}", f"{size * scale:.6g}", f"{common.degrees(value):.2f}")
+            (
+                f"{common.rpm(float(speed)):.6g}",
+                f"{order:g}",
+                f"{size * scale:.6g}",
+                f"{common.degrees(value):.2f}",
+                *mark,
+            )
             for order, value, size in zip(found.orders, values, sizes, strict=True)
             if size > 1e-4 * largest
         ]
-    return name + "\n" + common.table(("speed [rpm]", "order", f"amplitude [{unit}, 0-peak]", "phase [deg]"), lines)
-
-
-def _is_pair(name: str, known: Iterable[str]) -> bool:
-    """Whether a signal is x + i y: its first axis is there as well."""
-    return (f"{name[:-1]},1]" if name.endswith("]") else f"{name}[1]") in known
+    header = ("speed [rpm]", "order", f"amplitude [{unit}, 0-peak]", "phase [deg]", *(("motion",) if shaky else ()))
+    return name + "\n" + common.table(header, lines)

@@ -87,7 +87,7 @@ def command(
     source = _source(settings, without, settle, disturbance)
     from rotorsim.recordings.writing import save_recording
 
-    _warn_of_few_samples(runs)
+    _warn(runs)
     path = save_recording(
         out, runs, name=diagrams[0].name, source=source, signals=measured, suffix=f".{form}", overwrite=overwrite
     )
@@ -284,12 +284,15 @@ def _source(settings: Sequence[str], without: Sequence[str], settle: bool, noise
     return "; ".join(parts)
 
 
-def _warn_of_few_samples(runs: Sequence[NewRun]) -> None:
-    """Say where samples are too far apart for the second harmonic."""
+def _warn(runs: Sequence[NewRun]) -> None:
+    """Say where samples are too far apart for the second harmonic, and where the step was too large."""
     from rotorsim.cli.app import show_problems
 
     problems = []
     for run in runs:
+        if run.result.message:
+            hint = "a smaller step: --set solver.step=..."
+            problems.append(Problem(run.result.message, run.id, hint=hint, severity="warning"))
         time = run.result.time
         turns = abs(run.speed or 0.0) * float(time[-1] - time[0]) / (2 * math.pi) if len(time) > 1 else 0.0
         if turns and (len(time) - 1) / turns < LEAST:

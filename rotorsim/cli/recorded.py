@@ -24,11 +24,18 @@ FILE = "recording.json"
 
 
 def is_recording(source: str) -> bool:
-    """Return whether a name on the command line is a recording: its folder, or its recording.json."""
+    """Return whether a name on the command line is a recording: its folder, or its recording.json.
+
+    A folder without that file does not stand before a shipped diagram of its name.
+    """
     path = Path(source)
     try:
-        if path.is_dir() or path.name == FILE:
+        if path.name == FILE or (path / FILE).exists():
             return True
+        if path.is_dir():
+            from rotorsim.diagram.load import shipped_diagrams
+
+            return source not in shipped_diagrams()
         if path.suffix != ".json" or not path.is_file():
             return False
         data = json.loads(path.read_bytes())
@@ -134,9 +141,13 @@ def _run_spectrum(
     threshold: float, plot: str | None,
 ) -> tuple[dict[str, Any], str]:  # fmt: skip
     """Return what is printed of one run, as data and as text."""
+    from dataclasses import replace
+
+    import numpy as np
+
     from rotorsim.recordings.as_result import as_result, has_angle
     from rotorsim.recordings.recording import ANGLE
-    from rotorsim.recordings.shaft_angle import shaft_angle
+    from rotorsim.recordings.shaft_angle import refuse_run_up, shaft_angle
     from rotorsim.recordings.two_axis import METHODS, two_axis_harmonics, two_axis_names, whole_turns
     from rotorsim.simulate.spectrum import full_spectrum
 
@@ -149,6 +160,11 @@ def _run_spectrum(
     even = _is_even(result)
     span = window
     if angle is not None:
+        part = slice(None) if window is None else slice(*np.searchsorted(result.time, window))
+        time, theta = run.time[part], angle.theta[part]
+        refuse_run_up(run.id, run.place, time, theta)
+        if len(time) > 1:
+            angle = replace(angle, speed=float((theta[-1] - theta[0]) / (time[-1] - time[0])))
         span = whole_turns(result, window)
     data: dict[str, Any] = {"speed": angle.speed if angle else run.speed, "samples": len(run.time)}
     data |= {"angle": angle.source if angle else None, "phase_known": bool(angle and angle.phase_known), "signals": {}}

@@ -68,7 +68,9 @@ def command(
     signals = tuple(dict.fromkeys([*shown, *hidden]))
 
     from rotorsim.simulate.run import simulate
+    from rotorsim.simulate.sinks import check_sinks
 
+    check_sinks(loaded)
     with common.progress_bar(loaded.name, progress) as show:
         # With a function to call, the run is cut into pieces, so that Ctrl-C is heard between them.
         result = simulate(
@@ -112,25 +114,41 @@ def _report(
         common.note("written: " + ", ".join(files))
     found = summary.harmonics_of(result, angle)
     found = [item for item in found if item.signal.partition("[")[0] in {name.partition("[")[0] for name in shown}]
+    motion = summary.motion(result, angle, found)
     if as_json:
-        common.echo_json(_data(asked, found, files) | {"run_up": summary.run_ups(result, angle, shown)})
+        common.echo_json(
+            _data(asked, found, files) | {"motion": motion, "run_up": summary.run_ups(result, angle, shown)}
+        )
     else:
-        tables = [summary.peaks_table(asked, angle), *(item.table() for item in found)]
+        tables = [summary.peaks_table(asked, angle), summary.motion_line(motion), *(item.table() for item in found)]
         tables.append(summary.run_up_table(result, angle, shown))
         click.echo("\n\n".join(text for text in tables if text))
-    if result.status == "finished":
+    if not result.message:
         return 0
-    show_problems(
-        [Problem(what=result.message, subject=str(result.provenance.get("diagram", "")), hint=_hint(result, out))]
-    )
-    return 130 if result.status == "stopped" else 1
+    fine = result.status == "finished"
+    subject, hint = str(result.provenance.get("diagram", "")), _hint(result, out)
+    show_problems([Problem(result.message, subject, hint=hint, severity="warning" if fine else "error")])
+    return 0 if fine else 130 if result.status == "stopped" else 1
 
 
 def _hint(result: Result, out: str | None) -> str:
+    """Return what helps: a smaller step, or a look at the modes; and where the part is that was computed."""
+    smaller = "a smaller --step, or --solver dop853 or radau, which choose their own" if too_large(result) else ""
+    if result.status == "finished":
+        return smaller
     kept = f"what was computed until then is in {out}" if out else "--out FILE keeps what was computed until then"
+    if result.status == "unstable":
+        kept = f"what was computed is in {out}" if out else "--out FILE keeps what was computed"
     if result.status == "stopped":
         return kept
-    return f"{kept}; 'rotorsim modes' shows which modes grow"
+    if smaller:
+        return f"{smaller}; {kept}"
+    return kept if "sampled blocks" in result.message else f"{kept}; 'rotorsim modes' shows which modes grow"
+
+
+def too_large(result: Result) -> bool:
+    """Return whether the message is about the step."""
+    return "is too large" in result.message
 
 
 def _data(result: Result, found: list[Harmonics], files: list[str]) -> dict[str, Any]:

@@ -50,7 +50,9 @@ SUFFIXES = (".csv", ".json")
 @click.option("--controllers", is_flag=True, help="The same study with each controller of the library.")
 @click.option("--store", metavar="FILE", help="Keep every estimate here; an interrupted study resumes from it.")
 @click.option(
-    "--scheduler", metavar="ADDRESS", help="Dask cluster, tcp://host:port (default: processes of this machine)."
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Dask cluster that you trust to run code here, tls://host:port or tcp://host:port (default: this machine).",
 )
 @click.option(
     "--workers", type=click.IntRange(1), metavar="N", help="Number of processes (default: one for every CPU)."

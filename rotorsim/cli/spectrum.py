@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotorsim.cli import common, recorded
+from rotorsim.cli.app import show_problems
 from rotorsim.errors import Place, Problem, RotorsimError
 
 if TYPE_CHECKING:
@@ -70,6 +71,8 @@ def command(
     if runs:
         raise RotorsimError(Problem(what="--run needs a recording", subject=source))
     result, angle = _result(source, settings, without, trust_blocks, signals)
+    import numpy as np
+
     from rotorsim.cli.summary import two_axis
     from rotorsim.simulate.spectrum import full_spectrum, harmonics, last_turns
 
@@ -82,6 +85,11 @@ def command(
     if span is not None:
         span = _inside(result, span, angle, window or "")
     span = span or (last_turns(result, angle) if angle else None)
+    if angle is not None and span is not None:
+        from rotorsim.recordings.shaft_angle import refuse_run_up
+
+        part = slice(*np.searchsorted(result.time, span))
+        refuse_run_up(source, Place(), result.time[part], result[angle][part])
     found = [full_spectrum(result, name, window=span, angle=angle) for name in names]
     running = _running(result, angle, span)
     fits = _fits(result, names, method, span, angle) if method else None
@@ -198,9 +206,10 @@ def _result(
         if settings or without:
             raise RotorsimError(Problem(what="--set and --without need a diagram, not a saved result", subject=source))
         result = load_result(source)
-        if result.status == "diverged" or _is_huge(result):
+        bad = result.status in ("unstable", "diverged")
+        if bad or _is_huge(result):
             hint = "what was computed until then has no spectrum; 'rotorsim modes' shows which modes grow"
-            what = result.message if result.status == "diverged" else "this run diverged: its values are beyond 1e100"
+            what = result.message if bad else "this run diverged: its values are beyond 1e100"
             raise RotorsimError(Problem(what, place=Place(source), hint=hint), exit_code=1)
         angles = [name for name in result.signals if name.endswith(".theta")]
         return result, "clock.theta" if "clock.theta" in angles else angles[0] if len(angles) == 1 else None
@@ -214,4 +223,7 @@ def _result(
     result = simulate(loaded, record=tuple(dict.fromkeys(wanted)))
     if result.status != "finished":
         raise RotorsimError(Problem(what=result.message, subject=loaded.name), exit_code=1)
+    if result.message:
+        hint = "a smaller step: --set solver.step=..."
+        show_problems([Problem(result.message, loaded.name, hint=hint, severity="warning")])
     return result, angle

@@ -99,7 +99,7 @@ def import_(file: str, out: str, as_json: bool) -> None:
 
     \b
     rotorsim ssp import system.ssp -o system
-    rotorsim cosim system/diagram.json --step "1 ms"
+    rotorsim cosim system/diagram.json --trust-blocks --step "1 ms"
     """
     common.check_folder("--out", out)
     from rotorsim.fmi.ssp_import import import_ssp

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rotorsim.cli import common
+from rotorsim.errors import RotorsimError
 
 if TYPE_CHECKING:
     from rotorsim.simulate.result import Result
     from rotorsim.simulate.spectrum import Harmonics
 
-__all__ = ["constant_speed", "harmonics_of", "peaks", "peaks_table", "run_line", "run_up_table", "run_ups", "two_axis"]
+__all__ = [
+    "constant_speed", "harmonics_of", "motion", "motion_line", "peaks", "peaks_table", "run_line", "run_up_table",
+    "run_ups", "two_axis",
+]  # fmt: skip
 
+FEW = 1500  # samples that tell whether the motion has settled
+SETTLED = 0.01  # of the largest harmonic: what may still change
+SLOWEST = 0.95  # ratio of changes that is believed: beyond, noise and not decay makes it
 CONSTANT = 1e-6  # relative change of speed below which it is constant
 
 
@@ -56,8 +63,66 @@ def harmonics_of(result: Result, angle: str) -> list[Harmonics]:
     return [harmonics(result, name, angle=angle, window=window) for name in two_axis(result)]
 
 
+def motion(result: Result, angle: str, found: Sequence[Harmonics]) -> dict[str, Any]:
+    """Return speed, window of the harmonics, and whether the motion has settled; {} where nothing turns steadily.
+
+    From harmonics R1, R2, R3 of three windows in a row: what changes as exp(-t / tau) has still
+    |R3 - R2| q / (1 - q) to go, q = |R3 - R2| / |R2 - R1|. Settled: less than 1 % of the largest harmonic.
+    """
+    speed = constant_speed(result, angle)
+    if speed is None:
+        return {}
+    from rotorsim.simulate.spectrum import harmonics, last_turns
+
+    made: dict[str, Any] = {"speed": speed, "speed_rpm": common.rpm(speed), "settled": None}
+    if not found:
+        return made
+    start, stop = last_turns(result, angle)
+    width = stop - start
+    turns = max(round(width * speed / (2 * np.pi)), 1)
+    made |= {"window": [start, stop], "turns": turns}
+    samples = int(np.searchsorted(result.time, stop) - np.searchsorted(result.time, start))
+    few = width * min(max(int(FEW * turns / max(samples, 1)), 1), turns) / turns
+    if start - 2 * width < -1e-9:
+        return made
+    worst: tuple[float, dict[str, Any]] = (-1.0, {})
+    for item in found:
+        ends = [stop - k * width for k in (2, 1, 0)]
+        try:
+            first, then, last = (harmonics(result, item.signal, angle=angle, window=(e - few, e)).values for e in ends)
+        except RotorsimError:  # too few samples to tell the orders apart
+            return made
+        one, two = np.abs(then - first), np.abs(last - then)
+        q = np.minimum(np.divide(two, one, out=np.ones_like(two), where=one > 0), SLOWEST)
+        left, largest = two * q / (1 - q), float(np.abs(item.values).max(initial=0.0))
+        k = int(np.argmax(left))
+        share = float(left[k]) / largest if largest > 0 else 0.0
+        if share > worst[0]:
+            at = {"signal": item.signal, "order": item.orders[k], "left": float(left[k]), "unit": item.unit}
+            worst = (share, {**at, "share": share})
+    return made | {"settled": worst[0] <= SETTLED, "still_changes": worst[1]}
+
+
+def motion_line(motion: dict[str, Any]) -> str:
+    """Return `motion` as text."""
+    if not motion:
+        return ""
+    text = f"{motion['speed_rpm']:.6g} rpm ({motion['speed']:.6g} rad/s)"
+    if "window" in motion:
+        start, stop = motion["window"]
+        text += f"; harmonics over {start:.6g} .. {stop:.6g} s, {motion['turns']} turn{'s' * (motion['turns'] != 1)}"
+    if motion["settled"]:
+        return f"{text}; settled"
+    if motion["settled"] is False:
+        change = motion["still_changes"]
+        unit, scale = common.display_unit(change["unit"])
+        left = f"{change['left'] * scale:.2g} {unit} ({100 * change['share']:.2g} % of the largest)"
+        return f"{text}; not settled: order {change['order']:g} of {change['signal']} has about {left} still to go"
+    return text
+
+
 def run_ups(result: Result, angle: str, shown: Collection[str]) -> list[dict[str, Any]]:
-    """Return speed and peak of the largest Hilbert envelope of both axes of two-axis signals in a run-up."""
+    """Return speed and peak of the largest turn of both axes of two-axis signals in a run-up, and their resonances."""
     speed = angle.replace(".theta", ".speed")
     if not angle or result.status != "finished" or speed not in result or np.ptp(result[speed]) == 0.0:
         return []
@@ -74,7 +139,9 @@ def run_ups(result: Result, angle: str, shown: Collection[str]) -> list[dict[str
             found = run_up(result, entry, speed=speed)
             rows.append(
                 {"signal": entry, "unit": result.units.get(name, found.unit), "resonance": found.resonance,
-                 "resonance_rpm": common.rpm(found.resonance), "peak": found.peak}
+                 "resonance_rpm": common.rpm(found.resonance), "peak": found.peak, "rises": found.rises,
+                 "orders": [{"order": one.order, "speed": one.speed, "speed_rpm": common.rpm(one.speed),
+                             "peak": one.peak} for one in found.resonances()]}
             )  # fmt: skip
     return rows
 
@@ -84,8 +151,13 @@ def run_up_table(result: Result, angle: str, shown: Collection[str]) -> str:
     lines = []
     for row in run_ups(result, angle, shown):
         unit, scale = common.display_unit(row["unit"])
-        lines.append((row["signal"], f"{row['resonance_rpm']:.1f}", f"{row['peak'] * scale:.6g}", unit))
-    header = ("run-up, Hilbert envelope", "largest at [rpm]", "0-peak", "unit")
+        largest = "largest turn, still rising" if row["rises"] else "largest turn"
+        lines.append((row["signal"], largest, f"{row['resonance_rpm']:.1f}", f"{row['peak'] * scale:.6g}", unit))
+        lines += [
+            ("", f"{one['order']}X", f"{one['speed_rpm']:.1f}", f"{one['peak'] * scale:.6g}", unit)
+            for one in row["orders"]
+        ]
+    header = ("run-up", "resonance of", "at [rpm]", "0-peak", "unit")
     return common.table(header, lines) if lines else ""
 
 

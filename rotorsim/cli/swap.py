@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +35,9 @@ def command(
 ) -> None:  # fmt: skip
     """Replace a block by another type with the same ports; its wires and parameters of equal name stay.
 
-    For type fmu, --set file=FILE names the FMU. A state_feedback controller is designed for the diagram (LQG, from
-    the linearised plant) unless its matrices are given; --set then takes current_weight, noise_weight, integral and
-    states.
+    For type fmu, --set file=FILE names the FMU, from where you stand; it is written relative to the new diagram.
+    A state_feedback controller is designed for the diagram (LQG, from the linearised plant) unless its matrices are
+    given; --set then takes current_weight, noise_weight, integral and states.
 
     \b
     rotorsim swap jeffcott controller state_feedback -o mine.json
@@ -46,52 +47,78 @@ def command(
     from rotorsim.diagram.edit import swap
     from rotorsim.diagram.files import write_atomically
     from rotorsim.diagram.fmt import format_document
-    from rotorsim.diagram.load import load
+    from rotorsim.diagram.load import load, shipped_diagrams
     from rotorsim.diagram.registry import Registry
 
     if out and in_place:
         raise RotorsimError(Problem(what="--out and --in-place exclude each other", hint="give one of them"))
     common.check_target("--out", out, (".json",))
     path, old = common.document_of(diagram)
-    if in_place and not Path(diagram).exists():
+    if in_place and path in shipped_diagrams().values():
         raise RotorsimError(Problem(what=f"{diagram} comes with rotorsim and stays as it is", hint="use -o FILE"))
     given = {name.removeprefix(f"{block}."): value for name, value in common.parse_settings(settings).items()}
     load(diagram, trust_blocks=trust_blocks)  # mistakes of the diagram itself, with their places
     folders = old.get("block_folders", []) if trust_blocks else []
     registry = Registry([path.parent / folder for folder in folders])
     designed = new_type == DESIGNED and not {"A", "B", "C", "D"} & set(given)
+    name = str(path) if in_place else out
+    target = Path(name) if name else None
+    kept = _parts({name: entry for name, entry in old["blocks"].items() if name != block}, old)
+    folder = target.parent if target else path.parent if kept else Path()
     if new_type == "fmu":
-        new = _with_fmu(old, block, given)
+        new = _with_fmu(old, block, given, folder)
     else:
         parameters = _designed(diagram, block, given, trust_blocks) if designed else given
         new = swap(old, block, new_type, parameters, registry)
-    load(new, trust_blocks=trust_blocks, folder=path.parent)  # a swap that does not check is not written
+    if kept and target is not None and target.resolve().parent != path.resolve().parent:
+        what = f"--out {target}: the diagram names {kept[0]}, which is not there"
+        raise RotorsimError(Problem(what=what, hint=f"write it to the folder {path.parent}"))
+    load(new, trust_blocks=trust_blocks, folder=folder)  # a swap that does not check is not written
 
-    target = str(path) if in_place else out
     if target is not None:
-        _refuse_other_folder(new, path, Path(target))
-        write_atomically(Path(target).resolve(), format_document(new))
+        write_atomically(target.resolve(), format_document(new))
     elif not as_json:
         click.echo(format_document(new), nl=False)
     changes = diff(old, new)
     if as_json:
         rows = [{"kind": c.kind, "where": c.where, "old": c.old, "new": c.new} for c in changes]
-        common.echo_json({"file": target, "designed": designed, "changes": rows, "diagram": new})
+        common.echo_json({"file": name, "designed": designed, "changes": rows, "diagram": new})
     words = [f"{block}: {old['blocks'][block]['type']} -> {new_type}"]
     words += ["designed from the linearised plant"] if designed else []
-    words += [f"written: {target}"] if target else []
+    words += [f"written: {name}"] if name else []
+    words += [f"its file is relative to {folder.resolve()}"] if new_type == "fmu" and not name else []
     common.note("; ".join(words))
 
 
-def _with_fmu(old: dict[str, Any], block: str, given: dict[str, Any]) -> dict[str, Any]:
-    """Return the document with an FMU in the place of a block; loading it says whether its ports fit the wires."""
+def _with_fmu(old: dict[str, Any], block: str, given: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the document with an FMU in the place of a block; loading it says whether its ports fit the wires.
+
+    folder: of the new diagram, to which its file is relative; the one given is relative to the current folder.
+    """
     if block not in old["blocks"]:
         raise RotorsimError(Problem(what=f"no block '{block}'", subject=block, hint=near_miss(block, old["blocks"])))
-    if not isinstance(given.get("file"), str):
+    file = given.get("file")
+    if not isinstance(file, str):
         raise RotorsimError(Problem(what="an FMU needs its file", subject=block, hint="add --set file=controller.fmu"))
+    if not os.path.isfile(file):
+        what = "is a folder" if os.path.isdir(file) else "there is no such file"
+        raise RotorsimError(
+            Problem(f"--set file={file}: {what}", hint=f"it is taken from where you stand, {Path.cwd()}")
+        )
     rest = {name: value for name, value in given.items() if name != "file"}
-    entry = {"type": "fmu", "file": given["file"], **({"parameters": rest} if rest else {})}
+    entry = {"type": "fmu", "file": _from(folder, file), **({"parameters": rest} if rest else {})}
     return {**old, "blocks": {**old["blocks"], block: entry}}
+
+
+def _from(folder: Path, file: str) -> str:
+    """Return the path of a file as seen from a folder, with slashes; absolute where there is none (another drive)."""
+    inside = Path(os.path.abspath(file))
+    if inside.is_relative_to(os.path.abspath(folder)):
+        return inside.relative_to(os.path.abspath(folder)).as_posix()
+    try:  # ".." leads up from where links point to
+        return Path(os.path.relpath(os.path.realpath(file), os.path.realpath(folder))).as_posix()
+    except ValueError:
+        return inside.as_posix()
 
 
 def _designed(diagram: str, block: str, given: dict[str, Any], trust_blocks: bool) -> dict[str, Any]:
@@ -117,10 +144,7 @@ def _designed(diagram: str, block: str, given: dict[str, Any], trust_blocks: boo
     }
 
 
-def _refuse_other_folder(document: dict[str, Any], source: Path, target: Path) -> None:
-    """Refuse to move a diagram away from the parts that it names relative to its own folder."""
-    parts = [block["file"] for block in document["blocks"].values() if isinstance(block.get("file"), str)]
-    parts += document.get("block_folders", [])
-    if parts and target.resolve().parent != source.resolve().parent:
-        what = f"--out {target}: the diagram names {parts[0]}, which is not there"
-        raise RotorsimError(Problem(what=what, hint=f"write it to the folder {source.parent}"))
+def _parts(blocks: dict[str, Any], document: dict[str, Any]) -> list[str]:
+    """Return what blocks and block folders of a diagram name relative to its own folder."""
+    files = [entry["file"] for entry in blocks.values() if isinstance(entry.get("file"), str)]
+    return files + list(document.get("block_folders", []))

@@ -107,7 +107,7 @@ class InterpretedInstance:
     CHUNK = 256
 
     def __init__(self, model: Model, record: tuple[str, ...], p: np.ndarray) -> None:
-        self.path = "CasADi virtual machine (no C compiler)"
+        self.path = f"CasADi virtual machine ({model.without})"
         self.p = np.asarray(p, float)
         trace = model.trace
         self.samplers = trace.samplers

@@ -11,9 +11,10 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.compile.emit import Kernel, build_kernel, emit_c
-from rotorsim.compile.toolchain import Compiler, compile_c, find_compiler
+from rotorsim.compile.toolchain import Compiler, CompilerError, compile_c, compiler_error, find_compiler
 from rotorsim.compile.trace import Signal, Trace, flat_indices, trace_diagram
 from rotorsim.diagram.diagram import Diagram, Endpoint
+from rotorsim.diagram.values import ValueProblem, bounds_problem, numeric
 from rotorsim.errors import Problem, RotorsimError
 
 __all__ = ["Library", "Model", "compile_diagram"]
@@ -55,7 +56,9 @@ class Library:
             ("rs_derivatives", [i64, ptr, ptr, ptr, ptr, i64, ptr, ptr], None),
             ("rs_run", [ptr, ptr, i64, i64, f64, f64, i64, ptr], i64),
         ):
-            function = getattr(self.handle, name)
+            function = getattr(self.handle, name, None)
+            if function is None:
+                raise compiler_error(compiler.command[0], f"wrote a library without {name}")
             function.argtypes, function.restype = arguments, result
             setattr(self, name[3:], function)
         if kernel.trace.samplers:
@@ -84,15 +87,17 @@ class Model:
         self._outputs: dict[tuple[str, ...], ca.Function] = {}
         self._selected: dict[str, tuple[Signal, np.ndarray]] = {}
         self._libraries: dict[tuple[str, ...], Library | None] = {}
+        self.without = "no C compiler"  # why a run is without one, if it is
         self.p0 = np.zeros(self.n_p)
         for name, node in diagram.nodes.items():
             for key, value in node.values.items():
                 self.p0[self.parameters[f"{name}.{key}"]] = np.ravel(value)
 
     def parameter_vector(self, overrides: Mapping[str, Any] | None = None) -> np.ndarray:
-        """Return p with some values replaced (SI; diagram parameters by name set all that refer to them).
+        """Return p with some values replaced; diagram parameters by name set all that refer to them.
 
-        Raises RotorsimError for unknown names and wrong shapes.
+        overrides: SI numbers, or texts with a unit ("1800 rpm"). Raises RotorsimError for unknown names, texts that do
+        not fit, values outside the declared bounds and wrong shapes.
         """
         p = self.p0.copy()
         problems = []
@@ -104,30 +109,52 @@ class Model:
                 hint = f"did you mean '{near[0]}'?" if near else "`rotorsim blocks TYPE` lists parameters"
                 problems.append(Problem(what="no such parameter", subject=name, hint=hint))
                 continue
-            for part in parts:
-                given = np.ravel(np.asarray(value, float))
+            for target, part in parts.items():
+                try:
+                    given = self._value(target, value)
+                except ValueProblem as problem:
+                    problems.append(Problem(what=problem.what, subject=name, hint=problem.hint))
+                    break
                 if given.size not in (1, part.stop - part.start):
                     what = f"{given.size} values given, {part.stop - part.start} expected"
                     problems.append(Problem(what=what, subject=name))
                 else:
-                    p[part] = given
+                    p[part] = given.ravel()
         if problems:
             raise RotorsimError(*problems)
         return p
 
-    def _parts_of(self, name: str) -> list[slice]:
+    def _value(self, name: str, value: Any) -> np.ndarray:
+        """Return a value for a parameter of a block ("" for one that no block follows) in SI; raise ValueProblem."""
+        block, _, key = name.rpartition(".")
+        if not block:
+            return numeric(value, None)
+        declared = self.diagram.nodes[block].block.parameters[key]
+        array = numeric(value, declared.unit)
+        outside = bounds_problem(array, declared)
+        if outside is not None:
+            raise outside
+        return array
+
+    def _parts_of(self, name: str) -> dict[str, slice]:
+        """Return the parameters of blocks that a name sets, with their parts of p."""
         if name in self.diagram.parameters:
-            return self.references.get(name, []) or [slice(0, 0)]
-        return [self.parameters[name]] if name in self.parameters else []
+            return self._followers.get(name, {}) or {"": slice(0, 0)}
+        return {name: self.parameters[name]} if name in self.parameters else {}
+
+    @cached_property
+    def _followers(self) -> dict[str, dict[str, slice]]:
+        found: dict[str, dict[str, slice]] = {}
+        for block, node in self.diagram.nodes.items():
+            for key, reference in node.references.items():
+                target = f"{block}.{key}"
+                found.setdefault(reference, {})[target] = self.parameters[target]
+        return found
 
     @cached_property
     def references(self) -> dict[str, list[slice]]:
         """Diagram parameter -> the parts of p that follow it."""
-        found: dict[str, list[slice]] = {}
-        for block, node in self.diagram.nodes.items():
-            for key, reference in node.references.items():
-                found.setdefault(reference, []).append(self.parameters[f"{block}.{key}"])
-        return found
+        return {name: list(parts.values()) for name, parts in self._followers.items()}
 
     @cached_property
     def _initial(self) -> ca.Function:
@@ -230,12 +257,22 @@ class Model:
         return build_kernel(self.trace, [self.expression(name) for name in record])
 
     def library(self, record: Sequence[str] = ()) -> Library | None:
-        """Return the compiled C functions that record the named signals, or None without a compiler."""
+        """Return the compiled C functions that record the named signals, or None without a compiler that works."""
         key = tuple(record)
         if key not in self._libraries:
-            compiler = find_compiler()
-            self._libraries[key] = Library(self.kernel(key), compiler) if compiler else None
+            self._libraries[key] = self._compiled(key)
         return self._libraries[key]
+
+    def _compiled(self, record: Sequence[str]) -> Library | None:
+        compiler = find_compiler()
+        if compiler is None:
+            return None
+        try:
+            return Library(self.kernel(record), compiler)
+        except CompilerError as failure:
+            self.without = "the C compiler failed"
+            failure.warn("the model runs on CasADi's virtual machine: the same numbers, several times slower")
+            return None
 
     def rhs_batch(self, t: np.ndarray, x: np.ndarray, z: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return dx/dt of n instants: t (n,), x (n, n_x), z (n_z,), p (n, n_p) -> (n, n_x)."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorsim._shown import Shown
 from rotorsim.diagnose.converters import Converter
 from rotorsim.diagnose.explaining import Explained
 from rotorsim.diagnose.fitting import Fit, Source
@@ -56,8 +57,8 @@ class Effect:
         return None if item is None else item.insertion.spot
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Shown):
     """The answer to why a diagram and a recording differ; see `diagnose`.
 
     effects: what is missing (or, outside the catalogue, what was nearest). before, after: fits of the diagram as
@@ -93,6 +94,11 @@ class Diagnosis:
     converters: tuple[Converter, ...] = ()
     readings: tuple[Source, tuple[Held, ...]] | None = None
     recordings: tuple[Recording, ...] = ()
+
+    _figure = "rotorsim.report.diagnosis_evidence:before_and_after_figure"
+
+    def __repr__(self) -> str:
+        return f"Diagnosis({self.verdict}: {self.statement})"
 
     @property
     def searched(self) -> tuple[Effect, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from rotorsim.compile import program as ir
 from rotorsim.compile.program import Program
-from rotorsim.compile.toolchain import compile_c, find_compiler
+from rotorsim.compile.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.compile.writer import Writer, array_leaf
 from rotorsim.diagnose.time_equations import TimeEquations
 
@@ -115,7 +115,12 @@ class TimeKernel:
         self._steps: dict[tuple[int, int, bool], Any] = {}
         if compiler:
             source, self._size = _source(equations)
-            library, _ = compile_c(source, compiler, "-O3")
+            try:
+                library, _ = compile_c(source, compiler, "-O3")
+            except CompilerError as failure:
+                self.compiler = ""
+                failure.warn("the fit runs on CasADi's virtual machine: the same numbers, several times slower")
+                return
             self._run = library.rs_run
             i64, f64, ptr = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
             self._run.argtypes = [ctypes.c_int, i64, i64, f64, f64, *[ptr] * 6]

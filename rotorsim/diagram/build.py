@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,10 @@ class Builder:
         given: dict[str, np.ndarray] = {}
         references: dict[str, str] = {}
         for name, value in raw.parameters.items():
-            if name in cls.options:
+            if name == "file" and raw.type_name in FROM_FILE:
+                hint = f"it has the block's ports: rotorsim swap DIAGRAM {raw.name} {raw.type_name} --set file=FILE"
+                self.error("the file is a key of the block, no parameter", raw.name, raw.place_of(name, key=True), hint)
+            elif name in cls.options:
                 options[name] = value
             elif name in cls.parameters:
                 array = self.parameter(raw, name, value, cls.parameters[name], references)
@@ -97,13 +101,34 @@ class Builder:
         folder = base.parent if base is not None else self.folder
         path = (folder or Path()) / raw.file
         try:
-            found: type[Block] = import_module(FROM_FILE[raw.type_name]).block_class(path)
+            given = {name: self._plain(raw, value) for name, value in raw.parameters.items()}
+            wanted = frozenset(self.signals.get(raw.name, ()))
+            found: type[Block] = import_module(FROM_FILE[raw.type_name]).block_class(path, given, wanted)
         except RotorsimError as error:
             for problem in error.problems:
                 what = problem.what if raw.file in problem.what else f"{raw.file}: {problem.what}"
                 self.error(what, raw.name, raw.place("file"), problem.hint)
             return None
+        said = {(problem.what, problem.subject) for problem in self.problems}
+        for warning in found.fmu_warnings:  # type: ignore[attr-defined]
+            what = ": ".join(text for text in (raw.file, warning.subject, warning.what) if text)
+            if (what, raw.name) not in said:
+                self.problems.append(Problem(what, raw.name, raw.place("file"), warning.hint, "warning"))
         return found
+
+    @cached_property
+    def signals(self) -> dict[str, set[str]]:
+        """Outputs that are wired or recorded: flat block name -> names of ports."""
+        found: dict[str, set[str]] = {}
+        for end in (*(wire.source for wire in self.flat.wires), *(end for end, _ in self.flat.record or ())):
+            found.setdefault(end.block, set()).add(end.port)
+        return found
+
+    @staticmethod
+    def _plain(raw: RawBlock, value: Any) -> Any:
+        """Return a value, or that of the diagram parameter that it follows."""
+        followed = raw.scope.parameters.get(value[1:]) if isinstance(value, str) and value[:1] == "$" else None
+        return value if followed is None else followed.value
 
     def work(
         self,

@@ -60,6 +60,31 @@ class Wire:
     place: Place = field(default_factory=Place)
 
 
+class _Values(dict[str, np.ndarray]):
+    """Values by name that cannot be changed: what was compiled from them would not follow."""
+
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        raise RotorsimError(
+            Problem(
+                "the values of a diagram cannot be changed",
+                hint='give them to the analysis: simulate(diagram, parameters={"speed": "1800 rpm"}),'
+                ' or load the diagram with them: load("jeffcott", set={"speed": "1800 rpm"})',
+            )
+        )
+
+    __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refuse
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Values, (dict(self),)
+
+
+def _fixed(values: Mapping[str, np.ndarray]) -> _Values:
+    """Return values, none of whose entries can be written."""
+    for array in values.values():
+        array.flags.writeable = False
+    return values if isinstance(values, _Values) else _Values(values)
+
+
 @dataclass(frozen=True)
 class Node:
     """A block in a diagram.
@@ -78,6 +103,9 @@ class Node:
     state_shapes: Mapping[str, Shape]
     random_shapes: Mapping[str, Shape]
     place: Place = field(default_factory=Place)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", _fixed(self.values))
 
 
 @dataclass(frozen=True)
@@ -119,7 +147,7 @@ class Diagram:
     document: the JSON it came from, with ``set`` in it (for fmt, swap, diff and provenance). file: its name.
     warnings: what is odd but no mistake. free: what ``identify`` leaves to be estimated. measured: what a recording
     calls the first signal is the second one here, behind the model of a sensor. looked_through: converters that are
-    left out of that (`before_converters`).
+    left out of that (`before_converters`). trusted: whether the code that it brings along may run (its FMUs).
     """
 
     name: str
@@ -137,6 +165,19 @@ class Diagram:
     free: tuple[Free, ...] = ()
     measured: Mapping[Endpoint, Endpoint] = field(default_factory=dict)
     looked_through: frozenset[str] = frozenset()
+    trusted: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parameters", _fixed(self.parameters))
+
+    def __repr__(self) -> str:
+        where = f", {self.file}" if self.file else ""
+        return f"Diagram({self.name}: {len(self.nodes)} blocks, {len(self.wires)} wires{where})"
+
+    def _repr_html_(self) -> str:
+        from rotorsim.diagram.draw import draw_svg
+
+        return draw_svg(self)
 
     def as_measured(self, name: str) -> str:
         """Return the signal of this diagram that a recording means by a flat name ("rotor.displacement[3,1]")."""

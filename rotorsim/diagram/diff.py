@@ -11,7 +11,7 @@ from typing import Any
 from rotorsim.diagram.diagram import Solver
 from rotorsim.diagram.registry import find
 from rotorsim.diagram.values import ValueProblem, numeric
-from rotorsim.units import UnitError, compatible, split_quantity
+from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
 
 __all__ = ["Change", "diff"]
 
@@ -21,7 +21,10 @@ _DEFAULTS: Mapping[str, Any] = {"algebraic_loops": "refuse", "schema_version": 1
 
 @dataclass(frozen=True)
 class Change:
-    """One difference: kind "+" added, "-" removed, "~" changed; where; the old and the new value."""
+    """One difference: kind "+" added, "-" removed, "~" changed; where; the old and the new value as written.
+
+    As text both values of a quantity are in one unit: that of the old value, else of the new one.
+    """
 
     kind: str
     where: str
@@ -30,7 +33,8 @@ class Change:
 
     def __str__(self) -> str:
         if self.kind == "~":
-            return f"~ {self.where}: {_show(self.old)} -> {_show(self.new)}"
+            old, new = _in_one_unit(self.old, self.new)
+            return f"~ {self.where}: {_show(old)} -> {_show(new)}"
         value = self.new if self.kind == "+" else self.old
         return f"{self.kind} {self.where}: {_show(value)}"
 
@@ -132,6 +136,24 @@ def _equal(old: Any, new: Any, unit: str | None) -> bool:
     except (ValueProblem, UnitError):
         return False
     return a.shape == b.shape and bool((a == b).all())
+
+
+def _in_one_unit(old: Any, new: Any) -> tuple[Any, Any]:
+    """Return two values in the unit of the one that states a unit; as they are where that cannot be."""
+    try:
+        units = [split_quantity(value)[1] if isinstance(value, str) else "" for value in (old, new)]
+        unit = units[0] or units[1]
+        if not unit or units[0] == units[1]:
+            return old, new
+        factor = parse_unit(unit).factor
+        shown = [
+            value if own == unit else f"{float(numeric(value, None)) / factor:.10g} {unit}"
+            for value, own in zip((old, new), units, strict=True)
+        ]
+    except (ValueProblem, UnitError, TypeError):
+        return old, new
+    fit = all(compatible(own or None, unit) in ("same", "scaled") for own in units if own)
+    return (shown[0], shown[1]) if fit else (old, new)
 
 
 def _show(value: Any) -> str:

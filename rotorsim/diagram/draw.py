@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from html import escape
 
 import networkx as nx
 
 from rotorsim.diagram.diagram import Diagram, Endpoint, Node
+from rotorsim.errors import escape
 
 __all__ = ["draw_svg"]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from rotorsim.diagram.document import NAME
 from rotorsim.diagram.source import JsonPath, Source
-from rotorsim.errors import Place, Problem, near_miss
+from rotorsim.errors import CONTROL, Place, Problem, near_miss
 
 __all__ = ["BLOCK_KEYS", "KEYS", "RESERVED", "checked_form", "is_block"]
 
@@ -42,6 +42,9 @@ class _Form:
                 self.error(f"must be {_WORDS[KEYS[key]]}", (key,), key)
             else:
                 data[key] = value
+        for key in ("name", "description"):
+            if CONTROL.search(data.get(key, "")):  # of a document in memory: `parse_document` refuses them in a file
+                self.error("holds a control character", (key,), key, "remove it")
         if "blocks" not in self.source.data:
             self.error("key 'blocks' is missing", (), hint='"blocks": {"name": {"type": "..."}}')
         version = data.get("schema_version", 1)

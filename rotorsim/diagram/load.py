@@ -23,7 +23,7 @@ from rotorsim.diagram.values import ValueProblem, numeric
 from rotorsim.diagram.wiring import Wiring
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
-__all__ = ["METHODS", "load", "shipped_diagrams"]
+__all__ = ["METHODS", "find_diagram", "load", "shipped_diagrams"]
 
 METHODS = ("rk4", "dop853", "rk45", "radau", "bdf", "lsoda")
 _SOLVER = {"step": "s", "stop": "s", "record_every": "1", "rtol": "1", "atol": "1"}
@@ -37,6 +37,26 @@ def shipped_diagrams() -> dict[str, Path]:
     return {file.stem: file for file in sorted(folder.glob("*.json")) if not file.stem.endswith(".schema")}
 
 
+def find_diagram(name: str | Path) -> tuple[Path, list[Problem]]:
+    """Return the file that a name on the command line means, and what to say of it.
+
+    A name that comes with rotorsim is one whatever folders are called so; a file of this name is the user's, and that
+    is said. Raises RotorsimError for a name that is neither.
+    """
+    path, shipped = Path(name), shipped_diagrams()
+    exists = os.path.lexists(path)
+    if str(name) in shipped:
+        if not exists or os.path.isdir(path):
+            return shipped[str(name)], []
+        what = "this is the file of the current folder, not the diagram that comes with rotorsim"
+        hint = f"write ./{name} to mean the file; rename it to mean the other"
+        return path, [Problem(what, place=Place(str(name)), hint=hint, severity="warning")]
+    if not path.suffix and not exists:
+        hint = near_miss(str(name), shipped)
+        raise RotorsimError(Problem("no such file and no diagram of this name", place=Place(str(name)), hint=hint))
+    return path, []
+
+
 def load(
     source: str | Path | Mapping[str, Any],
     *,
@@ -48,14 +68,16 @@ def load(
     """Load a diagram from a file, the name of a shipped diagram, or a document in memory.
 
     set: "speed", "block.param" or "solver.step" -> number or text with a unit. without: blocks removed
-    with their wires; inputs cut that way read zero. trust_blocks: run the block files of
-    ``block_folders``. folder: of the files that a document in memory names.
+    with their wires; inputs cut that way read zero. trust_blocks: run the code that comes with it: the
+    block files of ``block_folders`` here, its FMUs in a co-simulation. folder: of the files that a
+    document in memory names.
     Raises RotorsimError with every mistake found; warnings are in ``diagram.warnings``.
     """
-    document, root = _source(source, folder)
+    document, root, said = _source(source, folder)
     parameters, blocks, solver = _overrides({} if set is None else set)
     flat = flatten_document(document, root, parameters, blocks)
     problems = flat.problems
+    problems += said
     registry = Registry(_block_folders(flat, root, trust_blocks))
     builder = Builder(flat, registry, root)
     removed = _removed(flat, without)
@@ -107,6 +129,7 @@ def load(
         warnings=tuple(p for p in problems if p.severity == "warning"),
         free=free,
         measured=measured,
+        trusted=trust_blocks,
     )
     traces, failed = trace_blocks(diagram)
     _raise_errors([*problems, *failed])
@@ -156,30 +179,26 @@ def _with_settings(
     return {**result, "set": inside} if inside else result
 
 
-def _source(source: str | Path | Mapping[str, Any], folder: str | Path | None) -> tuple[Source, Path | None]:
+def _source(
+    source: str | Path | Mapping[str, Any], folder: str | Path | None
+) -> tuple[Source, Path | None, list[Problem]]:
+    """Return the document, its folder, and what to say of its name."""
     if isinstance(source, Mapping):
         if is_too_deep(dict(source)):
             what = f"the document is nested deeper than {MAX_DEPTH} levels"
             raise RotorsimError(Problem(what, hint="a diagram needs no more than ten; use sub-diagrams"))
-        return Source(dict(source)), Path(folder) if folder is not None else None
+        return Source(dict(source)), Path(folder) if folder is not None else None, []
     if not isinstance(source, str | Path):
         what = f"a diagram is a file, a name or a mapping, not {type(source).__name__}"
         raise RotorsimError(Problem(what, hint='load("diagram.json")'))
-    path = Path(source)
-    shipped = shipped_diagrams()
-    exists = os.path.lexists(path)
-    if str(source) in shipped and not exists:
-        path = shipped[str(source)]
-    elif not path.suffix and not exists:
-        hint = near_miss(str(source), shipped)
-        raise RotorsimError(Problem("no such file and no diagram of this name", place=Place(str(source)), hint=hint))
+    path, said = find_diagram(source)
     try:
         found = read_document(path)
     except RotorsimError as error:
         raise RotorsimError(
             *[p if p.hint else replace(p, hint="give the JSON file of a diagram") for p in error.problems]
         ) from None
-    return found, path.parent
+    return found, path.parent, said
 
 
 def _overrides(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, dict[str, Any]], dict[str, Any]]:

@@ -14,7 +14,7 @@ from itertools import accumulate, islice
 from pathlib import Path
 from typing import Any
 
-from rotorsim.errors import Place, Problem, RotorsimError
+from rotorsim.errors import CONTROL, Place, Problem, RotorsimError
 
 __all__ = [
     "MAX_BYTES", "MAX_DEPTH", "JsonPath", "LazyPlace", "Source", "is_too_deep", "parse_document", "read_document",
@@ -30,6 +30,9 @@ _STRINGS = re.compile(_STRING, re.DOTALL)
 _OTHER = re.compile(r"[^\[\]{}]+")
 _BRACKET_OR_STRING = re.compile(rf"[\[\]{{}}]|{_STRING}", re.DOTALL)
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")  # one half of a character: good only in pairs
+_ESCAPED = re.compile(
+    r"\\u(?:00[0-1789]|20|ff)|\\[bf]|[\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff]", re.IGNORECASE
+)
 _TOKEN = re.compile(rf"\s*(?:({_STRING})|([\[\]{{}},:])|([^\s\[\]{{}},:\"]+))", re.DOTALL)
 
 
@@ -184,7 +187,7 @@ def parse_document(text: str, file: str = "", path: Path | None = None) -> Sourc
         )
     except json.JSONDecodeError as error:
         raise RotorsimError(_syntax_problem(error, source)) from None
-    if suspects or _SURROGATE.search(text):
+    if suspects or _SURROGATE.search(text) or _ESCAPED.search(text):
         problems = _scan(text)[1]
         if problems:
             raise RotorsimError(*[Problem(what, place=Place(file, *source._line_column(at)), hint=hint)
@@ -235,6 +238,8 @@ def _scan(text: str) -> tuple[Any, list[tuple[int, str, str]]]:
         offset = match.start(1) if string else match.start(2) if mark else match.start(3)
         if string and _SURROGATE.search(string) and not _is_text(json.loads(string)):
             problems.append((offset, "half a character (\\ud800 to \\udfff)", "write the character itself"))
+        elif string and _ESCAPED.search(string) and (found := CONTROL.search(json.loads(string).replace("\r", ""))):
+            problems.append((offset, f"control character (\\u{ord(found[0]):04x})", "remove it"))
         if stack and stack[-1][1] and key is None:
             key = (json.loads(string), offset)
             if key[0] in stack[-1][0][2]:

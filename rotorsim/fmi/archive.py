@@ -1,9 +1,9 @@
 """FMU and SSP archives: read and unpacked within limits of names, counts and sizes; nothing outside the folder.
 
 An archive is foreign data. Refused: names that leave the folder (``..``, absolute, drive, backslash), links and
-devices, encryption, methods other than stored and deflated, names that are there twice, too many files, too many
-bytes, and bombs (more bytes than `RATIO` times those of the archive). Sizes are counted while unpacking: what the
-archive says about itself is not trusted.
+devices, encryption, methods other than stored and deflated, names that are file and folder at once, too many files,
+too many bytes, and bombs (more bytes than `RATIO` times those of the archive). Sizes are counted while unpacking:
+what the archive says about itself is not trusted.
 """
 
 from __future__ import annotations
@@ -49,12 +49,14 @@ class Limits:
 class Archive:
     """An archive opened for reading; a context manager.
 
-    names: files, as the archive spells them. Raises RotorsimError with every mistake found.
+    names: files, as the archive spells them; warnings: files that are there twice, where the last counts.
+    Raises RotorsimError with every mistake found.
     """
 
     def __init__(self, path: str | Path, limits: Limits | None = None) -> None:
         self.path, self.limits = Path(path), limits or Limits()
         self.place = Place(str(path))
+        self.warnings: list[Problem] = []
         self._stream = _open(self.path, self.place)
         try:
             with self._translated():
@@ -157,17 +159,31 @@ class Archive:
 
     def _doubles(self) -> Iterator[Problem]:
         seen: dict[str, bool] = {}  # name -> it is a folder
+        files: dict[str, zipfile.ZipInfo] = {}
         for member in self.members:
             name = member.filename.rstrip("/")
             parts = (name.casefold() if _FOLDS_CASE else name).split("/")
             above = ["/".join(parts[:k]) for k in range(1, len(parts))]
             whole = "/".join(parts)
+            if whole in seen and not seen[whole] and not member.is_dir() and member.filename in files:
+                self._twice(files[member.filename], member)
+                files[member.filename] = member
+                continue
+            files[member.filename] = member
             clash = whole in seen and not (seen[whole] and member.is_dir())
             if clash or any(not seen.get(folder, True) for folder in above):
                 yield Problem(f"{_shown(name)}: is in the archive twice", place=self.place)
                 return
             seen.update(dict.fromkeys(above, True))
             seen[whole] = member.is_dir()
+
+    def _twice(self, first: zipfile.ZipInfo, again: zipfile.ZipInfo) -> None:
+        """Note a file that is there twice, by the same name."""
+        same = (first.CRC, first.file_size) == (again.CRC, again.file_size)
+        what = "both are alike" if same else "they differ, and the last is used; other tools may use the first"
+        text = f"{_shown(again.filename)}: is in the archive twice: {what}"
+        if len(self.warnings) < _SHOWN:
+            self.warnings.append(Problem(text, place=self.place, severity="warning"))
 
     @contextlib.contextmanager
     def _translated(self) -> Iterator[None]:

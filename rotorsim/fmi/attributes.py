@@ -100,6 +100,9 @@ class Values:
     def number(self, name: str) -> float | None:
         return self._source(name).number(name)
 
+    def flag(self, name: str) -> bool:
+        return self._source(name).flag(name)
+
     def start(self, element: Element) -> Value | tuple[Value, ...] | None:
         """Return the start value; a tuple in FMI 3.0, where the shape is not known yet."""
         three = element is self.own.element

@@ -17,7 +17,7 @@ from typing import Any
 __all__ = ["STATUS", "TYPES", "CallError", "Library", "Log"]
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-KEPT, LONGEST, FLOOD = 50, 2000, 20_000  # messages kept, characters of one, messages after which logging is turned off
+KEPT, LONGEST = 1000, 2000  # messages kept until they are taken, characters of one
 
 # Our type -> the word in the names of the functions, the type of C.
 TYPES: dict[str, dict[str, tuple[str, Any]]] = {
@@ -56,7 +56,7 @@ _SIGNATURES = {
         "DoStep": "cddbpppp", "GetDirectionalDerivative": "cpnpnpnpn", "GetOutputDerivatives": "cpnppn",
         "GetNumberOfEventIndicators": "cp", "GetNumberOfContinuousStates": "cp", "GetFMUState": "cp",
         "SetFMUState": "cc", "FreeFMUState": "cp", "SerializedFMUStateSize": "ccp", "SerializeFMUState": "ccpn",
-        "DeserializeFMUState": "cpnp",
+        "DeserializeFMUState": "cpnp", "EnterConfigurationMode": "c", "ExitConfigurationMode": "c",
         **{f"{verb}{word}": "cpnpn" for verb in ("Get", "Set") for word, _ in TYPES["3.0"].values()},
     },
 }  # fmt: skip
@@ -128,12 +128,12 @@ class _Callbacks2(ctypes.Structure):
 class Log:
     """Messages of an FMU, and the callbacks that collect them: the last `KEPT`, each cut at `LONGEST` characters.
 
-    count: how many there have been.
+    counts: how many there have been, by status.
     """
 
     def __init__(self, version: str) -> None:
         self.lines: deque[tuple[str, str, str]] = deque(maxlen=KEPT)
-        self.count = 0
+        self.counts: dict[str, int] = {}
         if version == "3.0":
             form = ctypes.CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_char_p)
             self.callback: Any = form(lambda _, status, category, text: self.add(status, category, text))
@@ -148,9 +148,10 @@ class Log:
 
     def add(self, status: int, category: bytes | None, message: bytes | None) -> None:
         """Keep a message."""
-        self.count += 1
         kind, text = ((t or b"")[:LONGEST].decode("utf-8", "replace").strip() for t in (category, message))
-        self.lines.append((STATUS[status] if 0 <= status < len(STATUS) else str(status), kind, text))
+        word = STATUS[status] if 0 <= status < len(STATUS) else str(status)
+        self.counts[word] = self.counts.get(word, 0) + 1
+        self.lines.append((word, kind, text))
 
     def _formatted(
         self, _: int, __: bytes, status: int, category: bytes | None, message: bytes | None, *more: Any

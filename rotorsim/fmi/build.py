@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import os
-import subprocess
 import sys
-import tempfile
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rotorsim.compile.toolchain import FLAGS, TIME_LIMIT, Compiler, cache_folder, find_compiler
+from rotorsim.compile.toolchain import (
+    FLAGS,
+    Compiler,
+    CompilerError,
+    cached,
+    find_compiler,
+    keep,
+    run_compiler,
+    scratch_folder,
+)
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.fmi.platforms import this_platform
 
@@ -114,20 +120,13 @@ def build_library(sources: Mapping[str, bytes], platform: Platform, optimise: st
     digest = hashlib.sha256("\0".join([compiler.identity(), *options]).encode())
     for name, text in sources.items():
         digest.update(name.encode() + b"\0" + text + b"\0")
-    kept = cache_folder() / f"fmu-{digest.hexdigest()[:32]}{platform.suffix}"
-    try:
+    key = f"fmu-{digest.hexdigest()[:32]}"
+    kept = cached(key, platform.suffix)
+    if kept is not None:
         return kept.read_bytes()
-    except OSError:
-        pass
-    with tempfile.TemporaryDirectory(prefix="rotorsim-", ignore_cleanup_errors=True) as folder:
+    with scratch_folder() as folder:
         library = _compile(Path(folder), sources, [*compiler.command, *options], platform)
-    try:  # by rename: other processes never see half a file
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        partial = kept.with_suffix(f".{os.getpid()}")
-        partial.write_bytes(library)
-        os.replace(partial, kept)
-    except OSError:  # no cache can be written
-        pass
+    keep(library, key, platform.suffix)
     return library
 
 
@@ -139,14 +138,12 @@ def _compile(folder: Path, sources: Mapping[str, bytes], command: list[str], pla
     if platform.suffix != ".dll":
         command.append("-lm")
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
-    except subprocess.TimeoutExpired:
-        what = f"the C compiler took longer than {TIME_LIMIT:.0f} s"
-        raise RotorsimError(Problem(what, platform.name), exit_code=1) from None
-    if done.returncode != 0:
-        said = "\n".join(done.stderr.strip().splitlines()[:5])
-        raise RotorsimError(Problem(f"the C compiler failed: {said}", platform.name), exit_code=1)
-    library = target.read_bytes()
+        run_compiler(command, platform.name)
+        library = target.read_bytes()
+    except CompilerError as failure:
+        raise RotorsimError(*(replace(problem, hint="") for problem in failure.problems), exit_code=1) from None
+    except FileNotFoundError:
+        raise RotorsimError(Problem("the C compiler wrote no library", platform.name), exit_code=1) from None
     if format_of(library) != platform.name:
         what = f"the compiler made a library for {format_of(library) or 'another platform'}"
         raise RotorsimError(Problem(what, platform.name), exit_code=1)

@@ -17,6 +17,7 @@ FUNCTIONS = (
     "GetNominalsOfContinuousStates", "CompletedIntegratorStep", "EnterEventMode", "NewDiscreteStates",
     "EnterContinuousTimeMode", "SetInputDerivatives", "GetOutputDerivatives", "GetDirectionalDerivative", "GetFMUState",
     "SetFMUState", "FreeFMUState", "SerializeFMUState", "DeserializeFMUState", "Terminate", "Reset", "FreeInstance",
+    "EnterConfigurationMode", "ExitConfigurationMode",
 )  # fmt: skip
 NUMBER = {name: k for k, name in enumerate(FUNCTIONS)}
 Call = tuple[int, Any, tuple[Any, ...]]  # number in FUNCTIONS, function, arguments
@@ -68,8 +69,8 @@ class Calls:
         self.head[Head.FUNCTION] = NUMBER.get(shown, 0)
         status = function(self.instance, *arguments)
         self.head[Head.FUNCTION] = 0
-        if status > 1:
-            self.fail(shown, status)
+        if status:
+            self.check(shown, status)
 
     def many(self, calls: Sequence[Call]) -> None:
         """Make calls that are prepared. Raises CallError."""
@@ -77,8 +78,14 @@ class Calls:
         for number, function, arguments in calls:
             head[Head.FUNCTION] = number
             status = function(*arguments)
-            if status > 1:
-                self.fail(FUNCTIONS[number], status)
+            if status:
+                self.check(FUNCTIONS[number], status)
+
+    def check(self, function: str, status: int) -> None:
+        """Count a warning; raise what a worse status means."""
+        if status > 1:
+            self.fail(function, status)
+        self.head[Head.WARNED] += 1
 
     def fail(self, function: str, status: int) -> None:
         """Raise what a status means."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,12 +13,17 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.coupling import Coupling
 from rotorsim.fmi.cut import couple, open_coupling, sources_of
+from rotorsim.fmi.failure import FmuError
 from rotorsim.fmi.fmu_participant import FmuParticipant
+from rotorsim.fmi.instance import is_finite
 from rotorsim.fmi.loop import FastLoop
-from rotorsim.fmi.masters import Master, make_master
+from rotorsim.fmi.masters import Master, held_mismatch, make_master
+from rotorsim.fmi.model_exchange import ModelExchange
+from rotorsim.fmi.participant import CompiledParticipant
 from rotorsim.fmi.stability import CouplingStability, coupling_stability, why_not_linear
 from rotorsim.fmi.waveform import relaxed
 from rotorsim.simulate.result import Result
+from rotorsim.simulate.validity import growth_rate
 
 __all__ = ["cosimulate", "cosimulate_diagram", "couple", "open_coupling", "sources_of"]
 
@@ -26,10 +32,14 @@ LARGEST_ADAPTIVE = 100  # the adaptive step over the one given
 
 def cosimulate_diagram(
     diagram: Diagram, groups: Sequence[Iterable[str]] = (), *, step: float, stop: float | None = None,
-    parameters: Mapping[str, Any] | None = None, **settings: Any,
+    parameters: Mapping[str, Any] | None = None, log: Callable[[str, float, str, str, str], None] | None = None,
+    **settings: Any,
 ) -> Result:  # fmt: skip
-    """Open the FMUs of a diagram, co-simulate it, and close them; settings as for `cosimulate`."""
-    coupling = open_coupling(diagram, groups, stop=stop, parameters=parameters)
+    """Open the FMUs of a diagram, co-simulate it, and close them; settings as for `cosimulate`.
+
+    log: gets block, time [s], status, category and text of every message of an FMU.
+    """
+    coupling = open_coupling(diagram, groups, stop=stop, parameters=parameters, log=log)
     try:
         return cosimulate(coupling, diagram, step=step, stop=stop, **settings)
     finally:
@@ -39,7 +49,8 @@ def cosimulate_diagram(
 def cosimulate(
     coupling: Coupling, diagram: Diagram, *, step: float, stop: float | None = None, master: str = "gauss_seidel",
     order: int | None = None, tolerance: float = 1e-8, adaptive: float | None = None, check: bool = False,
-    fast: bool = False, rates: Mapping[str, int] | None = None, progress: Callable[[float], None] | None = None,
+    fast: bool = False, rates: Mapping[str, int] | None = None, solver: str = "rk4",
+    progress: Callable[[float], None] | None = None,
 ) -> Result:  # fmt: skip
     """Advance the participants from 0 to stop with communication steps; return the outputs at these points.
 
@@ -52,16 +63,29 @@ def cosimulate(
     the finite numbers ends the run; what was found until then is kept, with status and message. check: refuse a step
     with which the linearised loop is unstable though the loop as a whole is stable. fast: the plain loop in C, inputs
     held and outputs taken as each participant left them (no sweeps through direct feedthrough), for FMUs in process.
+    solver: of the states of FMUs for Model Exchange: "rk4" with the steps of the run, or "radau", "bdf", "lsoda"
+    (implicit), "dop853", "rk45" with steps of their own. Where RK4 is unstable at the poles of such an FMU, or the
+    linearised loop is unstable as a whole and the motion grows, the run ends with status "diverged" or "unstable".
     """
     end = diagram.solver.stop if stop is None else stop
     every = coupling.rates_of(rates or {})
     _refuse(coupling, master, order, adaptive, fast, every)
+    exchanging = [p.integrator for p in coupling.participants if isinstance(p, FmuParticipant) and p.integrator]
+    for integrator in exchanging:
+        integrator.method = solver
+    _refuse_rigid(coupling, step, end, adaptive, every)
     if master == "waveform" and 0 < step <= end:
-        return _by_waveform(coupling, diagram, step, end, tolerance, progress)
+        found = _by_waveform(coupling, diagram, step, end, tolerance, progress)
+        status, message = _judged(exchanging, _Told(step, master), 0.0, found.status, found.message)
+        return replace(found, status=status, message=message)
     if not 0 < step <= end:
         what = f"communication step {step:g} s is not between 0 and the stop time {end:g} s"
         raise RotorsimError(Problem(what, hint="give one that is positive and no longer than the run"))
     worker = make_master(master, coupling, order=order, tolerance=tolerance, rates=every)
+    if master == "iterative":  # it finds rates by very short steps that are taken back, also at the end
+        for participant in coupling.participants:
+            if isinstance(participant, FmuParticipant):
+                participant.stop = None
     mismatch = [0.0]
     times, rows = [0.0], []
     status, message = "finished", ""
@@ -72,8 +96,12 @@ def cosimulate(
         told.look(coupling, every)
     elif check:
         told.why_not = "the step adapts itself"
+    plain = adaptive is None and worker.simplify()
     if fast:
         return _fast(coupling, diagram, step, end, worker, rows[0], told, progress)
+    if plain and _may_be_fast(coupling, step, end):
+        most = len(coupling.u0) + 2 if coupling.passes else 0
+        return _fast(coupling, diagram, step, end, worker, rows[0], told, progress, most)
     t, count, width = 0.0, 0, step
     while t < end - 1e-9 * step:
         try:
@@ -84,28 +112,103 @@ def cosimulate(
             else:
                 target, y, width = _doubled(worker, t, min(width, end - t), adaptive, step)
         except RotorsimError as error:
-            status = "stopped"
-            problem = error.problems[0]
-            message = ": ".join(part for part in (problem.subject, problem.what) if part)
-            message += f"\n\nhint: {problem.hint}" if problem.hint else ""
+            status, message = _stopped(error)
+            if (last := _last_sample(coupling, worker, error, t)) is not None:
+                times, rows, mismatch = _with_last(times, rows, mismatch, *last)
             break
         t = target
         times.append(t)
         rows.append(y)
         mismatch.append(worker.mismatch)
-        if not np.isfinite(y).all():
-            status = "diverged"
-            bad = int(np.flatnonzero(~np.isfinite(y))[0])
-            names = [name for p in coupling.participants for name in p.outputs]
-            message = (
-                f"{names[bad]} left the finite numbers at t = {t:g} s: a smaller communication step, or another master"
-            )
+        if not is_finite(y):
+            status, message = _diverged(coupling, y, t)
             break
         if progress is not None:
             progress(t / end)
+    if status in ("finished", "diverged"):
+        growth = growth_rate(np.array(times), np.array(rows)) if adaptive is None else 0.0
+        status, message = _judged(exchanging, told, growth, status, message)
     result = _result(coupling, diagram, np.array(times), np.array(rows), status, message, worker, told)
-    signals = {**result.signals, "coupling.error": np.array(mismatch)}
+    errors = held_mismatch(coupling, np.array(rows)) if plain else np.array(mismatch)
+    return _with_error(result, errors)
+
+
+def _with_error(result: Result, errors: np.ndarray) -> Result:
+    signals = {**result.signals, "coupling.error": errors}
     return replace(result, signals=signals, units={**result.units, "coupling.error": "1"})
+
+
+def _judged(
+    exchanging: Sequence[ModelExchange], told: _Told, growth: float, status: str, message: str
+) -> tuple[str, str]:
+    """Return status and message of a run that reached its end, or left the finite numbers."""
+    for integrator in exchanging:
+        why = integrator.unstable_step()
+        if why:
+            return "diverged", f"{integrator.slave.name}: {why}\n\nhint: --solver radau (implicit), or a smaller --step"
+    whole = told.found is not None and not told.found.stable and told.found.largest_step == 0
+    if status == "finished" and whole and growth > 0:  # a nonlinear loop may settle on a bounded motion
+        what = f"the linearised loop is unstable as a whole, with any step, and its motion grows at {growth:.3g} 1/s"
+        return "unstable", what
+    return status, message
+
+
+def _diverged(coupling: Coupling, y: np.ndarray, t: float) -> tuple[str, str]:
+    """Return status and message of a run whose outputs (n_y,) at time t are not all finite."""
+    bad = int(np.flatnonzero(~np.isfinite(y))[0])
+    name = [name for p in coupling.participants for name in p.outputs][bad]
+    return "diverged", f"{name} left the finite numbers at t = {t:g} s: a smaller communication step, or another master"
+
+
+def _may_be_fast(coupling: Coupling, step: float, end: float) -> bool:
+    """Return whether the loop in C does just what the plain steps of a master do.
+
+    Not with algebraic loops, where a part samples (it is stopped there), where steps must be equal to the last bit, or
+    where messages are wanted as they come.
+    """
+    whole = abs(round(end / step) * step - end) <= 1e-9 * step
+    members: list[Any] = []
+    for participant in coupling.participants:
+        if isinstance(participant, FmuParticipant):
+            if participant.rigid or participant.slave.log:
+                return False
+            members.append(participant.slave)
+        elif isinstance(participant, CompiledParticipant) and not participant.part.trace.samplers:
+            members.append(participant)
+        else:
+            return False
+    return whole and not (coupling.passes and coupling.has_loop) and FastLoop.possible(members)
+
+
+def _stopped(error: RotorsimError) -> tuple[str, str]:
+    """Return status and message of a run that an error has ended."""
+    problem = error.problems[0]
+    message = ": ".join(part for part in (problem.subject, problem.what) if part)
+    return "stopped", message + (f"\n\nhint: {problem.hint}" if problem.hint else "")
+
+
+def _last_sample(
+    coupling: Coupling, worker: Master, error: RotorsimError, t: float
+) -> tuple[float, np.ndarray] | None:  # fmt: skip
+    """Return time and outputs where an FMU itself asks for the end; those of the others are as foreseen there."""
+    problem = error.problems[0]
+    if not isinstance(error, FmuError) or error.kind != "ended" or error.time is None or error.time < t:
+        return None
+    y = np.array(worker.foreseen(error.time), float)
+    for participant, part in zip(coupling.participants, coupling.y_parts, strict=True):
+        if isinstance(participant, FmuParticipant) and participant.slave.name == problem.subject:
+            with contextlib.suppress(RotorsimError):
+                y[part] = participant.final()
+                return error.time, y
+    return None
+
+
+def _with_last(
+    times: list[float], rows: list[np.ndarray], mismatch: list[float], t: float, y: np.ndarray
+) -> tuple[list[float], list[np.ndarray], list[float]]:
+    """Return the rows with a last one; it takes the place of one at the same time."""
+    keep = len(times) - (t <= times[-1] + 1e-12 * abs(t))
+    return [*times[:keep], t], [*rows[:keep], y], [*mismatch[:keep], 0.0]
 
 
 @dataclass
@@ -168,6 +271,25 @@ def _refuse(
         raise RotorsimError(*problems)
 
 
+def _refuse_rigid(
+    coupling: Coupling, step: float, end: float, adaptive: float | None, rates: Sequence[int]
+) -> None:  # fmt: skip
+    """Refuse steps of several lengths where an FMU cannot vary its communication step."""
+    problems = []
+    for participant, rate in zip(coupling.participants, rates, strict=True):
+        if not isinstance(participant, FmuParticipant) or not participant.rigid:
+            continue
+        what, count = "cannot vary its communication step", end / (rate * step)
+        if adaptive is not None:
+            problems.append(Problem(f"{what}, as adaptive steps do", participant.name, hint="take fixed steps"))
+        elif abs(count - round(count)) > 1e-9:
+            what += f": its steps of {rate * step:g} s do not divide the stop time {end:g} s"
+            hint = f"such as --step '{end / max(1, round(count)) / rate:.15g} s'"
+            problems.append(Problem(what, participant.name, hint=hint))
+    if problems:
+        raise RotorsimError(*problems)
+
+
 def _by_waveform(
     coupling: Coupling, diagram: Diagram, step: float, end: float, tolerance: float,
     progress: Callable[[float], None] | None,
@@ -181,7 +303,7 @@ def _by_waveform(
 
 def _fast(
     coupling: Coupling, diagram: Diagram, step: float, end: float, worker: Master, first: np.ndarray, told: _Told,
-    progress: Callable[[float], None] | None,
+    progress: Callable[[float], None] | None, sweeps: int = 0,
 ) -> Result:  # fmt: skip
     """Run the loop in C; see `rotorsim.fmi.loop`."""
     if told.master == "iterative" or worker.order > 0:
@@ -190,13 +312,50 @@ def _fast(
     members: list[Any] = [p.slave if isinstance(p, FmuParticipant) else p for p in coupling.participants]
     sequence = coupling.order if told.master == "gauss_seidel" else None
     count = round(end / step)
-    made = FastLoop(members, coupling.L, coupling.u0, sequence).run(0.0, step, count, progress=progress)
-    rows = np.vstack([first, made])
-    status, message = "finished", ""
-    if len(made) < count or not np.isfinite(rows[-1]).all():
-        status, message = "diverged", f"left the finite numbers at t = {len(made) * step:g} s: a smaller step"
+    if abs(count * step - end) > 1e-6 * step:
+        hint = f"such as --step '{end / count:.15g} s'"
+        raise RotorsimError(
+            Problem(f"takes whole steps: {step:g} s does not divide {end:g} s", "the fast loop", hint=hint)
+        )
+    (fu, ou), (fy, oy) = (scales_of(coupling, which) for which in ("u_scales", "y_scales"))
+    L, u0 = coupling.L * fy / fu[:, None], (coupling.L @ oy + coupling.u0 - ou) / fu  # in the units of the FMUs
+    loop = FastLoop(members, L, u0, sequence, sweeps)
+    loop.begin((first - oy) / fy)
+    status, message, last = "finished", "", None
+    failure: FmuError | None = None
+    try:
+        made = loop.run(0.0, step, count, progress=progress)
+    except FmuError as error:
+        failure, made, (status, message) = error, loop.rows, _stopped(error)
+    rows = np.vstack([first, made * fy + oy])
+    if status == "finished" and (len(made) < count or not np.isfinite(rows[-1]).all()):
+        status, message = _diverged(coupling, rows[-1], len(made) * step)
     worker.counters["steps"] = len(made)
-    return _result(coupling, diagram, np.arange(len(rows)) * step, rows, status, message, worker, told)
+    worker.counters["participant_steps"] = len(made) * len(members)
+    if failure is not None:
+        worker.known = [[(len(made) * step, rows[-1][part])] for part in coupling.y_parts]
+        last = _last_sample(coupling, worker, failure, len(made) * step)
+    for k, participant in enumerate(coupling.participants):
+        if isinstance(participant, FmuParticipant):
+            participant.most_parts, participant.do_steps, participant.warned = 1, len(made), loop.warned(k)
+    times = [*(np.arange(len(rows)) * step)]
+    if last is not None:
+        times, kept, _ = _with_last(times, [*rows], times, *last)
+        rows = np.array(kept)
+    if status in ("finished", "diverged"):
+        status, message = _judged((), told, growth_rate(np.array(times), rows), status, message)
+    result = _result(coupling, diagram, np.array(times), rows, status, message, worker, told)
+    return _with_error(result, held_mismatch(coupling, rows))
+
+
+def scales_of(coupling: Coupling, which: str) -> np.ndarray:
+    """Return factors and offsets (2, n) of all inputs or outputs: SI = factor * value + offset."""
+    found = [np.zeros((0, 2))]
+    for p in coupling.participants:
+        n = len(p.inputs if which == "u_scales" else p.outputs)
+        own = getattr(p, which) if isinstance(p, FmuParticipant) else None
+        found.append(np.tile((1.0, 0.0), (n, 1)) if own is None else own)
+    return np.concatenate(found).T
 
 
 def _doubled(worker: Master, t: float, h: float, allowed: float, most: float) -> tuple[float, np.ndarray, float]:
@@ -243,4 +402,7 @@ def _result(
             signals.update({names[k]: rows[:, k] for k in columns})
     ports = {f"{b}.{n}": p.unit for b, node in diagram.nodes.items() for n, p in node.outputs.items()}
     units = {name: ports.get(name.partition("[")[0]) or "" for name in signals}
-    return Result(times, signals, units, status, message, dict(worker.counters), told.provenance(worker.told_order))
+    made = told.provenance(worker.told_order)
+    if fmus := {p.name: p.told() for p in coupling.participants if isinstance(p, FmuParticipant)}:
+        made["fmus"] = fmus
+    return Result(times, signals, units, status, message, dict(worker.counters), made)

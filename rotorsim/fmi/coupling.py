@@ -98,7 +98,12 @@ class Coupling:
             D[y, u] = participant.feedthrough
         return D
 
-    @property
+    @cached_property
+    def passes(self) -> bool:
+        """Whether any output follows an input at the same instant."""
+        return bool(self.feedthrough.any())
+
+    @cached_property
     def has_loop(self) -> bool:
         """Whether outputs and inputs make an algebraic loop across participants."""
         pattern = (self.L != 0).astype(int) @ self.feedthrough.astype(int)

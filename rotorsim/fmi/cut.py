@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -130,21 +130,38 @@ def sources_of(diagram: Diagram, name: str) -> list[str]:
     return found
 
 
+def _refuse_foreign_code(diagram: Diagram) -> None:
+    """Refuse to run the FMUs of a diagram that nobody vouches for: a process of their own is no wall against malice."""
+    what = "FMUs are programs; they are not run unless you say so"
+    hint = "if you trust where they come from, add --trust-blocks (trust_blocks=True)"
+    foreign = [(name, node.place) for name, node in diagram.nodes.items() if node.block.opaque]
+    if foreign and not diagram.trusted:
+        raise RotorsimError(*[Problem(what, name, place, hint) for name, place in foreign])
+
+
 def open_coupling(
     diagram: Diagram, groups: Sequence[Iterable[str]] = (), *, stop: float | None = None,
     parameters: Mapping[str, Any] | None = None, use_compiler: bool = True,
+    log: Callable[[str, float, str, str, str], None] | None = None,
 ) -> Coupling:  # fmt: skip
     """Return the participants of a diagram: its FMUs, the groups of blocks given, and the rest; FMUs are opened.
 
-    Close them with `Coupling.close`. Raises RotorsimError, also for a diagram of one participant.
+    log: gets block, time, status, category and text of every message of an FMU.
+
+    Close them with `Coupling.close`. Raises RotorsimError, also for a diagram of one participant, and for one with
+    FMUs that was not loaded with trust_blocks=True.
     """
     end = diagram.solver.stop if stop is None else stop
+    _refuse_foreign_code(diagram)
     opened: dict[str, Participant] = {}
     try:
         for name, node in diagram.nodes.items():
             if node.block.opaque:
                 wired = {wire.target.port for wire in diagram.wires if wire.target.block == name}
-                opened[name] = fmu_participant(name, node, wired, end, diagram.solver.step)
+                told = diagram.solver.rtol if "rtol" in (diagram.document.get("solver") or {}) else None
+                opened[name] = fmu_participant(
+                    name, node, wired, end, diagram.solver.step, tolerance=told, log=log
+                )  # fmt: skip
         if not opened and not groups:
             hint = "cut it with --part BLOCK,BLOCK, or `rotorsim run` it"
             raise RotorsimError(Problem("has no FMU: there is nothing to be coupled", diagram.name, hint=hint))

@@ -18,47 +18,55 @@ Rows = list[list[int]]
 
 @dataclass(frozen=True)
 class Dependencies:
-    """Sparsity of rows [xdot; y; events] by columns [x; u; t], and of [xdot; y; x0] by [x exact; u; p] at the start.
+    """Sparsity of rows [xdot; y; events] by columns [x; u; t] and by p, and of [xdot; y; x0] at the start.
 
-    moving: positions of outputs that change between sample hits.
+    At the start the columns are x exact; z exact; u; p; t (how many: 0 or 1). moving: positions of outputs that change
+    between sample hits.
     """
 
     by_column: Rows
+    by_parameter: Rows
     initial_x: Rows
+    initial_z: Rows
     initial_u: Rows
     initial_p: Rows
+    initial_t: Rows
     moving: frozenset[int]
 
 
-def find_dependencies(part: Part, record: Sequence[str], x_constant: np.ndarray) -> Dependencies:
+def find_dependencies(
+    part: Part, record: Sequence[str], x_constant: np.ndarray, z_constant: np.ndarray
+) -> Dependencies:
     """Return what depends on what: in motion, and at the start, when states follow from parameters."""
     trace = part.trace
     y = ca.vertcat(*[part.expression(name) for name in record]) if record else ca.SX(0, 1)
     u = inputs_of(part)
     moving_columns = ca.vertcat(trace.x, u, trace.t)
     rows = ca.vertcat(trace.xdot, y, trace.events)
-    by_column = _rows(rows, moving_columns)
+    by_column, by_parameter = _rows(rows, moving_columns), _rows(rows, trace.p)
     n_x = part.n_x
     moving = frozenset(k for k in range(y.numel()) if by_column[n_x + k])
-    if trace.samplers and u.numel() and y.numel():
-        own = part.n_z - u.numel()
+    own = part.n_z - u.numel()
+    if trace.samplers and y.numel() and own:
         new = ca.substitute(trace.z_next, trace.hit, ca.SX.ones(*trace.hit.shape))[:own]
-        at_hit = _rows(ca.substitute(y, trace.z[:own], new), u) if own else []
-        for k, columns in enumerate(at_hit):  # what passes through at a sample hit
+        at_hit = ca.substitute(y, trace.z[:own], new)
+        for k, columns in enumerate(_rows(at_hit, u)):  # what passes through at a sample hit
             by_column[n_x + k] = sorted({*by_column[n_x + k], *(c + n_x for c in columns)})
-    calculated = np.flatnonzero(~x_constant).tolist()
-    start = trace.x
-    if calculated:
-        x0 = ca.densify(trace.x0)
-        start = ca.vertcat(*[x0[k] if k in set(calculated) else trace.x[k] for k in range(n_x)])
+        for k, columns in enumerate(_rows(at_hit, trace.p)):
+            by_parameter[n_x + k] = sorted({*by_parameter[n_x + k], *columns})
     first = ca.vertcat(trace.xdot, y, trace.x0)
-    if calculated:
-        first = ca.substitute(first, trace.x, start)
+    for symbols, begun, constant in ((trace.x, trace.x0, x_constant), (trace.z[:own], trace.z0, z_constant[:own])):
+        if not constant.all():
+            begun = ca.densify(begun)
+            start = [symbols[k] if exact else begun[k] for k, exact in enumerate(constant)]
+            first = ca.substitute(first, symbols, ca.vertcat(*start))
     initial_u = _rows(first, u)
     for k in range(y.numel()):
         initial_u[n_x + k] = sorted({*initial_u[n_x + k], *(c - n_x for c in by_column[n_x + k] if c >= n_x)})
         initial_u[n_x + k] = [c for c in initial_u[n_x + k] if c < u.numel()]
-    return Dependencies(by_column, _rows(first, trace.x), initial_u, _rows(first, trace.p), moving)
+    initial_x, initial_z = _rows(first, trace.x), _rows(first, trace.z[:own])
+    initial_p, initial_t = _rows(first, trace.p), _rows(first, trace.t)
+    return Dependencies(by_column, by_parameter, initial_x, initial_z, initial_u, initial_p, initial_t, moving)
 
 
 def inputs_of(part: Part) -> Any:

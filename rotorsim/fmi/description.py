@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from rotorsim.fmi.variables import DERIVATIVE, EVENT, INPUT, OUTPUT, PARAMETER, STATE, Interface, Variable
-from rotorsim.units import Unit, parse_unit
+from rotorsim.fmi.variables import DERIVATIVE, DISCRETE, EVENT, INPUT, OUTPUT, PARAMETER, STATE, Interface, Variable
+from rotorsim.units import BASES, Unit, parse_unit
 
 __all__ = ["build_description", "model_description"]
 
@@ -132,9 +132,9 @@ def _units(root: Element, interface: Interface) -> None:
 
 
 def _base_unit(parent: Element, unit: Unit) -> None:
-    powers = dict(zip(("m", "kg", "s", "A", "K", "rad"), unit.dimension, strict=True))
+    powers = dict(zip(BASES, unit.dimension, strict=True))
     element = SubElement(parent, "BaseUnit")
-    for base in ("kg", "m", "s", "A", "K", "rad"):
+    for base in ("kg", "m", "s", "A", "K", "mol", "cd", "rad"):
         if powers[base]:
             element.set(base, str(powers[base]))
     if unit.factor != 1.0:
@@ -217,11 +217,14 @@ def _indices(interface: Interface) -> dict[int, int]:
 # ---- model structure ----
 
 
-def _unknowns(interface: Interface) -> dict[str, list[tuple[int, list[int]]]]:
-    """Return outputs, derivatives, initial unknowns and events: reference, and the references it depends on."""
+def _unknowns(interface: Interface, version: str) -> dict[str, list[tuple[int, list[int]]]]:
+    """Return outputs, derivatives, initial unknowns and events: reference, and the references it depends on.
+
+    Parameters are knowns at the start; in FMI 3.0 always, and what is not listed has derivative zero (2.4.8).
+    """
     found = interface.dependencies
     n_x, n_y = interface.part.n_x, interface.count(OUTPUT)
-    at = {role: interface.first(role) for role in (PARAMETER, INPUT, OUTPUT, STATE, DERIVATIVE, EVENT)}
+    at = {role: interface.first(role) for role in (PARAMETER, INPUT, OUTPUT, STATE, DERIVATIVE, DISCRETE, EVENT)}
     n_u = interface.count(INPUT)
 
     def known(column: int) -> int:
@@ -236,10 +239,16 @@ def _unknowns(interface: Interface) -> dict[str, list[tuple[int, list[int]]]]:
 
     def at_start(row: int) -> list[int]:
         exact = [at[STATE] + c for c in found.initial_x[row] if interface.x_exact[c]]
+        exact += [at[DISCRETE] + c for c in found.initial_z[row] if interface.z_exact[c]]
         inputs = [at[INPUT] + c for c in found.initial_u[row]]
-        return [*(r for place in found.initial_p[row] for r in setting.get(place, ())), *inputs, *exact]
+        return [*([0] if found.initial_t[row] else ()), *set_by(found.initial_p[row]), *inputs, *exact]
+
+    def set_by(places: Iterable[int]) -> list[int]:
+        return [reference for place in places for reference in setting.get(place, ())]
 
     moving = [sorted(known(c) for c in columns) for columns in found.by_column]
+    if version == "3.0":
+        moving = [sorted({*row, *set_by(p)}) for row, p in zip(moving, found.by_parameter, strict=True)]
     calculated = [k for k in range(n_x) if not interface.x_exact[k]]
     return {
         "outputs": [(at[OUTPUT] + k, moving[n_x + k]) for k in range(n_y)],
@@ -255,7 +264,7 @@ def _unknowns(interface: Interface) -> dict[str, list[tuple[int, list[int]]]]:
 
 def _structure2(parent: Element, interface: Interface) -> None:
     index = _indices(interface)
-    unknowns = _unknowns(interface)
+    unknowns = _unknowns(interface, "2.0")
     for tag, key in (("Outputs", "outputs"), ("Derivatives", "derivatives"), ("InitialUnknowns", "initial")):
         if not unknowns[key]:
             continue
@@ -267,7 +276,7 @@ def _structure2(parent: Element, interface: Interface) -> None:
 
 def _structure3(parent: Element, interface: Interface) -> None:
     owner = _owners(interface)
-    unknowns = _unknowns(interface)
+    unknowns = _unknowns(interface, "3.0")
     for tag, key in (
         ("Output", "outputs"),
         ("ContinuousStateDerivative", "derivatives"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -31,14 +32,19 @@ _VARIABILITIES = ("constant", "fixed", "tunable", "discrete", "continuous")
 _SKIP = frozenset({"Annotations", "VendorAnnotations", "Tool"})
 
 
-def read_description(data: bytes, file: str, *, limits: XmlLimits | None = None) -> ModelDescription:
-    """Return the model description. file: the name to be shown. Raises RotorsimError with every mistake."""
-    return _Reader(read_xml(data, file, skip=_SKIP, limits=limits), file).read()
+def read_description(
+    data: bytes, file: str, *, limits: XmlLimits | None = None, sizes: Mapping[str, int] | None = None
+) -> ModelDescription:  # fmt: skip
+    """Return the model description. file: the name to be shown; sizes: values of structural parameters (FMI 3.0).
+
+    Raises RotorsimError with every mistake.
+    """
+    return _Reader(read_xml(data, file, skip=_SKIP, limits=limits), file, sizes or {}).read()
 
 
 class _Reader:
-    def __init__(self, root: Element, file: str) -> None:
-        self.root, self.file = root, file
+    def __init__(self, root: Element, file: str, sizes: Mapping[str, int]) -> None:
+        self.root, self.file, self.sizes = root, file, dict(sizes)
         self.problems: list[Problem] = []
         self.warnings: list[Problem] = []
         self.version = ""
@@ -66,8 +72,10 @@ class _Reader:
         kinds = self._kinds()
         units = self._units()
         types = self._types()
+        items = {name: self._items(name, element) for name, element in types.items() if element.first("Item")}
         n_events = head.whole("numberOfEventIndicators", 0, most=MAX_EVENTS) if self.version == "2.0" else 0
         self._variables(types)
+        sizes = self._changed()
         structure = self._structure()
         log = root.first("LogCategories")
         experiment = self._experiment()
@@ -82,7 +90,7 @@ class _Reader:
             author=root.get("author"), tool=root.get("generationTool"), date=root.get("generationDateAndTime"),
             naming=root.get("variableNamingConvention", "flat"), place=Place(self.file),
             log_categories=tuple(c.get("name") for c in log.all("Category")) if log else (),
-            warnings=tuple(self.warnings[:_SHOWN]), **structure,
+            warnings=tuple(self.warnings[:_SHOWN]), items=items, sizes=sizes, **structure,
         )  # fmt: skip
 
     def _check_version(self) -> None:
@@ -154,7 +162,10 @@ class _Reader:
             display = {}
             for shown in element.all("DisplayUnit"):
                 scale = self.attributes(shown, f"unit {name[:80]}")
-                display[shown.get("name")] = (scale.number("factor", 1.0), scale.number("offset", 0.0))
+                inverse = self.version == "3.0" and scale.flag("inverse")
+                display[shown.get("name")] = (scale.number("factor", 1.0), scale.number("offset", 0.0), inverse)
+                if not 0.0 < abs(display[shown.get("name")][0]) < math.inf:
+                    scale.wrong("factor", "is no factor")
             if name in units:
                 self.wrong(element, "is defined twice", f"unit {name[:80]}")
             powers: dict[str, int] = {
@@ -162,6 +173,10 @@ class _Reader:
                 for key in ("kg", "m", "s", "A", "K", "mol", "cd", "rad") if base and key in base.attributes
             }  # fmt: skip
             factor, offset = (read.number(key, default) for key, default in (("factor", 1.0), ("offset", 0.0)))
+            if not 0.0 < abs(factor) < math.inf:
+                read.wrong("factor", "is no factor")
+            if not math.isfinite(offset):
+                read.wrong("offset", "is not finite")
             units[name] = FmuUnit(name, factor, offset, powers, display, base is not None)
         return units
 
@@ -173,6 +188,26 @@ class _Reader:
         if self.version == "3.0":
             return {element.get("name"): element for element in group.children}
         return {e.get("name"): e.children[0] for e in group.all("SimpleType") if e.children}
+
+    def _items(self, name: str, element: Element) -> dict[str, int]:
+        """Return the names of the values of a type that enumerates."""
+        low, high = -(2**63), 2**63 - 1
+        found = {}
+        for item in element.all("Item"):
+            read = self.attributes(item, f"type {name[:80]}")
+            found[read.text("name", needed=True)] = read.whole("value", None, least=low, most=high)
+        return found
+
+    def _changed(self) -> dict[str, int]:
+        """Return the structural parameters that have other values than their start values."""
+        found = {}
+        for name, size in self.sizes.items():
+            variable = self.variables.get(name)
+            if variable is None or variable.causality != "structuralParameter":
+                self.problems.append(Problem("is no structural parameter", name[:200], Place(self.file)))
+            elif variable.start != size:
+                found[name] = size
+        return found
 
     # -- variables -----------------------------------------------------------------------------------------------------
 
@@ -227,7 +262,7 @@ class _Reader:
             name, read.whole("valueReference", None, most=2**32 - 1), kind, causality, variability, initial,
             values.start(element), values.text("unit"), values.text("displayUnit"), element.get("description"),
             values.number("min"), values.number("max"), values.number("nominal"), (), "", declared,
-            clocked=bool(element.get("clocks")), place=self.place(element),
+            clocked=bool(element.get("clocks")), relative=values.flag("relativeQuantity"), place=self.place(element),
         )  # fmt: skip
         state = Attributes(inner, name, self.wrong).whole("derivative", -1, most=2**32 - 1)
         return variable, None if state < 0 else state
@@ -271,10 +306,14 @@ class _Reader:
             if self.scalars > MAX_SCALARS:
                 self.wrong(element, f"shape {list(shape)}: more than {MAX_SCALARS} entries in all", element.get("name"))
                 return
+            resized = any(self._resized(dimension) for dimension in element.all("Dimension"))
             for name in [element.get("name"), *(alias.get("name") for alias in element.all("Alias"))]:
                 if name in self.variables:
                     start = self.variables[name].start
                     if isinstance(start, tuple) and len(start) not in (1, size):
+                        if resized:
+                            self._replace(name, dimensions=shape, start=None)
+                            continue
                         self.wrong(element, f"{len(start)} start values for shape {list(shape)}", name)
                     if isinstance(start, tuple) and len(start) == 1:
                         start = start * size
@@ -295,11 +334,17 @@ class _Reader:
         if parameter is None or parameter.causality != "structuralParameter":
             self.wrong(dimension, "the size of the array is neither a number nor a structural parameter", subject)
             return 1
+        if parameter.name in self.sizes:
+            return self.sizes[parameter.name]
         value = parameter.start[0] if isinstance(parameter.start, tuple) and parameter.start else parameter.start
         if isinstance(value, int) and value >= 1:
             return value
         self.wrong(dimension, f"the size of the array, {parameter.name[:80]}, has no start value above 0", subject)
         return 1
+
+    def _resized(self, dimension: Element) -> bool:
+        parameter = self.by_reference.get(_int(dimension.get("valueReference")))
+        return parameter is not None and parameter.name in self.sizes
 
     # -- structure -----------------------------------------------------------------------------------------------------
 

@@ -63,6 +63,7 @@ class Slave(Instance):
         try:
             self._begin(op)
         except CallError as failure:
+            self._note_end()
             raise self._failed(failure, t) from None
 
     def finish_exchange(self) -> np.ndarray:
@@ -80,6 +81,13 @@ class Slave(Instance):
         if self.log:
             self._forward_log()
         return y
+
+    def asked_end(self) -> float | None:
+        """Return the time at which an FMU (FMI 2.0) that refused a step asks for the end, None if it does not."""
+        if self.description.version != "2.0":
+            return None
+        found = self.worker.command("reached")
+        return found["last"] if found["ended"] else None
 
     def _set_derivatives(self, derivatives: np.ndarray) -> None:
         if len(derivatives) > len(self._du):
@@ -107,7 +115,7 @@ class Slave(Instance):
     def _evaluate(self, op: int, t: float, x: np.ndarray | None, u: np.ndarray | None) -> None:
         if self._phase != "initialising":
             op |= Op.TIME
-            self._numbers[Block.T] = t
+            self._numbers[Block.T] = self._t = t
             if x is not None:
                 self._x[:] = x
                 op |= Op.X

@@ -6,14 +6,13 @@ import uuid
 import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 
 from rotorsim.compile.part import open_part
 from rotorsim.compile.toolchain import FLAGS
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.files import atomic_target
-from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.errors import Problem, RotorsimError, escape, near_miss
 from rotorsim.fmi.build import build_library, find_platforms
 from rotorsim.fmi.description import build_description, model_description
 from rotorsim.fmi.sources import make_sources, with_token
@@ -86,7 +85,11 @@ def export_fmu(
         files["sources/buildDescription.xml"] = build_description(interface, [main], options)
     files["documentation/index.html"] = _documentation(interface, main, optimise).encode()
     path = Path(file)
-    with atomic_target(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+    size = sum(map(len, files.values()))
+    with (
+        atomic_target(path, size=size) as temporary,
+        zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
         for name, data in files.items():
             entry = zipfile.ZipInfo(name, _DATE)
             entry.compress_type = zipfile.ZIP_DEFLATED

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from rotorsim.fmi.model_description import FmuVariable, Kind, ModelDescription
+from rotorsim.fmi.model_description import FmuUnit, FmuVariable, Kind, ModelDescription
 from rotorsim.fmi.platforms import folders, this_platform
 
 __all__ = ["information", "information_text"]
@@ -34,7 +34,9 @@ def information(description: ModelDescription, *, every: bool = False) -> dict[s
             "tolerance": description.experiment.tolerance, "step": description.experiment.step,
         },
         "counts": {name: len(description.by_causality(*which)) for name, which in _GROUPS},
-        "variables": {name: [_variable(v) for v in description.by_causality(*which)] for name, which in groups},
+        "variables": {
+            name: [_variable(v, description) for v in description.by_causality(*which)] for name, which in groups
+        },
         "units": {name: unit.unit.si if unit.unit else None for name, unit in description.units.items()},
         "not_supported": _not_supported(description),
     }  # fmt: skip
@@ -54,13 +56,27 @@ def _kind(kind: Kind) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _variable(variable: FmuVariable) -> dict[str, Any]:
+def _variable(variable: FmuVariable, description: ModelDescription) -> dict[str, Any]:
+    unit = description.unit_of(variable)
     start = list(variable.start) if isinstance(variable.start, tuple) else variable.start
     return {
         "name": variable.name, "type": variable.type, "shape": list(variable.dimensions), "unit": variable.unit,
         "start": start, "causality": variable.causality, "variability": variable.variability,
-        "description": variable.description,
+        "description": variable.description, "si_unit": unit.si if unit else None,
+        "si_factor": unit.factor if unit else None, "si_offset": unit.offset if unit else None,
+        "display": _display(variable, unit),
     }  # fmt: skip
+
+
+def _display(variable: FmuVariable, unit: FmuUnit | None) -> str:
+    """Return the start value of a scalar in its display unit, "" where there is none."""
+    found = unit.display.get(variable.display_unit) if unit else None
+    start = variable.start
+    if found is None or not isinstance(start, int | float) or (found[2] and not start):
+        return ""
+    factor, offset, inverse = found
+    shown = factor / start if inverse else factor * start + (0.0 if variable.relative else offset)
+    return f"{shown:.6g} {variable.display_unit}"
 
 
 def _not_supported(description: ModelDescription) -> list[str]:
@@ -74,9 +90,6 @@ def _not_supported(description: ModelDescription) -> list[str]:
     binary = [name for name, variable in description.variables.items() if variable.type == "Binary"]
     if binary:
         found.append(f"binary variables: {_some(binary)}")
-    sizes = [v.name for v in description.by_causality("structuralParameter")]
-    if sizes:
-        found.append(f"changing structural parameters: {_some(sizes)}")
     return found
 
 
@@ -123,9 +136,8 @@ def _group(name: str, variables: list[dict[str, Any]], every: bool) -> list[str]
     rows = [("name", "type", "unit", "start", "description")]
     for v in shown:
         shape = f"[{','.join(map(str, v['shape']))}]" if v["shape"] else ""
-        rows.append(
-            (_line(v["name"]), v["type"] + shape, _line(v["unit"]), _start(v["start"]), _line(v["description"]))
-        )
+        start = _start(v["start"]) + (f" ({_line(v['display'])})" if v["display"] else "")
+        rows.append((_line(v["name"]), v["type"] + shape, _line(v["unit"]), start, _line(v["description"])))
     widths = [min(40, max(len(row[k]) for row in rows)) for k in range(4)]
     lines = ["", f"{name} ({len(variables)}):"]
     for row in rows:

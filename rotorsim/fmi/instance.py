@@ -38,6 +38,7 @@ class Instance:
         self.output_names: tuple[str, ...] = ()
         self.n_states, self.n_events = len(self.description.states), self.description.n_events
         self.ended = False
+        self._heard = 0  # messages taken
         self._phase = "new"
         self._handles = 0
         self._head: Any = worker.block.head
@@ -78,7 +79,8 @@ class Instance:
         values = _all_runs(self.description, given)
         self.command(
             "begin", start=float(start), stop=stop, tolerance=tolerance, values=values, inputs=input_runs,
-            outputs=output_runs, about=list(given),
+            outputs=output_runs, about=[*self.description.sizes, *given],
+            sizes=[make_run(self.description, *size, sizes=True) for size in self.description.sizes.items()],
         )  # fmt: skip
         self.input_names, self.output_names = tuple(e.name for e in written), tuple(e.name for e in read)
         self._views(self._all, len(self.input_names), len(self.output_names))
@@ -203,11 +205,32 @@ class Instance:
             self._forward_log()
         return answer
 
+    @property
+    def time(self) -> float:
+        """The time of the last call that has one [s]."""
+        return self._t
+
+    @property
+    def warned(self) -> int:
+        """How many calls have returned a warning."""
+        return int(self._head[Head.WARNED]) if self._phase != "freed" else 0
+
+    def messages(self) -> tuple[list[tuple[str, str, str]], dict[str, int]]:
+        """Return the last messages that nobody has taken yet, and how many there have been by status."""
+        answer = self.worker.command("log")
+        return [(str(a), str(b), str(c)) for a, b, c in answer.get("log", ())], dict(answer.get("counts", {}))
+
     def _forward_log(self) -> None:
         """Hand new messages over to the user's function."""
-        for line in self.worker.command("log").get("log", ()):
-            if self.log:
+        lines, counts = self.messages()
+        self._heard += len(lines)
+        lost = sum(counts.values()) - self._heard
+        if self.log:
+            for line in lines:
                 self.log(*line)
+            if lost > 0:
+                self._heard += lost
+                self.log("Warning", "rotorsim", f"{lost} more messages came at once and are lost")
 
     def step_failed(self, function: str, what: str, kind: str, time: float, hint: str = "") -> FmuError:
         """Return the failure of a step that was taken elsewhere, with the messages of the FMU."""
@@ -248,6 +271,7 @@ class Instance:
     def _failed(self, failure: CallError, time: float | None = None, about: Sequence[str] = ()) -> FmuError:
         more = failure.more
         log = [tuple(map(str, line)) for line in more.get("log", ()) if len(line) == 3]
+        self._heard += len(log)
         if self.log:
             for line in log:
                 self.log(*line)

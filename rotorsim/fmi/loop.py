@@ -7,6 +7,7 @@ diagram. Inputs are held during a step: u = L y + u0.
 from __future__ import annotations
 
 import ctypes
+import time
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.resources import files
@@ -15,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from rotorsim.compile.instance import CompiledInstance
-from rotorsim.compile.toolchain import compile_c, find_compiler
+from rotorsim.compile.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.binding import STATUS
 from rotorsim.fmi.calls import Call
@@ -24,7 +25,7 @@ from rotorsim.fmi.process import LocalWorker
 
 __all__ = ["FastLoop", "PartMember"]
 
-_CHUNK = 10_000  # steps between looks at Ctrl-C and progress
+_FIRST, _SLICE = 100, 0.1  # steps taken first; s between looks at Ctrl-C and progress
 _WHAT = {1: "Set", 2: "DoStep", 3: "Get"}
 
 
@@ -52,27 +53,30 @@ class _Member(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in (
             "instance", "do_step", "set", "get", "run", "record", "p", "m", "x", "z", "y", "row",
         )),
-        ("step", ctypes.c_double), ("last", ctypes.c_double),
+        ("step", ctypes.c_double), ("last", ctypes.c_double), ("warned", ctypes.c_int64),
     ]  # fmt: skip
 
 
 class FastLoop:
     """Members, set up and coupled by L (n_u, n_y) and u0 (n_u,); `run` takes steps.
 
-    order: of the members for Gauss-Seidel; None: Jacobi. Raises RotorsimError where a member cannot take part, or
+    order: of the members for Gauss-Seidel; None: Jacobi. sweeps: how often, at most, inputs and outputs are made to
+    agree after a step. Raises RotorsimError where a member cannot take part, or
     there is no C compiler; `possible` asks before.
     """
 
     def __init__(
-        self, members: Sequence[Slave | PartMember], L: np.ndarray, u0: np.ndarray, order: Sequence[int] | None = None
+        self, members: Sequence[Slave | PartMember], L: np.ndarray, u0: np.ndarray, order: Sequence[int] | None = None,
+        sweeps: int = 0,
     ) -> None:  # fmt: skip
         wrong = [f"{member.name} {why}" for member in members if (why := _unfit(member))]
-        if wrong or find_compiler() is None:
-            what = "; ".join(wrong) or "there is no C compiler"
+        library = None if wrong else _library()
+        if library is None:
+            what = "; ".join(wrong) or "there is no C compiler that works"
             hint = 'FMUs take part with "in_process": true, as Co-Simulation; or leave out fast'
             raise RotorsimError(Problem(f"no fast loop: {what}", hint=hint))
         self.members = list(members)
-        self._function = _library().rs_cosimulate
+        self._function = library.rs_cosimulate
         self._keep: list[Any] = []
         self._made = (_Member * len(members))(*map(self._member, members))
         sizes = [len(_inputs(member)) for member in members]
@@ -87,13 +91,19 @@ class FastLoop:
         self._start = np.searchsorted(rows, np.arange(len(self._u) + 1)).astype(np.int64)
         self._u0 = np.ascontiguousarray(u0, float)
         self._order = np.array(range(len(members)) if order is None else order, np.int64)
-        self._sequential = int(order is not None)
+        self._sequential, self._sweeps = int(order is not None), sweeps
         self._failed = np.zeros(2, np.int64)
+        self.rows = np.empty((0, self.n_y))  # what was computed until a failure
+
+    def begin(self, y: np.ndarray) -> None:
+        """Say what the outputs y (n_y,) are at the start: the first step takes its inputs from them."""
+        for at, value in zip(self._y.tolist(), y.tolist(), strict=True):
+            ctypes.c_double.from_address(at).value = value
 
     @staticmethod
     def possible(members: Sequence[Slave | PartMember]) -> bool:
         """Return whether there can be a fast loop over these members."""
-        return find_compiler() is not None and not any(map(_unfit, members))
+        return not any(map(_unfit, members)) and _library() is not None
 
     def run(
         self, t0: float, h: float, steps: int, *, every: int = 1, progress: Callable[[float], None] | None = None
@@ -105,32 +115,43 @@ class FastLoop:
         """
         rows = np.empty((steps // every, self.n_y))
         done = written = 0
+        chunk = _FIRST
         while done < steps:
-            end = min(steps, done + max(_CHUNK // every, 1) * every)
+            end = min(steps, done + max(chunk // every, 1) * every)
+            begun = time.perf_counter()
             taken = self._function(
                 ctypes.addressof(self._made), len(self.members), *map(_at, (self._order,)), self._sequential,
                 *map(_at, (self._first, self._start, self._column, self._gain, self._u0, self._u)), self.n_y,
-                _at(self._y), t0, h, done, end, every, _at(rows[written:]), _at(self._failed),
+                _at(self._y), t0, h, done, end, every, self._sweeps, _at(rows[written:]), _at(self._failed),
             )  # fmt: skip
             written = (done + taken) // every
             if self._failed[1]:
+                self.rows = rows[:written].copy()
                 self._raise(int(self._failed[0]), int(self._failed[1]), t0 + (done + taken) * h)
             if taken < end - done or (written and not np.isfinite(rows[written - 1]).all()):
                 return rows[:written].copy()
             done = end
+            if time.perf_counter() - begun < _SLICE:
+                chunk *= 2
             if progress:
                 progress(done / steps)
         return rows
 
+    def warned(self, k: int) -> int:
+        """Return how often an FMU has returned a warning in this loop."""
+        return int(self._made[k].warned)
+
     def _raise(self, k: int, what: int, t: float) -> None:
-        """Raise the failure of a member as `Slave.exchange` does."""
+        """Raise the failure of a member as `Slave.exchange` does, with the time of an end that it asks for."""
         member = self.members[k]
         assert isinstance(member, Slave)
         if what == 5:
-            raise member.step_failed("DoStep", "asks for the end of the simulation", "ended", t)
+            raise member.step_failed("-", "asks for the end of the simulation", "ended", self._made[k].last)
         if what == 4:
             raise member.step_failed("DoStep", "returned early", "discard", t)
         status = what // 16
+        if status == 2 and what % 16 == 2 and (end := member.asked_end()) is not None:
+            raise member.step_failed("-", "asks for the end of the simulation", "ended", end)
         word = STATUS[status] if status < len(STATUS) else f"status {status}"
         kind = {2: "discard", 4: "fatal"}.get(status, "error")
         returned = f"returned fmi{member.description.version[0]}{word}"
@@ -216,13 +237,19 @@ def _at(array: np.ndarray) -> int:
 
 @cache
 def _library() -> Any:
+    """Return the library of the loop, or None without a compiler that works."""
     compiler = find_compiler()
-    assert compiler is not None
+    if compiler is None:
+        return None
     source = files("rotorsim.fmi").joinpath("c", "loop.c").read_text(encoding="utf-8")
-    library, _ = compile_c(source, compiler)
+    try:
+        library, _ = compile_c(source, compiler)
+    except CompilerError as failure:
+        failure.warn("the parts are coupled without the fast loop")
+        return None
     i64, f64, ptr = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
     library.rs_cosimulate.argtypes = [
-        ptr, i64, ptr, i64, ptr, ptr, ptr, ptr, ptr, ptr, i64, ptr, f64, f64, i64, i64, i64, ptr, ptr,
+        ptr, i64, ptr, i64, ptr, ptr, ptr, ptr, ptr, ptr, i64, ptr, f64, f64, i64, i64, i64, i64, ptr, ptr,
     ]  # fmt: skip
     library.rs_cosimulate.restype = i64
     return library

@@ -13,8 +13,9 @@ import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.coupling import Coupling
+from rotorsim.fmi.participant import Held, InputHistory
 
-__all__ = ["MASTERS", "GaussSeidel", "Jacobi", "Master", "Polynomial", "SavedMaster", "make_master"]
+__all__ = ["MASTERS", "GaussSeidel", "Jacobi", "Master", "Polynomial", "SavedMaster", "held_mismatch", "make_master"]
 
 MASTERS = ("jacobi", "gauss_seidel", "iterative")
 CLOSE = 1e-6  # of a step: a sample hit so close to a communication point is there
@@ -97,6 +98,10 @@ class Master:
         self.widest = max((s.stride for sources in self._sources for s in sources), default=1)
         self.depth = order * self.widest + 1  # points that a step may look back to
         self._kept = 2 * self.depth + self.widest
+        self.plain = False
+        self._sequence: list[int] | None = None  # of plain steps, one after the other; None: at once
+        self._now: np.ndarray | None = None  # inputs at the last point of plain steps
+        self._rows = [(coupling.L[rows], coupling.u0[rows]) for rows in coupling.u_parts]
         self._usual = 0.0  # step between communication points
         self.sampling = [k for k, part in enumerate(coupling.y_parts) if coupling.held_wires[:, part].any()]
 
@@ -127,7 +132,7 @@ class Master:
         u, y = coupling.consistent(t, u)
         self.known = [[(t, y[part])] for part in coupling.y_parts]
         self.since = [t] * len(coupling.participants)
-        self.tick = 0
+        self.tick, self._now = 0, None
         return u, y
 
     def advance(self, t: float, end: float, *, last: bool = False) -> tuple[np.ndarray, np.ndarray]:
@@ -152,12 +157,52 @@ class Master:
 
         last: it is everybody's turn. Outputs of those that are behind are what the others see of them.
         """
+        if self.plain:
+            return self._plain_step(t + h)
         if self.tick == 0 and self.order > 1 and self.coupling.has_rates:
             self._look_back(t, h)
         self.tick += 1
         due = [k for k, rate in enumerate(self.rates) if last or self.tick % rate == 0]
-        foreseen = self._foreseen(t + h)
+        foreseen = self.foreseen(t + h)
         return self._accept(t + h, self._advance(due, t + h, foreseen.copy()), due, foreseen)
+
+    def simplify(self) -> bool:
+        """Take plain steps from now on where these do the same; return whether they do.
+
+        All participants then step at one rate with inputs that are held, and none is looked back at. ``mismatch`` is
+        not told any more: it follows from the rows (`held_mismatch`).
+        """
+        one = self.order == 0 and max(self.rates) == 1 and not self.sampling
+        self.plain = one and isinstance(self, Jacobi | GaussSeidel)
+        if isinstance(self, GaussSeidel):
+            self._sequence = self.coupling.order
+        return self.plain
+
+    def _plain_step(self, end: float) -> tuple[np.ndarray, np.ndarray]:
+        """Advance all from their last point to the end with held inputs; return inputs and outputs there."""
+        coupling, known = self.coupling, self.known
+        y = np.concatenate([points[-1][1] for points in known])
+        if self._sequence is None:
+            u = coupling.inputs_of(y) if self._now is None else self._now
+            new = [
+                participant.step(start, end - start, Held(u[part]))
+                for participant, start, part in zip(coupling.participants, self.since, coupling.u_parts, strict=True)
+            ]
+            y = np.concatenate(new)
+        else:
+            for k in self._sequence:
+                start, (L, u0) = self.since[k], self._rows[k]
+                y[coupling.y_parts[k]] = coupling.participants[k].step(start, end - start, Held(L @ y + u0))
+        u = coupling.L @ y + coupling.u0
+        if coupling.passes:
+            u, y = coupling.consistent(end, u, y, range(len(known)))
+        for points, part in zip(known, coupling.y_parts, strict=True):
+            points[:] = [(end, y[part])]
+        self.since = [end] * len(known)
+        self._now = u
+        self.counters["steps"] += 1
+        self.counters["participant_steps"] += len(known)
+        return u, y
 
     def _look_back(self, t: float, h: float) -> None:
         """Put points before the start by the rates of the signals there: the first step is then not a held one."""
@@ -181,7 +226,7 @@ class Master:
         self.counters["participant_steps"] += 1
         return self.coupling.participants[k].step(start, end - start, self._inputs(k, start, end - start, until))
 
-    def _inputs(self, k: int, start: float, h: float, until: float | None) -> Polynomial:
+    def _inputs(self, k: int, start: float, h: float, until: float | None) -> InputHistory:
         """Return the inputs of participant k from start to start + h."""
         total = [self.coupling.u0[self.coupling.u_parts[k]]]
         for source in self._sources[k]:
@@ -195,7 +240,7 @@ class Master:
                         total[power] = total[power] + part
                     else:
                         total.append(part)
-        return Polynomial(total, h)
+        return Polynomial(total, h) if len(total) > 1 else Held(total[0])
 
     def _points(self, a: int, stride: int, until: float | None) -> list[Point]:
         """Return the newest point of a participant and earlier ones, as many as the order wants.
@@ -219,7 +264,7 @@ class Master:
         known = self.known[a]
         return next((y for time, y in reversed(known) if time <= t), known[0][1])
 
-    def _foreseen(self, t: float) -> np.ndarray:
+    def foreseen(self, t: float) -> np.ndarray:
         """Return the outputs at t as the points known so far tell them."""
         parts = []
         for a, part in enumerate(self.coupling.y_parts):
@@ -236,7 +281,7 @@ class Master:
     ) -> tuple[np.ndarray, np.ndarray]:
         coupling = self.coupling
         u = coupling.inputs_of(y)
-        if coupling.feedthrough.any():
+        if coupling.passes:
             u, y = coupling.consistent(t, u, y, due)
         self._compare(u, coupling.inputs_of(foreseen))
         for k in due:
@@ -270,7 +315,15 @@ class Master:
         for participant, state in zip(self.coupling.participants, saved.states, strict=True):
             participant.restore(state)
         self.known = [list(points) for points in saved.known]
-        self.since, self.tick = list(saved.since), saved.tick
+        self.since, self.tick, self._now = list(saved.since), saved.tick, None
+
+
+def held_mismatch(coupling: Coupling, rows: np.ndarray) -> np.ndarray:
+    """Return of rows of outputs (n, n_y) `Master.mismatch` of each step, inputs held: |u_k - u_(k-1)| / max |u|."""
+    u = rows @ coupling.L.T + coupling.u0
+    largest = np.maximum.accumulate(np.abs(u[1:]), axis=0)
+    relative = np.abs(np.diff(u, axis=0)) / np.where(largest > 0, largest, 1.0)
+    return np.concatenate([[0.0], relative.max(axis=1, initial=0.0)])
 
 
 class Jacobi(Master):

@@ -6,15 +6,17 @@ Types have the names of FMI 3.0 (Real is Float64, Integer is Int32). Arrays are 
 
 from __future__ import annotations
 
+import contextlib
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from math import prod
 
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
-from rotorsim.units import Unit, UnitError, parse_unit
+from rotorsim.units import BASES, Unit, UnitError, parse_foreign_unit, parse_unit
 
 __all__ = [
     "FLOATS", "INTEGERS", "NUMERIC", "Entry", "Experiment", "FmuUnit", "FmuVariable", "Kind", "ModelDescription",
@@ -30,26 +32,62 @@ _INDEXED = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]")
 
 @dataclass(frozen=True)
 class FmuUnit:
-    """A unit: value in base units = factor * value + offset; powers of kg, m, s, A, K, mol, cd, rad."""
+    """A unit: value in base units = factor * value + offset; powers of kg, m, s, A, K, mol, cd, rad.
+
+    display: name -> (factor, offset, inverse) of display units: shown = factor * value + offset, or with inverse
+    (FMI 3.0) factor / value.
+    """
 
     name: str
     factor: float = 1.0
     offset: float = 0.0
     powers: Mapping[str, int] = field(default_factory=dict)
-    display: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    display: Mapping[str, tuple[float, float, bool]] = field(default_factory=dict)
     defined: bool = True  # a unit without <BaseUnit> is only a name
 
     @property
     def unit(self) -> Unit | None:
-        """The unit as `rotorsim.units` knows it, or None: an offset, mol or cd, or only a name nobody knows."""
-        if not self.defined:
-            try:
-                return parse_unit(self.name)
-            except UnitError:
-                return None
-        if self.offset or self.powers.get("mol") or self.powers.get("cd"):
+        """The unit as `rotorsim.units` knows it, without its offset, or None: only a name that nobody knows."""
+        found = self.known
+        if found is None:
             return None
-        return Unit(self.factor, tuple(self.powers.get(base, 0) for base in ("m", "kg", "s", "A", "K", "rad")))
+        return Unit(found.factor, tuple(found.powers.get(base, 0) for base in BASES))
+
+    @cached_property
+    def known(self) -> FmuUnit | None:
+        """The unit with factor, offset and powers: as the FMU defines it, else as its name says; None: neither."""
+        try:
+            named, offset, _ = parse_foreign_unit(self.name)
+        except UnitError:
+            return self if self.defined else None
+        powers = {base: power for base, power in zip(BASES, named.dimension, strict=True) if power}
+        read = FmuUnit(self.name, named.factor, offset, powers, self.display)
+        if not self.defined:
+            return read
+        return replace(self, powers=powers) if self._leaves_angle_out(read) else self
+
+    def _leaves_angle_out(self, read: FmuUnit) -> bool:
+        """Return whether a definition is what the name says but for the angle, which FMI allows to leave out."""
+        own, named = (
+            {base: power for base, power in unit.powers.items() if power and base != "rad"} for unit in (self, read)
+        )
+        alike = math.isclose(self.factor, read.factor, rel_tol=1e-6) and self.offset == read.offset
+        return alike and own == named and not self.powers.get("rad")
+
+    @cached_property
+    def si(self) -> str | None:
+        """The SI unit of its dimension, in its own spelling where that is one."""
+        if self.unit is None:
+            return None
+        dimension = self.unit.dimension
+        with contextlib.suppress(UnitError):
+            spelling = parse_foreign_unit(self.name)[2]
+            if parse_unit(spelling) == Unit(1.0, dimension):
+                return spelling
+        return next((name for name in _SI if parse_unit(name).dimension == dimension), Unit(1.0, dimension).si)
+
+
+_SI = ("1", "N", "N/m", "N s/m", "Pa", "V", "W", "Ohm", "H", "T", "Wb", "F", "C", "rad/s")
 
 
 @dataclass(frozen=True)
@@ -77,6 +115,7 @@ class FmuVariable:
     declared_type: str = ""
     alias: bool = False
     clocked: bool = False
+    relative: bool = False  # a difference: the offset of its unit does not count
     place: Place = field(default_factory=Place)
 
     @property
@@ -135,7 +174,8 @@ class ModelDescription:
 
     states, derivatives: names of the entries of x and of its derivative, in the order of the FMU. outputs: names as
     the model structure lists them. dependencies: output or derivative -> the variables it depends on directly
-    (None: on all). platforms: folders with a library for the kind asked.
+    (None: on all). platforms: folders with a library for the kind asked. items: names of the values of each type that
+    enumerates. sizes: values of structural parameters that are not their start values; the arrays have their shapes.
     """
 
     version: str  # "2.0" or "3.0"
@@ -160,6 +200,8 @@ class ModelDescription:
     platforms: tuple[str, ...] = ()
     place: Place = field(default_factory=Place)
     warnings: tuple[Problem, ...] = ()
+    items: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    sizes: Mapping[str, int] = field(default_factory=dict)
 
     def by_causality(self, *causalities: str) -> list[FmuVariable]:
         """Return the variables of these causalities, in the order of the file."""
@@ -202,12 +244,15 @@ class ModelDescription:
         """Return the names of all numeric entries of these causalities."""
         return [name for v in self.by_causality(*causalities) if v.type in NUMERIC for name in v.names()]
 
-    def unit_of(self, variable: FmuVariable) -> Unit | None:
-        """Return the unit of a variable, or None where it has none or one that we cannot convert."""
+    def unit_of(self, variable: FmuVariable) -> FmuUnit | None:
+        """Return the unit of a variable, or None where it has none, or one that is neither defined nor known.
+
+        The definition of the FMU decides; where there is none, what the name says.
+        """
         if not variable.unit:
             return None
-        known = self.units.get(variable.unit)
-        return (known or FmuUnit(variable.unit, defined=False)).unit
+        found = (self.units.get(variable.unit) or FmuUnit(variable.unit, defined=False)).known
+        return replace(found, offset=0.0) if found is not None and variable.relative else found
 
     @cached_property
     def clocks(self) -> tuple[str, ...]:

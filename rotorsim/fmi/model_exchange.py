@@ -1,4 +1,4 @@
-"""An FMU for Model Exchange at work: Runge-Kutta steps from event to event.
+"""An FMU for Model Exchange at work: Runge-Kutta steps, or those of a method of SciPy, from event to event.
 
 Time events are met exactly. A state event is where an event indicator changes its side (z > 0, or not; FMI 2.0.4,
 section 3.2.2): it is located by Brent's method on the motion that the Runge-Kutta step itself gives. An indicator that
@@ -15,8 +15,13 @@ from scipy.optimize import brentq
 
 from rotorsim.fmi.exchange import Slave
 from rotorsim.fmi.failure import FmuError
+from rotorsim.simulate.stability import largest_stable_step, rounded_down, step_factor
 
-__all__ = ["ModelExchange", "SavedState"]
+__all__ = ["METHODS", "ModelExchange", "SavedState"]
+
+METHODS = {"rk4": "", "dop853": "DOP853", "rk45": "RK45", "radau": "Radau", "bdf": "BDF", "lsoda": "LSODA"}
+RTOL, ATOL = 1e-8, 1e-12  # of the methods that choose their own steps
+NUDGE = 6e-6  # cube root of eps: relative width of central differences
 
 LOCATED = 1e-12  # of a step: how well state events are located
 TOUCH = 1e-10  # of a step: how far an indicator that is exactly zero is followed first
@@ -62,6 +67,8 @@ class ModelExchange:
         self.epoch = self._epochs = 0  # grows with every event
         self._handles: list[tuple[int, int]] = []  # (epoch, handle)
         self._last: dict[tuple[int, bool], float] = {}
+        self.method = "rk4"
+        self._width, self._inputs = 0.0, np.zeros(0)  # of the last step
 
     @property
     def may_have_events(self) -> bool:
@@ -93,6 +100,7 @@ class ModelExchange:
     def advance(self, t: float, h: float, u: Inputs, count: int) -> None:
         """Integrate from t to t + h in ``count`` steps; u(tau): inputs. Raises FmuError, also when the FMU ends it."""
         width = h / count
+        self._width, self._inputs = width, np.array(u(h), float)
         self._at_start(t, _rounding(t, width), u(0.0))
         for k in range(count):
             self._step(t + k * width, width, u, k * width)
@@ -215,12 +223,53 @@ class ModelExchange:
         if not self.x.size:
             return self.x
         f, x = self.slave.derivatives, self.x
+        if self.method != "rk4":
+            return self._by_scipy(t, h, u, tau)
         k1 = f(t, x, u(tau))
         middle = u(tau + h / 2)
         k2 = f(t + h / 2, x + h / 2 * k1, middle)
         k3 = f(t + h / 2, x + h / 2 * k2, middle)
         k4 = f(t + h, x + h * k3, u(tau + h))
         return np.asarray(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+
+    def _by_scipy(self, t: float, h: float, u: Inputs, tau: float) -> np.ndarray:
+        """Return the states after h by a method that chooses its own steps, implicit for stiff equations."""
+        from scipy.integrate import solve_ivp
+
+        def f(s: float, x: np.ndarray) -> np.ndarray:
+            return self.slave.derivatives(s, x, u(tau + (s - t)))
+
+        made = solve_ivp(f, (t, t + h), self.x, method=METHODS[self.method], t_eval=(t + h,), rtol=RTOL, atol=ATOL)
+        if not made.success:
+            raise self.slave.step_failed("GetDerivatives", f"{self.method}: {made.message.lower()}", "error", t)
+        return np.asarray(made.y[:, -1])
+
+    def unstable_step(self) -> str:
+        """Return why the steps that were taken give no solution, or nothing: RK4 at the poles of the FMU itself.
+
+        The poles are those of its present state, by central differences; growing ones are the FMU's own matter.
+        """
+        if self.method != "rk4" or not self.x.size or not self._width or not np.isfinite(self.x).all():
+            return ""
+        t, u, x = max(self.clock, 0.0), self._inputs, self.x
+        width = NUDGE * np.maximum(np.abs(x), np.maximum(float(np.abs(x).max()), 1.0) * NUDGE)
+        J = np.empty((x.size, x.size))
+        for k in range(x.size):
+            move = width[k] * (np.arange(x.size) == k)
+            J[:, k] = (self.slave.derivatives(t, x + move, u) - self.slave.derivatives(t, x - move, u)) / (2 * width[k])
+        if not np.isfinite(J).all():
+            return ""
+        poles = np.linalg.eigvals(J)
+        decaying = poles[poles.real < -1e-6 * np.abs(poles)]
+        if not (step_factor(self._width * decaying) > 1 + 1e-6).any():
+            return ""
+        fastest = complex(decaying[np.argmax(np.abs(decaying))])
+        at = f"{fastest.real:.4g} 1/s" + (f", {abs(fastest.imag) / (2 * np.pi):.4g} Hz" if fastest.imag else "")
+        limit = rounded_down(largest_stable_step(decaying))
+        return (
+            f"the step {self._width:.3g} s of its states is too large: RK4 is stable here up to {limit:.3g} s "
+            f"(its fastest pole: {at})"
+        )
 
     # -- saved states --------------------------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -12,7 +13,7 @@ from rotorsim.compile.instance import Instance, make_instance
 from rotorsim.compile.part import Part
 from rotorsim.simulate.linear import entry_names
 
-__all__ = ["CompiledParticipant", "InputHistory", "Participant"]
+__all__ = ["CompiledParticipant", "Held", "InputHistory", "Participant"]
 
 AHEAD = 1e-6  # of an internal step: what is left to be taken when the inputs of a sample hit are set
 
@@ -21,6 +22,16 @@ class InputHistory(Protocol):
     """Inputs during a step: u(tau) for tau = t - start of the step."""
 
     def __call__(self, tau: float) -> np.ndarray: ...
+
+
+class Held:
+    """Inputs that stay as they are during a step."""
+
+    def __init__(self, value: np.ndarray) -> None:
+        self.value = value
+
+    def __call__(self, tau: float) -> np.ndarray:
+        return self.value
 
 
 class Participant(Protocol):
@@ -127,7 +138,7 @@ class CompiledParticipant:
         return np.array(self._rate(t, self.instance.x, self.instance.z, self.p, rate)).ravel()
 
     def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
-        count = max(1, int(np.ceil(h / self.internal - 1e-9)))
+        count = max(1, math.ceil(h / self.internal - 1e-9))
         width = h / count
         for k in range(count):
             if self.part.trace.samplers:

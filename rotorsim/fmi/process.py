@@ -6,6 +6,7 @@ This protects against faults, not against malice: a library of another's making 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
 import mmap
 import os
@@ -16,7 +17,7 @@ import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -28,12 +29,32 @@ from rotorsim.fmi.calls import FUNCTIONS
 from rotorsim.fmi.channel import ClosedError, Fence, LateError, Patience, Pipe, ordered
 from rotorsim.fmi.session import Session
 
-__all__ = ["LocalWorker", "RemoteWorker", "Worker"]
+__all__ = ["LocalWorker", "RemoteWorker", "Worker", "printing_elsewhere"]
 
 START = 60.0  # s for Python itself to start on a busy machine
 GRACE = 2.0  # s to leave, before it is killed
 PRINTED = 4000  # characters kept of what it prints
 _CODE = "import sys; sys.path.append(sys.argv[1]); from rotorsim.fmi.host import main; main()"
+
+
+@contextlib.contextmanager
+def printing_elsewhere() -> Iterator[None]:
+    """Send what libraries in this process print to where errors go, so that standard output stays ours."""
+    libc: Any = ctypes.cdll.msvcrt if sys.platform == "win32" else ctypes.CDLL(None)
+    sys.stdout.flush()
+    try:
+        kept = os.dup(1)
+    except OSError:  # there is none
+        yield
+        return
+    try:
+        libc.fflush(None)
+        os.dup2(2, 1)
+        yield
+    finally:
+        libc.fflush(None)  # what C holds back was printed there
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 class Worker:

@@ -43,8 +43,13 @@ def make_runs(entries: Sequence[Entry], use: str) -> list[dict[str, Any]]:
     return made
 
 
-def make_run(description: ModelDescription, name: str, value: Any) -> tuple[dict[str, Any], list[Any]]:
-    """Return the run of one variable and its values, converted to its type. Raises RotorsimError."""
+def make_run(
+    description: ModelDescription, name: str, value: Any, *, sizes: bool = False
+) -> tuple[dict[str, Any], list[Any]]:  # fmt: skip
+    """Return the run of one variable and its values, converted to its type; sizes: structural parameters too.
+
+    Raises RotorsimError.
+    """
     entries = description.resolve([name])
     variable = entries[0].variable
     wrong = _unfit(variable, "")
@@ -52,8 +57,9 @@ def make_run(description: ModelDescription, name: str, value: Any) -> tuple[dict
         wrong = Problem(f"is of causality {variable.causality}: it cannot be set", name)
     if wrong is None and variable.variability == "constant":
         wrong = Problem("is a constant: it cannot be set", name)
-    if wrong is None and variable.causality == "structuralParameter":
-        wrong = Problem("is a structural parameter; changing the shape of an FMU is not supported", name)
+    if wrong is None and variable.causality == "structuralParameter" and not sizes:
+        hint = "give it when the FMU is opened: open_fmu(path, sizes={...}), or among the parameters of a block"
+        wrong = Problem("is a structural parameter, which gives arrays their shapes", name, hint=hint)
     if wrong:
         raise RotorsimError(wrong)
     given = [value] * len(entries) if np.ndim(value) == 0 else list(np.ravel(value))

@@ -54,18 +54,17 @@ class Session:
 
     def _do_begin(
         self, start: float, stop: float | None, tolerance: float | None, values: Sequence[Any],
-        inputs: Sequence[Any], outputs: Sequence[Any],
+        inputs: Sequence[Any], outputs: Sequence[Any], sizes: Sequence[Any] = (),
     ) -> None:  # fmt: skip
         calls = self._calls()
+        if sizes:
+            calls.call("EnterConfigurationMode", "EnterConfigurationMode")
+            self._set_all(calls, sizes, 0)
+            calls.call("ExitConfigurationMode", "ExitConfigurationMode")
         self.steps = Steps(calls, self.n_x, self.n_z, inputs, outputs)
         self.steps.unbound = int(not self.saved)
         self.run = self.steps.run
-        for k, (run, numbers) in enumerate(values):
-            try:
-                calls.set(run, numbers)
-            except CallError as error:
-                error.more["at"] = k
-                raise
+        self._set_all(calls, values, len(sizes))
         end = (1, stop) if stop is not None else (0, 0.0)
         accuracy = (1, tolerance) if tolerance is not None else (0, 0.0)
         if calls.two:
@@ -74,6 +73,16 @@ class Session:
         else:
             calls.call("EnterInitializationMode", "EnterInitializationMode", *accuracy, start, *end)
             self._check_counts(calls)
+
+    @staticmethod
+    def _set_all(calls: Calls, values: Sequence[Any], first: int) -> None:
+        """Set variables one after the other; a failure says which it was, counted from ``first``."""
+        for k, (run, numbers) in enumerate(values, first):
+            try:
+                calls.set(run, numbers)
+            except CallError as error:
+                error.more["at"] = k
+                raise
 
     def _check_counts(self, calls: Calls) -> None:
         """FMI 3.0: compare the numbers of states and event indicators with the description."""
@@ -88,6 +97,10 @@ class Session:
         calls, steps = self._calls(), self._steps()
         calls.call("ExitInitializationMode", "ExitInitializationMode")
         steps.begin()
+
+    def _do_reached(self) -> dict[str, Any]:
+        last, ended = self._steps().reached()
+        return {"last": last, "ended": ended}
 
     def _do_terminate(self) -> None:
         self._calls().call("Terminate", "Terminate")
@@ -107,7 +120,8 @@ class Session:
         return {"log": self.calls.log.taken()}
 
     def _do_log(self) -> dict[str, Any]:
-        return {"log": self._calls().log.taken()}
+        log = self._calls().log
+        return {"log": log.taken(), "counts": dict(log.counts)}
 
     # -- values --------------------------------------------------------------------------------------------------------
 

@@ -13,10 +13,12 @@ from __future__ import annotations
 import shutil
 import tempfile
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
+from rotorsim.diagram.files import sweep, temporary_prefix
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.archive import Archive, Limits
 from rotorsim.fmi.block import Sizes
@@ -47,33 +49,37 @@ _ONCE: set[tuple[str, str]] = set()  # FMUs at work in this process that allow o
 _INPUT_ORDER = 2  # highest derivative of inputs that is handed over
 
 
-def describe_fmu(path: str | Path, *, limits: Limits | None = None) -> ModelDescription:
+def describe_fmu(
+    path: str | Path, *, limits: Limits | None = None, sizes: Mapping[str, int] | None = None
+) -> ModelDescription:  # fmt: skip
     """Return the model description of an FMU; nothing is unpacked. Raises RotorsimError with every mistake."""
     with Archive(path, limits) as archive:
-        return describe(archive, str(path))
+        return describe(archive, str(path), sizes)
 
 
 def open_fmu(
     path: str | Path, *, in_process: bool = False, timeout: float = TIMEOUT, memory: int | None = MEMORY,
-    log: Log | None = None, limits: Limits | None = None,
+    log: Log | None = None, limits: Limits | None = None, sizes: Mapping[str, int] | None = None,
 ) -> Fmu:  # fmt: skip
     """Return an FMU, to be used in a with statement.
 
     in_process: load its library into this process: faster, but a crash of it is one of ours, and there are no limits
     of time and memory. timeout: for one answer [s]; memory: address space of its process [bytes], None: no limit.
     log: gets every message of the FMU (status, category, message); without it only errors show them.
+    sizes: values of structural parameters (FMI 3.0), which give arrays their shapes.
     Raises RotorsimError.
     """
     with Archive(path, limits) as archive:
-        description = describe(archive, str(path))
+        description = describe(archive, str(path), sizes)
     return Fmu(Path(path), description, in_process, timeout, memory, log, limits)
 
 
-def describe(archive: Archive, shown: str) -> ModelDescription:
-    """Return the model description in an open archive."""
+def describe(archive: Archive, shown: str, sizes: Mapping[str, int] | None = None) -> ModelDescription:
+    """Return the model description in an open archive, with the warnings of both."""
     data = archive.read("modelDescription.xml", MAX_DESCRIPTION)
-    description = read_description(data, f"{shown}/modelDescription.xml")
-    return platforms_inside(description, archive.names)
+    description = read_description(data, f"{shown}/modelDescription.xml", sizes=sizes)
+    described = platforms_inside(description, archive.names)
+    return replace(described, warnings=(*archive.warnings, *described.warnings))
 
 
 class Fmu:
@@ -108,7 +114,8 @@ class Fmu:
         description = self.description
         chosen = description.kind(kind)
         if kind == "se":
-            what = "Scheduled Execution is not supported"
+            clocks = ", ".join(description.clocks[:5])
+            what = "Scheduled Execution is not supported" + (f": it is driven by clocks ({clocks})" if clocks else "")
             raise RotorsimError(Problem(what, description.name, description.place))
         ticking = [name for name in description.clocks if description.variables[name].causality == "input"]
         if ticking:
@@ -162,7 +169,8 @@ class Fmu:
 
     def _unpacked(self) -> Path:
         if self.folder is None:
-            folder = Path(tempfile.mkdtemp(prefix="rotorsim-fmu-")).resolve()
+            sweep(tempfile.gettempdir(), "rotorsim-fmu-")
+            folder = Path(tempfile.mkdtemp(prefix=temporary_prefix("rotorsim-fmu-"))).resolve()
             self._finalizer = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
             try:
                 with Archive(self.path, self.limits) as archive:

@@ -13,7 +13,6 @@ from rotorsim.compile import program as ir
 from rotorsim.compile.emit import Kernel, emit_c
 from rotorsim.compile.program import Program
 from rotorsim.compile.writer import Writer, array_leaf
-from rotorsim.fmi.dependencies import inputs_of
 from rotorsim.fmi.variables import DISCRETE, EVENT, INPUT, OUTPUT, PARAMETER, STATE, Interface
 
 __all__ = ["make_sources", "with_token"]
@@ -28,7 +27,7 @@ def make_sources(interface: Interface, version: str) -> tuple[dict[str, bytes], 
     """
     main = {"2.0": "fmi2.c", "3.0": "fmi3.c"}[version]
     folder = resources.files("rotorsim.fmi").joinpath("c")
-    files = {name: folder.joinpath(name).read_bytes() for name in (main, "instance.h", "stepping.h")}
+    files = {name: folder.joinpath(name).read_bytes() for name in (main, "instance.h", "derivatives.h", "stepping.h")}
     kernel = interface.part.kernel(interface.record)
     files["model.inc"] = _model(interface, kernel).encode()
     return files, "-O3" if kernel.unrolled else "-O2"
@@ -56,27 +55,29 @@ def _comment(text: str) -> str:
 def _extra_functions(interface: Interface) -> tuple[str, dict[str, int]]:
     """Emit what only an FMU needs: initial states, event indicators, directional derivatives both ways.
 
-    One sweep gives J s (forward) or J^T s (reverse) with J = d[xdot; y; events] / d[x; u; t]: exact, and of the
-    size of the right-hand side, however many states there are.
+    One sweep gives J s (forward) or J^T r (reverse) with J = d[xdot; y; events] / d[x; z; t]: exact, and of the
+    size of the right-hand side, however many states there are. Likewise by p, and d[x0; z0] / dp.
     """
     part = interface.part
     trace = part.trace
     columns = [part.expression(name) for name in interface.record]
     rows = ca.densify(ca.vertcat(trace.xdot, *columns, trace.events))
-    knowns = ca.vertcat(trace.x, inputs_of(part), trace.t)
-    seed, adjoint_seed = ca.SX.sym("s", knowns.numel()), ca.SX.sym("r", rows.numel())
-    results = [
-        _densified(ca.jtimes(rows, knowns, seed), rows.numel()),
-        _densified(ca.jtimes(rows, knowns, adjoint_seed, True), knowns.numel()),
-        ca.densify(trace.events),
-        ca.densify(ca.vertcat(trace.x0, trace.z0)),
-    ]
-    names = ["t", "x", "z", "p", "s", "r"]
-    arguments = [trace.t, trace.x, trace.z, trace.p, seed, adjoint_seed]
+    knowns = ca.vertcat(trace.x, trace.z, trace.t)
+    begun = ca.densify(ca.vertcat(trace.x0, trace.z0))
+    results = [ca.densify(trace.events), begun]
+    names, arguments = ["t", "x", "z", "p"], [trace.t, trace.x, trace.z, trace.p]
+    for unknown, known in ((rows, knowns), (rows, trace.p), (begun, trace.p)):
+        seeds = [ca.SX.sym("s", known.numel()), ca.SX.sym("s", unknown.numel())]
+        for reverse, seed in enumerate(seeds):
+            sized = (unknown, known)[reverse].numel()
+            results.append(_densified(ca.jtimes(unknown, known, seed, bool(reverse)), sized))
+            names.append(f"s{len(arguments)}")
+            arguments.append(seed)
     program = Program(reassociate=True)
     leaves = [lambda i, name=name: program.input(name, i) for name in names]
     function = ca.Function("extra", arguments, results, {"allow_free": False})
-    tangent, adjoint, events, initial = program.load(function, leaves)
+    events, initial, *swept = program.load(function, leaves)
+    tangent, adjoint = swept[:2]
     constants = [
         k
         for k in program.boundary([*tangent, *adjoint, *events], ir.LEVEL_PARAMETER)
@@ -89,12 +90,15 @@ def _extra_functions(interface: Interface) -> tuple[str, dict[str, int]]:
     written = [
         _written(program, {}, "rf_initial", "const double *p, double *x, double *z", "p, x, z", first),
         _written(program, {}, "rf_constants", "const double *p, double *e", "p, e", _targets("e", constants)),
-        _written(program, given, "rf_tangent", f"{state}, const double *s, double *o", "t, x, z, p, e, s, o",
-                 _targets("o", tangent)),
-        _written(program, given, "rf_adjoint", f"{state}, const double *r, double *o", "t, x, z, p, e, r, o",
-                 _targets("o", adjoint)),
         _written(program, given, "rf_event", f"{state}, double *o", "t, x, z, p, e, o", _targets("o", events)),
     ]  # fmt: skip
+    for k, name in enumerate(("tangent", "adjoint", "tangent_p", "adjoint_p", "start_tangent", "start_adjoint")):
+        start, vector = name.startswith("start"), names[4 + k]
+        inputs, call = ("const double *p", "p") if start else (state, "t, x, z, p, e")
+        written.append(
+            _written(program, {} if start else given, f"rf_{name}", f"{inputs}, const double *{vector}, double *o",
+                     f"{call}, {vector}, o", _targets("o", swept[k]))
+        )  # fmt: skip
     sizes = {
         "RF_NC": len(constants),
         "RF_WORK": max(size for _, size in written),

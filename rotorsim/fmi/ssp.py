@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Node
-from rotorsim.diagram.files import atomic_target
+from rotorsim.diagram.files import atomic_target, sweep, temporary_prefix
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.fmi.cosimulation import sources_of
 from rotorsim.fmi.export import export_fmu
@@ -27,14 +27,13 @@ from rotorsim.fmi.ssp_structure import MAIN, Component, Connection, Connector, E
 from rotorsim.fmi.ssp_writer import system_description, values_description
 from rotorsim.fmi.variables import INPUT, OUTPUT, PARAMETER, Interface, Variable
 from rotorsim.simulate.linear import entry_names
-from rotorsim.units import parse_unit
+from rotorsim.units import BASES, parse_unit
 
 __all__ = ["ExportedSsp", "export_ssp", "write_ssp"]
 
 REST = "rest"
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _DATE = (1980, 1, 1, 0, 0, 0)  # of files in the archive: the same export gives the same bytes
-_BASES = ("m", "kg", "s", "A", "K", "rad")
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,8 @@ def export_ssp(
     cut = _cut(diagram, parts or {})
     foreign = _foreign(diagram, cut)
     warnings: dict[str, Problem] = {}
-    with tempfile.TemporaryDirectory(prefix="rotorsim-ssp-") as folder:
+    sweep(tempfile.gettempdir(), "rotorsim-ssp-")
+    with tempfile.TemporaryDirectory(prefix=temporary_prefix("rotorsim-ssp-")) as folder:
         files: dict[str, Path] = {}
         interfaces = {}
         for name, blocks in cut.items():
@@ -232,7 +232,7 @@ def _unit(variable: Variable) -> FmuUnit | None:
     if not variable.unit:
         return None
     unit = parse_unit(variable.unit)
-    powers = {base: power for base, power in zip(_BASES, unit.dimension, strict=True) if power}
+    powers = {base: power for base, power in zip(BASES, unit.dimension, strict=True) if power}
     return FmuUnit(variable.unit, unit.factor, powers=powers)
 
 
@@ -265,7 +265,7 @@ def _changed(description: ModelDescription, port: FmuPort, values: np.ndarray) -
         return
     given: dict[str, dict[int, float]] = {}
     variables: dict[str, FmuVariable] = {}
-    for entry, value in zip(description.resolve(port.entries), values, strict=True):
+    for entry, value in zip(description.resolve(port.entries), port.of_fmu(values), strict=True):
         variables[entry.variable.name] = entry.variable
         given.setdefault(entry.variable.name, {})[entry.index] = float(value)
     for name, entries in given.items():
@@ -276,6 +276,5 @@ def _changed(description: ModelDescription, port: FmuPort, values: np.ndarray) -
 
 
 def _known_unit(description: ModelDescription, variable: FmuVariable) -> FmuUnit | None:
-    """Return the unit of a variable where the FMU defines it; SSP wants a definition."""
-    unit = description.units.get(variable.unit)
-    return unit if unit is not None and unit.defined else None
+    """Return the unit of a variable where the FMU defines it, or its name is known; SSP wants a definition."""
+    return description.unit_of(variable)

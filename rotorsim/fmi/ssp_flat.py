@@ -159,6 +159,7 @@ def rescaled(given: FmuUnit, wanted: FmuUnit) -> tuple[float, float] | None:
     """Return (a, b) with value in the wanted unit = a * value + b, or None where the units do not fit."""
     if same_unit(given, wanted):
         return 1.0, 0.0
+    given, wanted = given.known or given, wanted.known or wanted
     bases = given.powers.keys() | wanted.powers.keys()
     if any(given.powers.get(base, 0) != wanted.powers.get(base, 0) for base in bases):
         return None

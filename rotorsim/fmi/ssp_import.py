@@ -1,7 +1,7 @@
 """A system of FMUs (SSP) as a diagram: one block of type fmu for each component, wires, values of parameters.
 
-Nested systems are flattened: component ``amb`` of system ``left`` is block ``left_amb``. Connections of other units,
-or with a factor, go through a gain block.
+Nested systems are flattened: component ``amb`` of system ``left`` is block ``left_amb``. Ports of FMUs are in SI
+units, so that connections of other units are wires; those with a factor go through a gain block.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.diagram.files import write_atomically
+from rotorsim.diagram.files import HIDDEN, sweep, temporary_prefix, write_atomically
 from rotorsim.diagram.fmt import format_document
 from rotorsim.diagram.load import load
 from rotorsim.errors import Place, Problem, RotorsimError
@@ -28,6 +28,7 @@ from rotorsim.fmi.model_description import Entry, FmuUnit, ModelDescription, Val
 from rotorsim.fmi.ssp_flat import Feed, Flat, Path, names_of, rescaled, value_at
 from rotorsim.fmi.ssp_reader import read_structure
 from rotorsim.fmi.ssp_structure import Component, Connector, Setting, Structure, same_unit
+from rotorsim.units import compatible
 
 __all__ = ["ImportedSsp", "import_ssp"]
 
@@ -49,10 +50,12 @@ class ImportedSsp:
     warnings: tuple[Problem, ...] = ()
 
 
-def import_ssp(file: str | File, folder: str | File, *, limits: Limits | None = None) -> ImportedSsp:
+def import_ssp(
+    file: str | File, folder: str | File, *, limits: Limits | None = None, trust_blocks: bool = False
+) -> ImportedSsp:
     """Unpack a system of FMUs into a new folder, and write it as diagram.json there.
 
-    folder: must not exist, or be empty; it stays as it is when something is wrong.
+    folder: must not exist, or be empty; it stays as it is when something is wrong. trust_blocks: as for `load`.
     Raises RotorsimError with every mistake and everything that is not supported.
     """
     target = File(folder)
@@ -70,7 +73,8 @@ def import_ssp(file: str | File, folder: str | File, *, limits: Limits | None = 
             raise RotorsimError(Problem(what, structure.name, archive.place))
         _refuse(flat.problems)
         sources = {component.source for component in flat.components.values()}
-        temporary = File(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+        sweep(target.parent, HIDDEN)
+        temporary = File(tempfile.mkdtemp(prefix=temporary_prefix(HIDDEN), dir=target.parent))
         try:
             archive.unpack(temporary, lambda name: name in sources)
             writer = _Writer(structure, flat, temporary)
@@ -84,8 +88,8 @@ def import_ssp(file: str | File, folder: str | File, *, limits: Limits | None = 
             os.replace(temporary, target)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
-    diagram = load(document, folder=target)  # its FMUs are where they stay
-    warnings = (*writer.warnings, *diagram.warnings)
+    diagram = load(document, folder=target, trust_blocks=trust_blocks)  # its FMUs are where they stay
+    warnings = (*archive.warnings, *writer.warnings, *diagram.warnings)
     return ImportedSsp(target / DIAGRAM, diagram, structure, tuple(sorted(sources)), warnings)
 
 
@@ -244,7 +248,8 @@ class _Writer:
                 continue
             array = np.array(port.start, float)
             for k, value in mine.items():
-                array.flat[k] = value
+                factor, offset = port.scales[k]
+                array.flat[k] = factor * float(value) + offset
             if not np.array_equal(array, port.start):
                 parameters[key] = array.tolist()
         for name, value in given.items():
@@ -307,11 +312,13 @@ class _Writer:
             source = self._source(feed)
             if source is None:
                 continue
-            if feed.offset:
-                what = f"connections with an offset ({feed.offset:g}) are not supported"
+            factor, offset = _between(source, target, feed)
+            if offset:
+                what = f"connections with an offset ({offset:g}) are not supported"
                 self.problems.append(Problem(what, f"{source.end()} -> {target.end()}"))
-            fits = feed.factor == 1.0 and (not feed.converted or source.port.unit == target.port.unit)
-            key = source.block, source.port.name, target.block, target.port.name, feed.factor, fits
+            same = compatible(source.port.unit, target.port.unit) == "same"
+            fits = factor == 1.0 and (same or not feed.converted)
+            key = source.block, source.port.name, target.block, target.port.name, factor, fits
             groups.setdefault(key, []).append((source, target))
         wires: list[list[str]] = []
         for (block, port, other, into, factor, fits), pairs in groups.items():
@@ -366,6 +373,16 @@ class _Writer:
         return {"method": "rk4", "step": min(step, stop), "stop": stop}
 
 
+def _between(source: _At, target: _At, feed: Feed) -> tuple[float, float]:
+    """Return (a, b): what a feed makes of a signal in the diagram, where both ends are in SI units."""
+    (f, o), (into, at) = source.port.scales[source.k], target.port.scales[target.k]
+    factor = feed.factor * into / f
+    offset = into * (feed.offset - feed.factor * o / f) + at
+    nothing = 1e-12 * max(abs(into * feed.offset), abs(factor * o), abs(at))
+    exact = abs(factor - 1.0) < 1e-12
+    return 1.0 if exact else float(factor), 0.0 if abs(offset) <= nothing else float(offset)
+
+
 def _indices(entry: Entry) -> tuple[int, ...]:
     """Return the place of an entry in its variable, from 1; () for a scalar."""
     dimensions = entry.variable.dimensions
@@ -381,7 +398,6 @@ def _start(entry: Entry) -> Value | None:
 
 
 def _unit_of(description: ModelDescription, name: str) -> FmuUnit | None:
-    """Return the unit of a variable where the FMU defines it."""
+    """Return the unit of a variable where the FMU defines it, or its name is known."""
     entries = description.entries(name)
-    unit = description.units.get(entries[0].variable.unit) if entries else None
-    return unit if unit is not None and unit.defined else None
+    return description.unit_of(entries[0].variable) if entries else None

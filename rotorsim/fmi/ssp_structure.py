@@ -107,7 +107,8 @@ class Structure:
 
 
 def same_unit(a: FmuUnit, b: FmuUnit) -> bool:
-    """Return whether two units mean the same, whatever they are called."""
+    """Return whether two units mean the same, whatever they are called; angles may be left out of definitions."""
+    a, b = a.known or a, b.known or b
     return (a.factor, a.offset, _powers(a)) == (b.factor, b.offset, _powers(b))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import math
 from collections.abc import Mapping, Sequence
@@ -142,16 +143,16 @@ class Steps:
             if op & Op.TIME:
                 head[Head.FUNCTION] = NUMBER["SetTime"]
                 status = self._time(self.calls.instance, self.numbers[Block.T])
-                if status > 1:
-                    self.calls.fail("SetTime", status)
+                if status:
+                    self.calls.check("SetTime", status)
             if op & Op.X:
                 self.calls.many(self._write_x)
         if op & Op.U:
             for number, function, arguments in self._at_start if self.initialising else self._held:
                 head[Head.FUNCTION] = number
                 status = function(*arguments)
-                if status > 1:
-                    self.calls.fail(FUNCTIONS[number], status)
+                if status:
+                    self.calls.check(FUNCTIONS[number], status)
         if op & Op.DU:
             self.calls.many(self._du)
         if op & Op.STEP:
@@ -162,8 +163,8 @@ class Steps:
             for number, function, arguments in self._outputs:
                 head[Head.FUNCTION] = number
                 status = function(*arguments)
-                if status > 1:
-                    self.calls.fail(FUNCTIONS[number], status)
+                if status:
+                    self.calls.check(FUNCTIONS[number], status)
         if op >= Op.Z:
             if op & Op.Z:
                 self.calls.many(self._z)
@@ -180,7 +181,9 @@ class Steps:
         self.head[Head.FUNCTION] = NUMBER["DoStep"]
         t, h = numbers[Block.T], numbers[Block.H]
         status = self._do_step(self.calls.instance, t, h, self.unbound, *self._more)
-        if status > 1:
+        if status == 1:
+            self.head[Head.WARNED] += 1
+        elif status:
             self._refused(status)
         if not self.two:
             last = numbers[Block.LAST]
@@ -195,18 +198,20 @@ class Steps:
             raise CallError("error", "DoStep", what, log=self.calls.log.taken())
         if status != 2:
             self.calls.fail("DoStep", status)
-        last: float | None = None if self.two else self.numbers[Block.LAST]
-        if self.two:
-            time, ended, instance = ctypes.c_double(), ctypes.c_int(), self.calls.instance
-            try:
-                if self.calls.library["GetBooleanStatus"](instance, 3, address(ended)) == 0 and ended.value:
-                    self.head[Head.SAID] = Said.TERMINATE
-                if self.calls.library["GetRealStatus"](instance, 2, address(time)) == 0:
-                    last = time.value
-            except CallError:
-                pass
+        last = self.reached()[0] if self.two else self.numbers[Block.LAST]
         how = "" if last is None else f", it came to t = {last:.9g} s"
         raise CallError("discard", "DoStep", f"refused the step{how}", last=last, log=self.calls.log.taken())
+
+    def reached(self) -> tuple[float | None, bool]:
+        """Return how far a step came that was refused, and whether the FMU asks for the end (FMI 2.0)."""
+        time, ended, instance = ctypes.c_double(), ctypes.c_int(), self.calls.instance
+        last: float | None = None
+        with contextlib.suppress(CallError):
+            if self.calls.library["GetBooleanStatus"](instance, 3, address(ended)) == 0 and ended.value:
+                self.head[Head.SAID] = Said.TERMINATE
+            if self.calls.library["GetRealStatus"](instance, 2, address(time)) == 0:
+                last = time.value
+        return last, bool(ended.value)
 
     def _complete(self) -> None:
         pair = ((ctypes.c_int if self.two else ctypes.c_bool) * 2)()

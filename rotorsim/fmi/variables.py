@@ -137,7 +137,7 @@ def make_interface(
         doc = collector.port_doc(name)
         collector.add(name, INPUT, signal.shape, signal.unit, start=np.zeros(size_of(signal.shape)), description=doc)
     x_const, z_const = (_constant_entries(e) for e in (part.trace.x0, part.trace.z0))
-    dependencies = find_dependencies(part, record, x_const)
+    dependencies = find_dependencies(part, record, x_const, z_const)
     at = 0
     for name in record:
         shape = part.shape_of(name)
@@ -393,7 +393,7 @@ def _nominals(part: Part) -> dict[str, float]:
 
 
 def _nominal(unit: str | None) -> float:
-    length, mass, time, current, kelvin, angle = parse_unit(unit or "m").dimension
-    if (mass, current, kelvin) != (0, 0, 0) or length + angle != 1:
+    length, mass, time, current, kelvin, angle, *others = parse_unit(unit or "m").dimension
+    if any((mass, current, kelvin, *others)) or length + angle != 1:
         return 1.0
     return float(10.0 ** (-5 - 3 * time))

@@ -1,5 +1,7 @@
 """Reading foreign XML within limits: no document type (so no entities), caps on size, depth, counts and text.
 
+It is decoded as it declares, before anything else is looked at, so that the limits hold in every encoding.
+
 Elements know line and column, so that every mistake in a model description can be placed.
 """
 
@@ -59,6 +61,25 @@ def read_xml(data: bytes, file: str, *, skip: frozenset[str] = frozenset(), limi
     return _Reader(file, skip, limits or XmlLimits()).read(data)
 
 
+_STARTS = {
+    b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be", b"<\0": "utf-16-le", b"\0<": "utf-16-be",
+}  # fmt: skip
+_DECLARED = re.compile(r"""<\?xml\s[^>]*?encoding\s*=\s*["']([^"']*)["']""")
+
+
+def _codec(name: str) -> str:
+    """Return Python's codec for the name of an encoding, "" for one that is not read."""
+    plain = name.lower().replace("_", "-")
+    if plain in ("utf-8", "utf8", "us-ascii", "ascii"):
+        return "utf-8"
+    if re.fullmatch(r"utf-?16(-?[lb]e)?", plain):
+        return "utf-16"
+    if match := re.fullmatch(r"(?:iso-?8859-?|latin-?(?=1$))(\d{1,2})", plain):
+        return f"iso8859-{int(match[1])}" if int(match[1]) in range(1, 17) and int(match[1]) != 12 else ""
+    match = re.fullmatch(r"(?:windows-|cp-?)(125[0-8])", plain)
+    return f"cp{match[1]}" if match else ""
+
+
 class _Reader:
     def __init__(self, file: str, skip: frozenset[str], limits: XmlLimits) -> None:
         self.file, self.skip, self.limits = file, skip, limits
@@ -72,12 +93,12 @@ class _Reader:
         self.parser.CharacterDataHandler = self._text
         self.parser.StartDoctypeDeclHandler = self._doctype
         self.parser.EntityDeclHandler = self._doctype
-        self.parser.XmlDeclHandler = self._declaration
 
     def read(self, data: bytes) -> Element:
         if len(data) > self.limits.bytes:
             what = f"{len(data)} bytes of XML; {self.limits.bytes} are allowed"
             raise RotorsimError(Problem(what, place=Place(self.file)))
+        data = self._in_utf8(data)
         try:
             self.parser.Parse(data, True)
         except expat.ExpatError as error:
@@ -136,6 +157,24 @@ class _Reader:
         hint = "a model description needs none; document types can carry entities, which are refused"
         self._refuse("a document type (<!DOCTYPE ...>) is not allowed", hint)
 
-    def _declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
-        if encoding and not re.fullmatch(r"utf-?8|us-ascii|ascii", encoding, re.IGNORECASE):
-            self._refuse(f"the encoding is {encoding[:40]}; FMI wants UTF-8")
+    def _in_utf8(self, data: bytes) -> bytes:
+        """Return a document in UTF-8, decoded as its first bytes and its declaration say (XML 1.0, appendix F)."""
+        wide = next((name for start, name in _STARTS.items() if data.startswith(start)), "")
+        head = data[:400].decode(wide or "ascii", "replace").lstrip("\ufeff")
+        declared = _DECLARED.match(head)
+        name = declared[1] if declared else wide or "utf-8"
+        codec = _codec(name)
+        if not codec:
+            self._refuse(
+                f"the encoding is {name[:40]}; read are UTF-8, UTF-16, ISO-8859-1 to 16 and windows-1250 to 1258"
+            )
+        if codec.startswith("utf-16") != bool(wide):
+            self._refuse(f"the encoding is said to be {name[:40]}, but its first bytes are {wide or 'not'}")
+        if codec == "utf-8":
+            return data
+        try:
+            return data.decode(wide or codec).lstrip("\ufeff").encode()
+        except UnicodeError as error:
+            start = data[: getattr(error, "start", 0)].decode(wide or codec, "replace")
+            place = Place(self.file, start.count("\n") + 1, len(start) - start.rfind("\n"))
+            raise RotorsimError(Problem(f"not {name}: it does not know this character", place=place)) from None

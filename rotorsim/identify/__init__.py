@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rotorsim._lazy import lazy
+from rotorsim._lazy import callable_as, lazy
 
 if TYPE_CHECKING:
     from rotorsim.identify.files import identification_data as identification_data
@@ -21,3 +21,4 @@ _HOME = {
 
 __all__ = sorted(_HOME)
 __getattr__, __dir__ = lazy(__name__, _HOME)
+callable_as(__name__)

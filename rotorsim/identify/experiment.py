@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rotorsim.compile import Model, compile_diagram
 from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.diagram.source import read_document
 from rotorsim.diagram.values import ValueProblem, numeric
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.identify.functions import Equations, slots_of
@@ -203,6 +205,37 @@ def _still(model: Model, names: Sequence[str], recording: Recording, runs: Seque
             if not any(values.any() for values in measured):
                 found.append(name)
     return found
+
+
+RATES = (".velocity", ".acceleration")  # recorded signals that are rates of a block's displacement
+
+
+def check_against(diagram: Diagram, recording: Recording) -> list[Problem]:
+    """Return what a recording says that the diagram does not have: signals, units, entries, parameters that are set.
+
+    Velocities and accelerations are taken where the diagram has the displacement, as `diagnose` does.
+    """
+    problems: list[Problem] = []
+    model = compile_diagram(diagram.before_converters())
+    compared = {
+        column: channel for column, channel in recording.channels.items()
+        if not (channel.signal.endswith(RATES) and channel.signal.rpartition(".")[0] + ".displacement" in model.signals)
+    }  # fmt: skip
+    _names(model, replace(recording, channels=compared), problems)
+    source = read_document(Path(recording.runs[0].place.file)) if problems and recording.runs else None
+    if source is not None:
+        places = {f"channel {column}": source.place(("channels", column), key=True) for column in recording.channels}
+        problems = [replace(problem, place=places.get(problem.subject, problem.place)) for problem in problems]
+    for run in recording.runs:
+        for name, value in run.settings.items():
+            subject = f"run {run.id}: set {name}"
+            try:
+                model.parameter_vector({name: numeric(value, _unit(diagram, name))})
+            except ValueProblem as problem:
+                problems.append(Problem(problem.what, subject, run.place, problem.hint))
+            except RotorsimError as error:
+                problems += [Problem(p.what, subject, run.place, p.hint) for p in error.problems]
+    return problems
 
 
 def _is_entry(channel: Channel, shape: tuple[int, ...]) -> bool:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identify.advice import Advice, advise
@@ -49,8 +50,8 @@ class Identified:
     verdict: Verdict
 
 
-@dataclass(frozen=True, eq=False)
-class Identification:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Shown):
     """What a recording says about the free parameters of a diagram.
 
     correlation: (m, m). fit: "identify" and "hold_out" -> signal -> NRMSE; noise_floor: signal -> what no model can
@@ -74,6 +75,19 @@ class Identification:
     runs: tuple[RunHarmonics, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     free: tuple[Free, ...] = ()
+
+    _figure = "rotorsim.report.parameter_figures:parameters_figure"
+
+    def __repr__(self) -> str:
+        return f"Identification({self.statement})"
+
+    def to_table(self) -> list[dict[str, Any]]:
+        """Return one row per parameter (SI): value, std, ends of the 90 % interval, unit, whether identifiable."""
+        return [
+            {"parameter": item.name, "value": item.value, "std": item.std, "low90": item.interval90[0],
+             "high90": item.interval90[1], "unit": item.unit, "identifiable": item.verdict.identifiable}
+            for item in self.parameters.values()
+        ]  # fmt: skip
 
     @property
     def values(self) -> dict[str, float]:

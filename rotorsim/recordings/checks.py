@@ -10,8 +10,9 @@ from itertools import combinations, groupby
 
 import numpy as np
 
-from rotorsim.errors import Place, Problem
+from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
+from rotorsim.recordings.shaft_angle import pulse_edges, run_up, shaft_angle
 from rotorsim.recordings.stretches import clipped, flat
 from rotorsim.units import conversion, parse_unit
 
@@ -26,6 +27,10 @@ _PULSE = 0.3  # of the usual interval
 _SPEED = 0.02  # stated against found
 _WANDER = 0.01  # over a run
 _ALIKE = 1e-3  # two speeds
+_SAMPLED = 1e-3  # rad, of 1X
+_COVERED = 1.5  # turns at an end of a steady run without a pulse,
+_BARE = 0.05  # and of the run
+_STEADY = 0.1  # of the usual interval, all intervals of such a run
 
 
 def check_signals(recording: Recording) -> list[Problem]:
@@ -34,7 +39,7 @@ def check_signals(recording: Recording) -> list[Problem]:
     Errors: "empty run", "not finite", "impossible size", "lost samples" (time that does not rise, a stated rate that
     does not fit), "tacho", "two runs alike" (identical data). Warnings: "constant signal", "clipped signal",
     "flat stretch", "lost samples" (gaps), "wrong unit?", "missing channel", "no phase reference", "speed wanders",
-    "two runs alike" (no new equations), "swapped axes?".
+    "run-up", "coast-down", "sampled pulses", "two runs alike" (no new equations), "swapped axes?".
     """
     found = list(_missing_channels(recording))
     full = []
@@ -175,19 +180,47 @@ class _RunFinder:
             self.say("no phase reference: neither tacho nor angle nor speed", hint=hint, place=self.run.place)
 
     def tacho(self) -> None:
-        turning = self.turning()
-        if turning is None or len(turning.speeds) == 0:
-            return
-        run, low, high = self.run, float(turning.speeds.min()), float(turning.speeds.max())
+        sources = [turning for turning in self.turnings() if len(turning.speeds)]
+        run = self.run
         stated = abs(run.speed) if run.speed is not None else None
-        if stated is not None and not low * (1 - _SPEED) <= stated <= high * (1 + _SPEED):
-            mean = float(turning.speeds.mean())
-            what = f"tacho: {turning.what} says {_rpm(mean)}, the stated speed is {_rpm(stated)}"
-            ratio = mean / stated if stated else 0.0
-            whole = round(ratio) > 1 and abs(ratio / round(ratio) - 1.0) < _SPEED
-            hint = f"there may be {round(ratio)} pulses in a turn: keep one" if whole else ""
-            self.say(what, hint=hint, error=True, place=run.place)
-        if len(turning.speeds) >= 4:
+        for turning in sources if stated is not None else ():
+            low, high = float(turning.speeds.min()), float(turning.speeds.max())
+            assert stated is not None
+            if not low * (1 - _SPEED) <= stated <= high * (1 + _SPEED):
+                self.contradicts(turning, float(turning.speeds.mean()), "the stated speed is", stated)
+        for turning in sources[1:]:
+            first, mean = float(sources[0].speeds.mean()), float(turning.speeds.mean())
+            if abs(mean / first - 1.0) > _SPEED:
+                self.contradicts(turning, mean, f"{sources[0].what} says", first)
+        if sources and not any(problem.severity == "error" for problem in self.found):
+            self.steadiness(sources[0])
+
+    def contradicts(self, turning: _Turning, mean: float, other: str, speed: float) -> None:
+        ratio = mean / speed if speed else 0.0
+        by_samples = turning.what == "the angle" or self.run.tacho is None
+        hint = "correct the speed or sample_rate in recording.json" if by_samples else ""
+        if round(ratio) > 1 and abs(ratio / round(ratio) - 1.0) < _SPEED:
+            hint = f"there may be {round(ratio)} pulses in a turn: keep one"
+            if by_samples:
+                hint = f"sample_rate may be {round(ratio)} times too high"
+                hint += f", or there are {round(ratio)} pulses in a turn" * (turning.what != "the angle")
+        elif by_samples and ratio > 0 and round(1 / ratio) > 1 and abs(ratio * round(1 / ratio) - 1.0) < _SPEED:
+            hint = f"sample_rate may be {round(1 / ratio)} times too low"
+        what = f"tacho: {turning.what} says {_rpm(mean)}, {other} {_rpm(speed)}"
+        self.say(what, hint=hint, error=True, place=self.run.place)
+
+    def steadiness(self, turning: _Turning) -> None:
+        """Find a speed that changes, and pulses that say where angle zero is no better than a sample."""
+        run = self.run
+        try:
+            angle = shaft_angle(self.recording, run)
+        except RotorsimError:
+            return  # said elsewhere
+        said = run_up(run.time, angle.theta) if np.all(np.diff(run.time) > 0) else ""
+        if said:
+            hint = "spectrum, identify, diagnose and locate refuse it: they need runs at steady speeds"
+            self.say(said, hint=hint, place=run.place)
+        elif len(turning.speeds) >= 4:
             span = float(run.time[-1] - run.time[0])
             centred = turning.times - turning.times.mean()
             slope = float(centred @ turning.speeds) / float(centred @ centred)
@@ -199,24 +232,37 @@ class _RunFinder:
                     f"speed wanders: by {100 * drift:+.2g} % over the run, around {_rpm(float(turning.speeds.mean()))}"
                 )
                 self.say(what, hint="fit against the measured angle; fewer turns in a run wander less", place=run.place)
+        if angle.sampled > _SAMPLED:
+            zero = f"shaft angle zero is uncertain by {math.degrees(angle.sampled):.2g} deg at {_rpm(abs(angle.speed))}"
+            hint = "sample the pulse so fast that its edge shows, or time the edges"
+            hint += " and give them as tacho" if run.tacho is None else '; "tacho_resolution": 0 says they were'
+            self.say(f"sampled pulses: they lie on samples, so that {zero}", hint=hint, place=run.place)
 
-    def turning(self) -> _Turning | None:
-        """Return the speed between pulses or from the angle, after finding what is wrong with the pulses."""
+    def turnings(self) -> Iterator[_Turning]:
+        """Yield the speed by each of stated pulses, a pulse signal and the angle, after finding what is wrong there."""
         run = self.run
+        rises = bool(np.all(np.isfinite(run.time))) and bool(np.all(np.diff(run.time) > 0))
         if run.tacho is not None:
-            return self.pulses(run.tacho)
-        column = next((c for c, channel in self.recording.channels.items() if channel.signal == ANGLE), None)
-        if column is None or not np.all(np.isfinite(run.values[column])) or not np.all(np.diff(run.time) > 0):
-            return None
-        angle = np.unwrap(run.values[column])
+            found = self.pulses(run.tacho)
+            if found is not None:
+                yield found
+        columns = {channel.signal: c for c, channel in self.recording.channels.items() if c in run.values}
+        voltage = run.values.get(columns.get(TACHO, ""))
+        if run.tacho is None and voltage is not None and rises and np.all(np.isfinite(voltage)) and np.ptp(voltage) > 0:
+            found = self.pulses(pulse_edges(run.time, voltage)[0], "the pulse signal")
+            if found is not None:
+                yield found
+        angle = run.values.get(columns.get(ANGLE, ""))
+        if angle is None or not rises or not np.all(np.isfinite(angle)):
+            return
+        angle = np.unwrap(angle) if np.ptp(angle) <= 1.05 * 2 * math.pi else angle
         turns = abs(angle[-1] - angle[0]) / (2 * math.pi)
-        if turns < 1:
-            return None
-        at = np.linspace(0, len(angle) - 1, min(int(turns), len(angle) - 1, 50) + 1).astype(int)
-        speeds = np.abs(np.diff(angle[at])) / np.diff(run.time[at])
-        return _Turning((run.time[at][1:] + run.time[at][:-1]) / 2, speeds, "the angle")
+        if turns >= 1:
+            at = np.linspace(0, len(angle) - 1, min(int(turns), len(angle) - 1, 50) + 1).astype(int)
+            speeds = np.abs(np.diff(angle[at])) / np.diff(run.time[at])
+            yield _Turning((run.time[at][1:] + run.time[at][:-1]) / 2, speeds, "the angle")
 
-    def pulses(self, pulses: np.ndarray) -> _Turning | None:
+    def pulses(self, pulses: np.ndarray, name: str = "the tacho") -> _Turning | None:
         steps, time = np.diff(pulses), self.run.time
         back = np.flatnonzero(steps <= 0)
         if len(back):
@@ -247,14 +293,26 @@ class _RunFinder:
                 place=self.run.place,
             )
             return None
-        return _Turning((pulses[1:] + pulses[:-1]) / 2, 2 * math.pi / steps, "the tacho")
+        if len(steps) >= 3 and np.abs(steps / np.median(steps) - 1).max() < _STEADY:
+            step = float(np.median(steps))
+            bare = max(pulses[0] - time[0], time[-1] - pulses[-1]) / step
+            if bare > max(_COVERED, _BARE * (time[-1] - time[0]) / step):
+                what = (
+                    f"tacho: pulses from {pulses[0]:.6g} to {pulses[-1]:.6g} s in a run from {time[0]:.6g} to "
+                    f"{time[-1]:.6g} s, which lacks {round(bare)} at an end"
+                )
+                hint = "sample_rate may be wrong; pulses and samples need one clock"
+                self.say(what, hint=hint, error=True, place=self.run.place)
+                return None
+        return _Turning((pulses[1:] + pulses[:-1]) / 2, 2 * math.pi / steps, name)
 
 
 def _odd(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return which intervals between pulses are out of line, and what they should be.
 
     Each is compared with the median of its neighbours and with the speeds before and after it, carried on in a
-    straight line: a run-up changes the speed a lot, but smoothly.
+    straight line of time: a run-up changes the speed a lot, but smoothly. At a constant angular acceleration the line
+    is exact (a mean speed is that at mid-time), from standstill too.
     """
     rates = 1.0 / steps
     n = len(rates)
@@ -265,10 +323,10 @@ def _odd(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     usual = np.array([np.median(rates[c - half : c + half + 1]) for c in centres])
     guesses = [usual]
     if n >= 4:
-        line = 2 * rates[1:-1] - rates[:-2]
-        guesses.append(np.concatenate((usual[:2], line)))
-        line = 2 * rates[1:-1] - rates[2:]
-        guesses.append(np.concatenate((line, usual[-2:])))
+        at = np.cumsum(steps) - steps / 2
+        slope = np.diff(rates) / np.diff(at)
+        guesses.append(np.concatenate((usual[:2], rates[1:-1] + slope[:-1] * (at[2:] - at[1:-1]))))
+        guesses.append(np.concatenate((rates[1:-1] + slope[1:] * (at[:-2] - at[1:-1]), usual[-2:])))
     odd = np.all([np.abs(rates - guess) > _PULSE * np.abs(guess) for guess in guesses], axis=0)
     return np.flatnonzero(odd), 1.0 / usual
 

@@ -6,6 +6,7 @@ import csv
 import re
 import warnings
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import TextIO
 
@@ -16,6 +17,8 @@ from rotorsim.errors import Place, Problem, RotorsimError
 __all__ = ["CsvTable"]
 
 MAX_LINE = 1_000_000
+MAX_TABLE = 2_000_000_000  # bytes of the columns that are wanted
+ROWS = 100_000  # read at a time: only what is wanted of them is kept
 MAX_PROBLEMS = 20
 
 
@@ -46,11 +49,18 @@ class CsvTable:
                 for _ in range(self.header_line):
                     stream.readline()
                 lines = (line.replace(",", ".") for line in stream) if self.delimiter == ";" else stream
-                table = np.loadtxt(lines, delimiter=self.delimiter, comments="#", quotechar='"', ndmin=2)
-            if table.size == 0:
-                table = np.empty((0, len(self.names)))
-            if table.shape[1] == len(self.names):
-                return {name: np.ascontiguousarray(table[:, self.names.index(name)]) for name in wanted}
+                at = [self.names.index(name) for name in wanted]
+                parts, rows = [np.empty((0, len(wanted)))], 0
+                while more := list(islice(lines, ROWS)):
+                    table = np.loadtxt(more, delimiter=self.delimiter, comments="#", quotechar='"', ndmin=2)
+                    if table.size and table.shape[1] != len(self.names):
+                        raise ValueError("cells")
+                    parts.append(table[:, at] if table.size else parts[0])
+                    rows += len(parts[-1])
+                    if rows * len(wanted) * 8 > MAX_TABLE:
+                        what = f"{len(wanted)} columns take more than {MAX_TABLE // 10**9} GB"
+                        raise RotorsimError(Problem(what, place=Place(self.file), hint="split it into several runs"))
+            return {name: np.concatenate([part[:, k] for part in parts]) for k, name in enumerate(wanted)}
         except ValueError:
             pass  # text in a cell, perhaps of a column that nobody wants
         return self._read_slowly(wanted)

@@ -28,8 +28,8 @@ KEYS: dict[str, Mapping[str, type]] = {
     },
     "channel": {"signal": str, "axis": str, "node": int, "position": object, "unit": str, "coupling": str},
     "run": {
-        "id": str, "file": str, "sample_rate": object, "time": str, "speed": object, "tacho": list, "set": dict,
-        "use": str, "description": str,
+        "id": str, "file": str, "sample_rate": object, "time": str, "speed": object, "tacho": list,
+        "tacho_resolution": object, "set": dict, "use": str, "description": str,
     },
 }  # fmt: skip
 _REQUIRED = {"recording": ("name", "source", "channels", "runs"), "channel": ("signal", "unit"), "run": ("id", "file")}
@@ -48,7 +48,10 @@ _RATES = (1e-6, 1e12)  # Hz
 
 @dataclass(frozen=True)
 class RunEntry:
-    """A run as recording.json says it; path: its data file. speed [rad/s], sample_rate [Hz], tacho (k,) [s]."""
+    """A run as recording.json says it; path: its data file. speed [rad/s], sample_rate [Hz], tacho (k,) [s].
+
+    tacho_resolution [s]: as stated, of the times of the pulses.
+    """
 
     id: str
     file: str
@@ -60,6 +63,7 @@ class RunEntry:
     settings: Mapping[str, Any]
     use: str
     place: Place
+    tacho_resolution: float | None = None
 
 
 @dataclass(frozen=True)
@@ -256,6 +260,15 @@ class _Reader:
             self.error("neither sample_rate nor time", path, subject, hint)
         speed = self.number(form["speed"], "rad/s", (*path, "speed"), subject) if "speed" in form else None
         tacho = self.tacho(form["tacho"], (*path, "tacho"), subject) if "tacho" in form else None
+        resolution = None
+        if "tacho_resolution" in form:
+            at = (*path, "tacho_resolution")
+            resolution = self.number(form["tacho_resolution"], "s", at, subject)
+            if resolution is not None and not resolution >= 0:
+                hint = "0 where the edges of pulses were timed, else the step between possible times: '0.2 ms'"
+                self.error(f"tacho_resolution: {resolution:g} s is below zero", at, subject, hint)
+            elif tacho is None and "tacho" not in entry:
+                self.error("tacho_resolution is that of 'tacho', which is missing", at, subject, key=True)
         settings = self.settings(form.get("set", {}), (*path, "set"), subject)
         use = form.get("use", "identify")
         if use not in USES:
@@ -265,7 +278,7 @@ class _Reader:
             return None
         place = self.source.place(path)
         shown = str(self.folder / form["file"])
-        return RunEntry(form["id"], shown, file, rate, time, speed, tacho, settings, use, place)
+        return RunEntry(form["id"], shown, file, rate, time, speed, tacho, settings, use, place, resolution)
 
     def file(self, file: str, path: JsonPath, subject: str) -> Path | None:
         """Return the path of a data file inside the folder of the recording."""

@@ -6,6 +6,7 @@ the angle, beside a slow drift of the mean. What is left over says how uncertain
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -27,6 +28,8 @@ DRIFT = 2  # degree of the drift of the mean
 NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something beside a harmonic is not told from it
 LOUD = 2.5  # times the noise, for lines of samples that differ in what they tell: those may follow the motion a little
 LEAST_TOLD = 1e-6  # of the best known combination of coefficients: information of one that samples tell nothing of
+SLACK = 3.0  # times the rms of the curvature of a turn: what it says of the angle is then a quarter of what is known
+TURNS = 1e-3  # probability of a harmonic as large by noise alone, below which it is turned by an error of the angle
 ROUNDING = 1e-10  # of a signal's rms: what numbers of seven to sixteen digits and the fit itself leave over
 
 
@@ -103,8 +106,26 @@ class HarmonicFit:
                 powers = [float(self.noise.at_order(k)[c, c].real) for k in range(len(self.orders))]
                 louder = np.sqrt(np.repeat(powers, [1, *[2] * (len(powers) - 1)])) / self.residual[c]
                 scatter[c::channels, c::channels] *= np.outer(louder, louder)
-        turned = real_vector(-1j * self.orders[:, None] * self.values) * self.angle_std
-        return np.asarray(scatter + np.outer(turned, turned))
+        turned = self.turned
+        return np.asarray(scatter + turned @ turned.T)
+
+    @cached_property
+    def turned(self) -> np.ndarray:
+        """What the uncertain angle zero adds to the covariance of `real_vector`: it is turned @ turned.T, (m, 4).
+
+        An error d of the angle turns harmonic k of all channels: c_k (1 - e^{-i k d}) = - sum of (-i k d)^n / n! c_k.
+        Columns: the first four terms at the rms of d^n, d uniform with standard deviation s = `angle_std`:
+        (sqrt(3) s)^n / sqrt(2 n + 1). The second and the third are above the noise of a good sensor from a degree on.
+        Those after the first are taken as independent and SLACK times as large: d alone makes them, so that knowing
+        them would make it seem better known than it is, d^2 by (20 / 9) / SLACK^2 of 1 / s^2 at d = s. Harmonics that
+        noise makes are not turned: what depends on their noise would be taken off it.
+        """
+        size = 3**0.5 * self.angle_std * -1j * self.orders[:, None]
+        terms = [size**n / math.factorial(n) / (2 * n + 1) ** 0.5 * (SLACK if n > 1 else 1.0) for n in (1, 2, 3, 4)]
+        power = [2 * self.gram[max(2 * k - 1, 0), max(2 * k - 1, 0)] * np.diag(self.noise.at_order(k)).real
+                 for k in range(len(self.orders))]  # fmt: skip
+        told = np.abs(self.values) ** 2 > -math.log(TURNS) * np.array(power)
+        return np.column_stack([real_vector(term * np.where(told, self.values, 0.0)) for term in terms])
 
     def covariance_at(self, columns: np.ndarray, orders: Sequence[int], resolution: float) -> np.ndarray:
         """Return the covariance (m, m) of the real harmonics of some channels and orders, as `real_vector` has them.

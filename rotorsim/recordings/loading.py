@@ -47,7 +47,7 @@ def _run(entry: RunEntry, document: Document, read: bool, warnings: list[Problem
         elif entry.sample_rate is not None:
             time = np.arange(len(next(iter(values.values())))) / entry.sample_rate
     rest = (entry.speed, entry.tacho, entry.settings, entry.use, entry.place, entry.sample_rate)
-    return Run(entry.id, entry.file, time, values, *rest)
+    return Run(entry.id, entry.file, time, values, *rest, tacho_resolution=entry.tacho_resolution)
 
 
 def _scaled(values: np.ndarray, factor: float) -> np.ndarray:

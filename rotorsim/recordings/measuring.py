@@ -56,6 +56,10 @@ def measure(
     """
     given = {**(parameters or {}), **({} if speed is None else {"speed": speed})}
     step, every = steps_of(model, rate)
+    if every * step > window[1] * (1 + _ENDS):
+        count = int(window[0] <= 0.0)
+        what = f"window {window[0]:g}..{window[1]:g} s holds {count} sample{'s' * (count != 1)} of {step * every:g} s"
+        raise RotorsimError(Problem(what, model.diagram.name, hint="a longer window, or a higher rate"))
     initial = settled_state(model, given) if settle else None
     wanted = tuple(dict.fromkeys([*signals, *([angle] if angle else [])]))
     result = simulate(

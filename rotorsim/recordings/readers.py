@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings as python_warnings
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,6 +22,8 @@ from rotorsim.recordings.csv_reader import CsvTable
 __all__ = ["MAX_BYTES", "SUFFIXES", "read_columns"]
 
 MAX_BYTES = 2_000_000_000
+MAX_DEPTH, MAX_NAMES = 20, 1000  # of groups within groups, and of names that are listed for near misses
+BLOCK = 1 << 20  # bytes, unpacked at a time where they are only counted
 OWN_TIME = "time"  # names the clock that .tdms, .uff and .mf4 files have besides their channels
 _PART = re.compile(r"(.+)\[([1-9][0-9]{0,8})\]")
 
@@ -101,10 +106,22 @@ def _csv(path: Path, wanted: Sequence[str], file: str) -> _Found:
 
 def _npz(path: Path, wanted: Sequence[str], file: str) -> _Found:
     with zipfile.ZipFile(path) as archive:
-        sizes = {info.filename.removesuffix(".npy"): info.file_size for info in archive.infolist()}
+        sizes = {info.filename.removesuffix(".npy"): _unpacked(archive, info) for info in archive.infolist()}
     with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as arrays:
         known: dict[str, Callable[[], Any]] = {name: lambda name=name: arrays[name] for name in arrays.files}  # type: ignore[misc]
         return _pick(known, wanted, file, lambda name: sizes.get(name, 0)), None
+
+
+def _unpacked(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> int:
+    """Return the bytes that an array of an archive takes as double precision, by its header."""
+    try:
+        with archive.open(info) as stream:
+            major, _ = np.lib.format.read_magic(stream)
+            read = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
+            shape = read(stream)[0]
+        return max(math.prod(shape) * 8, info.file_size)
+    except Exception:  # said when the array is read
+        return info.file_size
 
 
 def _mat(path: Path, wanted: Sequence[str], file: str) -> _Found:
@@ -114,6 +131,7 @@ def _mat(path: Path, wanted: Sequence[str], file: str) -> _Found:
         sizes = {name: int(np.prod(shape, dtype=float)) * 8 for name, shape, _ in whosmat(str(path))}
     except NotImplementedError:  # version 7.3 is HDF5
         return _h5(path, wanted, file, transposed=True)
+    _check_unpacked(path, file)
     tops = {re.split(r"[./\[]", name)[0] for name in wanted}
     _check_sizes({name: size for name, size in sizes.items() if name in tops}, file)
     tree = loadmat(str(path), variable_names=sorted(tops), simplify_cells=True)
@@ -121,6 +139,27 @@ def _mat(path: Path, wanted: Sequence[str], file: str) -> _Found:
     known: dict[str, Callable[[], Any]] = {name: (lambda value=value: value) for name, value in leaves.items()}  # type: ignore[misc]
     rest = {name: tuple for name in sizes if name not in tops}  # not loaded: only as near misses
     return _pick({**known, **rest}, wanted, file), None
+
+
+def _check_unpacked(path: Path, file: str) -> None:
+    """Refuse a .mat (version 5) whose packed elements are larger than what is read, however they are nested."""
+    total = 0
+    with path.open("rb") as stream:
+        head = stream.read(128)
+        order: Literal["little", "big"] = "big" if head[126:128] == b"MI" else "little"
+        while len(tag := stream.read(8)) == 8 and head[126:128] in (b"MI", b"IM"):
+            kind, size = (int.from_bytes(part, order) for part in (tag[:4], tag[4:]))
+            if kind != 15:  # not packed
+                stream.seek(size, 1)
+                continue
+            unpack, left = zlib.decompressobj(), size
+            while left > 0 and (data := stream.read(min(left, BLOCK))):
+                left -= len(data)
+                while data:
+                    total += len(unpack.decompress(data, BLOCK))
+                    data = unpack.unconsumed_tail
+                    if total > MAX_BYTES:
+                        raise RotorsimError(_too_large("it unpacks to", file))
 
 
 def _leaves(tree: Mapping[str, Any], above: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -136,18 +175,59 @@ def _h5(path: Path, wanted: Sequence[str], file: str, transposed: bool = False) 
 
     with h5py.File(path, "r") as tree:
         sets: dict[str, Any] = {}
-
-        def visit(name: str, item: Any) -> None:  # links out of the file are not followed
-            if isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual:
-                sets[name] = item
-
-        tree.visititems(visit)
+        for name in wanted:
+            for path_in_file in _spellings(name):
+                item = _inside(tree, path_in_file)
+                if item is not None:
+                    sets[path_in_file] = item
+        if not all(any(spelling in sets for spelling in _spellings(name)) for name in wanted):
+            sets |= {name: item for name, item in _listed(tree).items() if name not in sets}  # for near misses
 
         def reader(item: Any) -> Callable[[], Any]:
             return lambda: item[()].T if transposed else item[()]
 
         known = {name: reader(item) for name, item in sets.items()}
         return _pick(known, wanted, file, lambda name: int(sets[name].size or 0) * 8), None
+
+
+def _spellings(name: str) -> list[str]:
+    """Return the paths that a wanted name may stand for: itself, with '/' for '.', without an index."""
+    part = _PART.fullmatch(name)
+    names = [name, *([part[1]] if part is not None else [])]
+    return [spelling for one in names for spelling in dict.fromkeys((one, one.replace(".", "/")))]
+
+
+def _inside(tree: Any, name: str) -> Any:
+    """Return the data set of a path, or None; links out of the file are not followed."""
+    import h5py
+
+    item = tree
+    steps = name.split("/")
+    for step in steps if len(steps) <= MAX_DEPTH and "" not in steps and "." not in steps else ("",):
+        if not step or not isinstance(item, h5py.Group) or not isinstance(item.get(step, getlink=True), h5py.HardLink):
+            return None
+        item = item[step]
+    return item if isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual else None
+
+
+def _listed(tree: Any) -> dict[str, Any]:
+    """Return the first data sets of a file by path: some MAX_NAMES of them, in no more than MAX_DEPTH groups."""
+    import h5py
+
+    found: dict[str, Any] = {}
+    groups = [("", tree, 1)]
+    seen = 0
+    while groups and seen < MAX_NAMES:
+        above, group, depth = groups.pop(0)
+        for step in islice(group, MAX_NAMES - seen):
+            seen += 1
+            item = _inside(group, step) if "/" not in step else None
+            if item is not None:
+                found[above + step] = item
+            elif depth < MAX_DEPTH and isinstance(group.get(step, getlink=True), h5py.HardLink):
+                inner = group[step]
+                groups += [(f"{above}{step}/", inner, depth + 1)] if isinstance(inner, h5py.Group) else []
+    return found
 
 
 def _tdms(path: Path, wanted: Sequence[str], file: str) -> _Found:
@@ -237,8 +317,17 @@ def _check_sizes(sizes: Mapping[str, int], file: str) -> None:
         for name, size in sizes.items()
         if size > MAX_BYTES
     ]
+    total = sum(sizes.values())
+    if not problems and total > MAX_BYTES:
+        problems = [_too_large(f"{len(sizes)} columns take {total / 1e9:.3g} GB", file)]
     if problems:
         raise RotorsimError(*problems)
+
+
+def _too_large(what: str, file: str) -> Problem:
+    limit = f"{MAX_BYTES // 10**9} GB"
+    text = f"{what}, more than {limit}" if what[-1:] == "B" else f"{what} more than {limit}"
+    return Problem(text, place=Place(file), hint="split it into several runs")
 
 
 def _pick(

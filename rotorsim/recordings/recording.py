@@ -58,7 +58,8 @@ class Run:
     values: column -> (n,), SI. speed: nominal [rad/s]. tacho: (k,) [s], times of a once-per-turn pulse on the
     clock of ``time``. settings: block.parameter or diagram parameter -> value as in the JSON. use: "identify"
     or "hold_out". place: where recording.json says so. sample_rate: as stated there [Hz]. weights: column -> (n,),
-    1 / SI^2: the information of each sample, of columns where samples differ in that.
+    1 / SI^2: the information of each sample, of columns where samples differ in that. tacho_resolution: of the pulse
+    times [s], as stated; None: to be seen from them.
     """
 
     id: str
@@ -72,6 +73,7 @@ class Run:
     place: Place
     sample_rate: float | None = None
     weights: Mapping[str, np.ndarray] = field(default_factory=dict)
+    tacho_resolution: float | None = None
 
     def __post_init__(self) -> None:
         frozen: dict[str, Any] = {"time": _read_only(self.time)}

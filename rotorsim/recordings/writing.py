@@ -187,6 +187,8 @@ def _run_entry(run: NewRun, part: slice, suffix: str) -> dict[str, Any]:
         if speed is None:
             speed = float(theta[-1] - theta[0]) / float(time[-1] - time[0])
         entry["tacho"] = _pulses(time if rate is None else time - time[0], theta)
+        if entry["tacho"]:
+            entry["tacho_resolution"] = 0  # interpolated, not sampled: even where all happen to be at a sample
     if speed is not None:
         entry["speed"] = float(speed)
     if run.settings:
@@ -236,7 +238,8 @@ def _make_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
 
 
 def _write_table(path: Path, table: Mapping[str, np.ndarray]) -> None:
-    with atomic_target(path) as temporary:
+    size = sum(array.nbytes for array in table.values()) * (1 if path.suffix == ".npz" else 20 // 8)
+    with atomic_target(path, size=size) as temporary:
         if path.suffix == ".npz":
             with temporary.open("wb") as stream:
                 arrays: dict[str, Any] = dict(table)

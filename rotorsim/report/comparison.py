@@ -14,7 +14,7 @@ from rotorsim.identify.identification import Identification
 from rotorsim.identify.likelihood import Likelihood, harmonics_of_time
 from rotorsim.identify.motion import Motion
 from rotorsim.identify.nonlinear_motion import NonlinearMotion
-from rotorsim.recordings.harmonic_fit import HarmonicFit, real_vector
+from rotorsim.recordings.harmonic_fit import HarmonicFit
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.style import rpm
 from rotorsim.units import format_quantity
@@ -119,8 +119,7 @@ class Comparison:
         """Return what was measured in run r."""
         fit, orders = self.experiment.fits[r], self.orders(signal)
         value = signal.combined(fit.values, fit.names, orders)
-        turned = real_vector(-1j * fit.orders[:, None] * fit.values) * fit.angle_std
-        own = fit.covariance - np.outer(turned, turned)
+        own = fit.covariance - fit.turned @ fit.turned.T
         total = np.array([_covariance(fit, fit.covariance, signal, int(k)) for k in orders])
         alone = np.array([_covariance(fit, own, signal, int(k)) for k in orders])
         size = np.abs(value)

@@ -11,18 +11,27 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
+from rotorsim.diagnose.conclusions import Diagnosis
 from rotorsim.report.comparison import Comparison, Signal
-from rotorsim.report.diagnosis_comparison import Pair, Trace, excess_of
-from rotorsim.report.diagnosis_figures import LOOK, STANDS_OUT, legend, wide_sheet
+from rotorsim.report.diagnosis_comparison import Pair, Trace, excess_of, fitted_pair, held_pair, labels_of, traces
+from rotorsim.report.diagnosis_figures import LOOK, STANDS_OUT, legend, speed_curves_figure, wide_sheet
 from rotorsim.report.style import GREY, INK, display, rpm, styled
 
-__all__ = ["parameters_figure", "residuals_figure", "traces_figure"]
+__all__ = ["before_and_after_figure", "parameters_figure", "residuals_figure", "traces_figure"]
 
 LEVELS = (0, 2, 4, 10, 30, 100, 300, 1000)  # standard deviations
 LEVEL_COLOURS = ("#ffffff", "#fdebd0", "#fdc98c", "#f39c46", "#d9670f", "#a63c00", "#6a2300", "#330d00")
 SHOWN = 2500  # samples of a trace that are drawn
 PERIODS = 15  # of a trace that are drawn in full
 WIDEST = {"%": 150.0, "deg": 180.0}  # change of a parameter to which the axis reaches
+
+
+def before_and_after_figure(found: Diagnosis) -> Figure:
+    """Return both diagrams beside held-out runs (fitted ones without any): over speed, or in time."""
+    in_time, pair = traces(found), held_pair(found)
+    if in_time or pair is None:
+        return traces_figure(in_time, labels_of(found), not found.effects and found.after is found.before)
+    return speed_curves_figure(pair, fitted_pair(found)) or residuals_figure(pair)
 
 
 def residuals_figure(pair: Pair) -> Figure:

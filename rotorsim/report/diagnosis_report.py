@@ -7,7 +7,6 @@ import io
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from rotorsim.diagnose.trials import Candidate, Round
 from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.files import write_atomically
-from rotorsim.errors import RotorsimError
+from rotorsim.errors import RotorsimError, escape
 from rotorsim.report.diagnosis_comparison import Pair, fitted_pair, held_pair, labels_of, traces
 from rotorsim.report.diagnosis_evidence import parameters_figure, residuals_figure, traces_figure
 from rotorsim.report.diagnosis_figures import orbits_figure, spectra_figure, speed_curves_figure

@@ -9,7 +9,6 @@ import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from html import escape
 from importlib.metadata import version
 from typing import Any
 
@@ -20,6 +19,7 @@ from rotorsim.diagnose.files import repaired_document
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.trials import Candidate
 from rotorsim.diagram.registry import all_types
+from rotorsim.errors import escape
 from rotorsim.units import format_quantity
 
 __all__ = [

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.report.style import AXES, BLUE, GREY, INK, ORANGE, RED, display, figure, rpm, styled
+from rotorsim.report.style import AXES, BLUE, GREEN, GREY, INK, ORANGE, RED, ROUNDING, display, figure, rpm, styled
 from rotorsim.simulate.result import Result
 from rotorsim.simulate.spectrum import FullSpectrum, RunUp, angle_of, full_spectrum, last_turns, run_up
 
@@ -21,6 +21,7 @@ __all__ = ["orbit", "overview", "run_up_figure", "save_figure", "spectrum_figure
 
 TURNS = 4.0  # shown in time histories
 HUGE = 1e100  # the axes of matplotlib overflow far beyond
+GROWN = 1e3  # from the first to the second half of an unstable run: then on a logarithmic scale
 
 
 def two_axis_signals(result: Result) -> list[str]:
@@ -75,6 +76,11 @@ def _key(axes: Axes, columns: int = 1) -> None:
 def _draw_time(axes: Axes, result: Result, signal: str, part: slice) -> None:
     values = result[signal][part]
     grown = result.status == "diverged" or bool(np.abs(values).max(initial=0.0) > HUGE)
+    if result.status == "unstable":  # at first its growth is still seen on a linear scale
+        half = len(result.time) // 2
+        grown |= bool(
+            np.abs(result[signal][half:]).max(initial=0.0) > GROWN * np.abs(result[signal][:half]).max(initial=0)
+        )
     if grown:  # growth without bound is a straight line on a logarithmic scale
         size = np.abs(values)
         values = np.where((size > 0) & (size < HUGE), size, np.nan)
@@ -203,26 +209,30 @@ def spectrum_figure(
 
 
 def _draw_run_up(axes: Axes, found: RunUp) -> None:
-    speed = rpm(found.speed)
-    samples, unit = display(found.samples, found.unit)
-    curve, _ = display(found.envelope, found.unit)
-    peak, _ = display(found.peak, found.unit)
-    axes.plot(speed, samples, color=BLUE, lw=0.3, alpha=0.35, rasterized=True)
-    axes.plot(speed, curve, color=RED, lw=0.8, label="Hilbert envelope", rasterized=True)
-    for one, mark in zip(found.resonances(), "ov^", strict=False):
-        height, _ = display(one.peak, found.unit)
-        name = "largest" if one.order == 1 else f"met by {one.order}X"
-        label = f"{name} at {rpm(one.speed):.0f} rpm: {float(height):.4g} {unit}, 0-peak"
-        axes.plot(rpm(one.speed), height, mark, ms=6, mfc="white", mec=INK, ls="none", label=label, zorder=4)
-    top = 1.12 * max(float(peak), float(np.abs(samples[len(samples) // 50 :]).max()))
-    axes.set_title(f"run-up: {found.signal}", loc="left")
+    speeds, (peaks, unit) = rpm(found.speeds), display(found.peaks, found.unit)
+    samples, _ = display(found.samples, found.unit)
+    axes.plot(rpm(found.speed), samples, color=GREY, lw=0.3, alpha=0.25, rasterized=True)
+    axes.plot(speeds, peaks, color=INK, lw=0.9, label="peak of each turn")
+    largest = max(float(np.nanmax(curve, initial=0.0)) for curve in found.orders.values())
+    for (order, curve), colour in zip(found.orders.items(), (BLUE, ORANGE, GREEN), strict=False):
+        if np.nanmax(curve, initial=0.0) > ROUNDING * largest:
+            axes.plot(speeds, display(curve, found.unit)[0], color=colour, lw=1.0, label=f"{order}X")
+    marks = [(f"{one.order}X", one.speed, one.peak) for one in found.resonances()]
+    if found.rises:
+        marks.append(("still rising", found.resonance, found.peak))
+    for (name, speed, peak), mark in zip(marks, "ov^s", strict=False):
+        height = float(display(peak, found.unit)[0])
+        label = f"{name} at {rpm(speed):.0f} rpm: {height:.4g} {unit}, 0-peak"
+        axes.plot(rpm(speed), height, mark, ms=6, mfc="white", mec=INK, ls="none", label=label, zorder=4)
+    top = 1.12 * float(peaks[len(peaks) // 50 :].max())
+    axes.set_title(f"run-up: {found.signal}, about its mean", loc="left")
     axes.set(xlabel="speed [rpm]", ylabel=f"[{unit}, 0-peak]", ylim=(-top, top))
     axes.margins(x=0)
-    axes.legend(loc="upper left")
+    axes.legend(loc="lower left", fontsize=7.5)
 
 
 def run_up_figure(result: Result, signal: str) -> Figure:
-    """Return one axis of a run-up with its Hilbert envelope against the speed."""
+    """Return one axis of a run-up against the speed: samples, peak of each turn, orders and their resonances."""
     found = run_up(result, signal, speed=speed_of(result) or "clock.speed")
     with styled():
         made = figure(8.0, 4.0, title_of(result))
@@ -231,7 +241,7 @@ def run_up_figure(result: Result, signal: str) -> Figure:
 
 
 def overview(result: Result) -> Figure:
-    """Return one page of a run: time histories, orbit, full spectrum; of a run-up its envelopes.
+    """Return one page of a run: time histories, orbit, full spectrum; of a run-up its orders.
 
     Signals without two axes are drawn against time only, and so is everything of a run that did not finish.
     """
@@ -264,7 +274,13 @@ def save_figure(made: Figure, path: Any) -> None:
     """Write a figure as .png, .svg or .pdf, whole or not at all."""
     from pathlib import Path
 
-    from rotorsim.diagram.files import atomic_target
+    from matplotlib.text import Text
 
+    from rotorsim.diagram.files import atomic_target
+    from rotorsim.errors import visible
+
+    for text in made.findobj(Text):
+        if visible(text.get_text()) != text.get_text():  # a name of others, which an SVG cannot hold
+            text.set_text(visible(text.get_text()))
     with atomic_target(Path(path)) as temporary, styled():
         made.savefig(temporary)

@@ -13,13 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 __all__ = [
-    "AXES", "BLUE", "GREEN", "GREY", "INK", "ORANGE", "PURPLE", "RED", "display", "figure", "order_axis", "rpm",
-    "styled",
+    "AXES", "BLUE", "GREEN", "GREY", "INK", "ORANGE", "PURPLE", "RED", "ROUNDING", "display", "figure", "order_axis",
+    "phase_line", "rpm", "styled",
 ]  # fmt: skip
 
 # Okabe & Ito (2008), "Color universal design"
 BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#6b6b6b"
 INK = "#222222"
+ROUNDING = 1e-9  # of the largest: linear solutions are good to 1e-12, and a sensor resolves 1e-6 of its range
 AXES = {"x": BLUE, "y": ORANGE}
 
 _STYLE: Any = {
@@ -73,3 +74,11 @@ def order_axis(axes: Axes, low: int, high: int) -> None:
     ticks = [k for k in range(low, high + 1) if k % step == (1 if step > 1 else 0) or k == 0]
     axes.set_xticks(ticks, [f"{k}X" if k else "0" for k in ticks])
     axes.set_xlim(low - 0.6, high + 0.6)
+
+
+def phase_line(speeds: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return speeds and phases [deg, -180..180] of complex values (n,), with a gap (NaN) where the phase wraps."""
+    angle = np.degrees(np.angle(values))
+    angle[~np.isfinite(values)] = np.nan
+    wraps = np.flatnonzero(np.abs(np.diff(angle)) > 180) + 1
+    return np.insert(np.asarray(speeds, float), wraps, np.nan), np.insert(angle, wraps, np.nan)

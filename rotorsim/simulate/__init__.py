@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from types import ModuleType
-from typing import Any
-
-from rotorsim._lazy import lazy
+from rotorsim._lazy import callable_as, lazy
 
 _HOME = {
     "simulate": "run",
@@ -31,12 +27,4 @@ _HOME = {
 __all__ = list(_HOME)
 __getattr__, __dir__ = lazy(__name__, _HOME)
 
-
-class _CallableModule(ModuleType):
-    """The package `rotorsim.simulate`, which hides the function of this name in `rotorsim`, and so does its work."""
-
-    def __call__(self, *args: Any, **options: Any) -> Any:
-        return self.simulate(*args, **options)
-
-
-sys.modules[__name__].__class__ = _CallableModule
+callable_as(__name__)

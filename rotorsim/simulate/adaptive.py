@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from rotorsim.compile import Model
 from rotorsim.compile.instance import Instance
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.simulate.failure import cause
 
 __all__ = ["METHODS", "run_adaptive"]
 
@@ -61,7 +62,7 @@ def run_adaptive(
                 rows[filled] = instance.record(grid[filled], part.sol(grid[filled]))
                 filled += 1
             if part.status < 0 or not np.isfinite(part.y[:, -1]).all():
-                status, message = "diverged", _failure(model, part, reached)
+                status, message = "diverged", _failure(model, instance, part, reached)
                 break
             x, t = np.array(part.y[:, -1]), reached
             if part.status == 1:  # step over the crossing: far enough to be behind it, too little to matter
@@ -109,9 +110,10 @@ def _events(model: Model, p: np.ndarray, instance: Instance) -> list[Callable[[f
     return found
 
 
-def _failure(model: Model, part: Any, reached: float) -> str:
+def _failure(model: Model, instance: Instance, part: Any, reached: float) -> str:
     last = np.abs(part.y[:, -1])
     worst = int(np.nanargmax(np.where(np.isfinite(last), last, np.inf))) if len(last) else 0
     state = next((n for n, s in model.states.items() if s.part.start <= worst < s.part.stop), "")
     block = model.block_of_state(worst)
-    return f"diverged at t = {reached:.6g} s: state '{state}' of block '{block}' ({part.message})"
+    why = cause(model, instance, None)
+    return f"diverged at t = {reached:.6g} s: state '{state}' of block '{block}'{why} ({part.message.rstrip('.')})"

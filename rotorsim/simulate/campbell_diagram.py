@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq, linear_sum_assignment
 
+from rotorsim._shown import Shown, xarray_module
 from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.simulate.eigenmodes import Eigen, _shape_signals, checked_speeds, eigen, require_speed, whirl
+from rotorsim.simulate.eigenmodes import RESONANT, Eigen, _shape_signals, checked_speeds, eigen, require_speed, whirl
 from rotorsim.simulate.linear import as_model, linearise
+from rotorsim.simulate.stability import growing
 
 __all__ = ["Campbell", "Crossing", "campbell"]
 
@@ -21,7 +23,10 @@ UNMATCHED = 0.98  # cost from which two modes are not the same one
 
 @dataclass(frozen=True)
 class Crossing:
-    """Where a mode's damped frequency equals ``order`` times the speed: a critical speed (order 1)."""
+    """Where the damped frequency of ``mode`` (from 1) equals ``order`` times the speed: a critical speed (order 1).
+
+    stable: whether no pole of the machine grows at this speed; a settled motion is never reached where one does.
+    """
 
     order: int
     speed: float
@@ -29,13 +34,15 @@ class Crossing:
     mode: int
     whirl: str
     damping_ratio: float
+    stable: bool = True
 
 
-@dataclass(frozen=True)
-class Campbell:
+@dataclass(frozen=True, repr=False)
+class Campbell(Shown):
     """Modes over speed: one column per mode, followed by shape; NaN where a mode does not oscillate.
 
     speeds (n,) [rad/s]; frequency_hz, damping_ratio (n, modes); whirl (n, modes) text, "" where NaN.
+    stable (n,): whether no pole of the machine grows there, also none that does not oscillate.
     """
 
     speeds: np.ndarray
@@ -43,7 +50,35 @@ class Campbell:
     damping_ratio: np.ndarray
     whirl: np.ndarray
     crossings: tuple[Crossing, ...]
+    stable: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    _figure = "rotorsim.report.linear_figures:campbell_figure"
+
+    def __repr__(self) -> str:
+        low, high = (end * 30 / np.pi for end in (self.speeds.min(), self.speeds.max()))
+        critical = [f"{item.speed * 30 / np.pi:.6g}" for item in self.crossings if item.order == 1]
+        found = f"critical speeds {', '.join(critical)} rpm" if critical else "no critical speed"
+        name = self.provenance.get("diagram", "")
+        return f"Campbell({name}: {self.frequency_hz.shape[1]} modes, {low:.6g}..{high:.6g} rpm, {found})"
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset over speed [rad/s] and mode; needs the optional package xarray."""
+        dims = ("speed", "mode")
+        variables = {
+            "frequency_hz": (dims, self.frequency_hz, {"units": "Hz"}),
+            "damping_ratio": (dims, self.damping_ratio, {"units": "1"}),
+            "whirl": (dims, self.whirl, {}),
+        }
+        coordinates = {
+            "speed": ("speed", self.speeds, {"units": "rad/s"}), "mode": np.arange(self.frequency_hz.shape[1]) + 1,
+        }  # fmt: skip
+        return xarray_module().Dataset(variables, coordinates, {k: str(v) for k, v in self.provenance.items()})
+
+    @property
+    def resonant(self) -> np.ndarray:
+        """Which modes have a damping ratio below 1/sqrt(2) at some speed, (modes,)."""
+        return np.asarray(np.nanmin(self.damping_ratio, axis=0, initial=np.inf) < RESONANT)
 
     def to_table(self) -> list[dict[str, Any]]:
         """Return one row per speed and mode."""
@@ -54,6 +89,7 @@ class Campbell:
                 "frequency_hz": float(self.frequency_hz[j, k]),
                 "damping_ratio": float(self.damping_ratio[j, k]),
                 "whirl": str(self.whirl[j, k]),
+                "stable": bool(self.stable[j]),
             }
             for j, speed in enumerate(self.speeds)
             for k in range(self.frequency_hz.shape[1])
@@ -65,12 +101,13 @@ class Campbell:
 class _Point:
     eigen: Eigen
     whirl: list[str]
+    stable: bool
 
 
 def campbell(
     diagram: Diagram | Model,
-    speeds: Sequence[float] | np.ndarray,
     *,
+    speeds: Sequence[float] | np.ndarray,
     parameters: Mapping[str, Any] | None = None,
     orders: Sequence[int] = (1, 2),
 ) -> Campbell:
@@ -92,7 +129,7 @@ def campbell(
         given = {**(parameters or {}), "speed": speed}
         system = linearise(model, parameters=given, inputs=(), outputs=outputs)
         found = eigen(system.A)
-        return _Point(found, whirl(found, system))
+        return _Point(found, whirl(found, system), not growing(system.A))
 
     points = [point(float(speed)) for speed in values]
     columns = _follow(points)
@@ -118,6 +155,7 @@ def campbell(
         damping_ratio=damping,
         whirl=direction,
         crossings=tuple(sorted(crossings, key=lambda c: (c.order, c.speed, c.mode))),
+        stable=np.array([at.stable for at in points], bool),
         provenance={"diagram": model.diagram.name, "set": dict(parameters or {}), "analysis": "campbell"},
     )
 
@@ -198,6 +236,7 @@ def _crossings(
                 mode=mode + 1,
                 whirl=at.whirl[number],
                 damping_ratio=float(-value.real / abs(value)),
+                stable=at.stable,
             )
         )
     return found

@@ -9,15 +9,18 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eig
 
+from rotorsim._shown import Shown
 from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate.linear import LinearSystem, as_model, linearise, speed_of
+from rotorsim.simulate.stability import growing
 
 __all__ = ["Mode", "Modes", "modes", "two_axis_signals"]
 
 OSCILLATES = 1e-8  # imaginary part, relative to the largest |eigenvalue|, above which a pole oscillates
 DEGENERATE = 1e-7  # relative distance of eigenvalues that count as one (isotropic rotor without gyroscopic effect)
+RESONANT = 0.5**0.5  # damping ratio below which a forced response has a maximum
 PLANAR = 1e-6  # relative difference of forward and backward amplitude below which the motion is a line
 
 
@@ -49,13 +52,18 @@ class Mode:
         return -self.eigenvalue.real / abs(self.eigenvalue)
 
     @property
+    def resonant(self) -> bool:
+        """Whether a forced response has a maximum near the mode: its damping ratio is below 1/sqrt(2)."""
+        return self.damping_ratio < RESONANT
+
+    @property
     def unstable(self) -> bool:
         """Whether the mode grows."""
         return self.eigenvalue.real > 0.0
 
 
-@dataclass(frozen=True)
-class Modes:
+@dataclass(frozen=True, repr=False)
+class Modes(Shown):
     """The modes in ascending damped frequency, one per conjugate pair, and the poles that do not oscillate.
 
     real_poles [1/s], ascending. speed [rad/s]: value of the diagram parameter ``speed``, None without one.
@@ -69,6 +77,14 @@ class Modes:
     stable: bool
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    _figure = "rotorsim.report.linear_figures:modes_figure"
+
+    def __repr__(self) -> str:
+        listed = ", ".join(f"{mode.frequency_hz:.5g} Hz" for mode in self.modes[:4])
+        more = ", ..." if len(self.modes) > 4 else ""
+        state = "stable" if self.stable else "unstable"
+        return f"Modes({self.provenance.get('diagram', '')}: {state}, {len(self.modes)} modes: {listed}{more})"
 
     def to_table(self) -> list[dict[str, Any]]:
         """Return one row per mode: frequencies [Hz], damping ratio, whirl, whether it grows."""
@@ -123,7 +139,7 @@ def two_axis_signals(model: Model) -> tuple[str, ...]:
 
 
 def modes(
-    diagram: Diagram | Model, parameters: Mapping[str, Any] | None = None, *, at: np.ndarray | None = None
+    diagram: Diagram | Model, *, parameters: Mapping[str, Any] | None = None, at: np.ndarray | None = None
 ) -> Modes:
     """Return the modes of the closed loop: eigenvalues of A of d x/dt = A x at the operating point.
 
@@ -143,7 +159,6 @@ def modes(
     direction = whirl(found, system)
     pairs = _displacements(model)
     shapes = system.C[: sum(pairs)] @ found.right if pairs else np.zeros((0, len(found.values)))
-    everything = np.concatenate([found.values.real, found.real])
     return Modes(
         modes=tuple(
             Mode(complex(value), direction[k], _normalised(shapes[:, k])) for k, value in enumerate(found.values)
@@ -151,15 +166,10 @@ def modes(
         real_poles=found.real,
         shape_names=system.outputs[: sum(pairs)],
         speed=speed_of(model, model.parameter_vector(parameters)),
-        stable=bool((everything <= _rounding(system.A)).all()),
+        stable=not growing(system.A),
         notes=system.notes,
         provenance={**system.provenance, "analysis": "modes"},
     )
-
-
-def _rounding(A: np.ndarray) -> float:
-    """Return the size of an eigenvalue that is zero but for rounding."""
-    return float(1e-12 * np.abs(A).max(initial=0.0) ** 0.5)
 
 
 def _shape_signals(model: Model) -> tuple[str, ...]:

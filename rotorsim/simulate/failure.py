@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from rotorsim.compile import Model
 from rotorsim.compile.instance import Instance
+from rotorsim.simulate.stability import growing, largest_stable_step, rounded_down
 
-__all__ = ["describe_failure", "largest_stable_step"]
+__all__ = ["cause", "describe_failure"]
 
 
 def describe_failure(
@@ -29,42 +28,21 @@ def describe_failure(
     bad = np.flatnonzero(~np.isfinite(instance.x))
     worst = int(bad[np.argmax(np.abs(before[bad]))]) if len(bad) else 0
     state = next(name for name, signal in model.states.items() if signal.part.start <= worst < signal.part.stop)
-    cause = _cause(model, instance, h)
-    return n, f"diverged at t = {n * h:.6g} s: state '{state}' of block '{model.block_of_state(worst)}'{cause}"
+    why = cause(model, instance, h)
+    return n, f"diverged at t = {n * h:.6g} s: state '{state}' of block '{model.block_of_state(worst)}'{why}"
 
 
-def _cause(model: Model, instance: Instance, h: float) -> str:
+def cause(model: Model, instance: Instance, h: float | None) -> str:
     """Tell instability of the system from a step that is too large, by the Jacobian at the start."""
     z = np.asarray(instance.z)
-    jacobian = np.array(model.jacobian(0.0, model.x0(instance.p), z, instance.p))  # type: ignore[attr-defined]
-    if not np.isfinite(jacobian).all():
+    p = instance.p  # type: ignore[attr-defined]
+    jacobian = np.array(model.jacobian(0.0, model.x0(p), z, p))
+    if model.n_z or not np.isfinite(jacobian).all():
         return " is not finite any more"
-    values = np.linalg.eigvals(jacobian)
-    growth = float(values.real.max())
-    stable = largest_stable_step(values)
-    if growth > 1e-9 * max(1.0, float(np.abs(values).max())):
-        return f" grows without bound: the system is unstable (a pole at {growth:.4g} 1/s)"
-    if stable < h:
+    found = growing(jacobian)
+    if found:
+        return f" grows without bound: the system is unstable ({found.describe(model)})"
+    stable = rounded_down(largest_stable_step(np.linalg.eigvals(jacobian)))
+    if h is not None and stable < h:
         return f" grows without bound: the step {h:.3g} s is too large, RK4 is stable here up to {stable:.3g} s"
     return " is not finite any more"
-
-
-def largest_stable_step(eigenvalues: np.ndarray) -> float:
-    """Return the largest step [s] for which classical RK4 is stable, |R(h lambda)| <= 1 for every lambda.
-
-    R(q) = 1 + q + q^2/2 + q^3/6 + q^4/24. Source: Hairer & Wanner, Solving ODEs II, sec. IV.2.
-    """
-    damped = eigenvalues[eigenvalues.real < 0]
-    if not len(damped):
-        return float("inf")
-
-    def stable(h: float) -> bool:
-        q = h * damped
-        return bool((np.abs(1 + q * (1 + q / 2 * (1 + q / 3 * (1 + q / 4)))) <= 1 + 1e-12).all())
-
-    steps = np.geomspace(1e-3, 10.0, 400) / np.abs(damped).max()
-    low, high = next(((a, b) for a, b in pairwise(steps) if not stable(b)), (steps[-1], steps[-1]))
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if stable(middle) else (low, middle)
-    return float(low)

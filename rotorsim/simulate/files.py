@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
+import os
 import warnings
 from pathlib import Path
 from typing import Any, TextIO
@@ -18,6 +20,7 @@ __all__ = ["load_result", "save"]
 
 _SUFFIXES = (".csv", ".h5", ".npz")
 _ROWS = 4096  # of a CSV, written at a time
+_DIGITS = 20  # bytes of a number in a CSV, about
 
 
 def save(result: Result, path: str | Path) -> None:
@@ -36,7 +39,7 @@ def save(result: Result, path: str | Path) -> None:
         _save_csv(result, path)
         write_atomically(_meta_path(path), _text(_meta(result), indent=1) + "\n")
     elif path.suffix.lower() == ".npz":
-        with atomic_target(path) as temporary, temporary.open("wb") as stream:
+        with atomic_target(path, size=_bytes(result)) as temporary, temporary.open("wb") as stream:
             arrays: dict[str, Any] = {f"signals/{name}": array for name, array in result.signals.items()}
             np.savez(stream, time=result.time, meta=np.array(_text(_meta(result))), **arrays)
     else:
@@ -63,6 +66,10 @@ def load_result(path: str | Path) -> Result:
         what = f"not a result of rotorsim: {type(error).__name__}: {said}"
         hint = "`rotorsim run ... --out FILE` writes one"
         raise RotorsimError(Problem(what, place=Place(str(path)), hint=hint)) from None
+
+
+def _bytes(result: Result) -> int:
+    return int(result.time.nbytes + sum(array.nbytes for array in result.signals.values()))
 
 
 def _check_suffix(path: Path) -> None:
@@ -104,11 +111,14 @@ def _result(time: np.ndarray, signals: dict[str, np.ndarray], meta: dict[str, An
 
 def _save_csv(result: Result, path: Path) -> None:
     columns = [("time", result.time), *result.columns()]
-    with atomic_target(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as stream:
+    size = len(result.time) * len(columns) * _DIGITS
+    with atomic_target(path, size=size) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as stream:
         stream.write(",".join(f'"{name}"' for name, _ in columns) + "\n")
         for start in range(0, len(result.time), _ROWS):  # in pieces: text takes several times the memory of numbers
             rows = np.column_stack([values[start : start + _ROWS] for _, values in columns]).tolist()
             stream.write("".join(",".join(map(repr, row)) + "\n" for row in rows))
+        stream.flush()  # on a full disk this fails, and what was there before is kept
+        os.fsync(stream.fileno())
         _meta_path(path).unlink(missing_ok=True)  # never new numbers beside the side file of old ones
 
 
@@ -169,12 +179,29 @@ def _load_npz(path: Path) -> Result:
 def _save_h5(result: Result, path: Path) -> None:
     import h5py
 
-    with atomic_target(path) as temporary, h5py.File(temporary, "w") as file:
-        file.attrs["meta"] = _text(_meta(result))
-        file.create_dataset("time", data=result.time).attrs["unit"] = "s"
-        group = file.create_group("signals", track_order=True)
-        for name, array in result.signals.items():
-            group.create_dataset(name, data=array).attrs["unit"] = result.units.get(name, "")
+    with atomic_target(path, size=_bytes(result)) as temporary:
+        _ask_for_room(temporary, _bytes(result))
+        with h5py.File(temporary, "w") as file:
+            _fill_h5(file, result)
+
+
+def _ask_for_room(path: Path, size: int) -> None:
+    """Raise OSError where a file does not fit: HDF5 itself fails on a full disk in ways that cannot be caught."""
+    if size and hasattr(os, "posix_fallocate"):
+        with path.open("r+b") as stream:
+            try:
+                os.posix_fallocate(stream.fileno(), 0, size)
+            except OSError as error:
+                if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS):  # a file system that cannot tell
+                    raise
+
+
+def _fill_h5(file: Any, result: Result) -> None:
+    file.attrs["meta"] = _text(_meta(result))
+    file.create_dataset("time", data=result.time).attrs["unit"] = "s"
+    group = file.create_group("signals", track_order=True)
+    for name, array in result.signals.items():
+        group.create_dataset(name, data=array).attrs["unit"] = result.units.get(name, "")
 
 
 def _load_h5(path: Path) -> Result:

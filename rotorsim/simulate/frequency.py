@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from rotorsim._shown import Shown, xarray_module
 from rotorsim.compile import Model
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
@@ -20,8 +21,8 @@ ZONES = ((3.0, "A"), (4.0, "B"), (5.0, "C"))  # ISO 14839-3:2006, table 1: 9.5 d
 LARGEST_FREQUENCY = 2000.0  # Hz; ISO 14839-3 looks up to three times the rated speed or 2 kHz, the larger
 
 
-@dataclass(frozen=True)
-class FrequencyResponse:
+@dataclass(frozen=True, repr=False)
+class FrequencyResponse(Shown):
     """Complex response: value[k] (outputs, inputs) at frequencies[k] [Hz].
 
     outputs, inputs: flat names; units: text of output unit per input unit, same shape as value[k].
@@ -36,9 +37,26 @@ class FrequencyResponse:
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    _figure = "rotorsim.report.linear_figures:frequency_response_figure"
 
-@dataclass(frozen=True)
-class Sensitivity:
+    def __repr__(self) -> str:
+        span = f"{self.frequencies[0]:g}..{self.frequencies[-1]:g} Hz" if len(self.frequencies) else "no frequencies"
+        state = "" if self.stable else ", not stable"
+        return f"FrequencyResponse({', '.join(self.outputs)} / {', '.join(self.inputs)}: {span}{state})"
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.DataArray over frequency [Hz], output and input; needs the optional package xarray."""
+        coordinates = {
+            "frequency": ("frequency", self.frequencies, {"units": "Hz"}),
+            "output": list(self.outputs), "input": list(self.inputs),
+            "unit": (("output", "input"), np.array(self.units, dtype=object)),
+        }  # fmt: skip
+        attributes = {name: str(value) for name, value in self.provenance.items()}
+        return xarray_module().DataArray(self.value, coordinates, ("frequency", "output", "input"), attrs=attributes)
+
+
+@dataclass(frozen=True, repr=False)
+class Sensitivity(Shown):
     """Sensitivity S = (I - L)^-1 at a controller's output, with the closed loop intact.
 
     frequencies (n,) [Hz]; axes (n, m): |S_jj| of every axis; singular (n,): largest singular value of S.
@@ -59,6 +77,11 @@ class Sensitivity:
     stable: bool
     statement: str
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    _figure = "rotorsim.report.linear_figures:sensitivity_figure"
+
+    def __repr__(self) -> str:
+        return f"Sensitivity({self.statement})"
 
     @property
     def worst(self) -> int:
@@ -93,8 +116,8 @@ def frequency_response(
     diagram: Diagram | Model,
     input: str,
     output: str,
-    frequencies: Sequence[float] | np.ndarray,
     *,
+    frequencies: Sequence[float] | np.ndarray,
     parameters: Mapping[str, Any] | None = None,
     at: np.ndarray | None = None,
     open_loop: bool = False,

@@ -266,23 +266,35 @@ def _newton(problem: _Problem, start: np.ndarray | None, H: int) -> _Solution:
             R1, X1, x1 = residual(trial)
         if np.isfinite(R1).all():
             C, R, X, x = trial, R1, X1, x1
+    first, why, step = _share(C, R), f"not done after {MOST_STEPS} Newton steps", 0
     for step in range(1, MOST_STEPS + 1):
         if not np.isfinite(R).all():
+            why = "the motion is not finite any more"
             break
         J = problem.local_jacobians(x) - problem.A[problem.E[:, None], S]
         try:
             U, J = _compressed(J)
             delta = real.newton_step(G[:, S[:, None], problem.E] @ U, J, R)
         except np.linalg.LinAlgError:
+            why = "Newton's equations are singular: a fold or a branching of the motion"
             break
         scale = np.maximum(np.abs(C).max(axis=0), 1e-300)
         size = np.abs(delta / scale).max(initial=0.0)
         C, R, X, x, length = _shortened(residual, C, R, delta, scale)
         if length <= SMALLEST_LENGTH:
+            why = "Newton's method stalls in a minimum of the residual"
             break
         if size <= 1e-11 or (size <= 1e-7 and np.abs(R / scale).max(initial=0.0) <= 1e-11):
             return _Solution(C, X, "", step)
-    return _Solution(C, X, _reason(problem, R), MOST_STEPS)
+    got = f"{why}; {step} step{'s' * (step != 1)} at {H} harmonics took the residual from {first} to {_share(C, R)}"
+    return _Solution(C, X, _reason(problem, R, got), step)
+
+
+def _share(C: np.ndarray, R: np.ndarray) -> str:
+    """Return the largest residual, relative to the motion of its state, as text."""
+    size = np.maximum(np.abs(C).max(axis=0), 1e-300)
+    share = float((np.abs(R) / size).max(initial=0.0)) if np.isfinite(R).all() else np.inf
+    return f"{100 * share:.2g} % of the motion" if np.isfinite(share) else "what is not finite"
 
 
 def _shortened(
@@ -321,15 +333,15 @@ def _samples(C: np.ndarray, m: int) -> np.ndarray:
     return np.asarray(np.fft.irfft(C * m, m, axis=0))
 
 
-def _reason(problem: _Problem, R: np.ndarray) -> str:
+def _reason(problem: _Problem, R: np.ndarray, got: str) -> str:
     size = np.where(np.isfinite(R), np.abs(R), np.inf).max(axis=0)
     scale = np.maximum(size.max(initial=0.0), 1e-300)
     worst = int(problem.S[int(np.argmax(size / scale))]) if len(problem.S) else 0
     name = linear.state_names(problem.setup.model)[worst]
     block = problem.setup.model.block_of_state(worst)
     return (
-        f"no periodic motion found at {problem.base:.6g} rad/s; largest residual in block '{block}' ({name}); "
-        "try speeds nearer to one that settled, or `rotorsim run` from there"
+        f"no periodic motion found at {problem.base:.6g} rad/s; {got}, the most in block '{block}' ({name}): a motion "
+        "may exist all the same; try speeds nearer to one that settled, or `rotorsim run`, which needs no start"
     )
 
 

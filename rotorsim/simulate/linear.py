@@ -21,7 +21,7 @@ from rotorsim.simulate.matrix_function import MatrixFunction
 
 __all__ = [
     "LinearSystem", "as_model", "drifting_states", "equilibrium", "flat_names", "linearise",
-    "refuse_sampled", "speed_of", "state_names",
+    "refuse_sampled", "require_finite", "speed_of", "state_names",
 ]  # fmt: skip
 
 TURN_SAMPLES = 64  # instants for averages over one turn
@@ -183,6 +183,17 @@ def functions(model: Model) -> _Functions:
     return _CACHE[model]
 
 
+def require_finite(model: Model, A: np.ndarray) -> None:
+    """Raise RotorsimError, with the blocks, where a Jacobian (..., n, n) has entries that are not finite."""
+    bad = ~np.isfinite(A.reshape(-1, *A.shape[-2:])).all(axis=(0, 2))
+    if bad.any():
+        names = state_names(model)
+        first = {model.block_of_state(k): names[k] for k in np.flatnonzero(bad).tolist()[::-1]}
+        hint = "a parameter is out of all proportion: a mass, density or time constant of nearly nothing"
+        problems = [Problem(f"the rate of {name} has no finite derivatives", b, hint=hint) for b, name in first.items()]
+        raise RotorsimError(*problems[::-1])
+
+
 def drifting_states(A: np.ndarray) -> tuple[list[int], list[int]]:
     """Return the states with a pole at zero of their own, and all states that these drive.
 
@@ -240,12 +251,17 @@ def equilibrium(
     jacobian = functions(model).state_matrix()
     names = state_names(model)
 
+    def rates(at: np.ndarray) -> np.ndarray:
+        return model.rhs_batch(times, np.repeat(at[None], len(times), 0), z, many)
+
     def evaluate(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         points = np.repeat(at[None], len(times), 0)
-        mean = model.rhs_batch(times, points, z, many).mean(axis=0)
-        return mean, jacobian(times[None, :], points.T, z, p).mean(axis=0)
+        return rates(at).mean(axis=0), jacobian(times[None, :], points.T, z, p).mean(axis=0)
+
+    forced = np.abs(rates(np.zeros_like(x))).mean(axis=0)  # what cancels over the turn, and against the springs
 
     f, A = evaluate(x)
+    require_finite(model, A)
     seeds, held = drifting_states(A) if hold_drifting or len(x) else ([], [])
     if seeds and not hold_drifting:
         raise RotorsimError(
@@ -262,6 +278,9 @@ def equilibrium(
     for _ in range(50):
         try:
             step = np.linalg.solve(A[np.ix_(free, free)], -f[free])
+            if _is_rounding(step, A[np.ix_(free, free)], x[free], forced[free]):
+                x[free] += step
+                return x
         except np.linalg.LinAlgError:
             break
         x, f, A, done = _damped_step(evaluate, x, f, step, free)
@@ -276,6 +295,18 @@ def equilibrium(
         ),
         exit_code=1,
     )
+
+
+def _is_rounding(step: np.ndarray, A: np.ndarray, x: np.ndarray, forced: np.ndarray) -> bool:
+    """Return whether a Newton step is what rounding of the terms that cancel in f = A x + forced leaves.
+
+    |step| <= 1e-13 | |A^-1| (|A| |x| + |forced|) |, largest entries of balanced states: a state that an integral
+    action holds at zero has no size of its own. Source: Higham, Accuracy and Stability (2002), sec. 7.2, 25.2.
+    """
+    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    terms = np.abs(balanced) @ np.abs(x / scale) + forced / scale
+    reach = np.abs(np.linalg.inv(balanced)) @ terms
+    return bool(np.abs(step / scale).max(initial=0.0) <= 1e-13 * reach.max(initial=0.0))
 
 
 def _damped_step(
@@ -345,7 +376,9 @@ def linearise(
         how = "averaged over one turn" if len(times) > 1 else "taken at t = 0"
         notes.append(f"the Jacobian depends on time and was {how}; parametric resonance is not seen")
     columns = [k for port in ports for k in np.arange(model.trace.v.numel())[model.trace.external[port].part]]
-    values = {key: f(times[None, :], x, z, p).mean(axis=0) for key, f in made.items()}
+    with np.errstate(all="ignore"):
+        values = {key: f(times[None, :], x, z, p).mean(axis=0) for key, f in made.items()}
+    require_finite(model, values["A"])
     values["B"], values["D"] = values["B"][:, columns], values["D"][:, columns]
     seeds, _ = drifting_states(values["A"])
     names = state_names(model)

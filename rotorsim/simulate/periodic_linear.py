@@ -14,6 +14,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate import linear
 from rotorsim.simulate.forcing import Jumps
 from rotorsim.simulate.matrix_function import MatrixFunction
+from rotorsim.simulate.stability import growing
 
 __all__ = ["FIRST_SAMPLES", "LARGEST_HARMONIC", "Motion", "Setup", "solve"]
 
@@ -129,8 +130,10 @@ def solve(
     setup: Setup, base: np.ndarray, p: np.ndarray, harmonics: int | None, tolerance: float, stability: bool
 ) -> Motion:
     """Return the settled motion of a linear model at base frequencies [rad/s] with parameters p (speeds, n_p)."""
+    with np.errstate(all="ignore"):
+        A = setup.state_matrices(p)
+    linear.require_finite(setup.model, A)
     F, samples, ended = forcing_series(setup, base, p, harmonics)
-    A = setup.state_matrices(p)
     seeds, drifting = setup.drift(A)
     X = _respond(setup, A, F, base, drifting)
     status = ["settled"] * len(base)
@@ -139,9 +142,7 @@ def solve(
         status[j] = "failed: undamped resonance, the motion grows without bound"
     stable: tuple[bool | None, ...] = (None,) * len(base)
     if stability:
-        growth = np.linalg.eigvals(A).real.max(axis=1, initial=-np.inf)
-        limit = 1e-12 * np.abs(A).max(axis=(1, 2), initial=0.0) ** 0.5
-        stable = tuple(np.broadcast_to(growth <= limit, len(base)).tolist())
+        stable = tuple(np.broadcast_to([not growing(one) for one in A], len(base)).tolist())
         status = [
             "unstable: this motion is never reached" if ok is False and text == "settled" else text
             for text, ok in zip(status, stable, strict=True)

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from rotorsim._shown import Shown, xarray_module
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
 __all__ = ["Periodic"]
 
 
-@dataclass(frozen=True)
-class Periodic:
+@dataclass(frozen=True, repr=False)
+class Periodic(Shown):
     """Harmonics of the settled motion: signal(t) = sum over k of R_k exp(i orders[k] W t).
 
     speeds (n,) [rad/s]; orders (2H+1,): -H..H, divided by the number of turns of one period.
@@ -38,10 +39,34 @@ class Periodic:
     counters: Mapping[str, int] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    _figure = "rotorsim.report.linear_figures:periodic_figure"
+
+    def __repr__(self) -> str:
+        rpm = self.speeds * (30 / np.pi)
+        span = f"{len(rpm)} speeds, {rpm.min():.6g}..{rpm.max():.6g} rpm" if len(rpm) > 1 else f"{rpm[0]:.6g} rpm"
+        failed = f", {int((~self.settled).sum())} without a solution" if not self.settled.all() else ""
+        names = ", ".join(self.two_axis or self.harmonics)
+        return f"Periodic({self.provenance.get('diagram', '')}: {span}{failed}, {names})"
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset over speed [rad/s] and order; needs the optional package xarray."""
+        variables: dict[str, Any] = {
+            name: (("speed", "order"), values, {"units": self.units[name]}) for name, values in self.harmonics.items()
+        }
+        variables["status"] = (("speed",), np.array(self.status, dtype=object), {})
+        coordinates = {"speed": ("speed", self.speeds, {"units": "rad/s"}), "order": self.orders}
+        return xarray_module().Dataset(variables, coordinates, {k: str(v) for k, v in self.provenance.items()})
+
     @property
     def settled(self) -> np.ndarray:
         """Whether there is a solution at each speed, shape (n,)."""
         return np.array([not text.startswith("failed") for text in self.status], bool)
+
+    @property
+    def two_axis(self) -> tuple[str, ...]:
+        """The signals that are x + i y: their first axis is in the result as well."""
+        firsts = {name: f"{name[:-1]},1]" if name.endswith("]") else f"{name}[1]" for name in self.harmonics}
+        return tuple(name for name, first in firsts.items() if first in self.harmonics)
 
     def harmonic(self, signal: str, order: float) -> np.ndarray:
         """Return R_order of a signal at every speed, shape (n,). Raises RotorsimError for unknown names."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from itertools import product
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim._shown import Shown, html_table, xarray_module
+from rotorsim.errors import Problem, RotorsimError, escape, near_miss
 
 if TYPE_CHECKING:
     from rotorsim.compile import Model
@@ -41,12 +41,13 @@ def _read_only(values: Any) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(Shown):
     """Recorded signals of one run; nothing in it can be changed.
 
     time: (n,) [s]. signals: name -> (n, *shape), SI. units: name -> unit. status: "finished",
-    "diverged" (a state stopped being finite) or "stopped" (interrupted); message: advice.
-    counters: steps, evaluations, CPU seconds. provenance: what was run, with what.
+    "unstable" (the machine is, by its poles), "diverged" (a state stopped being finite, or the step is beyond the
+    stability limit) or "stopped" (interrupted); message: the reason, or advice. counters: steps, evaluations,
+    CPU seconds, step_error (of a fixed step, relative). provenance: what was run, with what.
 
     ``result["rotor.displacement"]`` is the whole signal, ``result["rotor.displacement[3,1]"]`` one entry of it.
     Raises RotorsimError for signals that are not as long as time.
@@ -59,6 +60,8 @@ class Result:
     message: str = ""
     counters: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    _figure = "rotorsim.report.figures:overview"
 
     def __post_init__(self) -> None:
         time = _read_only(self.time)
@@ -173,11 +176,7 @@ class Result:
 
     def to_xarray(self) -> Any:
         """Return an xarray.Dataset with the coordinate time [s]; needs the optional package xarray."""
-        try:
-            import xarray
-        except ImportError:
-            hint = "pip install 'rotorsim[xarray]'"
-            raise RotorsimError(Problem(what="xarray is not installed", subject="to_xarray", hint=hint)) from None
+        xarray = xarray_module()
         variables = {}
         for name, array in self.signals.items():
             dims = ["time", *self._dimensions(name, array)]
@@ -204,13 +203,12 @@ class Result:
         return f"Result({self.provenance.get('diagram', '')}: {self.status}, {span}, {names})"
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{escape(name)}</td><td>{escape(str(a.shape[1:]))}</td><td>{escape(self.units.get(name, ''))}</td>"
-            f"<td>{float(np.abs(a).max()) if a.size else 0.0:.4g}</td></tr>"
+        rows = [
+            {"signal": name, "shape": a.shape[1:], "unit": self.units.get(name, ""),
+             "peak": float(np.abs(a).max()) if a.size else 0.0}
             for name, a in self.signals.items()
-        )
-        head = "<tr><th>signal</th><th>shape</th><th>unit</th><th>peak</th></tr>"
-        return f"<p>{escape(repr(self))}</p><table>{head}{rows}</table><p>{escape(self.message)}</p>"
+        ]  # fmt: skip
+        return f"{super()._repr_html_()}{html_table(rows)}<p>{escape(self.message)}</p>"
 
 
 def _plain(values: np.ndarray) -> Any:

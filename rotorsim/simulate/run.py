@@ -15,10 +15,11 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate.failure import describe_failure
 from rotorsim.simulate.result import Result, make_result
+from rotorsim.simulate.validity import Stretch, judge, stretches_of
 
 __all__ = ["simulate"]
 
-LARGEST_RECORD = 8e9  # bytes
+LARGEST_RECORD = 1e9  # bytes; summing up and writing takes two to three times as much for a while
 Progress = Callable[[float], None]
 
 
@@ -37,11 +38,13 @@ def simulate(
 ) -> Result:
     """Simulate from t = 0 to ``stop`` [s] and return the recorded signals.
 
-    parameters: SI values by name ("speed", "controller.KP"). method: "rk4" (fixed step, default) or
-    "dop853", "rk45", "radau", "bdf", "lsoda" (adaptive, zero crossings located). record: signal names,
-    parts allowed ("rotor.displacement[3]"). record_every: keep every n-th step. initial: x (n_x,).
-    progress: called with the fraction done. A run that diverges or is interrupted returns what was
-    computed, with status "diverged" or "stopped". Raises RotorsimError for wrong arguments.
+    parameters: by name ("speed", "controller.KP"), SI or texts with a unit ("1800 rpm"). method: "rk4" (fixed
+    step, default) or "dop853", "rk45", "radau", "bdf", "lsoda" (adaptive, zero crossings located). record: signal
+    names, parts allowed ("rotor.displacement[3]"). record_every: keep every n-th step. initial: x (n_x,).
+    progress: called with the fraction done. A run of an unstable machine, one that diverges (a state is not
+    finite any more, or the step is beyond the stability limit of RK4) and one that is interrupted return what
+    was computed, with status "unstable", "diverged" or "stopped"; a step that makes a recorded signal wrong by
+    more than 1 % is said in the message. Raises RotorsimError for wrong arguments.
     """
     model = diagram if isinstance(diagram, Model) else compile_diagram(diagram)
     solver = model.diagram.solver
@@ -58,24 +61,38 @@ def simulate(
     if initial is not None:
         instance.x[:] = initial
     n_steps = max(math.ceil(end / h - 1e-9), 1)  # a stop between two steps is covered
+    if every > n_steps:
+        what = f"every {every:.6g}th step of {n_steps} is recorded: nothing but the start"
+        raise RotorsimError(
+            Problem(what=what, subject="solver.record_every", hint=f"at most {n_steps}, or a longer run")
+        )
     size = (n_steps // every + 1) * (instance.n_y + 1) * 8
     if size > LARGEST_RECORD:
         raise RotorsimError(
             Problem(
-                what=f"the recorded signals would take {size / 1e9:.0f} GB",
+                what=f"the recorded signals of {n_steps} steps would take {size / 1e9:.3g} GB, at most 1 GB",
                 subject="record",
-                hint=f"record every n-th step (record_every >= {int(size / LARGEST_RECORD) + 1}) or fewer signals",
+                hint=f"a 'record_every' of {math.ceil(every * size / LARGEST_RECORD)} or more "
+                "(--set solver.record_every=...), fewer signals, or a shorter run",
             )
         )
+    stretches: list[Stretch] = []
     if chosen == "rk4":
-        outcome = _run_rk4(model, instance, n_steps, h, every, progress)
+        outcome = _run_rk4(model, instance, n_steps, h, every, progress, stretches)
     else:
         from rotorsim.simulate.adaptive import run_adaptive
 
         outcome = run_adaptive(model, instance, chosen, n_steps, h, every, progress)
     time, rows, status, message, counters = outcome
     counters["compile_cpu_seconds"] = prepared - begun
-    counters["run_cpu_seconds"] = clock.process_time() - prepared
+    ran = clock.process_time()
+    counters["run_cpu_seconds"] = ran - prepared
+    if status == "finished":
+        verdict = judge(model, instance, names, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
+        status, message = verdict.status, verdict.message
+        if verdict.error is not None:
+            counters["step_error"] = verdict.error
+        counters["check_cpu_seconds"] = clock.process_time() - ran
     return make_result(
         model, names, time, rows, status, message, counters, method=chosen, step=h, path=instance.path, p=p
     )
@@ -103,8 +120,11 @@ Outcome = tuple[np.ndarray, np.ndarray, str, str, dict[str, Any]]
 
 
 def _run_rk4(
-    model: Model, instance: Instance, n_steps: int, h: float, every: int, progress: Progress | None
-) -> Outcome:
+    model: Model, instance: Instance, n_steps: int, h: float, every: int, progress: Progress | None,
+    stretches: list[Stretch],
+) -> Outcome:  # fmt: skip
+    """Take the steps; ``stretches`` receives the states from which parts of them can be repeated."""
+    ahead = stretches_of(n_steps)
     rows = np.empty((n_steps // every + 1, instance.n_y))
     n, chunk, status, message = 0, n_steps if progress is None else 1000, "finished", ""
     chunk = min(chunk, 10_000_000)
@@ -113,7 +133,9 @@ def _run_rk4(
         while n < n_steps:
             saved = instance.save()
             first = n
-            until = min(n + chunk, n_steps)
+            if ahead and n == ahead[0][0]:
+                stretches.append(Stretch(*ahead.pop(0), saved))
+            until = min(n + chunk, n_steps, *(start for start, _ in ahead))
             begun = clock.perf_counter()
             n = instance.run(n, until, 0.0, h, every, rows[-(-n // every) :])
             if not np.isfinite(instance.x).all():

@@ -183,7 +183,14 @@ def test_a_run_needs_no_library_for_figures() -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_a_closed_pipe_is_no_error(tmp_path) -> None:
-    command = f"{sys.executable} -m rotorsim blocks --json | head -c 1"
-    done = subprocess.run(command, shell=True, capture_output=True, text=True, cwd=tmp_path, timeout=60, check=False)
-    assert (done.stdout, done.stderr) == ("{", "")
+def test_the_cache_is_cleared_of_what_killed_runs_left(run, tmp_path, monkeypatch) -> None:
+    cache = tmp_path / "cache"
+    monkeypatch.setenv("ROTORSIM_CACHE", str(cache))
+    (cache / "build-1a2b").mkdir(parents=True)
+    (cache / "build-1a2b" / "diagram.c").write_text("")
+    for name in ("a.so", "b.dll", "c.dylib", f"fmu-{'0' * 32}.123", "notes.txt"):
+        (cache / name).write_text("x" * 1000)
+    assert run("cache").stdout == f"3 compiled models, 0.0 MB, in {cache}\n"
+    data = json.loads(run("cache", "--clear", "--json").stdout)
+    assert data == {"folder": str(cache), "files": 3, "bytes": 3000, "cleared": True}
+    assert [file.name for file in cache.iterdir()] == ["notes.txt"]

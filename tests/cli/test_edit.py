@@ -181,11 +181,72 @@ def test_swap_puts_an_fmu_into_the_place_of_a_block(run):
 
 
 @pytest.mark.parametrize(
+    ("diagram", "file", "out", "written"),
+    [
+        ("jeffcott", "c.fmu", "new.json", "c.fmu"),
+        ("jeffcott", "c.fmu", "sub/new.json", "../c.fmu"),
+        ("jeffcott", "sub/d.fmu", "sub/new.json", "d.fmu"),
+        ("sub/mine.json", "c.fmu", "new.json", "c.fmu"),
+        ("sub/mine.json", "c.fmu", None, "../c.fmu"),  # in place
+        ("jeffcott", "ABSOLUTE/c.fmu", "new.json", "c.fmu"),
+    ],
+)
+def test_the_fmu_is_named_from_where_the_user_stands(run, diagram, file, out, written) -> None:
+    Path("sub").mkdir()
+    Path("sub/mine.json").write_text(shipped_diagrams()["jeffcott"].read_text())
+    assert run("fmu", "export", "jeffcott", "--block", "controller", "-o", "c.fmu").exit_code == 0
+    Path("sub/d.fmu").write_bytes(Path("c.fmu").read_bytes())
+    file = file.replace("ABSOLUTE", str(Path.cwd()))
+    result = run(
+        "swap", diagram, "controller", "fmu", "--set", f"file={file}", *(["-o", out] if out else ["--in-place"])
+    )
+    assert (result.exit_code, result.stderr) == (0, f"controller: pid -> fmu; written: {out or diagram}\n")
+    new = out or diagram
+    assert json.loads(Path(new).read_text())["blocks"]["controller"] == {"type": "fmu", "file": written}
+    assert run("check", new).exit_code == 0
+
+
+def test_the_file_of_an_fmu_is_no_parameter(run) -> None:
+    """It was accepted, and the FMU stayed the old one."""
+    assert run("fmu", "export", "jeffcott", "--block", "controller", "-o", "c.fmu").exit_code == 0
+    assert run("swap", "jeffcott", "controller", "fmu", "--set", "file=c.fmu", "-o", "new.json").exit_code == 0
+    result = run("cosim", "new.json", "--step", "0.1 ms", "--set", "controller.file=other.fmu")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == (
+        "--set: error: controller: the file is a key of the block, no parameter\n\n"
+        "hint: it has the block's ports: rotorsim swap DIAGRAM controller fmu --set file=FILE\n"
+    )
+
+
+def test_a_folder_does_not_stand_before_a_shipped_diagram(run) -> None:
+    Path("jeffcott").mkdir()
+    assert run("swap", "jeffcott", "controller", "pd").stderr == "controller: pid -> pd\n"
+    result = run("check", "jeffcott")
+    assert (result.exit_code, result.stdout) == (0, "jeffcott: 8 blocks, 14 wires, no mistakes\n")
+    result = run("swap", "jeffcott", "controller", "pd", "--in-place")
+    assert result.stderr.startswith("error: jeffcott comes with rotorsim and stays as it is")
+
+
+def test_a_file_before_a_shipped_diagram_is_told(run) -> None:
+    Path("jeffcott").write_text(shipped_diagrams()["fe_rigid"].read_text())
+    warning = (
+        "jeffcott: warning: this is the file of the current folder, not the diagram that comes with rotorsim\n\n"
+        "hint: write ./jeffcott to mean the file; rename it to mean the other\n"
+    )
+    for arguments in (("check", "jeffcott"), ("diff", "jeffcott", "./jeffcott"), ("modes", "jeffcott")):
+        assert run(*arguments).stderr.startswith(warning)
+    assert run("check", "./jeffcott").stderr == ""
+
+
+@pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["controller", "fmu"], "error: controller: an FMU needs its file\n\nhint: add --set file=controller.fmu"),
         (["controler", "fmu", "--set", "file=c.fmu"], "error: controler: no block 'controler'\n\nhint: did you mean"),
-        (["controller", "fmu", "--set", "file=c.fmu"], "error: controller: cannot read c.fmu: no such file"),
+        (
+            ["controller", "fmu", "--set", "file=c.fmu"],
+            "error: --set file=c.fmu: there is no such file\n\nhint: it is t",
+        ),
     ],
 )
 def test_swap_with_an_fmu_that_is_not_there(run, arguments: list[str], said: str) -> None:
@@ -193,3 +254,53 @@ def test_swap_with_an_fmu_that_is_not_there(run, arguments: list[str], said: str
     result = run("swap", "mine.json", *arguments)
     assert result.exit_code == 2
     assert said in result.stderr
+
+
+def test_new_copies_a_shipped_diagram_under_its_name(run) -> None:
+    done = run("new", "mine")
+    assert (done.exit_code, done.stdout, done.stderr) == (0, "", "written: mine.json\n")
+    assert json.loads(run("new", "models.json", "--from", "fe_flexible", "--json").stdout) == {
+        "file": "models.json",
+        "from": "fe_flexible",
+    }
+    copied, shipped = Path("mine.json"), shipped_diagrams()["jeffcott"]
+    assert copied.read_text() == shipped.read_text().replace('"name": "jeffcott"', '"name": "mine"')
+    assert Path("diagram.schema.json").read_bytes() == shipped.with_name("diagram.schema.json").read_bytes()
+    assert run("check", "mine.json", "models.json").exit_code == 0
+    done = run("new", "mine.json", "--from", "jeffcot")
+    assert done.exit_code == 2
+    assert done.stderr == (
+        "error: --from jeffcot: no diagram of this name\n\nhint: did you mean 'jeffcott' or 'jeffcott_runup'?\n\n"
+        "mine.json: error: is there already\n\nhint: choose another name, or delete the file\n"
+    )
+
+
+def test_docs_shows_the_pages(run) -> None:
+    pages = Path(__file__).parents[2] / "docs"
+    lines = run("docs").stdout.splitlines()
+    assert [line.split()[0] for line in lines] == sorted(page.stem for page in pages.glob("*.md"))
+    assert "engine              How the engine works" in lines
+    assert run("docs", "engine").stdout == (pages / "engine.md").read_text()
+    data = json.loads(run("docs", "engine.md", "--json").stdout)
+    assert (data["page"], data["title"]) == ("engine", "How the engine works")
+    done = run("docs", "engin")
+    assert (done.exit_code, done.stderr) == (2, "error: no page 'engin'\n\nhint: did you mean 'engine'?\n")
+
+
+def test_blocks_of_the_folders_of_a_diagram(run) -> None:
+    Path("mine.json").write_text('{"block_folders": ["my_blocks"], "blocks": {}}')
+    Path("other.json").write_text("[")
+    Path("my_blocks").mkdir()
+    Path("my_blocks/my_block.py").write_text(
+        "from rotorsim.block import Block\nclass MyBlock(Block):\n    'Do nothing.'\nprint('it ran')\n"
+    )
+    done = run("blocks", "my_block")
+    assert (done.exit_code, done.stdout) == (2, "")  # block files are code: none runs without a word
+    assert done.stderr == (
+        "error: unknown block type 'my_block'\n\n"
+        "hint: add --trust-blocks if it is in my_blocks; did you mean 'clock'?\n"
+    )
+    assert run("blocks", "my_block", "--trust-blocks").stdout.startswith("it ran\nmy_block (elementary)\nDo nothing.\n")
+    assert "  my_block " in run("blocks", "--trust-blocks", "--diagram", "mine.json").stdout
+    done = run("blocks", "--trust-blocks", "--diagram", "other.json")
+    assert (done.exit_code, done.stderr.partition(" error: ")[0]) == (2, "other.json:1:2:")

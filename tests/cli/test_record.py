@@ -270,3 +270,18 @@ def test_few_samples_are_warned_of(run) -> None:
     assert result.stderr.startswith(
         "warning: run01: 2 samples a turn: harmonics are mistaken for each other\n\nhint: a higher --rate\n"
     )
+
+
+def test_an_unstable_machine_is_not_recorded(run) -> None:
+    result = run("record", "jeffcott", "--set", "controller.KD=-5", "--out", "wrong")
+    assert result.exit_code == 1
+    assert result.stderr.startswith(
+        "error: jeffcott: the machine is unstable: a pole at 121.5 Hz, damping ratio -0.044"
+    )
+    assert not Path("wrong").exists()
+
+
+def test_a_step_that_is_too_coarse_is_warned_of(run) -> None:
+    result = run("record", "jeffcott", "--set", "solver.step=0.003", "--out", "coarse")
+    assert result.exit_code == 0
+    assert "warning: run01: the step 0.003 s is too large: 'rotor.displacement' is wrong by about " in result.stderr

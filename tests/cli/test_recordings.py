@@ -301,6 +301,32 @@ def test_check_finds_errors_in_the_data(run) -> None:
     assert (data["recordings"][0]["valid"], data["recordings"][0]["runs"]) == (False, 1)
 
 
+def test_check_compares_a_recording_with_a_diagram(run) -> None:
+    channels = {**made.CHANNELS, "x": {**made.CHANNELS["x"], "signal": "rotor.displ"}}
+    channels["iy"] = {**made.CHANNELS["iy"], "unit": "V"}
+    wrong = made.document(made.run(set={"controler.KP": 12200.0, "controller.KD": "3 kg"}), channels=channels)
+    made.write(Path("m"), wrong)
+    result = run("check", "jeffcott", "m")
+    for text in (
+        "m/recording.json:5:3: error: channel x: the diagram has no signal 'rotor.displ'\n\n"
+        "hint: did you mean 'rotor.displacement'?\n",
+        "error: channel iy: unit 'V' does not fit 'controller.current', which is in A\n",
+        "error: run run1: set controler.KP: no such parameter\n\nhint: did you mean 'controller.KP'?\n",
+        "error: run run1: set controller.KD: ",
+    ):
+        assert text in result.stderr
+    assert result.stderr.endswith("\n4 mistakes\n")
+    assert (result.exit_code, result.stdout) == (2, "jeffcott: 8 blocks, 14 wires, no mistakes\n")
+    made.write(Path("good"), made.document())
+    assert run("check", "jeffcott", "good").exit_code == 0
+
+
+def test_a_run_up_has_no_spectrum_of_orders(run) -> None:
+    result = run("spectrum", "jeffcott_runup", "--set", "solver.stop=2")
+    assert "its orders are not those of one speed" in result.stderr
+    assert (result.exit_code, result.stdout) == (2, "")
+
+
 def test_check_finds_mistakes_of_the_document(run) -> None:
     made.write(Path("bad"), made.document(made.run(usage="identify")))
     made.write(Path("data"), made.document(made.run(speed=made.SPEED * 2)), {"run1.npz": made.samples()})

@@ -132,6 +132,63 @@ def test_a_diverging_run_keeps_what_was_computed(run, oscillator) -> None:
     assert np.isfinite(signal).all()
 
 
+def test_an_unstable_machine_ends_with_exit_code_1_and_its_pole(run) -> None:
+    result = run("run", "jeffcott", "--set", "controller.KD=-5", "--stop", "0.5 s", "--json", "--out", "x.npz")
+    data = json.loads(result.stdout)
+    assert (result.exit_code, data["status"], data["harmonics"]) == (1, "unstable", {})
+    what = (
+        "the machine is unstable: a pole at 121.5 Hz, damping ratio -0.044, grows at 33.66 1/s, most of it in the "
+        "states of 'rotor'; 1 more grows"
+    )
+    assert data["message"] == what
+    assert result.stderr.endswith(
+        f"error: jeffcott: {what}\n\nhint: what was computed is in x.npz; 'rotorsim modes' shows which modes grow\n"
+    )
+    assert len(np.load("x.npz")["time"]) == 5001
+    spectrum = run("spectrum", "x.npz")
+    assert (spectrum.exit_code, spectrum.stdout) == (1, "")
+
+
+def test_a_step_beyond_the_limit_ends_with_exit_code_1_and_the_limit(run) -> None:
+    result = run("run", "jeffcott", "--step", "1 s")
+    assert result.exit_code == 1
+    assert result.stderr.endswith(
+        "error: jeffcott: the step 1 s is too large: RK4 is stable here up to 0.00382 s\n\n"
+        "hint: a smaller --step, or --solver dop853 or radau, which choose their own; --out FILE keeps what was "
+        "computed until then\n"
+    )
+
+
+def test_a_coarse_step_is_warned_of(run) -> None:
+    result = run("run", "jeffcott", "--step", "3 ms", "--json")
+    data = json.loads(result.stdout)
+    assert (result.exit_code, data["status"]) == (0, "finished")
+    assert data["counters"]["step_error"] == pytest.approx(0.252, abs=0.01)
+    assert (
+        "warning: jeffcott: the step 0.003 s is too large: 'rotor.displacement' is wrong by about 25 % "
+        in result.stderr
+    )
+    assert result.stderr.endswith("\n\nhint: a smaller --step, or --solver dop853 or radau, which choose their own\n")
+    assert "warning" not in run("run", "jeffcott", "--step", "0.2 ms").stderr
+
+
+def test_run_says_speed_window_and_whether_the_motion_has_settled(run) -> None:
+    # the pole of the integral action, -0.0721 1/s, has 70 % of its way still to go after 5 s
+    data = json.loads(run("run", "jeffcott", "--json").stdout)["motion"]
+    assert data["speed_rpm"] == pytest.approx(1500, rel=1e-9)
+    assert data["window"] == pytest.approx([4.0, 5.0])
+    assert (data["turns"], data["settled"]) == (25, False)
+    change = data["still_changes"]
+    assert (change["signal"], change["order"]) == ("controller.current", 0)
+    settled = json.loads(run("periodic", "jeffcott", "--json").stdout)
+    middle = settled["orders"].index(0)
+    final = settled["harmonics"]["controller.current"]["real"][0][middle]
+    now = json.loads(run("run", "jeffcott", "--json").stdout)["harmonics"]["controller.current"]["real"][0]
+    assert change["left"] == pytest.approx(final - now, rel=0.05)
+    lines = run("run", "jeffcott", "--set", "speed=1500", "--set", "controller.KI=0").stdout.splitlines()
+    assert lines[4] == "14323.9 rpm (1500 rad/s); harmonics over 4.0031 .. 5 s, 238 turns; settled"
+
+
 def test_an_interrupted_run_keeps_what_was_computed(run, oscillator, monkeypatch) -> None:
     def interrupt(fraction: float) -> None:
         raise KeyboardInterrupt

@@ -39,3 +39,15 @@ def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path: Path) -> None:
 def test_what_json_cannot_hold_is_refused() -> None:
     with pytest.raises(RotorsimError, match="cannot be written as JSON"):
         format_document({"name": float("nan")})
+
+
+def test_both_values_of_a_change_are_shown_in_one_unit():
+    old = {"parameters": {"speed": "1500 rpm", "e": "24 um", "mass": "3 kg", "k": 2.0}}
+    new = {"parameters": {"speed": 188.49555921538757, "e": "0.03 mm", "mass": "3 m", "k": 3.0}}
+    assert [str(change) for change in diff(old, new)] == [
+        "~ parameters.speed: 1500 rpm -> 1800 rpm",
+        "~ parameters.e: 24 um -> 30 um",
+        "~ parameters.mass: 3 kg -> 3 m",
+        "~ parameters.k: 2.0 -> 3.0",
+    ]
+    assert str(diff(new, old)[0]) == "~ parameters.speed: 1800 rpm -> 1500 rpm"

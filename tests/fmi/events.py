@@ -37,7 +37,7 @@ def alone(
         "solver": {"step": step, "stop": stop},
         "record": ["it.x", "it.count", "it.when"],
     }
-    return load(document, folder=file.parent)
+    return load(document, folder=file.parent, trust_blocks=True)
 
 
 def _description2(saves: bool, reports: bool) -> str:

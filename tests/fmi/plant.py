@@ -144,7 +144,7 @@ def library(version: str, name: str = "plant") -> bytes:
 
 
 def make_fmu(
-    file: Path, version: str = "2.0", *, once: bool = False, platform: str = "", description: str = "",
+    file: Path, version: str = "2.0", *, once: bool = False, platform: str = "", description: str | bytes = "",
     library_bytes: bytes = b"",
 ) -> Path:  # fmt: skip
     """Write a plant FMU; platform: another folder than that of this machine."""

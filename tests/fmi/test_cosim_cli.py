@@ -11,9 +11,12 @@ import pytest
 
 from rotorsim.diagram.edit import swap
 from rotorsim.diagram.load import load
+from rotorsim.errors import RotorsimError
+from rotorsim.fmi.cosimulation import cosimulate_diagram
 from tests.cli.conftest import Run
 from tests.fmi.events import events_fmu
 
+TRUST = ("--trust-blocks",)
 PART = ("--part", "controller", "--stop", "0.02 s")
 
 
@@ -57,8 +60,10 @@ def test_a_sampled_controller(run: Run, tmp_path: Path) -> None:
 
 def test_a_loop_that_is_unstable_as_a_whole(run: Run, tmp_path: Path) -> None:
     done = run("cosim", sampled(tmp_path, 1e-3), *PART, "--step", "0.1 ms")
-    assert done.exit_code == 0
+    assert done.exit_code == 1
+    assert done.stdout.splitlines()[0].startswith("unstable: ")
     assert done.stdout.splitlines()[1] == "the linearised loop is unstable as a whole, with any step"
+    assert "error: the linearised loop is unstable as a whole, with any step, and its motion grows at " in done.stderr
 
 
 @pytest.mark.parametrize(("more", "why"), [
@@ -93,13 +98,33 @@ def alone(folder: Path, parameters: dict[str, Any]) -> str:
     return "it.json"
 
 
+@pytest.mark.parametrize("parameters", [{}, {"in_process": True}])
+def test_the_code_of_an_fmu_is_not_run_unless_trusted(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, parameters: dict[str, Any]
+) -> None:
+    """A process of its own protects from a crash, not from malice: both ask, as block files do."""
+    ran: list[str] = []
+    monkeypatch.setattr("rotorsim.fmi.cut.fmu_participant", lambda name, *_: ran.append(name))
+    name = alone(tmp_path, parameters)
+    done = run("cosim", name, "--step", "0.1 s")
+    assert (done.exit_code, done.stdout, ran) == (2, "", [])
+    assert done.stderr == (
+        "it.json:1:27: error: it: FMUs are programs; they are not run unless you say so\n\n"
+        "hint: if you trust where they come from, add --trust-blocks (trust_blocks=True)\n"
+    )
+    assert run("check", name).exit_code == 0  # its ports are read, nothing is run
+    with pytest.raises(RotorsimError, match="FMUs are programs"):
+        cosimulate_diagram(load(tmp_path / name), step=0.1)
+    assert ran == []
+
+
 def test_what_was_computed_until_the_end_is_kept(run: Run, tmp_path: Path) -> None:
     """A clock that asks for the end at its third tick, 0.75 s."""
-    done = run("cosim", alone(tmp_path, {"model": 2, "stop_at": 3.0}), "--step", "0.1 s", "--out", "x.csv")
+    done = run("cosim", alone(tmp_path, {"model": 2, "stop_at": 3.0}), *TRUST, "--step", "0.1 s", "--out", "x.csv")
     assert done.exit_code == 1
     lines = done.stdout.splitlines()
     assert lines[:3] == [
-        "stopped: 7 communication steps to 0.7 s, gauss_seidel",
+        "stopped: 7 communication steps to 0.75 s, gauss_seidel",
         "stability of the coupling: not analysed (it offers no directional derivatives)",
         "",
     ]
@@ -112,7 +137,7 @@ def test_what_was_computed_until_the_end_is_kept(run: Run, tmp_path: Path) -> No
         "written: x.csv\nerror: it: asks for the end of the simulation (t = 0.75 s)\n\n"
         "hint: what was computed until then is in x.csv\n"
     )
-    assert len(x) == 8
+    assert len(x) == 9
 
 
 BASE = "--step 1e-4 --stop 0.02 --part controller"
@@ -165,10 +190,10 @@ def test_mistakes(run: Run, arguments: str) -> None:
 
 
 def test_an_interface_that_is_not_offered(run: Run, tmp_path: Path) -> None:
-    done = run("cosim", alone(tmp_path, {"interface": "cs"}), "--step", "0.1 s")
+    done = run("cosim", alone(tmp_path, {"interface": "cs"}), *TRUST, "--step", "0.1 s")
     assert done.exit_code == 2
     assert "error: it: the FMU offers no interface 'cs'\n\nhint: it offers me\n" in done.stderr
-    done = run("cosim", alone(tmp_path, {"interface": "se"}), "--step", "0.1 s")
+    done = run("cosim", alone(tmp_path, {"interface": "se"}), *TRUST, "--step", "0.1 s")
     assert done.exit_code == 2
     assert "it.interface: 'se' is not a choice\n\nhint: one of: any, cs, me\n" in done.stderr
 
@@ -178,7 +203,7 @@ def test_states_that_cannot_be_taken_back(run: Run, tmp_path: Path) -> None:
     document = json.loads((tmp_path / name).read_text())
     document["blocks"]["it"]["file"] = events_fmu(tmp_path, saves=False).name
     (tmp_path / name).write_text(json.dumps(document))
-    done = run("cosim", name, "--step", "0.1 s", "--adaptive", "1e-3")
+    done = run("cosim", name, *TRUST, "--step", "0.1 s", "--adaptive", "1e-3")
     assert (done.exit_code, done.stderr) == (
         2, "error: adaptive steps: cannot take a step back: it\n\nhint: take fixed steps\n"
     )  # fmt: skip

@@ -173,7 +173,7 @@ def test_the_end_that_an_fmu_asks_for(fmu: Path, model: str, values: dict[str, f
     found = run(fmu, model, 3.0, **values)
     assert found.status == "stopped"
     assert found.message == f"it: asks for the end of the simulation (t = {time:.9g} s)"
-    assert found.time[-1] == pytest.approx(np.ceil(time / H - 1e-9) * H - H)
+    assert found.time[-1] == pytest.approx(time, rel=1e-12)  # the last sample is there
 
 
 # ---- steps that are taken back ----
@@ -223,7 +223,8 @@ def test_sampled_blocks_as_model_exchange(tmp_path: Path, version: str, period: 
     export_fmu(load(document), tmp_path / "s.fmu", version=version)
     block = {"type": "fmu", "file": "s.fmu", "parameters": {"interface": "me", "in_process": True}}
     text = {"name": "s", "blocks": {"s": block}, "wires": [], "solver": {"step": 1e-3, "stop": 0.1}, "record": []}
-    found = cosimulate_diagram(load(json.loads(json.dumps(text)), folder=tmp_path), step=1e-3, master="jacobi")
+    made = load(json.loads(json.dumps(text)), folder=tmp_path, trust_blocks=True)
+    found = cosimulate_diagram(made, step=1e-3, master="jacobi")
     for name in ("hold.output", "noise.output", "state.output"):
         mine = found[f"s.{name.replace('.', '_')}"]
         assert mine == pytest.approx(whole[name][: len(mine)], rel=1e-12, abs=1e-14), name

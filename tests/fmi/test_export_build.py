@@ -56,6 +56,17 @@ def test_what_the_compiler_says_is_passed_on(tmp_path, monkeypatch):
         export_fmu(load("jeffcott"), tmp_path / "x.fmu")
 
 
+def test_a_damaged_library_of_the_cache_is_not_put_into_an_fmu(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROTORSIM_CACHE", str(tmp_path / "cache"))
+    sources, here = {"a.c": b"int a(void) { return 1; }"}, build.find_platforms(None)[0]
+    first = build.build_library(sources, here, "-O1")
+    [kept] = (tmp_path / "cache").iterdir()
+    assert kept.read_bytes() == first
+    kept.write_bytes(first[:5000])
+    assert build.build_library(sources, here, "-O1") == first
+    assert kept.read_bytes() == first
+
+
 def test_names_of_platforms_of_both_versions():
     both = [build.find_platforms([name]) for name in ("linux64", "x86_64-linux")]
     assert both[0] == both[1]

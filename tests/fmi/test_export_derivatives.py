@@ -107,19 +107,93 @@ def test_the_adjoint_is_the_transpose(fmu):
     with opened(fmu("fe_flexible", "3.0"), "me") as model:
         at_a_point(model)
         states, rates = states_of(model)
-        unknowns, knowns = [*rates, *named(model, "output")], [*states, "time"]
+        unknowns, knowns = [*rates, *named(model, "output")], [*states, "time", "rotor.density", "speed"]
         a = jacobian(model, unknowns, knowns)
         u, k = model.references(unknowns), model.references(knowns)
         rows = [model.fmu.getAdjointDerivative(u, k, list(seed), len(k)) for seed in np.eye(len(u))]
         assert np.array(rows) == pytest.approx(a, rel=1e-9, abs=1e-12 * np.abs(a).max())
 
 
-def test_derivatives_by_parameters_are_refused_by_name(fmu, version):
+def parameters_of(model):
+    return {v.name: float(v.start) for v in model.description.modelVariables if v.causality == "parameter"}
+
+
+def by_differences(model, names, sizes, unknowns):
+    """Central differences of the FMU itself, order 2."""
+    columns = []
+    for name, size in sizes.items():
+        sides = []
+        for sign in (1.0, -1.0):
+            model.put([name], [names[name] + sign * size])
+            sides.append(model.get(*unknowns))
+        model.put([name], [names[name]])
+        columns.append((sides[0] - sides[1]) / (2 * size))
+    return np.array(columns).T
+
+
+SIZES = {
+    "rotor.mass": 1e-4, "rotor.stiffness": 1.0, "speed": 1e-4, "eccentricity": 1e-8, "controller.KP": 1e-1,
+    "crack_stiffness": 1.0, "force_displacement_factor": 1.0,
+}  # fmt: skip
+
+
+def test_directional_derivatives_by_parameters_agree_with_differences(fmu, version):
+    with opened(fmu("jeffcott", version), "me") as model:
+        at_a_point(model)
+        start = parameters_of(model)
+        unknowns = [*states_of(model)[1], *named(model, "output")]
+        found = jacobian(model, unknowns, list(SIZES))
+        slopes = by_differences(model, start, SIZES, unknowns)
+    scale = np.abs(slopes).max(axis=0)
+    assert (scale > 0).all()
+    assert np.abs(found - slopes).max(axis=0) == pytest.approx(np.zeros(len(SIZES)), abs=1e-6 * scale.max())
+    assert found / scale == pytest.approx(slopes / scale, abs=1e-6)
+
+
+def test_what_is_not_listed_does_not_depend_on_the_parameter(fmu):
+    """FMI 3.0: a known that is not among the dependencies has derivative zero, also a parameter."""
+    with opened(fmu("jeffcott", "3.0"), "me") as model:
+        at_a_point(model)
+        start = parameters_of(model)
+        unknowns = [*model.description.derivatives, *model.description.outputs]
+        told = {u.variable.name: {d.name for d in u.dependencies} for u in unknowns}
+        tunable = [v.name for v in model.description.modelVariables if v.variability == "tunable" and start[v.name]]
+        slopes = by_differences(model, start, {n: 1e-3 * abs(start[n]) for n in tunable}, list(told))
+    depends = {u for u in told if "rotor.mass" in told[u]}
+    assert depends == {"der(rotor.velocity_state[1])", "der(rotor.velocity_state[2])"}
+    assert told["controller.current[1]"] >= {"controller.KP", "controller.KI", "controller.KD", "rotor.position[1]"}
+    assert len(tunable) > 10
+    for k, name in enumerate(tunable):
+        for row, unknown in enumerate(told):
+            assert name in told[unknown] or slopes[row, k] == 0.0, (unknown, name)
+
+
+def test_in_initialization_mode_the_states_follow_the_parameters(fmu, version):
+    """Knowns are then what is exact: the start position is not, it is set by a parameter."""
+    with opened(fmu("jeffcott", version), "me") as model:
+        model.enter()
+        knowns = ["rotor.initial_displacement[1]", "rotor.mass", "speed"]
+        unknowns = ["rotor.position[1]", "der(rotor.velocity_state[1])", "rotor.displacement[1]", "clock.theta"]
+        sizes = dict(zip(knowns, (1e-7, 1e-4, 1e-3), strict=True))
+        found = jacobian(model, unknowns, knowns)
+        slopes = by_differences(model, parameters_of(model), sizes, unknowns)
+        assert found[0] == pytest.approx([1.0, 0.0, 0.0])
+        assert abs(found[1, 0]) > 1e4  # stiffness by mass
+        assert found == pytest.approx(slopes, rel=1e-6, abs=1e-6)
+        if not model.two:
+            u, k = model.references(unknowns), model.references(knowns)
+            rows = [model.fmu.getAdjointDerivative(u, k, list(seed), len(k)) for seed in np.eye(len(u))]
+            assert np.array(rows) == pytest.approx(found, rel=1e-9)
+        model.leave()
+
+
+def test_what_is_no_known_is_refused_by_name(fmu, version):
     with opened(fmu("jeffcott", version), "me") as model:
         at_a_point(model)
         with pytest.raises(Exception, match="Derivative"):
-            jacobian(model, ["der(rotor.position[1])"], ["speed"])
-        assert model.messages[-1][2].endswith("Derivative: speed is no state, input or time")
+            jacobian(model, ["der(rotor.position[1])"], ["rotor.displacement[1]"])
+        right = "Derivative: rotor.displacement[1] is no state, input, parameter or time"
+        assert model.messages[-1][2].endswith(right)
 
 
 def test_output_derivatives_are_slopes_of_the_trajectory(fmu, version):

@@ -78,8 +78,22 @@ def test_links_and_devices(tmp_path: Path, mode: int, why: str) -> None:
     assert refusal(tmp_path / "a.zip") == f"'resources': {why}"
 
 
-def test_a_name_twice_and_a_file_that_is_a_folder_too(tmp_path: Path) -> None:
-    assert refusal(written(tmp_path / "a.zip", ("a", b"1"), ("a", b"2"))) == "'a': is in the archive twice"
+def test_a_name_twice_warns_and_the_last_counts(tmp_path: Path) -> None:
+    with Archive(written(tmp_path / "a.zip", ("a", b"1"), ("b", b"2"), ("a", b"3"), ("b", b"2"))) as archive:
+        assert [(problem.severity, problem.what) for problem in archive.warnings] == [
+            (
+                "warning",
+                "'a': is in the archive twice: they differ, and the last is used; other tools may use the first",
+            ),
+            ("warning", "'b': is in the archive twice: both are alike"),
+        ]
+        assert archive.read("a", 9) == b"3"
+        (tmp_path / "out").mkdir()
+        assert sorted(archive.unpack(tmp_path / "out")) == ["a", "b"]
+    assert (tmp_path / "out" / "a").read_bytes() == b"3"
+
+
+def test_a_file_that_is_a_folder_too(tmp_path: Path) -> None:
     assert refusal(written(tmp_path / "b.zip", ("a", b"1"), ("a/b", b"2"))) == "'a/b': is in the archive twice"
     with Archive(written(tmp_path / "c.zip", ("a/", b""), ("a/b", b"2"))) as archive:
         assert archive.names == ("a/b",)

@@ -48,7 +48,7 @@ def with_fmu(folder: Path, diagram: Diagram, version: str, interface: str) -> Di
     document.pop("identify", None)
     options = {"interface": interface, "in_process": True}
     document["blocks"]["controller"] = {"type": "fmu", "file": "controller.fmu", "parameters": options}
-    return load(document, folder=folder)
+    return load(document, folder=folder, trust_blocks=True)
 
 
 # ---- what is held ----
@@ -204,7 +204,7 @@ def test_a_held_and_a_moving_signal_on_one_input(tmp_path: Path, interface: str)
     export_fmu(load(document), tmp_path / "end.fmu", blocks=["end"])
     options = {"interface": interface, "in_process": True}
     cut = load({**document, "blocks": {**blocks, "end": {"type": "fmu", "file": "end.fmu", "parameters": options}},
-                "wires": [*wires, ["hold.output", "end.input"]]}, folder=tmp_path)  # fmt: skip
+                "wires": [*wires, ["hold.output", "end.input"]]}, folder=tmp_path, trust_blocks=True)  # fmt: skip
     found = cosimulate_diagram(cut, [["hold"]], step=0.04, order=1)
     t, n = found.time, np.floor(found.time / 0.1 + 1e-9)
     assert found["end.output"] == pytest.approx(t**2 / 2 + 0.1 * n * t - 0.01 * n * (n + 1) / 2, abs=1e-12)
@@ -266,14 +266,17 @@ def test_it_is_said_where_the_stability_is_not_told(tmp_path: Path) -> None:
     )
 
 
-def test_constants_of_an_fmu_do_not_stand_in_the_way(tmp_path: Path) -> None:
-    """All but the controller as an FMU: its speed is of variability discrete and depends on nothing."""
-    diagram = load("jeffcott")
-    rest = [name for name in diagram.nodes if name != "controller"]
-    export_ssp(diagram, tmp_path / "j.ssp", {"controller": ["controller"], "others": rest})
-    cut = import_ssp(tmp_path / "j.ssp", tmp_path / "j").diagram
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_constants_of_an_fmu_do_not_stand_in_the_way(tmp_path: Path, version: str) -> None:
+    """A force beside the controller is of variability discrete, and depends on a parameter at most."""
+    made = dict(load("jeffcott").document)
+    made["blocks"] = {**made["blocks"], "load": {"type": "constant", "parameters": {"value": [1.0, 0.0]}}}
+    made["wires"] = [*made["wires"], ["load.output", "rotor.force"]]
+    diagram, part = load(made), ["controller", "load"]
+    export_ssp(diagram, tmp_path / "j.ssp", {"part": part}, version=version)
+    cut = import_ssp(tmp_path / "j.ssp", tmp_path / "j", trust_blocks=True).diagram
     found = cosimulate_diagram(cut, step=1e-4, stop=1e-3, check=True).provenance
-    told = coupling_stability(couple(diagram, [["controller"]]), 1e-4, master="gauss_seidel")
+    told = coupling_stability(couple(diagram, [part]), 1e-4, master="gauss_seidel")
     assert told is not None
     assert found["damping_kept"] == pytest.approx(told.kept, rel=1e-9)
     assert found["largest_stable_step"] == pytest.approx(told.largest_step, rel=1e-5)

@@ -12,7 +12,19 @@ from rotorsim.errors import RotorsimError
 from rotorsim.fmi.archive import Limits
 from rotorsim.fmi.ssp_import import import_ssp
 from tests.fmi.plant import make_fmu
-from tests.fmi.systems import MM, component, document, imported, refusal, system, values, wire, written
+from tests.fmi.systems import (
+    MM,
+    component,
+    document,
+    fmu_bytes,
+    fmu_text,
+    imported,
+    refusal,
+    system,
+    values,
+    wire,
+    written,
+)
 
 
 def test_components_wires_and_solver(tmp_path: Path) -> None:
@@ -30,21 +42,34 @@ def test_components_wires_and_solver(tmp_path: Path) -> None:
     assert not (tmp_path / "out" / "resources" / "mm.fmu").exists()  # nothing refers to it
 
 
-def test_units_are_converted_by_gains(tmp_path: Path) -> None:
+def test_connections_of_other_units_are_wires(tmp_path: Path) -> None:
+    """Ports of FMUs are in SI units."""
     pair = component("a") + component("b", source="resources/mm.fmu", unit="mm")
     joined = wire("a.y[1]", "b.u[1]") + wire("a.y[2]", "b.u[2]") + wire("b.y[1]", "a.u[2]")
     found = document(imported(tmp_path, system(pair, joined, units=MM)))
-    gains = {name: block["parameters"]["gain"] for name, block in found["blocks"].items() if block["type"] == "gain"}
-    assert gains == {"b_u_gain": pytest.approx(1000.0, rel=1e-15), "a_u_gain": 1e-3}
-    assert ["a.y", "b_u_gain.input"] in found["wires"]
-    assert ["a_u_gain.output", "a.u[2]"] in found["wires"]
+    assert {name: block["type"] for name, block in found["blocks"].items()} == {"a": "fmu", "b": "fmu"}
+    assert sorted(found["wires"]) == [["a.y", "b.u"], ["b.y[1]", "a.u[2]"]]
+
+
+def test_angles_may_be_left_out_of_definitions(tmp_path: Path) -> None:
+    """The system defines rad/s with and the FMU without rad, or both without it."""
+    text = fmu_text("spin", "rad/s").replace('m="1" factor="1.0"', 's="-1"')
+    for more in ("", 'rad="1"'):
+        units = f'<ssc:Unit name="rad/s"><ssc:BaseUnit s="-1" {more}/></ssc:Unit>'
+        pair = component("a", source="resources/w.fmu", unit="rad/s") + component("b", source="resources/w.fmu")
+        made = tmp_path / f"system{len(more)}"
+        made.mkdir()
+        done = imported(made, system(pair, wire("a.y[1]", "b.u[1]"), units=units), w__fmu=fmu_bytes(made, text))
+        assert document(done)["wires"] == [["a.y[1]", "b.u[1]"]]
+        assert done.diagram.nodes["b"].inputs["u"].unit == "rad/s"
 
 
 @pytest.mark.parametrize(
     ("suppress", "factor", "gain"),
-    [("false", "2", 2000.0), ("true", "1000", 1000.0), ("true", "1", 1.0), ("false", "0.001", 1.0)],
+    [("false", "2", 2.0), ("true", "1", 1e-3), ("true", "2000", 2.0), ("false", "0.001", 1e-3)],
 )
 def test_factors_come_after_units(tmp_path: Path, suppress: str, factor: str, gain: float) -> None:
+    """Not converted, 1 m is handed over as the number 1, which is 1 mm."""
     pair = component("a") + component("b", source="resources/mm.fmu")
     linear = f'<ssc:LinearTransformation factor="{factor}"/>'
     joined = wire("a.y[1]", "b.u[1]", linear, suppressUnitConversion=suppress)

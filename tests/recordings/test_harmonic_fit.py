@@ -182,8 +182,8 @@ def test_covariance_is_that_of_repeated_measurements(kind, n, hertz):
 
 
 def test_covariance_with_an_uncertain_angle():
-    """An error of angle zero turns harmonic k by k times that, in all channels together."""
-    n, K, std = 1000, 2, 0.02
+    """An error of angle zero turns harmonic k by k times that, in all channels together; its curve is below noise."""
+    n, K, std = 1000, 2, 0.002
     time = np.arange(n) / RATE
     theta = TURN * 30 * time + 0.4
     c = harmonics(K)

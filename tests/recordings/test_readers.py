@@ -3,6 +3,7 @@
 import importlib.util
 import math
 import pickle
+import time
 import zipfile
 from pathlib import Path
 
@@ -133,6 +134,43 @@ def test_arrays_that_unpack_to_too_much_are_not_read(tmp_path):
         archive.writestr("x.npy", npy_header((10**12,)) + bytes(1000))
     assert refused(tmp_path / "a.h5", ["x"]) == ["data: error: column 'x' is larger than 2 GB"]
     assert len(refused(tmp_path / "a.npz", ["x"])) == 1
+
+
+def test_columns_that_unpack_to_too_much_together_are_not_read(tmp_path, monkeypatch):
+    """Four of 0.6 GB, of bytes or of doubles; a nested one of a .mat that says nothing of its size."""
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in "abcd":
+            archive.writestr(f"{name}.npy", npy_header((75_000_000,)).replace(b"'<f8'", b"'|i1'") + bytes(1000))
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name in "abcd":
+            file.create_dataset(name, shape=(75_000_000,), dtype="i1", chunks=(1000,))
+    for name in ("a.npz", "a.h5"):
+        assert refused(tmp_path / name, list("abcd")) == [
+            "data: error: 4 columns take 2.4 GB, more than 2 GB\n\nhint: split it into several runs"
+        ]
+    scipy.io.savemat(tmp_path / "a.mat", {"run": {"inner": {"a": np.zeros(100_000)}}}, do_compression=True)
+    assert len(read_columns(tmp_path / "a.mat", ["run/inner/a"])["run/inner/a"]) == 100_000
+    monkeypatch.setattr(readers, "MAX_BYTES", 700_000)
+    assert refused(tmp_path / "a.mat", ["run/inner/a"])[0].startswith("data: error: it unpacks to more than")
+
+
+def test_groups_within_groups_take_no_time(tmp_path):
+    """3000 of them: what is wanted is looked up, what is listed for near misses ends 20 deep and after 1000 names."""
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["run/x"] = TABLE["x"]
+        inner = file.create_group("deep")
+        for _ in range(3000):
+            inner = inner.create_group("a")
+        inner["x"] = TABLE["x"]
+        file["loop"] = file["run"]
+        file["run/again"] = file["run"]
+    np.testing.assert_array_equal(read_columns(tmp_path / "a.h5", ["run.x"])["run.x"], TABLE["x"])
+    before = time.process_time()
+    (text,) = refused(tmp_path / "a.h5", ["run/y"])
+    assert time.process_time() - before < 0.5
+    assert text == "data: error: no column 'run/y'\n\nhint: did you mean 'run/x'?"
+    (text,) = refused(tmp_path / "a.h5", ["deep/" + "a/" * 3000 + "x"])
+    assert "no column 'deep/a/a/" in text
 
 
 def npy_header(shape: tuple[int, ...]) -> bytes:

@@ -58,14 +58,15 @@ def test_a_run_up_figure_names_resonances_and_peaks(tmp_path):
     result = simulate(load("jeffcott_runup"), record_every=5)
     made = drawn(run_up_figure(result, "rotor.displacement[1]"), tmp_path / "r.png")
     texts = legend(made.axes[0])
-    assert texts[1].startswith("largest at 73")
-    assert texts[1].endswith("um, 0-peak")
-    assert texts[2].startswith("met by 2X at 36")
-    assert texts[3].startswith("met by 3X at 24")
+    assert texts[:4] == ["peak of each turn", "1X", "2X", "3X"]
+    assert texts[4].startswith("1X at 73")
+    assert texts[4].endswith("um, 0-peak")
+    assert texts[5].startswith("2X at 36")
+    assert texts[6].startswith("3X at 24")
     assert made.axes[0].get_xlabel() == "speed [rpm]"
     page = overview(result)
     assert [axes.get_title("left") for axes in page.axes] == [
-        "run-up: rotor.displacement[1]", "run-up: controller.current[1]"
+        "run-up: rotor.displacement[1], about its mean", "run-up: controller.current[1], about its mean"
     ]  # fmt: skip
     assert page.get_suptitle() == f"jeffcott_runup, 0 to {result['clock.speed'][-1] * 30 / np.pi:.0f} rpm"
 

@@ -80,13 +80,14 @@ def handmade(
     nodes: dict[str, Any] = {}
     for name, value in zip(names, parameters.values(), strict=True):
         block, _, key = name.rpartition(".")
-        node = nodes.setdefault(block, SimpleNamespace(values={}, references={}, outputs={}))
+        node = nodes.setdefault(block, _node())
         node.values[key] = np.array(value)
+        node.block.parameters[key] = SimpleNamespace(unit=None, low=None, above=None, high=None)
         if name == "clock.speed":
             node.references["speed"] = "speed"
     for port in signals:
         block, _, key = port.rpartition(".")
-        node = nodes.setdefault(block, SimpleNamespace(values={}, references={}, outputs={}))
+        node = nodes.setdefault(block, _node())
         node.outputs[key] = None
     diagram: Any = SimpleNamespace(
         name="handmade",
@@ -97,6 +98,10 @@ def handmade(
         wires=tuple(Wire(_end(source), _end(target)) for source, target in wires),
     )
     return Model(diagram, trace)
+
+
+def _node() -> SimpleNamespace:
+    return SimpleNamespace(values={}, references={}, outputs={}, block=SimpleNamespace(parameters={}))
 
 
 def _end(text: str) -> Endpoint:

@@ -18,7 +18,7 @@ def loop(hz, kp=12200.0, ki=2000.0, kd=3.0):
 
 def test_closed_loop_response_has_labels_and_units():
     hz = np.array([3.0, 60.0, 122.0])
-    found = frequency_response(jeffcott(external="inject"), "controller.current", "rotor.displacement", hz)
+    found = frequency_response(jeffcott(external="inject"), "controller.current", "rotor.displacement", frequencies=hz)
     s = 2j * math.pi * hz
     plant = -42.1 / (2 * s**2 + 76 * s + 7.6e5 - 105210)
     np.testing.assert_allclose(found.value[:, 1, 1], plant / (1 - loop(hz)), rtol=1e-11)
@@ -68,4 +68,6 @@ def test_unknown_controller_has_a_near_miss():
 
 def test_frequencies_must_be_finite():
     with pytest.raises(RotorsimError, match=r"frequencies must be finite \[Hz\]"):
-        frequency_response(jeffcott(external="inject"), "controller.current", "rotor.displacement", [float("inf")])
+        frequency_response(
+            jeffcott(external="inject"), "controller.current", "rotor.displacement", frequencies=[float("inf")]
+        )

@@ -137,3 +137,26 @@ def test_response_on_an_undamped_pole_is_infinite():
 )
 def test_states_without_a_mean_are_found(matrix, seeds, reached):
     assert drifting_states(np.array(matrix)) == (seeds, reached)
+
+
+def test_an_equilibrium_is_found_where_only_rounding_is_left():
+    """A controller KP (1 + r^2 / a^2) with integral action holds the rotor at zero: nothing there has a size."""
+
+    def build(t, x, p, v):
+        q, w, integral = x["rotor.q"], x["rotor.v"], x["controller.integral"]
+        r2 = ca.dot(q, q)
+        current = 12200.0 * (1 + r2 / 400e-12) * q + 2000.0 * integral + 3.0 * w
+        theta = p["clock.speed"] * t + 0.3
+        force = 2 * 24e-6 * p["clock.speed"] ** 2 * ca.vertcat(ca.cos(theta), ca.sin(theta)) - ca.vertcat(19.62, 0)
+        acceleration = (force - 76.0 * w - 760e3 * q + 105e3 * q - 42.1 * current) / 2.0
+        return {
+            "xdot": {"rotor.q": w, "rotor.v": acceleration, "controller.integral": q},
+            "signals": {"rotor.displacement": q},
+        }
+
+    states = {"rotor.q": 2, "rotor.v": 2, "controller.integral": 2}
+    model = handmade(states, {"speed": 157.0}, build, record=("rotor.displacement",))
+    x = equilibrium(model, t=None)
+    assert x[4] == pytest.approx(-19.62 / (42.1 * 2000), rel=1e-9)  # the integral carries the weight
+    assert np.abs(x[:4]).max() < 1e-15
+    assert abs(x[5]) < 1e-15

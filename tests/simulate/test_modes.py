@@ -23,7 +23,7 @@ def tilting(speed, polar=0.02, diametral=0.012, stiffness=1e6):
 @settings(deadline=None, max_examples=25)
 @given(speed=st.floats(1.0, 5000.0))
 def test_forward_whirl_rises_and_backward_whirl_falls_with_the_gyroscopic_moment(speed):
-    found = modes(gyroscopic(), {"speed": speed})
+    found = modes(gyroscopic(), parameters={"speed": speed})
     backward, forward = tilting(speed)
     assert [mode.whirl for mode in found.modes] == ["backward", "forward"]
     np.testing.assert_allclose(
@@ -49,9 +49,9 @@ def test_like_modes_of_an_isotropic_rotor_are_two_planar_modes():
 
 
 def test_anisotropic_rotor_at_rest_moves_in_planes_and_whirls_when_it_turns():
-    at_rest = modes(gyroscopic(k_y=1.3e6), {"speed": 0.0})
+    at_rest = modes(gyroscopic(k_y=1.3e6), parameters={"speed": 0.0})
     assert [mode.whirl for mode in at_rest.modes] == ["planar", "planar"]
-    turning = modes(gyroscopic(k_y=1.3e6), {"speed": 800.0})
+    turning = modes(gyroscopic(k_y=1.3e6), parameters={"speed": 800.0})
     assert [mode.whirl for mode in turning.modes] == ["backward", "forward"]
 
 
@@ -63,7 +63,7 @@ def test_negative_damping_is_flagged():
 
 
 def test_frequencies_ascend_and_conjugates_appear_once():
-    found = modes(jeffcott(), {"controller.KI": 4e7})
+    found = modes(jeffcott(), parameters={"controller.KI": 4e7})
     frequencies = [mode.frequency_hz for mode in found.modes]
     assert frequencies == sorted(frequencies)
     assert 2 * len(found.modes) + len(found.real_poles) == 6
@@ -71,7 +71,7 @@ def test_frequencies_ascend_and_conjugates_appear_once():
 
 def test_campbell_follows_both_branches_and_finds_the_critical_speeds():
     speeds = np.linspace(0, 12000, 25)
-    found = campbell(gyroscopic(rotor__diametral=0.025), speeds)
+    found = campbell(gyroscopic(rotor__diametral=0.025), speeds=speeds)
     expected = np.array([tilting(speed, diametral=0.025) for speed in speeds]) / (2 * math.pi)
     np.testing.assert_allclose(found.frequency_hz, expected, rtol=1e-9)
     assert set(found.whirl[1:, 0]) == {"backward"}
@@ -106,7 +106,7 @@ def test_campbell_keeps_modes_apart_that_cross():
 
     model = handmade({"a.tilt": 2, "a.rate": 2, "b.tilt": 2, "b.rate": 2}, {"speed": 0.0}, build)
     speeds = np.linspace(0, 15000, 31)
-    found = campbell(model, speeds, orders=())
+    found = campbell(model, speeds=speeds, orders=())
     for polar, stiffness in ((0.02, 1e6), (0.001, 3e6)):
         for branch in np.array([tilting(w, polar=polar, stiffness=stiffness) for w in speeds]).T:
             distance = np.abs(found.frequency_hz * 2 * math.pi - branch[:, None]).max(axis=0)
@@ -116,7 +116,7 @@ def test_campbell_keeps_modes_apart_that_cross():
 def test_campbell_without_a_speed_parameter_says_what_to_declare():
     model = handmade({"a.x": 1}, {}, lambda t, x, p, v: {"xdot": {"a.x": -x["a.x"]}, "signals": {"a.y": x["a.x"]}})
     with pytest.raises(RotorsimError) as caught:
-        campbell(model, [1.0])
+        campbell(model, speeds=[1.0])
     assert str(caught.value) == (
         "error: handmade: campbell varies the diagram parameter 'speed', but no block follows it\n\n"
         'hint: declare "parameters": {"speed": "1500 rpm"} and use "$speed" in the blocks'
@@ -125,4 +125,4 @@ def test_campbell_without_a_speed_parameter_says_what_to_declare():
 
 def test_speeds_must_be_finite():
     with pytest.raises(RotorsimError, match=r"speeds must be finite and not negative \[rad/s\]"):
-        campbell(gyroscopic(), [1.0, float("nan")])
+        campbell(gyroscopic(), speeds=[1.0, float("nan")])

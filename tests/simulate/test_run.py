@@ -5,8 +5,8 @@ import pytest
 
 from rotorsim.diagram import load
 from rotorsim.errors import RotorsimError
-from rotorsim.simulate.failure import largest_stable_step
 from rotorsim.simulate.run import simulate
+from rotorsim.simulate.stability import largest_stable_step
 from tests.compile.documents import document, oscillator
 
 
@@ -15,7 +15,9 @@ def test_an_unstable_system_stops_with_time_block_and_cause_and_keeps_what_it_co
     assert result.status == "diverged"
     time = result.time[-1] + 1e-3
     assert result.message.startswith(f"diverged at t = {time:.6g} s: state 'velocity.value' of block 'velocity'")
-    assert result.message.endswith("the system is unstable (a pole at 2000 1/s)")
+    assert result.message.endswith(
+        "the system is unstable (a pole at 2000 1/s, most of it in the states of 'velocity'; 1 more grows)"
+    )
     assert np.isfinite(result["position.output"]).all()
     assert 300 < len(result.time) < 400  # e^(2000 t) overflows near t = 0.355 s
 
@@ -23,7 +25,7 @@ def test_an_unstable_system_stops_with_time_block_and_cause_and_keeps_what_it_co
 def test_a_step_that_is_too_large_is_told_from_an_unstable_system():
     result = simulate(load(oscillator(stiffness=1e8)), stop=2.0)
     assert result.status == "diverged"
-    assert result.message.endswith("the step 0.001 s is too large, RK4 is stable here up to 0.000283 s")
+    assert result.message.endswith("the step 0.001 s is too large, RK4 is stable here up to 0.000282 s")
 
 
 def test_the_largest_stable_step_is_that_of_the_stability_function():
@@ -115,6 +117,17 @@ def test_wrong_arguments_are_all_reported_at_once():
     with pytest.raises(RotorsimError) as caught:
         simulate(load(oscillator()), stop=1e9, step=1.0)
     assert str(caught.value.problems[0]) == (
-        "error: record: the recorded signals would take 24 GB\n\n"
-        "hint: record every n-th step (record_every >= 4) or fewer signals"
+        "error: record: the recorded signals of 1000000000 steps would take 24 GB, at most 1 GB\n\n"
+        "hint: a 'record_every' of 25 or more (--set solver.record_every=...), fewer signals, or a shorter run"
     )
+
+
+@pytest.mark.parametrize(("every", "said"), [(2001, "2001"), (3 * 10**9, "3e+09"), (10**19, "1e+19")])
+def test_a_record_of_the_start_alone_is_refused(every, said):
+    with pytest.raises(RotorsimError) as caught:
+        simulate(load(oscillator()), stop=2.0, record_every=every)
+    assert str(caught.value.problems[0]) == (
+        f"error: solver.record_every: every {said}th step of 2000 is recorded: nothing but the start\n\n"
+        "hint: at most 2000, or a longer run"
+    )
+    assert len(simulate(load(oscillator()), stop=2.0, record_every=2000).time) == 2

@@ -59,7 +59,7 @@ def test_thesis_rotors_are_stable_and_settle(name):
 
 @pytest.mark.parametrize("name", ["offset_disc", "fe_rigid"])
 def test_forward_whirl_is_the_faster_of_each_pair(name):
-    found = modes(shipped(name, without=["amb"]), {"speed": 3000 * RPM})
+    found = modes(shipped(name, without=["amb"]), parameters={"speed": 3000 * RPM})
     light = [mode for mode in found.modes if mode.damping_ratio < 0.5]
     assert [mode.whirl for mode in light[:4]] == ["backward", "forward"] * (len(light[:4]) // 2)
 
@@ -68,11 +68,11 @@ def test_fe_rotor_has_the_published_natural_frequencies():
     """Undamped, without bearing force: computed by two programs, E = 2.1e11."""
     still = {"rotor.mass_damping": 0.0, "rotor.stiffness_damping": 0.0}
     diagram = shipped("fe_rigid", without=["amb"])
-    at_rest = modes(diagram, {**still, "speed": 0.0})
+    at_rest = modes(diagram, parameters={**still, "speed": 0.0})
     found = [mode.frequency_hz for mode in at_rest.modes[:6]]
     np.testing.assert_allclose(found, np.repeat([54.3005, 338.398, 678.808], 2), rtol=3e-6)
     assert {mode.whirl for mode in at_rest.modes[:6]} == {"planar"}
-    turning = modes(diagram, {**still, "speed": 3000 * RPM})
+    turning = modes(diagram, parameters={**still, "speed": 3000 * RPM})
     found = [mode.frequency_hz for mode in turning.modes[:4]]
     np.testing.assert_allclose(found, [54.1532, 54.4399, 312.997, 364.277], rtol=3e-6)
 

@@ -6,6 +6,8 @@
 
 #include "instance.h"
 
+#include "derivatives.h"
+
 #include "stepping.h"
 
 #include <stdbool.h>

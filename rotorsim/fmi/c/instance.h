@@ -65,7 +65,8 @@ enum { RF_LOG_ERRORS = 1, RF_LOG_WARNINGS = 2, RF_LOG_EVENTS = 4 };
 typedef struct {
   double d[RF_TOTAL];
   double y[RS_NY + 1], rate[RS_NX + 1], event[RF_NE + 1], row[RS_NY + 1];
-  double extra[RF_NC + 1], seed[RF_N_KNOWN + 1], result[RF_N_UNKNOWN + 1], work[RF_WORK + 1];
+  double extra[RF_NC + 1], seed[RF_N_KNOWN + RF_NP + 1], result[RF_N_UNKNOWN + RS_NX + 1];
+  double begun[RS_NX + RS_NZ + 1], more[RF_N_UNKNOWN + RF_NP + 1], work[RF_WORK + 1];
   int log;
   void *environment;
   void (*callback)(void);
@@ -295,82 +296,4 @@ static int rf_set_states(rf_instance *i, const double *x, size_t n) {
 static void rf_set_time(rf_instance *i, double t) {
   if (t != i->d[RF_TIME]) rf_soil(i, RF_STALE_G | RF_STALE_VALUES);
   i->d[RF_TIME] = t;
-}
-
-/* ---- derivatives of [state derivatives; outputs; events] by [states; inputs; time] ---- */
-
-static int rf_row(unsigned k) {
-  if (k >= RF_AT_OUTPUT && k < RF_AT_STATE) return RS_NX + (int)(k - RF_AT_OUTPUT);
-  if (k >= RF_AT_DERIVATIVE && k < RF_AT_DISCRETE) return (int)(k - RF_AT_DERIVATIVE);
-  if (k >= RF_AT_EVENT) return RS_NX + RF_NY + (int)(k - RF_AT_EVENT);
-  return -1;
-}
-
-static int rf_column(unsigned k) {
-  if (k == RF_AT_TIME) return RS_NX + RF_NU;
-  if (k >= RF_AT_INPUT && k < RF_AT_OUTPUT) return RS_NX + (int)(k - RF_AT_INPUT);
-  if (k >= RF_AT_STATE && k < RF_AT_DERIVATIVE) return (int)(k - RF_AT_STATE);
-  return -1;
-}
-
-/* Add the directional derivative: forward, seed by knowns and read unknowns; else (adjoint) the other way. */
-static int rf_directional(rf_instance *i, const char *function, const unsigned *unknowns, size_t n_unknowns,
-                          const unsigned *knowns, size_t n_knowns, const double *seed, long long n_seed, double *result,
-                          long long n_result, int forward) {
-  const unsigned *given = forward ? knowns : unknowns, *wanted = forward ? unknowns : knowns;
-  const size_t n_given = forward ? n_knowns : n_unknowns, n_wanted = forward ? n_unknowns : n_knowns;
-  double *from = forward ? i->seed : i->result, *to = forward ? i->result : i->seed;
-  long long at = 0;
-  if (rf_allow(i, function, RF_ANY & ~(RF_INSTANTIATED | RF_FAILED))) return RF_ERROR;
-  memset(i->seed, 0, sizeof i->seed);
-  memset(i->result, 0, sizeof i->result);
-  for (size_t j = 0; j < n_given; ++j) {
-    if (rf_known(i, function, given[j])) return RF_ERROR;
-    for (unsigned k = 0; k < rf_width[given[j]]; ++k) {
-      const int place = forward ? rf_column(given[j] + k) : rf_row(given[j] + k);
-      if (place < 0)
-        return rf_log(i, RF_ERROR, "%s: %s is no %s", function, rf_name[given[j]],
-                      forward ? "state, input or time" : "state derivative, output or event indicator");
-      if (n_seed >= 0 && at >= n_seed) return rf_log(i, RF_ERROR, "%s: too few seeds", function);
-      from[place] += seed[at++];
-    }
-  }
-  rf_refresh_extra(i);
-  (forward ? rf_tangent : rf_adjoint)(i->d[RF_TIME], rf_x(i), rf_z(i), rf_p(i), i->extra, from, to, i->work);
-  at = 0;
-  for (size_t j = 0; j < n_wanted; ++j) {
-    if (rf_known(i, function, wanted[j])) return RF_ERROR;
-    for (unsigned k = 0; k < rf_width[wanted[j]]; ++k) {
-      const int place = forward ? rf_row(wanted[j] + k) : rf_column(wanted[j] + k);
-      if (place < 0)
-        return rf_log(i, RF_ERROR, "%s: %s is no %s", function, rf_name[wanted[j]],
-                      forward ? "state derivative, output or event indicator" : "state, input or time");
-      if (n_result >= 0 && at >= n_result) return rf_log(i, RF_ERROR, "%s: too few sensitivities", function);
-      result[at++] = to[place];
-    }
-  }
-  return RF_OK;
-}
-
-/* First derivatives of outputs by time, inputs held. */
-static int rf_output_rates(rf_instance *i, const char *function, const unsigned *references, size_t n,
-                           const int *orders, double *values, long long n_values) {
-  long long at = 0;
-  rf_rates(i);
-  memset(i->seed, 0, sizeof i->seed);
-  memcpy(i->seed, i->rate, RS_NX * sizeof(double));
-  i->seed[RS_NX + RF_NU] = 1.0;
-  rf_refresh_extra(i);
-  rf_tangent(i->d[RF_TIME], rf_x(i), rf_z(i), rf_p(i), i->extra, i->seed, i->result, i->work);
-  for (size_t j = 0; j < n; ++j) {
-    const unsigned k = references[j];
-    if (rf_known(i, function, k)) return RF_ERROR;
-    if (orders[j] != 1) return rf_log(i, RF_ERROR, "%s: order %d of %s; only 1 is known", function, orders[j], rf_name[k]);
-    if (k < RF_AT_OUTPUT || k >= RF_AT_STATE) return rf_log(i, RF_ERROR, "%s: %s is no output", function, rf_name[k]);
-    for (unsigned e = 0; e < rf_width[k]; ++e) {
-      if (n_values >= 0 && at >= n_values) return rf_log(i, RF_ERROR, "%s: too few values", function);
-      values[at++] = i->result[rf_row(k + e)];
-    }
-  }
-  return RF_OK;
 }

@@ -1,0 +1,55 @@
+"""``rotorsim docs``."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import click
+
+from rotorsim.cli import common
+from rotorsim.errors import Problem, RotorsimError, near_miss
+
+__all__ = ["command"]
+
+
+@click.command("docs")
+@click.argument("page", metavar="[PAGE]", required=False)
+@common.json_option
+def command(page: str | None, as_json: bool) -> None:
+    """List the pages that come with rotorsim, or show one.
+
+    \b
+    rotorsim docs
+    rotorsim docs diagrams | less
+    """
+    pages = {file.stem: file for file in sorted(_folder().glob("*.md"))}
+    if page is None:
+        titles = {name: _title(file) for name, file in pages.items()}
+        if as_json:
+            common.echo_json({"pages": {name: {"title": titles[name], "file": str(pages[name])} for name in pages}})
+        else:
+            width = max(map(len, pages))
+            click.echo("\n".join(f"{name:{width}}  {title}" for name, title in titles.items()))
+        return
+    if page.removesuffix(".md") not in pages:
+        raise RotorsimError(Problem(f"no page '{page}'", hint=near_miss(page, pages)))
+    file = pages[page.removesuffix(".md")]
+    text = file.read_text(encoding="utf-8")
+    if as_json:
+        common.echo_json({"page": file.stem, "title": _title(file), "file": str(file), "text": text})
+    else:
+        click.echo(text, nl=False)
+
+
+def _folder() -> Path:
+    """Return the folder of the pages: a package as the diagrams are, or docs/ of a checkout installed before it was."""
+    try:
+        return Path(str(resources.files("rotorsim.docs")))
+    except ModuleNotFoundError:
+        return Path(str(resources.files("rotorsim"))).parent / "docs"
+
+
+def _title(file: Path) -> str:
+    with file.open(encoding="utf-8") as stream:
+        return stream.readline().lstrip("# ").strip()

@@ -1,0 +1,217 @@
+"""Processes of this machine that perform tasks, each over a pipe of its own: no port, no socket, no file to reach.
+
+Dask's local cluster listens on loopback without asking who calls, and any user of the machine can run code there;
+a pipe belongs to the two processes that hold its ends.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
+from threading import Thread
+from types import TracebackType
+from typing import Any
+
+from rotorsim.errors import Problem, RotorsimError
+
+__all__ = ["ENVIRONMENT", "Pool"]
+
+_THREADS = ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMEXPR")
+ENVIRONMENT = {  # of the processes: one thread each, and sets in one order
+    **dict.fromkeys([f"{name}_NUM_THREADS" for name in _THREADS], "1"),
+    "VECLIB_MAXIMUM_THREADS": "1",
+    "PYTHONHASHSEED": "0",
+}
+_PATIENCE = 5.0  # s, for a process that has nothing to do to end
+_TICK = 1.0  # s; on Windows, Ctrl-C waits for the end of a wait
+
+Task = Any
+
+
+class Pool:
+    """Worker processes, started by spawning; a context manager, which ends them.
+
+    serve: what performs a task there, a function of a module: bytes to bytes.
+    Raises RotorsimError when they do not start.
+    """
+
+    def __init__(self, workers: int, serve: Callable[[bytes], bytes]) -> None:
+        self._serve = serve
+        self._workers: list[_Worker] = []
+        try:
+            with _uninterrupted(), _environment():
+                for _ in range(workers):
+                    self._workers.append(_Worker(serve))
+        except (RuntimeError, OSError) as error:
+            self._end(at_once=True)
+            raise _not_started(error) from None
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end(at_once=kind is not None)
+
+    def _end(self, *, at_once: bool) -> None:
+        for worker in self._workers:
+            worker.stop(at_once=at_once or worker.task is not None)
+        for worker in self._workers:
+            worker.join()
+
+    def perform(
+        self, tasks: deque[Task], packed: Callable[[Task], bytes], lost: Callable[[Task], list[Task]]
+    ) -> Iterator[tuple[Task, bytes | None]]:
+        """Yield each task with its reply, as they come.
+
+        lost: gives the tasks to do instead of one whose process died (itself, parts of it); with none of them the
+        reply is None.
+        """
+        try:
+            while tasks or any(worker.task is not None for worker in self._workers):
+                for k, worker in enumerate(self._workers):
+                    if worker.stopped and tasks:
+                        self._workers[k] = worker = self._new()
+                    if worker.ready and worker.task is None and tasks:
+                        worker.give(tasks[0], packed(tasks[0]))
+                        tasks.popleft()
+                for worker in self._heard():
+                    task, was_ready = worker.task, worker.ready
+                    reply = worker.reply()
+                    if reply is not None:
+                        if was_ready:
+                            yield task, reply
+                        continue
+                    if not was_ready:
+                        raise _not_started("they end at once")
+                    again = lost(task) if task is not None else []
+                    tasks.extendleft(reversed(again))
+                    if task is not None and not again:
+                        yield task, None
+        finally:
+            for worker in self._workers:
+                if worker.task is not None:  # nobody will want its answer
+                    worker.stop(at_once=True)
+
+    def _new(self) -> _Worker:
+        try:
+            with _uninterrupted(), _environment():
+                return _Worker(self._serve)
+        except (RuntimeError, OSError) as error:
+            raise _not_started(error) from None
+
+    def _heard(self) -> list[_Worker]:
+        """Wait for workers to say something, or to die."""
+        from multiprocessing.connection import wait
+
+        by_pipe = {worker.pipe: worker for worker in self._workers if not worker.stopped}
+        heard = wait(list(by_pipe), _TICK if os.name == "nt" else None)
+        return [by_pipe[pipe] for pipe in heard]  # type: ignore[index]
+
+
+class _Worker:
+    """One process. task: what it works on; ready: whether it has said that it runs."""
+
+    def __init__(self, serve: Callable[[bytes], bytes]) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, there = context.Pipe()
+        self.task: Task | None = None
+        self.ready = self.stopped = False
+        self.process = context.Process(target=_work, args=(there, serve), daemon=True)
+        try:
+            self.process.start()
+        except BaseException:
+            self.pipe.close()
+            raise
+        finally:
+            there.close()
+
+    def give(self, task: Task, payload: bytes) -> None:
+        self.task = task
+        with suppress(OSError):  # it has died: seen when its reply is read
+            self.pipe.send_bytes(payload)
+
+    def reply(self) -> bytes | None:
+        """Return what it says, None when it has died."""
+        try:
+            said = self.pipe.recv_bytes()
+        except (EOFError, OSError):
+            self.stop(at_once=True)
+            return None
+        self.task, self.ready = None, True
+        return said
+
+    def stop(self, *, at_once: bool) -> None:
+        """End it: by closing its pipe, or by force."""
+        if not self.stopped:
+            self.stopped, self.task = True, None
+            if at_once:
+                self.process.kill()
+            self.pipe.close()
+
+    def join(self) -> None:
+        self.process.join(_PATIENCE)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+
+
+def _work(pipe: Any, serve: Callable[[bytes], bytes]) -> None:
+    """Perform tasks until the other end of the pipe is closed, by whatever end of that process."""
+    Thread(target=_end_with_parent, daemon=True).start()
+    with suppress(EOFError, OSError):
+        pipe.send_bytes(b"")
+        while True:
+            pipe.send_bytes(serve(pipe.recv_bytes()))
+
+
+def _end_with_parent() -> None:
+    """End this process with the one that started it, also amid a task that nobody waits for any more."""
+    from multiprocessing.connection import wait
+
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+def _not_started(why: object) -> RotorsimError:
+    if isinstance(why, RuntimeError):  # what multiprocessing says to a script that has no such line
+        why = "the script that starts them is itself being read by one"
+    hint = 'in a script, call it under `if __name__ == "__main__":`; or use the scheduler "synchronous"'
+    return RotorsimError(Problem(f"the worker processes do not start: {why}", hint=hint), exit_code=1)
+
+
+@contextmanager
+def _environment() -> Iterator[None]:
+    """Set what processes started now inherit."""
+    before = {name: os.environ.get(name) for name in ENVIRONMENT}
+    os.environ.update({**ENVIRONMENT, "PYTHONHASHSEED": before["PYTHONHASHSEED"] or "0"})
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Let Ctrl-C wait; processes that are started here never get it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # else it is started with the first process and unblocks the signal
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)

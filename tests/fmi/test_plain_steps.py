@@ -1,0 +1,133 @@
+"""Plain steps of the masters, in Python and in C, against the general ones: the same numbers, ends and failures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rotorsim.compile.toolchain import find_compiler
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.load import load
+from rotorsim.fmi import cosimulation
+from rotorsim.fmi.cosimulation import cosimulate_diagram
+from rotorsim.fmi.cut import open_coupling
+from rotorsim.fmi.export import export_fmu
+from rotorsim.fmi.fmu_participant import FmuParticipant
+from rotorsim.fmi.loop import FastLoop
+from rotorsim.fmi.masters import Master
+from rotorsim.fmi.participant import Held
+from rotorsim.fmi.process import RemoteWorker
+from rotorsim.simulate.result import Result
+from tests.fmi.plant import FAULTS, make_fmu
+
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="FMUs are built by a C compiler")
+H, STOP = 1e-4, 6e-3
+
+
+@pytest.fixture(scope="module")
+def cut(tmp_path_factory: pytest.TempPathFactory) -> Diagram:
+    """Return the cracked rotor with the rotor as an FMU; an output of the controller follows its inputs at once."""
+    folder = tmp_path_factory.mktemp("fmus")
+    diagram = load("jeffcott", set={"solver.step": 2e-5, "solver.stop": STOP})
+    export_fmu(diagram, folder / "rotor.fmu", blocks=["rotor"])
+    document = json.loads(json.dumps(diagram.document))
+    document.pop("identify")
+    document["blocks"]["rotor"] = {"type": "fmu", "file": "rotor.fmu", "parameters": {"in_process": True}}
+    return load(document, folder=folder, trust_blocks=True)
+
+
+@pytest.fixture
+def loops(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return a list that gets the number of steps of every loop in C."""
+    taken: list[int] = []
+    run = FastLoop.run
+
+    def noted(self: FastLoop, t0: float, h: float, steps: int, **more: Any) -> np.ndarray:
+        taken.append(steps)
+        return run(self, t0, h, steps, **more)
+
+    monkeypatch.setattr(FastLoop, "run", noted)
+    return taken
+
+
+def all_ways(diagram: Diagram, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> list[Result]:
+    """Return a run in C, one of plain steps in Python, and one of general steps."""
+    found = [cosimulate_diagram(diagram, **settings)]
+    with monkeypatch.context() as patched:
+        patched.setattr(cosimulation, "_may_be_fast", lambda *_: False)
+        found.append(cosimulate_diagram(diagram, **settings))
+        patched.setattr(Master, "simplify", lambda _: False)
+        found.append(cosimulate_diagram(diagram, **settings))
+    return found
+
+
+@pytest.mark.parametrize("master", ["jacobi", "gauss_seidel"])
+def test_they_give_the_same(cut: Diagram, monkeypatch: pytest.MonkeyPatch, loops: list[int], master: str) -> None:
+    """Also where inputs and outputs are made to agree after a step, and how far they were from it."""
+    *plain, general = all_ways(cut, monkeypatch, step=H, master=master)
+    assert loops == [60]
+    for found in plain:
+        assert (found.status, found.signals.keys()) == ("finished", general.signals.keys())
+        assert dict(found.counters) == dict(general.counters)
+        assert found.time == pytest.approx(general.time, rel=1e-14)
+        for name, values in general.signals.items():
+            assert np.abs(found[name] - values).max() <= 1e-12 * np.abs(values).max(), name
+    assert general["coupling.error"][1:].max() > 1e-3
+
+
+def test_what_is_no_plain_step_takes_the_general_ones(cut: Diagram, loops: list[int]) -> None:
+    for settings in (
+        {"order": 1},
+        {"adaptive": 1e-2},
+        {"master": "iterative"},
+        {"rates": {"rotor": 2}},
+        {"step": 7e-5},
+    ):
+        found = cosimulate_diagram(cut, **{"step": H, "stop": 2e-3, **settings})
+        assert found.time[-1] == pytest.approx(2e-3), (settings, found.message)
+    assert loops == []
+
+
+def alone(folder: Path, fault: str, version: str, **more: Any) -> Diagram:
+    make_fmu(folder / "plant.fmu", version)
+    options = {"fault": FAULTS.index(fault), "fault_time": 0.01, "in_process": True, **more}
+    block = {"type": "fmu", "file": "plant.fmu", "parameters": options}
+    document = {
+        "blocks": {"it": block, "in": {"type": "constant"}},
+        "wires": [],
+        "solver": {"step": 1e-3, "stop": 0.02},
+    }
+    return load({**document, "record": ["it.y"]}, folder=folder, trust_blocks=True)
+
+
+@pytest.mark.parametrize("fault", ["fail", "discard"])
+def test_failures_are_told_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str) -> None:
+    diagram = alone(tmp_path, fault, "2.0")
+    fast, plain, general = all_ways(diagram, monkeypatch, step=1e-3)
+    assert [found.status for found in (fast, plain, general)] == ["stopped"] * 3
+    assert plain.message == general.message
+    assert fast.message.split(" (")[0].startswith("it: ")
+    for found in (fast, plain):
+        assert found.time == pytest.approx(general.time)
+        assert found["it.y"] == pytest.approx(general["it.y"], rel=1e-12)
+
+
+def test_a_held_step_of_a_process_of_its_own_is_one_exchange(tmp_path: Path) -> None:
+    """It was two: the inputs were set once more after the step, to what they were."""
+    coupling = open_coupling(alone(tmp_path, "ok", "2.0", in_process=False))
+    try:
+        fmu = next(p for p in coupling.participants if isinstance(p, FmuParticipant))
+        worker, u = fmu.slave.worker, np.zeros(len(fmu.inputs))
+        assert isinstance(worker, RemoteWorker)
+        fmu.initialise(0.0, u)
+        fmu.start(0.0, u)
+        before = worker.count
+        for k in range(5):
+            fmu.step(k * 1e-3, 1e-3, Held(u))
+        assert worker.count - before == 5
+    finally:
+        coupling.close()
