@@ -1,4 +1,4 @@
-"""python -m benchmarks.concealed make|run|score|check|rows: see README.md."""
+"""python -m benchmarks.concealed make|run|score|shares|check|rows: see README.md."""
 
 from __future__ import annotations
 
@@ -70,6 +70,14 @@ def _score(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _shares(arguments: argparse.Namespace) -> int:
+    from benchmarks.concealed import calibrate
+
+    found = calibrate.shares(Path(arguments.folder), Path(arguments.diagnoses))
+    print(json.dumps(found, indent=1) if arguments.json else calibrate.text(found))
+    return 0
+
+
 def _check(arguments: argparse.Namespace) -> int:
     from benchmarks.concealed import check
 
@@ -113,13 +121,17 @@ def main(arguments: list[str] | None = None) -> int:
     score.add_argument("sets", nargs="+", metavar="FOLDER DIAGNOSES", help="several sets are summed up as one")
     score.add_argument("--out", help="write the page here, as markdown")
     score.set_defaults(do=_score)
+    shares = verbs.add_parser("shares", help="what right rows and imitators explain: to set thresholds by")
+    shares.add_argument("folder")
+    shares.add_argument("diagnoses")
+    shares.set_defaults(do=_shares)
     check = verbs.add_parser("check", help="error of the integration, convergence of the beam, against other methods")
     check.add_argument("--quick", action="store_true", help="without the laws that have corners")
     check.set_defaults(do=_check)
     rows = verbs.add_parser("rows", help="list rows and laws, their sizes, and how visible the ends are")
     rows.add_argument("--visible", action="store_true", help="simulate both ends (minutes)")
     rows.set_defaults(do=_rows)
-    for verb in (make, score, check):
+    for verb in (make, score, shares, check):
         verb.add_argument("--json", action="store_true")
     chosen = parser.parse_args(arguments)
     try:

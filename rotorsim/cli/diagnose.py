@@ -160,7 +160,7 @@ def _text(found: Diagnosis) -> str:
     """Return verdict, table of what is missing, places, and the statement."""
     parts = [f"verdict: {found.verdict}"]
     rows = [
-        (name, f"{probability:.2g}", str(effect.places[0][0]) if effect.places else "")
+        (name, f"{probability:.2g}", str(effect.spot_of(name) or ""))
         for effect in found.effects
         for name, probability in effect.members.items()
     ]

@@ -10,10 +10,12 @@ import numpy as np
 
 from rotorsim._shown import Shown
 from rotorsim.diagnose.converters import Converter
+from rotorsim.diagnose.explaining import Explained
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.insertion import Spot
 from rotorsim.diagnose.naming import CLASS, Named, least_gain, where
 from rotorsim.diagnose.outside import Unknown, describe
+from rotorsim.diagnose.proof import Proof
 from rotorsim.diagnose.scoring import Held, Score
 from rotorsim.diagnose.trials import Candidate, Round, is_noise
 from rotorsim.diagnose.values import values_in
@@ -22,13 +24,13 @@ from rotorsim.identify.profile import Z90
 from rotorsim.recordings.recording import Recording
 
 __all__ = [
-    "VERDICTS", "Diagnosis", "Effect", "concluded", "effects_of", "in_words", "interval", "nearest", "unknown_of",
-    "verdict_of",
+    "VERDICTS", "Diagnosis", "Effect", "Estimated", "concluded", "effects_of", "estimates", "in_words", "interval",
+    "nearest", "unknown_of", "verdict_of",
 ]  # fmt: skip
 
 VERDICTS = ("consistent", "missing_physics", "outside_catalogue", "not_identifiable")
 LIKELY = 0.01  # probability from which a place or a member of a class is listed
-MOST_CLASS = 4  # physics that explain the data alike, beyond which nothing is named
+MOST_CLASS = 4  # physics that explain the data alike, beyond which nothing is named: a longer list is no name
 REJECTED = 12  # rivals that are listed
 
 
@@ -49,6 +51,11 @@ class Effect:
         """The name of the physics."""
         return self.candidate.insertion.physics
 
+    def spot_of(self, physics: str) -> Spot | None:
+        """Return where a member of the class acts, as it explains the data best; None where it is not known."""
+        item = self.candidate if physics == self.physics else self.rivals.get(physics)
+        return None if item is None else item.insertion.spot
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Shown):
@@ -56,10 +63,11 @@ class Diagnosis(Shown):
 
     effects: what is missing (or, outside the catalogue, what was nearest). before, after: fits of the diagram as
     given and repaired; document: the repaired one. scores: hold-out NRMSE of both. rejected: (physics, why).
-    detectable: physics -> smallest size that would have been seen, with its unit, where nothing was found. disproved:
-    hold-out NRMSE with effects that explain the fitted runs, but not these. converters: that readings show; readings:
-    with harmonics as they are, source and held-out runs, where those of ``source`` are of what went into converters.
-    recordings: as they were given, held-out ones last.
+    detectable: physics -> smallest size that would have been seen, with its unit, where nothing was found. proof: what
+    runs that took no part say of the effects; explained: of each, how much of what is to be explained there; residual:
+    what is left over beyond noise (`rotorsim.diagnose.explaining.residual_of`). converters: that readings show;
+    readings: with harmonics as they are, source and held-out runs, where those of ``source`` are of what went into
+    converters. recordings: as they were given, held-out ones last.
     """
 
     verdict: str
@@ -79,7 +87,10 @@ class Diagnosis(Shown):
     outside: Mapping[str, Any] = field(default_factory=dict)
     source: Source | None = None
     held: tuple[Held, ...] = ()
-    disproved: Score | None = None
+    open: tuple[tuple[str, str], ...] = ()
+    proof: Proof | None = None
+    explained: tuple[Explained, ...] = ()
+    residual: Mapping[str, Any] | None = None
     converters: tuple[Converter, ...] = ()
     readings: tuple[Source, tuple[Held, ...]] | None = None
     recordings: tuple[Recording, ...] = ()
@@ -148,18 +159,21 @@ def _as_tried(candidate: Candidate, found: Round) -> Candidate:
 
 
 def verdict_of(
-    named: Named, effects: Sequence[Effect], *, alike: bool = False, disproved: bool = False, converters: bool = False
+    named: Named, effects: Sequence[Effect], *, alike: bool = False, disproved: bool = False, converters: bool = False,
+    faint: bool = False,
 ) -> str:  # fmt: skip
     """Return one of VERDICTS.
 
     alike: all runs have one speed and the same settings, which anything explains. disproved: with the effects the
-    diagram does not predict runs that took no part. converters: readings show steps that the diagram lacks.
+    diagram does not predict runs that took no part. converters: readings show steps that the diagram lacks. faint: what
+    the diagram leaves over is so little that only a named cause makes it physics.
     """
-    if not effects and is_noise(named.base):
+    told = bool(effects) and not disproved and named.explains
+    if not told and (faint or (not effects and is_noise(named.base))):
         if converters:
             return "outside_catalogue" if disproved else "missing_physics"
         return "not_identifiable" if alike else "consistent"
-    if not effects or disproved or not (named.explained or named.nearly):
+    if not told:
         return "outside_catalogue"
     if any(len(effect.members) > MOST_CLASS for effect in effects):
         return "not_identifiable"
@@ -214,14 +228,32 @@ def _rejected(named: Named, effects: Sequence[Effect]) -> tuple[tuple[str, str],
     found = named.first or named.rounds[0]
     first = found.best
     best = _as_tried(effects[0].candidate if first is None else first, found).fit
+    open_ones = {name for name, _ in _open(named, effects)}
     for item in found.tried:
         name = item.insertion.physics
-        if name in members or name in out:
+        if name in members or name in out or name in open_ones:
             continue
         out[name] = _why(item, best)
         if len(out) >= REJECTED:
             break
     return tuple(out.items())
+
+
+def _open(named: Named, effects: Sequence[Effect]) -> tuple[tuple[str, str], ...]:
+    """Return what was tried beside the first effect's like, but not fitted to the end, and how far it came."""
+    if not effects:
+        return ()
+    members = {name for effect in effects for name in effect.members}
+    best: dict[str, Candidate] = {}
+    for item in (named.first or named.rounds[0]).tried:
+        name = item.insertion.physics
+        if name not in members and (name not in best or item.fit.misfit < best[name].fit.misfit):
+            best[name] = item
+    said = "was not fitted to the end; so far it leaves {:.3g} times the variance of the noise"
+    nearest_first = sorted(best.items(), key=lambda pair: pair[1].fit.misfit)
+    return tuple(
+        (name, said.format(item.fit.misfit / item.fit.freedom)) for name, item in nearest_first if not item.final
+    )
 
 
 def _why(item: Candidate, best: Fit) -> str:
@@ -250,8 +282,9 @@ def nearest(named: Named, unknown: Unknown | None, *, disproved: bool = False) -
 def concluded(
     named: Named, effects: tuple[Effect, ...], verdict: str, *, fits: tuple[Fit, Fit], scores: Sequence[Score],
     source: Source, held: tuple[Held, ...], unknown: Unknown | None = None, warnings: Sequence[Problem] = (),
-    screened: Sequence[tuple[str, str]] = (), disproved: Score | None = None, converters: Sequence[Converter] = (),
+    screened: Sequence[tuple[str, str]] = (), converters: Sequence[Converter] = (),
     readings: tuple[Source, tuple[Held, ...]] | None = None, recordings: Sequence[Recording] = (),
+    proof: Proof | None = None, explained: Sequence[Explained] = (), residual: Mapping[str, Any] | None = None,
 ) -> Diagnosis:  # fmt: skip
     """Return the diagnosis without its words. fits, scores: before and after; screened: further rivals and why.
 
@@ -260,14 +293,14 @@ def concluded(
     before, after = fits
     every = (*effects, *(_as_effect(converter, named.fit) for converter in converters))
     return Diagnosis(
-        verdict=verdict, effects=every, places=_places(named, every),
-        rejected=(*_rejected(named, effects), *(screened if effects else ())),
+        verdict=verdict, effects=every, places=() if verdict == "consistent" else _places(named, every),
+        rejected=(*_rejected(named, effects), *(screened if effects else ())), open=_open(named, effects),
         before=before, after=after, document=values_in(after.document, after.values),
         score_before=scores[0], score_after=scores[1], next_experiment="", statement="", named=named,
         warnings=tuple(warnings), detectable=_detectable(named) if verdict == "consistent" else {},
         outside={} if unknown is None else {**unknown.data, "description": unknown.description},
-        source=source, held=held, disproved=disproved, converters=tuple(converters), readings=readings,
-        recordings=tuple(recordings),
+        source=source, held=held, proof=proof, explained=tuple(explained), residual=residual,
+        converters=tuple(converters), readings=readings, recordings=tuple(recordings),
     )  # fmt: skip
 
 
@@ -283,6 +316,25 @@ def in_words(found: Diagnosis) -> Diagnosis:
 
     found = replace(found, next_experiment=next_experiment(found))
     return replace(found, statement=statement(found))
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """A parameter of a fit: value, standard deviation, 90 % interval within its bounds (infinite where open), unit."""
+
+    value: float
+    std: float
+    interval: tuple[float, float]
+    unit: str
+    at_bound: bool = False
+
+
+def estimates(fit: Fit) -> dict[str, Estimated]:
+    """Return the parameters of a fit by name: what all of statement, diagnosis.json and report say of them."""
+    return {
+        item.name: Estimated(float(fit.theta[j]), fit.std(j), fit.interval90(j), item.unit, bool(fit.at_bound[j]))
+        for j, item in enumerate(fit.free)
+    }
 
 
 def interval(value: float, std: float) -> tuple[float, float]:

@@ -13,10 +13,12 @@ from rotorsim.diagnose.base import base_fit, with_uncertain
 from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, nearest, unknown_of, verdict_of
 from rotorsim.diagnose.converters import find_converters
 from rotorsim.diagnose.drifts import drift_warnings, find_drifts, with_drifts
+from rotorsim.diagnose.explaining import explanations, is_force, residual_of
 from rotorsim.diagnose.fitting import Fit, Source
-from rotorsim.diagnose.naming import NEARLY, name_missing
+from rotorsim.diagnose.naming import name_missing, without_effects
 from rotorsim.diagnose.pickups import find_pickups, pickup_warnings
-from rotorsim.diagnose.scoring import DETAILS, Held, Score, left_out_score, predicts, score
+from rotorsim.diagnose.proof import is_faint, is_material, prove
+from rotorsim.diagnose.scoring import Held, Score, left_out_score, score
 from rotorsim.diagnose.time_data import is_in_time
 from rotorsim.diagnose.time_diagnosis import diagnose_in_time
 from rotorsim.diagnose.trials import is_adequate
@@ -85,12 +87,12 @@ def diagnose(
         drifts: dict[str, float] = {} if before.failure else find_drifts(before, data.source)
         if drifts:
             less = _prepared(empty, hold_out, steps, warnings, picked, drifts)
-            explained, finer = base_fit(diagram, less.source)
-            if explained.failure or explained.misfit > DRIFTING * explained.freedom:
+            without, finer = base_fit(diagram, less.source)
+            if without.failure or without.misfit > DRIFTING * without.freedom:
                 drifts = {}  # what the diagram lacks may drift, too
             else:
                 given = data = less
-                before, refined = explained, finer
+                before, refined = without, finer
                 warnings += drift_warnings(drifts, recording)
     if before.failure:
         raise RotorsimError(Problem(before.failure, diagram.name))
@@ -106,20 +108,33 @@ def diagnose(
     named = name_missing(
         base, source, registry=registry, physics=physics, workers=workers, scheduler=scheduler, progress=progress,
     )  # fmt: skip
-    effects = effects_of(named)
     scored = _Scores(source, held)
-    found_some = bool(effects or converters) and (named.explained or named.nearly)
-    details = DETAILS if named.explained else 1 - NEARLY  # what is left in the fitted runs may be left there
-    disproved = found_some and bool(held) and not predicts(scored(base), scored(named.fit), details)
-    verdict = verdict_of(named, effects, alike=source.alike, disproved=disproved, converters=bool(converters))
+    if named.chosen and named.explains and not is_material(scored(base), scored(named.fit), base, named.fit):
+        named = without_effects(named)
+    effects = effects_of(named)
+    proof = None
+    if (effects or converters) and named.explains:
+        left = 0.0 if named.explained else max(1 - named.share, 0.0)
+        proof = prove(scored(base), scored(named.fit), left=left, held=bool(held))
+    disproved = proof is not None and proof.status == "disproved"
+    with threadpool_limits(1, "blas"):
+        faint = is_faint(base, scored(base)) and not is_force(base, source)
+    if faint and effects and (disproved or not named.explains):
+        named, effects = without_effects(named), ()
+    verdict = verdict_of(
+        named, effects, alike=source.alike, disproved=disproved, converters=bool(converters), faint=faint
+    )  # fmt: skip
     unknown = unknown_of(named, effects, source) if verdict == "outside_catalogue" else None
     after = nearest(named, unknown, disproved=disproved)
     score_before = scored(base) if base is before else _Scores(given.source, given.held)(before)
+    with threadpool_limits(1, "blas"):
+        explained = explanations(named, effects, source, held) if verdict == "missing_physics" else ()
+        residual = residual_of(base, after, source) if verdict in ("missing_physics", "consistent") else None
     found = concluded(
         named, effects, verdict, fits=(before, after), scores=(score_before, scored(after)), source=source, held=held,
         unknown=unknown, converters=converters, readings=(given.source, given.held) if converters else None,
-        recordings=[recording, *([] if hold_out is None else [hold_out])],
-        disproved=scored(named.fit) if disproved else None,
+        recordings=[recording, *([] if hold_out is None else [hold_out])], proof=proof, explained=explained,
+        residual=residual,
         warnings=[*warnings, *data.warnings, *(Problem(note, severity="warning") for note in refined)],
     )  # fmt: skip
     return in_words(found)

@@ -11,16 +11,24 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnose.conclusions import Diagnosis, Effect, interval
+from rotorsim.diagnose.conclusions import Diagnosis, Effect, estimates, interval
+from rotorsim.diagnose.explaining import Explained
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.insertion import Spot
+from rotorsim.diagnose.trials import is_adequate
 from rotorsim.diagram.files import write_atomically
 from rotorsim.diagram.fmt import format_document
 
-__all__ = ["diagnosis_data", "repaired_document", "save_diagnosis"]
+__all__ = ["diagnosis_data", "diagnosis_schema", "repaired_document", "save_diagnosis"]
 
 DIAGRAM = "diagram.json"
 RESULT = "diagnosis.json"
+
+
+def diagnosis_schema() -> dict[str, Any]:
+    """Return the JSON schema of diagnosis.json, which says what each key means."""
+    schema: dict[str, Any] = json.loads(Path(__file__).with_name("diagnosis.schema.json").read_text(encoding="utf-8"))
+    return schema
 
 
 def diagnosis_data(found: Diagnosis) -> dict[str, Any]:
@@ -30,16 +38,20 @@ def diagnosis_data(found: Diagnosis) -> dict[str, Any]:
         "where": [_place(spot, probability) for spot, probability in found.places],
         "missing": _missing(found),
         "rejected": [{"physics": name, "why": why} for name, why in found.rejected],
-        "parameters": {"before": _parameters(found.before), "after": _parameters(found.after, found)},
+        "open": [{"physics": name, "why": why} for name, why in found.open],
+        "parameters": {"before": _parameters(found.before), "after": _parameters(found.after)},
         "fit": {
-            "before": _score(found.score_before, found.before),
-            "after": _score(found.score_after, found.after),
+            "before": _score(found.score_before, found.before, found),
+            "after": _score(found.score_after, found.after, found),
             "noise_floor": found.score_after.noise if found.score_after.noise is not None else found.score_before.noise,
             "held_out": "hold_out" if found.held else "left_out",
         },
+        "nearest": _nearest(found),
         "next_experiment": found.next_experiment,
         "statement": found.statement,
         "diagram": DIAGRAM,
+        "proof": None if found.proof is None else {"status": found.proof.status, "reason": found.proof.reason},
+        "residual": None if found.residual is None else dict(found.residual),
         "detectable": {name: dict(values) for name, values in found.detectable.items()},
         "outside": dict(found.outside),
         "warnings": [f"{problem.subject}: {problem.what}" for problem in found.warnings],
@@ -56,10 +68,28 @@ def _missing(found: Diagnosis) -> list[dict[str, Any]]:
             "class": list(effect.members),
             "probability": effect.members[effect.physics],
             "block": effect.candidate.insertion.name,
+            "place": str(effect.spot_of(effect.physics)),
             "parameters": {**_effect_parameters(effect, found.after), **_taken(effect, found)},
+            "explained": _explained(found.explained[number]) if number < len(found.explained) else None,
         }
-        for effect in found.effects
+        for number, effect in enumerate(found.effects)
     ]
+
+
+def _nearest(found: Diagnosis) -> dict[str, Any] | None:
+    """Return which rows explain most in the fitted runs, and the share of what was to be explained."""
+    named = found.named
+    if not named.chosen:
+        return None
+    left = _finite(named.fit.misfit / named.fit.freedom)
+    return {"physics": [i.insertion.physics for i in named.chosen], "share": named.share, "excess_variance": left}
+
+
+def _explained(item: Explained) -> dict[str, Any] | None:
+    if item.share is None:
+        return None
+    ends = None if item.share.interval is None else [_finite(end) for end in item.share.interval]
+    return {"share": _finite(item.share.value), "interval90": ends, "explainable": item.explainable}
 
 
 def _place(spot: Spot, probability: float) -> dict[str, Any]:
@@ -77,25 +107,29 @@ def _taken(effect: Effect, found: Diagnosis) -> dict[str, Any]:
     out = {}
     for key, (value, std, unit) in found.taken(effect).items():
         ends = [_finite(end) for end in interval(value, std)]
-        out[key] = {"value": value, "std": std, "interval90": ends, "unit": unit}
+        out[key] = {"value": value, "std": std, "interval90": ends, "unit": unit, "at_bound": False}
     return out
 
 
-def _parameters(fit: Fit, found: Diagnosis | None = None) -> dict[str, Any]:
-    out = {}
-    for j, item in enumerate(fit.free):
-        out[item.name] = {
-            "value": float(fit.theta[j]), "std": _finite(fit.std(j)),
-            "interval90": [_finite(end) for end in fit.interval90(j)], "unit": item.unit,
-            "at_bound": bool(fit.at_bound[j]),
-        }  # fmt: skip
-    return out
+def _parameters(fit: Fit) -> dict[str, Any]:
+    return {
+        name: {
+            "value": item.value, "std": _finite(item.std),
+            "interval90": [_finite(end) for end in item.interval], "unit": item.unit,
+            "at_bound": item.at_bound,
+        }
+        for name, item in estimates(fit).items()
+    }  # fmt: skip
 
 
-def _score(scored: Any, fit: Fit) -> dict[str, Any]:
+def _score(scored: Any, fit: Fit, found: Diagnosis) -> dict[str, Any]:
+    from rotorsim.diagnose.time_source import TimeSource
+
+    independent = not isinstance(found.source, TimeSource)  # samples in time are not
     return {
         "hold_out": scored.total, "ports": {k: _finite(v) for k, v in scored.ports.items() if k},
-        "excess_variance": _finite(fit.misfit / fit.freedom), "goodness": fit.goodness,
+        "excess_variance": _finite(fit.misfit / fit.freedom), "goodness": fit.goodness if independent else None,
+        "adequate": is_adequate(fit), "reason": getattr(scored, "reason", "") or None,
     }  # fmt: skip
 
 

@@ -6,11 +6,14 @@ diagram's own parameters, what is left over is the least that any row of the cat
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from rotorsim.block import In
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.insertion import Insertion
+from rotorsim.diagnose.scoring import Held
 from rotorsim.diagnose.values import values_in
 from rotorsim.errors import RotorsimError
 from rotorsim.identify.likelihood import Likelihood
@@ -34,24 +37,38 @@ class Places:
 
     def bound(self, item: Insertion) -> float | None:
         """Return the least misfit that an insertion can leave over, None where nothing is known of it."""
+        key = self.entries(item)
+        return None if key is None else self._bound(key)
+
+    def least(self, item: Insertion) -> list[tuple[float, float]] | None:
+        """Return of each run the least misfit that an insertion can leave, and the equations that are left then."""
+        key = self.entries(item)
+        return None if key is None else self.free(*key)
+
+    def free(self, kind: str, *names: str) -> list[tuple[float, float]]:
+        """Return of each run misfit and equations with free harmonics of inputs ("force") or channels ("reading")."""
+        return self._rests(kind == "force", names)
+
+    def entries(self, item: Insertion) -> tuple[str, ...] | None:
+        """Return "force" and the inputs where an insertion acts, or "reading" and the channels that it falsifies."""
         if item.fault.enters == "force":
             names = [target.replace(" ", "") for source, target in item.wires if source.startswith(f"{item.name}.")]
             inside = [name for name in self.places if any(_within(name, target) for target in names)]
-            return self._bound(("force", *inside)) if inside else None
+            return ("force", *inside) if inside else None
         if item.measured and not item.cut and item.fault.enters in ("reading", "wire"):
             read = [n for n in self.likelihood.experiment.predicted if any(_within(n, m) for m in item.measured)]
-            return self._bound(("reading", *read)) if read else None
+            return ("reading", *read) if read else None
         return None
 
     def _bound(self, key: tuple[str, ...]) -> float:
         if key not in self._known:
-            self._known[key] = self._least(key[0] == "force", key[1:])
+            self._known[key] = sum(misfit for misfit, _ in self._rests(key[0] == "force", key[1:]))
         return self._known[key]
 
-    def _least(self, force: bool, names: tuple[str, ...]) -> float:
-        """Return the misfit with free harmonics of some inputs, or of what some channels read."""
+    def _rests(self, force: bool, names: tuple[str, ...]) -> list[tuple[float, float]]:
+        """Return of each run misfit and equations with free harmonics of some inputs, or of what some channels read."""
         likelihood, orders = self.likelihood, self.likelihood.orders
-        rests, slopes = [], []
+        rests, slopes, counts = [], [], []
         at = 0
         for r, white in enumerate(likelihood.whiteners):
             size = len(white.keep)
@@ -72,11 +89,15 @@ class Places:
             q, _ = np.linalg.qr(whitened[:, length > 0] / length[length > 0])
             rests.append(e - q @ (q.T @ e))
             slopes.append(J - q @ (q.T @ J))
+            counts.append(size - q.shape[1])
         rest, J = np.concatenate(rests), np.concatenate(slopes)
         length = np.linalg.norm(J, axis=0)
         q, _ = np.linalg.qr(J[:, length > 0] / length[length > 0])
         rest = rest - q @ (q.T @ rest)
-        return float(rest @ rest)
+        ends = np.cumsum([len(part) for part in rests])[:-1]
+        share = q.shape[1] / len(rests)
+        parts = zip(np.split(rest, ends), counts, strict=True)
+        return [(float(part @ part), count - share) for part, count in parts]
 
     def _effects(self, r: int, force: bool, names: tuple[str, ...]) -> np.ndarray:
         """Return what unit harmonics change in the predicted channels of a run, (orders, c, number)."""
@@ -94,9 +115,14 @@ def _within(name: str, port: str) -> bool:
     return name == port or name.startswith(f"{port.removesuffix(']')}," if port.endswith("]") else f"{port}[")
 
 
-def open_places(before: Fit, source: Source) -> Places | None:
-    """Return the places of a fitted diagram, or None where it has none that can be judged so (it is not linear)."""
+def open_places(before: Fit, source: Source, held: Held | None = None) -> Places | None:
+    """Return the places of a fitted diagram, or None where it has none that can be judged so (it is not linear).
+
+    held: other runs than those of the source.
+    """
     document = values_in(before.document, before.values)
+    if held is not None:
+        source = replace(source, recording=held.recording, harmonics=held.harmonics)
     try:
         diagram = source.load(document)
         targets = [

@@ -8,15 +8,17 @@ import numpy as np
 
 from rotorsim.diagnose.fitting import Source
 from rotorsim.diagnose.next_experiment import best_change
-from rotorsim.diagnose.scoring import HeldScore
+from rotorsim.diagnose.trials import is_noise
 from rotorsim.units import format_quantity
 
 if TYPE_CHECKING:
     from rotorsim.diagnose.conclusions import Diagnosis, Effect
+    from rotorsim.diagnose.explaining import Explained
     from rotorsim.fault import Fault
 
 __all__ = ["next_experiment", "statement"]
 
+ALL = 0.999  # a share from which its digits say nothing
 ONE_SPEED = "at one speed unbalance imitates bow and runout, and force factors imitate stiffness and damping"
 MORE_RUNS = "runs at several speeds, from slow roll to above the first critical, and some with other gains"
 
@@ -67,13 +69,17 @@ def _told_apart(first: Fault, second: Fault) -> str:
 
 def statement(found: Diagnosis) -> str:
     """Return one paragraph in plain words."""
-    before, after = found.score_before, found.score_after
     name = str(found.document.get("name", "the diagram"))
     if not found.effects and found.verdict in ("consistent", "not_identifiable"):
-        text = (
-            f"{name} explains the recording: what is left over has {found.before.misfit / found.before.freedom:.3g} "
-            "times the variance of the noise, and no row of the catalogue explains more of it than noise would."
-        )
+        rest = f"what is left over has {found.before.misfit / found.before.freedom:.3g} times the variance of the noise"
+        if is_noise(found.before):
+            none = "no row of the catalogue explains more of it than noise would"
+            text = f"{name} explains the recording: {rest}, and {none}."
+        else:
+            text = (
+                f"{name} explains the recording, but for little: {rest}, and no row of the catalogue explains that in "
+                f"runs that took no part, too.{_residual(found)}"
+            )
         if _alike(found.source):
             text += f" All its runs are alike, though: {ONE_SPEED}."
         return text + _held_out(found)
@@ -85,44 +91,77 @@ def statement(found: Diagnosis) -> str:
         if nearest is not None:
             left = found.named.fit.misfit / found.named.fit.freedom
             text += f": the nearest, {_list([e.physics for e in found.effects])}, leaves {left:.3g} times"
-        lost = found.disproved
-        if isinstance(lost, HeldScore) and lost.misfit is not None:
-            text += f", but {lost.misfit / lost.rows:.3g} times what noise and its parameters make in held-out runs"
+        if found.proof is not None and found.proof.status == "disproved":
+            text += f", but held-out runs disprove it: {found.proof.reason}"
         text += "."
         if found.outside.get("description"):
             text += " " + str(found.outside["description"])
         return text + _held_out(found)
-    for effect in found.effects:
+    for number, effect in enumerate(found.effects):
         text += " " + _sentence(effect, found)
-    if found.named.nearly and not found.named.explained:
-        left = found.named.fit.misfit / found.named.fit.freedom
-        text += f" {left:.3g} times the variance of the noise are left: details of a law, or a small effect more."
-    if before.total is not None and after.total is not None:
-        text += _held_out(found)
+        if number < len(found.explained):
+            text += _explains(found.explained[number], found)
+    if found.named.mostly and not found.named.explained:
+        fit = found.named.fit
+        text += (
+            f" {fit.misfit / fit.freedom:.3g} times the variance of the noise are left ({_chance(fit.goodness)} that "
+            f"noise makes as much), {_percent(1 - found.named.share)} of what was unexplained: details of a law, or a "
+            f"small effect more.{_residual(found)}"
+        )
+    text += _held_out(found)
+    if found.proof is not None and found.proof.status == "unproved":
+        text += f" On {_kind(found)} this is unproved: {found.proof.reason}."
     return text
+
+
+def _explains(item: Explained, found: Diagnosis) -> str:
+    """Return how much of what is to be explained an effect explains."""
+    if item.share is None:
+        return ""
+    of = "is left without it" if item.explainable is None else "anything at that place could explain"
+    if item.share.interval is None or item.share.interval[0] > ALL:
+        much = f"more than {_percent(ALL)}" if item.share.value > ALL else _percent(item.share.value)
+    else:
+        much = "{} ({} to {})".format(*(_percent(share) for share in (item.share.value, *item.share.interval)))
+    return f" On {_kind(found)} it explains {much} of what {of}."
+
+
+def _residual(found: Diagnosis) -> str:
+    """Return where what is left over acts most likely, and its size."""
+    place = None if found.residual is None else found.residual["place"]
+    if found.residual is None or place is None:
+        return ""
+    size = found.residual["size"]
+    node = "" if place["node"] is None else f"[{place['node']}]"
+    at = f"{place['block']}.{place['port']}{node}"
+    return f" What is left acts most likely at {at}: {format_quantity(size['value'], size['unit'], 2)} rms."
+
+
+def _chance(probability: float) -> str:
+    return f"probability {probability:.2g}" if probability > 1e-300 else "probability below 1e-300"
+
+
+def _kind(found: Diagnosis) -> str:
+    return "held-out runs" if found.held else "runs left out one by one"
 
 
 def _sentence(effect: Effect, found: Diagnosis) -> str:
     """Return what is missing, with its sizes in the fit of all effects."""
-    fit = found.after
+    from rotorsim.diagnose.conclusions import estimates
+
     names = list(effect.members)
-    known = {item.name: (j, item) for j, item in enumerate(fit.free)}
+    known = estimates(found.after)
     values = []
     for name in effect.candidate.insertion.free:
-        if name not in known:
-            continue
-        j, item = known[name]
-        std = float(np.sqrt(max(fit.covariance[j, j], 0.0)))
-        size = _quantity(float(fit.theta[j]), 0.0 if fit.at_bound[j] else std, item.unit)
-        values.append(f"{name.rpartition('.')[2]} {size}" + (" at its bound" if fit.at_bound[j] else ""))
+        if name in known:
+            item = known[name]
+            size = _quantity(item.value, 0.0 if item.at_bound else item.std, item.unit)
+            values.append(f"{name.rpartition('.')[2]} {size}" + (" at its bound" if item.at_bound else ""))
     values += [f"{key} {_quantity(size, std, unit)}" for key, (size, std, unit) in found.taken(effect).items()]
     sizes = ", ".join(values)
     if len(names) == 1:
-        place = f" at {effect.places[0][0]}" if effect.places else ""
-        return f"Missing is {names[0]}{place}" + (f" ({sizes})." if sizes else ".")
-    best = {name: item.insertion.spot for name, item in effect.rivals.items()}
-    best[effect.physics] = effect.candidate.insertion.spot
-    alike = [f"{name} at {best[name]}" if name in best else name for name in names]
+        return f"Missing is {names[0]} at {effect.spot_of(names[0])}" + (f" ({sizes})." if sizes else ".")
+    alike = [f"{name} at {effect.spot_of(name)}" if effect.spot_of(name) else name for name in names]
     text = f"Missing is one of these, which the data do not tell apart: {', '.join(alike)}"
     return text + (f" (as {effect.physics}: {sizes})." if sizes else ".")
 
@@ -143,20 +182,27 @@ def _quantity(value: float, std: float, unit: str) -> str:
 
 def _held_out(found: Diagnosis) -> str:
     before, after, floor = found.score_before.total, found.score_after.total, found.score_before.noise
-    kind = "held-out runs" if found.held else "runs left out one by one"
-    if before is None or floor is None:
-        return ""
+    floor = found.score_after.noise if floor is None else floor
+    kind = _kind(found)
+    noise = "" if floor is None else f" (noise {_percent(floor)})"
     if found.verdict == "consistent":
-        return f" On {kind} its error is {_percent(before)} of the signals (noise {_percent(floor)})."
+        return "" if before is None else f" On {kind} its error is {_percent(before)} of the signals{noise}."
+    lost = [str(getattr(item, "reason", "")) for item in (found.score_before, found.score_after)]
+    if before is None and after is None:
+        return f" On {kind} neither diagram has a settled motion."
+    if before is None:
+        why = f" ({lost[0]})" if lost[0] else ""
+        return f" On {kind} it has no settled motion{why}; the repaired diagram's error is {_percent(after)}{noise}."
     if after is None:
-        lacks = "the repaired diagram has no settled motion there"
+        why = f" ({lost[1]})" if lost[1] and found.proof is None else ""
+        lacks = f"the repaired diagram has no settled motion there{why}"
         return f" On {kind} its error is {_percent(before)} of the signals; {lacks}."
     change = f"{'falls' if after < before else 'goes'} from {_percent(before)} to {_percent(after)}"
-    return f" On {kind} the error {change} of the signals (noise {_percent(floor)})."
+    return f" On {kind} the error {change} of the signals{noise}."
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.3g} %"
+def _percent(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.3g} %"
 
 
 def _list(names: list[str]) -> str:

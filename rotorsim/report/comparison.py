@@ -23,6 +23,7 @@ __all__ = ["Comparison", "Harmonics", "Signal", "compare"]
 
 EXCEEDED = 0.05  # share of harmonics of noise alone that are above the noise level
 SPEEDS, STEP, REFINEMENTS = 121, 0.2, 4  # of a curve over speed: first points; change between two that is refined
+AGREES = 0.05  # of the largest order: how far a curve over speed may be from the motion in a run
 BATCH = 64  # speeds solved at a time
 
 
@@ -241,7 +242,8 @@ class Comparison:
         """Return ascending speeds (n,) [rad/s] over the range of all runs, and the model's harmonics (n, orders) there.
 
         nan where the model is not stable and so never settles. Empty when the model needs measured inputs: between
-        the runs nobody knows them.
+        the runs nobody knows them; and where the motion that it settles to over speed is not the one that it has in the
+        runs (a nonlinear model may have several).
         """
         runs = self.groups[group]
         all_speeds = np.array([fit.speed for fit in self.experiment.fits])
@@ -250,7 +252,9 @@ class Comparison:
             return np.zeros(0), np.zeros((0, len(orders)), complex)
         margin = 0.03 * np.ptp(side)
         low, high = np.abs(side).min() - margin, np.abs(side).max() + margin
-        speeds = np.sort(np.linspace(max(low, 0.5 * np.abs(side).min()), high, SPEEDS) * np.sign(side[0]))
+        grid = np.linspace(max(low, 0.5 * np.abs(side).min()), high, SPEEDS) * np.sign(side[0])
+        own = [r for r in runs if all_speeds[r] in side]
+        speeds = np.unique(np.concatenate([grid, all_speeds[own]]))
         with threadpool_limits(1, "blas"):  # many small matrices
             values = self._at(runs[0], speeds, signal, orders)
             for _ in range(REFINEMENTS):
@@ -262,7 +266,22 @@ class Comparison:
                 between = (speeds[where] + speeds[where + 1]) / 2
                 values = np.insert(values, where + 1, self._at(runs[0], between, signal, orders), axis=0)
                 speeds = np.insert(speeds, where + 1, between)
+        if not self._passes(own, signal, orders, speeds, values):
+            return np.zeros(0), np.zeros((0, len(orders)), complex)
         return speeds, values
+
+    def _passes(
+        self, runs: Sequence[int], signal: Signal, orders: np.ndarray, speeds: np.ndarray, values: np.ndarray
+    ) -> bool:  # fmt: skip
+        """Return whether a curve over speed goes through the motion that the model has in some runs."""
+        every = self.orders(signal).tolist()
+        for r in runs:
+            there = np.array([self.model(r, signal)[every.index(int(k))] for k in orders])
+            curve = values[int(np.argmin(np.abs(speeds - self.experiment.fits[r].speed)))]
+            apart = np.abs(curve - there)[orders != 0]  # means may not have settled
+            if np.isfinite(apart).all() and (apart > AGREES * np.abs(there[orders != 0]).max(initial=0.0)).any():
+                return False
+        return True
 
     def _at(self, r: int, speeds: np.ndarray, signal: Signal, orders: np.ndarray) -> np.ndarray:
         experiment, K = self.experiment, int(np.abs(orders).max())
@@ -276,6 +295,7 @@ class Comparison:
             phase = np.full(len(some), experiment.motion.phase[r])
             if isinstance(experiment.motion, NonlinearMotion):
                 balanced = NonlinearMotion(experiment.motion.equations, p, some, K, list(windows), phase)
+                self._begin(balanced, r, some)
                 Y = harmonics_of_time(balanced.predict(self.theta).Y, some[0])
                 found.append(signal.combined(Y, experiment.predicted, orders))
                 continue
@@ -289,6 +309,18 @@ class Comparison:
             Y[grows] = np.nan
             found.append(signal.combined(Y, experiment.predicted, orders))
         return np.concatenate(found)
+
+    def _begin(self, balanced: NonlinearMotion, r: int, speeds: np.ndarray) -> None:
+        """Start motions at speeds (n,) from that of the run nearest in speed, of those with the settings of run r."""
+        motion = self.experiment.motion
+        if not isinstance(motion, NonlinearMotion) or motion.last is None:
+            return
+        runs = np.array(self.groups[self.group_of(r)])
+        own = np.array([self.experiment.fits[k].speed for k in runs])
+        last = motion.last[runs[np.argmin(np.abs(own[:, None] - speeds), axis=0)], : balanced.H + 1]
+        balanced.opened(self.theta)
+        if last.shape[2] == len(balanced.inner.S):
+            balanced.last = np.pad(last, ((0, 0), (0, balanced.H + 1 - last.shape[1]), (0, 0)))
 
     @property
     def has_slow_states(self) -> bool:

@@ -122,12 +122,14 @@ class _Page:
             place = f"; it acts most likely at {found.places[0][0]}" if found.places else ""
             return f"No effect of the catalogue explains what the diagram leaves over{place}."
         effects = ", and ".join(
-            " or ".join(plain_words(name) for name in effect.members)
-            + (f" at {effect.places[0][0]}" if effect.places else "")
+            " or ".join(f"{plain_words(name)} at {effect.spot_of(name)}" for name in effect.members)
             for effect in found.effects
         )
-        falls = f"; with it the error {runs} falls from {before} to {after}" if before and after else ""
-        return f"The diagram lacks {effects}{falls}."
+        lower = before and after and (found.score_after.total or 0) < (found.score_before.total or 0)
+        falls = f"; with it the error {runs} {'falls' if lower else 'goes'} from {before} to {after}"
+        unproved = found.proof is not None and found.proof.status == "unproved"
+        said = (falls if before and after else "") + (f"; {runs} this is unproved" if unproved else "")
+        return f"The diagram lacks {effects}{said}."
 
     def _where(self) -> str:
         found, parts = self.found, ["<h2>Where</h2>"]
@@ -166,7 +168,10 @@ class _Page:
     def _what(self) -> str:
         found, parts = self.found, ["<h2>What</h2>"]
         if found.verdict == "consistent":
-            parts.append("<p>No effect of the catalogue explains more than noise would.</p>")
+            none = "No effect of the catalogue explains more than noise would"
+            parts.append(f"<p>{none}{'' if found.residual is None else ' in runs that took no part'}.</p>")
+            if found.residual is not None:
+                parts.append(self._residual(found.residual))
             if found.detectable:
                 rows = [
                     [
@@ -181,8 +186,13 @@ class _Page:
             return "\n".join(parts)
         if found.verdict == "outside_catalogue":
             parts.append(self._outside())
-        for effect in found.effects:
-            parts.append(self._effect(effect))
+        for number, effect in enumerate(found.effects):
+            parts.append(self._effect(effect, number))
+        if found.residual is not None:
+            parts.append(f"<h3>Left over</h3>{self._residual(found.residual)}")
+        if found.open:
+            parts.append("<h3>Tried, but not fitted to the end: not rejected</h3>")
+            parts.append(table(["effect", ""], [[plain_words(name), why] for name, why in found.open]))
         return "\n".join(parts)
 
     def _outside(self) -> str:
@@ -196,9 +206,9 @@ class _Page:
             parts.append("<p>The nearest effects of the catalogue, which do not explain it:</p>")
         return "\n".join(parts)
 
-    def _effect(self, effect: Effect) -> str:
+    def _effect(self, effect: Effect, number: int) -> str:
         insertion, fault = effect.candidate.insertion, effect.candidate.insertion.fault
-        place = f" at {effect.places[0][0]}" if effect.places else ""
+        place = f" at {effect.spot_of(effect.physics)}"
         parts = [f"<h3>{escape(plain_words(effect.physics))}{escape(place)}</h3>"]
         values = self._values(self.found.after)
         rows = [[name.rpartition(".")[2], *estimate(values[name])] for name in insertion.free if name in values]
@@ -208,18 +218,47 @@ class _Page:
             ("law", fault.law),
             ("block", f"{insertion.name} ({insertion.kind.type_name})"),
             ("source", fault.source),
+            ("explains", self._share(number)),
         ]
         parts.append(table(["", ""], [[name, text] for name, text in told if text], head=False))
         if len(effect.members) > 1:
             parts.append("<p>These explain the data as well:</p>")
             rows = []
             for name, probability in effect.members.items():
-                rival = effect.candidate if name == effect.physics else getattr(effect, "rivals", {}).get(name)
-                rows.append([plain_words(name), f"{probability:.2f}", "" if rival is None else own_parameters(rival)])
-            parts.append(table(["effect", "probability", "with"], rows))
+                rival = effect.rivals.get(name)
+                own = effect.candidate if name == effect.physics else rival
+                fit = self.found.after if name == effect.physics else None if rival is None else rival.fit
+                text = "" if own is None or fit is None else own_parameters(own, fit)
+                rows.append([plain_words(name), f"{probability:.2f}", str(effect.spot_of(name) or ""), text])
+            parts.append(table(["effect", "probability", "at", "with"], rows))
             if fault.told_apart_by:
                 parts.append(f"<p>Told apart by: {escape(fault.told_apart_by)}.</p>")
         return "\n".join(parts)
+
+    def _residual(self, residual: Mapping[str, Any]) -> str:
+        """Return a table of what is left over beyond noise."""
+        rows = [
+            ["share of what was to be explained", percent(residual["share"])],
+            ["variance left / noise", f"{residual['excess_variance']:.3g}"],
+        ]
+        if residual["place"] is not None:
+            place, size = residual["place"], residual["size"]
+            node = "" if place["node"] is None else f"[{place['node']}]"
+            rows.append(["acts most likely at", f"{place['block']}.{place['port']}{node}"])
+            rows.append(["its size there, rms", quantity(size["value"], size["unit"], 2)])
+            sizes = ", ".join(f"{k}X {quantity(value, size['unit'], 2)}" for k, value in size["orders"].items())
+            rows.append(["of orders, rms", sizes])
+        return table(["", ""], rows, head=False)
+
+    def _share(self, number: int) -> str:
+        """Return the share that an effect explains with its interval, as diagnosis.json has it."""
+        missing = self.data["missing"]
+        item = missing[number].get("explained") if number < len(missing) else None
+        if item is None:
+            return ""
+        ends = item["interval90"]
+        between = "" if ends is None else f" ({percent(ends[0])} to {percent(ends[1])})"
+        return f"{percent(item['share'])}{between} of what could be explained there, in runs that took no part"
 
     def _before_and_after(self, shown: Pair | None, fitted: Pair | None) -> str:
         found = self.found
@@ -239,6 +278,9 @@ class _Page:
             parts.append(table(["error of", *names, "noise"], rows))
             note = "Root mean square of what is left over, in parts of the signal about its mean."
             parts.append(f'<p class="small">{note}</p>')
+        if found.proof is not None:
+            said = f"{found.proof.status[:1].upper()}{found.proof.status[1:]} on {kind}: {found.proof.reason}."
+            parts.append(f"<p>{escape(said)}</p>")
         in_time = traces(found)
         if in_time:
             made = traces_figure(in_time, self.labels, self.same)
@@ -302,6 +344,8 @@ class _Page:
             if kept is not None and name in kept.members:
                 chosen = "nearest" if self.found.verdict == "outside_catalogue" else "kept"
                 why = chosen if name == kept.physics else "explains the data as well"
+            elif not candidate.final:
+                why = "not fitted to the end: not rejected"
             elif kept is not None:
                 why = why_lost(fit, kept.candidate.fit, reasons.get(name, ""))
             if fit.failure:
@@ -337,10 +381,10 @@ class _Page:
 
     def _values(self, fit: Fit) -> dict[str, Mapping[str, Any]]:
         """Return the parameters of a fit with their intervals, marked where they stand at a bound."""
-        which = "before" if fit is self.found.before else "after"
-        ended = {item.name for item, end in zip(fit.free, fit.at_bound, strict=True) if end}
-        values: Mapping[str, Mapping[str, Any]] = self.data["parameters"][which]
-        return {name: {**item, "at_bound": name in ended} for name, item in values.items()}
+        values: Mapping[str, Mapping[str, Any]] = self.data["parameters"][
+            "before" if fit is self.found.before else "after"
+        ]
+        return dict(values)
 
     def _parameters(self) -> str:
         found = self.found

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnose.conclusions import Diagnosis
+from rotorsim.diagnose.conclusions import Diagnosis, estimates
 from rotorsim.diagnose.files import repaired_document
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.trials import Candidate
@@ -111,12 +111,12 @@ def estimate(item: Mapping[str, Any]) -> list[str]:
     return [quantity(item["value"], unit, digits), f"{ends[0]} to {ends[1]}"]
 
 
-def own_parameters(candidate: Candidate) -> str:
-    """Return the parameters of a candidate with their values."""
-    units = {item.name: item.unit for item in candidate.fit.free}
-    values = candidate.fit.values
+def own_parameters(candidate: Candidate, fit: Fit) -> str:
+    """Return the parameters of a candidate with their values in a fit."""
+    known = estimates(fit)
     return ", ".join(
-        f"{name.rpartition('.')[2]} {quantity(values[name], units[name])}" for name in candidate.parameters
+        f"{name.rpartition('.')[2]} {quantity(known[name].value, known[name].unit)}"
+        for name in candidate.insertion.free if name in known
     )  # fmt: skip
 
 

@@ -1,13 +1,19 @@
 """Diagnosis of cracked rotors whose data an independent program computed: named, located, repaired, or left alone."""
 
 import json
+from dataclasses import replace
 from functools import cache
 
+import jsonschema
 import numpy as np
 import pytest
 
 from rotorsim.diagnose.diagnosis import Diagnosis, diagnose
-from rotorsim.diagnose.files import diagnosis_data, save_diagnosis
+from rotorsim.diagnose.explaining import Explained
+from rotorsim.diagnose.files import diagnosis_data, diagnosis_schema, save_diagnosis
+from rotorsim.diagnose.proof import Proof, Share
+from rotorsim.diagnose.scoring import HeldScore
+from rotorsim.diagnose.wording import statement
 from rotorsim.diagram import load
 from rotorsim.recordings import Recording
 from rotorsim.simulate import simulate
@@ -101,6 +107,14 @@ def test_the_files_are_what_others_read(tmp_path):
     found = diagnosed(True)
     files = save_diagnosis(found, tmp_path)
     data = json.loads(files[0].read_text())
+    jsonschema.Draft202012Validator(diagnosis_schema()).validate(data)
+    assert data["proof"]["status"] == "proved"
+    assert data["missing"][0]["explained"]["share"] == pytest.approx(1.0, abs=0.01)
+    low, high = data["missing"][0]["explained"]["interval90"]
+    assert low < data["missing"][0]["explained"]["share"] <= high
+    assert data["missing"][0]["explained"]["explainable"] > 0.98
+    assert data["residual"] is None
+    assert {"cubic_stiffness"} <= {item["physics"] for item in data["open"]}  # nonlinear: not carried on from so far
     assert set(data) >= {
         "verdict", "where", "missing", "rejected", "parameters", "fit", "next_experiment", "statement", "diagram",
     }  # fmt: skip
@@ -109,7 +123,7 @@ def test_the_files_are_what_others_read(tmp_path):
     [missing] = data["missing"]
     assert missing["physics"] in missing["class"]
     amplitude = missing["parameters"]["amplitude"]
-    assert set(amplitude) == {"value", "std", "interval90", "unit"}
+    assert set(amplitude) == {"value", "std", "interval90", "unit", "at_bound"}
     assert data["fit"]["before"]["hold_out"] > data["fit"]["after"]["hold_out"]
     assert data["rejected"][0].keys() == {"physics", "why"}
     repaired = load(tmp_path / data["diagram"])
@@ -121,3 +135,36 @@ def test_without_runs_held_out_each_is_left_out_in_turn():
     data = diagnosis_data(diagnose(shipped("jeffcott"), recording(False), physics=PHYSICS[:3], workers=1))
     assert data["fit"]["held_out"] == "left_out"
     assert data["fit"]["after"]["hold_out"] < 1.1 * data["fit"]["noise_floor"]
+
+
+def test_what_is_unproved_and_what_is_left_are_said():
+    found = diagnosed(True)
+    lost = HeldScore({"": float("nan")}, {}, None, 0, reason="its motion is not stable in run run1")
+    why = "the repaired diagram predicts nothing: its motion is not stable in run run1"
+    text = statement(replace(found, score_after=lost, proof=Proof("unproved", why), explained=()))
+    assert text.endswith(
+        "; the repaired diagram has no settled motion there. On held-out runs this is unproved: the repaired diagram "
+        "predicts nothing: its motion is not stable in run run1."
+    )
+    freedom = found.after.freedom
+    base, fit = (replace(found.after, misfit=freedom * times, goodness=1e-78) for times in (8.9e5, 1.87))
+    residual = {
+        "share": 1e-6, "excess_variance": 1.87, "place": {"block": "rotor", "port": "force", "node": None},
+        "size": {"value": 2e-3, "unit": "N", "orders": {"1": 2e-3}},
+    }  # fmt: skip
+    named = replace(found.named, base=base, fit=fit)
+    text = statement(replace(found, named=named, residual=residual, proof=None))
+    assert (
+        " 1.87 times the variance of the noise are left (probability 1e-78 that noise makes as much), 9.78e-05 % of "
+        "what was unexplained: details of a law, or a small effect more. What is left acts most likely at rotor.force: "
+        "2 mN rms."
+    ) in text
+
+
+def test_shares_and_their_intervals_are_said():
+    share = Explained(Share(0.994, (0.991, 0.997)), 0.999)
+    text = statement(replace(diagnosed(True), explained=(share,)))
+    assert " On held-out runs it explains more than 99.9 % of what anything at" in statement(diagnosed(True))
+    assert (
+        " On held-out runs it explains 99.4 % (99.1 % to 99.7 %) of what anything at that place could explain." in text
+    )

@@ -4,13 +4,14 @@ import json
 from functools import cache
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from rotorsim.cli.app import rotorsim
 from rotorsim.diagnose.diagnosis import Diagnosis, diagnose
-from rotorsim.diagnose.files import diagnosis_data, save_diagnosis
+from rotorsim.diagnose.files import diagnosis_data, diagnosis_schema, save_diagnosis
 from rotorsim.diagnose.finder import insertions
 from rotorsim.diagnose.time_data import channels_of, read_run
 from rotorsim.diagnose.time_search import TimeSearch
@@ -98,8 +99,10 @@ def test_what_is_written_has_the_keys_of_any_diagnosis():
     assert 0 < data["fit"]["noise_floor"] < 2 * machines.NOISE
     assert data["fit"]["after"]["hold_out"] < data["fit"]["before"]["hold_out"] / 10
     [stiffness] = [item for name, item in data["missing"][0]["parameters"].items() if name == "stiffness"]
-    assert set(stiffness) == {"value", "std", "interval90", "unit"}
-    json.dumps(data, allow_nan=False)
+    assert set(stiffness) == {"value", "std", "interval90", "unit", "at_bound"}
+    jsonschema.Draft202012Validator(diagnosis_schema()).validate(json.loads(json.dumps(data, allow_nan=False)))
+    for when, adequate in (("before", False), ("after", True)):
+        assert (data["fit"][when]["goodness"], data["fit"][when]["adequate"]) == (None, adequate)
 
 
 def test_units_of_an_electric_analogue_are_said_to_stand_for_those_of_a_machine():

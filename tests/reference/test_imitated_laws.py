@@ -1,5 +1,7 @@
 """A law that imitates another in the fitted runs, on data of the second program (benchmarks/concealed)."""
 
+import re
+
 import pytest
 
 from benchmarks.concealed.generator import make_case
@@ -24,10 +26,11 @@ def test_runs_that_took_no_part_tell_a_law_from_its_imitation(tmp_path, kind, la
     )  # fmt: skip
     assert found.named.explained
     assert found.verdict == verdict
-    assert (found.disproved is None) == (verdict == "missing_physics")
-    said = "times what noise and its parameters make in held-out runs" in found.statement
+    assert found.proof.status == ("proved" if verdict == "missing_physics" else "disproved")
+    said = f", but held-out runs disprove it: {found.proof.reason}." in found.statement
     assert said == (verdict == "outside_catalogue")
     if verdict == "missing_physics":
         assert found.score_after.total < 1.1 * found.score_after.noise
     else:
-        assert found.disproved.misfit > 10 * found.disproved.rows
+        left = re.search(r"([\d.e+]+) times the variance of the noise", found.proof.reason)
+        assert float(left[1]) > 10

@@ -406,3 +406,45 @@ def test_a_report_in_time(tmp_path: Path) -> None:
     assert "traces.png" in names
     assert not names & {"spectra.png", "orbits.png", "speed_curves.png", "residuals.png"}
     assert "cubic stiffness" in page.text
+
+
+def test_curves_over_speed_pass_through_the_motion_of_the_runs():
+    compared = held_pair(bowed()).after
+    signal = compared.signals[0]
+    orders = np.array([1, 2])
+    every = compared.orders(signal).tolist()
+    for group, runs in compared.groups.items():
+        speeds, values = compared.curve(group, signal, orders)
+        for r in runs:
+            [at] = np.flatnonzero(speeds == compared.experiment.fits[r].speed)
+            there = compared.model(r, signal)[[every.index(1), every.index(2)]]
+            np.testing.assert_allclose(values[at], there, rtol=0.01, atol=0.01 * np.abs(there).max())
+
+
+def test_a_curve_of_another_motion_is_not_drawn(monkeypatch):
+    """The repaired diagram was once drawn at 66.7 mm beside 11 um measured."""
+    compared = held_pair(bowed()).after
+    signal, [group, *_] = compared.signals[0], compared.groups
+    far = lambda self, r, speeds, signal, orders: np.full((len(speeds), len(orders)), 66.7e-3 + 0j)  # noqa: E731
+    monkeypatch.setattr(type(compared), "_at", far)
+    speeds, values = compared.curve(group, signal, np.array([1, 2]))
+    assert (speeds.shape, values.shape) == ((0,), (0, 2))
+
+
+def test_what_is_left_and_what_is_open_stand_in_the_report(tmp_path):
+    left = {
+        "share": 0.0057, "excess_variance": 24.5, "place": {"block": "rotor", "port": "force", "node": 3},
+        "size": {"value": 0.0234, "unit": "N", "orders": {"1": 0.02, "3": 0.012}},
+    }  # fmt: skip
+    found = replace(bowed(), residual=left, open=(("rub", "was not fitted to the end"),))
+    save_report(found, tmp_path)
+    words = " ".join(_Page((tmp_path / "report.html").read_text()).words)
+    for text in (
+        "0.57 %",
+        "rotor.force[3]",
+        "23 mN",
+        "1X 20 mN, 3X 12 mN",
+        "Tried, but not fitted to the end: not rejected",
+    ):
+        assert text in words, text
+    assert "Proved on held-out runs: what it leaves there" in words
