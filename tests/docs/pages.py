@@ -108,7 +108,7 @@ def close(shown: str, printed: str) -> bool:
 
 def says(printed: str, words: str) -> bool:
     """Tell whether words, figures within their digits, stand in what is printed, next to each other."""
-    wanted, pieces = words.split(), printed.replace(",", " ").split()
+    wanted, pieces = words.split(), re.sub(r"[(),]", " ", printed).split()
     return any(
         all(same(a, b) for a, b in zip(wanted, pieces[k : k + len(wanted)], strict=True))
         for k in range(len(pieces) - len(wanted) + 1)
