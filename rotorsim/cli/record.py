@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
@@ -76,8 +77,7 @@ def command(
     level = _level(noise) if noise else 0.0
     chosen, held = _speeds(speeds, hold_out)
     known = [parse_gains(text) for text in gains] or [{}]
-    if len(chosen) * len(known) > MOST_RUNS:
-        raise RotorsimError(Problem(f"{len(chosen) * len(known)} runs, at most {MOST_RUNS}", hint="fewer speeds"))
+    _limit(len(chosen) * len(known))
     diagrams = _diagrams(diagram, settings, without, trust_blocks, known)
     measured = list(signals) or _two_axis(diagrams[0])
     from rotorsim.recordings.measuring import Noise
@@ -193,10 +193,16 @@ def parse_gains(text: str) -> dict[str, Any]:
     return values
 
 
+def _limit(runs: int) -> None:
+    if runs > MOST_RUNS:
+        raise RotorsimError(Problem(f"{runs} runs, at most {MOST_RUNS}", hint="fewer speeds"))
+
+
 def _speeds(speeds: str | None, hold_out: str | None) -> tuple[list[float | None], set[float]]:
     """Return the speeds of the runs [rad/s] (None: the diagram's own), and those held out."""
     chosen = [float(speed) for speed in common.speeds_of(speeds)] if speeds else []
-    if any(abs(one - other) < 1e-9 for k, one in enumerate(chosen) for other in chosen[:k]):
+    _limit(len(chosen))
+    if any(after - before < 1e-9 for before, after in itertools.pairwise(sorted(chosen))):
         hint = "runs at one speed need different --gains"
         raise RotorsimError(Problem(f"--speeds {speeds}: the same speed twice", hint=hint))
     if hold_out is None:

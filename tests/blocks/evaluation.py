@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -51,6 +52,13 @@ class Prepared:
     parameters: dict[str, np.ndarray]
     initial: dict[str, np.ndarray]
 
+    @cached_property
+    def functions(self) -> dict[str, ca.Function]:
+        symbols = [*self.trace.inputs.values(), *self.trace.parameters.values()]
+        symbols += [*self.trace.states.values(), *self.trace.randoms.values(), self.trace.time]
+        kinds = ("outputs", "derivatives", "update", "events")
+        return {kind: ca.Function("f", symbols, list(getattr(self.trace, kind).values())) for kind in kinds}
+
     def evaluate(
         self, inputs: Values | None = None, states: Values | None = None, time: float = 0.0
     ) -> SimpleNamespace:
@@ -65,14 +73,11 @@ class Prepared:
         arguments += [self.parameters[name].ravel() for name in self.trace.parameters]
         arguments += [np.broadcast_to(inside[name], self.state_shapes[name]).ravel() for name in self.trace.states]
         arguments += [np.broadcast_to(inside[name], self.shapes[name]).ravel() for name in self.trace.randoms]
-        symbols = [*self.trace.inputs.values(), *self.trace.parameters.values()]
-        symbols += [*self.trace.states.values(), *self.trace.randoms.values(), self.trace.time]
         shapes = {"outputs": self.shapes, "derivatives": self.state_shapes, "update": self.state_shapes, "events": {}}
         kinds: dict[str, dict[str, np.ndarray]] = {}
         for kind in ("outputs", "derivatives", "update", "events"):
             columns = getattr(self.trace, kind)
-            function = ca.Function("f", symbols, list(columns.values()))
-            values = function.call([*arguments, time])
+            values = self.functions[kind].call([*arguments, time])
             kinds[kind] = {
                 name: np.array(value).ravel().reshape(shapes[kind].get(name, (-1,)))
                 for name, value in zip(columns, values, strict=True)

@@ -37,7 +37,12 @@ def jacobian(block, speed):
 
 
 def frequencies(block, speed):
-    values = np.linalg.eigvals(jacobian(block, speed))
+    slopes = jacobian(block, speed)
+    n = len(slopes) // 2
+    if not slopes[n:, n:].any():  # neither damping nor gyroscopic moments: w^2 of half the size
+        values = 1j * np.sqrt(np.linalg.eigvals(-slopes[n:, :n]).real)
+    else:
+        values = np.linalg.eigvals(slopes)
     return np.sort(values.imag[values.imag > 0]) / (2 * np.pi)
 
 
@@ -87,7 +92,7 @@ def test_shaft_gyroscopic_moments_split_the_pinned_rayleigh_beam():
     d, speed = 0.05, 2000.0
     area, second = np.pi * d**2 / 4, np.pi * d**4 / 64
     values = {"outer_diameter": d, "disc_mass": 0.0, "disc_polar_inertia": 0.0, "disc_diametral_inertia": 0.0}
-    block = rotor(40, values, rotary_inertia=True, shaft_gyroscopic=True)
+    block = rotor(20, values, rotary_inertia=True, shaft_gyroscopic=True)
     b = 2 * np.pi / L
     a, c = RHO * area + RHO * second * b**2, E * second * b**4
     half = RHO * second * b**2 * speed

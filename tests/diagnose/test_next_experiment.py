@@ -53,6 +53,7 @@ def found_with(*speeds: float) -> Diagnosis:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_run_named_tells_bow_from_runout():
     """With that run recorded too, of the two only the bow is left; the gains of the bearing say nothing of either."""
     found = found_with(*CLOSE)

@@ -88,7 +88,7 @@ def bound_at(fit: Fit, source: Source, base: Fit, item: Insertion) -> float:
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("node", [2, 3, 4, 5])
+@pytest.mark.parametrize("node", [2, *(pytest.param(node, marks=pytest.mark.slow) for node in (3, 4, 5))])
 def test_no_law_explains_more_than_a_free_force_at_its_place(law, node):
     """Exactly so at the parameters of its own fit; those of the diagram alone are a step of linear theory away."""
     source, base, places = concealing("residual_bow/0@rotor.force[4]")

@@ -44,6 +44,7 @@ def diagnosed(cubic: float, noise: float) -> Diagnosis:
     return diagnose(load(OSCILLATOR), oscillator_recording(cubic, noise), physics=PHYSICS, workers=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [machines.NOISE, 0.0])
 def test_a_linear_oscillator_lacks_nothing(noise):
     found = diagnosed(0.0, noise)
@@ -56,7 +57,7 @@ def test_a_linear_oscillator_lacks_nothing(noise):
     assert found.score_before.total == pytest.approx(noise, rel=0.1, abs=1e-3)
 
 
-@pytest.mark.parametrize("noise", [machines.NOISE, 0.0])
+@pytest.mark.parametrize("noise", [machines.NOISE, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_the_cubic_spring_of_a_duffing_oscillator_is_named_and_measured(noise):
     found = diagnosed(machines.CUBIC, noise)
     assert found.verdict == "missing_physics"
@@ -114,6 +115,7 @@ def test_units_of_an_electric_analogue_are_said_to_stand_for_those_of_a_machine(
     )
 
 
+@pytest.mark.slow
 def test_a_law_outside_the_catalogue_is_mapped_and_not_named():
     made = oscillator_recording(lambda q, v: 3.0 * abs(v) * v)
     found = diagnose(load(OSCILLATOR), made, physics={"cubic_stiffness", "clearance"}, workers=1)
@@ -126,6 +128,7 @@ def test_a_law_outside_the_catalogue_is_mapped_and_not_named():
     assert found.next_experiment.startswith("runs at more amplitudes and frequencies of what drives it about the place")
 
 
+@pytest.mark.slow
 def test_motion_that_no_model_follows_is_not_taken_for_noise():
     made = oscillator_recording(lambda q, v: 3e3 * np.sign(q) * max(abs(q) - 0.06, 0.0))  # its motion is chaotic
     found = diagnose(load(OSCILLATOR), made, physics={"cubic_stiffness", "coulomb_friction"}, workers=1)
@@ -144,6 +147,7 @@ def positioned(friction: float) -> Diagnosis:
     return diagnose(load(POSITIONER), carriage_recording(friction), physics=PHYSICS, workers=1)
 
 
+@pytest.mark.slow
 def test_dry_friction_is_named_at_the_carriage_and_the_controller_is_cleared():
     found = positioned(1.0)
     assert found.verdict == "missing_physics"
@@ -165,6 +169,7 @@ def test_dry_friction_is_named_at_the_carriage_and_the_controller_is_cleared():
     assert "stretches left out one by one" in found.statement
 
 
+@pytest.mark.slow
 def test_a_carriage_without_dry_friction_lacks_nothing():
     found = positioned(0.0)
     assert found.verdict == "consistent"
@@ -187,6 +192,7 @@ def test_the_gains_of_a_controller_follow_from_its_own_law_whatever_moves():
     assert found["carriage.mass"] == pytest.approx(100.0, rel=1e-9)  # the controller says nothing of it
 
 
+@pytest.mark.slow
 def test_without_free_parameters_an_effect_is_found_all_the_same():
     right = {"mass": machines.MASS, "damping": machines.DAMPING, "stiffness": machines.STIFFNESS}
     document = values_in(OSCILLATOR, {f"oscillator.{key}": value for key, value in right.items()})
@@ -259,6 +265,7 @@ def write(made: Recording, folder: Path) -> None:
     (folder / "recording.json").write_text(json.dumps(document))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (SHARED / "silverbox").exists(), reason="the shared recordings are not here")
 def test_silverbox(tmp_path):
     whole = load_recording(SHARED / "silverbox")
@@ -276,6 +283,7 @@ def test_silverbox(tmp_path):
     assert found["fit"]["after"]["hold_out"] * spread <= 0.35e-3
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (SHARED / "emps").exists(), reason="the shared recordings are not here")
 def test_emps(tmp_path):
     """Published: M = 95.1 kg, F_v = 203.5 N s/m, F_c = 20.4 N, offset -3.2 N (Janot, Gautier & Brunot 2019)."""

@@ -112,10 +112,9 @@ def test_shipped_diagrams_fit_the_schema_and_misspelt_ones_do_not(name):
     jsonschema = pytest.importorskip("jsonschema")
     validator = jsonschema.Draft202012Validator(json_schema())
     assert list(validator.iter_errors(DOCUMENTS[name])) == []
-    for block in DOCUMENTS[name]["blocks"]:
-        wrong = copy.deepcopy(DOCUMENTS[name])
-        wrong["blocks"][block].setdefault("parameters", {})["harmonic"] = [1]
-        assert list(validator.iter_errors(wrong)), block
+    for block, content in DOCUMENTS[name]["blocks"].items():  # alone: the schema takes each block by itself
+        wrong = {**content, "parameters": {**content.get("parameters", {}), "harmonic": [1]}}
+        assert not validator.is_valid({**DOCUMENTS[name], "blocks": {block: wrong}}), block
 
 
 @pytest.mark.parametrize("name", sorted(DOCUMENTS))

@@ -37,7 +37,7 @@ def spots(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path, *(spot for key, item in items for spot in spots(item, (*path, key)))]
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_a_damaged_document_gives_an_error_and_no_traceback(data: st.DataObject) -> None:
     document: Any = copy.deepcopy(SHIPPED[data.draw(st.sampled_from(["jeffcott", "fe_rigid", "offset_disc"]))])
@@ -60,7 +60,7 @@ def test_a_damaged_document_gives_an_error_and_no_traceback(data: st.DataObject)
     assert all(problem.what for problem in problems(load, document))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(st.text(alphabet="{}[]\",:\\ \n1e-.truefalsn/#'x", max_size=40))
 def test_any_text_is_parsed_as_json_or_refused_with_a_place(text: str) -> None:
     try:

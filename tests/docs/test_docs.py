@@ -1,13 +1,9 @@
-"""What the documents say is true: commands run, generated pages are current, examples work."""
+"""What the documents say is true: generated pages are current, examples work. Commands: test_pages."""
 
 from __future__ import annotations
 
 import math
-import os
 import re
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -15,49 +11,7 @@ import pytest
 from rotorsim.cli.block_pages import markdown_page
 from rotorsim.diagram.registry import all_types
 from rotorsim.diagram.schema import schema_text
-
-ROOT = Path(__file__).parents[2]
-PAGES = [
-    "README.md",
-    "docs/cosimulation.md",
-    "docs/diagrams.md",
-    "docs/identification.md",
-    "docs/recordings.md",
-    "docs/thesis.md",
-]
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-
-
-def blocks(page: str, language: str) -> list[str]:
-    return [text for kind, text in FENCE.findall((ROOT / page).read_text(encoding="utf-8")) if kind == language]
-
-
-def commands(page: str) -> str:
-    """Return the shell lines of a page, less those that install."""
-    lines = "".join(blocks(page, "sh")).splitlines()
-    return "\n".join(line for line in lines if ".venv/bin" not in line)
-
-
-def environment(tmp_path: Path) -> dict[str, str]:
-    """Return an environment in which ``rotorsim`` is this Python's."""
-    folder = tmp_path / "bin"
-    folder.mkdir()
-    script = folder / "rotorsim"
-    script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m rotorsim "$@"\n')
-    script.chmod(0o755)
-    return {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="the documents show a POSIX shell")
-@pytest.mark.parametrize("page", PAGES)
-def test_every_command_runs(page: str, tmp_path: Path) -> None:
-    work = tmp_path / "work"
-    shutil.copytree(ROOT / "diagrams", work / "diagrams", ignore=shutil.ignore_patterns("__pycache__"))
-    text = commands(page)
-    options = {"cwd": work, "env": environment(tmp_path), "capture_output": True, "text": True}
-    done = subprocess.run(["sh", "-ec", text], timeout=300, check=False, **options)
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
+from tests.docs.pages import FENCE, ROOT, blocks
 
 
 def test_the_readme_has_two_lines_to_start_with() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -51,9 +52,18 @@ def off(found: Result, whole: Result) -> float:
     return float(np.abs(found["rotor.displacement"] - right).max() / np.abs(right).max())
 
 
-@pytest.mark.parametrize("block", ["controller", "rotor"])
-@pytest.mark.parametrize("interface", ["cs", "me"])
-@pytest.mark.parametrize("version", ["2", "3"])
+@pytest.mark.parametrize(
+    ("block", "interface", "version"),
+    [
+        ("controller", "cs", "2"),
+        ("rotor", "me", "3"),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in itertools.product(("controller", "rotor"), ("cs", "me"), ("2", "3"))
+            if each not in (("controller", "cs", "2"), ("rotor", "me", "3"))
+        ),
+    ],
+)
 def test_an_fmu_in_the_place_of_a_block(folder: Path, whole: Result, block: str, interface: str, version: str) -> None:
     """The error falls with the order of the master; iterative at 1 ms is better than extrapolation at 0.08 ms."""
     diagram = with_fmu(folder, block, f"{block}{version}.fmu", interface=interface, in_process=True)
@@ -120,7 +130,7 @@ def test_files_that_are_no_fmu(tmp_path: Path) -> None:
             load(document, folder=tmp_path)
 
 
-@pytest.mark.parametrize("interface", ["cs", "me"])
+@pytest.mark.parametrize("interface", ["cs", pytest.param("me", marks=pytest.mark.slow)])
 def test_waveforms_are_repeated_until_they_agree(tmp_path: Path, interface: str) -> None:
     """For FMUs that cannot step back; cubic waveforms: better than extrapolation at a quarter of the step."""
     coarse = load("jeffcott", set={"solver.step": 2e-5, "solver.stop": STOP})

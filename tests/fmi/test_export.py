@@ -25,7 +25,7 @@ def columns(diagram, stop, **options):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("name", THESIS)
+@pytest.mark.parametrize("name", [*THESIS[:3], pytest.param(THESIS[3], marks=pytest.mark.slow)])
 def test_thesis_diagrams_pass_the_validator_and_run_bit_for_bit(fmu, name, version):
     file, diagram = fmu(name, version), load(name)
     assert validate_fmu(str(file)) == []

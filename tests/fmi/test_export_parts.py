@@ -32,7 +32,8 @@ def version(request):
 @pytest.mark.parametrize(
     ("name", "blocks"),
     [
-        *((name, ["rotor"]) for name in ("jeffcott", "offset_disc", "fe_rigid", "fe_flexible")),
+        *((name, ["rotor"]) for name in ("jeffcott", "offset_disc", "fe_rigid")),
+        pytest.param("fe_flexible", ["rotor"], marks=pytest.mark.slow),
         ("jeffcott", ["controller"]),
         ("offset_disc", ["rotor", "amb"]),
     ],

@@ -172,7 +172,7 @@ def difference(function, theta: np.ndarray, j: int, share: float = 2e-3) -> np.n
         ("jeffcott", ("controller.current",), 1),
         ("offset_disc", (), -1),
         ("fe_rigid", (), 1),
-        ("fe_flexible", ("controller.current",), -1),
+        pytest.param("fe_flexible", ("controller.current",), -1, marks=pytest.mark.slow),
     ],
 )
 def test_slopes_are_those_of_differences(model, given, way):
@@ -220,13 +220,15 @@ def with_noise(run: RecordedRun, level: float, seed: tuple[int, ...], kind: str)
     return replace(run, columns=columns)
 
 
-@pytest.mark.parametrize("kind", ["white", "across", "coloured"])
-def test_goodness_and_errors_under_noise(kind):
-    """12 recordings: the misfit is chi-squared, and so are the errors of the parameters.
+@pytest.mark.parametrize(
+    ("kind", "draws"),
+    [("coloured", 2), *(pytest.param(kind, 12, marks=pytest.mark.slow) for kind in ("white", "across", "coloured"))],
+)
+def test_goodness_and_errors_under_noise(kind, draws):
+    """Some recordings: the misfit is chi-squared, and so are the errors of the parameters.
 
     Coloured: the spectrum comes from N lines, and the inverse of such an estimate is too large by N / (N - C).
     """
-    draws = 12
     clean = two_gains("jeffcott", LOWER["jeffcott"][::4])
     misfit = freedom = square = 0.0
     adequate = count = 0
@@ -263,10 +265,11 @@ def test_channels_that_cannot_move_do_not_count():
     assert chi2.ppf(LEVEL, found.rows) < found.misfit.sum() < chi2.isf(LEVEL, found.rows)
 
 
-def test_jitter_of_the_tacho():
+@pytest.mark.parametrize("draws", [2, pytest.param(12, marks=pytest.mark.slow)])
+def test_jitter_of_the_tacho(draws):
     """The errors of the parameters are those that the covariance says, angles included."""
     clean = two_gains("jeffcott", LOWER["jeffcott"][::4])
-    draws, square, count = 12, 0.0, 0
+    square, count = 0.0, 0
     for seed in range(draws):
         random = np.random.default_rng((6, seed))
         noisy = recorded([with_noise(run, 0.02, (6, seed, k), "white") for k, run in enumerate(clean)])
@@ -282,6 +285,7 @@ def test_jitter_of_the_tacho():
     assert chi2.ppf(LEVEL, count) < square < chi2.isf(LEVEL, count)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_stated():
     """90 % intervals of 7 parameters in 40 recordings, 5 % noise, two sets of gains.
 

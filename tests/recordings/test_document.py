@@ -362,6 +362,7 @@ def shared():
     return sorted(SHARED.rglob("recording.json"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the shared recordings are not here")
 def test_the_shared_recordings_load_and_are_good():
     schema = jsonschema.Draft202012Validator(recording_schema())

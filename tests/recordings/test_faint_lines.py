@@ -14,7 +14,12 @@ SEEDS = 12
 
 
 @pytest.mark.parametrize(
-    ("orders", "nu", "follows"), [((0,), NU, False), ((0,), RATIO, True), ((-1, 1), NU, False)]
+    ("orders", "nu", "follows"),
+    [
+        pytest.param((0,), NU, False, marks=pytest.mark.slow),
+        ((0,), RATIO, True),
+        pytest.param((-1, 1), NU, False, marks=pytest.mark.slow),
+    ],
 )  # fmt: skip
 def test_a_line_too_faint_for_one_run_is_found_in_all(orders, nu, follows):
     off, hidden = [], 0

@@ -159,7 +159,7 @@ def test_a_factor_of_a_covariance_of_small_and_large_numbers():
     np.testing.assert_allclose(factor @ factor.T, correlation, rtol=1e-14, atol=1e-15)
 
 
-@pytest.mark.parametrize(("n", "hertz"), [(2000, 23.37), (1500, 41.9)])
+@pytest.mark.parametrize(("n", "hertz"), [(2000, 23.37), pytest.param(1500, 41.9, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", ["white", "across", "coloured", "coloured across", "resonance", "late"])
 def test_covariance_is_that_of_repeated_measurements(kind, n, hertz):
     """300 draws: the sample covariance of the errors against the mean of what the fits say.

@@ -16,6 +16,7 @@ from rotorsim.recordings.harmonics import harmonics_of
 SEED = (77, 1)
 
 
+@pytest.mark.slow
 def test_the_step_of_a_converter_is_read_off_the_recording(tmp_path):
     """It is named with its size, the repaired diagram explains the recording, and both are taken into account again."""
     case = make_case("case", "one", "jeffcott", SEED, 0, ("quantisation",))

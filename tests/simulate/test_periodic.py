@@ -70,6 +70,7 @@ def test_channels_are_real_signals_and_make_up_the_two_axis_one():
     np.testing.assert_allclose(both.real, motion, rtol=0, atol=1e-18)
 
 
+@pytest.mark.slow
 def test_settled_motion_is_that_of_the_time_simulation():
     model = jeffcott()
     expected = settled_by_shooting(model, 157.0)
@@ -83,9 +84,9 @@ def test_settled_motion_is_that_of_the_time_simulation():
 @pytest.mark.parametrize(
     ("variant", "speed"),
     [
-        ({"nonlinear_amb": True}, 157.0),
-        ({"nonlinear_amb": True, "unbalance__eccentricity": 60e-6}, 500.0),
-        ({"opening": "none", "breathing": True, "gravity": 19.6}, 157.0),
+        pytest.param({"nonlinear_amb": True}, 157.0, marks=pytest.mark.slow),
+        pytest.param({"nonlinear_amb": True, "unbalance__eccentricity": 60e-6}, 500.0, marks=pytest.mark.slow),
+        pytest.param({"opening": "none", "breathing": True, "gravity": 19.6}, 157.0, marks=pytest.mark.slow),
         ({"opening": "none", "breathing": True, "nonlinear_amb": True, "gravity": 19.6}, 250.0),
     ],
 )
@@ -277,6 +278,7 @@ def test_wrong_names_and_orders_are_refused():
         periodic(jeffcott(), speeds=[0.0])
 
 
+@pytest.mark.slow
 def test_forcing_that_jumps_acts_on_a_nonlinear_bearing_as_its_exact_series():
     """With a bearing that is nearly linear at this amplitude the two routes must agree order by order."""
     hard = periodic(jeffcott(opening="exact", nonlinear_amb=True), speeds=[157.0])

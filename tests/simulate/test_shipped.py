@@ -104,7 +104,7 @@ def test_sensitivity_of_a_port_outside_the_loop_is_refused():
 @pytest.mark.parametrize(
     ("block", "replacement", "changes"),
     [
-        ("amb", "amb_nonlinear", {}),
+        pytest.param("amb", "amb_nonlinear", {}, marks=pytest.mark.slow),
         ("crack", "crack_breathing", {}),
     ],
 )
