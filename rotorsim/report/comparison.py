@@ -16,13 +16,14 @@ from rotorsim.identify.motion import Motion
 from rotorsim.identify.nonlinear_motion import NonlinearMotion
 from rotorsim.recordings.harmonic_fit import HarmonicFit
 from rotorsim.recordings.recording import Recording
-from rotorsim.report.style import rpm
+from rotorsim.report.style import ROUNDING, rpm
 from rotorsim.units import format_quantity
 
 __all__ = ["Comparison", "Harmonics", "Signal", "compare"]
 
 EXCEEDED = 0.05  # share of harmonics of noise alone that are above the noise level
 SPEEDS, STEP, REFINEMENTS = 121, 0.2, 4  # of a curve over speed: first points; change between two that is refined
+UNSEEN = 0.1  # of the noise of the best run: a line at its tenth adds 0.5 % to what is measured
 AGREES = 0.05  # of the largest order: how far a curve over speed may be from the motion in a run
 BATCH = 64  # speeds solved at a time
 
@@ -241,9 +242,9 @@ class Comparison:
     def curve(self, group: str, signal: Signal, orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return ascending speeds (n,) [rad/s] over the range of all runs, and the model's harmonics (n, orders) there.
 
-        nan where the model is not stable and so never settles. Empty when the model needs measured inputs: between
-        the runs nobody knows them; and where the motion that it settles to over speed is not the one that it has in the
-        runs (a nonlinear model may have several).
+        nan where the model is not stable and so never settles, and where it is rounding or far below the noise. Empty
+        when the model needs measured inputs: between the runs nobody knows them; and where the motion that it settles
+        to over speed is not the one that it has in the runs (a nonlinear model may have several).
         """
         runs = self.groups[group]
         all_speeds = np.array([fit.speed for fit in self.experiment.fits])
@@ -268,7 +269,12 @@ class Comparison:
                 speeds = np.insert(speeds, where + 1, between)
         if not self._passes(own, signal, orders, speeds, values):
             return np.zeros(0), np.zeros((0, len(orders)), complex)
-        return speeds, values
+        return speeds, np.where(np.abs(values) > self._least(signal, values), values, np.nan)
+
+    def _least(self, signal: Signal, values: np.ndarray) -> float:
+        """Return the amplitude below which a curve says nothing: of rounding, or far below the noise of every run."""
+        noise = min(float(self.measured(r, signal).noise.min()) for r in range(len(self.experiment.runs)))
+        return max(ROUNDING * float(np.nanmax(np.abs(values), initial=0.0)), UNSEEN * noise)
 
     def _passes(
         self, runs: Sequence[int], signal: Signal, orders: np.ndarray, speeds: np.ndarray, values: np.ndarray
