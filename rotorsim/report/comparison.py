@@ -121,16 +121,16 @@ class Comparison:
         fit, orders = self.experiment.fits[r], self.orders(signal)
         value = signal.combined(fit.values, fit.names, orders)
         own = fit.covariance - fit.turned @ fit.turned.T
-        total = np.array([_covariance(fit, fit.covariance, signal, int(k)) for k in orders])
         alone = np.array([_covariance(fit, own, signal, int(k)) for k in orders])
         size = np.abs(value)
         along = np.where(size > 0, value / np.where(size > 0, size, 1.0), 1.0)
         radial, across = np.stack([along.real, along.imag], 1), np.stack([-along.imag, along.real], 1)
         amplitude_std, across_std = (
-            np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", u, total, u), 0)) for u in (radial, across)
+            np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", u, alone, u), 0)) for u in (radial, across)
         )
-        with np.errstate(divide="ignore", invalid="ignore"):
-            phase_std = np.minimum(np.nan_to_num(across_std / size, nan=np.pi, posinf=np.pi), np.pi)
+        with np.errstate(divide="ignore", invalid="ignore"):  # an error of the angle turns harmonics and no more
+            phase_std = np.hypot(across_std / size, orders * fit.angle_std)
+        phase_std = np.minimum(np.nan_to_num(phase_std, nan=np.pi, posinf=np.pi), np.pi)
         noise = np.sqrt(-np.log(EXCEEDED) * np.maximum(np.trace(alone, axis1=1, axis2=2), 0))
         return Harmonics(orders, value, amplitude_std, phase_std, noise)
 
