@@ -109,7 +109,7 @@ def sampled_sensitivity(model: Model) -> float:
     with_pid["blocks"]["controller"] = {"type": "pid"}
     hz = np.geomspace(0.01, 2000.0, 40_000)
     response = frequency_response(
-        load_document(with_pid), "controller.current", "rotor.displacement", hz, open_loop=True
+        load_document(with_pid), "controller.current", "rotor.displacement", frequencies=hz, open_loop=True
     ).value
     s = 2j * np.pi * hz
     back = np.exp(-s * period)

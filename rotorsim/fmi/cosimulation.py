@@ -147,9 +147,14 @@ def _judged(
         if why:
             return "diverged", f"{integrator.slave.name}: {why}\n\nhint: --solver radau (implicit), or a smaller --step"
     whole = told.found is not None and not told.found.stable and told.found.largest_step == 0
-    if status == "finished" and whole and growth > 0:  # a nonlinear loop may settle on a bounded motion
-        what = f"the linearised loop is unstable as a whole, with any step, and its motion grows at {growth:.3g} 1/s"
-        return "unstable", what
+    if status == "finished" and told.found is not None and whole:
+        if told.found.exact:
+            return "unstable", "the loop is unstable as a whole, with any step"
+        if growth > 0:  # a nonlinear loop may settle on a bounded motion
+            what = (
+                f"the linearised loop is unstable as a whole, with any step, and its motion grows at {growth:.3g} 1/s"
+            )
+            return "unstable", what
     return status, message
 
 

@@ -34,7 +34,7 @@ def _no_jump(_: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
 class LinearModel:
     """Matrices A (n, n), B (n, n_u), C (n_y, n), D (n_y, n_u); periods: of the samplers [s].
 
-    jump: the samplers due -> J (n, n), K (n, n_u).
+    jump: the samplers due -> J (n, n), K (n, n_u). exact: the part itself has these matrices, everywhere and always.
     """
 
     A: np.ndarray
@@ -43,6 +43,7 @@ class LinearModel:
     D: np.ndarray
     periods: tuple[float, ...] = ()
     jump: Jump = field(default=_no_jump)
+    exact: bool = False
 
     def due(self, t: float) -> tuple[int, ...]:
         """Return the samplers that have a hit at t."""
@@ -160,13 +161,16 @@ def linear_part(participant: CompiledParticipant) -> LinearModel:
     rate = ca.vertcat(trace.xdot, ca.SX.zeros(n_z, 1))
     after = ca.vertcat(trace.x, _column(trace.z_next, range(n_z)))
     point = [trace.t, trace.x, trace.z, trace.p]
-    flow = ca.Function("flow", point, [ca.densify(ca.jacobian(e, by)) for e in (rate, y) for by in (s, u)])
+    slopes = [ca.jacobian(e, by) for e in (rate, y) for by in (s, u)]
+    jumps = [ca.jacobian(after, by) for by in (s, u)]
+    exact = not any(ca.depends_on(J, ca.vertcat(trace.t, s, u)) for J in (*slopes, *jumps))
+    flow = ca.Function("flow", point, [ca.densify(J) for J in slopes])
     n, n_u, n_y = s.numel(), u.numel(), y.numel()
     shapes = ((n, n), (n, n_u), (n_y, n), (n_y, n_u))  # CasADi has shapes of its own for what is empty
     A, B, C, D = (np.array(m.full()).reshape(shape) for m, shape in zip(flow(0.0, x0, z0, p), shapes, strict=True))
     if not n_s:
-        return LinearModel(A, B, C, D)
-    jump = ca.Function("jump", [*point, trace.w, trace.hit], [ca.densify(ca.jacobian(after, by)) for by in (s, u)])
+        return LinearModel(A, B, C, D, exact=exact)
+    jump = ca.Function("jump", [*point, trace.w, trace.hit], [ca.densify(J) for J in jumps])
     known: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = {}
 
     def at(due: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -176,7 +180,7 @@ def linear_part(participant: CompiledParticipant) -> LinearModel:
             known[due] = (np.array(found[0].full()).reshape(n, n), np.array(found[1].full()).reshape(n, n_u))
         return known[due]
 
-    return LinearModel(A, B, C, D, tuple(float(p[sampler.period]) for sampler in trace.samplers), at)
+    return LinearModel(A, B, C, D, tuple(float(p[sampler.period]) for sampler in trace.samplers), at, exact)
 
 
 def _column(vector: Any, places: range) -> Any:

@@ -41,6 +41,7 @@ class CouplingStability:
     [1/s] of the whole loop that loses most damping, and what the coupling makes of it; kept: share of its damping
     ratio that is left (nan where no mode oscillates slowly enough to be told). largest_step: the step above which it
     is unstable [s]; with sampled parts, the largest stable one among multiples and fractions of their sample time.
+    exact: every part is linear with constant coefficients, so that this is the loop itself.
     """
 
     radius: float
@@ -48,6 +49,7 @@ class CouplingStability:
     coupled: complex
     kept: float
     largest_step: float
+    exact: bool = False
 
     @property
     def stable(self) -> bool:
@@ -122,7 +124,8 @@ def coupling_stability(
             whole, period.eigenvalues(), max(step, min(_periods(linear), default=0.0))
         )
         largest = largest_stable_step(linear, master=master, order=order, rates=rates) if limit else np.nan
-    return CouplingStability(radius, reference, changed, kept, largest)
+    exact = all(part.model.exact for part in _parts(linear))
+    return CouplingStability(radius, reference, changed, kept, largest, exact)
 
 
 def _parts(coupling: Coupling) -> list[LinearParticipant]:

@@ -87,8 +87,9 @@ def with_one_jitter(angles: Sequence[ShaftAngle]) -> list[ShaftAngle]:
     A few pulses tell little of their jitter, and two tell nothing. Runs whose pulses scatter by more than that, for
     their speed wanders, keep their own.
     """
-    count = np.array([max(angle.pulses - LINE, 0) if angle.source == "tacho" else 0 for angle in angles])
-    square = np.array([(angle.jitter / angle.speed) ** 2 for angle in angles])
+    turns = [angle.source == "tacho" and angle.speed != 0 for angle in angles]
+    count = np.array([max(angle.pulses - LINE, 0) for angle in angles]) * turns
+    square = np.array([(angle.jitter / (angle.speed or 1.0)) ** 2 for angle in angles])
     alike = count > 0
     for _ in angles:
         if not alike.any():
@@ -100,7 +101,7 @@ def with_one_jitter(angles: Sequence[ShaftAngle]) -> list[ShaftAngle]:
         worst = int(np.argmax(np.where(wide, square, -1.0)))
         alike[worst] = False
     found = []
-    for angle, own, n in zip(angles, square, count, strict=True):
-        shared = angle.source == "tacho" and own * n <= jitter * chi2.isf(WANDERS, max(n, 1))
+    for angle, turning, own, n in zip(angles, turns, square, count, strict=True):
+        shared = turning and own * n <= jitter * chi2.isf(WANDERS, max(n, 1))
         found.append(replace(angle, jitter=abs(angle.speed) * float(np.sqrt(jitter))) if shared else angle)
     return found

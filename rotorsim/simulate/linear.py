@@ -10,8 +10,6 @@ from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import matrix_balance
-from scipy.sparse.csgraph import connected_components
 
 from rotorsim.block import Shape
 from rotorsim.compile import Model, compile_diagram
@@ -205,6 +203,9 @@ def drifting_states(A: np.ndarray) -> tuple[list[int], list[int]]:
     n = len(pattern)
     if n == 0:
         return [], []
+    from scipy.linalg import matrix_balance  # as long to load as a short run takes
+    from scipy.sparse.csgraph import connected_components
+
     count, group = connected_components(pattern, directed=True, connection="strong")
     seeds: list[int] = []
     for k in range(count):
@@ -303,6 +304,8 @@ def _is_rounding(step: np.ndarray, A: np.ndarray, x: np.ndarray, forced: np.ndar
     |step| <= 1e-13 | |A^-1| (|A| |x| + |forced|) |, largest entries of balanced states: a state that an integral
     action holds at zero has no size of its own. Source: Higham, Accuracy and Stability (2002), sec. 7.2, 25.2.
     """
+    from scipy.linalg import matrix_balance  # as in `drifting_states`
+
     balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
     terms = np.abs(balanced) @ np.abs(x / scale) + forced / scale
     reach = np.abs(np.linalg.inv(balanced)) @ terms

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import eig, matrix_balance
 
 from rotorsim.compile import Model
 
@@ -59,9 +58,11 @@ def growing(A: np.ndarray) -> Growing:
     nothing = Growing(np.zeros(0, complex), np.zeros(n))
     if n == 0 or not np.isfinite(A).all():
         return nothing
-    balanced = matrix_balance(A, permute=False)[0]
-    if not (np.linalg.eigvals(balanced).real > 0).any():
+    if not (np.linalg.eigvals(A).real > 0).any():  # LAPACK balances, too
         return nothing
+    from scipy.linalg import eig, matrix_balance  # as long to load as a short run takes
+
+    balanced = matrix_balance(A, permute=False)[0]
     values, left, right = eig(balanced, left=True, right=True)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
     with np.errstate(divide="ignore"):

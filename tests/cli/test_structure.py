@@ -94,9 +94,10 @@ def test_like_faults_of_several_nodes_stand_in_one_line(run: Run):
     assert result.exit_code == 0
     text = result.stdout
     lines = text.splitlines()
-    assert "Groups 1-4, each node told from all others but not within:\n  rotor.force[2-5]: residual_bow" in text
-    assert "Group 5, told from all others:\n  controller.current: current_sensor_gain" in text
-    assert "Groups 6-11, each node told from all others:\n  rotor.moment[1-6]: moment_unbalance" in text
+    assert "Group 1, told from all others:\n  rotor.force: residual_bow\n" in text  # of the whole shaft, in shapes
+    assert "Groups 2-5, each node told from all others but not within:\n  rotor.force[2-5]: residual_bow" in text
+    assert "Group 6, told from all others:\n  controller.current: current_sensor_gain" in text
+    assert "Groups 7-12, each node told from all others:\n  rotor.moment[1-6]: moment_unbalance" in text
     start = lines.index("Not told apart, line by line:")
     assert lines[start + 1] == "  rotor.force[2-5]: residual_bow, thermal_bow (at each node)"
 

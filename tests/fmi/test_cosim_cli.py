@@ -63,7 +63,7 @@ def test_a_loop_that_is_unstable_as_a_whole(run: Run, tmp_path: Path) -> None:
     assert done.exit_code == 1
     assert done.stdout.splitlines()[0].startswith("unstable: ")
     assert done.stdout.splitlines()[1] == "the linearised loop is unstable as a whole, with any step"
-    assert "error: the linearised loop is unstable as a whole, with any step, and its motion grows at " in done.stderr
+    assert done.stderr.startswith("error: the loop is unstable as a whole, with any step\n")
 
 
 @pytest.mark.parametrize(("more", "why"), [

@@ -37,7 +37,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(folder: Path, step: float, stop: float, solver: str = "rk4") -> Result:
-    return cosimulate_diagram(load(str(folder / "it.json")), step=step, stop=stop, master="jacobi", solver=solver)
+    return cosimulate_diagram(
+        load(str(folder / "it.json"), trust_blocks=True), step=step, stop=stop, master="jacobi", solver=solver
+    )
 
 
 def output(found: Result) -> np.ndarray:

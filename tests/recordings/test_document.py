@@ -199,8 +199,8 @@ EXAMPLE_CHANNELS = '"channels": {"x": {"signal": "rotor.displacement", "axis": "
 EXAMPLE_RUNS = '"runs": [{"id": "run1", "file": "run1.csv", "sample_rate": "5000 Hz"}]'
 NO_TIME = 'give "sample_rate": "5000 Hz", or "time": the name of the time column'
 KNOWN_UNITS = (
-    "known: %, A, C, F, H, Hz, J, K, N, Ohm, Pa, T, V, W, Wb, bar, deg, g, h, in, lb, lbf, m, "
-    "mil, min, rad, rev, rpm, s, with prefixes n u m k M G"
+    "known: %, A, C, F, H, Hz, J, K, N, Ohm, Pa, T, V, W, Wb, bar, cd, deg, g, h, in, lb, lbf, m, "
+    "mil, min, mol, rad, rev, rpm, s, with prefixes n u m k M G"
 )
 IN_HZ = "write it in Hz, as in '5000 Hz'"
 
