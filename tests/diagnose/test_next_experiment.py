@@ -64,7 +64,7 @@ def test_no_run_is_named_whose_signals_go_twice_as_far_as_any_on_record(monkeypa
     theta = np.array([TRUTH[item.name] for item in diagram.free])
     fit = Fit(diagram.document, diagram.free, theta, np.eye(len(theta)) * 1e-18)
     sizes = {c.name: np.sqrt(2) * np.std(fast.run.values[key]) for key, c in data.channels.items()}
-    for times, proposed in ((1.9, True), (2.1, False)):
+    for times, proposed in ((1.9, True), (2.1, False), (9.0, False)):
         monkeypatch.setattr(Source, "largest", lambda self, times=times: {k: v / times for k, v in sizes.items()})
         passed, asked = _predicted(fit, Source(data, (slow, fast)), (slow, fast))
         assert passed is not None
