@@ -84,8 +84,8 @@ def _allowed(flexible: np.ndarray, given: np.ndarray, noise: float) -> np.ndarra
     flexible, given: what the flexible model and the diagram leave; noise: the share of the former that can be noise.
     """
     if noise < 1:
-        return MATERIAL**2 * noise * flexible
-    return np.maximum(MATERIAL**2 * flexible, flexible + MOST * (given - flexible))
+        return np.asarray(MATERIAL**2 * noise * flexible)
+    return np.asarray(np.maximum(MATERIAL**2 * flexible, flexible + MOST * (given - flexible)))
 
 
 def judged_by(source: TimeSource, fit: Fit) -> TimeSource:

@@ -7,10 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorsim.diagnose import drifts, pickups
+from rotorsim.diagnose import drifts, pickups, stability
 from rotorsim.diagnose.conclusions import _effect
 from rotorsim.diagnose.diagnosis import _settled
 from rotorsim.diagnose.drifts import find_drifts, with_drifts
+from rotorsim.diagnose.explaining import _taken
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.naming import Round
 from rotorsim.diagnose.pickups import find_pickups
@@ -84,6 +85,39 @@ def test_a_run_is_left_out_where_half_of_all_its_signals_does_not_follow_the_sha
     warnings: list[Problem] = []
     assert _settled([item], warnings, "used") == ((item,) if kept else ())
     assert [problem.subject for problem in warnings] == ([] if kept else ["run a"])
+
+
+@pytest.mark.parametrize(("rate", "grows"), [(0.049, []), (0.051, [1])])
+def test_a_motion_that_grows_by_a_tenth_over_a_run_is_not_settled(monkeypatch, rate, grows):
+    """Rates in 1/s, over windows of two seconds; the first run falls."""
+    monkeypatch.setattr(stability, "growth", lambda *_: np.array([-rate, rate]))
+    experiment = SimpleNamespace(theta0=None, motion=SimpleNamespace(windows=np.array([2.0, 2.0])))
+    assert stability.unsettled(experiment) == grows
+
+
+@pytest.mark.parametrize(
+    ("second", "gain", "alike"), [(101.9, 1.0, True), (-101.9, 1.0, False), (102.1, 1.0, False), (100.0, 2.0, False)]
+)
+def test_runs_within_two_percent_of_a_speed_are_alike(second, gain, alike):
+    """With the same settings: then anything explains them."""
+    runs = [
+        SimpleNamespace(fit=SimpleNamespace(speed=speed), run=SimpleNamespace(settings={"speed": speed, "KP": kp}))
+        for speed, kp in ((100.0, 1.0), (second, gain))
+    ]
+    assert Source(None, tuple(runs)).alike is alike
+
+
+@pytest.mark.parametrize(("square", "orders"), [(15.9, {}), (16.1, {1: pytest.approx(np.sqrt(2 * 16.1))})])
+def test_an_order_of_a_residual_has_a_size_where_noise_makes_any_once_in_a_thousand(square, orders):
+    """Of three orders: chi-squared of two, 2 ln 3000 = 16.01."""
+    likelihood = SimpleNamespace(
+        orders=3, white_at=lambda r, order, columns: np.concatenate([columns.real, columns.imag])
+    )
+    D = np.zeros((1, 3, 1), complex)
+    D[0, 1] = np.sqrt(square) * np.exp(0.3j)
+    gain, sizes = _taken(likelihood, D, np.ones((1, 3, 1, 1), complex))
+    assert sizes == orders
+    assert gain == pytest.approx(square - 2 * 2)  # two real numbers of two orders beside the mean
 
 
 # --- places -----------------------------------------------------------------------------------------------------------
