@@ -15,7 +15,7 @@ from rotorsim.identify.study_runs import Bench
 from rotorsim.identify.verdict import judge
 from tests.identify.test_bounds import Straight
 
-Z = 1.644854
+Z = 1.644853627
 FREE = (-np.inf, np.inf)
 
 
@@ -46,8 +46,9 @@ def test_intervals_of_the_regression_hold_the_unbiased_value_too():
 
 def test_intervals_of_a_study_are_widened_by_what_the_noise_does_not_explain():
     _, found = straight(np.array([[2.0]]), [3.0])
-    for misfit, times in ((1.0, 1.0), (400.0, 20.0)):  # of one equation
+    for misfit, times in ((10.8, 1.0), (10.9, np.sqrt(10.9))):  # chi-squared of one, 0.001: 10.83
         some = Estimate(found.free, found.theta, found.coordinates, None, found.information, found.at_bound, misfit, 1)
+        assert some.adequate == (times == 1.0)
         intervals, _ = Bench._judged(SimpleNamespace(profile=False), None, some)
         np.testing.assert_allclose(intervals, [[3 - times * Z / 2, 3 + times * Z / 2]], rtol=1e-6)
 
@@ -73,6 +74,16 @@ def test_a_verdict_says_what_would_be_known_if_all_others_were():
         "the data say too little about it: its 90 % interval is +-50 %, and would be +-82 % if all other parameters "
         "were known"
     )
+
+
+@pytest.mark.parametrize(
+    ("correlation", "words"), [(0.942, "the data say too little"), (0.944, "cannot be told from p1")]
+)
+def test_partners_are_named_where_knowing_them_leaves_a_third_of_the_interval(correlation, words):
+    """sqrt(1 - rho^2) = 1/3 at rho = 0.9428."""
+    _, found = straight(np.linalg.cholesky(np.array([[1.0, correlation], [correlation, 1.0]])).T, [2.0, 2.0])
+    half = Z / np.sqrt(1 - correlation**2)
+    assert judge(found, np.array([[2 - half, 2 + half]] * 2))[0].reason.startswith(words)
 
 
 def test_a_combination_is_given_with_its_90_percent():
