@@ -10,7 +10,7 @@ import pytest
 from rotorsim.diagnose import drifts, pickups, stability
 from rotorsim.diagnose.conclusions import _effect
 from rotorsim.diagnose.diagnosis import _settled
-from rotorsim.diagnose.drifts import find_drifts, with_drifts
+from rotorsim.diagnose.drifts import find_drifts, tells_drifts, with_drifts
 from rotorsim.diagnose.explaining import _taken
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.naming import Round
@@ -238,6 +238,11 @@ def test_what_slow_states_leave_of_a_drift_may_be_any_channels(monkeypatch, slop
 def test_slow_states_of_one_channel_take_all_of_its_drift(monkeypatch):
     """But for 1e-10 of it, which is rounding; the rest is in the other channel."""
     assert list(drifting(monkeypatch, [[[1e7, 0.0], [0.0, 0.0]]], [[1.0, 1e-5]])) == ["y"]
+
+
+@pytest.mark.parametrize(("times", "failure", "told"), [(1.99, "", True), (2.01, "", False), (0.0, "diverges", False)])
+def test_a_diagram_that_leaves_twice_the_noise_does_not_tell_drifts(times, failure, told):
+    assert tells_drifts(Fit({}, misfit=times * 1000, rows=1000, failure=failure)) is told
 
 
 @dataclass(frozen=True)
