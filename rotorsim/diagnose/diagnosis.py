@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from rotorsim.diagnose.base import base_fit, with_uncertain
 from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, nearest, unknown_of, verdict_of
 from rotorsim.diagnose.converters import find_converters
-from rotorsim.diagnose.drifts import drift_warnings, find_drifts, with_drifts
+from rotorsim.diagnose.drifts import drift_warnings, find_drifts, tells_drifts, with_drifts
 from rotorsim.diagnose.explaining import explanations, is_force, residual_of
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.naming import name_missing, without_effects
@@ -38,7 +38,6 @@ from rotorsim.recordings.second_frequency import Second, find_second, with_secon
 __all__ = ["Diagnosis", "diagnose"]
 
 PICKUPS = 3  # times that lines which are picked up are looked for, behind stronger ones
-DRIFTING = 2.0  # times the noise: a diagram that leaves more does not say what drifts of itself
 SETTLED = 0.5  # of the rms of all signals: what harmonics leave over of a run that has no settled motion
 
 
@@ -88,7 +87,7 @@ def diagnose(
         if drifts:
             less = _prepared(empty, hold_out, steps, warnings, picked, drifts)
             without, finer = base_fit(diagram, less.source)
-            if without.failure or without.misfit > DRIFTING * without.freedom:
+            if not tells_drifts(without):
                 drifts = {}  # what the diagram lacks may drift, too
             else:
                 given = data = less

@@ -17,12 +17,13 @@ from rotorsim.recordings.harmonics import RunHarmonics
 from rotorsim.recordings.recording import Recording
 from rotorsim.units import conversion
 
-__all__ = ["drift_warnings", "find_drifts", "with_drifts"]
+__all__ = ["drift_warnings", "find_drifts", "tells_drifts", "with_drifts"]
 
 FALSE_ALARM = 1e-3  # for a channel of a recording
 # a random walk that starts with a run has Var(mean) = s^2 T / 3, and s^2 3 T / 10 in its slope's Legendre coefficient
 MEAN = 10 / 9
 NORM = np.array([3.0, 5.0])  # over n: variance of the Legendre coefficients of degree 1 and 2 for white noise
+DRIFTING = 2.0  # times the noise: a diagram that leaves more does not say what drifts of itself
 LEAST = 1e-9  # of a channel's information that slow states leave: below, they take all of its drift
 
 
@@ -73,6 +74,11 @@ def with_drifts(runs: Sequence[RunHarmonics], drifts: Mapping[str, float]) -> tu
         hum = {**item.fit.hum, 0: item.fit.hum.get(0, 0.0) + variance}
         found.append(replace(item, fit=replace(item.fit, hum=hum)))
     return tuple(found)
+
+
+def tells_drifts(found: Fit) -> bool:
+    """Return whether a fit to runs without their drifts leaves so little that those are drifts of offsets."""
+    return not found.failure and found.misfit <= DRIFTING * found.freedom
 
 
 def drift_warnings(drifts: Mapping[str, float], recording: Recording) -> list[Problem]:

@@ -44,6 +44,7 @@ FAR = 3.0  # residual of a resonance that no mode is left for
 LOWEST = 1e-3  # Hz: below is no mode but a drift
 MOST_EVALUATIONS = 40
 STEP = 1e-4  # of a parameter, for differences
+AT_BOUND = 1e-6  # of a parameter or its usual size: how near the search comes to a bound that holds it
 SEEN = 1e-9  # of the largest shape at the sensors
 
 
@@ -146,7 +147,8 @@ class ModalSource(OfRuns):
             theta = ends.x * scale
         r = residual(theta)
         J = _slopes(residual, theta, low, high)
-        at_bound = (theta <= low + 1e-6 * np.abs(theta)) | (theta >= high - 1e-6 * np.abs(theta))
+        near = AT_BOUND * np.maximum(np.abs(theta), [item.scale for item in free])  # by itself nothing is near to zero
+        at_bound = (theta <= low + near) | (theta >= high - near)
         count = len(r)
         misfit = float(r @ r)
         norm = np.linalg.norm(J, axis=0)

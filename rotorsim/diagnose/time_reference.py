@@ -75,9 +75,17 @@ def open_time_source(diagram: Diagram, recording: Recording, *, trust_blocks: bo
         folder=str(Path(diagram.file).parent) if diagram.file else None, trust_blocks=trust_blocks,
     )  # fmt: skip
     flexible, given = (_left_out(source, *pair) for pair in ((search, found), (base, found_base)))
+    return replace(source, allowed=_allowed(flexible, given, noise))
+
+
+def _allowed(flexible: np.ndarray, given: np.ndarray, noise: float) -> np.ndarray:
+    """Return what an adequate model may leave of stretches left out, (B,).
+
+    flexible, given: what the flexible model and the diagram leave; noise: the share of the former that can be noise.
+    """
     if noise < 1:
-        return replace(source, allowed=MATERIAL**2 * noise * flexible)
-    return replace(source, allowed=np.maximum(MATERIAL**2 * flexible, flexible + MOST * (given - flexible)))
+        return np.asarray(MATERIAL**2 * noise * flexible)
+    return np.asarray(np.maximum(MATERIAL**2 * flexible, flexible + MOST * (given - flexible)))
 
 
 def judged_by(source: TimeSource, fit: Fit) -> TimeSource:

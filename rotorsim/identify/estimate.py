@@ -29,6 +29,7 @@ PASSES = 3  # of both, where neither has converged
 GAIN = 1e-4  # of the misfit, that a pass must gain for another to follow
 NOTHING = 1e-11  # of the largest slope: rounding
 SINGULAR = 1e-13  # smallest eigenvalue of the information, each parameter's own being one: below, it is rounding
+NOT_EXPLAINED = 1e-3  # probability of the misfit below which the model is said not to explain the data
 PART = 0.01  # of a direction that the data say nothing about: who takes part by more is not determined
 
 
@@ -58,6 +59,16 @@ class Estimate:
     def excess(self) -> float:
         """Variance of the residual over what the noise explains; about 1 for a right model."""
         return self.misfit / max(self.freedom, 1)
+
+    @property
+    def adequate(self) -> bool:
+        """Whether noise can make what the model leaves over."""
+        return self.goodness >= NOT_EXPLAINED
+
+    @property
+    def widening(self) -> float:
+        """The factor on standard deviations where the model does not explain the data."""
+        return 1.0 if self.adequate else float(np.sqrt(self.excess))
 
     @cached_property
     def _in_q(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

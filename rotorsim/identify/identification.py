@@ -31,7 +31,6 @@ from rotorsim.simulate.linear import refuse_sampled
 __all__ = ["METHODS", "Identification", "Identified", "identify"]
 
 METHODS = ("likelihood", "regression")
-NOT_EXPLAINED = 1e-3  # probability of the misfit below which the model is said not to explain the data
 
 
 @dataclass(frozen=True)
@@ -154,8 +153,8 @@ def identify(
             )
         search = Search(opened)
         result = estimate(search)
-        adequate = method == "regression" or result.goodness >= NOT_EXPLAINED
-        widen = 1.0 if adequate else float(np.sqrt(result.excess))
+        adequate = method == "regression" or result.adequate
+        widen = 1.0 if adequate else result.widening
         covariance = result.covariance * widen**2
         if isinstance(opened, Regression):
             scatter = scatter_of(opened, search, result)

@@ -34,7 +34,6 @@ from rotorsim.simulate.linear import flat_names, refuse_sampled
 __all__ = ["Bench", "Clean", "clean_runs"]
 
 RATE = 1e4  # Hz, of the recordings; the thesis' step of 0.1 ms
-NOT_EXPLAINED = 1e-3  # as in `identify`
 PROBE, LINEAR = 0.1, 1e-6  # size of a step; departure from linearity, of the change, that counts as none
 
 
@@ -266,7 +265,7 @@ class Bench:
 
     def _judged(self, search: Search, result: Estimate) -> tuple[np.ndarray, list[bool]]:
         """Return intervals (m, 2) and verdicts as `identify` gives them."""
-        widen = 1.0 if result.goodness >= NOT_EXPLAINED else float(np.sqrt(result.excess))
+        widen = result.widening
         if self.profile:
             intervals = profile_intervals(search, result, widen)
         else:

@@ -99,7 +99,8 @@ def pulse_resolution(recording: Recording, run: Run) -> float:
     """
     if run.tacho_resolution is not None:
         return run.tacho_resolution
-    runs = [other for other in (*recording.runs, run) if other.tacho_resolution is None and _has_pulses(other)]
+    every = (*(other for other in recording.runs if other is not run), run)
+    runs = [other for other in every if other.tacho_resolution is None and _has_pulses(other)]
     if not _has_pulses(run):
         return 0.0
     digits = max(_last_digit(np.asarray(other.tacho)) for other in runs)

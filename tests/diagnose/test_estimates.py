@@ -115,3 +115,10 @@ def test_a_model_in_time_may_err_by_a_quarter_more_than_the_flexible_one(monkeyp
     monkeypatch.setattr(time_reference, "_left_out", lambda *_: np.array([1.0, 2.0]))
     found = time_reference.judged_by(Judged(), Fit({"blocks": {}}))
     np.testing.assert_allclose(found.allowed, [1.5625, 3.125])
+
+
+def test_a_model_in_time_may_leave_a_hundredth_of_what_the_diagram_left():
+    """Of its square beyond the flexible model's, or a quarter more than that one's rms; of noise, where that fails."""
+    flexible, given = np.array([1.0, 1.0, 4.0]), np.array([57.0, 58.0, 4.0])
+    np.testing.assert_allclose(time_reference._allowed(flexible, given, 1.0), [1.5625, 1.57, 6.25])
+    np.testing.assert_allclose(time_reference._allowed(flexible, given, 0.1), [0.15625, 0.15625, 0.625])

@@ -180,6 +180,30 @@ def test_an_interval_of_a_fit_stays_within_the_bounds():
     assert plain.interval90(0) == pytest.approx((0.0, 10.0 + 1.644854 * 200.0))
 
 
+def test_the_largest_signal_and_rate_are_those_of_a_sine_of_the_same_rms():
+    """|mean| + sqrt(2) rms, of rates too; LEAST in the run in which it is smallest."""
+    time = np.linspace(0, 1, 4000, endpoint=False)
+
+    def run(speed: float, first: complex, third: complex) -> SimpleNamespace:
+        values = np.array([[0.5], [first], [0.0], [third]])
+        waves = 2 * np.exp(1j * speed * np.outer(time, np.arange(4))) * values[:, 0]
+        x, rate = (signal[:, 1:].real.sum(axis=1) for signal in (waves, 1j * speed * np.arange(4) * waves))
+        sizes.append([0.5 + np.sqrt(2 * np.mean(x**2)), np.sqrt(2 * np.mean(rate**2))])
+        fit = SimpleNamespace(
+            names=("rotor.displacement[2]",), orders=np.arange(4), speed=speed, values=values,
+            rms=np.array([np.sqrt(np.mean(x**2))]),
+        )  # fmt: skip
+        return SimpleNamespace(fit=fit, run=SimpleNamespace(time=time))
+
+    sizes: list[list[float]] = []
+    runs = (run(20 * np.pi, 1 - 2j, 0.3j), run(60 * np.pi, 0.2, 0.1))
+    found = Source(None, runs).largest()
+    for k, name in enumerate(("rotor.displacement[2]", "rotor.velocity[2]")):
+        both = [size[k] for size in sizes]
+        assert found[name] == pytest.approx(max(both), rel=1e-9)
+        assert found[f"least {name}"] == pytest.approx(min(both), rel=1e-9)
+
+
 def test_an_effect_is_where_it_was_put_though_its_other_places_fail():
     spot = Spot("rotor", "force", 2)
     insertion = SimpleNamespace(physics="crack_location", spot=spot, key="crack_location/0@rotor.force[2]")

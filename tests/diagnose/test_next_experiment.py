@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from rotorsim.diagnose.diagnosis import Diagnosis, diagnose
-from rotorsim.diagnose.next_experiment import MOST_ALIKE, SEEN, _Predicted, _separated, _speeds
+from rotorsim.diagnose.fitting import Fit, Source
+from rotorsim.diagnose.next_experiment import _Predicted, _predicted, _separated, _speeds
 from rotorsim.diagnose.wording import _quantity
+from rotorsim.recordings.harmonics import harmonics_of
 from tests.diagnose.test_diagnosis import RPM, recording
-from tests.identify import shipped
+from tests.identify import TRUTH, shipped
 from tests.reference.recordings import THESIS_GAINS
 
 BOWS = ("residual_bow", "runout")
@@ -29,17 +31,44 @@ def test_what_the_parameters_imitate_does_not_count():
     along = _separated("a run", _Predicted(y, scatter), _Predicted(np.zeros(2), np.zeros((2, 0))))
     assert along is not None
     assert along.separation == pytest.approx(6 / np.sqrt(1 + 2**2))
-    assert along.runs == 0  # 6 / 2 is never reached, and is less than SEEN
-    assert SEEN > 6 / 2
+    assert along.runs == 0  # 6 / 2 is never exceeded, and odds of e^5 = 148 need sqrt(10) = 3.16
     across = _separated("a run", _Predicted(y[::-1] / 3, scatter), _Predicted(np.zeros(2), scatter))
     assert across is not None
-    assert across.runs == int(np.floor((SEEN / 2) ** 2)) + 1
-    assert across.separation == pytest.approx(np.sqrt(across.runs) * 2)
+    assert across.runs == 3  # 2 sqrt(2) < sqrt(10) < 2 sqrt(3)
+    assert across.separation == pytest.approx(np.sqrt(3) * 2)
 
 
-def test_runs_that_tell_nothing_are_not_named():
-    y = np.full(2, 0.5 / MOST_ALIKE)
-    assert _separated("a run", _Predicted(y, np.zeros((2, 0))), _Predicted(-y, np.zeros((2, 0)))) is None
+@pytest.mark.parametrize(
+    ("distance", "scatter", "runs"),
+    [
+        (3.17, 0.0, 1),  # sqrt(10) = 3.162
+        (3.15, 0.0, 2),
+        (0.80, 0.0, 16),  # sixteen runs: four times as far
+        (0.78, 0.0, None),
+        (1.45, 1.0, 0),  # 1.45 / sqrt(1 + 1) is more than one standard deviation, though never enough
+        (1.38, 1.0, None),
+    ],
+)
+def test_a_run_is_named_that_tells_odds_of_148_or_at_least_something(distance, scatter, runs):
+    found = _separated(
+        "a run", _Predicted(np.array([distance]), np.array([[scatter]])), _Predicted(np.zeros(1), np.zeros((1, 0)))
+    )
+    assert (None if found is None else found.runs) == runs
+
+
+def test_no_run_is_named_whose_signals_go_twice_as_far_as_any_on_record(monkeypatch):
+    """At a speed that no run has passed yet; runs on record are not asked to be smaller than themselves."""
+    data = recording(False, [900 * RPM, 1800 * RPM], all_gains=(THESIS_GAINS,))
+    slow, fast = harmonics_of(data, data.runs)
+    diagram = shipped("jeffcott")
+    theta = np.array([TRUTH[item.name] for item in diagram.free])
+    fit = Fit(diagram.document, diagram.free, theta, np.eye(len(theta)) * 1e-18)
+    sizes = {c.name: np.sqrt(2) * np.std(fast.run.values[key]) for key, c in data.channels.items()}
+    for times, proposed in ((1.9, True), (2.1, False), (9.0, False)):
+        monkeypatch.setattr(Source, "largest", lambda self, times=times: {k: v / times for k, v in sizes.items()})
+        passed, asked = _predicted(fit, Source(data, (slow, fast)), (slow, fast))
+        assert passed is not None
+        assert (asked is not None) is proposed
 
 
 def test_speeds_are_round_and_between_below_and_above_those_on_record():
@@ -64,7 +93,7 @@ def test_the_run_named_tells_bow_from_runout():
     )
     assert named is not None, found.next_experiment
     assert float(named[1]) < 1500
-    assert float(named[2]) > SEEN
+    assert float(named[2]) > 3.16
     assert "which the data do not tell apart: " in found.statement
     assert "residual_bow at rotor.force" in found.statement
     assert "runout at rotor.displacement" in found.statement

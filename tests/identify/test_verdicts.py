@@ -12,7 +12,7 @@ from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.identify import Identification, identification_data, identify
 from rotorsim.identify.estimate import Search, estimate
 from rotorsim.identify.identification import Identified
-from rotorsim.identify.profile import Z90, joint_factor, profile_intervals
+from rotorsim.identify.profile import joint_factor, profile_intervals
 from rotorsim.identify.verdict import Combination, relative_width
 from rotorsim.recordings import Recording
 from rotorsim.recordings.harmonics import harmonics_of
@@ -21,6 +21,7 @@ from tests.identify.test_likelihood import LEVEL, at, likelihood_of, two_gains
 from tests.reference.recordings import LOWER, THESIS_GAINS, UPPER, RecordedRun, Truth
 
 THESIS = Truth()
+Z90 = 1.644854  # standard deviations of a normal distribution
 K_S, K_I = "force_displacement_factor", "force_current_factor"
 
 

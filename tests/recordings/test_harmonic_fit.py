@@ -9,7 +9,6 @@ from scipy.stats import binom, chi2, norm
 
 from rotorsim.errors import RotorsimError
 from rotorsim.recordings.harmonic_fit import HarmonicFit, complex_values, fit_harmonics, real_vector, scaled_cholesky
-from rotorsim.recordings.noise import FALSE_ALARM
 
 RATE = 2000.0
 TURN = 2 * np.pi
@@ -223,7 +222,7 @@ def test_noise_shows_no_more_lines_than_stated(kind):
     for seed in range(runs):
         found = fitted(time, theta, clean + 0.1 * noise(kind, n, np.random.default_rng((9, seed))), orders=5)
         false += bool(found.lines)
-    assert false <= binom.isf(LEVEL, runs, FALSE_ALARM)
+    assert false <= binom.isf(LEVEL, runs, 1e-3)
 
 
 @pytest.mark.parametrize("hertz", [25.0, 27.3, 136.3 / 5])

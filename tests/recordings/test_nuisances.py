@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from rotorsim.recordings import pickup
 from rotorsim.recordings.colour import colour_of, density, of_mean
+from rotorsim.recordings.faint_lines import Spectrum
 from rotorsim.recordings.harmonic_fit import harmonic_basis, real_vector
 from rotorsim.recordings.harmonics import harmonics_of
 from rotorsim.recordings.held import find_held, without_held
@@ -134,6 +136,27 @@ def test_nothing_is_held_where_nothing_was_lost():
     assert not find_held(y, rest(y)).any()
 
 
+@pytest.mark.parametrize(("times", "lost"), [(5.9, False), (6.1, True)])
+def test_a_repeated_sample_six_deviations_away_is_lost(times, lost):
+    """The deviation is that of a normal distribution with the median of |left|: Phi^-1(3/4) = 0.6745."""
+    y = np.random.default_rng(3).permutation(1000.0 * np.arange(1000))[:, None]
+    y[500] = y[499] = 5e5
+    left = np.where(np.arange(1000) % 2, 0.67449, -0.67449)[:, None]
+    left[500] = times
+    assert np.flatnonzero(find_held(y, left)).tolist() == ([500] if lost else [])
+
+
+@pytest.mark.parametrize(("alone", "lost"), [(6, True), (7, False)])
+def test_two_repeats_of_all_channels_are_lost_samples_unless_chance_makes_them_in_a_thousand(alone, lost):
+    """Each channel repeats `alone` times of 1000 by itself: both do c = alone^2 / 1000 times, twice with c^2 / 2."""
+    y = np.random.default_rng(3).standard_normal((1000, 2))
+    for c in (0, 1):
+        for at in (400, 800, *range(10 + 5 * c, 10 + 5 * c + 20 * alone, 20)):
+            y[at, c] = y[at - 1, c]
+    found = find_held(y, np.zeros((1000, 2)))
+    assert np.flatnonzero(found.any(axis=1)).tolist() == ([400, 800] if lost else [])
+
+
 SPEEDS = TURN * np.array([7.3, 11.7, 16.9, 23.3, 50.1, 37.9])
 
 
@@ -172,6 +195,19 @@ def test_no_hum_where_there_is_none():
         assert find_mains(data, harmonics_of(data)) == []
     data = humming(0, {53.0: 0.005})  # a line elsewhere is none of the mains
     assert find_mains(data, harmonics_of(data)) == []
+
+
+@pytest.mark.parametrize(("power", "found"), [(27.1, []), (27.3, [50.0])])
+def test_noise_shows_mains_once_in_a_thousand_recordings(monkeypatch, power, found):
+    """The 20th multiple may be anywhere in 20 Hz, which are 20 of 1 Hz; of 20 multiples of two mains: 800 looks.
+
+    Power of one channel is chi-squared of two: 2 ln(800 / 0.001) = 27.18.
+    """
+    spectrum = Spectrum(np.zeros(8000), 0.25, 9.0, 2)  # a quarter of the resolution from one to the next
+    spectrum.power[200] = power
+    monkeypatch.setattr(pickup, "spectra_of", lambda *_: [spectrum])
+    monkeypatch.setattr(pickup, "_refined", lambda recording, runs, at: round(at, 0))
+    assert find_mains(None, ()) == found
 
 
 def test_an_order_under_hum_is_as_uncertain_as_the_hum_is_large():

@@ -123,6 +123,15 @@ def test_the_resolution_of_pulse_times():
     assert pulse_resolution(Recording("made", "made", Path(), {}, (said,)), said) == 0.0
 
 
+@pytest.mark.parametrize(("count", "resolution"), [(6, 1e-4), (7, 1e-3)])
+def test_pulses_on_samples_are_sampled_unless_chance_puts_them_there_once_in_a_million(count, resolution):
+    """Times of four digits are near one of the samples, 1 ms apart, for a tenth of all that can be: 0.1^6 is chance."""
+    time = 4e-4 + np.arange(1000) / 1000
+    tacho = time[np.array([3, 140, 281, 420, 563, 702, 845])[:count]]
+    run = Run("run1", "a.npz", time, {}, None, np.round(tacho, 4), {}, "identify", Place("recording.json", 7, 3), 1000)
+    assert pulse_resolution(Recording("made", "made", Path(), {}, (run,)), run) == pytest.approx(resolution)
+
+
 def test_check_says_that_pulses_are_sampled():
     for kind, words in (("0", "sample the pulse so fast that its edge shows, or time the edges and give them as tacho"),
                         ("nearest", 'sample the pulse so fast that its edge shows, or time the edges; '

@@ -12,7 +12,6 @@ from scipy.stats import binom, chi2
 from rotorsim.errors import Place, RotorsimError
 from rotorsim.recordings.harmonic_fit import real_vector
 from rotorsim.recordings.harmonics import harmonics_of
-from rotorsim.recordings.noise import FALSE_ALARM
 from rotorsim.recordings.recording import Channel, Recording, Run
 from rotorsim.recordings.shaft_angle import ShaftAngle, at_equal_angles, pulse_times, shaft_angle
 from tests.recordings.test_harmonic_fit import harmonics, same_covariance, signal
@@ -151,7 +150,7 @@ def test_jitter_of_pulses_makes_no_lines():
         tacho = exact + 5e-5 * random.standard_normal(len(exact))
         (item,) = harmonics_of(recorded(tacho, x=x, y=y), orders=2)
         false += bool(item.fit.lines)
-    assert false <= binom.isf(LEVEL, 30, FALSE_ALARM)
+    assert false <= binom.isf(LEVEL, 30, 1e-3)
 
 
 def test_large_jitter_is_not_called_exact():
