@@ -14,6 +14,7 @@ FALSE_ALARM = 1e-3  # in a run, of values that repeat by chance in all channels 
 BY_CHANCE = 0.1  # of the instants at which all channels repeat, at most
 MOST = 0.05  # of the samples: what repeats more often has another rate, or a coarse converter
 ROUNDS = 3
+WRITTEN = 1e-6  # of the range of a channel: values closer than that differ by how they were written
 NORMAL = 1.4826  # standard deviations in a median absolute deviation
 
 
@@ -21,7 +22,8 @@ def find_held(y: np.ndarray, left: np.ndarray) -> np.ndarray:
     """Return which samples (n, C) repeat the one before because they were lost.
 
     y: samples. left: what harmonics leave over of them. Either all channels repeat at once, more often than chance
-    makes them; or a channel repeats far away from where it should be, not at its extremes, where it may be clipped.
+    makes them; or a channel repeats far away from where it should be, not at its extremes, where it may be clipped:
+    by more than the noise and a step of its converter, which repeats readings of its own.
     """
     n, C = y.shape
     repeats = np.zeros((n, C), bool)
@@ -30,9 +32,10 @@ def find_held(y: np.ndarray, left: np.ndarray) -> np.ndarray:
     held = np.zeros((n, C), bool)
     if len(moving) == 0:
         return held
-    away = AWAY * NORMAL * np.median(np.abs(left), axis=0)
+    noise = NORMAL * np.median(np.abs(left), axis=0)
+    away = np.where(noise > 0, AWAY * noise + [_step(column) for column in y.T], np.inf)
     inside = (y > y.min(axis=0)) & (y < y.max(axis=0))
-    held[:, moving] = (repeats & inside & (np.abs(left) > away) & (away > 0))[:, moving]
+    held[:, moving] = (repeats & inside & (np.abs(left) > away))[:, moving]
     together = repeats[:, moving].all(axis=1)
     count = int(together.sum())
     if len(moving) > 1 and count:
@@ -42,6 +45,12 @@ def find_held(y: np.ndarray, left: np.ndarray) -> np.ndarray:
             held[np.ix_(together, moving)] = True
     held[:, held.mean(axis=0) > MOST] = False
     return held
+
+
+def _step(y: np.ndarray) -> float:
+    """Return the least distance of two values of a channel (n,): the step of its converter, or next to nothing."""
+    gaps = np.diff(np.unique(y))
+    return float(min(gaps[gaps > WRITTEN * np.ptp(y)], default=0.0))
 
 
 def without_held(basis: Basis, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
