@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.recordings.angle_refinement import refined
 from rotorsim.recordings.harmonic_fit import HarmonicFit, check_samples, fit_harmonics, harmonic_basis
 from rotorsim.recordings.held import without_held
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
@@ -64,6 +65,7 @@ def harmonics_of(
                 y = np.column_stack([run.values[c] for c in columns])
                 check_samples(run.id, [channels[c].name for c in columns], y, angle.theta)
                 basis = harmonic_basis(run.id, run.time, angle.theta, orders=orders)
+                angle, basis = refined(run.id, run.time, angle, y, basis)
                 y, held = without_held(basis, y)
                 lost = int(held.sum(axis=0).max(initial=0))
                 if lost:

@@ -17,6 +17,10 @@ __all__ = [
 
 TURN = 2 * np.pi
 MOST_COEFFICIENTS = 8  # of the polynomial through the pulses
+SLOPE = np.sqrt(5)  # times jitter / sqrt(N): standard deviation of what N pulses say of a line and a parabola, at most
+TEETH = 1.5  # times the variance of a sampled pulse: jitter of a fifth of its period beside it breaks up saw teeth
+STATED = 0.01  # of a stated speed: its standard deviation
+MOST_TURNED = 0.1  # rad that harmonics may be off at the ends of a run, to be followed: the tenth by 1
 WANDERS = 1e-3  # rad left over by it, correlated from pulse to pulse: then every pulse is followed
 UNIFORM = 1 / np.sqrt(12)  # standard deviation of what lies anywhere in an interval of length one
 STAMPED = np.sqrt(1 / 6)  # of the middle of that interval against the stated time: it begins there, ends or is about it
@@ -35,7 +39,8 @@ class ShaftAngle:
 
     speed: mean over the run [rad/s]. drift: change of the speed over the run [rad/s]. jitter: rms of what the
     pulses leave over [rad]. source: "channel", "tacho" or "speed". phase_known: False when nothing says where
-    angle zero is. sampled: standard deviation of an error that sampled pulses have in common [rad].
+    angle zero is. sampled: standard deviation of an error that sampled pulses have in common [rad]. smooth: standard
+    deviation of an error of the speed and of its drift, as an angle at the ends of the run [rad].
     """
 
     theta: np.ndarray
@@ -46,6 +51,7 @@ class ShaftAngle:
     phase_known: bool
     pulses: int = 0
     sampled: float = 0.0
+    smooth: float = 0.0
 
     @property
     def std(self) -> float:
@@ -87,7 +93,8 @@ def shaft_angle(recording: Recording, run: Run) -> ShaftAngle:
     theta = run.speed * (run.time - origin)
     known = pulses is not None and len(pulses) == 1
     shared = abs(run.speed) * float(np.hypot(doubt, stamp))
-    return ShaftAngle(theta, run.speed, 0.0, 0.0, "speed", known, int(known), shared)
+    smooth = min(STATED * float(np.ptp(theta)) / 2, MOST_TURNED)
+    return ShaftAngle(theta, run.speed, 0.0, 0.0, "speed", known, int(known), shared, smooth)
 
 
 def pulse_resolution(recording: Recording, run: Run) -> float:
@@ -177,12 +184,14 @@ def _from_pulses(run: Run, pulses: np.ndarray, doubt: float, stamp: float) -> Sh
     sign = -1.0 if run.speed is not None and run.speed < 0 else 1.0
     best: tuple[float, np.ndarray, float, np.ndarray] | None = None
     inside = (run.time - centre) / half
+    each = TURN * (len(pulses) - 1) / (pulses[-1] - pulses[0]) * doubt  # rad: what sampling alone leaves over
+    least = max((1e-9 * TURN) ** 2, TEETH * each**2)  # below, pulses share saw teeth: a drift is not told from them
     for count in range(
         2, min(MOST_COEFFICIENTS, max(2, (len(pulses) + 1) // 2 if len(pulses) < 10 else len(pulses) // 3)) + 1
     ):
         fit = np.polynomial.Chebyshev.fit(u, turns, count - 1, domain=[-1, 1])
         left = turns - fit(u)
-        variance = max(float(left @ left) / len(pulses), (1e-9 * TURN) ** 2)
+        variance = max(float(left @ left) / len(pulses), least)
         criterion = len(pulses) * np.log(variance) + count * np.log(len(pulses))
         if best is None or criterion < best[0] - 1e-9:
             freedom = max(len(pulses) - count, 1)
@@ -191,7 +200,6 @@ def _from_pulses(run: Run, pulses: np.ndarray, doubt: float, stamp: float) -> Sh
     theta, jitter = best[1], best[2]
     left = best[3]
     follows = float(left[1:] @ left[:-1]) > 2 / np.sqrt(len(left)) * float(left @ left)
-    each = TURN * (len(pulses) - 1) / (pulses[-1] - pulses[0]) * doubt  # rad: what sampling alone leaves over
     # no low polynomial follows the speed: trust every pulse; the saw teeth of sampled ones are not followed
     if follows and len(left) > 8 and jitter > np.hypot(WANDERS, 2 * each):
         theta = CubicSpline(u, turns, bc_type="natural")(inside)
@@ -201,7 +209,9 @@ def _from_pulses(run: Run, pulses: np.ndarray, doubt: float, stamp: float) -> Sh
     rate = np.gradient(theta, run.time) if len(theta) > 2 else np.zeros(len(theta))
     speed = float((theta[-1] - theta[0]) / span)
     shared = np.hypot(_shared(left, jitter, each), abs(speed) * stamp) if doubt else 0.0
-    return ShaftAngle(theta, speed, float(rate[-1] - rate[0]), jitter, "tacho", True, len(pulses), float(shared))
+    smooth = float(np.hypot(each, SLOPE * jitter / np.sqrt(len(pulses))))
+    drift = float(rate[-1] - rate[0])
+    return ShaftAngle(theta, speed, drift, jitter, "tacho", True, len(pulses), float(shared), smooth)
 
 
 def _shared(left: np.ndarray, jitter: float, each: float) -> float:
