@@ -304,7 +304,7 @@ def fit_harmonics(
     speed = float((theta[-1] - theta[0]) / (time[-1] - time[0]))
     told = np.zeros(0, bool)
     if second is not None:
-        told = _told_apart(second, speed, K, float(time[-1] - time[0]))
+        told = _told_apart(second, speed, K, float(time[-1] - time[0]), pickups)
         beside = [_combination(theta, time, int(k), second[0]) for k in second[1][told]]
         basis = Basis(run, np.column_stack([basis.columns, *beside]), K, drift, turns) if beside else basis
     steady = [at for at in pickups if _is_apart(at, speed, K, float(time[-1] - time[0]))]
@@ -406,10 +406,12 @@ def _columns(theta: np.ndarray, time: np.ndarray, K: int, drift: int) -> np.ndar
     return columns
 
 
-def _told_apart(second: tuple[float, np.ndarray], speed: float, K: int, duration: float) -> np.ndarray:
-    """Return which combinations of a second frequency are apart from harmonics, from zero and from each other."""
+def _told_apart(
+    second: tuple[float, np.ndarray], speed: float, K: int, duration: float, pickups: Sequence[float]
+) -> np.ndarray:
+    """Return which combinations of a second frequency are apart from harmonics, zero, each other, and pick-up [Hz]."""
     at = np.abs(second[1] * speed + second[0]) / TURN
-    others = np.abs(speed) / TURN * np.arange(K + 1)
+    others = np.concatenate([np.abs(speed) / TURN * np.arange(K + 1), pickups])
     away = np.abs(at[:, None] - others).min(axis=1)
     pairs = np.abs(at[:, None] - at) + 1e9 * np.eye(len(at))
     return np.asarray((away > NEAR / duration) & (pairs.min(axis=1, initial=np.inf) > NEAR / duration))

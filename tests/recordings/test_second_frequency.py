@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 from rotorsim.errors import Place
 from rotorsim.recordings import second_frequency
+from rotorsim.recordings.harmonic_fit import fit_harmonics
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.recording import Channel, Recording, Run
 from rotorsim.recordings.second_frequency import Second, find_second, with_second
@@ -395,3 +396,15 @@ def test_runs_in_which_twice_a_strong_swing_falls_on_harmonics_are_left_out():
     assert hidden(20.0, 46.9, 1e-6)  # 140.7 Hz is 7X: twice the swing falls on its other side, 7X - 46.9 Hz
     assert not hidden(20.0, 50.4, 1e-7)
     assert not hidden(20.0, 53.9, 1e-6)
+
+
+def test_a_combination_where_a_line_is_picked_up_is_not_told():
+    """At 2 turns and 31.17 Hz: columns twice the same would end the diagnosis of a machine for one of its runs."""
+    time = np.arange(N) / RATE
+    y = {"y": np.cos(NU * time) + NOISE * np.random.default_rng(0).standard_normal(N)}
+    for away, told in ((0.0, False), (1.4, False), (1.6, True)):  # lines of the spectrum; 1.5 are needed
+        found = fit_harmonics(
+            "run", time, TURN * 7.3 * time, y, orders=2, second=(NU, np.array([0])), pickups=[NU / TURN + away]
+        )
+        assert found.beside is not None
+        assert found.beside.told.tolist() == [told]
