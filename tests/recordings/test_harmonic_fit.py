@@ -160,7 +160,11 @@ def test_a_factor_of_a_covariance_of_small_and_large_numbers():
 
 
 @pytest.mark.parametrize(("n", "hertz"), [(2000, 23.37), pytest.param(1500, 41.9, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", ["white", "across", "coloured", "coloured across", "resonance", "late"])
+@pytest.mark.parametrize(
+    "kind",
+    ["white", "across", "coloured across", "late"]
+    + [pytest.param(kind, marks=pytest.mark.slow) for kind in ("coloured", "resonance")],
+)
 def test_covariance_is_that_of_repeated_measurements(kind, n, hertz):
     """300 draws: the sample covariance of the errors against the mean of what the fits say.
 
@@ -212,10 +216,12 @@ def test_std_is_the_root_of_the_diagonal():
 # --- lines ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["white", "coloured"])
-def test_noise_shows_no_more_lines_than_stated(kind):
-    """The stated chance of a false line is one in a thousand runs; 300 runs."""
-    n, runs = 1000, 300
+@pytest.mark.parametrize(
+    ("kind", "runs"), [("white", 300), ("coloured", 100), pytest.param("coloured", 300, marks=pytest.mark.slow)]
+)
+def test_noise_shows_no_more_lines_than_stated(kind, runs):
+    """The stated chance of a false line is one in a thousand runs."""
+    n = 1000
     time = np.arange(n) / RATE
     theta = TURN * 27.3 * time
     clean = signal(harmonics(3), theta)
