@@ -20,7 +20,7 @@ from rotorsim.fmi.masters import make_master
 from rotorsim.simulate import Result, simulate
 
 INNER = 2e-6
-STOP = 0.02
+STOP = 0.008
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_orders_against_the_matrix_exponential(master: str, order: int, expected
         worker = make_master(master, coupling, order=order, tolerance=1e-13)
         worker.start(0.0)
         exact, once, far = np.array([1.0, 0, 0, 0, 0, 0]), expm(whole * h), 0.0
-        for m in range(round(0.2 / h)):
+        for m in range(round(0.1 / h)):
             exact, (_, y) = once @ exact, worker.advance(m * h, (m + 1) * h)
             far = max(far, np.abs(y - exact[::2]).max())
         errors.append(far)
