@@ -5,6 +5,9 @@ from __future__ import annotations
 import base64
 import io
 import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
@@ -14,6 +17,7 @@ from typing import Any
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from rotorsim.diagnose.diagnosis import Diagnosis, diagnose
@@ -108,11 +112,17 @@ class _Page(HTMLParser):
         return " ".join(" ".join(self.words).split())
 
 
-@cache
-def _reported(which: str) -> tuple[_Page, dict[str, bytes], tuple[str, ...]]:
-    import tempfile
+@contextmanager
+def undrawn() -> Iterator[None]:
+    """Let figures be made and not drawn, for tests of words."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", lambda self, buffer, **options: None)
+        yield
 
-    with tempfile.TemporaryDirectory() as folder:
+
+@cache
+def _reported(which: str, drawn: bool = True) -> tuple[_Page, dict[str, bytes], tuple[str, ...]]:
+    with tempfile.TemporaryDirectory() as folder, nullcontext() if drawn else undrawn():
         found = {"bowed": bowed, "healthy": healthy, "nasty": nasty}[which]()
         files = save_report(found, folder, command="rotorsim diagnose jeffcott <b>there</b> --hold-out 'a b'")
         assert all(file.is_file() for file in files)
@@ -120,7 +130,9 @@ def _reported(which: str) -> tuple[_Page, dict[str, bytes], tuple[str, ...]]:
         return page, {f.name: f.read_bytes() for f in Path(folder).iterdir()}, tuple(f.name for f in files)
 
 
-@pytest.mark.parametrize("which", ["bowed", "healthy", "nasty"])
+@pytest.mark.parametrize(
+    "which", ["bowed", *(pytest.param(which, marks=pytest.mark.slow) for which in ("healthy", "nasty"))]
+)
 def test_one_valid_file_that_needs_no_other(which: str) -> None:
     page, files, names = _reported(which)
     assert page.wrong == []
@@ -141,7 +153,7 @@ def test_one_valid_file_that_needs_no_other(which: str) -> None:
 
 
 def test_what_a_user_wrote_is_text() -> None:
-    page, files, _ = _reported("nasty")
+    page, files, _ = _reported("nasty", drawn=False)
     assert b"<script" not in files["report.html"]
     assert page.text.count(NASTY) >= 5  # title, diagram, statement, recording, next experiment
     assert "rotorsim diagnose jeffcott <b>there</b> --hold-out 'a b'" in page.text
@@ -172,7 +184,7 @@ def test_numbers_are_those_of_the_diagnosis() -> None:
 
 
 def test_a_report_of_nothing_missing() -> None:
-    page, files, _ = _reported("healthy")
+    page, files, _ = _reported("healthy", drawn=False)
     assert "Nothing is missing" in page.text
     assert "What would have been seen" in page.text
     assert "residual bow amplitude" in page.text
@@ -398,7 +410,8 @@ def test_signals_in_time_are_simulated_again() -> None:
 
 
 def test_a_report_in_time(tmp_path: Path) -> None:
-    files = save_report(swinging(), tmp_path)
+    with undrawn():
+        files = save_report(swinging(), tmp_path)
     page = _Page(files[0].read_text(encoding="utf-8"))
     assert page.wrong == []
     assert page.open == []
@@ -437,7 +450,8 @@ def test_what_is_left_and_what_is_open_stand_in_the_report(tmp_path):
         "size": {"value": 0.0234, "unit": "N", "orders": {"1": 0.02, "3": 0.012}},
     }  # fmt: skip
     found = replace(bowed(), residual=left, open=(("rub", "was not fitted to the end"),))
-    save_report(found, tmp_path)
+    with undrawn():
+        save_report(found, tmp_path)
     words = " ".join(_Page((tmp_path / "report.html").read_text()).words)
     for text in (
         "0.57 %",
