@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import json
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -161,22 +163,28 @@ def put_in(document: dict[str, Any], cls: type[Block], fault: Fault) -> list[str
     return [f"fault.{port}" for port in cls.outputs]
 
 
-def run(document: dict[str, Any], record: list[str]) -> Any:
+def run(document: dict[str, Any], record: list[str], use_compiler: bool = False) -> Any:
     document["record"] = ["rotor.displacement", *record]
-    document["solver"] = {**document["solver"], "stop": "50 ms"}
+    document["solver"] = {**document["solver"], "stop": "50 ms" if use_compiler else "10 ms"}
     document.pop("layout", None)
     document.pop("identify", None)
-    result = simulate(load(document))
+    result = simulate(load(document), use_compiler=use_compiler)
     assert result.status == "finished"
     return result
 
 
+@cache
+def base_of(text: str, compiled: bool) -> np.ndarray:
+    return np.asarray(run(json.loads(text), [], compiled)["rotor.displacement"])
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
 @every_fault
-def test_a_fault_runs_in_a_diagram_and_changes_it(cls: type[Block], fault: Fault) -> None:
-    base = run(diagram_of(fault), [])["rotor.displacement"]
+def test_a_fault_runs_in_a_diagram_and_changes_it(cls: type[Block], fault: Fault, compiled: bool) -> None:
     document = diagram_of(fault)
+    base = base_of(json.dumps(document), compiled)
     extra = put_in(document, cls, fault)
-    result = run(document, extra)
+    result = run(document, extra, compiled)
     for name in ("rotor.displacement", *extra):
         assert np.isfinite(result[name]).all(), name
     if fault.enters == "reading":

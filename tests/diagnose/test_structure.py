@@ -259,6 +259,7 @@ def _isolated() -> Isolation:
     return isolate(load("jeffcott"), BOTH)
 
 
+@pytest.mark.slow
 def test_what_the_free_parameters_imitate() -> None:
     laws = _isolated().laws
     assert laws is not None

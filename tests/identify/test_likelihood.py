@@ -17,6 +17,7 @@ from tests.identify import MAKERS, OTHER_GAINS, RATE, TRUTH, changed, errors, ma
 from tests.reference.recordings import LOWER, THESIS_GAINS, UPPER, RecordedRun, Truth
 
 RANGES = [(model, name) for name, table in (("lower", LOWER), ("upper", UPPER)) for model in table]
+LONG = {("fe_flexible", "lower"), ("fe_flexible", "upper"), ("fe_rigid", "lower"), ("offset_disc", "lower")}
 CLEAN = {"jeffcott": 1e-3, "offset_disc": 1e-3, "fe_rigid": 5e-3, "fe_flexible": 5e-3}
 LEVEL = 1e-4
 
@@ -40,7 +41,9 @@ def at(likelihood: Likelihood, truth: Truth = TRUTH) -> np.ndarray:
 # --- clean data -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("model", "name"), RANGES)
+@pytest.mark.parametrize(
+    ("model", "name"), [pytest.param(*each, marks=pytest.mark.slow) if each in LONG else each for each in RANGES]
+)
 def test_clean_data_give_the_truth(model, name):
     """Where the crack stands is unknown, the start values are wrong by 10 to 50 %."""
     recording = recorded(made(model, speeds_of(model, name)))

@@ -6,8 +6,7 @@ import base64
 import io
 import re
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
@@ -17,7 +16,6 @@ from typing import Any
 import matplotlib.image
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from rotorsim.diagnose.diagnosis import Diagnosis, diagnose
@@ -34,6 +32,7 @@ from rotorsim.report.diagnosis_tables import estimate, flat
 from tests.diagnose.test_diagnosis import HELD, recording
 from tests.diagnose.time_machines import OSCILLATOR, oscillator_recording
 from tests.identify import OTHER_GAINS, changed, shipped
+from tests.report import undrawn
 
 FIGURES = {"where.png", "spectra.png", "orbits.png", "speed_curves.png", "residuals.png", "parameters.png"}
 NASTY = "<script>alert('x')</script> & \"y\""
@@ -110,14 +109,6 @@ class _Page(HTMLParser):
     @property
     def text(self) -> str:
         return " ".join(" ".join(self.words).split())
-
-
-@contextmanager
-def undrawn() -> Iterator[None]:
-    """Let figures be made and not drawn, for tests of words."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Figure, "savefig", lambda self, buffer, **options: None)
-        yield
 
 
 @cache
