@@ -154,7 +154,7 @@ WITH_SECOND = ["shaken", "swinging", pytest.param("either way", marks=pytest.mar
 
 @cache
 def diagnosed(name: str) -> Diagnosis:
-    few = {"either way": PHYSICS[:2], "faint": ("base_excitation", "residual_bow", "runout")}
+    few = {"swinging": PHYSICS[1:4], "either way": PHYSICS[:2], "faint": ("base_excitation", "residual_bow", "runout")}
     return diagnose(load("jeffcott"), recording(MACHINES[name]), physics=few.get(name, PHYSICS), workers=1)
 
 

@@ -372,6 +372,7 @@ def test_only_linear_diagrams_are_compared_by_laws() -> None:
     assert data["laws_not_judged"] == found.why
 
 
+@pytest.mark.slow
 def test_data_form() -> None:
     data = isolation_data(_isolated())
     assert set(data) == {"diagram", "sensors", "faults", "structure", "laws", "laws_not_judged"}

@@ -159,19 +159,18 @@ def test_a_factor_of_a_covariance_of_small_and_large_numbers():
     np.testing.assert_allclose(factor @ factor.T, correlation, rtol=1e-14, atol=1e-15)
 
 
-@pytest.mark.parametrize(("n", "hertz"), [(2000, 23.37), pytest.param(1500, 41.9, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
-    "kind",
-    ["white", "across", "coloured across", "late"]
-    + [pytest.param(kind, marks=pytest.mark.slow) for kind in ("coloured", "resonance")],
+    ("n", "hertz", "draws"),
+    [(2000, 23.37, 100), *(pytest.param(*each, 300, marks=pytest.mark.slow) for each in ((2000, 23.37), (1500, 41.9)))],
 )
-def test_covariance_is_that_of_repeated_measurements(kind, n, hertz):
-    """300 draws: the sample covariance of the errors against the mean of what the fits say.
+@pytest.mark.parametrize("kind", ["white", "across", "coloured", "coloured across", "resonance", "late"])
+def test_covariance_is_that_of_repeated_measurements(kind, n, hertz, draws):
+    """The sample covariance of the errors against the mean of what the fits say.
 
     The window is not a whole number of turns, the mean and the speed drift. Kind "late": white in each channel, as
     behind a sampled controller, and correlated all the same.
     """
-    K, draws = 3, 300
+    K = 3
     time = np.arange(n) / RATE
     u = 2 * time / time[-1] - 1
     theta = TURN * hertz * time + 0.4 + 3.0 * time**2
