@@ -148,8 +148,8 @@ MACHINES = {
     "swinging": Machine(swing=SWING, nu=SWINGING),
     "either way": Machine(swing=SWING, nu=SWINGING, directions=(1, -1, -1, 1, 1, -1)),
 }
-SLOW = ("faint", "either way")
-WITH_SECOND = ["shaken", "swinging", pytest.param("either way", marks=pytest.mark.slow)]
+SLOW = ("faint", "swinging", "either way")
+SWINGING = [pytest.param(name, marks=pytest.mark.slow) for name in SLOW[1:]]
 
 
 @cache
@@ -203,6 +203,7 @@ def test_lines_that_no_row_explains_are_described(name):
     assert f"lines beside the harmonics at {lines['value']:.4g} Hz" in found.statement
 
 
+@pytest.mark.slow
 def test_a_swinging_speed_is_named_as_a_class_and_measured():
     """Drive or disc: the pulses of both look alike, for an even angle explains them too."""
     found = diagnosed("swinging")
@@ -239,7 +240,7 @@ def test_nothing_is_found_in_a_healthy_machine():
     assert found.score_after.total < 1.05 * found.score_after.noise
 
 
-@pytest.mark.parametrize("name", WITH_SECOND)
+@pytest.mark.parametrize("name", ["shaken", *SWINGING])
 def test_repaired_diagrams_predict_runs_that_took_no_part(name, tmp_path):
     found = diagnosed(name)
     assert found.score_before.total > 2 * found.score_after.noise
@@ -251,7 +252,7 @@ def test_repaired_diagrams_predict_runs_that_took_no_part(name, tmp_path):
     assert simulate(repaired, stop=0.01).status == "finished"
 
 
-@pytest.mark.parametrize("name", ["shaken", "swinging"])
+@pytest.mark.parametrize("name", ["shaken", SWINGING[0]])
 def test_curves_over_speed_pass_through_what_is_predicted_of_the_runs(name):
     compared = fitted_pair(diagnosed(name)).after
     signal, orders = compared.signals[0], np.arange(-3, 4)
@@ -262,7 +263,7 @@ def test_curves_over_speed_pass_through_what_is_predicted_of_the_runs(name):
         assert np.abs(here - there)[moving].max() < 0.01 * NOISE["r"]
 
 
-@pytest.mark.parametrize("name", WITH_SECOND)
+@pytest.mark.parametrize("name", ["shaken", *SWINGING])
 def test_spectra_show_lines_that_the_repaired_diagram_explains(name):
     """|measured - model|^2 over its variance is one on average, in both directions; as given it is far more."""
     pair = held_pair(diagnosed(name))

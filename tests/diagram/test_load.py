@@ -238,6 +238,7 @@ def test_ten_thousand_blocks() -> None:
     assert len(loaded.graph) == 10_000
 
 
+@pytest.mark.slow
 def test_mistakes_in_ten_thousand_blocks_are_placed() -> None:
     document = chain(10_000)
     document["blocks"]["b5001"]["parameters"] = {"gian": 1}

@@ -24,7 +24,7 @@ def sampled_jeffcott():
     return made
 
 
-@pytest.fixture(params=["2.0", "3.0"])
+@pytest.fixture(params=[pytest.param("2.0", marks=pytest.mark.slow), "3.0"])
 def version(request):
     return request.param
 

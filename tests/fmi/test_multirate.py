@@ -31,7 +31,13 @@ def run(step: float, rates: Mapping[str, int], master: str, order: int) -> Resul
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss_seidel"])
 @pytest.mark.parametrize("order", [0, 1, 2])
-@pytest.mark.parametrize("rates", [{"controller": 4}, {"rotor": 4}, {"rotor": 2, "controller": 3}])
+@pytest.mark.parametrize(
+    "rates",
+    [
+        *(pytest.param(r, marks=pytest.mark.slow) for r in ({"controller": 4}, {"rotor": 4})),
+        {"rotor": 2, "controller": 3},
+    ],
+)
 def test_the_order_is_kept(whole: Result, master: str, order: int, rates: dict[str, int]) -> None:
     """Halving the base step divides the error by 2^(order + 1), also where no rate divides the other."""
     errors = []

@@ -22,6 +22,7 @@ from rotorsim.fmi.stability import coupling_stability, why_not_linear
 from rotorsim.simulate import simulate
 
 INNER, STOP = 2e-5, 0.03
+SLOW_3 = pytest.param("3.0", marks=pytest.mark.slow)
 
 
 def sampled(period: float, *, inner: float = INNER, stop: float = STOP, **changes: Any) -> Diagram:
@@ -99,7 +100,7 @@ def test_a_relay_is_held_and_still_follows_at_once() -> None:
     assert turns.size == found["end.output"].size
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("version", ["2.0", SLOW_3])
 def test_outputs_of_variability_discrete_are_held(tmp_path: Path, version: str) -> None:
     coupling = open_coupling(with_fmu(tmp_path, sampled(1e-4), version, "cs"))
     try:
@@ -123,7 +124,7 @@ def test_the_run_is_that_of_the_whole_diagram(master: str, order: int, period: f
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize("interface", ["cs", "me"])
-@pytest.mark.parametrize("period", [1e-4, 1e-3])
+@pytest.mark.parametrize("period", [pytest.param(1e-4, marks=pytest.mark.slow), 1e-3])
 def test_the_same_for_an_fmu(tmp_path: Path, version: str, interface: str, period: float) -> None:
     diagram = sampled(period)
     found = cosimulate_diagram(with_fmu(tmp_path, diagram, version, interface), step=1e-4, order=1)
@@ -266,7 +267,7 @@ def test_it_is_said_where_the_stability_is_not_told(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("version", ["2.0", SLOW_3])
 def test_constants_of_an_fmu_do_not_stand_in_the_way(tmp_path: Path, version: str) -> None:
     """A force beside the controller is of variability discrete, and depends on a parameter at most."""
     made = dict(load("jeffcott").document)

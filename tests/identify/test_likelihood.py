@@ -126,7 +126,11 @@ def test_any_signals_will_do_with_two_sets_of_gains(columns):
     assert max(errors(found).values()) < 1e-3
 
 
-@pytest.mark.parametrize("columns", [("ix", "iy"), ("x", "y"), ("x", "y", "ix", "iy"), ("ix",)], ids=" ".join)
+@pytest.mark.parametrize(
+    "columns",
+    [("ix", "iy"), pytest.param(("x", "y"), marks=pytest.mark.slow), ("x", "y", "ix", "iy"), ("ix",)],
+    ids=" ".join,
+)
 def test_channels_whose_mean_means_nothing(columns):
     runs = two_gains("jeffcott", LOWER["jeffcott"][::4], level=1e-3)
     runs = [

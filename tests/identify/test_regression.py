@@ -94,7 +94,11 @@ def test_an_angle_channel():
     assert max(errors(identify(shipped("jeffcott"), recording, method="regression")).values()) < 1e-3
 
 
-@pytest.mark.parametrize("columns", [("ix", "iy"), ("x", "y"), ("x", "y", "ix", "iy"), ("iy",)], ids=" ".join)
+@pytest.mark.parametrize(
+    "columns",
+    [("ix", "iy"), pytest.param(("x", "y"), marks=pytest.mark.slow), ("x", "y", "ix", "iy"), ("iy",)],
+    ids=" ".join,
+)
 def test_channels_whose_mean_means_nothing(columns):
     runs = made("jeffcott", LOWER["jeffcott"])
     runs = [
@@ -163,6 +167,7 @@ def test_the_central_frequency_is_the_source_of_the_thesis_clean_errors(name):
         assert value == pytest.approx(expected[parameter], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_rotor_without_tilt_has_nothing_to_condense():
     recording = recorded(made("jeffcott", LOWER["jeffcott"][::4]))
     found = identify(shipped("jeffcott"), recording, method="regression", reduction="central")

@@ -253,7 +253,9 @@ def jeffcott():
     return compile_diagram(load_diagram("jeffcott"))
 
 
-@pytest.mark.parametrize(("name", "rates"), [("jeffcott", (1e4, 2e4)), ("fe_flexible", (2e4, 4e4))])
+@pytest.mark.parametrize(
+    ("name", "rates"), [("jeffcott", (1e4, 2e4)), pytest.param("fe_flexible", (2e4, 4e4), marks=pytest.mark.slow)]
+)
 def test_a_settled_start_returns_after_one_turn(name: str, rates) -> None:
     """What a turn changes is the error of RK4 alone: half the step, a sixteenth of it."""
     model = compile_diagram(load_diagram(name))

@@ -163,7 +163,10 @@ def test_a_factor_of_a_covariance_of_small_and_large_numbers():
     ("n", "hertz", "draws"),
     [(2000, 23.37, 100), *(pytest.param(*each, 300, marks=pytest.mark.slow) for each in ((2000, 23.37), (1500, 41.9)))],
 )
-@pytest.mark.parametrize("kind", ["white", "across", "coloured", "coloured across", "resonance", "late"])
+@pytest.mark.parametrize(
+    "kind",
+    ["white", "across", "coloured", "coloured across", pytest.param("resonance", marks=pytest.mark.slow), "late"],
+)
 def test_covariance_is_that_of_repeated_measurements(kind, n, hertz, draws):
     """The sample covariance of the errors against the mean of what the fits say.
 

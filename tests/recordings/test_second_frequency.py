@@ -352,19 +352,19 @@ def test_pulses_show_a_slow_swing_that_the_measured_angle_follows(swing, found):
 
 
 def test_pulses_that_only_jitter_show_no_swing():
-    """A thousand machines: a false alarm in about one of them."""
+    """A false alarm in about one of a thousand machines: in 300, more than three have a probability of 0.03 %."""
     random = np.random.default_rng(6)
     alarms = 0
-    for _ in range(1000):
+    for _ in range(300):
         runs = []
         for speed in (15.3, 31.4, 44.0):
             even = np.arange(0.05, 1.0, 1 / speed)
             runs.append(SimpleNamespace(run=SimpleNamespace(tacho=even + 1e-6 * random.standard_normal(len(even)))))
         alarms += second_frequency._swinging(runs) is not None
-    assert alarms <= 5
+    assert alarms <= 3
 
 
-@pytest.mark.parametrize("timer", [0.0, 1e-7, 1e-5, 2e-4])
+@pytest.mark.parametrize("timer", [0.0, *(pytest.param(t, marks=pytest.mark.slow) for t in (1e-7, 2e-4)), 1e-5])
 def test_pulses_of_a_coarse_timer_show_no_swing(timer):
     """At an even speed their rounding repeats, at a frequency of its own in every run.
 

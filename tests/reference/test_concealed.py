@@ -206,7 +206,9 @@ def test_aliases_leave_no_trace_and_faults_do() -> None:
     assert found[0] * 1e-6 > 1000
 
 
-@pytest.mark.parametrize(("kind", "machine"), [("nothing", "jeffcott"), ("nothing", "fe_rigid"), ("one", "jeffcott")])
+@pytest.mark.parametrize(
+    ("kind", "machine"), [pytest.param("nothing", "fe_rigid", marks=pytest.mark.slow), ("one", "jeffcott")]
+)
 def test_same_seed_writes_the_same_bytes(tmp_path: Path, kind: str, machine: str) -> None:
     for name in ("a", "b"):
         case = generator.make_case("c", kind, machine, (5, 0), 3)

@@ -108,7 +108,7 @@ def test_sensitivity_of_a_port_outside_the_loop_is_refused():
     ("block", "replacement", "changes"),
     [
         pytest.param("amb", "amb_nonlinear", {}, marks=pytest.mark.slow),
-        ("crack", "crack_breathing", {}),
+        pytest.param("crack", "crack_breathing", {}, marks=pytest.mark.slow),
     ],
 )
 def test_nonlinear_blocks_settle_to_the_time_simulation(block, replacement, changes):

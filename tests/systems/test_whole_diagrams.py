@@ -41,7 +41,11 @@ def test_rk4_does_not_integrate_a_quartic_exactly() -> None:
 
 @pytest.mark.parametrize(
     ("name", "reference", "node", "step"),
-    [("offset_disc", offset_disc, None, 2e-5), ("fe_rigid", fe_rigid, 3, 5e-6), ("fe_flexible", fe_flexible, 4, 2e-6)],
+    [
+        ("offset_disc", offset_disc, None, 2e-5),
+        ("fe_rigid", fe_rigid, 3, 5e-6),
+        pytest.param("fe_flexible", fe_flexible, 4, 2e-6, marks=pytest.mark.slow),
+    ],
 )
 def test_rotors_against_exact_solution(name: str, reference: object, node: int | None, step: float) -> None:
     """The start shakes every mode, so the step resolves the fastest one (2.7e5 rad/s in fe_flexible)."""
