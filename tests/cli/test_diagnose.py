@@ -70,7 +70,7 @@ def test_what_is_missing_and_the_repaired_diagram(run: Run, bowed: str, held: st
 
 
 def test_nothing_is_missing(run: Run, healthy: str):
-    result = run("diagnose", "jeffcott", healthy, "--physics", ROWS, "--workers", "1", "--json")
+    result = run("diagnose", "jeffcott", healthy, "--physics", "residual_bow", "--workers", "1", "--json")
     assert result.exit_code == 0
     data = json.loads(result.stdout)
     assert (data["verdict"], data["missing"], data["where"]) == ("consistent", [], [])

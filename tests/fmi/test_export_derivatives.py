@@ -12,10 +12,8 @@ from rotorsim.simulate.run import simulate
 from tests.compile.documents import sampled
 from tests.fmi.opened import opened
 
-VERSIONS = ("2.0", "3.0")
 
-
-@pytest.fixture(params=VERSIONS)
+@pytest.fixture(params=[pytest.param("2.0", marks=pytest.mark.slow), "3.0"])
 def version(request):
     return request.param
 

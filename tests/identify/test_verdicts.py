@@ -149,7 +149,7 @@ def test_advice_when_nothing_would_help():
     assert known == pytest.approx(item.value / found.parameters["unbalance.mass"].value, rel=0.01)
 
 
-@pytest.mark.parametrize("level", [0.0, 1e-2])
+@pytest.mark.parametrize("level", [pytest.param(0.0, marks=pytest.mark.slow), 1e-2])
 def test_parameters_that_are_one_number_are_open_however_good_the_data(level):
     names = {item.name: {} for item in shipped("jeffcott").free}
     for second, first in (("unbalance__mass", "eccentricity"), ("crack__sag", "crack_stiffness")):

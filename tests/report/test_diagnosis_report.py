@@ -383,6 +383,7 @@ def swinging() -> Diagnosis:
     return diagnose(load(OSCILLATOR), measured, physics=("cubic_stiffness", "sensor_gain"), workers=1)
 
 
+@pytest.mark.slow
 def test_signals_in_time_are_simulated_again() -> None:
     found = swinging()
     shown = traces(found)
@@ -400,6 +401,7 @@ def test_signals_in_time_are_simulated_again() -> None:
     assert made.axes[1].get_xlabel() == "time [s]"
 
 
+@pytest.mark.slow
 def test_a_report_in_time(tmp_path: Path) -> None:
     with undrawn():
         files = save_report(swinging(), tmp_path)
