@@ -131,6 +131,7 @@ def test_the_files_are_what_others_read(tmp_path):
     assert simulate(repaired, stop=0.01).status == "finished"
 
 
+@pytest.mark.slow
 def test_without_runs_held_out_each_is_left_out_in_turn():
     data = diagnosis_data(diagnose(shipped("jeffcott"), recording(False), physics=PHYSICS[:3], workers=1))
     assert data["fit"]["held_out"] == "left_out"

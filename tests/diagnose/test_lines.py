@@ -31,6 +31,7 @@ ACCELERATION, DIRECTION, SWING = 0.05, 0.6, 1.5e-3
 PHYSICS = (
     "base_excitation", "speed_fluctuation", "torsion_coupling", "residual_bow", "runout", "anisotropic_support",
 )  # fmt: skip
+OTHERS = (*PHYSICS[:1], *PHYSICS[3:5])
 FAINT = 4e-3  # of a shaking that every run shows
 ODD = np.arange(1, 10, 2)
 
@@ -154,7 +155,7 @@ SWINGING = [pytest.param(name, marks=pytest.mark.slow) for name in SLOW[2:]]
 
 @cache
 def diagnosed(name: str) -> Diagnosis:
-    few = {"swinging": PHYSICS[1:4], "either way": PHYSICS[:2], "faint": ("base_excitation", "residual_bow", "runout")}
+    few = {"shaken": OTHERS, "faint": OTHERS, "either way": PHYSICS[:2]}
     return diagnose(load("jeffcott"), recording(MACHINES[name]), physics=few.get(name, PHYSICS), workers=1)
 
 

@@ -72,6 +72,7 @@ def test_without_lines_nothing_is_picked_up():
     assert find_pickups(base, source) == []
 
 
+@pytest.mark.slow
 def test_hum_is_said_and_no_physics_of_the_machine():
     """15 nm of 50 Hz once made an unknown force at the rotor; here it is as large as the noise."""
     found = diagnose(

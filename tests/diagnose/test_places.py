@@ -116,6 +116,7 @@ def test_the_place_of_a_force_leaves_noise_and_others_far_more():
     assert_noise(places.bound(found["second_crack/0@rotor.force[4]"]), base, 6 * 4 * (2 * ORDERS + 1))
 
 
+@pytest.mark.slow
 def test_a_strong_force_leaves_noise_beside_means_of_slow_states():
     """Where the diagram is right but for the force; its mean and those of slow states are free together."""
     source, base, _ = concealing("residual_bow/0@rotor.force[4]", 100.0)

@@ -109,6 +109,7 @@ def test_what_is_written_has_the_keys_of_any_diagnosis():
         assert (data["fit"][when]["goodness"], data["fit"][when]["adequate"]) == (None, adequate)
 
 
+@pytest.mark.slow
 def test_units_of_an_electric_analogue_are_said_to_stand_for_those_of_a_machine():
     made = oscillator_recording(machines.CUBIC, units=("V", "V"))
     found = diagnose(load(OSCILLATOR), made, physics={"cubic_stiffness"}, workers=1)

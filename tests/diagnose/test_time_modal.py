@@ -123,6 +123,7 @@ def diagnosed(inertia: float, driven: int = 9) -> Diagnosis:
     return diagnose(load(document(driven)), recording(inertia), physics=PHYSICS, workers=1)
 
 
+@pytest.mark.slow
 def test_the_rotary_inertia_of_discs_is_named_and_measured():
     found = diagnosed(1.0)
     assert found.verdict == "missing_physics"

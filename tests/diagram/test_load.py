@@ -230,6 +230,7 @@ def chain(n: int) -> dict[str, Any]:
     return diagram(blocks, *wires[::-1], parameters={"k": 0.5})
 
 
+@pytest.mark.slow
 def test_ten_thousand_blocks() -> None:
     loaded = load(chain(10_000))
     assert len(loaded.nodes) == 10_000

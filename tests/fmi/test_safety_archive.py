@@ -133,6 +133,7 @@ def test_a_full_disk_is_not_the_fault_of_the_archive(tmp_path: Path, size: int) 
     assert what == f"cannot be unpacked into {tmp_path / 'out'}: file too large"
 
 
+@pytest.mark.slow
 def test_thousands_of_files(tmp_path: Path) -> None:
     file = written(tmp_path / "a.zip", *((str(k), b"") for k in range(101)))
     assert refusal(file, files=100) == "holds 101 files; 100 are allowed"

@@ -342,6 +342,7 @@ def opened(recording: Recording) -> Likelihood:
     return likelihood_of("jeffcott", recording)
 
 
+@pytest.mark.slow
 def test_an_angle_does_not_run_away():
     """With x and y exchanged in all signals a search may take the crack to 1e6 rad, where rounding makes every
     force take 4096 samples a turn from then on: thirty seconds instead of one.
@@ -358,6 +359,7 @@ def test_an_angle_does_not_run_away():
 # --- degenerate noise -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_current_that_was_computed_from_the_displacement(method):
     """Signals in exact proportion have a singular covariance."""
@@ -371,6 +373,7 @@ def test_a_current_that_was_computed_from_the_displacement(method):
         return
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_channel_under_two_names(method):
     """Two nodes with the data of one. FAULT: LinAlgError in `advice._excitation`."""

@@ -56,7 +56,7 @@ def test_clean_data_give_the_truth(model, name):
         assert values < 1e-3
 
 
-@pytest.mark.parametrize("crack_phase", [-3.0, -1.6, 0.0, 2.4])
+@pytest.mark.parametrize("crack_phase", [-3.0, *(pytest.param(p, marks=pytest.mark.slow) for p in (-1.6, 0.0, 2.4))])
 def test_the_crack_may_stand_anywhere(crack_phase):
     truth = TRUTH.changed({"crack_phase": crack_phase, "unbalance_phase": crack_phase - 2})
     recording = recorded(made("jeffcott", LOWER["jeffcott"][::2], truth))
@@ -78,6 +78,7 @@ def test_start_values_do_not_matter(start):
     assert max(errors(identify(diagram, recording, profile=False)).values()) < 1e-3
 
 
+@pytest.mark.slow
 def test_stiffness_far_from_what_was_measured():
     """FAULT: the step that each start takes is linear in stiffness, too, and leaves the supports at zero or a hundred
     times too stiff; from there a right model is said not to explain the data.
@@ -92,6 +93,7 @@ def test_stiffness_far_from_what_was_measured():
     assert found.misfit <= truth.misfit.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [{"force_current_factor": 0}, {"viscous_damping": 7600}])
 def test_a_search_that_ends_elsewhere_is_not_called_adequate(start):
     """Clean data and one set of gains make a rugged likelihood."""

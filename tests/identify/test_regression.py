@@ -53,6 +53,7 @@ def test_fewer_harmonics_will_do(orders):
     assert max(errors(identify(shipped("jeffcott"), recording, method="regression", orders=orders)).values()) < 1e-3
 
 
+@pytest.mark.slow
 def test_what_makes_the_current_need_not_be_right():
     """The measured current is an input: the controller of the diagram has no say, sampled or not."""
     recording = recorded([replace(run, settings={}) for run in made("jeffcott", LOWER["jeffcott"])])
@@ -181,10 +182,10 @@ def test_a_rotor_without_tilt_has_nothing_to_condense():
     ("model", "way", "reduction", "columns"),
     [
         ("jeffcott", 1, "exact", None),
-        ("offset_disc", -1, "exact", None),
+        pytest.param("offset_disc", -1, "exact", None, marks=pytest.mark.slow),
         ("offset_disc", 1, "central", None),
         pytest.param("fe_flexible", 1, "exact", ("x2", "y2", "x4", "y4", "ix", "iy"), marks=pytest.mark.slow),
-        ("fe_rigid", -1, "exact", ("x3", "y3", "x5", "ix", "iy")),
+        pytest.param("fe_rigid", -1, "exact", ("x3", "y3", "x5", "ix", "iy"), marks=pytest.mark.slow),
     ],
 )
 def test_slopes_are_those_of_differences(model, way, reduction, columns):

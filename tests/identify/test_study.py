@@ -110,6 +110,7 @@ def test_wrong_sag_scales_the_crack_and_wrong_stiffness_moves_to_the_bearing():
         assert np.array(wrong["values"])[others] == pytest.approx(np.array(clean["values"])[others], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_regression_on_white_noise_fails_in_the_upper_range():
     """Noise in the columns: k_s about -100 %, c about +30 %, k_i about -20 % at 5 %."""
     found = run(study_of_table("2-6", noise=(0.05,), kinds=("white",), seeds=12))
@@ -119,6 +120,7 @@ def test_regression_on_white_noise_fails_in_the_upper_range():
     assert -30 < found.row("force_current_factor", case).mean_percent < -10
 
 
+@pytest.mark.slow
 def test_normal_noise_of_the_thesis_rescales_and_uniform_noise_does_not():
     """Eq. (2.67) has the mean r (1 - level / 2) with R ~ N(0, 1), and r with R uniform: so have the amplitudes."""
     found = run(study_of_table("2-5", noise=(0.05,), kinds=("thesis", "uniform"), seeds=10))

@@ -123,7 +123,8 @@ def off(case: str, draws: int) -> np.ndarray:
 
 DRAWN = pytest.mark.parametrize(
     ("case", "draws"),
-    [(case, FEW) for case in CASES] + [pytest.param(case, CASES[case][-1], marks=pytest.mark.slow) for case in CASES],
+    [(case, FEW) for case in ("constant", "follows backward")]
+    + [pytest.param(case, CASES[case][-1], marks=pytest.mark.slow) for case in CASES],
 )
 
 
@@ -165,6 +166,7 @@ def test_amplitudes_are_right_within_their_noise(case, draws):
     assert_chi_squared(total, count)
 
 
+@pytest.mark.slow
 def test_a_line_hidden_by_a_stronger_one_is_found():
     """With little noise a strong line hides all within 40 lines of the spectrum."""
     data, _ = made({0: 10 * LINES[0], 1: LINES[1], -1: LINES[-1]}, seed=3, noise=1e-3)
@@ -190,6 +192,7 @@ def test_lines_of_one_run_are_no_second_frequency():
         assert find_second(data, runs) is None
 
 
+@pytest.mark.slow
 def test_runs_in_which_a_line_is_too_near_to_a_harmonic_are_lost():
     """Nearer than one and a half lines of the spectrum, which are 1 Hz apart."""
     near, far = (NU + TURN * 1.2) / 2, (NU + TURN * 1.8) / 2
@@ -364,7 +367,7 @@ def test_pulses_that_only_jitter_show_no_swing():
     assert alarms <= 3
 
 
-@pytest.mark.parametrize("timer", [0.0, *(pytest.param(t, marks=pytest.mark.slow) for t in (1e-7, 2e-4)), 1e-5])
+@pytest.mark.parametrize("timer", [0.0, *(pytest.param(t, marks=pytest.mark.slow) for t in (1e-7, 1e-5, 2e-4))])
 def test_pulses_of_a_coarse_timer_show_no_swing(timer):
     """At an even speed their rounding repeats, at a frequency of its own in every run.
 
@@ -382,6 +385,7 @@ def test_pulses_of_a_coarse_timer_show_no_swing(timer):
     assert alarms <= 2
 
 
+@pytest.mark.slow
 def test_a_strong_slow_swing_of_many_harmonics_is_found():
     """Sidebands of orders 6 to 9 and of twice the frequency stand out of noise, and an angle by pulses follows most."""
     nu, harmonics = TURN * 3.1, np.array([[1.0, 1.0j]] * 10) / np.arange(1, 11)[:, None]

@@ -138,6 +138,7 @@ def test_jitter_and_noise_together_make_the_covariance_of_harmonics(draws):
     assert same_covariance(np.array(errors), np.mean(said, axis=0)) > LEVEL
 
 
+@pytest.mark.slow
 def test_jitter_of_pulses_makes_no_lines():
     """An error of the speed turns harmonics while the run lasts; these sides of a harmonic are no lines.
 

@@ -155,6 +155,7 @@ def _velocity(simulation: Simulation, w: np.ndarray, lane: int) -> complex:
     return complex((right @ w[lane])[1])
 
 
+@pytest.mark.slow
 def test_step_does_not_matter() -> None:
     parameters, runs, _, peaks = scene("fe_rigid")
     runs = runs[::4]

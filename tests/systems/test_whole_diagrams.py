@@ -61,7 +61,9 @@ def test_rotors_against_exact_solution(name: str, reference: object, node: int |
     assert figures.relative(figures.as_complex(result["controller.current"]), rotor.current(y)) <= 1e-8
 
 
-@pytest.mark.parametrize("name", list(figures.SETTLED))
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n.startswith("fe") else n for n in figures.SETTLED]
+)
 def test_periodic_equals_settled_simulation(name: str) -> None:
     """With a hundred times the integral gain, so that 3 s settle; benchmarks.evidence has the thesis' own gain."""
     signals, _, step = figures.SETTLED[name]
