@@ -150,7 +150,7 @@ MACHINES = {
     "either way": Machine(swing=SWING, nu=SWINGING, directions=(1, -1, -1, 1, 1, -1)),
 }
 SLOW = ("healthy", "faint", "swinging", "either way")
-SWINGING = [pytest.param(name, marks=pytest.mark.slow) for name in SLOW[2:]]
+SWUNG = [pytest.param(name, marks=pytest.mark.slow) for name in SLOW[2:]]
 
 
 @cache
@@ -244,7 +244,7 @@ def test_nothing_is_found_in_a_healthy_machine():
     assert pair.any.lines(0, pair.every[0]) is None
 
 
-@pytest.mark.parametrize("name", ["shaken", *SWINGING])
+@pytest.mark.parametrize("name", ["shaken", *SWUNG])
 def test_repaired_diagrams_predict_runs_that_took_no_part(name, tmp_path):
     found = diagnosed(name)
     assert found.score_before.total > 2 * found.score_after.noise
@@ -256,7 +256,7 @@ def test_repaired_diagrams_predict_runs_that_took_no_part(name, tmp_path):
     assert simulate(repaired, stop=0.01).status == "finished"
 
 
-@pytest.mark.parametrize("name", ["shaken", SWINGING[0]])
+@pytest.mark.parametrize("name", ["shaken", SWUNG[0]])
 def test_curves_over_speed_pass_through_what_is_predicted_of_the_runs(name):
     compared = fitted_pair(diagnosed(name)).after
     signal, orders = compared.signals[0], np.arange(-3, 4)
@@ -267,7 +267,7 @@ def test_curves_over_speed_pass_through_what_is_predicted_of_the_runs(name):
         assert np.abs(here - there)[moving].max() < 0.01 * NOISE["r"]
 
 
-@pytest.mark.parametrize("name", ["shaken", *SWINGING])
+@pytest.mark.parametrize("name", ["shaken", *SWUNG])
 def test_spectra_show_lines_that_the_repaired_diagram_explains(name):
     """|measured - model|^2 over its variance is one on average, in both directions; as given it is far more."""
     pair = held_pair(diagnosed(name))
