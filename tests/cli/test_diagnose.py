@@ -52,7 +52,17 @@ def healthy(tmp_path_factory) -> str:
 def test_what_is_missing_and_the_repaired_diagram(run: Run, bowed: str, held: str):
     with undrawn():  # figures: tests/report
         result = run(
-            "diagnose", "jeffcott", bowed, "--hold-out", held, "--physics", ROWS, "--workers", "1", "--out", "found"
+            "diagnose",
+            "jeffcott",
+            bowed,
+            "--hold-out",
+            held,
+            "--physics",
+            "residual_bow,runout",
+            "--workers",
+            "1",
+            "--out",
+            "found",
         )
     assert result.exit_code == 1
     text = result.stdout.splitlines()

@@ -120,7 +120,14 @@ def test_outputs_of_variability_discrete_are_held(tmp_path: Path, version: str) 
         for each in (("gauss_seidel", 0), ("gauss_seidel", 2), ("iterative", 1))
     ],
 )
-@pytest.mark.parametrize(("period", "step"), [(1e-4, 1e-4), (1e-4, 2e-4), (1e-3, 1e-4), (1e-3, 4e-4)])
+@pytest.mark.parametrize(
+    ("period", "step"),
+    [
+        (1e-4, 2e-4),
+        (1e-3, 1e-4),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((1e-4, 1e-4), (1e-3, 4e-4))),
+    ],
+)
 def test_the_run_is_that_of_the_whole_diagram(master: str, order: int, period: float, step: float) -> None:
     """Whatever the step and the order: what is sampled is known at the hit, and held signals are constant between."""
     diagram = sampled(period)
@@ -145,7 +152,7 @@ def test_an_fmu_at_its_own_rate(tmp_path: Path, interface: str) -> None:
     assert off(found, diagram) < 1e-12
 
 
-@pytest.mark.parametrize("period", [1.3e-4, 1.7e-4])
+@pytest.mark.parametrize("period", [1.3e-4, pytest.param(1.7e-4, marks=pytest.mark.slow)])
 def test_hits_between_the_points_asked_for(tmp_path: Path, period: float) -> None:
     """RK4 steps end at the hits in both runs, at other places between: they differ by h^4 omega^5 t / 120."""
     diagram = sampled(period)
@@ -156,7 +163,11 @@ def test_hits_between_the_points_asked_for(tmp_path: Path, period: float) -> Non
         assert off(found, diagram) < allowed
 
 
-@pytest.mark.parametrize(("period", "step"), [(1e-4, 4e-5), (1e-4, 1e-4), (1e-4, 2e-4), (1.3e-4, 1e-4), (1e-3, 1e-4)])
+@pytest.mark.parametrize(
+    ("period", "step"),
+    [(1e-4, 2e-4), (1.3e-4, 1e-4)]
+    + [pytest.param(*each, marks=pytest.mark.slow) for each in ((1e-4, 4e-5), (1e-4, 1e-4), (1e-3, 1e-4))],
+)
 def test_extrapolation_is_never_worse_than_holding(period: float, step: float) -> None:
     """Jacobi: the displacement that is sampled is extrapolated, the current never."""
     diagram = sampled(period)

@@ -120,7 +120,10 @@ def test_a_clock_that_does_not_start_at_angle_zero(way):
 
 
 @pytest.mark.parametrize(
-    "columns", [("x", "ix"), ("x", "y"), ("ix", "iy"), ("x",), ("iy",), ("x", "y", "ix")], ids=" ".join
+    "columns",
+    [("ix", "iy"), ("x",)]
+    + [pytest.param(c, marks=pytest.mark.slow) for c in (("x", "ix"), ("x", "y"), ("iy",), ("x", "y", "ix"))],
+    ids=" ".join,
 )
 def test_any_signals_will_do_with_two_sets_of_gains(columns):
     runs = [run.select(columns) for run in two_gains("jeffcott", LOWER["jeffcott"][::4])]

@@ -63,7 +63,11 @@ def test_what_makes_the_current_need_not_be_right():
         assert max(errors(identify(diagram, recording, method="regression")).values()) < 1e-3
 
 
-@pytest.mark.parametrize("columns", [("x", "y"), ("x", "ix"), ("x", "y", "ix"), ("x",)], ids=" ".join)
+@pytest.mark.parametrize(
+    "columns",
+    [("x", "ix"), ("x",), *(pytest.param(c, marks=pytest.mark.slow) for c in (("x", "y"), ("x", "y", "ix")))],
+    ids=" ".join,
+)
 def test_currents_that_were_not_measured_follow_from_the_controller(columns):
     runs = [run.select(columns) for run in two_gains("jeffcott", LOWER["jeffcott"][::4])]
     found = identify(shipped("jeffcott"), recorded(runs), method="regression")
