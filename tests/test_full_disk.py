@@ -118,6 +118,7 @@ def shell(command: str, folder: Path) -> tuple[int, str]:
     return done.returncode, done.stderr
 
 
+@pytest.mark.slow
 @posix
 def test_closed_and_full_standard_output(tmp_path):
     """Of one process each: closed before it starts; gone while it works; a finding is no success; a full disk."""

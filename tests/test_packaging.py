@@ -85,6 +85,7 @@ def sources() -> list[str]:
     return [*FILES, *(file.as_posix() for file in found if not made & set(file.parts))]
 
 
+@pytest.mark.slow
 def test_an_sdist_holds_everything_and_a_wheel_from_it_what_runs(tmp_path: Path) -> None:
     try:
         major = int(version("setuptools").split(".")[0])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import json
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -161,23 +163,36 @@ def put_in(document: dict[str, Any], cls: type[Block], fault: Fault) -> list[str
     return [f"fault.{port}" for port in cls.outputs]
 
 
-def run(document: dict[str, Any], record: list[str]) -> Any:
+def run(document: dict[str, Any], record: list[str], use_compiler: bool = False) -> Any:
     document["record"] = ["rotor.displacement", *record]
     step = document["solver"]["step"].replace("0.1 ms", "50 us")  # RK4 bears a delay T up to 0.81 T: here 81 us
-    document["solver"] = {**document["solver"], "step": step, "stop": "50 ms"}
+    document["solver"] = {**document["solver"], "step": step, "stop": "50 ms" if use_compiler else "10 ms"}
     document.pop("layout", None)
     document.pop("identify", None)
-    result = simulate(load(document))
+    result = simulate(load(document), use_compiler=use_compiler)
     assert result.status == "finished"
     return result
 
 
-@every_fault
-def test_a_fault_runs_in_a_diagram_and_changes_it(cls: type[Block], fault: Fault) -> None:
-    base = run(diagram_of(fault), [])["rotor.displacement"]
+@cache
+def base_of(text: str, compiled: bool) -> np.ndarray:
+    return np.asarray(run(json.loads(text), [], compiled)["rotor.displacement"])
+
+
+@pytest.mark.parametrize(  # every way of a fault in; compiled the first of its block
+    ("cls", "fault", "compiled"),
+    [
+        pytest.param(*each, compiled, id=f"{name}-{compiled}", marks=pytest.mark.slow if compiled else ())
+        for each, name in zip(FAULTS, IDS, strict=True)
+        for compiled in (False, True)
+        if not compiled or each[1] is each[0].faults[0]
+    ],
+)
+def test_a_fault_runs_in_a_diagram_and_changes_it(cls: type[Block], fault: Fault, compiled: bool) -> None:
     document = diagram_of(fault)
+    base = base_of(json.dumps(document), compiled)
     extra = put_in(document, cls, fault)
-    result = run(document, extra)
+    result = run(document, extra, compiled)
     for name in ("rotor.displacement", *extra):
         assert np.isfinite(result[name]).all(), name
     if fault.enters == "reading":

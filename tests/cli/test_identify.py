@@ -15,6 +15,7 @@ from tests.cli.conftest import Run
 from tests.identify import TRUTH, made
 from tests.identify.test_likelihood import two_gains
 from tests.reference.recordings import LOWER, UPPER, write_recording
+from tests.report import undrawn
 
 NAMES = [
     "viscous_damping", "crack_stiffness", "crack_phase", "eccentricity", "unbalance_phase",
@@ -130,9 +131,10 @@ def test_warnings_go_to_stderr(run: Run, good: str, tmp_path: Path):
 
 
 def test_a_folder_with_the_diagram_in_it(run: Run, good: str, tmp_path: Path):
-    result = run(
-        "identify", "jeffcott", good, "--hold-out", good, "--out", "a/b", "--json", "--set", "controller.KP=14000"
-    )
+    with undrawn():  # figures: tests/report
+        result = run(
+            "identify", "jeffcott", good, "--hold-out", good, "--out", "a/b", "--json", "--set", "controller.KP=14000"
+        )
     assert result.exit_code == 0
     folder = tmp_path / "a" / "b"
     written = json.loads((folder / "identification.json").read_text())
@@ -151,6 +153,7 @@ def test_a_folder_with_the_diagram_in_it(run: Run, good: str, tmp_path: Path):
         assert value == pytest.approx(written["parameters"][name]["value"], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_entries_of_a_list_are_written_back(run: Run, tmp_path: Path):
     runs = made("fe_flexible", LOWER["fe_flexible"][::4], duration=0.25)
     write_recording(

@@ -163,6 +163,7 @@ def test_uneven_samples_have_harmonics_but_no_full_spectrum(run) -> None:
         assert math.hypot(found["real"][at], found["imag"][at]) == pytest.approx(size, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_nodes_that_were_measured_are_shown(run) -> None:
     run("record", "fe_rigid", "--out", "m", "--signal", "rotor.displacement[3]", "--window", "0:0.1", "--settle")
     data = json.loads(run("spectrum", "m", "--json").stdout)

@@ -9,6 +9,7 @@ from tests.cli.conftest import Run
 SENSORS = ("--sensors", "rotor.displacement,controller.current", "--speeds", "900 rpm, 1500 rpm, 2100 rpm")
 
 
+@pytest.mark.slow
 def test_what_sensors_can_tell(run: Run):
     result = run("diagnose", "jeffcott", *SENSORS)
     assert result.exit_code == 0
@@ -86,6 +87,7 @@ def test_one_probe_cannot_tell_its_own_gain(run: Run):
     assert told[3:7] + told[10:11] == ["runout", "at", "rotor.displacement", "amplitude", "um"]
 
 
+@pytest.mark.slow
 def test_like_faults_of_several_nodes_stand_in_one_line(run: Run):
     result = run(
         "diagnose", "fe_rigid", "--sensors", "rotor.displacement[2],rotor.displacement[4],controller.current",

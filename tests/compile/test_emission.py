@@ -25,7 +25,9 @@ def test_the_c_right_hand_side_is_the_traced_one(name):
     assert np.abs((found - expected) / scale).max() < 1e-9  # stiff rows cancel: terms are 1e4 times their sum
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name.startswith("fe") else name for name in NAMES]
+)
 def test_the_unrolled_step_the_chunked_one_and_the_virtual_machine_agree(name, monkeypatch):
     stop = 2e-3 if name.startswith("fe") else 2e-2
     unrolled = simulate(load(name), stop=stop)

@@ -171,6 +171,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path, monkeypatch):
     assert np.isfinite(simulate(load(oscillator()), stop=0.01)["position.output"]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX processes")
 def test_runs_in_parallel_share_one_cache(fresh_cache):
     program = (

@@ -47,14 +47,20 @@ def prepared(data: Recording) -> tuple[Fit, Source]:
 
 @pytest.mark.parametrize(
     ("channels", "hertz"),
-    [({"rx": HUM, "ry": HUM}, 50.0), ({"ix": 1e-5}, 60.0), ({"rx": HUM, "iy": 1e-5}, 50.0), ({"ry": 2 * HUM}, 83.0)],
+    [
+        ({"rx": HUM, "iy": 1e-5}, 50.0),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in (({"rx": HUM, "ry": HUM}, 50.0), ({"ix": 1e-5}, 60.0), ({"ry": 2 * HUM}, 83.0))
+        ),
+    ],
 )
 def test_what_some_channels_show_is_picked_up(channels, hertz):
     base, source = prepared(picked_up(healthy(), channels, hertz))
     assert find_pickups(base, source) == pytest.approx([hertz], abs=0.05)
 
 
-@pytest.mark.parametrize("hertz", [50.0, 41.7])
+@pytest.mark.parametrize("hertz", [50.0, pytest.param(41.7, marks=pytest.mark.slow)])
 def test_what_the_loop_shows_as_a_force_is_no_pickup(hertz):
     base, source = prepared(shaken(hertz))
     assert source.second is not None
@@ -66,6 +72,7 @@ def test_without_lines_nothing_is_picked_up():
     assert find_pickups(base, source) == []
 
 
+@pytest.mark.slow
 def test_hum_is_said_and_no_physics_of_the_machine():
     """15 nm of 50 Hz once made an unknown force at the rotor; here it is as large as the noise."""
     found = diagnose(

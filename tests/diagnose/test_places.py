@@ -87,7 +87,7 @@ def bound_at(fit: Fit, source: Source, base: Fit, item: Insertion) -> float:
     return open_places(replace(base, theta=theta), source).bound(item)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", [*LAWS[:1], *(pytest.param(law, marks=pytest.mark.slow) for law in LAWS[1:])])
 @pytest.mark.parametrize("node", [2, *(pytest.param(node, marks=pytest.mark.slow) for node in (3, 4, 5))])
 def test_no_law_explains_more_than_a_free_force_at_its_place(law, node):
     """Exactly so at the parameters of its own fit; those of the diagram alone are a step of linear theory away."""
@@ -116,6 +116,7 @@ def test_the_place_of_a_force_leaves_noise_and_others_far_more():
     assert_noise(places.bound(found["second_crack/0@rotor.force[4]"]), base, 6 * 4 * (2 * ORDERS + 1))
 
 
+@pytest.mark.slow
 def test_a_strong_force_leaves_noise_beside_means_of_slow_states():
     """Where the diagram is right but for the force; its mean and those of slow states are free together."""
     source, base, _ = concealing("residual_bow/0@rotor.force[4]", 100.0)

@@ -259,6 +259,7 @@ def _isolated() -> Isolation:
     return isolate(load("jeffcott"), BOTH)
 
 
+@pytest.mark.slow
 def test_what_the_free_parameters_imitate() -> None:
     laws = _isolated().laws
     assert laws is not None
@@ -371,6 +372,7 @@ def test_only_linear_diagrams_are_compared_by_laws() -> None:
     assert data["laws_not_judged"] == found.why
 
 
+@pytest.mark.slow
 def test_data_form() -> None:
     data = isolation_data(_isolated())
     assert set(data) == {"diagram", "sensors", "faults", "structure", "laws", "laws_not_judged"}

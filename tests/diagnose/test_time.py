@@ -40,14 +40,14 @@ def std_of(found: Diagnosis, name: str) -> float:
 
 
 @cache
-def diagnosed(cubic: float, noise: float) -> Diagnosis:
-    return diagnose(load(OSCILLATOR), oscillator_recording(cubic, noise), physics=PHYSICS, workers=1)
+def diagnosed(cubic: float, noise: float, *physics: str) -> Diagnosis:
+    return diagnose(load(OSCILLATOR), oscillator_recording(cubic, noise), physics=physics or PHYSICS[:2], workers=1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [machines.NOISE, 0.0])
 def test_a_linear_oscillator_lacks_nothing(noise):
-    found = diagnosed(0.0, noise)
+    found = diagnosed(0.0, noise, *PHYSICS)
     assert found.verdict == "consistent"
     assert found.effects == ()
     for name, truth in (("mass", machines.MASS), ("damping", machines.DAMPING), ("stiffness", machines.STIFFNESS)):
@@ -57,9 +57,12 @@ def test_a_linear_oscillator_lacks_nothing(noise):
     assert found.score_before.total == pytest.approx(noise, rel=0.1, abs=1e-3)
 
 
-@pytest.mark.parametrize("noise", [machines.NOISE, pytest.param(0.0, marks=pytest.mark.slow)])
-def test_the_cubic_spring_of_a_duffing_oscillator_is_named_and_measured(noise):
-    found = diagnosed(machines.CUBIC, noise)
+@pytest.mark.parametrize(
+    ("noise", "physics"),
+    [(machines.NOISE, ())] + [pytest.param(noise, PHYSICS, marks=pytest.mark.slow) for noise in (machines.NOISE, 0.0)],
+)
+def test_the_cubic_spring_of_a_duffing_oscillator_is_named_and_measured(noise, physics):
+    found = diagnosed(machines.CUBIC, noise, *physics)
     assert found.verdict == "missing_physics"
     [effect] = found.effects
     assert effect.physics == "cubic_stiffness"
@@ -106,6 +109,7 @@ def test_what_is_written_has_the_keys_of_any_diagnosis():
         assert (data["fit"][when]["goodness"], data["fit"][when]["adequate"]) == (None, adequate)
 
 
+@pytest.mark.slow
 def test_units_of_an_electric_analogue_are_said_to_stand_for_those_of_a_machine():
     made = oscillator_recording(machines.CUBIC, units=("V", "V"))
     found = diagnose(load(OSCILLATOR), made, physics={"cubic_stiffness"}, workers=1)
@@ -218,7 +222,7 @@ def test_a_channel_that_the_diagram_does_not_have_is_refused():
 
 
 def test_uneven_samples_are_refused():
-    made = oscillator_recording(0.0)
+    made = oscillator_recording(machines.CUBIC)
     time = made.runs[0].time.copy()
     time[5:] += 0.004
     run = type(made.runs[0])(*made.runs[0].__reduce__()[1])
@@ -242,7 +246,7 @@ def test_a_recording_of_inputs_alone_is_refused():
 def test_a_diagram_that_diverges_is_refused():
     document = {**OSCILLATOR, "identify": {}}
     document = values_in(document, {"oscillator.mass": 1e-12})
-    said = refusal(document, oscillator_recording(0.0))
+    said = refusal(document, oscillator_recording(machines.CUBIC))
     assert said.startswith("error: oscillator: its simulation diverges when it is driven as recorded\n")
 
 

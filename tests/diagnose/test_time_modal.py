@@ -123,6 +123,7 @@ def diagnosed(inertia: float, driven: int = 9) -> Diagnosis:
     return diagnose(load(document(driven)), recording(inertia), physics=PHYSICS, workers=1)
 
 
+@pytest.mark.slow
 def test_the_rotary_inertia_of_discs_is_named_and_measured():
     found = diagnosed(1.0)
     assert found.verdict == "missing_physics"
@@ -139,6 +140,7 @@ def test_the_rotary_inertia_of_discs_is_named_and_measured():
     assert "The recorded input acts at rotor.force[9], as the diagram says" in found.statement
 
 
+@pytest.mark.slow
 def test_nothing_is_missing_where_discs_are_points():
     found = diagnosed(0.0)
     assert found.verdict == "consistent"
@@ -146,6 +148,7 @@ def test_nothing_is_missing_where_discs_are_points():
     assert found.after.values["left"] == pytest.approx(LEFT, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_drive_at_the_other_bearing_is_noticed():
     assert "The recorded input acts at rotor.force[9], not where the diagram says" in diagnosed(1.0, 2).statement
 
@@ -199,6 +202,7 @@ def test_a_position_without_a_node_is_refused():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (SHARED / "tum_amb_rotor").exists(), reason="the shared recordings are not here")
 def test_the_rotor_of_munich(tmp_path):
     given = ["diagnose", "tum_amb_rotor", str(SHARED / "tum_amb_rotor"), "--out", str(tmp_path), "--json"]

@@ -1,6 +1,7 @@
 """Machines integrated by scipy from equations of their own, as recordings in time."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ def multisine(seed: int, rate: float = RATE, size: float = 40.0):
     return lambda t: size * np.sin(2 * np.pi * np.multiply.outer(t, frequency) + phase).sum(axis=-1) / 8
 
 
+@cache
 def oscillator(
     seed: int, law: float | Callable[[float, float], float], samples: int = 900, noise: float = NOISE
 ) -> dict[str, np.ndarray]:  # fmt: skip

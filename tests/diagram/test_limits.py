@@ -100,6 +100,7 @@ def test_the_middle_of_a_long_loop_is_left_out() -> None:
     assert loop.count(" -> ") == 40
 
 
+@pytest.mark.slow
 def test_options_with_very_many_ports_take_linear_time() -> None:
     """100 000 ports: a comparison of each with each would take minutes."""
     many = block("sum", signs="+" * 100_000)

@@ -230,6 +230,7 @@ def chain(n: int) -> dict[str, Any]:
     return diagram(blocks, *wires[::-1], parameters={"k": 0.5})
 
 
+@pytest.mark.slow
 def test_ten_thousand_blocks() -> None:
     loaded = load(chain(10_000))
     assert len(loaded.nodes) == 10_000
@@ -238,6 +239,7 @@ def test_ten_thousand_blocks() -> None:
     assert len(loaded.graph) == 10_000
 
 
+@pytest.mark.slow
 def test_mistakes_in_ten_thousand_blocks_are_placed() -> None:
     document = chain(10_000)
     document["blocks"]["b5001"]["parameters"] = {"gian": 1}

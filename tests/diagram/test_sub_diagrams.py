@@ -163,6 +163,7 @@ def test_diagrams_that_contain_themselves_are_refused() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_nesting_and_multiplying_are_limited() -> None:
     for k in range(12):
         Path(f"n{k}.json").write_text(written(diagram({"n": sub(f"n{k + 1}.json")})))

@@ -22,6 +22,7 @@ PAGES = [
     "docs/recordings.md",
     "docs/thesis.md",
 ]
+LONG = {"docs/cosimulation.md", "docs/diagrams.md", "docs/recordings.md", "docs/identification.md", "docs/thesis.md"}
 MEASURED = ROOT.parent / "shared" / "recordings"
 
 
@@ -57,7 +58,9 @@ def parts(page: str, long: bool) -> list[Command]:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the documents show a POSIX shell")
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=pytest.mark.slow) if page in LONG else page for page in PAGES]
+)
 def test_commands_print_what_is_shown(page: str, folder: Path) -> None:
     done: dict[tuple[str, ...], Result] = {}
     assert [text for command in parts(page, long=False) for text in said_wrongly(command, done)] == []

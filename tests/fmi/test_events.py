@@ -214,8 +214,13 @@ def test_who_cannot_be_set_back_is_refused(tmp_path: Path) -> None:
 # ---- sampled blocks, exported as Model Exchange ----
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
-@pytest.mark.parametrize("period", [5e-3, 3.3e-3])
+@pytest.mark.parametrize(
+    ("version", "period"),
+    [
+        ("2.0", 3.3e-3),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in (("2.0", 5e-3), ("3.0", 5e-3), ("3.0", 3.3e-3))),
+    ],
+)
 def test_sampled_blocks_as_model_exchange(tmp_path: Path, version: str, period: float) -> None:
     """Noise, sample and hold, an integrator: their hits are time events; the same numbers as the diagram itself."""
     document = sampled(period, 2e-3)

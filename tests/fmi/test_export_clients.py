@@ -13,7 +13,11 @@ from rotorsim.compile.part import open_part
 from rotorsim.diagram import load
 from rotorsim.simulate.run import simulate
 
-THESIS = ("jeffcott", "offset_disc", "fe_rigid", "fe_flexible")
+THESIS = [
+    "jeffcott",
+    "offset_disc",
+    *(pytest.param(name, marks=pytest.mark.slow) for name in ("fe_rigid", "fe_flexible")),
+]
 N = 200
 
 
@@ -30,7 +34,14 @@ def whole(name: str) -> tuple[float, dict[str, np.ndarray]]:
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
-@pytest.mark.parametrize(("name", "blocks"), [*((name, None) for name in THESIS), ("fe_flexible", ["rotor"])])
+@pytest.mark.parametrize(
+    ("name", "blocks"),
+    [("jeffcott", None), ("offset_disc", ["rotor"])]
+    + [
+        pytest.param(*each, marks=pytest.mark.slow)
+        for each in (("offset_disc", None), ("fe_rigid", None), ("fe_flexible", None), ("fe_flexible", ["rotor"]))
+    ],
+)
 def test_casadi_imports_it_with_our_jacobian(fmu, tmp_path, version, name, blocks):
     part = open_part(load(name), blocks)
     folder = str(fmpy.extract(str(fmu(name, version, blocks=blocks)), str(tmp_path)))

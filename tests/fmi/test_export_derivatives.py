@@ -12,10 +12,8 @@ from rotorsim.simulate.run import simulate
 from tests.compile.documents import sampled
 from tests.fmi.opened import opened
 
-VERSIONS = ("2.0", "3.0")
 
-
-@pytest.fixture(params=VERSIONS)
+@pytest.fixture(params=[pytest.param("2.0", marks=pytest.mark.slow), "3.0"])
 def version(request):
     return request.param
 
@@ -55,7 +53,10 @@ def at_a_point(model, seed=1):
     return 0.0123, x, u
 
 
-@pytest.mark.parametrize("name", ["jeffcott", "offset_disc", "fe_rigid", "fe_flexible"])
+@pytest.mark.parametrize(
+    "name",
+    ["jeffcott", "offset_disc", *(pytest.param(beam, marks=pytest.mark.slow) for beam in ("fe_rigid", "fe_flexible"))],
+)
 def test_rates_and_jacobian_are_those_of_the_diagram(fmu, version, name):
     part = open_part(load(name))
     with opened(fmu(name, version), "me") as model:
@@ -104,10 +105,10 @@ def _nonlinear():
 
 
 def test_the_adjoint_is_the_transpose(fmu):
-    with opened(fmu("fe_flexible", "3.0"), "me") as model:
+    with opened(fmu("offset_disc", "3.0"), "me") as model:
         at_a_point(model)
         states, rates = states_of(model)
-        unknowns, knowns = [*rates, *named(model, "output")], [*states, "time", "rotor.density", "speed"]
+        unknowns, knowns = [*rates, *named(model, "output")], [*states, "time", "rotor.mass", "speed"]
         a = jacobian(model, unknowns, knowns)
         u, k = model.references(unknowns), model.references(knowns)
         rows = [model.fmu.getAdjointDerivative(u, k, list(seed), len(k)) for seed in np.eye(len(u))]

@@ -24,7 +24,7 @@ def sampled_jeffcott():
     return made
 
 
-@pytest.fixture(params=["2.0", "3.0"])
+@pytest.fixture(params=[pytest.param("2.0", marks=pytest.mark.slow), "3.0"])
 def version(request):
     return request.param
 
@@ -32,8 +32,8 @@ def version(request):
 @pytest.mark.parametrize(
     ("name", "blocks"),
     [
-        *((name, ["rotor"]) for name in ("jeffcott", "offset_disc", "fe_rigid")),
-        pytest.param("fe_flexible", ["rotor"], marks=pytest.mark.slow),
+        *((name, ["rotor"]) for name in ("jeffcott", "offset_disc")),
+        *(pytest.param(name, ["rotor"], marks=pytest.mark.slow) for name in ("fe_rigid", "fe_flexible")),
         ("jeffcott", ["controller"]),
         ("offset_disc", ["rotor", "amb"]),
     ],
@@ -124,21 +124,22 @@ def test_an_additive_input_can_be_added(fmu, version):
 
 
 def test_arrays_hold_what_the_scalars_hold(fmu):
-    scalars, arrays = fmu("fe_rigid", "3.0"), fmu("fe_rigid", "3.0", arrays=True)
+    scalars, arrays = fmu("jeffcott", "3.0"), fmu("jeffcott", "3.0", arrays=True)
     with opened(scalars, "cs") as one, opened(arrays, "cs") as two:
-        assert two.variables["rotor.displacement"].dimensions[0].start == 6
-        two.fmu.setFloat64(two.references(["rotor.element_length"]), [0.11, 0.1, 0.1, 0.1, 0.1])
-        one.put(["rotor.element_length[1]"], [0.11])
+        assert two.variables["rotor.displacement"].dimensions[0].start == 2
+        two.fmu.setFloat64(two.references(["rotor.initial_velocity"]), [0.0, 0.01])
+        one.put(["rotor.initial_velocity[2]"], [0.01])
         one.begin()
         two.begin()
-        h = load("fe_rigid").solver.step
+        h = load("jeffcott").solver.step
         for k in range(20):
             one.step(k * h, h)
             two.step(k * h, h)
-        names = [f"rotor.displacement[{n},{axis}]" for n in range(1, 7) for axis in (1, 2)]
-        assert np.array_equal(one.get(*names), two.get("rotor.displacement", size=12))
+        found = two.get("rotor.displacement", size=2)
+        assert np.array_equal(one.get("rotor.displacement[1]", "rotor.displacement[2]"), found)
+        assert found[1] > 1e-5
         with pytest.raises(Exception, match="fmi3GetFloat64"):
-            two.get("rotor.displacement", size=11)
+            two.get("rotor.displacement", size=1)
 
 
 def test_fixed_parameters(fmu, version):

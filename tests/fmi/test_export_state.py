@@ -12,12 +12,11 @@ from rotorsim.simulate.run import simulate
 from tests.compile.documents import document, sampled
 from tests.fmi.opened import opened
 
-VERSIONS = ("2.0", "3.0")
 H = 1e-4
 X = "rotor.displacement[1]"
 
 
-@pytest.fixture(params=VERSIONS)
+@pytest.fixture(params=[pytest.param("2.0", marks=pytest.mark.slow), "3.0"])
 def version(request):
     return request.param
 

@@ -133,6 +133,7 @@ def test_a_full_disk_is_not_the_fault_of_the_archive(tmp_path: Path, size: int) 
     assert what == f"cannot be unpacked into {tmp_path / 'out'}: file too large"
 
 
+@pytest.mark.slow
 def test_thousands_of_files(tmp_path: Path) -> None:
     file = written(tmp_path / "a.zip", *((str(k), b"") for k in range(101)))
     assert refusal(file, files=100) == "holds 101 files; 100 are allowed"
@@ -170,7 +171,7 @@ def test_files_are_read_and_unpacked(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "a" / "b").read_bytes() == b"1234"
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("version", ["2.0", pytest.param("3.0", marks=pytest.mark.slow)])
 def test_damaged_at_random(tmp_path: Path, version: str) -> None:
     """No traceback, nothing outside, nothing left behind; many more by benchmarks/fuzz_fmu.py."""
     whole = make_fmu(tmp_path / "plant.fmu", version).read_bytes()

@@ -22,6 +22,7 @@ from rotorsim.fmi.stability import coupling_stability, why_not_linear
 from rotorsim.simulate import simulate
 
 INNER, STOP = 2e-5, 0.03
+SLOW_3 = pytest.param("3.0", marks=pytest.mark.slow)
 
 
 def sampled(period: float, *, inner: float = INNER, stop: float = STOP, **changes: Any) -> Diagram:
@@ -99,7 +100,7 @@ def test_a_relay_is_held_and_still_follows_at_once() -> None:
     assert turns.size == found["end.output"].size
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("version", ["2.0", SLOW_3])
 def test_outputs_of_variability_discrete_are_held(tmp_path: Path, version: str) -> None:
     coupling = open_coupling(with_fmu(tmp_path, sampled(1e-4), version, "cs"))
     try:
@@ -111,9 +112,22 @@ def test_outputs_of_variability_discrete_are_held(tmp_path: Path, version: str) 
 # ---- runs ----
 
 
-@pytest.mark.parametrize(("master", "order"), [("gauss_seidel", 0), ("gauss_seidel", 1), ("gauss_seidel", 2),
-                                               ("iterative", 1), ("iterative", 3)])  # fmt: skip
-@pytest.mark.parametrize(("period", "step"), [(1e-4, 1e-4), (1e-4, 2e-4), (1e-3, 1e-4), (1e-3, 4e-4)])
+@pytest.mark.parametrize(
+    ("master", "order"),
+    [("gauss_seidel", 1), ("iterative", 3)]
+    + [
+        pytest.param(*each, marks=pytest.mark.slow)
+        for each in (("gauss_seidel", 0), ("gauss_seidel", 2), ("iterative", 1))
+    ],
+)
+@pytest.mark.parametrize(
+    ("period", "step"),
+    [
+        (1e-4, 2e-4),
+        (1e-3, 1e-4),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((1e-4, 1e-4), (1e-3, 4e-4))),
+    ],
+)
 def test_the_run_is_that_of_the_whole_diagram(master: str, order: int, period: float, step: float) -> None:
     """Whatever the step and the order: what is sampled is known at the hit, and held signals are constant between."""
     diagram = sampled(period)
@@ -123,7 +137,7 @@ def test_the_run_is_that_of_the_whole_diagram(master: str, order: int, period: f
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize("interface", ["cs", "me"])
-@pytest.mark.parametrize("period", [1e-4, 1e-3])
+@pytest.mark.parametrize("period", [pytest.param(1e-4, marks=pytest.mark.slow), 1e-3])
 def test_the_same_for_an_fmu(tmp_path: Path, version: str, interface: str, period: float) -> None:
     diagram = sampled(period)
     found = cosimulate_diagram(with_fmu(tmp_path, diagram, version, interface), step=1e-4, order=1)
@@ -138,7 +152,7 @@ def test_an_fmu_at_its_own_rate(tmp_path: Path, interface: str) -> None:
     assert off(found, diagram) < 1e-12
 
 
-@pytest.mark.parametrize("period", [1.3e-4, 1.7e-4])
+@pytest.mark.parametrize("period", [1.3e-4, pytest.param(1.7e-4, marks=pytest.mark.slow)])
 def test_hits_between_the_points_asked_for(tmp_path: Path, period: float) -> None:
     """RK4 steps end at the hits in both runs, at other places between: they differ by h^4 omega^5 t / 120."""
     diagram = sampled(period)
@@ -149,7 +163,11 @@ def test_hits_between_the_points_asked_for(tmp_path: Path, period: float) -> Non
         assert off(found, diagram) < allowed
 
 
-@pytest.mark.parametrize(("period", "step"), [(1e-4, 4e-5), (1e-4, 1e-4), (1e-4, 2e-4), (1.3e-4, 1e-4), (1e-3, 1e-4)])
+@pytest.mark.parametrize(
+    ("period", "step"),
+    [(1e-4, 2e-4), (1.3e-4, 1e-4)]
+    + [pytest.param(*each, marks=pytest.mark.slow) for each in ((1e-4, 4e-5), (1e-4, 1e-4), (1e-3, 1e-4))],
+)
 def test_extrapolation_is_never_worse_than_holding(period: float, step: float) -> None:
     """Jacobi: the displacement that is sampled is extrapolated, the current never."""
     diagram = sampled(period)
@@ -266,7 +284,7 @@ def test_it_is_said_where_the_stability_is_not_told(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("version", ["2.0", SLOW_3])
 def test_constants_of_an_fmu_do_not_stand_in_the_way(tmp_path: Path, version: str) -> None:
     """A force beside the controller is of variability discrete, and depends on a parameter at most."""
     made = dict(load("jeffcott").document)

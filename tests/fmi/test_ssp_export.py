@@ -144,6 +144,7 @@ def test_there_and_back(jeffcott: ExportedSsp, right: np.ndarray, tmp_path: Path
     assert np.abs(run_imported(tmp_path / "back") - right).max() <= 1e-12 * np.abs(right).max()
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_fmi_3_makes_it_ssp_2(right: np.ndarray, tmp_path: Path) -> None:
     done = export_ssp(load("jeffcott"), tmp_path / "two.ssp", {"controller": ["controller"]}, version="3.0")

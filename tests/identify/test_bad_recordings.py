@@ -23,6 +23,7 @@ SPEEDS = LOWER["jeffcott"][::8]
 RUNS = two_gains("jeffcott", SPEEDS, level=0.005, duration=0.5)  # two speeds with two sets of gains
 Edit = Callable[[dict[str, Any]], Any]
 Change = Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]
+SLOW = pytest.mark.slow
 BOTH = pytest.mark.parametrize("method", ["likelihood", "regression"])
 
 
@@ -312,14 +313,16 @@ def backwards(document: dict[str, Any]) -> None:
     ("edit", "change"),
     [
         (each(lambda run: run.update(tacho=[t + 0.0137 for t in run["tacho"]])), None),
-        (each(lambda run: run.update(tacho=[t * 1.008 for t in run["tacho"]])), None),
-        (each(lambda run: run.update(sample_rate="1000 Hz")), None),
+        pytest.param(each(lambda run: run.update(tacho=[t * 1.008 for t in run["tacho"]])), None, marks=SLOW),
+        pytest.param(each(lambda run: run.update(sample_rate="1000 Hz")), None, marks=SLOW),
         (each(lambda run: run.pop("set")), None),
-        (backwards, None),
-        (None, scaled(("y",), -1)),
+        pytest.param(backwards, None, marks=SLOW),
+        pytest.param(None, scaled(("y",), -1), marks=SLOW),
         (None, scaled(("ix", "iy"), 1.05)),
-        (None, scaled(("ix", "iy"), 1e3)),
-        (None, lambda table: {**table, "ix": np.roll(table["ix"], 2), "iy": np.roll(table["iy"], 2)}),
+        pytest.param(None, scaled(("ix", "iy"), 1e3), marks=SLOW),
+        pytest.param(
+            None, lambda table: {**table, "ix": np.roll(table["ix"], 2), "iy": np.roll(table["iy"], 2)}, marks=SLOW
+        ),
         (None, lambda table: {**table, "y": table["x"]}),
     ],
     ids=[
@@ -339,6 +342,7 @@ def opened(recording: Recording) -> Likelihood:
     return likelihood_of("jeffcott", recording)
 
 
+@pytest.mark.slow
 def test_an_angle_does_not_run_away():
     """With x and y exchanged in all signals a search may take the crack to 1e6 rad, where rounding makes every
     force take 4096 samples a turn from then on: thirty seconds instead of one.
@@ -355,6 +359,7 @@ def test_an_angle_does_not_run_away():
 # --- degenerate noise -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_current_that_was_computed_from_the_displacement(method):
     """Signals in exact proportion have a singular covariance."""
@@ -368,6 +373,7 @@ def test_a_current_that_was_computed_from_the_displacement(method):
         return
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_channel_under_two_names(method):
     """Two nodes with the data of one. FAULT: LinAlgError in `advice._excitation`."""

@@ -17,6 +17,7 @@ from tests.identify import MAKERS, OTHER_GAINS, RATE, TRUTH, changed, errors, ma
 from tests.reference.recordings import LOWER, THESIS_GAINS, UPPER, RecordedRun, Truth
 
 RANGES = [(model, name) for name, table in (("lower", LOWER), ("upper", UPPER)) for model in table]
+LONG = {("fe_flexible", "lower"), ("fe_flexible", "upper"), ("fe_rigid", "lower"), ("offset_disc", "lower")}
 CLEAN = {"jeffcott": 1e-3, "offset_disc": 1e-3, "fe_rigid": 5e-3, "fe_flexible": 5e-3}
 LEVEL = 1e-4
 
@@ -40,7 +41,9 @@ def at(likelihood: Likelihood, truth: Truth = TRUTH) -> np.ndarray:
 # --- clean data -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("model", "name"), RANGES)
+@pytest.mark.parametrize(
+    ("model", "name"), [pytest.param(*each, marks=pytest.mark.slow) if each in LONG else each for each in RANGES]
+)
 def test_clean_data_give_the_truth(model, name):
     """Where the crack stands is unknown, the start values are wrong by 10 to 50 %."""
     recording = recorded(made(model, speeds_of(model, name)))
@@ -53,7 +56,7 @@ def test_clean_data_give_the_truth(model, name):
         assert values < 1e-3
 
 
-@pytest.mark.parametrize("crack_phase", [-3.0, -1.6, 0.0, 2.4])
+@pytest.mark.parametrize("crack_phase", [-3.0, *(pytest.param(p, marks=pytest.mark.slow) for p in (-1.6, 0.0, 2.4))])
 def test_the_crack_may_stand_anywhere(crack_phase):
     truth = TRUTH.changed({"crack_phase": crack_phase, "unbalance_phase": crack_phase - 2})
     recording = recorded(made("jeffcott", LOWER["jeffcott"][::2], truth))
@@ -75,6 +78,7 @@ def test_start_values_do_not_matter(start):
     assert max(errors(identify(diagram, recording, profile=False)).values()) < 1e-3
 
 
+@pytest.mark.slow
 def test_stiffness_far_from_what_was_measured():
     """FAULT: the step that each start takes is linear in stiffness, too, and leaves the supports at zero or a hundred
     times too stiff; from there a right model is said not to explain the data.
@@ -89,6 +93,7 @@ def test_stiffness_far_from_what_was_measured():
     assert found.misfit <= truth.misfit.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [{"force_current_factor": 0}, {"viscous_damping": 7600}])
 def test_a_search_that_ends_elsewhere_is_not_called_adequate(start):
     """Clean data and one set of gains make a rugged likelihood."""
@@ -115,7 +120,10 @@ def test_a_clock_that_does_not_start_at_angle_zero(way):
 
 
 @pytest.mark.parametrize(
-    "columns", [("x", "ix"), ("x", "y"), ("ix", "iy"), ("x",), ("iy",), ("x", "y", "ix")], ids=" ".join
+    "columns",
+    [("ix", "iy"), ("x",)]
+    + [pytest.param(c, marks=pytest.mark.slow) for c in (("x", "ix"), ("x", "y"), ("iy",), ("x", "y", "ix"))],
+    ids=" ".join,
 )
 def test_any_signals_will_do_with_two_sets_of_gains(columns):
     runs = [run.select(columns) for run in two_gains("jeffcott", LOWER["jeffcott"][::4])]
@@ -123,7 +131,11 @@ def test_any_signals_will_do_with_two_sets_of_gains(columns):
     assert max(errors(found).values()) < 1e-3
 
 
-@pytest.mark.parametrize("columns", [("ix", "iy"), ("x", "y"), ("x", "y", "ix", "iy"), ("ix",)], ids=" ".join)
+@pytest.mark.parametrize(
+    "columns",
+    [("ix", "iy"), pytest.param(("x", "y"), marks=pytest.mark.slow), ("x", "y", "ix", "iy"), ("ix",)],
+    ids=" ".join,
+)
 def test_channels_whose_mean_means_nothing(columns):
     runs = two_gains("jeffcott", LOWER["jeffcott"][::4], level=1e-3)
     runs = [

@@ -42,7 +42,7 @@ def runs() -> tuple[RecordedRun, ...]:
     for rpm in (1140, 1800, 2700):
         model = rotor(rpm * RPM)
         time = np.linspace(0.8, 1.8, 2001)[:-1]
-        y = model.solve(np.concatenate([[0.0], time]), rtol=1e-11)[1:]
+        y = model.solve(np.concatenate([[0.0], time]), rtol=1e-9)[1:]
         current = model.current(y)
         columns = {"x": y[:, 2], "y": y[:, 3], "ix": current.real, "iy": current.imag}
         out.append(RecordedRun("jeffcott", time, columns, model.speed * time, model.speed, 2000.0, {}))

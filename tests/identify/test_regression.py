@@ -26,7 +26,10 @@ def regression_of(model: str, recording: Recording, **named) -> Regression:
 # --- clean data -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("model", "name"), RANGES)
+@pytest.mark.parametrize(
+    ("model", "name"),
+    [each if each[0] == "jeffcott" else pytest.param(*each, marks=pytest.mark.slow) for each in RANGES],
+)
 def test_clean_data_give_the_truth(model, name):
     speeds = speeds_of(model, name)[:: 2 if model.startswith("fe") else 1]
     found = identify(shipped(model), recorded(made(model, speeds)), method="regression")
@@ -36,18 +39,21 @@ def test_clean_data_give_the_truth(model, name):
     assert (found.goodness, found.excess) == (None, None)
 
 
-@pytest.mark.parametrize("model", ["jeffcott", "fe_flexible"])
+@pytest.mark.parametrize("model", ["jeffcott", pytest.param("fe_flexible", marks=pytest.mark.slow)])
 def test_a_shaft_that_turns_back(model):
     recording = recorded(made(model, [-speed for speed in LOWER[model][::4]], duration=0.5))
     assert max(errors(identify(shipped(model), recording, method="regression")).values()) < CLEAN[model]
 
 
-@pytest.mark.parametrize("orders", [(1, 2, 3), (0, 1, -1, 2, -2), (5, 7, -5, 1, 0)])
+@pytest.mark.parametrize(
+    "orders", [(1, 2, 3), *(pytest.param(o, marks=pytest.mark.slow) for o in ((0, 1, -1, 2, -2), (5, 7, -5, 1, 0)))]
+)
 def test_fewer_harmonics_will_do(orders):
     recording = recorded(made("jeffcott", LOWER["jeffcott"]))
     assert max(errors(identify(shipped("jeffcott"), recording, method="regression", orders=orders)).values()) < 1e-3
 
 
+@pytest.mark.slow
 def test_what_makes_the_current_need_not_be_right():
     """The measured current is an input: the controller of the diagram has no say, sampled or not."""
     recording = recorded([replace(run, settings={}) for run in made("jeffcott", LOWER["jeffcott"])])
@@ -57,7 +63,11 @@ def test_what_makes_the_current_need_not_be_right():
         assert max(errors(identify(diagram, recording, method="regression")).values()) < 1e-3
 
 
-@pytest.mark.parametrize("columns", [("x", "y"), ("x", "ix"), ("x", "y", "ix"), ("x",)], ids=" ".join)
+@pytest.mark.parametrize(
+    "columns",
+    [("x", "ix"), ("x",), *(pytest.param(c, marks=pytest.mark.slow) for c in (("x", "y"), ("x", "y", "ix")))],
+    ids=" ".join,
+)
 def test_currents_that_were_not_measured_follow_from_the_controller(columns):
     runs = [run.select(columns) for run in two_gains("jeffcott", LOWER["jeffcott"][::4])]
     found = identify(shipped("jeffcott"), recorded(runs), method="regression")
@@ -89,7 +99,11 @@ def test_an_angle_channel():
     assert max(errors(identify(shipped("jeffcott"), recording, method="regression")).values()) < 1e-3
 
 
-@pytest.mark.parametrize("columns", [("ix", "iy"), ("x", "y"), ("x", "y", "ix", "iy"), ("iy",)], ids=" ".join)
+@pytest.mark.parametrize(
+    "columns",
+    [("ix", "iy"), pytest.param(("x", "y"), marks=pytest.mark.slow), ("x", "y", "ix", "iy"), ("iy",)],
+    ids=" ".join,
+)
 def test_channels_whose_mean_means_nothing(columns):
     runs = made("jeffcott", LOWER["jeffcott"])
     runs = [
@@ -135,7 +149,7 @@ def by_hand(runs: list[RecordedRun], recording: Recording) -> dict[str, float]:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["lower", "upper"])
+@pytest.mark.parametrize("name", ["lower", pytest.param("upper", marks=pytest.mark.slow)])
 def test_the_central_frequency_is_the_source_of_the_thesis_clean_errors(name):
     """Section 3.6: k_s is off by several percent on clean data, for the tilt is condensed at one frequency.
 
@@ -158,6 +172,7 @@ def test_the_central_frequency_is_the_source_of_the_thesis_clean_errors(name):
         assert value == pytest.approx(expected[parameter], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_rotor_without_tilt_has_nothing_to_condense():
     recording = recorded(made("jeffcott", LOWER["jeffcott"][::4]))
     found = identify(shipped("jeffcott"), recording, method="regression", reduction="central")
@@ -171,10 +186,10 @@ def test_a_rotor_without_tilt_has_nothing_to_condense():
     ("model", "way", "reduction", "columns"),
     [
         ("jeffcott", 1, "exact", None),
-        ("offset_disc", -1, "exact", None),
+        pytest.param("offset_disc", -1, "exact", None, marks=pytest.mark.slow),
         ("offset_disc", 1, "central", None),
-        ("fe_flexible", 1, "exact", ("x2", "y2", "x4", "y4", "ix", "iy")),
-        ("fe_rigid", -1, "exact", ("x3", "y3", "x5", "ix", "iy")),
+        pytest.param("fe_flexible", 1, "exact", ("x2", "y2", "x4", "y4", "ix", "iy"), marks=pytest.mark.slow),
+        pytest.param("fe_rigid", -1, "exact", ("x3", "y3", "x5", "ix", "iy"), marks=pytest.mark.slow),
     ],
 )
 def test_slopes_are_those_of_differences(model, way, reduction, columns):
@@ -211,12 +226,12 @@ def test_the_equivalent_force_is_the_one_that_is_missing():
 # --- noise ------------------------------------------------------------------------------------------------------------
 
 
-def test_scatter_is_that_of_repeated_measurements():
-    """Weak noise, where the bias does not matter: 40 recordings against what one of them says.
+@pytest.mark.parametrize("draws", [12, pytest.param(40, marks=pytest.mark.slow)])
+def test_scatter_is_that_of_repeated_measurements(draws):
+    """Weak noise, where the bias does not matter: recordings against what one of them says.
 
     The variance that it says comes from a number of draws, too: the ratio has an F distribution.
     """
-    draws = 40
     found = []
     for seed in range(draws):
         runs = two_gains("jeffcott", LOWER["jeffcott"][::4], duration=0.5, level=1e-3, seed=seed)
@@ -228,6 +243,7 @@ def test_scatter_is_that_of_repeated_measurements():
         assert f.ppf(LEVEL / 7, draws - 1, DRAWS - 1) < ratio < f.isf(LEVEL / 7, draws - 1, DRAWS - 1)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_at_least_as_often_as_stated():
     """They are widened on the side of the bias: 10 recordings with 2 % noise."""
     seeds, inside = 10, 0.0

@@ -110,6 +110,7 @@ def test_wrong_sag_scales_the_crack_and_wrong_stiffness_moves_to_the_bearing():
         assert np.array(wrong["values"])[others] == pytest.approx(np.array(clean["values"])[others], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_regression_on_white_noise_fails_in_the_upper_range():
     """Noise in the columns: k_s about -100 %, c about +30 %, k_i about -20 % at 5 %."""
     found = run(study_of_table("2-6", noise=(0.05,), kinds=("white",), seeds=12))
@@ -119,6 +120,7 @@ def test_regression_on_white_noise_fails_in_the_upper_range():
     assert -30 < found.row("force_current_factor", case).mean_percent < -10
 
 
+@pytest.mark.slow
 def test_normal_noise_of_the_thesis_rescales_and_uniform_noise_does_not():
     """Eq. (2.67) has the mean r (1 - level / 2) with R ~ N(0, 1), and r with R uniform: so have the amplitudes."""
     found = run(study_of_table("2-5", noise=(0.05,), kinds=("thesis", "uniform"), seeds=10))
@@ -139,6 +141,7 @@ def test_harmonics_for_the_regression_are_those_of_the_fit():
         assert found.fit.values == pytest.approx(fit.values, rel=1e-9, abs=1e-9 * np.abs(fit.values).max())
 
 
+@pytest.mark.slow
 def test_intervals_of_the_likelihood_cover_and_expected_scatter_is_seen():
     wanted = study(1140, 1380, 1620, noise=(0.02,), method="likelihood", seeds=24, profile=False)
     found = run(wanted)
@@ -185,6 +188,7 @@ def test_data_and_files(tmp_path):
     assert len(lines) == 13
 
 
+@pytest.mark.slow
 def test_beam_models_run(tmp_path: Path):
     """All measured nodes, two discs, anisotropic supports; the condensation at one frequency as in the thesis."""
     found = run(study_of_table("5-3", speeds=(1560 * RPM, 2040 * RPM), noise=(0.0,)))
@@ -216,6 +220,7 @@ def test_a_run_that_diverges_is_named():
 # -- questions ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_smallest_crack():
     wanted = study(1140, 1620, noise=(0.02, 0.05), seeds=10, free=(*FREE, "crack_phase"), profile=False)
     small, large = smallest_size(wanted, scheduler="synchronous")
@@ -231,6 +236,7 @@ def test_smallest_crack():
         smallest_size(study(1140, noise=(0.1,)), "crack")
 
 
+@pytest.mark.slow
 def test_controllers_are_compared():
     """Only the integral action tells the bearing's stiffness from the current's share in a regression."""
     found = compare_controllers(study(1140, 1620, noise=(0.02,), seeds=3), scheduler="synchronous")

@@ -73,6 +73,7 @@ def test_the_combination_is_the_stiffness_of_the_loop(one_set):
     assert combination.expression in one_set.parameters[K_S].verdict.reason
 
 
+@pytest.mark.slow
 def test_the_combination_holds_the_truth_as_often_as_stated():
     """20 seeds, 90 %; and the parameter itself."""
     seeds = 20
@@ -107,6 +108,7 @@ def with_sigma(run: RecordedRun, sigma: dict[str, float], seed: tuple[int, ...])
     return replace(run, columns=columns)
 
 
+@pytest.mark.slow
 def test_the_advice_keeps_its_promise():
     """The standard deviations that other gains promise are those that the experiment then gives, within 20 %.
 
@@ -135,6 +137,7 @@ def test_the_advice_keeps_its_promise():
     assert all(after.parameters[name].verdict.identifiable for name in best.solves)
 
 
+@pytest.mark.slow
 def test_advice_when_nothing_would_help():
     """Mass times eccentricity is one number, whatever is measured: no change may promise to tell them apart."""
     names = {item.name: {} for item in shipped("jeffcott").free}
@@ -150,7 +153,7 @@ def test_advice_when_nothing_would_help():
     assert known == pytest.approx(item.value / found.parameters["unbalance.mass"].value, rel=0.01)
 
 
-@pytest.mark.parametrize("level", [0.0, 1e-2])
+@pytest.mark.parametrize("level", [pytest.param(0.0, marks=pytest.mark.slow), 1e-2])
 def test_parameters_that_are_one_number_are_open_however_good_the_data(level):
     names = {item.name: {} for item in shipped("jeffcott").free}
     for second, first in (("unbalance__mass", "eccentricity"), ("crack__sag", "crack_stiffness")):
@@ -187,6 +190,7 @@ def test_relative_width(value, half, unit, width):
     assert relative_width(value, half, unit) == pytest.approx(width)
 
 
+@pytest.mark.slow
 def test_precision_decides():
     recording = recorded(made("jeffcott", UPPER["jeffcott"], THESIS, level=0.05))
     wide = identify(shipped("jeffcott"), recording, precision=0.5)

@@ -165,10 +165,11 @@ def test_least_squares_need_no_whole_turns() -> None:
     assert abs(by_fft.harmonics[1] - PARTS[1]) < 2e-3 * abs(PARTS[1])
 
 
-def test_intervals_hold_what_they_promise() -> None:
-    """90 % of the intervals of amplitude and phase hold the truth: 200 runs, 3 standard deviations are 6.4 %."""
+@pytest.mark.parametrize("runs", [50, pytest.param(200, marks=pytest.mark.slow)])
+def test_intervals_hold_what_they_promise(runs: int) -> None:
+    """90 % of the intervals of amplitude and phase hold the truth, within 3 standard deviations."""
     hits, zeros = np.zeros(4), 0
-    for seed in range(200):
+    for seed in range(runs):
         result = whirl(2 * np.pi * 25.37, n=900, noise=1e-7, seed=seed)
         found = two_axis_harmonics(result, "rotor.displacement")
         at = {k: j for j, k in enumerate(found.harmonics.orders)}
@@ -178,8 +179,8 @@ def test_intervals_hold_what_they_promise() -> None:
             hits[2 * j + 1] += abs(np.angle(value / truth)) <= found.phase90[at[k]]
         zeros += found.significant[at[7]]
         assert found.significant[[at[k] for k in PARTS]].all()
-    assert np.all(np.abs(hits / 200 - 0.9) < 0.064), hits
-    assert zeros <= 3  # 0.2 expected
+    assert np.all(np.abs(hits / runs - 0.9) < 3 * np.sqrt(0.9 * 0.1 / runs)), hits
+    assert zeros <= 3 * runs / 200  # 0.2 expected of 200
 
 
 def test_a_line_that_does_not_follow_the_shaft_is_found_with_both_whirls() -> None:
@@ -252,7 +253,9 @@ def jeffcott():
     return compile_diagram(load_diagram("jeffcott"))
 
 
-@pytest.mark.parametrize(("name", "rates"), [("jeffcott", (1e4, 2e4)), ("fe_flexible", (2e4, 4e4))])
+@pytest.mark.parametrize(
+    ("name", "rates"), [("jeffcott", (1e4, 2e4)), pytest.param("fe_flexible", (2e4, 4e4), marks=pytest.mark.slow)]
+)
 def test_a_settled_start_returns_after_one_turn(name: str, rates) -> None:
     """What a turn changes is the error of RK4 alone: half the step, a sixteenth of it."""
     model = compile_diagram(load_diagram(name))

@@ -10,20 +10,20 @@ from rotorsim.recordings.second_frequency import _guessed, find_second
 from tests.recordings.test_second_frequency import NOISE, NU, RATIO, SPEEDS, made
 
 FAINT = 0.0007 * np.array([1.0, 1.0j])  # with noise of 0.01: each of 2000 samples has 1/200 of its variance
-SEEDS = 12
 
 
 @pytest.mark.parametrize(
-    ("orders", "nu", "follows"),
+    ("orders", "nu", "follows", "draws"),
     [
-        pytest.param((0,), NU, False, marks=pytest.mark.slow),
-        ((0,), RATIO, True),
-        pytest.param((-1, 1), NU, False, marks=pytest.mark.slow),
+        pytest.param((0,), NU, False, 12, marks=pytest.mark.slow),
+        ((0,), RATIO, True, 3),
+        pytest.param((0,), RATIO, True, 12, marks=pytest.mark.slow),
+        pytest.param((-1, 1), NU, False, 12, marks=pytest.mark.slow),
     ],
 )  # fmt: skip
-def test_a_line_too_faint_for_one_run_is_found_in_all(orders, nu, follows):
+def test_a_line_too_faint_for_one_run_is_found_in_all(orders, nu, follows, draws):
     off, hidden = [], 0
-    for seed in range(SEEDS):
+    for seed in range(draws):
         data, _ = made(dict.fromkeys(orders, FAINT), seed=seed, nu=nu, follows=follows)
         runs = harmonics_of(data)
         hidden += _guessed(runs) is None
@@ -31,9 +31,9 @@ def test_a_line_too_faint_for_one_run_is_found_in_all(orders, nu, follows):
         assert second is not None
         assert (second.follows, second.orders) == (follows, orders)
         off.append((second.value - nu) / second.std)
-    assert hidden >= SEEDS - 2
+    assert hidden >= draws - 2
     assert np.abs(off).max() < 4
-    assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.6
+    assert draws < 12 or 0.5 < np.sqrt(np.mean(np.square(off))) < 1.6
 
 
 def test_it_is_found_with_shafts_that_turn_back():

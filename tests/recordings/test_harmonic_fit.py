@@ -158,15 +158,22 @@ def test_a_factor_of_a_covariance_of_small_and_large_numbers():
     np.testing.assert_allclose(factor @ factor.T, correlation, rtol=1e-14, atol=1e-15)
 
 
-@pytest.mark.parametrize(("n", "hertz"), [(2000, 23.37), pytest.param(1500, 41.9, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", ["white", "across", "coloured", "coloured across", "resonance", "late"])
-def test_covariance_is_that_of_repeated_measurements(kind, n, hertz):
-    """300 draws: the sample covariance of the errors against the mean of what the fits say.
+@pytest.mark.parametrize(
+    ("n", "hertz", "draws"),
+    [(2000, 23.37, 100), pytest.param(1500, 41.9, 300, marks=pytest.mark.slow)],
+)
+@pytest.mark.parametrize(
+    "kind",
+    ["white", "across", "coloured across", "late"]
+    + [pytest.param(kind, marks=pytest.mark.slow) for kind in ("coloured", "resonance")],
+)
+def test_covariance_is_that_of_repeated_measurements(kind, n, hertz, draws):
+    """The sample covariance of the errors against the mean of what the fits say.
 
     The window is not a whole number of turns, the mean and the speed drift. Kind "late": white in each channel, as
     behind a sampled controller, and correlated all the same.
     """
-    K, draws = 3, 300
+    K = 3
     time = np.arange(n) / RATE
     u = 2 * time / time[-1] - 1
     theta = TURN * hertz * time + 0.4 + 3.0 * time**2
@@ -211,10 +218,10 @@ def test_std_is_the_root_of_the_diagonal():
 # --- lines ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["white", "coloured"])
-def test_noise_shows_no_more_lines_than_stated(kind):
-    """The stated chance of a false line is one in a thousand runs; 300 runs."""
-    n, runs = 1000, 300
+@pytest.mark.parametrize(("kind", "runs"), [("white", 300), pytest.param("coloured", 300, marks=pytest.mark.slow)])
+def test_noise_shows_no_more_lines_than_stated(kind, runs):
+    """The stated chance of a false line is one in a thousand runs."""
+    n = 1000
     time = np.arange(n) / RATE
     theta = TURN * 27.3 * time
     clean = signal(harmonics(3), theta)

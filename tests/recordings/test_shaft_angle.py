@@ -118,15 +118,16 @@ def test_jitter_of_pulses_is_estimated_and_smoothed():
     assert chi2.ppf(LEVEL, draws - 1) / draws < spread < chi2.isf(LEVEL, draws - 1) / draws
 
 
-def test_jitter_and_noise_together_make_the_covariance_of_harmonics():
-    """Pulses with jitter, a drifting mean, a window that is not whole turns: 300 draws; both matter alike."""
+@pytest.mark.parametrize("draws", [100, pytest.param(300, marks=pytest.mark.slow)])
+def test_jitter_and_noise_together_make_the_covariance_of_harmonics(draws):
+    """Pulses with jitter, a drifting mean, a window that is not whole turns; both matter alike."""
     time = np.arange(2000) / RATE
     theta = turned([0.4, TURN * 61.3], time)
     u = 2 * time / time[-1] - 1
     exact, c = pulses_of(theta, time), harmonics(2)
     clean = signal(c, theta) + np.outer(u, [0.5, -1])
     errors, said = [], []
-    for seed in range(300):
+    for seed in range(draws):
         random = np.random.default_rng((2, seed))
         x, y = (clean + 0.2 * random.standard_normal((2000, 2))).T
         tacho = exact + 2e-5 * random.standard_normal(len(exact))
@@ -136,6 +137,7 @@ def test_jitter_and_noise_together_make_the_covariance_of_harmonics():
     assert same_covariance(np.array(errors), np.mean(said, axis=0)) > LEVEL
 
 
+@pytest.mark.slow
 def test_jitter_of_pulses_makes_no_lines():
     """An error of the speed turns harmonics while the run lasts; these sides of a harmonic are no lines.
 

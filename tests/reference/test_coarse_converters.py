@@ -64,6 +64,7 @@ def test_a_stated_step_is_believed_only_where_readings_show_it(tmp_path):
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_identification_takes_the_converter_of_a_diagram_out_of_readings(tmp_path):
     """With it noise explains what is left over; without, steps are taken for the motion."""
     case = make_case("case", "one", "jeffcott", SEED, 0, ("quantisation",))

@@ -155,6 +155,7 @@ def _velocity(simulation: Simulation, w: np.ndarray, lane: int) -> complex:
     return complex((right @ w[lane])[1])
 
 
+@pytest.mark.slow
 def test_step_does_not_matter() -> None:
     parameters, runs, _, peaks = scene("fe_rigid")
     runs = runs[::4]
@@ -206,7 +207,9 @@ def test_aliases_leave_no_trace_and_faults_do() -> None:
     assert found[0] * 1e-6 > 1000
 
 
-@pytest.mark.parametrize(("kind", "machine"), [("nothing", "jeffcott"), ("nothing", "fe_rigid"), ("one", "jeffcott")])
+@pytest.mark.parametrize(
+    ("kind", "machine"), [pytest.param("nothing", "fe_rigid", marks=pytest.mark.slow), ("one", "jeffcott")]
+)
 def test_same_seed_writes_the_same_bytes(tmp_path: Path, kind: str, machine: str) -> None:
     for name in ("a", "b"):
         case = generator.make_case("c", kind, machine, (5, 0), 3)

@@ -13,6 +13,7 @@ from rotorsim.recordings import load_recording
 SEED = (77, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "law", "verdict"),
     [("outside", "hertz_contact", "outside_catalogue"), ("one", "clearance", "missing_physics")],

@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import io
 import re
+import tempfile
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
@@ -30,6 +32,7 @@ from rotorsim.report.diagnosis_tables import estimate, flat
 from tests.diagnose.test_diagnosis import HELD, recording
 from tests.diagnose.time_machines import OSCILLATOR, oscillator_recording
 from tests.identify import OTHER_GAINS, changed, shipped
+from tests.report import undrawn
 
 FIGURES = {"where.png", "spectra.png", "orbits.png", "speed_curves.png", "residuals.png", "parameters.png"}
 NASTY = "<script>alert('x')</script> & \"y\""
@@ -109,10 +112,8 @@ class _Page(HTMLParser):
 
 
 @cache
-def _reported(which: str) -> tuple[_Page, dict[str, bytes], tuple[str, ...]]:
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as folder:
+def _reported(which: str, drawn: bool = True) -> tuple[_Page, dict[str, bytes], tuple[str, ...]]:
+    with tempfile.TemporaryDirectory() as folder, nullcontext() if drawn else undrawn():
         found = {"bowed": bowed, "healthy": healthy, "nasty": nasty}[which]()
         files = save_report(found, folder, command="rotorsim diagnose jeffcott <b>there</b> --hold-out 'a b'")
         assert all(file.is_file() for file in files)
@@ -120,6 +121,7 @@ def _reported(which: str) -> tuple[_Page, dict[str, bytes], tuple[str, ...]]:
         return page, {f.name: f.read_bytes() for f in Path(folder).iterdir()}, tuple(f.name for f in files)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["bowed", "healthy", "nasty"])
 def test_one_valid_file_that_needs_no_other(which: str) -> None:
     page, files, names = _reported(which)
@@ -141,14 +143,14 @@ def test_one_valid_file_that_needs_no_other(which: str) -> None:
 
 
 def test_what_a_user_wrote_is_text() -> None:
-    page, files, _ = _reported("nasty")
+    page, files, _ = _reported("nasty", drawn=False)
     assert b"<script" not in files["report.html"]
     assert page.text.count(NASTY) >= 5  # title, diagram, statement, recording, next experiment
     assert "rotorsim diagnose jeffcott <b>there</b> --hold-out 'a b'" in page.text
 
 
 def test_numbers_are_those_of_the_diagnosis() -> None:
-    page, files, _ = _reported("bowed")
+    page, files, _ = _reported("bowed", drawn=False)
     found = bowed()
     data = diagnosis_data(found)
     assert set(files) == FIGURES | {"report.html", "diagram.svg"}
@@ -172,7 +174,7 @@ def test_numbers_are_those_of_the_diagnosis() -> None:
 
 
 def test_a_report_of_nothing_missing() -> None:
-    page, files, _ = _reported("healthy")
+    page, files, _ = _reported("healthy", drawn=False)
     assert "Nothing is missing" in page.text
     assert "What would have been seen" in page.text
     assert "residual bow amplitude" in page.text
@@ -380,6 +382,7 @@ def swinging() -> Diagnosis:
     return diagnose(load(OSCILLATOR), measured, physics=("cubic_stiffness", "sensor_gain"), workers=1)
 
 
+@pytest.mark.slow
 def test_signals_in_time_are_simulated_again() -> None:
     found = swinging()
     shown = traces(found)
@@ -397,8 +400,10 @@ def test_signals_in_time_are_simulated_again() -> None:
     assert made.axes[1].get_xlabel() == "time [s]"
 
 
+@pytest.mark.slow
 def test_a_report_in_time(tmp_path: Path) -> None:
-    files = save_report(swinging(), tmp_path)
+    with undrawn():
+        files = save_report(swinging(), tmp_path)
     page = _Page(files[0].read_text(encoding="utf-8"))
     assert page.wrong == []
     assert page.open == []
@@ -437,7 +442,8 @@ def test_what_is_left_and_what_is_open_stand_in_the_report(tmp_path):
         "size": {"value": 0.0234, "unit": "N", "orders": {"1": 0.02, "3": 0.012}},
     }  # fmt: skip
     found = replace(bowed(), residual=left, open=(("rub", "was not fitted to the end"),))
-    save_report(found, tmp_path)
+    with undrawn():
+        save_report(found, tmp_path)
     words = " ".join(_Page((tmp_path / "report.html").read_text()).words)
     for text in (
         "0.57 %",

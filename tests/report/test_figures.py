@@ -155,6 +155,7 @@ def test_short_and_empty_runs_are_drawn(tmp_path):
         drawn(overview(Result(np.arange(float(n)), values, {"r.d": "m"}, "stopped")), tmp_path / f"{n}.png")
 
 
+@pytest.mark.slow
 def test_figures_leave_matplotlib_as_it_was(result):
     before = dict(mpl.rcParams)
     overview(result)

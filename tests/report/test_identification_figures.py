@@ -101,6 +101,7 @@ def bars(container) -> tuple[np.ndarray, np.ndarray]:
     return values, tops - values
 
 
+@pytest.mark.slow
 def test_the_command_writes_them(recording, tmp_path):
     runs = [
         written.run(id=run.id, file=f"{run.id}.npz", sample_rate=f"{RATE} Hz", speed=run.speed,

@@ -87,7 +87,11 @@ def test_settled_motion_is_that_of_the_time_simulation():
         pytest.param({"nonlinear_amb": True}, 157.0, marks=pytest.mark.slow),
         pytest.param({"nonlinear_amb": True, "unbalance__eccentricity": 60e-6}, 500.0, marks=pytest.mark.slow),
         pytest.param({"opening": "none", "breathing": True, "gravity": 19.6}, 157.0, marks=pytest.mark.slow),
-        ({"opening": "none", "breathing": True, "nonlinear_amb": True, "gravity": 19.6}, 250.0),
+        pytest.param(
+            {"opening": "none", "breathing": True, "nonlinear_amb": True, "gravity": 19.6},
+            250.0,
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_nonlinear_motion_is_that_of_the_settled_time_simulation(variant, speed):

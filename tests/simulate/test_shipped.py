@@ -16,7 +16,6 @@ from tests.reference.jeffcott import Jeffcott
 from tests.simulate.settle import settled_by_shooting
 
 RPM = math.pi / 30
-THESIS = ("jeffcott", "offset_disc", "fe_rigid", "fe_flexible")
 
 
 def shipped(name, **kwargs):
@@ -50,7 +49,9 @@ def test_a_run_up_is_not_periodic():
         periodic(shipped("offset_disc_runup"))
 
 
-@pytest.mark.parametrize("name", THESIS)
+@pytest.mark.parametrize(
+    "name", ["jeffcott", "offset_disc", "fe_rigid", pytest.param("fe_flexible", marks=pytest.mark.slow)]
+)
 def test_thesis_rotors_are_stable_and_settle(name):
     diagram = shipped(name)
     assert modes(diagram).stable
@@ -77,7 +78,9 @@ def test_fe_rotor_has_the_published_natural_frequencies():
     np.testing.assert_allclose(found, [54.1532, 54.4399, 312.997, 364.277], rtol=3e-6)
 
 
-@pytest.mark.parametrize("name", THESIS)
+@pytest.mark.parametrize(
+    "name", ["jeffcott", "offset_disc", *(pytest.param(n, marks=pytest.mark.slow) for n in ("fe_rigid", "fe_flexible"))]
+)
 def test_state_feedback_can_be_designed_for_every_thesis_rotor(name):
     diagram = shipped(name)
     found = design_state_feedback(diagram)
@@ -105,7 +108,7 @@ def test_sensitivity_of_a_port_outside_the_loop_is_refused():
     ("block", "replacement", "changes"),
     [
         pytest.param("amb", "amb_nonlinear", {}, marks=pytest.mark.slow),
-        ("crack", "crack_breathing", {}),
+        pytest.param("crack", "crack_breathing", {}, marks=pytest.mark.slow),
     ],
 )
 def test_nonlinear_blocks_settle_to_the_time_simulation(block, replacement, changes):

@@ -14,7 +14,10 @@ from tests.reference.jeffcott import Jeffcott
 from tests.systems.shipped import document, load_document, shipped
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS)
+@pytest.mark.parametrize(
+    "controller",
+    [c if c in ("pid", "discrete_pid") else pytest.param(c, marks=pytest.mark.slow) for c in CONTROLLERS],
+)
 def test_swapped_controller_levitates(controller: str, tmp_path: Path) -> None:
     row = judge(swapped("jeffcott", controller, tmp_path), controller)
     assert row.levitates, row.note

@@ -41,7 +41,11 @@ def test_rk4_does_not_integrate_a_quartic_exactly() -> None:
 
 @pytest.mark.parametrize(
     ("name", "reference", "node", "step"),
-    [("offset_disc", offset_disc, None, 2e-5), ("fe_rigid", fe_rigid, 3, 5e-6), ("fe_flexible", fe_flexible, 4, 2e-6)],
+    [
+        ("offset_disc", offset_disc, None, 2e-5),
+        ("fe_rigid", fe_rigid, 3, 5e-6),
+        pytest.param("fe_flexible", fe_flexible, 4, 2e-6, marks=pytest.mark.slow),
+    ],
 )
 def test_rotors_against_exact_solution(name: str, reference: object, node: int | None, step: float) -> None:
     """The start shakes every mode, so the step resolves the fastest one (2.7e5 rad/s in fe_flexible)."""
@@ -57,7 +61,9 @@ def test_rotors_against_exact_solution(name: str, reference: object, node: int |
     assert figures.relative(figures.as_complex(result["controller.current"]), rotor.current(y)) <= 1e-8
 
 
-@pytest.mark.parametrize("name", list(figures.SETTLED))
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n.startswith("fe") else n for n in figures.SETTLED]
+)
 def test_periodic_equals_settled_simulation(name: str) -> None:
     """With a hundred times the integral gain, so that 3 s settle; benchmarks.evidence has the thesis' own gain."""
     signals, _, step = figures.SETTLED[name]
