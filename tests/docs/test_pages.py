@@ -113,6 +113,6 @@ def test_exit_codes_and_words_are_read_from_comments() -> None:
     stated = {c.words[1:]: (c.exit_code, c.printed) for c in commands("README.md") if c.exit_code}
     assert stated == {
         ("diff", "jeffcott", "mine.json"): (1, ("blocks.controller.type: pid -> state_feedback",)),
-        ("diagnose", "jeffcott", "bench", "--out", "diagnosis"): (1, ("+ blocks.controller_gain_error:",)),
+        ("diagnose", "jeffcott", "bench", "--out", "diagnosis"): (1, ("controller_gain_error",)),
         ("diff", "jeffcott", "diagnosis/diagram.json"): (1, ("+ blocks.controller_gain_error:",)),
     }
