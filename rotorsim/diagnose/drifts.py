@@ -22,8 +22,8 @@ __all__ = ["drift_warnings", "find_drifts", "tells_drifts", "with_drifts"]
 FALSE_ALARM = 1e-3  # for a channel of a recording
 # a random walk that starts with a run has Var(mean) = s^2 T / 3, and s^2 3 T / 10 in its slope's Legendre coefficient
 MEAN = 10 / 9
-NORM = np.array([3.0, 5.0])  # over n: variance of the Legendre coefficients of degree 1 and 2 for white noise
 DRIFTING = 2.0  # times the noise: a diagram that leaves more does not say what drifts of itself
+SCORINGS = 20
 LEAST = 1e-9  # of a channel's information that slow states leave: below, they take all of its drift
 
 
@@ -42,26 +42,40 @@ def find_drifts(base: Fit, source: Source) -> dict[str, float]:
         return {}
     response = Likelihood(experiment).response(experiment.theta0)
     c = len(experiment.predicted)
-    power, size, count = np.zeros(c), np.zeros(c), 0
+    power, count = np.zeros(c), 0
+    slopes: list[tuple[np.ndarray, np.ndarray]] = []
     for r, item in enumerate(experiment.runs):
         columns = experiment.columns[r][:c]
         if len(item.fit.drift) < 2:
             continue
-        std = np.sqrt(np.maximum(np.diag(item.fit.noise.at_order(0)).real[columns] / item.fit.samples, 1e-300))
-        slow = response.C[r] @ response.slow_states(r) / std[:, None]
-        length = np.linalg.norm(slow, axis=0)
-        q = np.linalg.qr(slow[:, length > 0] / length[length > 0])[0]
-        free = np.maximum(1 - (q**2).sum(axis=1), LEAST)
-        white = item.fit.drift[:2][:, columns] / std
-        rest = (white - (white @ q) @ q.T) / free
-        known = free > LEAST
-        power[known] += (rest**2 * free / NORM[:, None]).sum(axis=0)[known]
-        size[known] += (rest[0] ** 2 * std**2)[known] - (NORM[0] * std**2 / free)[known]
+        for degree in (1, 2):
+            variance = np.maximum(item.fit.noise.of_drift(degree)[columns] / item.fit.samples, 1e-300)
+            slow = response.C[r] @ response.slow_states(r) / np.sqrt(variance)[:, None]
+            length = np.linalg.norm(slow, axis=0)
+            q = np.linalg.qr(slow[:, length > 0] / length[length > 0])[0]
+            free = np.maximum(1 - (q**2).sum(axis=1), LEAST)
+            white = item.fit.drift[degree - 1, columns] / np.sqrt(variance)
+            rest = (white - (white @ q) @ q.T) / free
+            power += np.where(free > LEAST, rest**2 * free, 0.0)
+            if degree == 1:
+                slopes.append((rest**2 * variance, np.where(free > LEAST, variance / free, np.inf)))
         count += 1
     if not count:
         return {}
+    squares, noise = (np.array([pair[k] for pair in slopes]) for k in (0, 1))
+    size = _variance(squares, noise)
     drifts = (power > chi2.isf(FALSE_ALARM, 2 * count)) & experiment.use_mean[:c] & (size > 0)
-    return {experiment.predicted[k]: float(np.sqrt(size[k] / count)) for k in np.flatnonzero(drifts)}
+    return {experiment.predicted[k]: float(np.sqrt(size[k])) for k in np.flatnonzero(drifts)}
+
+
+def _variance(squares: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return the most likely variance (c,) of slopes beside noise's, from squares of what is seen, both (R, c)."""
+    size = np.zeros(squares.shape[1])
+    for _ in range(SCORINGS):  # Fisher's scoring
+        weight = 1 / (noise + size) ** 2
+        size = np.maximum((weight * np.where(np.isfinite(noise), squares - noise, 0.0)).sum(axis=0), 0.0)
+        size = size / np.maximum(weight.sum(axis=0), 1e-300)
+    return size
 
 
 def with_drifts(runs: Sequence[RunHarmonics], drifts: Mapping[str, float]) -> tuple[RunHarmonics, ...]:

@@ -69,11 +69,14 @@ class Places:
         """Return of each run misfit and equations with free harmonics of some inputs, or of what some channels read."""
         likelihood, orders = self.likelihood, self.likelihood.orders
         rests, slopes, counts = [], [], []
+        residual, all_slopes = self.found.apart()
+        if self.found.late is not None:  # with the delay of the pulses as one more parameter, known to one
+            all_slopes = np.column_stack([all_slopes, self.found.late])
         at = 0
         for r, white in enumerate(likelihood.whiteners):
             size = len(white.keep)
             part = slice(at, at + size)
-            e, J = self.found.residual[part], self.found.slopes[part]
+            e, J = residual[part], all_slopes[part]
             at += size
             effects = self._effects(r, force, names)
             columns = np.zeros((effects.shape[2] * (2 * orders - 1), orders, likelihood.c), complex)
@@ -91,12 +94,16 @@ class Places:
             slopes.append(J - q @ (q.T @ J))
             counts.append(size - q.shape[1])
         rest, J = np.concatenate(rests), np.concatenate(slopes)
+        if self.found.late is not None:
+            prior = np.zeros((1, J.shape[1]))
+            prior[0, -1] = 1.0
+            rest, J = np.append(rest, 0.0), np.vstack([J, prior])
         length = np.linalg.norm(J, axis=0)
         q, _ = np.linalg.qr(J[:, length > 0] / length[length > 0])
         rest = rest - q @ (q.T @ rest)
         ends = np.cumsum([len(part) for part in rests])[:-1]
         share = q.shape[1] / len(rests)
-        parts = zip(np.split(rest, ends), counts, strict=True)
+        parts = zip(np.split(rest[: int(sum(map(len, rests)))], ends), counts, strict=True)
         return [(float(part @ part), count - share) for part, count in parts]
 
     def _effects(self, r: int, force: bool, names: tuple[str, ...]) -> np.ndarray:

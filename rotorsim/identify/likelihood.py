@@ -2,13 +2,16 @@
 
 minus twice the logarithm = |r|^2,  r = P W (y - y(theta)):  W whitens with the covariance of the harmonics,
 P projects out what is of no interest and enters linearly: the mean of slow states, and the true harmonics of
-signals that are taken as measured inputs (so that their noise does not bias the parameters).
+signals that are taken as measured inputs (so that their noise does not bias the parameters). A delay that all pulses
+share, of standard deviation s, is marginalised: with the columns g = s P W dy/dtau of all runs, the covariance
+I + g g^T of P W y has the inverse root I - g g^T / |g|^2 (1 - 1 / sqrt(1 + |g|^2)).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
@@ -25,7 +28,7 @@ class Evaluation:
     """Whitened residual r (n,), slopes dr/dtheta (n, m), and the misfit |r|^2 of every run (R,).
 
     Y: predicted harmonics (R, K+1, c) with the nuisances at their best. rows: number of real equations left
-    after the nuisances.
+    after the nuisances. late: (n,) whitened change by the common delay of the pulses, one standard deviation.
     """
 
     residual: np.ndarray
@@ -33,6 +36,18 @@ class Evaluation:
     misfit: np.ndarray
     Y: np.ndarray
     rows: int
+    late: np.ndarray | None = None
+
+    def apart(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return residual and slopes of each run by itself, as they are for a known delay of the pulses."""
+        if self.late is None or not self.late.any():
+            return self.residual, self.slopes
+        size = float(self.late @ self.late)
+        grown = (np.sqrt(1 + size) - 1) / size * self.late
+        return (
+            self.residual + grown * (self.late @ self.residual),
+            self.slopes + np.outer(grown, self.late @ self.slopes),
+        )
 
 
 class Likelihood:
@@ -113,8 +128,46 @@ class Likelihood:
                 counted -= spanned[r].shape[1]
             rows.append(j)
             counted += len(j)
-        misfit = np.array([float(e @ e) for e in residuals])
-        return Evaluation(np.concatenate(residuals), np.concatenate(rows), misfit, Y, counted)
+        return self.together(residuals, rows, spanned, Y, counted)
+
+    def together(
+        self, residuals: Sequence[np.ndarray], slopes: Sequence[np.ndarray], spanned: Mapping[int, np.ndarray],
+        Y: np.ndarray, rows: int,
+    ) -> Evaluation:  # fmt: skip
+        """Return the evaluation of runs that share the delay of their pulses.
+
+        residuals, slopes: of each run, what its own nuisances explain, the columns of spanned (n_r, j), taken off. Y is
+        turned by the best delay.
+        """
+        e, J = np.concatenate(residuals), np.concatenate(slopes)
+        late = None
+        if any(item.fit.stamp for item in self.experiment.runs) and np.isfinite(e).all():
+            parts = list(self.late)
+            for r, q in spanned.items():
+                parts[r] = parts[r] - q @ (q.T @ parts[r])
+            late = np.concatenate(parts)
+            size = float(late @ late)
+            if size > 0:
+                best = float(late @ e) / (1 + size)
+                shrunk = (1 - 1 / np.sqrt(1 + size)) / size * late
+                e, J = e - shrunk * (late @ e), J - np.outer(shrunk, late @ J)
+                angle = best * np.array([abs(item.fit.speed) * item.fit.stamp for item in self.experiment.runs])
+                turn = np.zeros(Y.shape[:2])
+                turn[:, : self.K + 1] = np.outer(angle, np.arange(self.K + 1))
+                Y = Y * np.exp(1j * turn)[:, :, None]
+        ends = np.cumsum([len(part) for part in residuals])[:-1]
+        misfit = np.array([float(part @ part) for part in np.split(e, ends)])
+        return Evaluation(e, J, misfit, Y, rows, late)
+
+    @cached_property
+    def late(self) -> list[np.ndarray]:
+        """Whitened change of each run by the common delay of the pulses, one standard deviation."""
+        found = []
+        for r, (item, columns) in enumerate(zip(self.experiment.runs, self.experiment.columns, strict=True)):
+            change = np.zeros((self.orders, self.c + self.V), complex)
+            change[: self.K + 1] = harmonics_of_time(item.fit.stamped[: self.K + 1, columns], item.fit.speed)
+            found.append(self.whiteners[r].apply(real_vector(change)))
+        return found
 
     def response(self, theta: np.ndarray) -> Response:
         """Return what the equations say at theta (m,)."""
@@ -226,7 +279,7 @@ def _inverse_root(
 ) -> np.ndarray:
     """Return the inverse of the Cholesky factor of the covariance of kept rows, as harmonics of time have them."""
     kept = np.array(keep)
-    covariance = fit.covariance_at(np.array(columns), range(K + 1), resolution)
+    covariance = fit.covariance_at(np.array(columns), range(K + 1), resolution, stamp=False)
     if fit.speed < 0:
         sign = np.ones((2 * K + 1, len(columns)))
         sign[2::2] = -1

@@ -57,21 +57,20 @@ class NonlinearLikelihood(Likelihood):
         for _ in range(self.rounds):
             found = motion.predict(theta, means)
             parts = [self._run(found, r, *fresh[r]) for r in range(len(self.data))]
-            if not found.settled.all() or all(_still(e, gain) for e, _, _, gain in parts):
+            if not found.settled.all() or all(_still(e, gain) for e, _, _, gain, _ in parts):
                 break
-            means = [m + best for m, (_, _, best, _) in zip(means, parts, strict=True)]
+            means = [m + best for m, (_, _, best, _, _) in zip(means, parts, strict=True)]
         if found.settled.all():
             self.means = means
         residuals, rows = [part[0] for part in parts], [part[1] for part in parts]
-        misfit = np.array([float(e @ e) for e in residuals])
         counted = sum(len(e) for e in residuals) - sum(len(part[3]) for part in parts)
         Y = np.pad(found.Y, ((0, 0), (0, self.beside), (0, 0)))
-        return Evaluation(np.concatenate(residuals), np.concatenate(rows), misfit, Y, counted)
+        return self.together(residuals, rows, {r: part[4] for r, part in enumerate(parts)}, Y, counted)
 
     def _run(
         self, found: Prediction, r: int, places: np.ndarray, _: np.ndarray, by_theta: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-        """Return residual and slopes of a run without what the means can explain, their change, and its size.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return residual and slopes of a run without what the means can explain, their change, its size and columns.
 
         places: slow states whose means are known, by_theta (k, m): how these follow the parameters.
         """
@@ -85,12 +84,12 @@ class NonlinearLikelihood(Likelihood):
         columns = np.pad(found.by_means[r][..., open_ones], (more, (0, 0), (0, 0)))
         change = np.zeros(found.by_means[r].shape[-1])
         if not len(open_ones) or not found.settled[r]:
-            return e, j, change, np.zeros(0)
+            return e, j, change, np.zeros(0), np.zeros((len(e), 0))
         q, change[open_ones] = fitted_columns(
             white.apply(np.moveaxis(real_vector(np.moveaxis(columns, -1, 0)), 0, -1)), e
         )
         gain = q.T @ e
-        return e - q @ gain, j - q @ (q.T @ j), change, gain
+        return e - q @ gain, j - q @ (q.T @ j), change, gain, q
 
 
 def _still(residual: np.ndarray, gain: np.ndarray) -> bool:

@@ -232,8 +232,8 @@ class _RunFinder:
                     f"speed wanders: by {100 * drift:+.2g} % over the run, around {_rpm(float(turning.speeds.mean()))}"
                 )
                 self.say(what, hint="fit against the measured angle; fewer turns in a run wander less", place=run.place)
-        if angle.sampled > _SAMPLED:
-            zero = f"shaft angle zero is uncertain by {math.degrees(angle.sampled):.2g} deg at {_rpm(abs(angle.speed))}"
+        if angle.alike > _SAMPLED:
+            zero = f"shaft angle zero is uncertain by {math.degrees(angle.alike):.2g} deg at {_rpm(abs(angle.speed))}"
             hint = "sample the pulse so fast that its edge shows, or time the edges"
             hint += " and give them as tacho" if run.tacho is None else '; "tacho_resolution": 0 says they were'
             self.say(f"sampled pulses: they lie on samples, so that {zero}", hint=hint, place=run.place)

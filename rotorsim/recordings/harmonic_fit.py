@@ -57,7 +57,8 @@ class HarmonicFit:
     orders: 0..K. values: (K+1, C) complex, SI, phase against shaft angle zero; order 0 is the mean over the window.
     rms, residual: (C,) of the signal about its mean, and of what the fit leaves over. noise: cross-spectrum of the
     latter. gram: (2K+1, 2K+1), covariance of the real coefficients for noise of variance one, drift marginalised.
-    angle_std: standard deviation of angle zero [rad]: it turns harmonic k by k times that.
+    angle_std: standard deviation of angle zero [rad]: it turns harmonic k by k times that. stamp: of the part of it
+    that is late by the same time in all runs [s].
     lines: lines that do not follow the shaft. drift: (degree, C) Legendre coefficients of the slow drift.
     beside: what was fitted at combinations k theta + second t of the shaft with a second frequency. own: place of a
     channel -> (2K+1, 2K+1), covariance of its coefficients where its samples differ in what they tell.
@@ -84,6 +85,7 @@ class HarmonicFit:
     own: Mapping[int, np.ndarray] = field(default_factory=dict)
     pickups: Mapping[float, tuple[np.ndarray, float]] = field(default_factory=dict)
     hum: Mapping[int, np.ndarray] = field(default_factory=dict)
+    stamp: float = 0.0
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -130,22 +132,44 @@ class HarmonicFit:
         """
         size = 3**0.5 * self.angle_std * -1j * self.orders[:, None]
         terms = [size**n / math.factorial(n) / (2 * n + 1) ** 0.5 * (SLACK if n > 1 else 1.0) for n in (1, 2, 3, 4)]
+        return np.column_stack([real_vector(term * self._told) for term in terms])
+
+    @cached_property
+    def _told(self) -> np.ndarray:
+        """The harmonics (K+1, C) that noise alone does not make; zero for others."""
         power = [2 * self.gram[max(2 * k - 1, 0), max(2 * k - 1, 0)] * np.diag(self.noise.at_order(k)).real
                  for k in range(len(self.orders))]  # fmt: skip
-        told = np.abs(self.values) ** 2 > -math.log(TURNS) * np.array(power)
-        return np.column_stack([real_vector(term * np.where(told, self.values, 0.0)) for term in terms])
+        return np.where(np.abs(self.values) ** 2 > -math.log(TURNS) * np.array(power), self.values, 0.0)
 
-    def covariance_at(self, columns: np.ndarray, orders: Sequence[int], resolution: float) -> np.ndarray:
+    @property
+    def turned_alone(self) -> np.ndarray:
+        """Mean square (C,) of what an error of angle zero that is this run's alone changes: 2 d^2 sum k^2 |c_k|^2."""
+        variance = max(self.angle_std**2 - (self.speed * self.stamp) ** 2, 0.0)
+        return np.asarray(2 * variance * (self.orders[:, None] ** 2 * np.abs(self.values) ** 2).sum(axis=0))
+
+    @cached_property
+    def stamped(self) -> np.ndarray:
+        """What a common delay of all pulses by ``stamp`` changes in the harmonics, (K+1, C): i k W stamp c_k."""
+        return np.asarray(1j * self.orders[:, None] * self.speed * self.stamp * self._told)
+
+    def covariance_at(
+        self, columns: np.ndarray, orders: Sequence[int], resolution: float, *, stamp: bool = True
+    ) -> np.ndarray:
         """Return the covariance (m, m) of the real harmonics of some channels and orders, as `real_vector` has them.
 
         columns: places of the channels in ``names``. resolution: of the measuring chain, as a share of the rms or the
-        mean of a channel, the larger one; it is added to every harmonic as noise of that standard deviation.
+        mean of a channel, the larger one; it is added to every harmonic as noise of that standard deviation. stamp:
+        with what `stamped` adds.
         """
         rows = [row for k in orders for row in ((2 * k - 1, 2 * k) if k else (0,))]
         places = (np.array(rows)[:, None] * len(self.names) + columns).ravel()
         size = np.tile(np.maximum(self.rms[columns], np.abs(self.values[0, columns])), len(rows))
         floor = (resolution * np.where(size > 0, size, 1.0)) ** 2
-        return np.asarray(self.covariance[np.ix_(places, places)] + np.diag(floor))
+        found = self.covariance[np.ix_(places, places)] + np.diag(floor)
+        if not stamp and self.stamp:
+            together = real_vector(self.stamped)[places]
+            found = found - np.outer(together, together)
+        return np.asarray(found)
 
     def covariance_beside(self, columns: np.ndarray, resolution: float) -> np.ndarray:
         """Return the covariance (2 L c, 2 L c) of real and imaginary parts of the lines `beside`, each on its own."""
@@ -274,6 +298,7 @@ def fit_harmonics(
     *,
     orders: int | None = None,
     angle_std: float = 0.0,
+    stamp: float = 0.0,
     basis: Basis | None = None,
     second: tuple[float, np.ndarray] | None = None,
     weights: Mapping[str, np.ndarray] | None = None,
@@ -284,7 +309,7 @@ def fit_harmonics(
     """Fit y = drift(t) + sum over |k| <= K of c_k e^{i k theta} to every channel by least squares.
 
     time, theta: (n,), samples at any instants. orders: K; default as many as the window and the sampling can tell
-    apart, at most 16. angle_std: of angle zero [rad], from the jitter of pulses. basis: of an earlier fit at the same
+    apart, at most 16. angle_std: of angle zero [rad]; stamp: see `HarmonicFit`. basis: of an earlier fit at the same
     times and angles, which saves most of the work. Noise is taken as stationary; whether it is white is tested, and
     coloured noise is described by its cross-spectrum. Lines beside the multiples of the speed are found, reported
     and fitted along. second: a frequency [rad/s] and orders k whose combinations with the shaft are fitted, too.
@@ -355,6 +380,7 @@ def fit_harmonics(
         own={names.index(name): basis.covariance(w)[:m, :m] for name, w in (weights or {}).items()},
         pickups=picked,
         hum=hum or {},
+        stamp=stamp,
     )
 
 

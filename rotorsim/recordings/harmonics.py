@@ -11,12 +11,14 @@ from threadpoolctl import threadpool_limits
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.angle_refinement import refined
+from rotorsim.recordings.colour import Bands, common_colour
 from rotorsim.recordings.harmonic_fit import HarmonicFit, check_samples, fit_harmonics, harmonic_basis
 from rotorsim.recordings.held import without_held
+from rotorsim.recordings.noise import Noise
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 from rotorsim.recordings.shaft_angle import ShaftAngle, refuse_run_up, shaft_angle
 
-__all__ = ["RunHarmonics", "harmonics_of", "with_one_jitter"]
+__all__ = ["RunHarmonics", "harmonics_of", "with_one_jitter", "with_one_noise"]
 
 LINE = 2  # numbers that pulses of an even speed have: angle zero and the speed
 WANDERS = 1e-3  # probability that pulses of one jitter scatter so much in a run
@@ -40,9 +42,7 @@ def harmonics_of(
 ) -> list[RunHarmonics]:
     """Return the harmonics of every channel but the angle, for the given runs (default: all).
 
-    orders: highest order; default as many as each run carries, at most 16. Errors of sampled pulses may be alike in
-    all R runs (a trigger is late each time), so that R runs know angle zero no better than one: each is given R times
-    the variance, which is above any covariance they can have (R v I - v 1 1^T is positive semidefinite).
+    orders: highest order; default as many as each run carries, at most 16.
     Raises RotorsimError with what is wrong in every run: no angle, samples that are not finite, too short.
     """
     channels = {c: channel for c, channel in recording.channels.items() if channel.signal not in (ANGLE, TACHO)}
@@ -55,7 +55,7 @@ def harmonics_of(
         try:
             angle = shaft_angle(recording, run)
             refuse_run_up(f"run {run.id}", run.place, run.time, angle.theta)
-            angles.append((run, replace(angle, sampled=angle.sampled * len(chosen) ** 0.5)))
+            angles.append((run, angle))
         except RotorsimError as error:
             problems += error.problems
     with threadpool_limits(1, "blas"):  # matrices of 5000 x 35: threads cost more than they save
@@ -72,7 +72,7 @@ def harmonics_of(
                     run = replace(run, values={**run.values, **dict(zip(columns, y.T, strict=True))})
                 fit = fit_harmonics(
                     run.id, run.time, angle.theta, {channels[c].name: y[:, k] for k, c in enumerate(columns)}, units,
-                    angle_std=angle.std, basis=basis, lost=lost / len(y),
+                    angle_std=angle.std, stamp=angle.stamp, basis=basis, lost=lost / len(y),
                     weights={channels[c].name: np.asarray(w) for c, w in run.weights.items()},
                 )  # fmt: skip
                 found.append(RunHarmonics(run, angle, fit, lost))
@@ -80,7 +80,43 @@ def harmonics_of(
                 problems += error.problems
     if problems:
         raise RotorsimError(*problems)
-    return found
+    return with_one_noise(found)
+
+
+def with_one_noise(runs: Sequence[RunHarmonics]) -> list[RunHarmonics]:
+    """Return runs whose noise has one colour in each channel, that of the instrument, and its level in each run.
+
+    Runs whose noise is not of the common colour keep their own.
+    """
+    durations = [float(item.run.time[-1] - item.run.time[0]) for item in runs]
+    colours = [_own_colour(item.fit.noise, len(item.fit.names)) for item in runs]
+    changed = set()
+    for name in dict.fromkeys(name for item in runs for name in item.fit.names):
+        having = [r for r, item in enumerate(runs) if name in item.fit.names]
+        place = [runs[r].fit.names.index(name) for r in having]
+        bands = [_of_one(runs[r].fit.noise.bands, c) for r, c in zip(having, place, strict=True)]
+        laws = common_colour(bands, [durations[r] for r in having])
+        for r, c, law in zip(having, place, laws, strict=True):
+            if law is not None and (law[1] > 0 or not runs[r].fit.noise.white):
+                colours[r][c] = law
+                changed.add(r)
+    return [_recoloured(item, colours[r]) if r in changed else item for r, item in enumerate(runs)]
+
+
+def _recoloured(item: RunHarmonics, colour: np.ndarray) -> RunHarmonics:
+    fit = item.fit
+    return replace(item, fit=replace(fit, noise=fit.noise.recoloured(colour, fit.turns, int(fit.orders[-1]))))
+
+
+def _of_one(bands: Bands | None, channel: int) -> Bands | None:
+    return None if bands is None else replace(bands, power=bands.power[:, [channel]])
+
+
+def _own_colour(noise: Noise, channels: int) -> np.ndarray:
+    if noise.colour is not None:
+        return noise.colour.copy()
+    white = np.diag(noise.spectrum[0].real)
+    return np.column_stack([white, np.zeros(channels), np.ones(channels)])
 
 
 def with_one_jitter(angles: Sequence[ShaftAngle]) -> list[ShaftAngle]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
-from rotorsim.recordings.colour import colour_of, density, of_mean
+from rotorsim.recordings.colour import Bands, bands_of, colour_of, density, of_mean
 
 __all__ = ["Line", "Noise", "find_lines", "noise_of"]
 
@@ -39,17 +39,38 @@ class Noise:
 
     Scaled so that white noise of covariance S has spectrum S. freedom: degrees of freedom it was estimated with.
     colour: (C, 3) of the density that grows towards low frequencies (see `rotorsim.recordings.colour.density`), of
-    noise that is not white.
+    noise that is not white. bands: where noise is white or so coloured, what that was found from, else None.
     """
 
     spectrum: np.ndarray
     white: bool
     freedom: float
     colour: np.ndarray | None = None
+    bands: Bands | None = None
 
     def at_order(self, k: int) -> np.ndarray:
         """Return the cross-spectrum (C, C), Hermitian, at order k."""
         return np.asarray(self.spectrum[0 if self.white else k])
+
+    def of_drift(self, degree: int) -> np.ndarray:
+        """Return n times the variance (C,) of a Legendre coefficient of n samples; degree 0: of their mean."""
+        white = np.diag(self.at_order(0)).real
+        if self.colour is not None:
+            mean = of_mean(self.colour)
+            white = white * np.divide(of_mean(self.colour, degree), mean, out=np.ones(len(white)), where=mean > 0)
+        return np.asarray((2 * degree + 1) * white)
+
+    def recoloured(self, colour: np.ndarray, turns: float, K: int) -> Noise:
+        """Return noise of other densities a + b j^-c (C, 3), of a run of so many turns, that is correlated alike."""
+        old = np.diag(self.spectrum[0].real)[None] if self.colour is None else _at_orders(self.colour, turns, K)
+        scale = np.sqrt(np.divide(_at_orders(colour, turns, K), old, out=np.ones((K + 1, len(colour))), where=old > 0))
+        spectrum = self.spectrum * scale[:, :, None] * scale[:, None, :]
+        return replace(self, spectrum=spectrum, white=False, colour=colour)
+
+
+def _at_orders(colour: np.ndarray, turns: float, K: int) -> np.ndarray:
+    """Return the density (K+1, C) at orders 0..K of a run of so many turns."""
+    return np.vstack([of_mean(colour), density(colour, turns * np.arange(1, K + 1))])
 
 
 def find_lines(
@@ -240,31 +261,32 @@ def noise_of(
         at = round(line.frequency * n * step)
         usable[max(0, at - 2) : at + 3] = False
     inner = transform[usable]
-    if len(inner) < 8 or (_is_white(np.abs(inner) ** 2) and _is_together(inner)):
-        return Noise((left.T @ left / max(freedom, 1) + at_least)[None], True, float(max(freedom, 1)))
     at_line = np.arange(len(transform))
+    bands = None if len(inner) < 8 else bands_of(np.abs(inner) ** 2, at_line[usable], n * step)
+    if len(inner) < 8 or (_is_white(np.abs(inner) ** 2) and _is_together(inner)):
+        return Noise((left.T @ left / max(freedom, 1) + at_least)[None], True, float(max(freedom, 1)), bands=bands)
     colour = colour_of(np.abs(inner) ** 2, at_line[usable])
     spacing = abs(speed) / TURN * n * step
-    orders = np.sqrt(np.vstack([of_mean(colour), density(colour, spacing * np.arange(1, K + 1))]))
+    orders = np.sqrt(_at_orders(colour, spacing, K))
     shape = np.sqrt(density(colour, at_line))
     dead = shape[-1] == 0
     orders[:, dead], shape[:, dead] = 1.0, 1.0
     transform = transform / shape
     inner = transform[usable]
     scale = orders[:, :, None] * orders[:, None, :]
-    found: list[tuple[float, np.ndarray]] = []
+    found: list[tuple[float, np.ndarray, Bands | None]] = []
     if _is_white(np.abs(inner) ** 2) and _is_together(inner):
         together = (inner.T @ inner.conj()).real / len(inner)
         level = 2 * float(np.log(shape[usable]).sum()) / len(inner) + float(
             np.linalg.slogdet(together[~dead][:, ~dead])[1]
         )
-        found.append((n * level + 3 * channels * np.log(n), scale * together))
+        found.append((n * level + 3 * channels * np.log(n), scale * together, bands))
     modelled = _autoregressive(left, np.arange(K + 1) * speed * step, freedom)
     if modelled is not None:
-        found.append((modelled[1], modelled[0]))
+        found.append((modelled[1], modelled[0], None))
     if found:
-        likely = min(found, key=lambda item: item[0])[1]
-        return Noise(likely + at_least, False, float(max(freedom, 1)), colour)
+        _, likely, bands = min(found, key=lambda item: item[0])
+        return Noise(likely + at_least, False, float(max(freedom, 1)), colour, bands)
     width = max(SMOOTHING, 2 * channels, round(spacing / 2))
     spectrum = np.empty((K + 1, channels, channels), complex)
     for k in range(K + 1):

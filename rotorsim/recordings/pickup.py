@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from rotorsim.recordings.harmonic_fit import fit_harmonics
-from rotorsim.recordings.harmonics import RunHarmonics
+from rotorsim.recordings.harmonics import RunHarmonics, with_one_noise
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second, signals_of, spectra_of, strongest
 
@@ -109,7 +109,7 @@ def with_pickups(
             item if len(item.fit.pickups) == len(frequencies) else _again(recording, item, frequencies, size)
             for item in fitted
         ]
-    return tuple(again), found
+    return tuple(with_one_noise(again)), found
 
 
 def _size(runs: Sequence[RunHarmonics], frequency: float, name: str) -> float:
@@ -146,7 +146,8 @@ def _again(
             hum[order] = hum.get(order, 0.0) + variance
     new = fit_harmonics(
         fit.run, item.run.time, item.angle.theta, signals_of(recording, item),
-        dict(zip(fit.names, fit.units, strict=True)), orders=int(fit.orders[-1]), angle_std=fit.angle_std,
+        dict(zip(fit.names, fit.units, strict=True)), orders=int(fit.orders[-1]),
+        angle_std=fit.angle_std, stamp=fit.stamp,
         weights={recording.channels[c].name: np.asarray(w) for c, w in item.run.weights.items()},
         lost=item.lost / len(item.run.time), pickups=frequencies, hum=hum,
     )  # fmt: skip

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from rotorsim.recordings.faint_lines import Spectrum, faint_line, spectrum_of
 from rotorsim.recordings.harmonic_fit import NEAR, Basis, HarmonicFit, fit_harmonics, harmonic_basis, with_lines
-from rotorsim.recordings.harmonics import RunHarmonics
+from rotorsim.recordings.harmonics import RunHarmonics, with_one_noise
 from rotorsim.recordings.recording import Recording
 
 __all__ = ["Second", "find_second", "signals_of", "spectra_of", "strongest", "with_second"]
@@ -364,7 +364,7 @@ def with_second(
             theta, std = _even(item, at) if second.even else (item.angle.theta, item.angle.std)
             fit = fit_harmonics(
                 item.fit.run, item.run.time, theta, signals, dict(zip(item.fit.names, item.fit.units, strict=True)),
-                orders=int(item.fit.orders[-1]), angle_std=std, second=(at, orders),
+                orders=int(item.fit.orders[-1]), angle_std=std, stamp=item.fit.stamp, second=(at, orders),
                 weights={recording.channels[c].name: np.asarray(w) for c, w in item.run.weights.items()},
                 lost=item.lost / len(item.run.time), pickups=list(item.fit.pickups), hum=item.fit.hum,
             )  # fmt: skip
@@ -373,7 +373,7 @@ def with_second(
                 lost.append(item.fit.run)
                 continue
             kept.append(replace(item, fit=fit))
-    return tuple(kept), lost
+    return tuple(with_one_noise(kept)), lost
 
 
 def _twice(fit: HarmonicFit, duration: float) -> bool:

@@ -39,8 +39,9 @@ class ShaftAngle:
 
     speed: mean over the run [rad/s]. drift: change of the speed over the run [rad/s]. jitter: rms of what the
     pulses leave over [rad]. source: "channel", "tacho" or "speed". phase_known: False when nothing says where
-    angle zero is. sampled: standard deviation of an error that sampled pulses have in common [rad]. smooth: standard
-    deviation of an error of the speed and of its drift, as an angle at the ends of the run [rad].
+    angle zero is. sampled: standard deviation of an error that sampled pulses of the run have in common [rad]. stamp:
+    of the time by which all pulses of a recording are late, wherever in its period a sample is stamped [s]. smooth:
+    standard deviation of an error of the speed and of its drift, as an angle at the ends of the run [rad].
     """
 
     theta: np.ndarray
@@ -52,11 +53,17 @@ class ShaftAngle:
     pulses: int = 0
     sampled: float = 0.0
     smooth: float = 0.0
+    stamp: float = 0.0
 
     @property
     def std(self) -> float:
         """Standard deviation of angle zero [rad]: jitter over the root of the number of pulses, and what they share."""
-        return float(np.hypot(self.jitter / np.sqrt(self.pulses), self.sampled)) if self.pulses else 0.0
+        return float(np.hypot(self.jitter / np.sqrt(self.pulses), self.alike)) if self.pulses else 0.0
+
+    @property
+    def alike(self) -> float:
+        """Standard deviation of what sampled pulses share [rad]."""
+        return float(np.hypot(self.sampled, self.speed * self.stamp))
 
 
 def shaft_angle(recording: Recording, run: Run) -> ShaftAngle:
@@ -92,9 +99,9 @@ def shaft_angle(recording: Recording, run: Run) -> ShaftAngle:
     origin = float(pulses[0]) if pulses is not None and len(pulses) == 1 else 0.0
     theta = run.speed * (run.time - origin)
     known = pulses is not None and len(pulses) == 1
-    shared = abs(run.speed) * float(np.hypot(doubt, stamp))
+    shared = abs(run.speed) * doubt
     smooth = min(STATED * float(np.ptp(theta)) / 2, MOST_TURNED)
-    return ShaftAngle(theta, run.speed, 0.0, 0.0, "speed", known, int(known), shared, smooth)
+    return ShaftAngle(theta, run.speed, 0.0, 0.0, "speed", known, int(known), shared, smooth, stamp)
 
 
 def pulse_resolution(recording: Recording, run: Run) -> float:
@@ -208,10 +215,10 @@ def _from_pulses(run: Run, pulses: np.ndarray, doubt: float, stamp: float) -> Sh
     span = run.time[-1] - run.time[0]
     rate = np.gradient(theta, run.time) if len(theta) > 2 else np.zeros(len(theta))
     speed = float((theta[-1] - theta[0]) / span)
-    shared = np.hypot(_shared(left, jitter, each), abs(speed) * stamp) if doubt else 0.0
+    shared = _shared(left, jitter, each) if doubt else 0.0
     smooth = float(np.hypot(each, SLOPE * jitter / np.sqrt(len(pulses))))
     drift = float(rate[-1] - rate[0])
-    return ShaftAngle(theta, speed, drift, jitter, "tacho", True, len(pulses), float(shared), smooth)
+    return ShaftAngle(theta, speed, drift, jitter, "tacho", True, len(pulses), float(shared), smooth, stamp)
 
 
 def _shared(left: np.ndarray, jitter: float, each: float) -> float:

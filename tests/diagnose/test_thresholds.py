@@ -21,6 +21,7 @@ from rotorsim.diagnose.time_search import Point, TimeSearch
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Place, Problem
 from rotorsim.identify.motion import Motion
+from rotorsim.recordings.noise import Noise
 from tests.diagnose.test_scoring import fitted_runs
 from tests.diagnose.test_verdicts import ROWS, candidate
 
@@ -197,7 +198,7 @@ def drifting(monkeypatch, white: list[list[list[float]]], slow: list[list[float]
             states = np.zeros((2, 0)) if slow is None else np.array(slow).T
             return SimpleNamespace(C=[np.eye(2)] * len(white), slow_states=lambda r: states)
 
-    noise = SimpleNamespace(at_order=lambda k: 4.0 * np.eye(2) + 0j)  # of 400 samples: 0.1 in the mean
+    noise = Noise(4.0 * np.eye(2)[None], True, 400.0)  # of 400 samples: 0.1 in the mean
     runs = [SimpleNamespace(fit=SimpleNamespace(drift=0.1 * np.array(w), noise=noise, samples=400)) for w in white]
     experiment = SimpleNamespace(
         motion=object.__new__(Motion), predicted=["x", "y"], runs=runs, columns=[np.array([0, 1])] * len(runs),
