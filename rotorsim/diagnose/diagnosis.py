@@ -246,6 +246,11 @@ def _settled(runs: Sequence[RunHarmonics], warnings: list[Problem], use: str) ->
             warnings.append(Problem(what, f"run {item.run.id}", item.run.place, severity="warning"))
         else:
             kept.append(item)
+    for item in kept:
+        if item.angle.contradicted:
+            what = "its harmonics turn otherwise than its pulses say, by more than these leave open"
+            hint = "do the pulses and the signals have one clock? is the speed steady?"
+            warnings.append(Problem(what, f"run {item.run.id}", item.run.place, hint, severity="warning"))
     lost = [item for item in kept if item.lost]
     if lost:
         what = f"{sum(item.lost for item in lost)} samples repeat the one before, as lost ones do: they are not {use}"

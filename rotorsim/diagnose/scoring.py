@@ -244,10 +244,7 @@ def _at_bound(value: float, low: float, high: float) -> bool:
 
 
 def _add(sums: dict[str, np.ndarray], found: Prediction) -> None:
-    """Add mean squares of what is left over, of the noise, and of the signal: |X_0|^2 + 2 sum |X_k|^2 (Parseval).
-
-    Noise: of the samples, and of an uncertain shaft angle.
-    """
+    """Add mean squares of what is left over, of the noise, and of the signal: |X_0|^2 + 2 sum |X_k|^2 (Parseval)."""
     experiment = found.experiment
     count = len(experiment.predicted)
     for r, item in enumerate(experiment.runs):
@@ -257,7 +254,7 @@ def _add(sums: dict[str, np.ndarray], found: Prediction) -> None:
         for c, name in enumerate(experiment.predicted):
             left, total = item.fit.residual[columns[c]] ** 2, item.fit.rms[columns[c]] ** 2
             sums.setdefault(name.partition("[")[0], np.zeros(3))
-            sums[name.partition("[")[0]] += (left + wrong[c], left + item.fit.turned_alone[columns[c]], total)
+            sums[name.partition("[")[0]] += (left + wrong[c], left, total)
 
 
 def _errors(sums: Mapping[str, np.ndarray]) -> tuple[dict[str, float], dict[str, float]]:

@@ -18,7 +18,8 @@ __all__ = ["refined"]
 TURN = 2 * np.pi
 STEPS = 6  # Gauss-Newton
 SETTLED = 0.1  # standard deviations that the angle may still change by
-PLAUSIBLE = 4.0  # standard deviations of the pulses: what the harmonics ask for beyond is not the angle's doing
+PLAUSIBLE = 4.0  # standard deviations of the pulses (once in 16 000 runs): what the harmonics ask for beyond is not the
+# angle's doing
 
 
 def refined(run: str, time: np.ndarray, angle: ShaftAngle, y: np.ndarray, basis: Basis) -> tuple[ShaftAngle, Basis]:
@@ -26,7 +27,7 @@ def refined(run: str, time: np.ndarray, angle: ShaftAngle, y: np.ndarray, basis:
 
     theta + d_1 P_1(u) + d_2 P_2(u), u from -1 to 1 over the run: a speed and a drift of it; d_1, d_2 are by maximum
     posterior, with `ShaftAngle.smooth` of the pulses as prior, and channels weighted by what harmonics leave over.
-    basis: of `angle`. Where the harmonics contradict the pulses, both are returned as they are.
+    basis: of `angle`. Where the harmonics contradict the pulses, both are as they were, and the angle says so.
     """
     if not angle.smooth > 0:
         return angle, basis
@@ -51,7 +52,7 @@ def refined(run: str, time: np.ndarray, angle: ShaftAngle, y: np.ndarray, basis:
             break
         total = total + step
         if np.abs(total).max() > PLAUSIBLE * angle.smooth:
-            return angle, basis
+            return replace(angle, contradicted=True), basis
         now = _turned(angle, shapes @ total, time)
         columns = harmonic_basis(run, time, now.theta, orders=basis.orders)
     return now, columns

@@ -141,12 +141,6 @@ class HarmonicFit:
                  for k in range(len(self.orders))]  # fmt: skip
         return np.where(np.abs(self.values) ** 2 > -math.log(TURNS) * np.array(power), self.values, 0.0)
 
-    @property
-    def turned_alone(self) -> np.ndarray:
-        """Mean square (C,) of what an error of angle zero that is this run's alone changes: 2 d^2 sum k^2 |c_k|^2."""
-        variance = max(self.angle_std**2 - (self.speed * self.stamp) ** 2, 0.0)
-        return np.asarray(2 * variance * (self.orders[:, None] ** 2 * np.abs(self.values) ** 2).sum(axis=0))
-
     @cached_property
     def stamped(self) -> np.ndarray:
         """What a common delay of all pulses by ``stamp`` changes in the harmonics, (K+1, C): i k W stamp c_k."""

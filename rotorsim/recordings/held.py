@@ -14,7 +14,8 @@ FALSE_ALARM = 1e-3  # in a run, of values that repeat by chance in all channels 
 BY_CHANCE = 0.1  # of the instants at which all channels repeat, at most
 MOST = 0.05  # of the samples: what repeats more often has another rate, or a coarse converter
 ROUNDS = 3
-WRITTEN = 1e-6  # of the range of a channel: values closer than that differ by how they were written
+WRITTEN = 1e-6  # of the range of a channel: closer values differ by how they were written, in single precision or with
+# seven digits; no converter has 20 bits
 NORMAL = 1.4826  # standard deviations in a median absolute deviation
 
 

@@ -19,8 +19,9 @@ TURN = 2 * np.pi
 MOST_COEFFICIENTS = 8  # of the polynomial through the pulses
 SLOPE = np.sqrt(5)  # times jitter / sqrt(N): standard deviation of what N pulses say of a line and a parabola, at most
 TEETH = 1.5  # times the variance of a sampled pulse: jitter of a fifth of its period beside it breaks up saw teeth
-STATED = 0.01  # of a stated speed: its standard deviation
-MOST_TURNED = 0.1  # rad that harmonics may be off at the ends of a run, to be followed: the tenth by 1
+STATED = 0.01  # of a stated speed: its standard deviation, half of what `open_experiment` lets it be wrong by
+MOST_TURNED = 0.1  # rad that harmonics may be off at the ends of a run, to be followed: the tenth by 1, where its slope
+# with the angle is still that of a tangent
 WANDERS = 1e-3  # rad left over by it, correlated from pulse to pulse: then every pulse is followed
 UNIFORM = 1 / np.sqrt(12)  # standard deviation of what lies anywhere in an interval of length one
 STAMPED = np.sqrt(1 / 6)  # of the middle of that interval against the stated time: it begins there, ends or is about it
@@ -42,6 +43,7 @@ class ShaftAngle:
     angle zero is. sampled: standard deviation of an error that sampled pulses of the run have in common [rad]. stamp:
     of the time by which all pulses of a recording are late, wherever in its period a sample is stamped [s]. smooth:
     standard deviation of an error of the speed and of its drift, as an angle at the ends of the run [rad].
+    contradicted: the harmonics ask for more than that (`rotorsim.recordings.angle_refinement`).
     """
 
     theta: np.ndarray
@@ -54,6 +56,7 @@ class ShaftAngle:
     sampled: float = 0.0
     smooth: float = 0.0
     stamp: float = 0.0
+    contradicted: bool = False
 
     @property
     def std(self) -> float:

@@ -112,11 +112,7 @@ def test_the_error_is_that_of_the_signal_in_time():
     found = SimpleNamespace(
         experiment=SimpleNamespace(
             predicted=("rotor.displacement[1]",), use_mean=np.array([True]), columns=np.array([[0]]),
-            runs=[
-                SimpleNamespace(
-                    fit=SimpleNamespace(residual=np.array([0.07]), rms=np.array([rms]), turned_alone=np.zeros(1))
-                )
-            ],
+            runs=[SimpleNamespace(fit=SimpleNamespace(residual=np.array([0.07]), rms=np.array([rms])))],
         ),
         evaluation=SimpleNamespace(Y=model[None, :, None]),
         likelihood=SimpleNamespace(data=data[None, :, None]),

@@ -1,5 +1,7 @@
 """The speed of a run by its own harmonics, where pulses leave it open."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from rotorsim.recordings.angle_refinement import refined
 from rotorsim.recordings.harmonic_fit import harmonic_basis
 from rotorsim.recordings.harmonics import harmonics_of
 from rotorsim.recordings.recording import Channel, Recording, Run
-from rotorsim.recordings.shaft_angle import shaft_angle
+from rotorsim.recordings.shaft_angle import ShaftAngle, shaft_angle
 
 TURN = 2 * np.pi
 RATE, COUNT = 5000.0, 5000
@@ -71,7 +73,40 @@ def test_what_one_harmonic_does_is_not_put_down_to_the_angle():
     angle = shaft_angle(recording, recording.runs[0])
     y = recording.runs[0].values["x"][:, None]
     basis = harmonic_basis("run0", TIME, angle.theta, orders=3)
-    assert refined("run0", TIME, angle, y, basis) == (angle, basis)
+    now, same = refined("run0", TIME, angle, y, basis)
+    assert same is basis
+    assert (now.theta == angle.theta).all()
+
+
+@pytest.mark.parametrize(("times", "followed"), [(3.9, True), (4.1, False)])
+def test_four_standard_deviations_are_the_most_that_harmonics_may_ask_for(times, followed):
+    """Pulses that leave the ends open by s, and a shaft that is there by `times` s from where they put it."""
+    theta, off = TURN * 40 * TIME, 1e-2
+    y = recorded(theta + off * (2 * TIME / TIME[-1] - 1), None, noise=1e-10).runs[0].values["x"][:, None]
+    angle = ShaftAngle(theta, TURN * 40, 0.0, 0.0, "tacho", True, 40, smooth=off / times)
+    now, _ = refined("run0", TIME, angle, y, harmonic_basis("run0", TIME, theta, orders=3))
+    assert now.contradicted is not followed
+    assert np.ptp(now.theta - theta) == pytest.approx(2 * off if followed else 0.0, rel=0.01)
+
+
+@pytest.mark.parametrize(("turns", "open_by"), [(3, 0.01 * 3 * np.pi), (4, 0.1)])
+def test_a_stated_speed_is_one_percent_uncertain(turns, open_by):
+    """Of the angle at either end of the run, but no more than 0.1 rad are followed."""
+    speed = TURN * turns / TIME[-1]
+    recording = recorded(speed * TIME, np.array([0.001]), speed=speed)
+    assert shaft_angle(recording, recording.runs[0]).smooth == pytest.approx(open_by, rel=1e-3)
+
+
+@pytest.mark.parametrize(("times", "drift"), [(1.55, False), (1.65, True)])
+def test_a_drift_is_told_from_saw_teeth_above_one_and_a_half_times_their_variance(times, drift):
+    """Of 60 pulses each in a period T: T^2 / 12; a parabola costs ln 60 of 60 ln(v / 1.5), so that v > 1.606."""
+    period, u = 2e-4, np.linspace(-1, 1, 60)
+    bend = u**2 - np.mean(u**2)
+    bend *= period * np.sqrt(times / 12 / np.mean(bend**2))
+    run = recorded(TURN * 60 * TIME, np.arange(60) / 60 + 0.005 + bend).runs[0]
+    made = recorded(TURN * 60 * TIME, None)
+    run = replace(run, tacho_resolution=period)
+    assert (abs(shaft_angle(replace(made, runs=(run,)), run).drift) > 1e-9) is drift
 
 
 def test_an_angle_that_pulses_tell_is_left_alone():

@@ -9,7 +9,7 @@ from rotorsim.recordings.colour import colour_of, density, of_mean
 from rotorsim.recordings.faint_lines import Spectrum
 from rotorsim.recordings.harmonic_fit import harmonic_basis, real_vector
 from rotorsim.recordings.harmonics import harmonics_of
-from rotorsim.recordings.held import find_held, without_held
+from rotorsim.recordings.held import _step, find_held, without_held
 from rotorsim.recordings.pickup import find_mains, with_pickups
 from tests.recordings.test_harmonic_fit import fitted, harmonics, signal
 from tests.recordings.test_second_frequency import HARMONICS, TURN, closed_form, pulses, recording
@@ -144,6 +144,11 @@ def test_a_repeated_sample_six_deviations_away_is_lost(times, lost):
     left = np.where(np.arange(1000) % 2, 0.67449, -0.67449)[:, None]
     left[500] = times
     assert np.flatnonzero(find_held(y, left)).tolist() == ([500] if lost else [])
+
+
+@pytest.mark.parametrize(("apart", "step"), [(0.9e-6, 0.25), (1.1e-6, 1.1e-6)])
+def test_values_a_millionth_of_the_range_apart_differ_by_how_they_were_written(apart, step):
+    assert _step(np.array([0.0, 0.25, 0.25 + apart, 0.5, 1.0])) == pytest.approx(step, rel=1e-5)
 
 
 @pytest.mark.parametrize(("alone", "lost"), [(6, True), (7, False)])

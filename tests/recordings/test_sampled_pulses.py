@@ -193,15 +193,6 @@ def test_a_turned_harmonic_is_as_far_from_the_truth_as_stated(std):
     assert chi2.ppf(1e-4, 500 * 0.7) < total < chi2.isf(1e-4, 500)
 
 
-def test_what_only_one_run_errs_by_is_noise_of_its_signals():
-    """A pulse of two levels: T / sqrt(12); a cosine of amplitude 1 (c = 1/2) turned by d: mean square d^2 / 2."""
-    recording = recorded("0", 1500 * RPM, 1.0, x=np.cos(1500 * RPM * TIME))
-    fit = harmonics_of(recording)[0].fit
-    alone = 1500 * RPM * PERIOD / np.sqrt(12)
-    assert (fit.angle_std, fit.stamp) == (pytest.approx(alone), 0.0)
-    assert fit.turned_alone == pytest.approx([alone**2 / 2])
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 def test_what_a_late_stamp_changes(sign):
     """Pulses stamped late by sqrt(1/6) of a period turn c_k by k W of it; the angle of one run is as uncertain."""
