@@ -1,6 +1,7 @@
 """Settled periodic motion against closed forms, the thesis, and the settled time solution."""
 
 import math
+import re
 
 import casadi as ca
 import numpy as np
@@ -163,6 +164,25 @@ def test_an_unstable_loop_is_said_to_be_unstable():
     assert found.status == ("unstable: this motion is never reached",)
     hard = periodic(jeffcott(nonlinear_amb=True, controller__KD=-10.0))
     assert hard.stable == (False,)
+
+
+def test_a_motion_that_does_not_exist_is_said_with_how_far_the_search_got():
+    """q'' + 0.2 q' + 2.5 q = 3 + 0.3 / (1 - q)^2 + cos t: even at rest the pull is more than the spring holds."""
+
+    def build(t, x, p, v):
+        q, w = x["disc.q"], x["disc.v"]
+        force = 3.0 + ca.cos(p["clock.speed"] * t) - 0.2 * w - 2.5 * q + 0.3 / (1.0 - q) ** 2
+        return {"xdot": {"disc.q": w, "disc.v": force}, "signals": {"disc.y": q}}
+
+    found = periodic(handmade({"disc.q": 1, "disc.v": 1}, {"speed": 1.0}, build, record=("disc.y",)), speeds=[1.0])
+    [status] = found.status
+    number = r"\d(?:\.\d+)?(?:e[+-]\d+)?\d*"
+    assert re.sub(number, "N", status) == (
+        "failed: no periodic motion found at N rad/s; Newton's method stalls in a minimum of the residual; N steps at "
+        "N harmonics took the residual from N % of the motion to N % of the motion, the most in block 'disc' "
+        "(disc.q[N]): a motion may exist all the same; try speeds nearer to one that settled, or `rotorsim run`, which "
+        "needs no start"
+    )
 
 
 def test_a_sweep_with_a_motion_that_does_not_exist_keeps_the_other_speeds():
