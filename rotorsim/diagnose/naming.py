@@ -34,7 +34,7 @@ FALSE_ALARM = 0.01
 # that none of them is most of the rest
 WORTH = 0.9
 BEAM = 2  # explanations that the next round starts from
-TOLD = 2.0  # standard deviations below which a parameter of a law is tried without
+TOLD = 2.0  # standard deviations below which a parameter of a law is tried without: it goes where the criterion falls
 
 
 @dataclass(frozen=True, eq=False)
