@@ -26,4 +26,3 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_finish() -> None:
     gc.enable()
     gc.freeze()
-    gc.set_threshold(50_000)  # hypothesis and CasADi make much that no search frees
