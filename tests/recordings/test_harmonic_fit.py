@@ -63,7 +63,7 @@ def same_covariance(errors: np.ndarray, expected: np.ndarray) -> float:
 # --- clean data -------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     turns=st.floats(3.0, 60.0),
     start=st.floats(-10, 10),
@@ -320,7 +320,7 @@ def test_orders_that_alias_are_left_out():
     assert found.orders[-1] == 4
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(
     n=st.integers(0, 300),
     turns=st.floats(-50, 50),
