@@ -14,6 +14,7 @@ Contract for whoever writes a block:
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -81,7 +82,7 @@ def matrix_shape(shape: Shape) -> tuple[int, int]:
 
 def size_of(shape: Shape) -> int:
     """Return the number of entries of a value of this shape."""
-    return int(np.prod(shape, dtype=int))
+    return math.prod(int(n) for n in shape)
 
 
 def flatten(value: Symbol) -> Symbol:

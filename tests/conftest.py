@@ -4,7 +4,6 @@ import gc
 import os
 import shutil
 import sys
-import tempfile
 from pathlib import Path
 
 import pytest
@@ -18,9 +17,7 @@ QUICK_CC = Path(__file__).with_name("quick_cc")
 
 def pytest_configure(config: pytest.Config) -> None:
     """Set what the workers of a session and the commands that they start inherit."""
-    if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):  # else every command compiles the package anew
-        folder = os.environ["PYTHONPYCACHEPREFIX"] = tempfile.mkdtemp(prefix="rotorsim-bytecode-")
-        config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else every worker and command compiles the package anew
     quick = config.option.markexpr == "not slow" and sys.platform != "win32" and shutil.which("cc")
     if quick and "ROTORSIM_CC" not in os.environ:  # optimising takes most of a compilation; with -m slow it is done
         os.environ["ROTORSIM_CC"] = str(QUICK_CC)

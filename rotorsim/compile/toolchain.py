@@ -149,12 +149,16 @@ def cached(key: str, suffix: str) -> Path | None:
     folder = _trusted_folder()
     if folder is None:
         return None
-    for file in sorted(folder.glob(f"{key}-*{suffix}")):
+    for file in [folder / name for name in sorted(os.listdir(folder)) if _is_of(name, key, suffix)]:
         if _is_intact(file, file.name.removeprefix(f"{key}-").removesuffix(suffix)):
             return file
         with suppress(OSError):
             file.unlink()
     return None
+
+
+def _is_of(name: str, key: str, suffix: str) -> bool:
+    return name.startswith(f"{key}-") and name.endswith(suffix)
 
 
 def keep(content: bytes, key: str, suffix: str) -> Path | None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram, Free
@@ -27,6 +26,7 @@ from rotorsim.recordings.converters import stated_steps, through_converters
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.recording import Recording, Run
 from rotorsim.simulate.linear import refuse_sampled
+from rotorsim.threads import one_thread
 
 __all__ = ["METHODS", "Identification", "Identified", "identify"]
 
@@ -139,7 +139,7 @@ def identify(
         runs = runs if wanted_runs is None else [run for run in recording.runs if run.id in wanted_runs]
     wanted = diagram.free if free is None else free
     chosen = tuple(recording.select("identify") if runs is None else runs)
-    with threadpool_limits(1, "blas"):  # many small matrices: threads cost more than they save
+    with one_thread():  # many small matrices: threads cost more than they save
         found = tuple(harmonics_of(recording, chosen) if harmonics is None else harmonics)
         opened: Likelihood | Regression
         if method == "likelihood":

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from rotorsim.block import In
 from rotorsim.diagram.diagram import Diagram, Wire
@@ -21,6 +20,7 @@ from rotorsim.identify.experiment import open_experiment
 from rotorsim.identify.likelihood import Likelihood
 from rotorsim.recordings.harmonics import harmonics_of
 from rotorsim.recordings.recording import Recording
+from rotorsim.threads import one_thread
 
 __all__ = ["Location", "locate"]
 
@@ -65,7 +65,7 @@ def locate(
     document = dict(diagram.document)
     harmonics = harmonics_of(recording, recording.select("identify"))
     tried: list[tuple[tuple[int, ...], Estimate, Mapping[str, Any]]] = []
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         for places in combinations(nodes, count):
             moved = _placed(document, diagram, block, wires, places)
             model = load(moved, folder=Path(diagram.file).parent if diagram.file else None, trust_blocks=trust_blocks)

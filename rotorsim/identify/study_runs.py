@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from rotorsim.compile import Model, compile_diagram
 from rotorsim.diagram.diagram import Diagram, Free
@@ -30,6 +29,7 @@ from rotorsim.recordings.measuring import measure, with_noise
 from rotorsim.recordings.recording import ANGLE, AXES, Channel, Recording, Run
 from rotorsim.recordings.shaft_angle import ShaftAngle
 from rotorsim.simulate.linear import flat_names, refuse_sampled
+from rotorsim.threads import one_thread
 
 __all__ = ["Bench", "Clean", "clean_runs"]
 
@@ -221,7 +221,7 @@ class Bench:
         values (m,), SI; with the likelihood also intervals (m, 2), 90 %, and whether each is called identified. The
         same seed draws the same numbers at every level.
         """
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             wrong, noise = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
             experiment = self.opened.experiment
             p = self._biased(experiment.p, bias, wrong) if bias else None
@@ -255,7 +255,7 @@ class Bench:
 
     def expected_std(self, kind: str, level: float) -> np.ndarray:
         """Return the standard deviations (m,) that the likelihood promises at the true parameters."""
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             harmonics = self.harmonics(kind, level, np.random.default_rng([0, 1]))
             slopes = Likelihood(self.opened.experiment.again(harmonics)).expected(self.true)
             size = np.linalg.norm(slopes, axis=0)

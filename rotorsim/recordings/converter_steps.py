@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import log_ndtr
 from scipy.stats import chi2
-from threadpoolctl import threadpool_limits
 
 from rotorsim.recordings.harmonic_fit import harmonic_basis, line_columns, real_vector
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.noise import Line
 from rotorsim.recordings.recording import Recording
+from rotorsim.threads import one_thread
 
 __all__ = ["Step", "find_steps", "readings_of", "step_of", "without_steps"]
 
@@ -110,7 +110,7 @@ def without_steps(recording: Recording, runs: Sequence[RunHarmonics], steps: Map
     is that of the runs that tell it.
     """
     new = {item.run.id: item.run for item in runs}
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         for name, step in steps.items():
             column = recording.column(name) or ""
             here = [item for item in runs if column in item.run.values]

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import binom, chi2
-from threadpoolctl import threadpool_limits
 
 from rotorsim.recordings.faint_lines import Spectrum, faint_line, spectrum_of
 from rotorsim.recordings.harmonic_fit import NEAR, Basis, HarmonicFit, fit_harmonics, harmonic_basis, with_lines
 from rotorsim.recordings.harmonics import RunHarmonics, with_one_noise
 from rotorsim.recordings.recording import Recording
+from rotorsim.threads import one_thread
 
 __all__ = ["Second", "find_second", "signals_of", "spectra_of", "strongest", "with_second"]
 
@@ -70,7 +70,7 @@ def find_second(recording: Recording, runs: Sequence[RunHarmonics]) -> Second | 
     second = seen or swing
     if second is None:
         return None
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         for _ in range(ROUNDS):
             second = _refined(second, recording, runs)
             fitted = {item.run.id: item for item in with_second(recording, runs, second)[0]}
@@ -123,7 +123,7 @@ def _guessed(runs: Sequence[RunHarmonics]) -> Second | None:
 
 def _faint(recording: Recording, runs: Sequence[RunHarmonics]) -> Second | None:
     """Return the frequency of a line that all runs show together, though none by itself."""
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         made = spectra_of(recording, runs)
         found = faint_line([item for item in made if item is not None], _all_orders(runs)[-1])
     if found is None:
@@ -357,7 +357,7 @@ def with_second(
     """
     kept, lost = [], []
     orders = np.array(second.orders)
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         for item in runs:
             signals = signals_of(recording, item)
             at = second.at(item.fit.speed)

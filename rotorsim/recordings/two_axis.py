@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 from scipy.stats import t as student
-from threadpoolctl import threadpool_limits
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.harmonic_fit import HarmonicFit, fit_harmonics
 from rotorsim.recordings.recording import ANGLE
 from rotorsim.simulate.result import Result
 from rotorsim.simulate.spectrum import DEFAULT_ORDERS, Harmonics, full_spectrum, harmonics, reconstruction_error
+from rotorsim.threads import one_thread
 
 __all__ = ["METHODS", "TwoAxis", "WhirlLine", "two_axis_harmonics", "two_axis_names", "whole_turns"]
 
@@ -194,7 +194,7 @@ def _least_squares(
     r, time, theta = r[part], result.time[part], result[angle][part]
     x, y = f"{signal}: x", f"{signal}: y"
     run = str(result.provenance.get("run") or result.provenance.get("diagram") or "")
-    with threadpool_limits(1, "blas"):  # small matrices: threads cost more than they save
+    with one_thread():  # small matrices: threads cost more than they save
         fit = fit_harmonics(run, time, theta, {x: r.real, y: r.imag}, angle_std=angle_std)
         both = fit.two_axis(x, y)
         orders = sorted(both)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from rotorsim.identify.experiment import Experiment, open_experiment
 from rotorsim.identify.identification import Identification
@@ -17,6 +16,7 @@ from rotorsim.identify.nonlinear_motion import NonlinearMotion
 from rotorsim.recordings.harmonic_fit import HarmonicFit
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.style import ROUNDING, rpm
+from rotorsim.threads import one_thread
 from rotorsim.units import format_quantity
 
 __all__ = ["Comparison", "Harmonics", "Signal", "compare"]
@@ -256,7 +256,7 @@ class Comparison:
         grid = np.linspace(max(low, 0.5 * np.abs(side).min()), high, SPEEDS) * np.sign(side[0])
         own = [r for r in runs if all_speeds[r] in side]
         speeds = np.unique(np.concatenate([grid, all_speeds[own]]))
-        with threadpool_limits(1, "blas"):  # many small matrices
+        with one_thread():  # many small matrices
             values = self._at(runs[0], speeds, signal, orders)
             for _ in range(REFINEMENTS):
                 size = np.maximum(np.abs(values), 1e-3 * np.nan_to_num(np.abs(values)).max(axis=0) + 1e-300)
@@ -341,7 +341,7 @@ def compare(found: Identification, recording: Recording) -> Comparison:
         free=found.free, harmonics=found.runs,
     )  # fmt: skip
     theta = np.array([found.parameters[item.name].value for item in experiment.free])
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         Y = Likelihood(experiment).evaluate(theta).Y
     predicted = np.array([harmonics_of_time(y, fit.speed) for y, fit in zip(Y, experiment.fits, strict=True)])
     return Comparison(found, recording, experiment, theta, predicted)

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.conclusions import Diagnosis
 from rotorsim.diagnose.fitting import Source
@@ -18,6 +17,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.identify.identification import Identification
 from rotorsim.identify.likelihood import harmonics_of_time
 from rotorsim.report.comparison import EXCEEDED, Comparison, Harmonics, Signal
+from rotorsim.threads import one_thread
 
 __all__ = ["Pair", "Trace", "excess_of", "fitted_pair", "held_pair", "labels_of", "traces"]
 
@@ -147,7 +147,7 @@ def _pair(found: Diagnosis, part: Held, readings: Held | None, *, held: bool) ->
 
 def _comparison(document: Mapping[str, Any], source: Source, part: Held) -> Comparison | None:
     try:
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             found = predict(document, source, part)
     except (RotorsimError, ValueError, np.linalg.LinAlgError):
         return None
@@ -216,7 +216,7 @@ def _simulated(document: Mapping[str, Any], source: Any, runs: Sequence[Any]) ->
     try:
         view = views_of(source.load(document), source.channels)[0]
         weights = np.array([1 / source.variance[WHOLE, name] for name in view.outputs])
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             search = TimeSearch([view], runs, [[weights] * len(runs)], least=source.least, hold="theta")
             found = search.minimise(search.first())[1]
     except (RotorsimError, ValueError, KeyError, np.linalg.LinAlgError):

@@ -41,6 +41,9 @@ class Words:
         return tuple(self.dimensions.get(entry, 1) if isinstance(entry, str) else entry for entry in declared)
 
 
+KINDS = ("outputs", "derivatives", "update", "events")
+
+
 @dataclass
 class Prepared:
     """A block whose shapes are known: its trace and start values."""
@@ -53,11 +56,10 @@ class Prepared:
     initial: dict[str, np.ndarray]
 
     @cached_property
-    def functions(self) -> dict[str, ca.Function]:
+    def function(self) -> ca.Function:
         symbols = [*self.trace.inputs.values(), *self.trace.parameters.values()]
         symbols += [*self.trace.states.values(), *self.trace.randoms.values(), self.trace.time]
-        kinds = ("outputs", "derivatives", "update", "events")
-        return {kind: ca.Function("f", symbols, list(getattr(self.trace, kind).values())) for kind in kinds}
+        return ca.Function("f", symbols, [value for kind in KINDS for value in getattr(self.trace, kind).values()])
 
     def evaluate(
         self, inputs: Values | None = None, states: Values | None = None, time: float = 0.0
@@ -74,15 +76,14 @@ class Prepared:
         arguments += [np.broadcast_to(inside[name], self.state_shapes[name]).ravel() for name in self.trace.states]
         arguments += [np.broadcast_to(inside[name], self.shapes[name]).ravel() for name in self.trace.randoms]
         shapes = {"outputs": self.shapes, "derivatives": self.state_shapes, "update": self.state_shapes, "events": {}}
-        kinds: dict[str, dict[str, np.ndarray]] = {}
-        for kind in ("outputs", "derivatives", "update", "events"):
-            columns = getattr(self.trace, kind)
-            values = self.functions[kind].call([*arguments, time])
-            kinds[kind] = {
-                name: np.array(value).ravel().reshape(shapes[kind].get(name, (-1,)))
-                for name, value in zip(columns, values, strict=True)
+        values = iter(self.function.call([*map(ca.DM, arguments), ca.DM(time)]))
+        return SimpleNamespace(**{
+            kind: {
+                name: next(values).toarray().ravel().reshape(shapes[kind].get(name, (-1,)))
+                for name in getattr(self.trace, kind)
             }
-        return SimpleNamespace(**kinds)
+            for kind in KINDS
+        })  # fmt: skip
 
 
 def prepare(

@@ -58,7 +58,7 @@ def test_what_is_missing_and_the_repaired_diagram(run: Run, bowed: str, held: st
             "--hold-out",
             held,
             "--physics",
-            "residual_bow,runout",
+            "residual_bow",
             "--workers",
             "1",
             "--out",

@@ -115,7 +115,7 @@ def _models(draw: st.DrawFn) -> dict[str, str]:
     return {f"e{k}": " ".join(sorted(draw(some))) for k in range(draw(st.integers(1, 8)))}
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(_models())
 def test_tests_are_the_circuits_of_a_generic_matrix(rows: dict[str, str]) -> None:
     model = _structure(rows)
@@ -124,7 +124,7 @@ def test_tests_are_the_circuits_of_a_generic_matrix(rows: dict[str, str]) -> Non
     assert set(found) == _circuits(rows)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(_models(), st.data())
 def test_isolability_is_that_of_generic_ranks(rows: dict[str, str], data: st.DataObject) -> None:
     """A fault a is told from b if its column is not in the span of the unknowns and the column of b."""

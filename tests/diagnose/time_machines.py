@@ -23,7 +23,8 @@ def multisine(seed: int, rate: float = RATE, size: float = 40.0):
     rng = np.random.default_rng(seed)
     frequency = np.arange(1, 61) * 0.005 * rate
     phase = rng.uniform(0, 2 * np.pi, len(frequency))
-    return lambda t: size * np.sin(2 * np.pi * np.multiply.outer(t, frequency) + phase).sum(axis=-1) / 8
+    rates = 2 * np.pi * frequency
+    return lambda t: size / 8 * np.sin(np.multiply.outer(t, rates) + phase).sum(axis=-1)
 
 
 @cache
@@ -38,7 +39,7 @@ def oscillator(
         return x[1], (force(t) - DAMPING * x[1] - STIFFNESS * x[0] - more(x[0], x[1])) / MASS
 
     t = np.arange(samples) / RATE
-    q = solve_ivp(rates, (0, t[-1]), [0.01, -0.1], t_eval=t, rtol=1e-8, atol=1e-10).y[0]
+    q = solve_ivp(rates, (0, t[-1]), [0.01, -0.1], method="DOP853", t_eval=t, rtol=1e-8, atol=1e-10).y[0]
     rng = np.random.default_rng(seed + 100)
     return {"u": force(t), "y": q + noise * q.std() * rng.normal(size=samples)}
 

@@ -37,7 +37,7 @@ def spots(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path, *(spot for key, item in items for spot in spots(item, (*path, key)))]
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_a_damaged_document_gives_an_error_and_no_traceback(data: st.DataObject) -> None:
     document: Any = copy.deepcopy(SHIPPED[data.draw(st.sampled_from(["jeffcott", "fe_rigid", "offset_disc"]))])

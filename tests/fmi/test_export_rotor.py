@@ -68,7 +68,9 @@ def source_of(entry: str) -> str:
     return f"{port}.output{bracket}{index}"
 
 
-@both
+@pytest.mark.parametrize(
+    ("name", "version"), [*CHEAP[:2], *(pytest.param(*each, marks=pytest.mark.slow) for each in (*CHEAP[2:], *LONG))]
+)
 def test_it_is_valid(fmu, run: Run, name: str, version: str) -> None:
     file = fmu(name, version, blocks=["rotor"])
     done = run("fmu", "validate", "--load", "--no-fmpy", str(file))

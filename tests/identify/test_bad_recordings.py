@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -55,9 +56,10 @@ def found(recording: Recording, method: str = "likelihood", diagram: Diagram | N
 def refusal(folder: Path, edit: Edit | None = None, change: Change | None = None, **named: Any) -> list[str]:
     """Return the problems, the folder left out of the text; both methods have the same."""
     said = []
+    opened = cache(lambda: on_disk(folder, edit, change, **named))
     for method in ("likelihood", "regression"):
         with pytest.raises(RotorsimError) as error:
-            found(on_disk(folder, edit, change, **named), method)
+            found(opened(), method)
         said.append([f"{p.subject}: {p.what}" for p in error.value.problems if p.severity == "error"])
         assert error.value.exit_code in (1, 2)  # the data are at fault, or what is said about them
     assert said[0] == said[1]

@@ -194,7 +194,7 @@ def test_a_rotor_without_tilt_has_nothing_to_condense():
 )
 def test_slopes_are_those_of_differences(model, way, reduction, columns):
     """Anywhere, with noise: nothing is projected out."""
-    runs = made(model, [way * speed for speed in LOWER[model][::4]], level=1e-3, duration=0.5)
+    runs = made(model, [way * speed for speed in LOWER[model][::8]], level=1e-3, duration=0.5)
     runs = runs if columns is None else [run.select(columns) for run in runs]
     regression = regression_of(model, recorded(runs), reduction=reduction)
     theta = np.array([TRUTH[item.name] for item in regression.experiment.free]) * 1.05
@@ -226,7 +226,7 @@ def test_the_equivalent_force_is_the_one_that_is_missing():
 # --- noise ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("draws", [12, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("draws", [8, pytest.param(40, marks=pytest.mark.slow)])
 def test_scatter_is_that_of_repeated_measurements(draws):
     """Weak noise, where the bias does not matter: recordings against what one of them says.
 

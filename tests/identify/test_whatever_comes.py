@@ -94,7 +94,7 @@ CHANGES: list[Change] = [
 ]  # fmt: skip
 
 
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     edits=st.lists(st.sampled_from(range(len(EDITS))), max_size=3, unique=True),
     change=st.none() | st.sampled_from(range(len(CHANGES))),
@@ -119,7 +119,7 @@ def test_whatever_comes_is_refused_or_identified(tmp_path_factory, edits, change
         assert np.isfinite(parameter.value)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(
     names=st.lists(
         st.sampled_from(["viscous_damping", "eccentricity", "unbalance_phase", "crack_stiffness", "rotor.mass",

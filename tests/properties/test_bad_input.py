@@ -115,7 +115,7 @@ def check(error: RotorsimError, file: str) -> None:
         assert problem.hint, problem
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(damaged())
 def test_damaged_diagrams_are_loaded_or_refused_with_place_and_hint(text):
     with tempfile.TemporaryDirectory() as folder:
@@ -142,7 +142,7 @@ def odd_block(draw: Any) -> str:
     return json.dumps({"blocks": blocks, "wires": wires}, indent=1)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(odd_block())
 def test_odd_values_of_any_block_are_taken_or_refused_with_place_and_hint(text):
     with tempfile.TemporaryDirectory() as folder:

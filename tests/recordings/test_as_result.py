@@ -165,7 +165,7 @@ def test_least_squares_need_no_whole_turns() -> None:
     assert abs(by_fft.harmonics[1] - PARTS[1]) < 2e-3 * abs(PARTS[1])
 
 
-@pytest.mark.parametrize("runs", [50, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runs", [30, pytest.param(200, marks=pytest.mark.slow)])
 def test_intervals_hold_what_they_promise(runs: int) -> None:
     """90 % of the intervals of amplitude and phase hold the truth, within 3 standard deviations."""
     hits, zeros = np.zeros(4), 0

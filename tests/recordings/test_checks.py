@@ -145,7 +145,7 @@ def coarse(frequency, levels, noise, second, phase, offset, seed):
     return np.round(values + np.random.default_rng(seed).normal(0, 1, 5000) * noise)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(signals)
 def test_coarse_resolution_is_neither_clipping_nor_a_stuck_converter(signal):
     values = coarse(**signal)
@@ -153,7 +153,7 @@ def test_coarse_resolution_is_neither_clipping_nor_a_stuck_converter(signal):
     assert flat(values) == []
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(signals, st.floats(0.3, 0.9))
 def test_clipping_is_found_where_it_cuts_more_than_the_resolution(signal, limit):
     signal |= {"frequency": 5 + signal["frequency"] / 10, "levels": 1000 + signal["levels"]}
@@ -163,7 +163,7 @@ def test_clipping_is_found_where_it_cuts_more_than_the_resolution(signal, limit)
     assert clipped(cut)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(signals, st.integers(500, 4000), st.integers(20, 300))
 def test_a_stuck_converter_is_found(signal, first, count):
     signal |= {"frequency": 20 + signal["frequency"], "levels": 200 + signal["levels"]}
@@ -327,7 +327,7 @@ def test_a_speed_that_wanders():
         assert problem.startswith(f"warning: run1: speed wanders: by {text} over the run, around 15")
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(st.floats(5, 60), st.floats(1, 10), st.sampled_from([1, -1]))
 def test_a_run_up_has_no_wrong_pulses(start, ratio, way):
     speed = 2 * np.pi * start * np.linspace(1, ratio, 5000)[::way]

@@ -63,7 +63,7 @@ def same_covariance(errors: np.ndarray, expected: np.ndarray) -> float:
 # --- clean data -------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     turns=st.floats(3.0, 60.0),
     start=st.floats(-10, 10),
@@ -160,7 +160,7 @@ def test_a_factor_of_a_covariance_of_small_and_large_numbers():
 
 @pytest.mark.parametrize(
     ("n", "hertz", "draws"),
-    [(2000, 23.37, 100), pytest.param(1500, 41.9, 300, marks=pytest.mark.slow)],
+    [(2000, 23.37, 60), pytest.param(1500, 41.9, 300, marks=pytest.mark.slow)],
 )
 @pytest.mark.parametrize(
     "kind",
@@ -320,7 +320,7 @@ def test_orders_that_alias_are_left_out():
     assert found.orders[-1] == 4
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(
     n=st.integers(0, 300),
     turns=st.floats(-50, 50),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -15,10 +16,14 @@ def switching(theta: float, terms: int = 5) -> float:
     s = 1/2 + 2/pi (cos th - cos 3th / 3 + cos 5th / 5 - ...), `terms` cosines      thesis eq. (2.11)
     """
     total = 0.5
-    for k in range(terms):
-        order = 2 * k + 1
-        total += (-1) ** k * 2.0 / (math.pi * order) * math.cos(order * theta)
+    for order, share in _cosines(terms):
+        total += share * math.cos(order * theta)
     return total
+
+
+@cache
+def _cosines(terms: int) -> tuple[tuple[int, float], ...]:
+    return tuple((2 * k + 1, (-1) ** k * 2.0 / (math.pi * (2 * k + 1))) for k in range(terms))
 
 
 def crack_force(theta: float, stiffness: float, sag: float, terms: int = 5) -> complex:

@@ -29,7 +29,7 @@ from rotorsim.report.diagnosis_figures import orbits_figure, spectra_figure, spe
 from rotorsim.report.diagnosis_places import NEW, SHADES, block_diagram, places_figure
 from rotorsim.report.diagnosis_report import save_report
 from rotorsim.report.diagnosis_tables import estimate, flat
-from tests.diagnose.test_diagnosis import HELD, recording
+from tests.diagnose.test_diagnosis import HELD, SPEEDS, recording
 from tests.diagnose.time_machines import OSCILLATOR, oscillator_recording
 from tests.identify import OTHER_GAINS, changed, shipped
 from tests.report import undrawn
@@ -49,7 +49,7 @@ def bowed() -> Diagnosis:
 
 @cache
 def healthy() -> Diagnosis:
-    return diagnose(shipped("jeffcott"), recording(False), physics=("residual_bow", "sensor_gain"), workers=1)
+    return diagnose(shipped("jeffcott"), recording(False, SPEEDS[:2]), physics=("residual_bow",), workers=1)
 
 
 @cache
@@ -59,7 +59,7 @@ def nasty() -> Diagnosis:
     def rename(document: dict[str, Any]) -> None:
         document["name"] = NASTY
 
-    measured = recording(True)
+    measured = recording(True, SPEEDS[:2])
     named = Recording(NASTY, NASTY, measured.folder, measured.channels, measured.runs, measured.warnings)
     found = diagnose(changed("jeffcott", rename), named, physics=("residual_bow",), workers=1)
     return replace(found, statement=NASTY, next_experiment=NASTY)

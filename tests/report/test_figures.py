@@ -89,9 +89,9 @@ def test_a_spectrum_without_a_turning_shaft_is_refused():
         assert [axes.get_title("left") for axes in overview(result).axes] == ["rotor.displacement"]  # time histories
 
 
-def test_the_overview_shows_the_node_that_moves_most(tmp_path):
-    result = simulate(load("fe_rigid"), stop=0.5, record_every=10)
-    made = drawn(overview(result), tmp_path / "fe.png")
+def test_the_overview_shows_the_node_that_moves_most():
+    result = simulate(load("fe_rigid"), stop=0.25, record_every=10)
+    made = overview(result)
     motion = np.ptp(result["rotor.displacement"][len(result.time) // 2 :], axis=0).max(axis=1)
     assert made.axes[0].get_title("left") == f"rotor.displacement[{int(np.argmax(motion)) + 1}]"
 
@@ -150,7 +150,7 @@ def test_growth_without_bound_is_drawn_on_a_logarithmic_scale(tmp_path):
 
 
 def test_short_and_empty_runs_are_drawn(tmp_path):
-    for n in (0, 1, 2, 5):
+    for n in (0, 1, 5):
         values = {"r.d": np.ones((n, 2)), "clock.theta": np.arange(float(n))}
         drawn(overview(Result(np.arange(float(n)), values, {"r.d": "m"}, "stopped")), tmp_path / f"{n}.png")
 

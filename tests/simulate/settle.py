@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -13,8 +14,10 @@ def settled_by_shooting(model: Model, speed: float, n: int = 128, turns: int = 1
     p, z = model.parameter_vector({"speed": speed}), model.z0(model.p0)
     period = turns * 2 * np.pi / speed
 
+    given = ca.DM(z), ca.DM(p)
+
     def rates(t: float, x: np.ndarray) -> np.ndarray:
-        return np.array(model.rhs(t, x, z, p)).ravel()
+        return np.asarray(model.rhs(t, ca.DM(x), *given).toarray().ravel())
 
     def turn(x: np.ndarray, times: np.ndarray | None = None) -> np.ndarray:
         found = solve_ivp(rates, (0, period), x, "DOP853", times, rtol=1e-11, atol=1e-15, max_step=period / 64)

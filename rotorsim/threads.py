@@ -1,0 +1,24 @@
+"""One thread of linear algebra: for many small matrices, threads cost more than they save."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from functools import cache
+from typing import Any
+
+__all__ = ["one_thread"]
+
+
+def one_thread() -> AbstractContextManager[Any]:
+    """Let NumPy and SciPy use one thread inside a ``with``."""
+    limit: AbstractContextManager[Any] = _libraries().limit(limits=1, user_api="blas")
+    return limit
+
+
+@cache
+def _libraries() -> Any:
+    """Return the libraries of linear algebra, looked up once: that takes 5 ms, as long as many a fit."""
+    import scipy.linalg  # noqa: F401 - loads NumPy's and its own
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
