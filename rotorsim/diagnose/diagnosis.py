@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
-from threadpoolctl import threadpool_limits
-
 from rotorsim.diagnose.base import base_fit, with_uncertain
 from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, nearest, unknown_of, verdict_of
 from rotorsim.diagnose.converters import find_converters
@@ -34,6 +32,7 @@ from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
 from rotorsim.recordings.pickup import with_pickups
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second, find_second, with_second
+from rotorsim.threads import one_thread
 
 __all__ = ["Diagnosis", "diagnose"]
 
@@ -72,7 +71,7 @@ def diagnose(
     steps, unseen = stated_steps(diagram, recording)
     warnings += unseen
     given = data = _prepared(empty, hold_out, steps, warnings)
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         _refuse_still(data.source.open(data.source.load(with_uncertain(diagram))))  # says what is wrong, and where
         before, refined = base_fit(diagram, data.source)
         picked: list[float] = []
@@ -101,7 +100,7 @@ def diagnose(
         steps |= {name: step for converter in converters for name, step in converter.steps.items()}
         warnings += [problem for converter in converters for problem in converter.warnings]
         data = _prepared(empty, hold_out, steps, warnings, picked, drifts)
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             base, refined = base_fit(data.source.load(converters[-1].document), data.source)
     source, held = replace(data.source, standing=base.nuisances, given=before.free), data.held
     named = name_missing(
@@ -116,7 +115,7 @@ def diagnose(
         left = 0.0 if named.explained else max(1 - named.share, 0.0)
         proof = prove(scored(base), scored(named.fit), left=left, held=bool(held))
     disproved = proof is not None and proof.status == "disproved"
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         faint = is_faint(base, scored(base)) and not is_force(base, source)
     if faint and effects and (disproved or not named.explains):
         named, effects = without_effects(named), ()
@@ -126,7 +125,7 @@ def diagnose(
     unknown = unknown_of(named, effects, source) if verdict == "outside_catalogue" else None
     after = nearest(named, unknown, disproved=disproved)
     score_before = scored(base) if base is before else _Scores(given.source, given.held)(before)
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         explained = explanations(named, effects, source, held) if verdict == "missing_physics" else ()
         residual = residual_of(base, after, source) if verdict in ("missing_physics", "consistent") else None
     found = concluded(

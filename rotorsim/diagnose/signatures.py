@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from rotorsim.compile import Model, compile_diagram
 from rotorsim.diagnose.base import with_uncertain
@@ -29,6 +28,7 @@ from rotorsim.diagram.load import load
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identify.coordinates import ANGLE_UNIT
 from rotorsim.simulate.linear import speed_entries
+from rotorsim.threads import one_thread
 from rotorsim.units import format_quantity
 
 __all__ = ["ALIAS", "HARDLY", "NOISE", "SIGMAS", "Shares", "Signatures", "Size", "runs_of", "signatures_of"]
@@ -82,7 +82,7 @@ class Signatures:
         rows = np.isin(self.row_signal, [self.signals.index(name) for name in signals])
         rows &= (self.row_set == 0) | both
         names = self.columns if only is None else [name for name in only if name in self.columns]
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             return Shares(self.free[rows], {name: self.columns[name][rows] for name in names}, self.sizes)
 
 
@@ -235,7 +235,7 @@ def signatures_of(
     def opened(document: Mapping[str, Any]) -> Diagram:
         return load(document, folder=folder, trust_blocks=trust_blocks)
 
-    with threadpool_limits(1, "blas"):  # many small matrices
+    with one_thread():  # many small matrices
         base = opened(document)
         maker = _Maker(base, signals, runs, document)
         groups = _alike(faults)

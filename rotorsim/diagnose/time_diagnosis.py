@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from threadpoolctl import threadpool_limits
-
 from rotorsim.diagnose.base import base_fit
 from rotorsim.diagnose.conclusions import (
     Diagnosis,
@@ -41,6 +39,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.registry import Registry
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.recording import Recording
+from rotorsim.threads import one_thread
 
 __all__ = ["diagnose_in_time"]
 
@@ -79,7 +78,7 @@ def diagnose_in_time(
             diagram, recording, hold_out=hold_out, registry=registry, physics=physics, warnings=warnings,
             trust_blocks=trust_blocks, workers=workers, scheduler=scheduler, progress=progress,
         )  # fmt: skip
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         source = open_time_source(diagram, recording, trust_blocks=trust_blocks)
         held = _held(diagram, source, recording, hold_out)
         base, refined = base_fit(diagram, cast(Source, source))
@@ -90,14 +89,14 @@ def diagnose_in_time(
     }  # fmt: skip
     named = name_missing(base, cast(Source, source), **options)
     if named.chosen and _surpasses(named.fit):
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             source = judged_by(source, named.fit)
             base = source.at(base)
         named = name_missing(base, cast(Source, source), **options)
     effects = effects_of(named)
     verdict = "outside_catalogue" if _is_twice(effects) else verdict_of(named, effects)
     unknown = None
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         after, before = _with_shapes(named, source), named.base
         if verdict == "outside_catalogue":
             unknown = unknown_of(named, effects, cast(Source, source))

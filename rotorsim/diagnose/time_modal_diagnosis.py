@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.conclusions import Diagnosis, concluded, effects_of, in_words, verdict_of
 from rotorsim.diagnose.finder import insertions
@@ -25,6 +24,7 @@ from rotorsim.diagram.registry import Registry
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.recording import Recording
 from rotorsim.simulate import linear
+from rotorsim.threads import one_thread
 
 __all__ = ["diagnose_modes"]
 
@@ -57,7 +57,7 @@ def diagnose_modes(
 
     Raises RotorsimError for recordings that do not fit the diagram, or show no resonance.
     """
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         source = open_modal_source(diagram, recording, trust_blocks=trust_blocks)
         held = _held(diagram, recording, hold_out, trust_blocks)
         base = source.fit(diagram.document, [])
@@ -70,7 +70,7 @@ def diagnose_modes(
     )  # fmt: skip
     effects = effects_of(named)
     after = named.fit
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         scores = [modal_score(source, fit, [part for _, part in held]) for fit in (base, after)]
         words = [*_modes(source, base, after), *_driven(source, after)]
     found = concluded(

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
-from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnose.finder import insertions
 from rotorsim.diagnose.fitting import LATER, Fit, Source, fit_from_plain, fit_to_plain
@@ -20,6 +19,7 @@ from rotorsim.fault import Of
 from rotorsim.identify.coordinates import ANGLE_UNIT
 from rotorsim.identify.profile import Z90
 from rotorsim.jobs import Failure, run_jobs
+from rotorsim.threads import one_thread
 
 __all__ = ["Candidate", "Round", "Trials", "is_adequate", "is_noise"]
 
@@ -227,7 +227,7 @@ class Trials:
         places = open_places(before, self.source)
         if places is None:
             return self._promising(found, jobs)
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             bounds = [places.bound(item) for item in found]
         known = sorted({bound for bound in bounds if bound is not None})
         if not known:
@@ -356,7 +356,7 @@ class Trials:
             entered.append(again)
         known = {name: value for name, value in known.items() if name in document["identify"]}
         document = values_in(document, known)  # a block that was put in the place of another has others
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             fit = self.source.fit(document, [[{}], [{**self.nominal, **self._off_bounds(near)}]])
         if fit.failure:
             return ()
@@ -385,13 +385,13 @@ def _simplest_first(tried: list[Candidate], slack: float) -> list[Candidate]:
 
 def _promise_batch(argument: tuple[list[_Job], Source]) -> list[float]:
     batch, source = argument
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         return [source.promise(document, starts) for document, starts in batch]
 
 
 def _fit_batch(argument: tuple[list[_Job], Source, int | None, bool]) -> list[dict[str, Any]]:
     batch, source, most, linear_only = argument
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         return [
             fit_to_plain(source.fit(document, starts, most=most, linear_only=linear_only)) for document, starts in batch
         ]

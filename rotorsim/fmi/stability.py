@@ -16,7 +16,6 @@ from math import lcm
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.coupling import Coupling
@@ -24,6 +23,7 @@ from rotorsim.fmi.iterative import Iterative
 from rotorsim.fmi.linear import LinearCoupling, LinearModel, LinearParticipant, linear_part
 from rotorsim.fmi.masters import CLOSE, Master, make_master
 from rotorsim.fmi.participant import CompiledParticipant
+from rotorsim.threads import one_thread
 
 __all__ = ["CouplingStability", "coupling_stability", "largest_stable_step", "linear_coupling", "why_not_linear"]
 
@@ -111,7 +111,7 @@ def coupling_stability(
     linear = linear_coupling(coupling)
     if linear is None:
         return None
-    with threadpool_limits(1, "blas"):  # many small matrices: threads cost more than they save
+    with one_thread():  # many small matrices: threads cost more than they save
         try:
             period = one_period(linear, step, master, order, rates)
         except (_NoPeriodError, np.linalg.LinAlgError):

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
-from threadpoolctl import threadpool_limits
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.angle_refinement import refined
@@ -17,6 +16,7 @@ from rotorsim.recordings.held import without_held
 from rotorsim.recordings.noise import Noise
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 from rotorsim.recordings.shaft_angle import ShaftAngle, refuse_run_up, shaft_angle
+from rotorsim.threads import one_thread
 
 __all__ = ["RunHarmonics", "harmonics_of", "with_one_jitter", "with_one_noise"]
 
@@ -58,7 +58,7 @@ def harmonics_of(
             angles.append((run, angle))
         except RotorsimError as error:
             problems += error.problems
-    with threadpool_limits(1, "blas"):  # matrices of 5000 x 35: threads cost more than they save
+    with one_thread():  # matrices of 5000 x 35: threads cost more than they save
         for run, angle in zip([run for run, _ in angles], with_one_jitter([angle for _, angle in angles]), strict=True):
             try:
                 columns = [c for c in channels if c in run.values]

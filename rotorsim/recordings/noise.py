@@ -204,7 +204,10 @@ def _autoregressive(left: np.ndarray, omega: np.ndarray, freedom: int) -> tuple[
     spectrum = np.zeros((len(omega), left.shape[1], left.shape[1]), complex)
     for k, angle in enumerate(omega):
         steps = np.exp(-1j * angle * np.arange(1, p + 1))
-        transfer = np.linalg.inv(np.eye(C) - np.einsum("p,pij->ji", steps, coefficients.reshape(p, C, C)))
+        through = np.eye(C) - np.einsum("p,pij->ji", steps, coefficients.reshape(p, C, C))
+        if np.linalg.cond(through) > 1 / np.finfo(float).eps:  # a pole on the unit circle: no noise
+            return None
+        transfer = np.linalg.inv(through)
         inner = transfer @ covariance @ transfer.conj().T
         spectrum[k][np.ix_(used, used)] = inner * np.outer(size[used], size[used])
     spectrum[0] = spectrum[0].real

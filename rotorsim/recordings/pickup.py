@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
-from threadpoolctl import threadpool_limits
 
 from rotorsim.recordings.harmonic_fit import fit_harmonics
 from rotorsim.recordings.harmonics import RunHarmonics, with_one_noise
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second, signals_of, spectra_of, strongest
+from rotorsim.threads import one_thread
 
 __all__ = ["Pickup", "find_mains", "with_pickups"]
 
@@ -44,7 +44,7 @@ def find_mains(recording: Recording, runs: Sequence[RunHarmonics]) -> list[float
 
     Power of all runs at m f, chi-squared without a line, with f about 50 and 60 Hz: the grid's to one in a hundred.
     """
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         spectra = [item for item in spectra_of(recording, runs) if item is not None]
         if not spectra:
             return []
@@ -94,7 +94,7 @@ def with_pickups(
     """
     if not frequencies:
         return tuple(runs), []
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         fitted = [_again(recording, item, frequencies, {}) for item in runs]
         names = list(dict.fromkeys(name for item in fitted for name in item.fit.names))
         found, size = [], {}
