@@ -10,9 +10,10 @@ from rotorsim.diagnose.base import base_fit
 from rotorsim.diagnose.diagnosis import _prepared, diagnose
 from rotorsim.diagnose.drifts import drift_warnings, find_drifts, with_drifts
 from rotorsim.diagnose.fitting import Fit, Source
-from rotorsim.diagnose.pickups import find_pickups
+from rotorsim.diagnose.pickups import find_pickups, pickup_warnings
 from rotorsim.diagram import load
 from rotorsim.recordings import Recording
+from rotorsim.recordings.pickup import Pickup
 from tests.diagnose.test_lines import RATE, TURN, Machine, N, recording
 
 TIME = np.arange(N) / RATE
@@ -84,6 +85,18 @@ def test_hum_is_said_and_no_physics_of_the_machine():
     sizes = "2e-09 m in rotor.displacement[1], 2e-09 m in rotor.displacement[2]"
     assert said == f"a line of 50.01 Hz is picked up: {sizes}: it is fitted beside the harmonics, as no physics"
     assert 0.9 < found.after.misfit / found.after.freedom < 1.1
+
+
+def test_a_pickup_is_said_with_its_size_and_the_orders_that_it_hides():
+    found = Pickup(50.0, {"rotor.displacement[1]": 1.5e-8, "controller.current[1]": 0.0}, (("run04", 1),))
+    assert [(problem.subject, problem.what) for problem in pickup_warnings([found], healthy())] == [
+        (
+            healthy().name,
+            "a line of 50.00 Hz is picked up: 1.5e-08 m in rotor.displacement[1]: it is fitted beside the harmonics, "
+            "as no physics",
+        ),
+        ("run run04", "50.00 Hz is not told from order 1 here: that order counts less"),
+    ]
 
 
 def test_an_offset_that_drifts_is_its_sensors():

@@ -82,10 +82,15 @@ def test_a_run_is_left_out_where_half_of_all_its_signals_does_not_follow_the_sha
     """One sensor that fails says nothing of the motion."""
     place = Place("recording.json", 1, 1)
     fit = SimpleNamespace(residual=2e-6 * np.array(left), rms=np.array([2e-6, 2e-6]))
-    item = SimpleNamespace(fit=fit, run=SimpleNamespace(id="a", place=place), lost=0)
+    angle = SimpleNamespace(contradicted=False)
+    item = SimpleNamespace(fit=fit, run=SimpleNamespace(id="a", place=place), angle=angle, lost=0)
     warnings: list[Problem] = []
     assert _settled([item], warnings, "used") == ((item,) if kept else ())
     assert [problem.subject for problem in warnings] == ([] if kept else ["run a"])
+    angle.contradicted = True
+    warnings.clear()
+    assert _settled([item], warnings, "used") == ((item,) if kept else ())
+    assert ["than its pulses say" in problem.what for problem in warnings] == [kept]
 
 
 @pytest.mark.parametrize(("rate", "grows"), [(0.049, []), (0.051, [1])])

@@ -219,7 +219,8 @@ def test_an_order_under_hum_is_as_uncertain_as_the_hum_is_large():
     """50.0 Hz under 1X of 50.1 Hz: A = 0.03 in all other runs; of A / 2 e^{i phi} each part has variance A^2 / 8."""
     data = humming(2, {50.0: 0.03})
     runs = harmonics_of(data)
-    again, _ = with_pickups(data, runs, [50.0])
+    again, [found] = with_pickups(data, runs, [50.0])
+    assert found.near == ((data.runs[4].id, 1),)
     std = again[4].fit.std[1, 0]
     expected = np.sqrt(0.03**2 / 8) * np.sinc(0.1 * TIME[-1])
     assert std.real == pytest.approx(expected, rel=0.03)
