@@ -1,5 +1,6 @@
 """Active magnetic bearing with the force law of its magnets."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, maximum
@@ -40,8 +41,12 @@ class AmbNonlinear(Block):
     force_current_factor = Param(42.1, unit="N/A", above=0.0, doc="k_i at the set-point")
     bias_current = Param(1.0, unit="A", above=0.0, doc="bias current i0")
 
+    def holds_below(self, p: Any) -> Mapping[str, float]:
+        """Return the air gap: there the rotor touches the magnets."""
+        return {"displacement": _air_gap(p)}
+
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
-        gap = p.force_current_factor * p.bias_current / p.force_displacement_factor
+        gap = _air_gap(p)
         constant = p.force_current_factor * gap**2 / (4 * p.bias_current)
         upper, lower = p.bias_current - u.current, p.bias_current + u.current
         events = {}
@@ -50,3 +55,7 @@ class AmbNonlinear(Block):
             upper, lower = maximum(upper, 0.0), maximum(lower, 0.0)
         pull, push = upper / (gap - u.displacement), lower / (gap + u.displacement)
         return Equations(outputs={"force": constant * (pull**2 - push**2)}, events=events)
+
+
+def _air_gap(p: Any) -> Any:
+    return p.force_current_factor * p.bias_current / p.force_displacement_factor

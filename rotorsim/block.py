@@ -282,6 +282,13 @@ class Block:
         """Return messages on options and parameter values that contradict one another (default: none)."""
         return []
 
+    def holds_below(self, p: Any) -> Mapping[str, float]:
+        """Return by input the magnitude [SI] of its entries from which on the equations do not hold (default: none).
+
+        p: parameter values, each by attribute.
+        """
+        return {}
+
     def port_names(self, declaration: In | Out) -> list[str]:
         """Return the names of the ports that a declaration stands for under the current options."""
         if declaration.many is None:

@@ -27,6 +27,7 @@ __all__ = ["METHODS", "find_diagram", "load", "shipped_diagrams"]
 
 METHODS = ("rk4", "dop853", "rk45", "radau", "bdf", "lsoda")
 _SOLVER = {"step": "s", "stop": "s", "record_every": "1", "rtol": "1", "atol": "1"}
+MOST_RTOL = 1e-3  # relative error of one step: in ten steps of the same sign one percent
 MAX_PROBLEMS = 1000  # that one error carries
 _SINKS = ("scope", "to_file")
 
@@ -315,9 +316,9 @@ def _solver(flat: FlatDocument, overrides: Mapping[str, Any]) -> Solver:
     if settings.step > settings.stop:
         what = f"step {settings.step:g} s is longer than stop {settings.stop:g} s"
         flat.problems.append(Problem(what, "solver", flat.source.place(("solver",)), "choose a smaller step"))
-    if settings.rtol >= 1:
-        place, hint = flat.source.place(("solver", "rtol")), f"the default is {Solver.rtol:g}"
-        flat.problems.append(Problem("must be less than 1", "solver.rtol", place, hint))
+    if settings.rtol > MOST_RTOL:
+        place, hint = flat.source.place(("solver", "rtol")), f"errors of steps add up; the default is {Solver.rtol:g}"
+        flat.problems.append(Problem(f"must be at most {MOST_RTOL:g}", "solver.rtol", place, hint))
     if settings.stop / settings.step > 1e10:
         place = flat.source.place(("solver",))
         flat.problems.append(

@@ -14,8 +14,9 @@ from rotorsim.compile.instance import Instance, make_instance
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate.failure import describe_failure
+from rotorsim.simulate.reach import beyond, reaches_of
 from rotorsim.simulate.result import Result, make_result
-from rotorsim.simulate.validity import Stretch, judge, stretches_of
+from rotorsim.simulate.validity import Stretch, judge, loose_tolerance, stretches_of
 
 __all__ = ["simulate"]
 
@@ -55,8 +56,10 @@ def simulate(
     names = model.record_names(record)
     _check(h, end, every)
     p = model.parameter_vector(parameters)
+    reaches = reaches_of(model, p)
+    watched = (*names, *dict.fromkeys(item.source for item in reaches if item.source not in names))
     begun = clock.process_time()
-    instance = make_instance(model, names, p, use_compiler=use_compiler)
+    instance = make_instance(model, watched, p, use_compiler=use_compiler)
     prepared = clock.process_time()
     if initial is not None:
         instance.x[:] = initial
@@ -88,13 +91,19 @@ def simulate(
     ran = clock.process_time()
     counters["run_cpu_seconds"] = ran - prepared
     if status == "finished":
-        verdict = judge(model, instance, names, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
+        verdict = judge(model, instance, watched, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
         status, message = verdict.status, verdict.message
+        too_far = beyond(model, reaches, watched, time, rows)
+        if too_far and status == "finished":
+            status, message = "diverged", too_far
+        if status == "finished" and not message and chosen != "rk4":
+            message = loose_tolerance(model, watched, rows, solver.atol)
         if verdict.error is not None:
             counters["step_error"] = verdict.error
         counters["check_cpu_seconds"] = clock.process_time() - ran
+    width = sum(int(np.prod(model.shape_of(name), dtype=int)) for name in names)
     return make_result(
-        model, names, time, rows, status, message, counters, method=chosen, step=h, path=instance.path, p=p
+        model, names, time, rows[:, :width], status, message, counters, method=chosen, step=h, path=instance.path, p=p
     )
 
 

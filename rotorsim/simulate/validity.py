@@ -19,7 +19,7 @@ from rotorsim.compile.instance import Instance
 from rotorsim.simulate.linear import functions, speed_of
 from rotorsim.simulate.stability import Growing, growing, largest_stable_step, rounded_down, step_factor
 
-__all__ = ["LARGEST_ERROR", "Stretch", "growth_rate", "judge", "step_error", "stretches_of"]
+__all__ = ["LARGEST_ERROR", "Stretch", "growth_rate", "judge", "loose_tolerance", "step_error", "stretches_of"]
 
 LARGEST_ERROR = 0.01  # of the rms of a signal: what a run may be wrong by without a word
 STRETCH = (200, 20_000)  # steps of which the error is estimated, at the start and at the end
@@ -111,6 +111,27 @@ def _told(
 
 def _size(share: float) -> str:
     return f"{100 * share:.2g} % of" if share < 1 else f"{share:.2g} times"
+
+
+def loose_tolerance(model: Model, names: tuple[str, ...], rows: np.ndarray, atol: float) -> str:
+    """Return which recorded signal the absolute tolerance of an adaptive method leaves to chance; empty where none.
+
+    It is an error of a state in one step: above LARGEST_ERROR of a signal that moves, nothing keeps that right.
+    """
+    peaks, at = {}, 0
+    for name in names:
+        size = int(np.prod(model.shape_of(name), dtype=int))
+        peaks[name] = float(np.abs(rows[:, at : at + size]).max(initial=0.0))
+        at += size
+    told = {name: peak for name, peak in peaks.items() if 0 < peak < atol / LARGEST_ERROR}
+    if not told:
+        return ""
+    name = min(told, key=lambda key: told[key])
+    unit = model.select(name)[0].unit or ""
+    return (
+        f"the absolute tolerance {atol:.3g} is more than 1 % of '{name}', whose peak is {told[name]:.3g} {unit}: "
+        f"nothing keeps its error small; a solver.atol of {1e-7 * told[name]:.0e} would"
+    )
 
 
 # -- does it grow? -----------------------------------------------------------------------------------------------------

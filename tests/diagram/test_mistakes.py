@@ -242,7 +242,7 @@ def test_settings_of_the_solver() -> None:
         ": solver.stop: unit 'm' does not fit 's' | give it in s",
         ": solver.record_every: must be a whole number | 1 records every step",
         ": solver.x: unknown key 'x' | known: atol, method, record_every, rtol, step, stop",
-        ": solver.rtol: must be less than 1 | the default is 1e-08",
+        ": solver.rtol: must be at most 0.001 | errors of steps add up; the default is 1e-08",
     ]
     assert mistakes(diagram({"c": "constant"}, solver={"step": "2 s", "stop": "1 s"})) == [
         ": solver: step 2 s is longer than stop 1 s | choose a smaller step"

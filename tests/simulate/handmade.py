@@ -101,7 +101,9 @@ def handmade(
 
 
 def _node() -> SimpleNamespace:
-    return SimpleNamespace(values={}, references={}, outputs={}, block=SimpleNamespace(parameters={}))
+    return SimpleNamespace(
+        values={}, references={}, outputs={}, block=SimpleNamespace(parameters={}, holds_below=lambda p: {})
+    )
 
 
 def _end(text: str) -> Endpoint:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from types import SimpleNamespace
 
@@ -195,3 +196,50 @@ def test_the_error_is_estimated_from_six_percent_of_the_work():
     assert stretches_of(50_000) == [(0, 500), (49_500, 50_000)]
     assert stretches_of(300) == [(0, 300)]
     assert stretches_of(10**9) == [(0, 20_000), (10**9 - 20_000, 10**9)]
+
+
+# -- beyond what the equations hold for --------------------------------------------------------------------------------
+
+
+def nonlinear_bearing():
+    """Return the Jeffcott rotor with magnets in an air gap of 42.1 * 1 / 105210 m = 400.2 um."""
+    document = copy.deepcopy(dict(load("jeffcott").document))
+    del document["identify"]
+    document["blocks"]["amb"]["type"] = "amb_nonlinear"
+    return load(document)
+
+
+def test_a_rotor_that_passes_its_magnets_is_no_motion():
+    """Unstable, it leaves the gap, where a force of (1/gap)^2 throws it back: nothing grows evenly any more."""
+    found = simulate(nonlinear_bearing(), parameters={"controller.KD": -5.0}, stop=0.5)
+    assert found.status == "diverged"
+    passed = np.abs(found["rotor.displacement"]).max(axis=1) >= 42.1 / 105210
+    at = found.time[np.argmax(passed)]
+    assert found.message.startswith(
+        "amb: its equations hold below a displacement of 0.0004002 m; 'rotor.displacement' passes it at "
+        f"t = {at:.4g} s and reaches "
+    )
+    unseen = simulate(nonlinear_bearing(), parameters={"controller.KD": -5.0}, stop=0.5, record=["controller.current"])
+    assert (unseen.status, unseen.message) == ("diverged", found.message)
+    assert list(unseen.signals) == ["controller.current"]
+
+
+def test_a_rotor_that_stays_between_its_magnets_is_left_alone():
+    found = simulate(nonlinear_bearing(), stop=0.5)
+    assert (found.status, found.message) == ("finished", "")
+    assert np.abs(found["rotor.displacement"]).max() < 42.1 / 105210
+
+
+@pytest.mark.parametrize(("times", "told"), [(0.99, False), (1.01, True)])
+def test_an_absolute_tolerance_above_one_percent_of_a_signal_is_said(times, told):
+    """q'' = 0, q(0) = 1e-3: the peak is 1e-3, so that 1e-5 is one percent."""
+    model = machine(lambda t, q, v: 0.0 * q, stop=0.1)
+    model.diagram.solver.method, model.diagram.solver.atol = "rk45", times * 1e-5
+    found = simulate(model)
+    assert found.status == "finished"
+    assert found.message == (
+        "the absolute tolerance 1.01e-05 is more than 1 % of 'body.displacement', whose peak is 0.001 m: nothing keeps "
+        "its error small; a solver.atol of 1e-10 would"
+        if told
+        else ""
+    )
