@@ -14,7 +14,7 @@ from rotorsim.diagnose.drifts import drift_warnings, find_drifts, tells_drifts, 
 from rotorsim.diagnose.explaining import explanations, is_force, residual_of
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.naming import name_missing, without_effects
-from rotorsim.diagnose.pickups import find_pickups, pickup_warnings
+from rotorsim.diagnose.pickups import find_pickups
 from rotorsim.diagnose.proof import is_faint, is_material, prove
 from rotorsim.diagnose.scoring import Held, Score, left_out_score, score
 from rotorsim.diagnose.time_data import is_in_time
@@ -29,7 +29,7 @@ from rotorsim.recordings.checks import check_signals
 from rotorsim.recordings.converter_steps import Step
 from rotorsim.recordings.converters import stated_steps, through_converters
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
-from rotorsim.recordings.pickup import with_pickups
+from rotorsim.recordings.pickup import pickup_warnings, with_pickups
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second, find_second, with_second
 from rotorsim.threads import one_thread

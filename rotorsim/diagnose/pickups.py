@@ -9,13 +9,10 @@ import numpy as np
 
 from rotorsim.diagnose.fitting import Fit, Source
 from rotorsim.diagnose.places import open_places
-from rotorsim.errors import Problem
-from rotorsim.recordings.pickup import Pickup, find_mains
-from rotorsim.recordings.recording import Recording
+from rotorsim.recordings.pickup import find_mains
 from rotorsim.recordings.second_frequency import Second, with_second
-from rotorsim.units import conversion
 
-__all__ = ["find_pickups", "pickup_warnings"]
+__all__ = ["find_pickups"]
 
 TURN = 2 * np.pi
 FORCE = 0.9  # of what a line holds: a force that explains it, by transfer functions that need not be quite right
@@ -100,22 +97,3 @@ def _part(name: str) -> str:
     port, _, index = name.partition("[")
     node, comma, _ = index.rstrip("]").rpartition(",")
     return f"{port}[{node}]" if comma else port
-
-
-def pickup_warnings(found: Sequence[Pickup], recording: Recording) -> list[Problem]:
-    """Return what is to be said of lines that are fitted along: their sizes in the channels that show them."""
-    units = {channel.name: channel.unit for channel in recording.channels.values()}
-    warnings = []
-    for item in found:
-        seen = [name for name, size in item.amplitude.items() if size > 0]
-        sizes = ", ".join(
-            f"{item.amplitude[name] / conversion(units[name], None):.2g} {units[name]} in {name}" for name in seen
-        )
-        what = (
-            f"a line of {item.frequency:.2f} Hz is picked up: {sizes}: it is fitted beside the harmonics, as no physics"
-        )
-        warnings.append(Problem(what, recording.name, severity="warning"))
-        for run, order in item.near:
-            near = f"{item.frequency:.2f} Hz is not told from order {order} here: that order counts less"
-            warnings.append(Problem(near, f"run {run}", severity="warning"))
-    return warnings

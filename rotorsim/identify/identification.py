@@ -24,6 +24,7 @@ from rotorsim.identify.verdict import PRECISION, Verdict, judge
 from rotorsim.recordings.checks import check_signals
 from rotorsim.recordings.converters import stated_steps, through_converters
 from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
+from rotorsim.recordings.pickup import find_mains, pickup_warnings, with_pickups
 from rotorsim.recordings.recording import Recording, Run
 from rotorsim.simulate.linear import refuse_sampled
 from rotorsim.threads import one_thread
@@ -141,18 +142,29 @@ def identify(
     chosen = tuple(recording.select("identify") if runs is None else runs)
     with one_thread():  # many small matrices: threads cost more than they save
         found = tuple(harmonics_of(recording, chosen) if harmonics is None else harmonics)
-        opened: Likelihood | Regression
-        if method == "likelihood":
+
+        def likelihood(found: tuple[RunHarmonics, ...]) -> Likelihood:
             experiment = open_experiment(diagram, recording, runs=chosen, given=given, free=free, harmonics=found)
             if not given:
                 refuse_sampled(experiment.model, "identification with the loop closed")
-            opened = likelihood_of(experiment)
+            return likelihood_of(experiment)
+
+        opened: Likelihood | Regression
+        if method == "likelihood":
+            opened = likelihood(found)
         else:
             opened = open_regression(
                 diagram, recording, runs=chosen, free=free, orders=orders, reduction=reduction, harmonics=found
             )
         search = Search(opened)
         result = estimate(search)
+        if method == "likelihood" and harmonics is None and not result.adequate:
+            without, picked = with_pickups(recording, found, find_mains(recording, found))
+            if picked:
+                found, opened = without, likelihood(without)
+                search = Search(opened)
+                result = estimate(search)
+                warnings += pickup_warnings(picked, recording, told=False)
         adequate = method == "regression" or result.adequate
         widen = 1.0 if adequate else result.widening
         covariance = result.covariance * widen**2

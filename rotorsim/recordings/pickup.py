@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from rotorsim.errors import Problem
 from rotorsim.recordings.harmonic_fit import fit_harmonics
 from rotorsim.recordings.harmonics import RunHarmonics, with_one_noise
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second, signals_of, spectra_of, strongest
 from rotorsim.threads import one_thread
+from rotorsim.units import conversion
 
-__all__ = ["Pickup", "find_mains", "with_pickups"]
+__all__ = ["Pickup", "find_mains", "pickup_warnings", "with_pickups"]
 
 TURN = 2 * np.pi
 MAINS = (50.0, 60.0)  # Hz
@@ -152,3 +154,24 @@ def _again(
         lost=item.lost / len(item.run.time), pickups=frequencies, hum=hum,
     )  # fmt: skip
     return replace(item, fit=new)
+
+
+def pickup_warnings(found: Sequence[Pickup], recording: Recording, *, told: bool = True) -> list[Problem]:
+    """Return what is to be said of lines that are fitted along: their sizes in the channels that show them.
+
+    told: a diagram says that they are no forces.
+    """
+    units = {channel.name: channel.unit for channel in recording.channels.values()}
+    warnings = []
+    for item in found:
+        seen = [name for name, size in item.amplitude.items() if size > 0]
+        sizes = ", ".join(
+            f"{item.amplitude[name] / conversion(units[name], None):.2g} {units[name]} in {name}" for name in seen
+        )
+        kind, end = ("is picked up", ", as no physics") if told else ("does not follow the shaft", "")
+        what = f"a line of {item.frequency:.2f} Hz {kind}: {sizes}: it is fitted beside the harmonics{end}"
+        warnings.append(Problem(what, recording.name, severity="warning"))
+        for run, order in item.near:
+            near = f"{item.frequency:.2f} Hz is not told from order {order} here: that order counts less"
+            warnings.append(Problem(near, f"run {run}", severity="warning"))
+    return warnings

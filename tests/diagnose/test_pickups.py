@@ -10,10 +10,10 @@ from rotorsim.diagnose.base import base_fit
 from rotorsim.diagnose.diagnosis import _prepared, diagnose
 from rotorsim.diagnose.drifts import drift_warnings, find_drifts, with_drifts
 from rotorsim.diagnose.fitting import Fit, Source
-from rotorsim.diagnose.pickups import find_pickups, pickup_warnings
+from rotorsim.diagnose.pickups import find_pickups
 from rotorsim.diagram import load
 from rotorsim.recordings import Recording
-from rotorsim.recordings.pickup import Pickup
+from rotorsim.recordings.pickup import Pickup, pickup_warnings
 from tests.diagnose.test_lines import RATE, TURN, Machine, N, recording
 
 TIME = np.arange(N) / RATE

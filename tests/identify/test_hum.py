@@ -1,0 +1,42 @@
+"""Mains hum in what is recorded: said, and fitted beside the harmonics; orders on which it falls count less."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotorsim.identify import identify
+from tests.identify import TRUTH, recorded, shipped
+from tests.identify.test_likelihood import two_gains, with_noise
+
+TURN = 2 * np.pi
+SPEEDS = TURN * np.array([10.0, 16.7, 23.1])  # order 5 of the first is 50 Hz, order 3 of the second 50.1
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return two_gains("jeffcott", SPEEDS)
+
+
+@pytest.mark.parametrize("level", [0.0, 5e-8])
+def test_mains_hum_is_no_missing_physics(clean, level):
+    """50 nm, some six times what the noise is at an order."""
+    recording = recorded([with_noise(run, 0.01, (11, k), "white") for k, run in enumerate(clean)])
+    column = next(c for c, item in recording.channels.items() if item.name == "rotor.displacement[1]")
+    runs = tuple(
+        replace(run, values={**run.values, column: run.values[column] + level * np.cos(TURN * 50 * run.time + k)})
+        for k, run in enumerate(recording.runs)
+    )
+    found = identify(shipped("jeffcott"), replace(recording, runs=runs), profile=False)
+    assert found.adequate
+    assert all(abs(item.value - TRUTH[name]) < 4 * item.std for name, item in found.parameters.items())
+    said = [problem.what for problem in found.warnings]
+    if not level:
+        assert said == []
+    else:
+        assert said[0] == (
+            "a line of 50.00 Hz does not follow the shaft: 5e-08 m in rotor.displacement[1]: it is fitted beside the "
+            "harmonics"
+        )
+        near = "50.00 Hz is not told from order {} here: that order counts less"
+        assert said[1:] == [near.format(order) for order in (5, 3, 5, 3)]
