@@ -12,7 +12,7 @@ from rotorsim.cli.app import show_problems
 from rotorsim.errors import Problem
 
 if TYPE_CHECKING:
-    from rotorsim.diagram.diagram import Diagram
+    from rotorsim.compile import Model
     from rotorsim.simulate.result import Result
     from rotorsim.simulate.spectrum import Harmonics
 
@@ -67,14 +67,16 @@ def command(
     hidden = [f"{clock}.theta", *([f"{clock}.speed"] if rising else [])] if clock else []
     signals = tuple(dict.fromkeys([*shown, *hidden]))
 
+    from rotorsim.compile import compile_diagram
     from rotorsim.simulate.run import simulate
     from rotorsim.simulate.sinks import check_sinks
 
     check_sinks(loaded)
+    model = compile_diagram(loaded)
     with common.progress_bar(loaded.name, progress) as show:
         # With a function to call, the run is cut into pieces, so that Ctrl-C is heard between them.
         result = simulate(
-            loaded,
+            model,
             stop=times.get("stop"),
             step=times.get("step"),
             method=solver,
@@ -83,7 +85,7 @@ def command(
             progress=show or _silent,
         )
     angle = f"{clock}.theta" if clock else ""
-    return _report(loaded, result, [name for name in signals if name in set(shown)], angle, out, plot, as_json)
+    return _report(model, result, [name for name in signals if name in set(shown)], angle, out, plot, as_json)
 
 
 def _silent(fraction: float) -> None:
@@ -91,7 +93,7 @@ def _silent(fraction: float) -> None:
 
 
 def _report(
-    diagram: Diagram, result: Result, shown: list[str], angle: str, out: str | None, plot: str | None, as_json: bool
+    model: Model, result: Result, shown: list[str], angle: str, out: str | None, plot: str | None, as_json: bool
 ) -> int:
     """Write, draw and print a result; return the exit code."""
     from rotorsim.cli import summary
@@ -99,7 +101,7 @@ def _report(
 
     common.note(summary.run_line(result))
     asked = replace(result, signals={name: result.signals[name] for name in shown})
-    files = [str(path) for path in write_sinks(diagram, result)]
+    files = [str(path) for path in write_sinks(model.diagram, result)]
     if out:
         from rotorsim.simulate.files import save
 
@@ -114,7 +116,7 @@ def _report(
         common.note("written: " + ", ".join(files))
     found = summary.harmonics_of(result, angle)
     found = [item for item in found if item.signal.partition("[")[0] in {name.partition("[")[0] for name in shown}]
-    motion = summary.motion(result, angle, found)
+    motion = summary.motion(result, angle, found, summary.settled_motion(model, result, angle, found))
     if as_json:
         common.echo_json(
             _data(asked, found, files) | {"motion": motion, "run_up": summary.run_ups(result, angle, shown)}

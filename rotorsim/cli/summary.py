@@ -11,12 +11,14 @@ from rotorsim.cli import common
 from rotorsim.errors import RotorsimError
 
 if TYPE_CHECKING:
+    from rotorsim.compile import Model
+    from rotorsim.simulate.periodic_result import Periodic
     from rotorsim.simulate.result import Result
     from rotorsim.simulate.spectrum import Harmonics
 
 __all__ = [
     "constant_speed", "harmonics_of", "motion", "motion_line", "peaks", "peaks_table", "run_line", "run_up_table",
-    "run_ups", "two_axis",
+    "run_ups", "settled_motion", "two_axis",
 ]  # fmt: skip
 
 FEW = 1500  # samples that tell whether the motion has settled
@@ -63,11 +65,28 @@ def harmonics_of(result: Result, angle: str) -> list[Harmonics]:
     return [harmonics(result, name, angle=angle, window=window) for name in two_axis(result)]
 
 
-def motion(result: Result, angle: str, found: Sequence[Harmonics]) -> dict[str, Any]:
+def settled_motion(model: Model, result: Result, angle: str, found: Sequence[Harmonics]) -> Periodic | None:
+    """Return the motion that a linear machine settles on at the speed of a run; None where there is none to be had."""
+    from rotorsim.simulate.periodic_motion import periodic
+
+    speed = constant_speed(result, angle)
+    if speed is None or not found or not model.linear or model.n_z or "speed" not in model.diagram.parameters:
+        return None
+    try:
+        made = periodic(model, speeds=[speed], signals=[item.signal for item in found], stability=False)
+    except (RotorsimError, np.linalg.LinAlgError):
+        return None
+    return made if made.settled.all() else None
+
+
+def motion(
+    result: Result, angle: str, found: Sequence[Harmonics], settled: Periodic | None = None
+) -> dict[str, Any]:  # fmt: skip
     """Return speed, window of the harmonics, and whether the motion has settled; {} where nothing turns steadily.
 
-    From harmonics R1, R2, R3 of three windows in a row: what changes as exp(-t / tau) has still
-    |R3 - R2| q / (1 - q) to go, q = |R3 - R2| / |R2 - R1|. Settled: less than 1 % of the largest harmonic.
+    settled: what the machine settles on, where that is known. Else from harmonics R1, R2, R3 of three windows in a row:
+    what changes as exp(-t / tau) has still |R3 - R2| q / (1 - q) to go, q = |R3 - R2| / |R2 - R1|. Settled: less than
+    1 % of the largest harmonic.
     """
     speed = constant_speed(result, angle)
     if speed is None:
@@ -81,6 +100,8 @@ def motion(result: Result, angle: str, found: Sequence[Harmonics]) -> dict[str, 
     width = stop - start
     turns = max(round(width * speed / (2 * np.pi)), 1)
     made |= {"window": [start, stop], "turns": turns}
+    if settled is not None:
+        return made | _to_go(found, settled)
     samples = int(np.searchsorted(result.time, stop) - np.searchsorted(result.time, start))
     few = width * min(max(int(FEW * turns / max(samples, 1)), 1), turns) / turns
     if start - 2 * width < -1e-9:
@@ -101,6 +122,23 @@ def motion(result: Result, angle: str, found: Sequence[Harmonics]) -> dict[str, 
             at = {"signal": item.signal, "order": item.orders[k], "left": float(left[k]), "unit": item.unit}
             worst = (share, {**at, "share": share})
     return made | {"settled": worst[0] <= SETTLED, "still_changes": worst[1]}
+
+
+def _to_go(found: Sequence[Harmonics], settled: Periodic) -> dict[str, Any]:
+    """Return how far the harmonics of a run are from those of the settled motion, the one that has most to go."""
+    worst: tuple[float, dict[str, Any]] = (-1.0, {})
+    for item in found:
+        shared = [k for k, order in enumerate(item.orders) if np.isclose(settled.orders, order, atol=1e-9).any()]
+        final = np.array([settled.harmonic(item.signal, item.orders[k])[0] for k in shared])
+        left, largest = np.abs(np.asarray(item.values)[shared] - final), float(np.abs(final).max(initial=0.0))
+        if not len(left):
+            continue
+        k = int(np.argmax(left))
+        share = float(left[k]) / largest if largest > 0 else 0.0
+        if share > worst[0]:
+            at = {"signal": item.signal, "order": item.orders[shared[k]], "left": float(left[k]), "unit": item.unit}
+            worst = (share, {**at, "share": share})
+    return {"settled": worst[0] <= SETTLED, "still_changes": worst[1]}
 
 
 def motion_line(motion: dict[str, Any]) -> str:
