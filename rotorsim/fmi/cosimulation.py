@@ -22,12 +22,14 @@ from rotorsim.fmi.model_exchange import ModelExchange
 from rotorsim.fmi.participant import CompiledParticipant
 from rotorsim.fmi.stability import CouplingStability, coupling_stability, why_not_linear
 from rotorsim.fmi.waveform import relaxed
+from rotorsim.simulate.reach import beyond, reaches_of
 from rotorsim.simulate.result import Result
 from rotorsim.simulate.validity import growth_rate
 
 __all__ = ["cosimulate", "cosimulate_diagram", "couple", "open_coupling", "sources_of"]
 
 LARGEST_ADAPTIVE = 100  # the adaptive step over the one given
+EXPLODED = 1e3  # times larger in the last eighth than in the first, and still growing: an integral of t^2 is 64 times
 
 
 def cosimulate_diagram(
@@ -76,7 +78,10 @@ def cosimulate(
     _refuse_rigid(coupling, step, end, adaptive, every)
     if master == "waveform" and 0 < step <= end:
         found = _by_waveform(coupling, diagram, step, end, tolerance, progress)
-        status, message = _judged(exchanging, _Told(step, master), 0.0, found.status, found.message)
+        every_signal = np.column_stack([values.reshape(len(found.time), -1) for values in found.signals.values()])
+        status, message = _judged(
+            exchanging, _Told(step, master), found.time, every_signal, found.status, found.message
+        )
         return replace(found, status=status, message=message)
     if not 0 < step <= end:
         what = f"communication step {step:g} s is not between 0 and the stop time {end:g} s"
@@ -126,8 +131,7 @@ def cosimulate(
         if progress is not None:
             progress(t / end)
     if status in ("finished", "diverged"):
-        growth = growth_rate(np.array(times), np.array(rows)) if adaptive is None else 0.0
-        status, message = _judged(exchanging, told, growth, status, message)
+        status, message = _judged(exchanging, told, np.array(times), np.array(rows), status, message)
     result = _result(coupling, diagram, np.array(times), np.array(rows), status, message, worker, told)
     errors = held_mismatch(coupling, np.array(rows)) if plain else np.array(mismatch)
     return _with_error(result, errors)
@@ -139,13 +143,14 @@ def _with_error(result: Result, errors: np.ndarray) -> Result:
 
 
 def _judged(
-    exchanging: Sequence[ModelExchange], told: _Told, growth: float, status: str, message: str
+    exchanging: Sequence[ModelExchange], told: _Told, times: np.ndarray, rows: np.ndarray, status: str, message: str
 ) -> tuple[str, str]:
-    """Return status and message of a run that reached its end, or left the finite numbers."""
+    """Return status and message of a run that reached its end, or left the finite numbers. rows: (n, n_y)."""
     for integrator in exchanging:
         why = integrator.unstable_step()
         if why:
             return "diverged", f"{integrator.slave.name}: {why}\n\nhint: --solver radau (implicit), or a smaller --step"
+    growth, grown = _growth(times, rows) if status == "finished" else (0.0, 0.0)
     whole = told.found is not None and not told.found.stable and told.found.largest_step == 0
     if status == "finished" and told.found is not None and whole:
         if told.found.exact:
@@ -155,7 +160,20 @@ def _judged(
                 f"the linearised loop is unstable as a whole, with any step, and its motion grows at {growth:.3g} 1/s"
             )
             return "unstable", what
+    if status == "finished" and grown > EXPLODED:
+        return "unstable", f"the motion grows at {growth:.3g} 1/s, and has become {grown:.2g} times larger"
     return status, message
+
+
+def _growth(times: np.ndarray, rows: np.ndarray) -> tuple[float, float]:
+    """Return how fast a motion still grows [1/s], and how many times larger it is at the end than at the start."""
+    even = np.linspace(times[0], times[-1], len(times))
+    rows = np.column_stack([np.interp(even, times, row) for row in rows.T]) if rows.size else rows
+    rate, m = growth_rate(even, rows), len(rows) // 8
+    if not rate:
+        return 0.0, 0.0
+    first, last = np.ptp(rows[:m], axis=0), np.ptp(rows[-m:], axis=0)
+    return rate, float(np.divide(last, first, out=np.zeros_like(last), where=first > 0).max(initial=0.0))
 
 
 def _diverged(coupling: Coupling, y: np.ndarray, t: float) -> tuple[str, str]:
@@ -348,7 +366,7 @@ def _fast(
         times, kept, _ = _with_last(times, [*rows], times, *last)
         rows = np.array(kept)
     if status in ("finished", "diverged"):
-        status, message = _judged((), told, growth_rate(np.array(times), rows), status, message)
+        status, message = _judged((), told, np.array(times), rows, status, message)
     result = _result(coupling, diagram, np.array(times), rows, status, message, worker, told)
     return _with_error(result, held_mismatch(coupling, rows))
 
@@ -410,4 +428,6 @@ def _result(
     made = told.provenance(worker.told_order)
     if fmus := {p.name: p.told() for p in coupling.participants if isinstance(p, FmuParticipant)}:
         made["fmus"] = fmus
+    too_far = beyond(reaches_of(diagram), times, signals) if status == "finished" else ""
+    status, message = ("diverged", too_far) if too_far else (status, message)
     return Result(times, signals, units, status, message, dict(worker.counters), made)

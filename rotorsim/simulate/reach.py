@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 
-from rotorsim.compile import Model
+from rotorsim.diagram.diagram import Diagram
 
 __all__ = ["Reach", "beyond", "reaches_of"]
 
@@ -23,29 +24,26 @@ class Reach:
     unit: str
 
 
-def reaches_of(model: Model, p: np.ndarray) -> list[Reach]:
-    """Return what blocks say of how far their inputs may go at parameters p (n_p,)."""
-    found = []
-    for name, node in model.diagram.nodes.items():
-        own = {key: model.parameters.get(f"{name}.{key}") for key in node.block.parameters}
-        values = {key: p[part] if part is not None else node.values[key] for key, part in own.items()}
-        scalars = {
-            key: float(value[0]) if np.size(value) == 1 and np.ndim(value) else value for key, value in values.items()
-        }
-        for port, limit in node.block.holds_below(SimpleNamespace(**scalars)).items():
-            for wire in model.diagram.wires:
+def reaches_of(diagram: Diagram, given: Mapping[str, np.ndarray] | None = None) -> list[Reach]:
+    """Return what blocks say of how far their inputs may go. given: values of parameters ("amb.bias_current"), flat."""
+    known, found = given or {}, []
+    for name, node in diagram.nodes.items():
+        values = {key: known.get(f"{name}.{key}", node.values[key]) for key in node.block.parameters}
+        single = {key: float(np.ravel(value)[0]) if np.size(value) == 1 else value for key, value in values.items()}
+        for port, limit in node.block.holds_below(SimpleNamespace(**single)).items():
+            for wire in diagram.wires:
                 if (wire.target.block, wire.target.port) == (name, port):
-                    unit = node.inputs[port].unit or ""
-                    found.append(Reach(name, port, str(wire.source), float(limit), unit))
+                    found.append(Reach(name, port, str(wire.source), float(limit), node.inputs[port].unit or ""))
     return found
 
 
-def beyond(model: Model, reaches: list[Reach], names: tuple[str, ...], time: np.ndarray, rows: np.ndarray) -> str:
-    """Return which input went furthest beyond its limit, and since when; empty where none did. rows (n, n_y)."""
+def beyond(reaches: Sequence[Reach], time: np.ndarray, signals: Mapping[str, np.ndarray]) -> str:
+    """Return which input went furthest beyond its limit, and since when; empty where none did. signals: (n, ...)."""
     worst: tuple[float, str] = (1.0, "")
-    columns = _columns(model, names)
     for item in reaches:
-        size = np.abs(rows[:, columns[item.source]]).max(axis=1, initial=0.0)
+        if item.source not in signals:
+            continue
+        size = np.abs(signals[item.source]).reshape(len(time), -1).max(axis=1, initial=0.0)
         share = float(size.max(initial=0.0)) / item.limit
         if share >= worst[0]:
             first = float(time[int(np.argmax(size >= item.limit))])
@@ -55,12 +53,3 @@ def beyond(model: Model, reaches: list[Reach], names: tuple[str, ...], time: np.
             )
             worst = share, f"{item.block}: {text}"
     return worst[1]
-
-
-def _columns(model: Model, names: tuple[str, ...]) -> dict[str, slice]:
-    found, at = {}, 0
-    for name in names:
-        size = int(np.prod(model.shape_of(name), dtype=int))
-        found[name] = slice(at, at + size)
-        at += size
-    return found

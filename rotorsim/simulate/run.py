@@ -56,7 +56,7 @@ def simulate(
     names = model.record_names(record)
     _check(h, end, every)
     p = model.parameter_vector(parameters)
-    reaches = reaches_of(model, p)
+    reaches = reaches_of(model.diagram, {name: p[part] for name, part in model.parameters.items()})
     watched = (*names, *dict.fromkeys(item.source for item in reaches if item.source not in names))
     begun = clock.process_time()
     instance = make_instance(model, watched, p, use_compiler=use_compiler)
@@ -93,7 +93,7 @@ def simulate(
     if status == "finished":
         verdict = judge(model, instance, watched, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
         status, message = verdict.status, verdict.message
-        too_far = beyond(model, reaches, watched, time, rows)
+        too_far = beyond(reaches, time, _by_name(model, watched, rows)) if reaches else ""
         if too_far and status == "finished":
             status, message = "diverged", too_far
         if status == "finished" and not message and chosen != "rk4":
@@ -101,10 +101,19 @@ def simulate(
         if verdict.error is not None:
             counters["step_error"] = verdict.error
         counters["check_cpu_seconds"] = clock.process_time() - ran
-    width = sum(int(np.prod(model.shape_of(name), dtype=int)) for name in names)
+    width = sum(_width(model, name) for name in names)
     return make_result(
         model, names, time, rows[:, :width], status, message, counters, method=chosen, step=h, path=instance.path, p=p
     )
+
+
+def _width(model: Model, name: str) -> int:
+    return int(np.prod(model.shape_of(name), dtype=int))
+
+
+def _by_name(model: Model, names: tuple[str, ...], rows: np.ndarray) -> dict[str, np.ndarray]:
+    ends = np.cumsum([_width(model, name) for name in names])
+    return dict(zip(names, np.split(rows, ends[:-1], axis=1), strict=True))
 
 
 def _check(h: float, end: float, every: int) -> None:

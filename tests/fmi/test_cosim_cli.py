@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from pathlib import Path
 from typing import Any
@@ -64,6 +65,28 @@ def test_a_loop_that_is_unstable_as_a_whole(run: Run, tmp_path: Path) -> None:
     assert done.stdout.splitlines()[0].startswith("unstable: ")
     assert done.stdout.splitlines()[1] == "the linearised loop is unstable as a whole, with any step"
     assert done.stderr.startswith("error: the loop is unstable as a whole, with any step\n")
+
+
+@pytest.mark.parametrize("more", [("--adaptive", "1e-3"), ("--no-check",)])
+def test_a_motion_that_explodes_is_not_finished_where_nothing_was_analysed(run: Run, more: tuple[str, ...]) -> None:
+    """The pole of KD = -5 grows at 33.7 1/s: in 0.4 s by e^13 = 7e5."""
+    arguments = ("--part", "controller", "--stop", "0.4 s", "--step", "0.2 ms", "--set", "controller.KD=-5")
+    done = run("cosim", "jeffcott", *arguments, *more)
+    assert done.exit_code == 1
+    assert re.match(r"error: the motion grows at [\d.]+ 1/s, and has become [\de.+]+ times larger\n", done.stderr)
+
+
+def test_a_rotor_that_passes_its_magnets_is_no_motion(run: Run, tmp_path: Path) -> None:
+    document = json.loads(json.dumps(load("jeffcott").document))
+    del document["identify"]
+    document["blocks"]["amb"]["type"] = "amb_nonlinear"
+    (tmp_path / "nonlinear.json").write_text(json.dumps(document))
+    arguments = ("--part", "controller", "--stop", "0.5 s", "--step", "0.1 ms", "--set", "controller.KD=-5")
+    done = run("cosim", "nonlinear.json", *arguments)
+    assert done.exit_code == 1
+    assert done.stderr.startswith(
+        "error: amb: its equations hold below a displacement of 0.0004002 m; 'rotor.displacement' passes it at t = 0.1"
+    )
 
 
 @pytest.mark.parametrize(("more", "why"), [
