@@ -115,9 +115,10 @@ class _Reader:
         low = self.number(given, "low", found.unit, path, low)
         high = self.number(given, "high", found.unit, path, high)
         if low < declared[0] or high > declared[1]:
-            hint = "bounds can only be narrowed"
+            end = "low" if low < declared[0] else "high"
+            hint = f"bounds can only be narrowed: leave '{end}' out of identify, for the block has its own"
             what = f"the block allows {declared[0]:g} .. {declared[1]:g} {found.unit}"
-            self.error(what, (*path, "low" if low < declared[0] else "high"), hint)
+            self.error(what, (*path, end), hint)
         if not isinstance(given.get("description", ""), str):
             self.error("must be a text", (*path, "description"))
         mean = std = None

@@ -128,6 +128,9 @@ def _check(h: float, end: float, every: int) -> None:
     if every < 1:
         hint = "1 records every step"
         problems.append(Problem(what=f"must be at least 1, got {every}", subject="solver.record_every", hint=hint))
+    if not problems and end < h * (1 - 1e-9):
+        what = f"step {h:g} s is longer than stop {end:g} s"
+        problems.append(Problem(what=what, subject="solver", hint="choose a smaller step"))
     if not problems and end / h > 1e10:
         problems.append(Problem(what=f"{end / h:.0e} steps; at most 1e10", subject="solver.step", hint="a larger step"))
     if problems:

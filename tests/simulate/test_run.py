@@ -131,3 +131,11 @@ def test_a_record_of_the_start_alone_is_refused(every, said):
         "hint: at most 2000, or a longer run"
     )
     assert len(simulate(load(oscillator()), stop=2.0, record_every=2000).time) == 2
+
+
+def test_a_step_longer_than_the_run_is_refused():
+    with pytest.raises(RotorsimError) as caught:
+        simulate(load("jeffcott"), stop=1e-9)
+    assert [(p.what, p.subject, p.hint) for p in caught.value.problems] == [
+        ("step 0.0001 s is longer than stop 1e-09 s", "solver", "choose a smaller step")
+    ]
