@@ -24,6 +24,8 @@ __all__ = [
 FEW = 1500  # samples that tell whether the motion has settled
 SETTLED = 0.01  # of the largest harmonic: what may still change
 SLOWEST = 0.95  # ratio of changes that is believed: beyond, noise and not decay makes it
+OVER = 1e-4  # of a transient: it is over
+ROUNDING = 1e-12  # of the largest pole: a pole at zero
 CONSTANT = 1e-6  # relative change of speed below which it is constant
 
 
@@ -66,12 +68,21 @@ def harmonics_of(result: Result, angle: str) -> list[Harmonics]:
 
 
 def settled_motion(model: Model, result: Result, angle: str, found: Sequence[Harmonics]) -> Periodic | None:
-    """Return the motion that a linear machine settles on at the speed of a run; None where there is none to be had."""
-    from rotorsim.simulate.periodic_motion import periodic
+    """Return the motion that a linear machine settles on at the speed of a run; None where it is not known.
 
+    It is asked for where a mode has more than OVER left at the end of the run: what decays faster is seen to.
+    """
     speed = constant_speed(result, angle)
     if speed is None or not found or not model.linear or model.n_z or "speed" not in model.diagram.parameters:
         return None
+    p = model.p0
+    A = np.array(model.jacobian(0.0, model.x0(p), model.z0(p), p))
+    poles = np.linalg.eigvals(A) if np.isfinite(A).all() else np.zeros(0)
+    decaying = poles.real[poles.real < -ROUNDING * np.abs(poles).max(initial=0.0)]
+    if decaying.max(initial=-np.inf) * result.time[-1] < np.log(OVER):
+        return None
+    from rotorsim.simulate.periodic_motion import periodic
+
     try:
         made = periodic(model, speeds=[speed], signals=[item.signal for item in found], stability=False)
     except (RotorsimError, np.linalg.LinAlgError):

@@ -177,7 +177,7 @@ def test_help_needs_no_heavy_library() -> None:
 
 def test_a_run_needs_no_library_for_figures() -> None:
     code = "import sys\nfrom rotorsim.cli.app import rotorsim\n"
-    code += "try: rotorsim.main(['run', 'jeffcott', '--stop', '0.1'])\nexcept SystemExit: pass\n"
+    code += "try: rotorsim.main(['run', 'jeffcott', '--set', 'controller.KI=0'])\nexcept SystemExit: pass\n"
     code += "print(sorted({'scipy', 'matplotlib', 'h5py', 'fmpy', 'tqdm'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
