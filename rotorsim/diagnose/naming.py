@@ -28,7 +28,7 @@ MESH_ERROR = 0.1
 CLASS = 10.0
 MOST_EFFECTS = 3
 # probability that noise alone makes any row of the catalogue look as good, by Bonferroni; 200 healthy machines of
-# benchmarks/concealed/results/nothing_3027.md keep it
+# benchmarks/concealed/results/nuisances_1617.md keep it
 FALSE_ALARM = 0.01
 # share of what is left unexplained that one more effect must explain: details of the first law are many and small, so
 # that none of them is most of the rest

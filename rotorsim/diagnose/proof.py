@@ -24,8 +24,8 @@ MOST = 0.98  # share of what is to be explained that a cause must explain to be 
 # and right laws with details, `python -m benchmarks.concealed shares` (docs/diagnosis.md)
 MATERIAL = 0.5  # of the fall of the misfit in fitted runs, that must be seen in runs left out: a true effect shows all
 # of it there, what was fitted to noise nothing, or the reverse
-FAINT = 1.5  # times the variance of the noise: what is left below may be the model of the noise; healthy recordings
-# with pink noise, drift, lost samples and jitter leave up to 1.36
+FAINT = 1.5  # times the variance of the noise: what is left below may be the model of the noise; 200 healthy machines
+# with hum, flicker noise, drift, lost samples and sampled pulses leave up to 1.20 (benchmarks/concealed/results)
 LEVEL = 0.9  # of intervals
 
 
