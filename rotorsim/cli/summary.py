@@ -42,7 +42,12 @@ def two_axis(result: Result) -> list[str]:
 
 
 def constant_speed(result: Result, angle: str) -> float | None:
-    """Return the speed [rad/s] if it is constant and the shaft turned at least once, else None."""
+    """Return the speed [rad/s] if it is constant, forward, and the shaft turned at least once, else None."""
+    speed = _constant_speed(result, angle)
+    return speed if speed is not None and speed > 0 else None
+
+
+def _constant_speed(result: Result, angle: str) -> float | None:
     if angle not in result or len(result.time) < 8:
         return None
     theta, time = result[angle], result.time
@@ -52,7 +57,7 @@ def constant_speed(result: Result, angle: str) -> float | None:
     first = (theta[middle] - theta[0]) / (time[middle] - time[0])
     second = (theta[-1] - theta[middle]) / (time[-1] - time[middle])
     whole = float((theta[-1] - theta[0]) / (time[-1] - time[0]))
-    if whole <= 0 or abs(second - first) > CONSTANT * whole or theta[-1] - theta[0] < 2 * np.pi * (1 - 1e-9):
+    if abs(second - first) > CONSTANT * abs(whole) or abs(theta[-1] - theta[0]) < 2 * np.pi * (1 - 1e-9):
         return None
     return whole
 
@@ -99,7 +104,7 @@ def motion(
     what changes as exp(-t / tau) has still |R3 - R2| q / (1 - q) to go, q = |R3 - R2| / |R2 - R1|. Settled: less than
     1 % of the largest harmonic.
     """
-    speed = constant_speed(result, angle)
+    speed = _constant_speed(result, angle)
     if speed is None:
         return {}
     from rotorsim.simulate.spectrum import harmonics, last_turns
