@@ -28,7 +28,7 @@ from rotorsim.identify.experiment import Experiment
 from rotorsim.recordings.checks import check_signals
 from rotorsim.recordings.converter_steps import Step
 from rotorsim.recordings.converters import stated_steps, through_converters
-from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
+from rotorsim.recordings.harmonics import RunHarmonics, contradictions, harmonics_of
 from rotorsim.recordings.pickup import pickup_warnings, with_pickups
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second, find_second, with_second
@@ -245,11 +245,7 @@ def _settled(runs: Sequence[RunHarmonics], warnings: list[Problem], use: str) ->
             warnings.append(Problem(what, f"run {item.run.id}", item.run.place, severity="warning"))
         else:
             kept.append(item)
-    for item in kept:
-        if item.angle.contradicted:
-            what = "its harmonics turn otherwise than its pulses say, by more than these leave open"
-            hint = "do the pulses and the signals have one clock? is the speed steady?"
-            warnings.append(Problem(what, f"run {item.run.id}", item.run.place, hint, severity="warning"))
+    warnings += contradictions(kept)
     lost = [item for item in kept if item.lost]
     if lost:
         what = f"{sum(item.lost for item in lost)} samples repeat the one before, as lost ones do: they are not {use}"

@@ -23,7 +23,7 @@ from rotorsim.identify.scatter import scatter_of, with_covariance
 from rotorsim.identify.verdict import PRECISION, Verdict, judge
 from rotorsim.recordings.checks import check_signals
 from rotorsim.recordings.converters import stated_steps, through_converters
-from rotorsim.recordings.harmonics import RunHarmonics, harmonics_of
+from rotorsim.recordings.harmonics import RunHarmonics, contradictions, harmonics_of
 from rotorsim.recordings.pickup import find_mains, pickup_warnings, with_pickups
 from rotorsim.recordings.recording import Recording, Run
 from rotorsim.simulate.linear import refuse_sampled
@@ -142,6 +142,7 @@ def identify(
     chosen = tuple(recording.select("identify") if runs is None else runs)
     with one_thread():  # many small matrices: threads cost more than they save
         found = tuple(harmonics_of(recording, chosen) if harmonics is None else harmonics)
+        warnings += contradictions(found)
 
         def likelihood(found: tuple[RunHarmonics, ...]) -> Likelihood:
             experiment = open_experiment(diagram, recording, runs=chosen, given=given, free=free, harmonics=found)

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorsim.recordings.harmonic_fit import Basis, harmonic_basis
-from rotorsim.recordings.shaft_angle import ShaftAngle
+from rotorsim.recordings.shaft_angle import MOST_TURNED, ShaftAngle
 
 __all__ = ["refined"]
 
@@ -45,8 +45,12 @@ def refined(run: str, time: np.ndarray, angle: ShaftAngle, y: np.ndarray, basis:
         told = noise > 0
         moved = (slope[:, None, told] * shapes[:, :, None] / noise[told]).reshape(len(y), -1)
         moved = columns.solve(moved)[1].reshape(len(y), 2, -1)
-        information = np.einsum("nic,njc->ij", moved, moved) + np.eye(2) / angle.smooth**2
-        gradient = np.einsum("nic,nc->i", moved, left[:, told] / noise[told]) - total / angle.smooth**2
+        alone = np.einsum("nic,njc->ij", moved, moved)
+        asked = np.einsum("nic,nc->i", moved, left[:, told] / noise[told])
+        if now is angle and _contradicts(alone, asked, angle.smooth):
+            return replace(angle, contradicted=True), basis
+        information = alone + np.eye(2) / angle.smooth**2
+        gradient = asked - total / angle.smooth**2
         step = np.linalg.solve(information, gradient)
         if step @ information @ step < 2 * SETTLED**2:
             break
@@ -56,6 +60,13 @@ def refined(run: str, time: np.ndarray, angle: ShaftAngle, y: np.ndarray, basis:
         now = _turned(angle, shapes @ total, time)
         columns = harmonic_basis(run, time, now.theta, orders=basis.orders)
     return now, columns
+
+
+def _contradicts(information: np.ndarray, gradient: np.ndarray, smooth: float) -> bool:
+    """Return whether harmonics alone ask for more than is followed, and than pulses and noise leave open."""
+    covariance = np.linalg.pinv(information, hermitian=True)
+    open_by = PLAUSIBLE * np.hypot(smooth, np.sqrt(np.diag(covariance)))
+    return bool((np.abs(covariance @ gradient) > np.maximum(open_by, MOST_TURNED)).any())
 
 
 def _derivative(coefficients: np.ndarray, K: int) -> np.ndarray:

@@ -18,7 +18,7 @@ from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 from rotorsim.recordings.shaft_angle import ShaftAngle, refuse_run_up, shaft_angle
 from rotorsim.threads import one_thread
 
-__all__ = ["RunHarmonics", "harmonics_of", "with_one_jitter", "with_one_noise"]
+__all__ = ["RunHarmonics", "contradictions", "harmonics_of", "with_one_jitter", "with_one_noise"]
 
 LINE = 2  # numbers that pulses of an even speed have: angle zero and the speed
 WANDERS = 1e-3  # probability that pulses of one jitter scatter so much in a run
@@ -81,6 +81,16 @@ def harmonics_of(
     if problems:
         raise RotorsimError(*problems)
     return with_one_noise(found)
+
+
+def contradictions(runs: Sequence[RunHarmonics]) -> list[Problem]:
+    """Return warnings of runs whose harmonics and pulses contradict one another."""
+    what = "its harmonics turn otherwise than its pulses say, by more than these leave open"
+    hint = "do the pulses and the signals have one clock? is the speed steady?"
+    return [
+        Problem(what, f"run {item.run.id}", item.run.place, hint, severity="warning")
+        for item in runs if item.angle.contradicted
+    ]  # fmt: skip
 
 
 def with_one_noise(runs: Sequence[RunHarmonics]) -> list[RunHarmonics]:

@@ -40,3 +40,13 @@ def test_mains_hum_is_no_missing_physics(clean, level):
         )
         near = "50.00 Hz is not told from order {} here: that order counts less"
         assert said[1:] == [near.format(order) for order in (5, 3, 5, 3)]
+
+
+def test_pulses_of_another_clock_are_said(clean):
+    """A clock of the pulses that is 0.5 % slow: a turn of the harmonics is not one of the pulses."""
+    recording = recorded([with_noise(run, 0.01, (12, k), "white") for k, run in enumerate(clean)])
+    runs = tuple(replace(run, tacho=run.tacho * 1.005) for run in recording.runs)
+    found = identify(shipped("jeffcott"), replace(recording, runs=runs), profile=False)
+    assert [problem.what for problem in found.warnings].count(
+        "its harmonics turn otherwise than its pulses say, by more than these leave open"
+    ) == len(runs)
