@@ -277,7 +277,8 @@ class Model:
     def rhs_batch(self, t: np.ndarray, x: np.ndarray, z: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return dx/dt of n instants: t (n,), x (n, n_x), z (n_z,), p (n, n_p) -> (n, n_x)."""
         t, x, p, z = (np.ascontiguousarray(a, float) for a in (t, x, p, z))
-        library = self.library()
+        compiled = (library for library in self._libraries.values() if library is not None)
+        library = next(compiled, None) or self.library()  # whatever it records
         if library is None:
             columns = self.rhs(t[None, :], x.T, np.repeat(z[:, None], len(t), 1), p.T)
             return np.array(columns).T
