@@ -22,7 +22,7 @@ from rotorsim.fmi.model_exchange import ModelExchange
 from rotorsim.fmi.participant import CompiledParticipant
 from rotorsim.fmi.stability import CouplingStability, coupling_stability, why_not_linear
 from rotorsim.fmi.waveform import relaxed
-from rotorsim.simulate.reach import beyond, reaches_of
+from rotorsim.simulate.input_limits import input_limits, passed_limit
 from rotorsim.simulate.result import Result
 from rotorsim.simulate.validity import growth_rate
 
@@ -428,6 +428,6 @@ def _result(
     made = told.provenance(worker.told_order)
     if fmus := {p.name: p.told() for p in coupling.participants if isinstance(p, FmuParticipant)}:
         made["fmus"] = fmus
-    too_far = beyond(reaches_of(diagram), times, signals) if status == "finished" else ""
+    too_far = passed_limit(input_limits(diagram), times, signals) if status == "finished" else ""
     status, message = ("diverged", too_far) if too_far else (status, message)
     return Result(times, signals, units, status, message, dict(worker.counters), made)

@@ -14,7 +14,7 @@ from rotorsim.compile.instance import Instance, make_instance
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate.failure import describe_failure
-from rotorsim.simulate.reach import beyond, reaches_of
+from rotorsim.simulate.input_limits import input_limits, passed_limit
 from rotorsim.simulate.result import Result, make_result
 from rotorsim.simulate.validity import Stretch, judge, loose_tolerance, stretches_of
 
@@ -56,8 +56,8 @@ def simulate(
     names = model.record_names(record)
     _check(h, end, every)
     p = model.parameter_vector(parameters)
-    reaches = reaches_of(model.diagram, {name: p[part] for name, part in model.parameters.items()})
-    watched = (*names, *dict.fromkeys(item.source for item in reaches if item.source not in names))
+    limits = input_limits(model.diagram, {name: p[part] for name, part in model.parameters.items()})
+    watched = (*names, *dict.fromkeys(str(item.source) for item in limits if str(item.source) not in names))
     begun = clock.process_time()
     instance = make_instance(model, watched, p, use_compiler=use_compiler)
     prepared = clock.process_time()
@@ -93,11 +93,12 @@ def simulate(
     if status == "finished":
         verdict = judge(model, instance, watched, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
         status, message = verdict.status, verdict.message
-        too_far = beyond(reaches, time, _by_name(model, watched, rows)) if reaches else ""
+        signals = _by_name(model, watched, rows)
+        too_far = passed_limit(limits, time, {name: _shaped(model, name, v) for name, v in signals.items()})
         if too_far and status == "finished":
             status, message = "diverged", too_far
         if status == "finished" and not message and chosen != "rk4":
-            message = loose_tolerance(model, watched, rows, solver.atol)
+            message = loose_tolerance(model, signals, solver.atol)
         if verdict.error is not None:
             counters["step_error"] = verdict.error
         counters["check_cpu_seconds"] = clock.process_time() - ran
@@ -109,6 +110,10 @@ def simulate(
 
 def _width(model: Model, name: str) -> int:
     return int(np.prod(model.shape_of(name), dtype=int))
+
+
+def _shaped(model: Model, name: str, values: np.ndarray) -> np.ndarray:
+    return values.reshape(len(values), *model.shape_of(name))
 
 
 def _by_name(model: Model, names: tuple[str, ...], rows: np.ndarray) -> dict[str, np.ndarray]:

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -113,21 +114,20 @@ def _size(share: float) -> str:
     return f"{100 * share:.2g} % of" if share < 1 else f"{share:.2g} times"
 
 
-def loose_tolerance(model: Model, names: tuple[str, ...], rows: np.ndarray, atol: float) -> str:
+def loose_tolerance(model: Model, signals: Mapping[str, np.ndarray], atol: float) -> str:
     """Return which recorded signal the absolute tolerance of an adaptive method leaves to chance; empty where none.
 
     It is an error of a state in one step: above LARGEST_ERROR of a signal that moves, nothing keeps that right.
+    signals: (n, entries); those below WHOLE of another one of their unit are rounding.
     """
-    peaks, at = {}, 0
-    for name in names:
-        size = int(np.prod(model.shape_of(name), dtype=int))
-        peaks[name] = float(np.abs(rows[:, at : at + size]).max(initial=0.0))
-        at += size
-    told = {name: peak for name, peak in peaks.items() if 0 < peak < atol / LARGEST_ERROR}
+    peaks = {name: float(np.abs(values).max(initial=0.0)) for name, values in signals.items()}
+    units = {name: model.select(name)[0].unit or "" for name in signals}
+    least = {unit: WHOLE * max(peaks[name] for name in peaks if units[name] == unit) for unit in units.values()}
+    told = {name: peak for name, peak in peaks.items() if least[units[name]] < peak < atol / LARGEST_ERROR}
     if not told:
         return ""
     name = min(told, key=lambda key: told[key])
-    unit = model.select(name)[0].unit or ""
+    unit = units[name]
     return (
         f"the absolute tolerance {atol:.3g} is more than 1 % of '{name}', whose peak is {told[name]:.3g} {unit}: "
         f"nothing keeps its error small; a solver.atol of {1e-7 * told[name]:.0e} would"

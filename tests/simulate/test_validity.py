@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from rotorsim.diagram import load
+from rotorsim.diagram.diagram import Endpoint
+from rotorsim.simulate.input_limits import InputLimit, passed_limit
 from rotorsim.simulate.run import simulate
 from rotorsim.simulate.stability import growing
 from rotorsim.simulate.validity import stretches_of
@@ -228,6 +230,24 @@ def test_a_rotor_that_stays_between_its_magnets_is_left_alone():
     found = simulate(nonlinear_bearing(), stop=0.5)
     assert (found.status, found.message) == ("finished", "")
     assert np.abs(found["rotor.displacement"]).max() < 42.1 / 105210
+
+
+@pytest.mark.parametrize(("times", "told"), [(0.999, False), (1.001, True)])
+def test_a_bearing_at_one_node_is_judged_by_that_node(times, told):
+    """Signals of a co-simulation are whole: (n, nodes, axes). The limit is 4e-4 m at node 2."""
+    limit = InputLimit("amb", "displacement", Endpoint("rotor", "displacement", (1,)), 4e-4, "m")
+    values = np.zeros((3, 4, 2))
+    values[:, 2:] = 1.0  # further off, where no bearing is
+    values[2, 1, 1] = -4e-4 * times
+    found = passed_limit([limit], np.array([0.0, 0.1, 0.2]), {"rotor.displacement": values})
+    assert found == (
+        "amb: its equations hold below a displacement of 0.0004 m; 'rotor.displacement[2]' passes it at t = 0.2 s and "
+        "reaches 0.0004004 m"
+        if told
+        else ""
+    )
+    assert passed_limit([limit], np.array([0.0, 0.1, 0.2]), {"rotor.displacement[2]": values[:, 1]}) == found
+    assert passed_limit([limit], np.zeros(3), {}) == ""
 
 
 @pytest.mark.parametrize(("times", "told"), [(0.99, False), (1.01, True)])

@@ -1,4 +1,4 @@
-"""How far inputs of blocks may go: beyond, their equations do not hold, and what was computed is no motion."""
+"""Limits of inputs: beyond, the equations of a block do not hold, and what was computed is no motion."""
 
 from __future__ import annotations
 
@@ -8,24 +8,27 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.diagram import Diagram, Endpoint
 
-__all__ = ["Reach", "beyond", "reaches_of"]
+__all__ = ["InputLimit", "input_limits", "passed_limit"]
 
 
 @dataclass(frozen=True)
-class Reach:
+class InputLimit:
     """An input of a block, the signal that is wired to it, and the magnitude below which the equations hold."""
 
     block: str
     port: str
-    source: str
+    source: Endpoint
     limit: float
     unit: str
 
 
-def reaches_of(diagram: Diagram, given: Mapping[str, np.ndarray] | None = None) -> list[Reach]:
-    """Return what blocks say of how far their inputs may go. given: values of parameters ("amb.bias_current"), flat."""
+def input_limits(diagram: Diagram, given: Mapping[str, np.ndarray] | None = None) -> list[InputLimit]:
+    """Return the limits that blocks state of their inputs (`rotorsim.block.Block.holds_below`).
+
+    given: values of parameters by name ("amb.bias_current"), flat.
+    """
     known, found = given or {}, []
     for name, node in diagram.nodes.items():
         values = {key: known.get(f"{name}.{key}", node.values[key]) for key in node.block.parameters}
@@ -33,17 +36,18 @@ def reaches_of(diagram: Diagram, given: Mapping[str, np.ndarray] | None = None) 
         for port, limit in node.block.holds_below(SimpleNamespace(**single)).items():
             for wire in diagram.wires:
                 if (wire.target.block, wire.target.port) == (name, port):
-                    found.append(Reach(name, port, str(wire.source), float(limit), node.inputs[port].unit or ""))
+                    found.append(InputLimit(name, port, wire.source, float(limit), node.inputs[port].unit or ""))
     return found
 
 
-def beyond(reaches: Sequence[Reach], time: np.ndarray, signals: Mapping[str, np.ndarray]) -> str:
+def passed_limit(limits: Sequence[InputLimit], time: np.ndarray, signals: Mapping[str, np.ndarray]) -> str:
     """Return which input went furthest beyond its limit, and since when; empty where none did. signals: (n, ...)."""
     worst: tuple[float, str] = (1.0, "")
-    for item in reaches:
-        if item.source not in signals:
+    for item in limits:
+        values = _values(item.source, signals)
+        if values is None:
             continue
-        size = np.abs(signals[item.source]).reshape(len(time), -1).max(axis=1, initial=0.0)
+        size = np.abs(values).reshape(len(time), -1).max(axis=1, initial=0.0)
         share = float(size.max(initial=0.0)) / item.limit
         if share >= worst[0]:
             first = float(time[int(np.argmax(size >= item.limit))])
@@ -53,3 +57,11 @@ def beyond(reaches: Sequence[Reach], time: np.ndarray, signals: Mapping[str, np.
             )
             worst = share, f"{item.block}: {text}"
     return worst[1]
+
+
+def _values(source: Endpoint, signals: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """Return a signal, or the part of it that is wired, from signals that may hold the whole."""
+    whole = signals.get(f"{source.block}.{source.port}")
+    if whole is None:
+        return signals.get(str(source))
+    return np.asarray(np.moveaxis(whole, 0, -1)[source.index]).T
