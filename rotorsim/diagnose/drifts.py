@@ -23,7 +23,7 @@ FALSE_ALARM = 1e-3  # for a channel of a recording
 # a random walk that starts with a run has Var(mean) = s^2 T / 3, and s^2 3 T / 10 in its slope's Legendre coefficient
 MEAN = 10 / 9
 DRIFTING = 2.0  # times the noise: a diagram that leaves more does not say what drifts of itself
-SCORINGS = 20  # steps of Fisher's scoring: each halves the error at least
+SCORINGS = 20  # steps of Fisher's scoring
 LEAST = 1e-9  # of a channel's information that slow states leave: below, they take all of its drift
 
 

@@ -80,7 +80,7 @@ def cosimulate(
         found = _by_waveform(coupling, diagram, step, end, tolerance, progress)
         every_signal = np.column_stack([values.reshape(len(found.time), -1) for values in found.signals.values()])
         status, message = _judged(
-            exchanging, _Told(step, master), found.time, every_signal, found.status, found.message
+            diagram, exchanging, _Told(step, master), found.time, every_signal, found.status, found.message
         )
         return replace(found, status=status, message=message)
     if not 0 < step <= end:
@@ -131,7 +131,7 @@ def cosimulate(
         if progress is not None:
             progress(t / end)
     if status in ("finished", "diverged"):
-        status, message = _judged(exchanging, told, np.array(times), np.array(rows), status, message)
+        status, message = _judged(diagram, exchanging, told, np.array(times), np.array(rows), status, message)
     result = _result(coupling, diagram, np.array(times), np.array(rows), status, message, worker, told)
     errors = held_mismatch(coupling, np.array(rows)) if plain else np.array(mismatch)
     return _with_error(result, errors)
@@ -143,8 +143,9 @@ def _with_error(result: Result, errors: np.ndarray) -> Result:
 
 
 def _judged(
-    exchanging: Sequence[ModelExchange], told: _Told, times: np.ndarray, rows: np.ndarray, status: str, message: str
-) -> tuple[str, str]:
+    diagram: Diagram, exchanging: Sequence[ModelExchange], told: _Told, times: np.ndarray, rows: np.ndarray,
+    status: str, message: str,
+) -> tuple[str, str]:  # fmt: skip
     """Return status and message of a run that reached its end, or left the finite numbers. rows: (n, n_y)."""
     for integrator in exchanging:
         why = integrator.unstable_step()
@@ -160,7 +161,8 @@ def _judged(
                 f"the linearised loop is unstable as a whole, with any step, and its motion grows at {growth:.3g} 1/s"
             )
             return "unstable", what
-    if status == "finished" and grown > EXPLODED:
+    options = (getattr(node.block.option, "profile", "constant") for node in diagram.nodes.values())
+    if status == "finished" and grown > EXPLODED and all(option == "constant" for option in options):
         return "unstable", f"the motion grows at {growth:.3g} 1/s, and has become {grown:.2g} times larger"
     return status, message
 
@@ -366,7 +368,7 @@ def _fast(
         times, kept, _ = _with_last(times, [*rows], times, *last)
         rows = np.array(kept)
     if status in ("finished", "diverged"):
-        status, message = _judged((), told, np.array(times), rows, status, message)
+        status, message = _judged(diagram, (), told, np.array(times), rows, status, message)
     result = _result(coupling, diagram, np.array(times), rows, status, message, worker, told)
     return _with_error(result, held_mismatch(coupling, rows))
 

@@ -76,6 +76,13 @@ def test_a_motion_that_explodes_is_not_finished_where_nothing_was_analysed(run: 
     assert re.match(r"error: the motion grows at [\d.]+ 1/s, and has become [\de.+]+ times larger\n", done.stderr)
 
 
+def test_a_run_up_that_ends_on_its_way_to_resonance_is_no_explosion(run: Run) -> None:
+    """From rest, unbalance alone: in 13 s the response grows 1900 times from the first eighth to the last."""
+    arguments = ("--part", "controller", "--stop", "13 s", "--step", "0.4 ms", "--no-check")
+    done = run("cosim", "jeffcott_runup", *arguments, "--set", "controller.KI=0", "--set", "crack_stiffness=0")
+    assert (done.exit_code, done.stderr) == (0, "")
+
+
 def test_a_rotor_that_passes_its_magnets_is_no_motion(run: Run, tmp_path: Path) -> None:
     document = json.loads(json.dumps(load("jeffcott").document))
     del document["identify"]
