@@ -117,8 +117,9 @@ def _shaped(model: Model, name: str, values: np.ndarray) -> np.ndarray:
 
 
 def _by_name(model: Model, names: tuple[str, ...], rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the columns of the named signals; those of algebraic loops' residuals stand behind them."""
     ends = np.cumsum([_width(model, name) for name in names])
-    return dict(zip(names, np.split(rows, ends[:-1], axis=1), strict=True))
+    return dict(zip(names, np.split(rows, ends, axis=1)[:-1], strict=True))
 
 
 def _check(h: float, end: float, every: int) -> None:
