@@ -19,7 +19,7 @@ from rotorsim.identify.ports import FRESH, Ports, open_ports, slow_states
 __all__ = ["NonlinearMotion", "Prediction"]
 
 EXTRA_ORDERS, SHARP_ORDERS = 8, 40  # beyond those compared with data
-MOST_STEPS = 14
+MOST_STEPS = 60  # where a law has corners, as dry friction that nearly sticks, most of them are short
 SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0)  # of a law, in steps, where Newton's method fails at once
 SMALLEST_LENGTH = 2.0**-6
 CLOSE = 1e-9

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from rotorsim.diagram import Diagram, load
 from rotorsim.identify import identify
@@ -13,7 +14,7 @@ from rotorsim.identify.experiment import open_experiment
 from rotorsim.identify.nonlinear_likelihood import NonlinearLikelihood, likelihood_of
 from rotorsim.identify.nonlinear_motion import NonlinearMotion
 from rotorsim.recordings import Recording
-from tests.identify import changed, recorded
+from tests.identify import changed, made, recorded
 from tests.reference.jeffcott import Jeffcott
 from tests.reference.recordings import RecordedRun
 
@@ -114,6 +115,38 @@ def test_no_settled_motion_is_no_number():
     found = likelihood.evaluate(theta)
     assert not np.isfinite(found.residual).all()
     assert np.isfinite(estimate(Search(likelihood), likelihood.experiment.theta0).misfit)
+
+
+def test_a_motion_that_nearly_sticks_is_found_from_rest():
+    """Dry friction of 0.5 N at 900, 1200, 1500 rpm; at 900 rpm the harmonics are those of an integration in time."""
+    friction, width = 0.5, 3e-6
+
+    def change(document):
+        law = {"type": "coulomb_friction", "parameters": {"friction": friction, "width": width}}
+        document["blocks"]["friction"] = law
+        document["wires"] += [["rotor.velocity", "friction.velocity"], ["friction.force", "rotor.force"]]
+        document["blocks"]["controller"]["parameters"]["KI"] = 0.0
+        document["identify"] = {"viscous_damping": {}}
+
+    runs = made("jeffcott", [rpm * RPM for rpm in (900, 1200, 1500)], gains=(12200.0, 0.0, 3.0))
+    experiment = open_experiment(changed("jeffcott", change), recorded(runs))
+    assert isinstance(experiment.motion, NonlinearMotion)
+    found = experiment.motion.predict(experiment.theta0)
+    assert found.settled.all()
+
+    model = replace(Jeffcott(), ki=0.0, speed=900 * RPM)
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        slope = np.array(model.rhs(t, y))
+        size = np.hypot(y[4], y[5]) + 1e-30
+        slope[4:] -= friction * np.tanh(size / width) / size * y[4:] / model.mass
+        return slope
+
+    turn = 2 * np.pi / model.speed * np.arange(2048) / 2048
+    time = turn + 2 * np.pi / model.speed * 14
+    motion = solve_ivp(rate, (0.0, time[-1]), np.zeros(6), "LSODA", time, rtol=1e-8, atol=1e-13).y[2]
+    orders = np.fft.rfft(motion)[:6] / len(motion)
+    assert np.abs(found.Y[0, :6, 0] - orders).max() < 2e-3 * np.abs(orders[1])  # corners are cut beyond order 24
 
 
 def test_a_nonlinear_diagram_takes_no_measured_inputs():
