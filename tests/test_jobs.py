@@ -345,7 +345,8 @@ def test_ctrl_c_and_a_kill_keep_results_and_leave_no_process(tmp_path, how):
     store = tmp_path / "s.jsonl"
     script = tmp_path / "script.py"
     script.write_text(
-        "from rotorsim.jobs import run_jobs\nfrom tests.test_jobs import waits\n"
+        "import signal\nfrom rotorsim.jobs import run_jobs\nfrom tests.test_jobs import waits\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # shells have what runs behind them ignore it
         f"if __name__ == '__main__':\n    run_jobs(waits, range(6), store={str(store)!r}, workers=2)\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -374,7 +375,7 @@ def test_ctrl_c_and_a_kill_keep_results_and_leave_no_process(tmp_path, how):
             if process.is_running():
                 process.kill()
         main.kill()
-        main.wait()
+        main.communicate()  # closes its pipe, too
 
 
 def test_scheduler_out_of_reach_is_said(monkeypatch):
