@@ -18,7 +18,7 @@ from scipy.linalg import block_diag, solve_triangular
 
 from rotorsim.identify.experiment import Experiment
 from rotorsim.identify.motion import Motion, PortMotion, Response, condensed
-from rotorsim.recordings.harmonic_fit import HarmonicFit, real_vector, scaled_cholesky
+from rotorsim.recordings.harmonic_fit import HarmonicFit, real_columns, real_vector, scaled_cholesky
 
 __all__ = ["Evaluation", "Likelihood", "fitted_columns", "harmonics_of_time"]
 
@@ -106,8 +106,9 @@ class Likelihood:
         inputs = given.copy()
         residuals = []
         spanned: dict[int, np.ndarray] = {}
+        predicted = real_vector(np.concatenate([Y, given], axis=2))
         for r, (white, raw) in enumerate(blocks):
-            e = self.data_rows[r] - self.whiteners[r].apply(real_vector(np.concatenate([Y[r], given[r]], axis=1)))
+            e = self.data_rows[r] - self.whiteners[r].apply(predicted[r])
             if white.shape[1]:
                 q, best = fitted_columns(white, e)
                 X[r], inputs[r] = self._moved(response, r, raw, best, X[r], given[r])
@@ -117,12 +118,11 @@ class Likelihood:
         if any(raw.size or self.V for _, raw in blocks):
             Y = response.outputs(X, inputs) * turn[:, :, None]
         slopes = response.sensitivity(X, inputs if self.V else None) * turn[:, :, None, None]
+        slopes = real_columns(np.pad(slopes, ((0, 0), (0, 0), (0, self.V), (0, 0))) if self.V else slopes)
         rows = []
         counted = 0
         for r in range(len(blocks)):
-            J = np.zeros((self.orders, self.c + self.V, slopes.shape[-1]), complex)
-            J[:, : self.c] = slopes[r]
-            j = -self.whiteners[r].apply(np.moveaxis(real_vector(np.moveaxis(J, -1, 0)), 0, -1))
+            j = -self.whiteners[r].apply(slopes[r])
             if r in spanned:
                 j = j - spanned[r] @ (spanned[r].T @ j)
                 counted -= spanned[r].shape[1]
@@ -262,9 +262,10 @@ def fitted_columns(columns: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.n
     """Return an orthonormal base of columns and their best factors; columns that are zero have none."""
     size = np.linalg.norm(columns, axis=0)
     used = size > 0
-    q, triangle = np.linalg.qr(columns[:, used] / size[used])
+    unit = columns[:, used] / size[used]
+    q, triangle = (unit, np.eye(1)) if unit.shape[1] == 1 else np.linalg.qr(unit)
     best = np.zeros(columns.shape[1])
-    best[used] = solve_triangular(triangle, q.T @ e) / size[used]
+    best[used] = np.linalg.solve(triangle, q.T @ e) / size[used]
     return q, best
 
 

@@ -10,7 +10,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identify.experiment import Experiment
 from rotorsim.identify.likelihood import Evaluation, Likelihood, fitted_columns
 from rotorsim.identify.nonlinear_motion import NonlinearMotion, Prediction
-from rotorsim.recordings.harmonic_fit import real_vector
+from rotorsim.recordings.harmonic_fit import real_columns, real_vector
 
 __all__ = ["NonlinearLikelihood", "likelihood_of"]
 
@@ -79,15 +79,13 @@ class NonlinearLikelihood(Likelihood):
         e = self.data_rows[r] - white.apply(real_vector(np.pad(found.Y[r], (more, (0, 0)))))
         slopes = found.slopes[r] + found.by_means[r][..., places] @ by_theta
         slopes = np.pad(slopes, (more, (0, 0), (0, 0)))
-        j = -white.apply(np.moveaxis(real_vector(np.moveaxis(slopes, -1, 0)), 0, -1))
+        j = -white.apply(real_columns(slopes))
         open_ones = np.setdiff1d(np.arange(found.by_means[r].shape[-1]), places)
         columns = np.pad(found.by_means[r][..., open_ones], (more, (0, 0), (0, 0)))
         change = np.zeros(found.by_means[r].shape[-1])
         if not len(open_ones) or not found.settled[r]:
             return e, j, change, np.zeros(0), np.zeros((len(e), 0))
-        q, change[open_ones] = fitted_columns(
-            white.apply(np.moveaxis(real_vector(np.moveaxis(columns, -1, 0)), 0, -1)), e
-        )
+        q, change[open_ones] = fitted_columns(white.apply(real_columns(columns)), e)
         gain = q.T @ e
         return e - q @ gain, j - q @ (q.T @ j), change, gain, q
 

@@ -19,7 +19,7 @@ from rotorsim.recordings.noise import Line, Noise, find_lines, noise_of
 
 __all__ = [
     "Basis", "Beside", "HarmonicFit", "check_samples", "complex_values", "fit_harmonics", "harmonic_basis",
-    "line_columns", "real_vector", "scaled_cholesky", "with_lines",
+    "line_columns", "real_columns", "real_vector", "scaled_cholesky", "with_lines",
 ]  # fmt: skip
 
 TURN = 2 * np.pi
@@ -205,12 +205,17 @@ class HarmonicFit:
 
 def real_vector(values: np.ndarray) -> np.ndarray:
     """Return harmonics (..., K+1, C) as real numbers (..., (2K+1) C): order 0, then real, imaginary per order."""
-    *lead, orders, channels = values.shape
-    out = np.empty((*lead, 2 * orders - 1, channels))
-    out[..., 0, :] = values[..., 0, :].real
-    out[..., 1::2, :] = values[..., 1:, :].real
-    out[..., 2::2, :] = values[..., 1:, :].imag
-    return out.reshape(*lead, -1)
+    return real_columns(values[..., None])[..., 0]
+
+
+def real_columns(values: np.ndarray) -> np.ndarray:
+    """Return harmonics (..., K+1, C, j) as real columns (..., (2K+1) C, j); see `real_vector`."""
+    *lead, orders, channels, count = values.shape
+    out = np.empty((*lead, 2 * orders - 1, channels, count))
+    out[..., 0, :, :] = values[..., 0, :, :].real
+    out[..., 1::2, :, :] = values[..., 1:, :, :].real
+    out[..., 2::2, :, :] = values[..., 1:, :, :].imag
+    return out.reshape(*lead, -1, count)
 
 
 def complex_values(vector: np.ndarray, channels: int) -> np.ndarray:
