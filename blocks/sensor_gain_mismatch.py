@@ -7,6 +7,12 @@ from rotorsim.blocks import _plane, _sensor
 from rotorsim.block import Block, Equations, Param
 from rotorsim.fault import Fault
 
+_TOLD = "slow roll and law of speed: the factor is the same at every order and speed"
+_CONVENTION = (
+    "the mean of both gains is taken as right, for no run shows it: if one sensor alone is off, all values that scale "
+    "with the displacement are wrong by the mismatch"
+)
+
 
 class SensorGainMismatch(Block):
     """Give the displacement that sensors of unequal gain, or not at a right angle, see.
@@ -28,7 +34,8 @@ class SensorGainMismatch(Block):
             sizes=("mismatch",),
             law="-k from the conjugate of k at every order, by the same factor",
             confused_with=("anisotropic_support", "amb_cross_coupling"),
-            told_apart_by="slow roll and law of speed: the factor is the same at every order and speed",
+            told_apart_by=_TOLD,
+            convention=_CONVENTION,
         ),
         Fault(
             physics="sensor_gain_mismatch",
@@ -38,7 +45,8 @@ class SensorGainMismatch(Block):
             sizes=("mismatch", "skew"),
             law="-k from the conjugate of k at every order, by the same factor",
             confused_with=("anisotropic_support", "amb_cross_coupling"),
-            told_apart_by="slow roll and law of speed: the factor is the same at every order and speed",
+            told_apart_by=_TOLD,
+            convention=_CONVENTION,
         ),
     )
 

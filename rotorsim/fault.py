@@ -74,6 +74,7 @@ class Fault:
     "crack.sag" takes that of the one block of type crack, if there is one. law: in words, what the effect does with
     speed, order and amplitude.
     confused_with: physics that read alike; told_apart_by: the experiment that tells them apart.
+    convention: what no run shows and is fixed, so that values and intervals hold only with it: said with them.
     """
 
     physics: str
@@ -91,6 +92,7 @@ class Fault:
     law: str = ""
     confused_with: tuple[str, ...] = ()
     told_apart_by: str = ""
+    convention: str = ""
     source: str = ""
 
     def __post_init__(self) -> None:

@@ -24,8 +24,8 @@ from rotorsim.identify.profile import Z90
 from rotorsim.recordings.recording import Recording
 
 __all__ = [
-    "VERDICTS", "Diagnosis", "Effect", "Estimated", "concluded", "effects_of", "estimates", "in_words", "interval",
-    "nearest", "unknown_of", "verdict_of",
+    "VERDICTS", "Diagnosis", "Effect", "Estimated", "concluded", "conventions", "effects_of", "estimates", "in_words",
+    "interval", "nearest", "unknown_of", "verdict_of",
 ]  # fmt: skip
 
 VERDICTS = ("consistent", "missing_physics", "outside_catalogue", "not_identifiable")
@@ -297,7 +297,7 @@ def concluded(
         rejected=(*_rejected(named, effects), *(screened if effects else ())), open=_open(named, effects),
         before=before, after=after, document=values_in(after.document, after.values),
         score_before=scores[0], score_after=scores[1], next_experiment="", statement="", named=named,
-        warnings=tuple(warnings), detectable=_detectable(named) if verdict == "consistent" else {},
+        warnings=(*warnings, *conventions(every)), detectable=_detectable(named) if verdict == "consistent" else {},
         outside={} if unknown is None else {**unknown.data, "description": unknown.description},
         source=source, held=held, proof=proof, explained=tuple(explained), residual=residual,
         converters=tuple(converters), readings=readings, recordings=tuple(recordings),
@@ -308,6 +308,15 @@ def _as_effect(converter: Converter, fit: Fit) -> Effect:
     """Return a converter as an effect that nothing else explains: readings are steps or they are not."""
     item = converter.insertion
     return Effect(Candidate(item, fit), {item.physics: 1.0}, {}, ((item.spot, 1.0),))
+
+
+def conventions(effects: Sequence[Effect]) -> list[Problem]:
+    """Return as warnings what no run shows and the laws of these effects take as given."""
+    laws = [item.candidate.insertion for item in effects]
+    return [
+        Problem(item.fault.convention, f"{item.physics} at {item.spot}", severity="warning")
+        for item in laws if item.fault.convention
+    ]  # fmt: skip
 
 
 def in_words(found: Diagnosis) -> Diagnosis:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from rotorsim.diagnose.conclusions import Effect, conventions
 from rotorsim.diagnose.finder import insertions
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.insertion import LINES, Insertion, fixed_of, starts_of
@@ -234,3 +235,15 @@ def test_an_effect_that_stood_behind_another_in_a_wire_can_stand_alone():
     assert "runout" not in alone["blocks"]
     assert ["rotor.displacement", "sensor_rotation.displacement"] in alone["wires"]
     assert alone["measured"] == {"rotor.displacement": "sensor_rotation.sensed_displacement"}
+
+
+def test_what_a_law_takes_as_given_is_said():
+    """One gain too large by 5 %: the mismatch is 2.4 %, and crack and eccentricity are 2.5 % too large."""
+    [item] = [item for item in found("jeffcott", RECORDED, "sensor_gain_mismatch") if item.variant == 0]
+    [warning] = conventions([Effect(Candidate(item, Fit({})), {}, {}, ())])
+    assert str(warning) == (
+        "warning: sensor_gain_mismatch at rotor.displacement: the mean of both gains is taken as right, for no run "
+        "shows it: if one sensor alone is off, all values that scale with the displacement are wrong by the mismatch"
+    )
+    [bow] = found("jeffcott", RECORDED, "residual_bow")[:1]
+    assert conventions([Effect(Candidate(bow, Fit({})), {}, {}, ())]) == []
