@@ -189,7 +189,8 @@ def test_a_shaking_too_faint_for_any_run_is_named_from_all():
     assert found.score_before.total < 1.1 * found.score_before.noise
 
 
-@pytest.mark.parametrize("name", ["shaken", pytest.param("faint", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["shaken", "faint"])
 def test_lines_that_no_row_explains_are_described(name):
     """The force that acts is mass times acceleration, 0-peak; faint: noise adds 40 % at most."""
     machine = MACHINES[name]

@@ -70,7 +70,7 @@ FAR = [
 ]
 
 
-@pytest.mark.parametrize("start", FAR)
+@pytest.mark.parametrize("start", [*FAR[:2], pytest.param(FAR[2], marks=pytest.mark.slow)])
 def test_start_values_do_not_matter(start):
     """Ten times, a thousandth, none; the last is a start at which the closed loop is not stable."""
     recording = recorded(two_gains("jeffcott", LOWER["jeffcott"][::4]))
@@ -103,7 +103,7 @@ def test_a_search_that_ends_elsewhere_is_not_called_adequate(start):
     assert not found.adequate or max(errors(found).values()) < 1e-3
 
 
-@pytest.mark.parametrize("model", ["jeffcott", "fe_flexible"])
+@pytest.mark.parametrize("model", ["jeffcott", pytest.param("fe_flexible", marks=pytest.mark.slow)])
 def test_a_shaft_that_turns_back(model):
     """Gyroscopic moments, breathing and unbalance all turn with it."""
     speeds = [-speed for speed in LOWER[model][::4]]

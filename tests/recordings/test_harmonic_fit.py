@@ -164,8 +164,8 @@ def test_a_factor_of_a_covariance_of_small_and_large_numbers():
 )
 @pytest.mark.parametrize(
     "kind",
-    ["white", "across", "coloured across", "late"]
-    + [pytest.param(kind, marks=pytest.mark.slow) for kind in ("coloured", "resonance")],
+    ["white", "across", "late"]
+    + [pytest.param(kind, marks=pytest.mark.slow) for kind in ("coloured", "coloured across", "resonance")],
 )
 def test_covariance_is_that_of_repeated_measurements(kind, n, hertz, draws):
     """The sample covariance of the errors against the mean of what the fits say.
@@ -187,6 +187,7 @@ def test_covariance_is_that_of_repeated_measurements(kind, n, hertz, draws):
     assert same_covariance(np.array(errors), np.mean(said, axis=0)) > LEVEL
 
 
+@pytest.mark.slow
 def test_covariance_with_an_uncertain_angle():
     """An error of angle zero turns harmonic k by k times that, in all channels together; its curve is below noise."""
     n, K, std = 1000, 2, 0.002

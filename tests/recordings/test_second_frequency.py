@@ -124,8 +124,7 @@ def off(case: str, draws: int) -> np.ndarray:
 
 DRAWN = pytest.mark.parametrize(
     ("case", "draws"),
-    [(case, FEW) for case in ("constant", "follows backward")]
-    + [pytest.param(case, CASES[case][-1], marks=pytest.mark.slow) for case in CASES],
+    [("follows backward", FEW)] + [pytest.param(case, CASES[case][-1], marks=pytest.mark.slow) for case in CASES],
 )
 
 

@@ -85,7 +85,9 @@ def test_mean_rises_with_the_slow_pole_after_lifting() -> None:
     assert abs(mean - expected) < 2e-4 * expected
 
 
-@pytest.mark.parametrize("name", ["rub", "dahl", "magnetic_nonlinearity"])
+@pytest.mark.parametrize(
+    "name", ["rub", *(pytest.param(name, marks=pytest.mark.slow) for name in ("dahl", "magnetic_nonlinearity"))]
+)
 def test_feedback_agrees_with_another_integrator(name: str) -> None:
     parameters, runs, _, peaks = scene("jeffcott")
     fault = drawn(name, "jeffcott", 0.8, parameters, peaks, len(runs))
@@ -192,6 +194,7 @@ def test_delay_is_a_delay() -> None:
     np.testing.assert_allclose(H, np.exp(-s * 3e-4), rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_aliases_leave_no_trace_and_faults_do() -> None:
     parameters, runs, healthy, peaks = scene("jeffcott")
     changed = {"ks": 0.9, "ki": 1.1, "dk": 1.1, "e": 0.95, "c": 1.2}

@@ -59,7 +59,7 @@ def nasty() -> Diagnosis:
     def rename(document: dict[str, Any]) -> None:
         document["name"] = NASTY
 
-    measured = recording(True, SPEEDS[:2])
+    measured = recording(True, SPEEDS, all_gains=(OTHER_GAINS,))
     named = Recording(NASTY, NASTY, measured.folder, measured.channels, measured.runs, measured.warnings)
     found = diagnose(changed("jeffcott", rename), named, physics=("residual_bow",), workers=1)
     return replace(found, statement=NASTY, next_experiment=NASTY)
