@@ -92,6 +92,7 @@ def _recording(name: str, against: Diagram | None) -> Found:
     from rotorsim.cli.app import problem_data
     from rotorsim.recordings.checks import check_signals
     from rotorsim.recordings.loading import load_recording
+    from rotorsim.recordings.pickup import check_harmonics
 
     entry: dict[str, Any] = {"recording": name, "valid": True}
     line = ""
@@ -99,6 +100,8 @@ def _recording(name: str, against: Diagram | None) -> Found:
         recording = load_recording(name)
         problems = (*recording.warnings, *check_signals(recording))
         code = 1 if any(problem.severity == "error" for problem in problems) else 0
+        if not code:
+            problems = (*problems, *check_harmonics(recording))
         if against is not None:
             from rotorsim.identify.experiment import check_against
 

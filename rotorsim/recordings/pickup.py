@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from rotorsim.errors import Problem
+from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.harmonic_fit import fit_harmonics
-from rotorsim.recordings.harmonics import RunHarmonics, with_one_noise
+from rotorsim.recordings.harmonics import RunHarmonics, contradictions, harmonics_of, with_one_noise
 from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second, signals_of, spectra_of, strongest
 from rotorsim.threads import one_thread
 from rotorsim.units import conversion
 
-__all__ = ["Pickup", "find_mains", "pickup_warnings", "with_pickups"]
+__all__ = ["Pickup", "check_harmonics", "find_mains", "pickup_warnings", "with_pickups"]
 
 TURN = 2 * np.pi
 MAINS = (50.0, 60.0)  # Hz
@@ -26,6 +26,7 @@ FALSE_ALARM = 1e-3  # in a recording, of lines of the mains where there are none
 ROUNDS = 4
 SEEN = 1e-3  # probability of its power in all runs by noise alone, below which a channel is said to show a line
 EVEN = 0.99  # of the best score: as good
+LONGEST = 1_000_000  # samples of a run; harmonics of more take seconds and gigabytes
 STEP = 0.25  # of the resolution of the longest run
 
 
@@ -156,10 +157,25 @@ def _again(
     return replace(item, fit=new)
 
 
-def pickup_warnings(found: Sequence[Pickup], recording: Recording, *, told: bool = True) -> list[Problem]:
-    """Return what is to be said of lines that are fitted along: their sizes in the channels that show them.
+def check_harmonics(recording: Recording) -> list[Problem]:
+    """Return warnings of what harmonics show: pulses that they contradict, and lines of the mains in some channel.
 
-    told: a diagram says that they are no forces.
+    Of recordings of which all runs have harmonics, and none more than LONGEST samples.
+    """
+    if any(len(run.time) > LONGEST for run in recording.runs):
+        return []
+    try:
+        runs = harmonics_of(recording)
+    except RotorsimError:  # no turning shaft, a run-up, what `check_signals` says
+        return []
+    lines = with_pickups(recording, runs, find_mains(recording, runs))[1]
+    return [*contradictions(runs), *pickup_warnings(lines, recording, told=None)]
+
+
+def pickup_warnings(found: Sequence[Pickup], recording: Recording, *, told: bool | None = True) -> list[Problem]:
+    """Return what is to be said of lines of fixed frequency: their sizes in the channels that show them.
+
+    told: whether a diagram says that they are no forces; None: no diagram has been fitted.
     """
     units = {channel.name: channel.unit for channel in recording.channels.values()}
     warnings = []
@@ -168,8 +184,12 @@ def pickup_warnings(found: Sequence[Pickup], recording: Recording, *, told: bool
         sizes = ", ".join(
             f"{item.amplitude[name] / conversion(units[name], None):.2g} {units[name]} in {name}" for name in seen
         )
-        kind, end = ("is picked up", ", as no physics") if told else ("does not follow the shaft", "")
-        what = f"a line of {item.frequency:.2f} Hz {kind}: {sizes}: it is fitted beside the harmonics{end}"
+        kind, end = {
+            True: ("is picked up", "it is fitted beside the harmonics, as no physics"),
+            False: ("does not follow the shaft", "it is fitted beside the harmonics"),
+            None: ("does not follow the shaft", "picked up from the mains, or a force"),
+        }[told]
+        what = f"a line of {item.frequency:.2f} Hz {kind}: {sizes}: {end}"
         warnings.append(Problem(what, recording.name, severity="warning"))
         for run, order in item.near:
             near = f"{item.frequency:.2f} Hz is not told from order {order} here: that order counts less"

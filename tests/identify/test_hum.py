@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rotorsim.identify import identify
+from rotorsim.recordings.pickup import check_harmonics
 from tests.identify import TRUTH, recorded, shipped
 from tests.identify.test_likelihood import two_gains, with_noise
 
@@ -27,26 +28,33 @@ def test_mains_hum_is_no_missing_physics(clean, level):
         replace(run, values={**run.values, column: run.values[column] + level * np.cos(TURN * 50 * run.time + k)})
         for k, run in enumerate(recording.runs)
     )
-    found = identify(shipped("jeffcott"), replace(recording, runs=runs), profile=False)
+    recording = replace(recording, runs=runs)
+    checked = [problem.what for problem in check_harmonics(recording)]
+    found = identify(shipped("jeffcott"), recording, profile=False)
     assert found.adequate
     assert all(abs(item.value - TRUTH[name]) < 4 * item.std for name, item in found.parameters.items())
     said = [problem.what for problem in found.warnings]
     if not level:
-        assert said == []
+        assert said == checked == []
     else:
         assert said[0] == (
             "a line of 50.00 Hz does not follow the shaft: 5e-08 m in rotor.displacement[1]: it is fitted beside the "
             "harmonics"
         )
         near = "50.00 Hz is not told from order {} here: that order counts less"
-        assert said[1:] == [near.format(order) for order in (5, 3, 5, 3)]
+        assert checked[0] == (
+            "a line of 50.00 Hz does not follow the shaft: 5e-08 m in rotor.displacement[1]: picked up from the mains, "
+            "or a force"
+        )
+        assert said[1:] == checked[1:] == [near.format(order) for order in (5, 3, 5, 3)]
 
 
 def test_pulses_of_another_clock_are_said(clean):
     """A clock of the pulses that is 0.5 % slow: a turn of the harmonics is not one of the pulses."""
     recording = recorded([with_noise(run, 0.01, (12, k), "white") for k, run in enumerate(clean)])
     runs = tuple(replace(run, tacho=run.tacho * 1.005) for run in recording.runs)
-    found = identify(shipped("jeffcott"), replace(recording, runs=runs), profile=False)
-    assert [problem.what for problem in found.warnings].count(
-        "its harmonics turn otherwise than its pulses say, by more than these leave open"
-    ) == len(runs)
+    recording = replace(recording, runs=runs)
+    what = "its harmonics turn otherwise than its pulses say, by more than these leave open"
+    found = identify(shipped("jeffcott"), recording, profile=False)
+    assert [problem.what for problem in found.warnings].count(what) == len(runs)
+    assert [problem.what for problem in check_harmonics(recording)] == [what] * len(runs)
