@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
+NOTICED = 0.01  # of the largest harmonic: a change of others by the orders that --harmonics leaves out
+
 
 @click.command("periodic")
 @common.diagram_options
@@ -59,6 +61,13 @@ def command(
         if not settled
     ]
     show_problems(failed)
+    worst = int(found.truncation_error.argmax())
+    if found.truncation_error[worst] > NOTICED:
+        share, H = 100 * float(found.truncation_error[worst]), found.provenance["harmonics"]
+        what = f"{2 * H + 1} orders instead of {H} change those that are kept by up to {share:.2g} % of the largest"
+        hint = "leave --harmonics out: as many as needed"
+        where = f"{loaded.name} at {common.rpm(float(found.speeds[worst])):.6g} rpm"
+        show_problems([Problem(what, where, hint=hint, severity="warning")])
     shaky = [float(speed) for speed, stable in zip(found.speeds, found.stable, strict=True) if stable is False]
     if shaky:
         between = " .. ".join(f"{common.rpm(speed):.6g}" for speed in dict.fromkeys((shaky[0], shaky[-1])))

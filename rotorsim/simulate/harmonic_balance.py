@@ -136,6 +136,7 @@ def balance(setup: Setup, base: np.ndarray, p: np.ndarray, settings: Settings) -
     H = needed_harmonics(X, settings.tolerance) if settings.harmonics is None else count - 1
     left_out = size_beyond(X, min(H, 7 * count // 8))
     done = [problem for j, problem in enumerate(problems) if not solved[j].failure]
+    fixed = settings.harmonics is not None and settings.harmonics <= MOST_HARMONICS
     return Motion(
         X=X[:, : H + 1],
         status=status,
@@ -144,8 +145,16 @@ def balance(setup: Setup, base: np.ndarray, p: np.ndarray, settings: Settings) -
         drifting=sorted({k for problem in done for k in problem.drifting}),
         method="harmonic balance",
         truncation=left_out,
+        finer=np.array([_finer(problems[j], solved[j]) for j in range(len(base))]) if fixed else None,
         counters={"newton_steps": sum(found.steps for found in solved.values())},
     )
+
+
+def _finer(problem: _Problem, found: _Solution) -> np.ndarray:
+    """Return the coefficients of all states with twice the orders, (2H+2, n_x), NaN where there are none."""
+    H = 2 * len(found.X) - 1
+    again = found if found.failure else _newton(problem, _resized(found.S, H), H)
+    return np.full((H + 1, found.X.shape[1]), np.nan + 0j) if again.failure else again.X
 
 
 def _sweep(problems: list[_Problem], order: list[int], solved: dict[int, _Solution], settings: Settings) -> None:

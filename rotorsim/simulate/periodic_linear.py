@@ -31,6 +31,7 @@ class Motion:
     """Coefficients X (speeds, H+1, n_x) of all states at orders 0..H, and how they were found.
 
     truncation (speeds,): size of the harmonics left out, relative to the largest but the mean, worst state.
+    finer (speeds, 2H+2, n_x): the same with twice the orders, where leaving orders out changes those that are kept.
     """
 
     X: np.ndarray
@@ -41,6 +42,7 @@ class Motion:
     method: str
     truncation: np.ndarray
     counters: Mapping[str, int] = field(default_factory=dict)
+    finer: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -16,6 +16,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulate import linear, periodic_linear
 from rotorsim.simulate.eigenmodes import checked_speeds, require_speed
 from rotorsim.simulate.harmonic_balance import Settings, balance
+from rotorsim.simulate.input_limits import input_limits, passed_limit
 from rotorsim.simulate.matrix_function import MatrixFunction
 from rotorsim.simulate.periodic_linear import Motion, Setup
 from rotorsim.simulate.periodic_result import Periodic
@@ -92,8 +93,45 @@ def periodic(
     else:
         settings = Settings(harmonics=harmonics, tolerance=tolerance, stability=stability)
         motion = balance(setup, base, p, settings)
+    _refuse_beyond_limits(setup, base, p, motion)
     channels = _evaluate(setup, outputs, base, p, motion)
-    return _result(model, outputs, values, motion, channels, subharmonic, parameters)
+    error = np.zeros(len(values))
+    if motion.finer is not None:
+        error = _change(channels, _evaluate(setup, outputs, base, p, replace(motion, X=motion.finer)))
+    return _result(model, outputs, values, motion, channels, error, subharmonic, parameters)
+
+
+def _refuse_beyond_limits(setup: Setup, base: np.ndarray, p: np.ndarray, motion: Motion) -> None:
+    """Fail the speeds at which an input of a block passes the magnitude below which its equations hold."""
+    model, count = setup.model, motion.X.shape[1]
+    m = max(8 * count, 128)
+    for j, W in enumerate(base):
+        limits = input_limits(model.diagram, {name: p[j][part] for name, part in model.parameters.items()})
+        names = list(dict.fromkeys(str(item.source) for item in limits))
+        if not names or not np.isfinite(motion.X[j]).all():
+            continue
+        time = setup.instants(np.array([W]), m)[0]
+        x = np.fft.irfft(motion.X[j] * m, m, axis=0)
+        signals = {}
+        for name in names:
+            column = np.array(model.output((name,))(time[None], x.T, setup.z, p[j])).T
+            signals[name] = column.reshape(m, *model.shape_of(name))
+        too_far = passed_limit(limits, time, signals)
+        if too_far:
+            motion.status[j] = f"failed: {too_far}"
+            motion.X[j] = np.nan
+
+
+def _change(channels: np.ndarray, finer: np.ndarray) -> np.ndarray:
+    """Return the largest change of harmonics by more orders, relative to the largest, worst channel, (n,).
+
+    Zero where there is no motion, infinite where there is none with more orders.
+    """
+    change, largest = np.abs(finer[:, : channels.shape[1]] - channels).max(axis=1), np.abs(finer).max(axis=1)
+    moving = largest > periodic_linear.ROUNDING * largest.max(axis=1, keepdims=True, initial=0.0)
+    share = np.divide(change, largest, out=np.zeros_like(change), where=moving & np.isfinite(change))
+    failed, lost = (np.isnan(Y).all(axis=(1, 2)) for Y in (channels, finer))
+    return np.where(failed, 0.0, np.where(lost, np.inf, share.max(axis=1, initial=0.0)))
 
 
 def _returning(setup: Setup, signals: Sequence[str] | None, base: float, p: np.ndarray) -> tuple[str, ...]:
@@ -214,6 +252,7 @@ def _result(
     speeds: np.ndarray,
     motion: Motion,
     Y: np.ndarray,
+    error: np.ndarray,
     turns: int,
     parameters: Mapping[str, Any] | None,
 ) -> Periodic:
@@ -235,6 +274,7 @@ def _result(
         status=tuple(s + text if s == "settled" else s for s in motion.status),
         stable=motion.stable,
         truncation=motion.truncation,
+        truncation_error=error,
         drifting=drifting,
         counters=motion.counters,
         provenance={

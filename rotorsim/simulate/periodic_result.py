@@ -25,7 +25,8 @@ class Periodic(Shown):
     status: one text per speed, "settled" or what is wrong; a speed without a solution is NaN throughout, and a
     signal that drifts has order 0 NaN. stable: per speed, None where it was not examined. truncation (n,):
     size of the harmonics of the states that are left out, relative to the largest but the mean.
-    drifting: flat names of states without a mean.
+    truncation_error (n,): what leaving them out changes of those kept, relative to the largest, worst channel: zero in
+    a linear diagram, and where as many are kept as needed. drifting: flat names of states without a mean.
     """
 
     speeds: np.ndarray
@@ -35,6 +36,7 @@ class Periodic(Shown):
     status: tuple[str, ...]
     stable: tuple[bool | None, ...]
     truncation: np.ndarray
+    truncation_error: np.ndarray
     drifting: tuple[str, ...] = ()
     counters: Mapping[str, int] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)

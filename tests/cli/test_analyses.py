@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rotorsim.cli.common import speeds_of
+from rotorsim.diagram.load import shipped_diagrams
 from rotorsim.errors import RotorsimError
 from tests.reference.published import FE_RIGID_AT_3000_RPM, as_printed
 
@@ -175,3 +176,24 @@ def test_a_critical_speed_names_its_mode(run) -> None:
     for one in data["critical_speeds"]:
         ends = [row[one["mode"] - 1] for row in data["frequency_hz"]]
         assert min(ends) - 1e-6 <= one["frequency_hz"] <= max(ends) + 1e-6
+
+
+def test_orders_left_out_that_change_those_kept_are_said(run) -> None:
+    """A spring that is twice as stiff at 30 um beside the linear ones, driven at 60 Hz."""
+    document = json.loads(shipped_diagrams()["jeffcott"].read_text())
+    del document["$schema"]
+    document["blocks"]["spring"] = {"type": "cubic_stiffness", "parameters": {"stiffness": "1e15 N/m^3"}}
+    document["wires"] += [["rotor.displacement", "spring.displacement"], ["spring.force", "rotor.force"]]
+    Path("hard.json").write_text(json.dumps(document))
+    few = run("periodic", "hard.json", "--harmonics", "1", "--speeds", "3600 rpm", "--json")
+    all_of_them = run("periodic", "hard.json", "--speeds", "3600 rpm", "--json")
+    assert (few.exit_code, all_of_them.exit_code, all_of_them.stderr) == (0, 0, "")
+    assert few.stderr == (
+        "warning: jeffcott at 3600 rpm: 3 orders instead of 1 change those that are kept by up to 23 % of the largest\n"
+        "\n"
+        "hint: leave --harmonics out: as many as needed\n"
+    )
+    kept, true = (json.loads(result.stdout) for result in (few, all_of_them))
+    parts = [(found["harmonics"]["rotor.displacement"], found["orders"].index(1)) for found in (kept, true)]
+    one, right = (complex(values["real"][0][at], values["imag"][0][at]) for values, at in parts)
+    assert 0.01 < abs(one / right - 1) < 0.23

@@ -99,7 +99,7 @@ def periodic_of(orders: np.ndarray, stable: tuple[bool | None, ...] = (True, Fal
     values[2] = np.nan
     status = ("settled", "settled", "failed: no solution")
     speeds = np.array([100.0, 200.0, 300.0])
-    return Periodic(speeds, orders, {"r.d": values.astype(complex)}, {"r.d": "m"}, status, stable, np.zeros(3))
+    return Periodic(speeds, orders, {"r.d": values.astype(complex)}, {"r.d": "m"}, status, stable, *np.zeros((2, 3)))
 
 
 def test_harmonics_over_speed_are_found_by_their_order(tmp_path):
@@ -120,7 +120,7 @@ def test_every_two_axis_signal_has_amplitude_and_phase_and_rounding_is_not_drawn
     pair = np.stack([1e-15 * turning, 0 * turning, 1e-5 * turning, 1e-9 * turning], axis=1)
     harmonics = {"r.d": pair, "r.d[1]": pair, "c.i": 1e6 * pair, "c.i[1]": pair}
     units = {"r.d": "m", "r.d[1]": "m", "c.i": "A", "c.i[1]": "A"}
-    found = Periodic(speeds, orders, harmonics, units, ("settled",) * 3, (True,) * 3, np.zeros(3))
+    found = Periodic(speeds, orders, harmonics, units, ("settled",) * 3, (True,) * 3, *np.zeros((2, 3)))
     axes = periodic_figure(found).axes
     assert [axis.get_title("left") for axis in axes] == ["r.d", "", "c.i", ""]
     assert [axis.get_ylabel() for axis in axes[::2]] == ["amplitude [um, 0-peak]", "amplitude [A, 0-peak]"]

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorsim.errors import RotorsimError
-from rotorsim.simulate.periodic_motion import periodic
+from rotorsim.simulate.periodic_motion import _change, periodic
 from tests.reference.jeffcott import Jeffcott
 from tests.simulate.handmade import handmade, jeffcott
 from tests.simulate.settle import settled_by_shooting
@@ -218,6 +218,17 @@ def test_duffing_oscillator_has_the_amplitude_of_its_exact_harmonic_balance():
     expected = settled_by_shooting(model, 0.5)
     full = periodic(model, speeds=[0.5])
     assert full.harmonic("m.y", 3)[0] == pytest.approx(expected[3, 0], rel=1e-6)
+    assert full.truncation_error == (0.0,)
+    off = abs(found.harmonic("m.y", 1) / full.harmonic("m.y", 1) - 1)
+    assert found.truncation_error == pytest.approx(off, rel=0.05)  # orders to 3 have nearly all of it
+
+
+def test_no_motion_has_no_truncation_error_and_none_with_more_orders_an_infinite_one():
+    motion = np.array([[[0.0], [2.0]], [[0.0], [np.nan]], [[0.0], [1.0]]]) + 0j
+    motion[1] = np.nan
+    finer = np.array([[[0.0], [2.5], [0.1], [0.0]]] * 3) + 0j
+    finer[1:] = np.nan
+    np.testing.assert_array_equal(_change(motion, finer), [0.2, 0.0, np.inf])
 
 
 def test_parametric_excitation_is_solved_and_its_instability_seen():

@@ -13,6 +13,7 @@ import pytest
 from rotorsim.diagram import load
 from rotorsim.diagram.diagram import Endpoint
 from rotorsim.simulate.input_limits import InputLimit, passed_limit
+from rotorsim.simulate.periodic_motion import periodic
 from rotorsim.simulate.run import simulate
 from rotorsim.simulate.stability import growing
 from rotorsim.simulate.validity import stretches_of
@@ -224,6 +225,16 @@ def test_a_rotor_that_passes_its_magnets_is_no_motion():
     unseen = simulate(nonlinear_bearing(), parameters={"controller.KD": -5.0}, stop=0.5, record=["controller.current"])
     assert (unseen.status, unseen.message) == ("diverged", found.message)
     assert list(unseen.signals) == ["controller.current"]
+
+
+def test_a_settled_motion_beyond_its_magnets_is_none():
+    """Harmonic balance finds one: the law goes on, with the sign of the wrong magnet."""
+    found = periodic(nonlinear_bearing(), parameters={"eccentricity": 4e-4}, speeds=[157.0, 560.0])
+    assert found.status[0] == "settled"
+    assert found.status[1].startswith(
+        "failed: amb: its equations hold below a displacement of 0.0004002 m; 'rotor.displacement' passes it at t = "
+    )
+    assert np.isnan(found.harmonics["rotor.displacement"][1]).all()
 
 
 def test_a_rotor_that_stays_between_its_magnets_is_left_alone():
