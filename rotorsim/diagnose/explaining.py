@@ -15,10 +15,11 @@ from rotorsim.diagnose.naming import Named
 from rotorsim.diagnose.places import open_places
 from rotorsim.diagnose.proof import Share, share_explained
 from rotorsim.diagnose.scoring import Held, HeldScore, predict, score, standardised
-from rotorsim.diagnose.trials import NOT_EXPLAINED, Candidate, is_adequate
+from rotorsim.diagnose.trials import Candidate, is_adequate
 from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
+from rotorsim.identify.estimate import NOT_EXPLAINED
 from rotorsim.identify.likelihood import Likelihood
 from rotorsim.identify.motion import Motion
 

@@ -16,7 +16,7 @@ from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.load import load
 from rotorsim.errors import RotorsimError
 from rotorsim.identify.coordinates import ANGLE_UNIT
-from rotorsim.identify.estimate import MOST_EVALUATIONS, Estimate, Search, summary
+from rotorsim.identify.estimate import MOST_EVALUATIONS, NOT_EXPLAINED, Estimate, Search, summary
 from rotorsim.identify.experiment import RESOLUTION, Experiment, open_experiment
 from rotorsim.identify.likelihood import Likelihood
 from rotorsim.identify.motion import Motion
@@ -206,7 +206,7 @@ class Fit:
     @property
     def widening(self) -> float:
         """The factor on intervals where the diagram does not explain the data."""
-        return float(np.sqrt(max(self.misfit / self.freedom, 1.0))) if self.goodness < 1e-4 else 1.0
+        return float(np.sqrt(max(self.misfit / self.freedom, 1.0))) if self.goodness < NOT_EXPLAINED else 1.0
 
     def interval90(self, j: int) -> tuple[float, float]:
         """Return the 90 % interval of a parameter, within its bounds: one-sided at one, infinite if undetermined."""

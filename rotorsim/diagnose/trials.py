@@ -17,14 +17,13 @@ from rotorsim.diagnose.values import values_in
 from rotorsim.diagram.registry import Registry
 from rotorsim.fault import Of
 from rotorsim.identify.coordinates import ANGLE_UNIT
+from rotorsim.identify.estimate import NOT_EXPLAINED
 from rotorsim.identify.profile import Z90
 from rotorsim.jobs import Failure, run_jobs
 from rotorsim.threads import one_thread
 
 __all__ = ["Candidate", "Round", "Trials", "is_adequate", "is_noise"]
 
-# probability of the misfit below which a model does not explain the data: one wrong finding in 10 000 recordings
-NOT_EXPLAINED = 1e-4
 # excess variance that is not worth a name, whatever its probability: a variance estimated from n independent samples is
 # wrong by sqrt(2 / n), 5 % for the 800 between the harmonics of a run of 0.2 s at 5 kHz
 MODEL_ERROR = 1.05

@@ -16,7 +16,7 @@ from rotorsim.identify.coordinates import ANGLE_UNIT, Coordinates, coordinates_o
 from rotorsim.identify.likelihood import Evaluation, Likelihood
 from rotorsim.identify.regression import Regression
 
-__all__ = ["Estimate", "Search", "estimate"]
+__all__ = ["NOT_EXPLAINED", "Estimate", "Search", "estimate"]
 
 TURN = 2 * np.pi
 STARTS = 12  # values over a turn of an angle that enters in several harmonics
@@ -29,7 +29,8 @@ PASSES = 3  # of both, where neither has converged
 GAIN = 1e-4  # of the misfit, that a pass must gain for another to follow
 NOTHING = 1e-11  # of the largest slope: rounding
 SINGULAR = 1e-13  # smallest eigenvalue of the information, each parameter's own being one: below, it is rounding
-NOT_EXPLAINED = 1e-3  # probability of the misfit below which the model is said not to explain the data
+# probability of the misfit below which a model does not explain the data: one wrong finding in 10 000 recordings
+NOT_EXPLAINED = 1e-4
 PART = 0.01  # of a direction that the data say nothing about: who takes part by more is not determined
 
 

@@ -4,7 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
+from rotorsim.diagnose.fitting import Fit
+from rotorsim.diagnose.trials import is_adequate
 from rotorsim.identify import advice, identification
 from rotorsim.identify.advice import advise
 from rotorsim.identify.estimate import Estimate, Search
@@ -46,7 +49,7 @@ def test_intervals_of_the_regression_hold_the_unbiased_value_too():
 
 def test_intervals_of_a_study_are_widened_by_what_the_noise_does_not_explain():
     _, found = straight(np.array([[2.0]]), [3.0])
-    for misfit, times in ((10.8, 1.0), (10.9, np.sqrt(10.9))):  # chi-squared of one, 0.001: 10.83
+    for misfit, times in ((15.1, 1.0), (15.2, np.sqrt(15.2))):  # chi-squared of one, 0.0001: 15.14
         some = Estimate(found.free, found.theta, found.coordinates, None, found.information, found.at_bound, misfit, 1)
         assert some.adequate == (times == 1.0)
         intervals, _ = Bench._judged(SimpleNamespace(profile=False), None, some)
@@ -130,3 +133,12 @@ def test_the_error_of_an_identification_is_that_of_the_signal_in_time(monkeypatc
     wanted = {"rotor.displacement": np.sqrt(np.mean(error**2)) / rms, "coil.current": np.std(error) / rms}
     assert fit == {"identify": {name: pytest.approx(value, rel=1e-12) for name, value in wanted.items()}}
     assert floor == {name: pytest.approx(0.07 / rms, rel=1e-12) for name in wanted}
+
+
+@pytest.mark.parametrize(("probability", "adequate"), [(1.1e-4, True), (0.9e-4, False)])
+def test_a_model_explains_the_data_with_a_probability_of_one_in_ten_thousand_as_in_a_diagnosis(probability, adequate):
+    misfit = float(chi2.isf(probability, 200))
+    found = Estimate((), np.zeros(0), None, None, np.zeros((0, 0)), np.zeros(0, bool), misfit, 200)
+    assert found.adequate == adequate
+    assert found.widening == pytest.approx(1.0 if adequate else np.sqrt(misfit / 200))
+    assert is_adequate(Fit({}, misfit=misfit, rows=200, goodness=found.goodness)) == adequate
