@@ -20,6 +20,7 @@ __all__ = ["BELL", "ClosedError", "Fence", "LateError", "Patience", "Pipe", "ord
 BELL = b"\0\0\0\0"
 LONGEST = 1 << 28  # bytes of a message
 _SLICE = 0.2  # s, between looks at whether the other side still lives
+_yield = getattr(os, "sched_yield", lambda: None)
 
 
 class ClosedError(Exception):
@@ -58,7 +59,7 @@ class Patience:
     keeps the other from working.
     """
 
-    LOOKS = 2500  # some 100 us: longer than it takes to wake a process on another processor
+    LOOKS = 500  # some 200 us: longer than it takes to wake a process on another processor
     MOST, LOSS, START, REST = 64, 8, 16, 2000
 
     def __init__(self, looks: bool) -> None:
@@ -75,6 +76,7 @@ class Patience:
                 if self._trust < self.MOST:
                     self._trust += 1
                 return True
+            _yield()  # where processes outnumber processors, the one that is waited for may want this one
         self._trust -= self.LOSS
         if self._trust < 0:
             self._trust, self._rest = self.START, self.REST
