@@ -17,6 +17,7 @@ __all__ = [
 
 TURN = 2 * np.pi
 MOST_COEFFICIENTS = 8  # of the polynomial through the pulses
+MOST_SAMPLES = 100_000  # of a run, in which a change of speed is looked for: more are thinned out evenly
 SLOPE = np.sqrt(5)  # times jitter / sqrt(N): standard deviation of what N pulses say of a line and a parabola, at most
 TEETH = 1.5  # times the variance of a sampled pulse: jitter of a fifth of its period beside it breaks up saw teeth
 STATED = 0.01  # of a stated speed: its standard deviation, half of what `open_experiment` lets it be wrong by
@@ -192,7 +193,7 @@ def _from_pulses(run: Run, pulses: np.ndarray, doubt: float, stamp: float) -> Sh
     centre, half = (pulses[-1] + pulses[0]) / 2, (pulses[-1] - pulses[0]) / 2
     u = (pulses - centre) / half
     sign = -1.0 if run.speed is not None and run.speed < 0 else 1.0
-    best: tuple[float, np.ndarray, float, np.ndarray] | None = None
+    best: tuple[float, np.polynomial.Chebyshev, float, np.ndarray] | None = None
     inside = (run.time - centre) / half
     each = TURN * (len(pulses) - 1) / (pulses[-1] - pulses[0]) * doubt  # rad: what sampling alone leaves over
     least = max((1e-9 * TURN) ** 2, TEETH * each**2)  # below, pulses share saw teeth: a drift is not told from them
@@ -205,23 +206,22 @@ def _from_pulses(run: Run, pulses: np.ndarray, doubt: float, stamp: float) -> Sh
         criterion = len(pulses) * np.log(variance) + count * np.log(len(pulses))
         if best is None or criterion < best[0] - 1e-9:
             freedom = max(len(pulses) - count, 1)
-            best = (criterion, fit(inside), float(np.sqrt(left @ left / freedom)), left)
+            best = (criterion, fit, float(np.sqrt(left @ left / freedom)), left)
     assert best is not None
-    theta, jitter = best[1], best[2]
-    left = best[3]
+    _, smoothest, jitter, left = best
     follows = float(left[1:] @ left[:-1]) > 2 / np.sqrt(len(left)) * float(left @ left)
     # no low polynomial follows the speed: trust every pulse; the saw teeth of sampled ones are not followed
-    if follows and len(left) > 8 and jitter > np.hypot(WANDERS, 2 * each):
-        theta = CubicSpline(u, turns, bc_type="natural")(inside)
+    trusted = follows and len(left) > 8 and jitter > np.hypot(WANDERS, 2 * each)
+    theta = np.asarray((CubicSpline(u, turns, bc_type="natural") if trusted else smoothest)(inside))
+    if trusted:
         jitter = max(float(np.sqrt(np.mean(np.diff(left, 2) ** 2) / 6)), each)
     theta = sign * theta
     span = run.time[-1] - run.time[0]
-    rate = np.gradient(theta, run.time) if len(theta) > 2 else np.zeros(len(theta))
+    first, last = ((theta[k + 1] - theta[k]) / (run.time[k + 1] - run.time[k]) for k in (0, len(theta) - 2))
     speed = float((theta[-1] - theta[0]) / span)
-    shared = _shared(left, jitter, each) if doubt else 0.0
+    shared = float(_shared(left, jitter, each)) if doubt else 0.0
     smooth = float(np.hypot(each, SLOPE * jitter / np.sqrt(len(pulses))))
-    drift = float(rate[-1] - rate[0])
-    return ShaftAngle(theta, speed, drift, jitter, "tacho", True, len(pulses), float(shared), smooth, stamp)
+    return ShaftAngle(theta, speed, float(last - first), jitter, "tacho", True, len(pulses), shared, smooth, stamp)
 
 
 def _shared(left: np.ndarray, jitter: float, each: float) -> float:
@@ -238,6 +238,8 @@ def _shared(left: np.ndarray, jitter: float, each: float) -> float:
 
 def speed_change(time: np.ndarray, theta: np.ndarray) -> float:
     """Return the even change of the speed over samples of the shaft angle (n,), as a share of the mean speed."""
+    every = -(-len(time) // MOST_SAMPLES)
+    time, theta = time[::every], theta[::every]
     u = 2 * (time - time[0]) / (time[-1] - time[0]) - 1
     _, first, second = np.polynomial.polynomial.polyfit(u, theta - theta[0], 2)
     return float(4 * second / first) if first else 0.0

@@ -1,5 +1,6 @@
 """Findings about signals: each is made once, and good data have none."""
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -386,3 +387,20 @@ def test_two_runs_alike():
     assert found(replace(GOOD, speed=None), replace(other, speed=None)) == []
     copy = replace(GOOD, id="run2", use="hold_out", settings={})
     assert found(GOOD, copy) == ["error: run2: two runs alike: the data of run1 and run2 are identical"]
+
+
+def test_a_long_run_takes_no_more_memory_than_six_of_its_columns():
+    """Beside the run itself: eleven were taken by fits to all samples and by an angle for each degree."""
+    n = 400_000
+    time = np.arange(n) / RATE
+    angle = SPEED * time
+    columns = {"x": 1e-6 * np.cos(angle), "y": 1e-6 * np.sin(angle)}
+    turn = 2 * np.pi / SPEED
+    run = replace(GOOD, time=time, values=columns, tacho=np.arange(1, int(time[-1] / turn)) * turn)
+    made = recording(run, channels={name: CHANNELS[name] for name in columns})
+    tracemalloc.start()
+    try:
+        assert check_signals(made) == []
+        assert tracemalloc.get_traced_memory()[1] < 6 * 8 * n
+    finally:
+        tracemalloc.stop()
