@@ -74,7 +74,7 @@ def command(
     import numpy as np
 
     from rotorsim.cli.summary import two_axis
-    from rotorsim.simulate.spectrum import full_spectrum, harmonics, last_turns
+    from rotorsim.simulate.spectrum import few_samples, full_spectrum, harmonics, last_turns
 
     names = list(signals) or two_axis(result)
     if not names:
@@ -90,6 +90,11 @@ def command(
 
         part = slice(*np.searchsorted(result.time, span))
         refuse_run_up(source, Place(), result.time[part], result[angle][part])
+    count = few_samples(result, angle) if angle else None
+    if count is not None:
+        what = f"{count:.3g} samples a turn: orders beyond {count / 2:.3g} appear as lower ones"
+        hint = "record more often: --set solver.record_every=..., or a smaller step"
+        show_problems([Problem(what, source, hint=hint, severity="warning")])
     found = [full_spectrum(result, name, window=span, angle=angle) for name in names]
     running = _running(result, angle, span)
     fits = _fits(result, names, method, span, angle) if method else None

@@ -63,11 +63,16 @@ def _constant_speed(result: Result, angle: str) -> float | None:
 
 
 def harmonics_of(result: Result, angle: str) -> list[Harmonics]:
-    """Return the harmonics of every two-axis signal over the last whole turns, if the speed is constant."""
+    """Return the harmonics of every two-axis signal over the last whole turns, if the speed is constant.
+
+    None of them where there are too few samples in a turn.
+    """
     if result.status != "finished" or constant_speed(result, angle) is None:
         return []
-    from rotorsim.simulate.spectrum import harmonics, last_turns
+    from rotorsim.simulate.spectrum import few_samples, harmonics, last_turns
 
+    if few_samples(result, angle) is not None:
+        return []
     window = last_turns(result, angle)
     return [harmonics(result, name, angle=angle, window=window) for name in two_axis(result)]
 
@@ -107,11 +112,12 @@ def motion(
     speed = _constant_speed(result, angle)
     if speed is None:
         return {}
-    from rotorsim.simulate.spectrum import harmonics, last_turns
+    from rotorsim.simulate.spectrum import LEAST_SAMPLES, few_samples, harmonics, last_turns
 
     made: dict[str, Any] = {"speed": speed, "speed_rpm": common.rpm(speed), "settled": None}
     if not found:
-        return made
+        few = few_samples(result, angle)
+        return made if few is None else made | {"samples_a_turn": few, "least_samples": LEAST_SAMPLES}
     start, stop = last_turns(result, angle)
     width = stop - start
     turns = max(round(width * speed / (2 * np.pi)), 1)
@@ -162,6 +168,9 @@ def motion_line(motion: dict[str, Any]) -> str:
     if not motion:
         return ""
     text = f"{motion['speed_rpm']:.6g} rpm ({motion['speed']:.6g} rad/s)"
+    if "samples_a_turn" in motion:
+        text += f"; {motion['samples_a_turn']:.3g} samples a turn: harmonics need {motion['least_samples']}, "
+        return text + "so a smaller step or record_every"
     if "window" in motion:
         start, stop = motion["window"]
         text += f"; harmonics over {start:.6g} .. {stop:.6g} s, {motion['turns']} turn{'s' * (motion['turns'] != 1)}"

@@ -12,11 +12,12 @@ from rotorsim.simulate.envelopes import Resonance, RunUp, envelope, resonance_pe
 from rotorsim.simulate.result import Result
 
 __all__ = [
-    "DEFAULT_ORDERS", "FullSpectrum", "Harmonics", "Resonance", "RunUp", "angle_of", "envelope", "full_spectrum",
-    "harmonics", "last_turns", "reconstruction_error", "resonance_peaks", "run_up",
+    "DEFAULT_ORDERS", "LEAST_SAMPLES", "FullSpectrum", "Harmonics", "Resonance", "RunUp", "angle_of", "envelope",
+    "few_samples", "full_spectrum", "harmonics", "last_turns", "reconstruction_error", "resonance_peaks", "run_up",
 ]  # fmt: skip
 
 DEFAULT_ORDERS = (0, 1, 2, 3, 5, 7, -1, -3, -5)  # thesis Table 2-2
+LEAST_SAMPLES = 2 * max(DEFAULT_ORDERS)  # a turn: with fewer the highest of them appears as a lower one
 ANGLE = "clock.theta"
 
 
@@ -140,6 +141,13 @@ def _step(result: Result, part: slice) -> float:
         hint = "harmonics() fits signals that are sampled at any times"
         raise RotorsimError(Problem("the samples are not equally spaced", "time", hint=hint))
     return float((result.time[part][-1] - result.time[part][0]) / len(steps))
+
+
+def few_samples(result: Result, angle: str = ANGLE) -> float | None:
+    """Return how many samples there are in a turn where these are fewer than LEAST_SAMPLES, else None."""
+    turns = abs(float(result[angle][-1] - result[angle][0])) / (2 * np.pi)
+    few = len(result.time) - 1 < LEAST_SAMPLES * turns * (1 - 1e-9)
+    return (len(result.time) - 1) / turns if few else None
 
 
 def last_turns(result: Result, angle: str = ANGLE, share: float = 0.2) -> tuple[float, float]:

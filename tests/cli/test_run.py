@@ -196,6 +196,26 @@ def test_run_says_speed_window_and_whether_the_motion_has_settled(run) -> None:
     assert lines[4] == "14323.9 rpm (1500 rad/s); harmonics over 4.0031 .. 5 s, 238 turns; settled"
 
 
+def test_orders_that_samples_cannot_tell_apart_are_not_shown_as_others(run) -> None:
+    """The highest of nine orders is the seventh: 14 samples a turn tell it from the minus seventh."""
+    few = run("run", "jeffcott", "--set", "solver.record_every=200")
+    assert (few.exit_code, few.stdout.splitlines()[-1]) == (
+        0,
+        "1500 rpm (157.08 rad/s); 2 samples a turn: harmonics need 14, so a smaller step or record_every",
+    )
+    assert json.loads(run("run", "jeffcott", "--set", "solver.record_every=200", "--json").stdout)["harmonics"] == {}
+    least = json.loads(run("run", "jeffcott", "--step", "2.857142857142857 ms", "--json").stdout)
+    assert least["harmonics"]
+    assert "samples a turn" not in run("spectrum", "jeffcott").stderr
+    assert run("spectrum", "jeffcott", "--set", "solver.record_every=200").stderr == (
+        "warning: jeffcott: 2 samples a turn: orders beyond 1 appear as lower ones\n\n"
+        "hint: record more often: --set solver.record_every=..., or a smaller step\n"
+    )
+    # three steps a turn: the error of the step is said all the same
+    coarse = run("run", "jeffcott", "--set", "speed=2e5 rpm", "--stop", "0.5 s")
+    assert (coarse.exit_code, "the step 0.0001 s is too large" in coarse.stderr) == (0, True)
+
+
 def test_an_interrupted_run_keeps_what_was_computed(run, oscillator, monkeypatch) -> None:
     def interrupt(fraction: float) -> None:
         raise KeyboardInterrupt
