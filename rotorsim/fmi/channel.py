@@ -1,7 +1,7 @@
 """How two processes hand a block of numbers to and fro: a little spinning, then sleep on a pipe.
 
 Each side has a counter in the block that only it writes. Whoever waits looks at the other's counter for some
-microseconds, then says in the block that it sleeps, and reads from its pipe; whoever has news rings there if the other
+milliseconds, then says in the block that it sleeps, and reads from its pipe; whoever has news rings there if the other
 sleeps. Messages that do not fit the block go through the pipes too: 4 bytes of length, then as many bytes.
 An empty message is the bell.
 """
@@ -15,10 +15,11 @@ import struct
 import threading
 import time
 
-__all__ = ["BELL", "ClosedError", "Fence", "LateError", "Patience", "Pipe", "ordered"]
+__all__ = ["BELL", "LOOKS", "ClosedError", "Fence", "LateError", "Pipe", "ordered", "seen"]
 
 BELL = b"\0\0\0\0"
 LONGEST = 1 << 28  # bytes of a message
+LOOKS = 5000  # some 2 ms, before sleeping
 _SLICE = 0.2  # s, between looks at whether the other side still lives
 _yield = getattr(os, "sched_yield", lambda: None)
 
@@ -52,35 +53,17 @@ class Fence:
         self.free()
 
 
-class Patience:
-    """Whether to look at the block for a while before sleeping: as long as that has paid lately.
+def seen(head: memoryview, place: int, old: int, looks: int) -> bool:
+    """Look for another number than the old one for a while before sleeping; return whether it came.
 
-    It pays when the other side works on another processor. When both share one, or all are busy, whoever looks only
-    keeps the other from working.
+    Between two looks whoever else wants this processor has it: where processes outnumber processors, looking would
+    keep the other side from working. To be woken costs a hundred looks, in a virtual machine a thousand.
     """
-
-    LOOKS = 500  # some 200 us: longer than it takes to wake a process on another processor
-    MOST, LOSS, START, REST = 64, 8, 16, 2000
-
-    def __init__(self, looks: bool) -> None:
-        self._trust, self._rest = self.START, 0 if looks else -1
-
-    def see(self, head: memoryview, place: int, old: int) -> bool:
-        """Look for another number than the old one; return whether it came."""
-        if self._rest:
-            if self._rest > 0:
-                self._rest -= 1
-            return head[place] != old
-        for _ in range(self.LOOKS):
-            if head[place] != old:
-                if self._trust < self.MOST:
-                    self._trust += 1
-                return True
-            _yield()  # where processes outnumber processors, the one that is waited for may want this one
-        self._trust -= self.LOSS
-        if self._trust < 0:
-            self._trust, self._rest = self.START, self.REST
-        return False
+    for _ in range(looks):
+        if head[place] != old:
+            return True
+        _yield()
+    return bool(head[place] != old)
 
 
 class Pipe:

@@ -16,7 +16,7 @@ import threading
 
 from rotorsim.fmi.binding import CallError
 from rotorsim.fmi.block import Block, Head, Op, Sizes
-from rotorsim.fmi.channel import ClosedError, Fence, Patience, Pipe
+from rotorsim.fmi.channel import LOOKS, ClosedError, Fence, Pipe, seen
 from rotorsim.fmi.session import Session
 
 __all__ = ["main"]
@@ -65,7 +65,7 @@ class _Host:
         self.block, self.pipe, self.ordered = block, pipe, ordered
         self.head = block.head
         self.session = Session(block)
-        self.fence, self.patience = Fence(), Patience(ordered)
+        self.fence, self.looks = Fence(), LOOKS if ordered else 0
         self.seen = 0
         self.waiting: list[bytes] = []
 
@@ -91,13 +91,13 @@ class _Host:
 
     def _wait(self) -> None:
         """Wait until the request changes."""
-        head, seen = self.head, self.seen
-        if self.patience.see(head, Head.REQUEST, seen):
+        head, done = self.head, self.seen
+        if seen(head, Head.REQUEST, done, self.looks):
             return
         if self.ordered:
             head[Head.FMU_SLEEPS] = 1
             self.fence()
-        while head[Head.REQUEST] == seen:
+        while head[Head.REQUEST] == done:
             message = self.pipe.receive()
             if message:
                 self.waiting.append(message)

@@ -26,7 +26,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.binding import CallError
 from rotorsim.fmi.block import Block, Head, Op, Sizes
 from rotorsim.fmi.calls import FUNCTIONS
-from rotorsim.fmi.channel import ClosedError, Fence, LateError, Patience, Pipe, ordered
+from rotorsim.fmi.channel import LOOKS, ClosedError, Fence, LateError, Pipe, ordered, seen
 from rotorsim.fmi.session import Session
 
 __all__ = ["LocalWorker", "RemoteWorker", "Worker", "printing_elsewhere"]
@@ -116,7 +116,7 @@ class RemoteWorker(Worker):
         self.head = self.block.head
         self.count = 0
         self.ordered = ordered()
-        self.fence, self.patience = Fence(), Patience(self.ordered)
+        self.fence, self.looks = Fence(), LOOKS if self.ordered else 0
         if not self.ordered:
             self.head[Head.FMU_SLEEPS] = self.head[Head.USER_SLEEPS] = 1
         end, self._lifeline = os.pipe()
@@ -166,7 +166,7 @@ class RemoteWorker(Worker):
                 raise self._died() from None
 
     def finish(self) -> None:
-        if not self.patience.see(self.head, Head.REPLY, self.count - 1):
+        if not seen(self.head, Head.REPLY, self.count - 1, self.looks):
             self._wait()
         if self.head[Head.STATUS]:
             self.head[Head.STATUS] = 0
