@@ -189,6 +189,6 @@ def _stability(made: Mapping[str, Any]) -> list[str]:
     limit, kept = made["largest_stable_step"], made["damping_kept"]
     if limit == 0:
         return ["the linearised loop is unstable as a whole, with any step"]
-    said = f"{limit:.3g} s" if limit < float("inf") else "none found"
+    said = f"largest stable step: {limit:.3g} s" if limit < float("inf") else "stable with all steps tried"
     shown = "not told (no mode oscillates)" if kept is None else f"{kept:.1%}"
-    return [f"damping kept by the coupling: {shown}; largest stable step: {said}"]
+    return [f"damping kept by the coupling: {shown}; {said}"]

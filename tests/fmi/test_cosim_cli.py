@@ -56,7 +56,7 @@ def sampled(folder: Path, period: float) -> str:
 
 def test_a_sampled_controller(run: Run, tmp_path: Path) -> None:
     done = run("cosim", sampled(tmp_path, 1e-4), *PART, "--step", "0.3 ms")
-    assert done.stdout.splitlines()[1] == "damping kept by the coupling: 100.0%; largest stable step: none found"
+    assert done.stdout.splitlines()[1] == "damping kept by the coupling: 100.0%; stable with all steps tried"
 
 
 def test_a_loop_that_is_unstable_as_a_whole(run: Run, tmp_path: Path) -> None:
@@ -237,3 +237,11 @@ def test_states_that_cannot_be_taken_back(run: Run, tmp_path: Path) -> None:
     assert (done.exit_code, done.stderr) == (
         2, "error: adaptive steps: cannot take a step back: it\n\nhint: take fixed steps\n"
     )  # fmt: skip
+
+
+def test_an_fmu_that_nothing_is_coupled_to_has_no_largest_stable_step(run):
+    assert run("fmu", "export", "jeffcott", "-o", "whole.fmu").exit_code == 0
+    diagram = {"blocks": {"it": {"type": "fmu", "file": "whole.fmu"}}, "wires": [], "record": ["it.rotor_displacement"]}
+    Path("alone.json").write_text(json.dumps(diagram))
+    done = run("cosim", "alone.json", "--trust-blocks", "--step", "0.1 ms", "--stop", "0.01 s")
+    assert "damping kept by the coupling: 100.0%; stable with all steps tried\n" in done.stdout
