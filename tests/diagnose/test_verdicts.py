@@ -145,10 +145,14 @@ def test_errors_alone_prove_what_lowers_them():
     ("fitted", "before", "after", "errors", "material"),
     [
         ((1.2, 1.1), 1.20, 1.14, (0.10, 0.09), True),  # of a fall of 0.1, 0.06 are seen in runs left out
-        ((1.2, 1.1), 1.20, 1.16, (0.10, 0.09), False),  # 0.04
+        ((1.2, 1.1), 1.20, 1.155, (0.10, 0.09), False),  # 0.045, below 0.05 less 4 of 1000
         ((1.2, 1.1), 1.20, 1.10, (0.10, 0.1001), False),  # the error rises
         ((50.0, 1.0), 50.0, 1.0, (0.10, 0.1001), True),  # so much is no noise: few runs, poorly determined
         ((1.2, 1.1), None, 1.0, (0.10, 0.1001), True),  # nothing to compare with
+        ((160.0, 1.03), 67.0, 0.97, (0.10, 0.09), True),  # all that is left there, though less than in fitted runs
+        ((160.0, 1.03), 67.0, 35.0, (0.10, 0.09), False),  # less than half of it
+        ((1.87, 0.95), 0.995, 0.9985, (0.10, 0.1001), True),  # at those speeds it does not show: 3.5 of 1000
+        ((1.87, 0.95), 0.995, 0.9995, (0.10, 0.1001), False),  # 4.5: worse than a true one makes it
     ],
 )
 def test_a_cause_is_named_only_where_it_lowers_the_error_of_other_runs(fitted, before, after, errors, material):
