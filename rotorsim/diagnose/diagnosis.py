@@ -165,7 +165,7 @@ def _prepared(
         settled = Problem("no run has a settled motion", recording.name, hint=hint)
         raise RotorsimError(settled, *earlier, *warnings, exit_code=1)
     harmonics, lines = with_pickups(recording, harmonics, picked)
-    warnings += pickup_warnings(lines, recording)
+    warnings += pickup_warnings(lines, recording, "is picked up", "it is fitted beside the harmonics, as no physics")
     harmonics = with_drifts(harmonics, drifts)
     second = find_second(recording, harmonics)
     if second is not None:

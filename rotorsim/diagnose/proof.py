@@ -24,10 +24,8 @@ MOST = 0.98  # share of what is to be explained that a cause must explain to be 
 # and right laws with details, `python -m benchmarks.concealed shares` (docs/diagnosis.md)
 MATERIAL = 0.5  # of the fall of the misfit in fitted runs, or of all that is left beyond noise where that is less, that
 # must be seen in runs left out: a true effect shows all of it there, what was fitted to noise nothing, or the reverse
-HIDDEN = (
-    4.0  # of the misfit, by which a true effect may make it rise there: one of d standard deviations makes it fall by
-)
-# d^2 +- 2 d, by two deviations less than that at d = 2
+HIDDEN = 4.0  # of the misfit, by which a true effect may make it rise there: one of d standard deviations makes it fall
+# by d^2 +- 2 d; two deviations below that mean are least at d = 2, a rise by 4
 FAINT = 1.5  # times the variance of the noise: what is left below may be the model of the noise; 200 healthy machines
 # with hum, flicker noise, drift, lost samples and sampled pulses leave up to 1.20 (benchmarks/concealed/results)
 LEVEL = 0.9  # of intervals
@@ -92,8 +90,9 @@ def is_material(before: Score, after: Score, base: Fit, fit: Fit) -> bool:
     """Return whether a repair shows in runs that took no part, too: their misfit falls by MATERIAL of that of the fits.
 
     Compared is the fall per equation. An effect may show less in those runs, at other speeds and gains: no more can
-    fall than is left beyond noise there. Where the diagram as given, base, leaves little (`is_faint`), the error of
-    those runs must fall as well: the model of the noise may be wrong. True, too, where nothing of either is known.
+    fall than is left beyond noise there, and by chance it may rise by HIDDEN. Where the diagram as given, base, leaves
+    little (`is_faint`), it may not, and the error of those runs must fall as well: the model of the noise may be wrong.
+    True, too, where nothing of either is known.
     """
     if not (isinstance(before, HeldScore) and isinstance(after, HeldScore)):
         return True
@@ -101,8 +100,9 @@ def is_material(before: Score, after: Score, base: Fit, fit: Fit) -> bool:
         return True
     rows = max(after.rows, 1)
     most = min((base.misfit - fit.misfit) / max(base.rows, 1), max(before.misfit / rows - 1.0, 0.0))
-    falls = before.misfit - after.misfit >= MATERIAL * most * rows - HIDDEN
-    return falls and (not is_faint(base, before) or after.total < before.total)
+    faint = is_faint(base, before)
+    falls = before.misfit - after.misfit >= MATERIAL * most * rows - (0.0 if faint else HIDDEN)
+    return falls and (not faint or after.total < before.total)
 
 
 def is_faint(found: Fit, scored: Score) -> bool:

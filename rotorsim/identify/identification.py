@@ -165,7 +165,8 @@ def identify(
                 found, opened = without, likelihood(without)
                 search = Search(opened)
                 result = estimate(search)
-                warnings += pickup_warnings(picked, recording, told=False)
+                treated = "it is fitted beside the harmonics"
+                warnings += pickup_warnings(picked, recording, "does not follow the shaft", treated)
         adequate = method == "regression" or result.adequate
         widen = 1.0 if adequate else result.widening
         covariance = result.covariance * widen**2

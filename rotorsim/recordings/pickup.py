@@ -26,7 +26,7 @@ FALSE_ALARM = 1e-3  # in a recording, of lines of the mains where there are none
 ROUNDS = 4
 SEEN = 1e-3  # probability of its power in all runs by noise alone, below which a channel is said to show a line
 EVEN = 0.99  # of the best score: as good
-LONGEST = 1_000_000  # samples of a run; harmonics of more take seconds and gigabytes
+LONGEST = 200_000  # samples of a run: fitting harmonics takes 1.4 kB for each, which a check is not to cost
 STEP = 0.25  # of the resolution of the longest run
 
 
@@ -169,13 +169,14 @@ def check_harmonics(recording: Recording) -> list[Problem]:
     except RotorsimError:  # no turning shaft, a run-up, what `check_signals` says
         return []
     lines = with_pickups(recording, runs, find_mains(recording, runs))[1]
-    return [*contradictions(runs), *pickup_warnings(lines, recording, told=None)]
+    treated = "picked up from the mains, or a force"
+    return [*contradictions(runs), *pickup_warnings(lines, recording, "does not follow the shaft", treated)]
 
 
-def pickup_warnings(found: Sequence[Pickup], recording: Recording, *, told: bool | None = True) -> list[Problem]:
+def pickup_warnings(found: Sequence[Pickup], recording: Recording, kind: str, treated: str) -> list[Problem]:
     """Return what is to be said of lines of fixed frequency: their sizes in the channels that show them.
 
-    told: whether a diagram says that they are no forces; None: no diagram has been fitted.
+    kind: what is known of them, treated: what is made of them, in words.
     """
     units = {channel.name: channel.unit for channel in recording.channels.values()}
     warnings = []
@@ -184,12 +185,7 @@ def pickup_warnings(found: Sequence[Pickup], recording: Recording, *, told: bool
         sizes = ", ".join(
             f"{item.amplitude[name] / conversion(units[name], None):.2g} {units[name]} in {name}" for name in seen
         )
-        kind, end = {
-            True: ("is picked up", "it is fitted beside the harmonics, as no physics"),
-            False: ("does not follow the shaft", "it is fitted beside the harmonics"),
-            None: ("does not follow the shaft", "picked up from the mains, or a force"),
-        }[told]
-        what = f"a line of {item.frequency:.2f} Hz {kind}: {sizes}: {end}"
+        what = f"a line of {item.frequency:.2f} Hz {kind}: {sizes}: {treated}"
         warnings.append(Problem(what, recording.name, severity="warning"))
         for run, order in item.near:
             near = f"{item.frequency:.2f} Hz is not told from order {order} here: that order counts less"

@@ -89,7 +89,8 @@ def test_hum_is_said_and_no_physics_of_the_machine():
 
 def test_a_pickup_is_said_with_its_size_and_the_orders_that_it_hides():
     found = Pickup(50.0, {"rotor.displacement[1]": 1.5e-8, "controller.current[1]": 0.0}, (("run04", 1),))
-    assert [(problem.subject, problem.what) for problem in pickup_warnings([found], healthy())] == [
+    warnings = pickup_warnings([found], healthy(), "is picked up", "it is fitted beside the harmonics, as no physics")
+    assert [(problem.subject, problem.what) for problem in warnings] == [
         (
             healthy().name,
             "a line of 50.00 Hz is picked up: 1.5e-08 m in rotor.displacement[1]: it is fitted beside the harmonics, "
