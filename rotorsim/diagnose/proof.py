@@ -52,8 +52,10 @@ def prove(before: Score, after: Score, *, left: float = 0.0, held: bool = True) 
 
     Proved: what it leaves is what noise and uncertain parameters can make (chi-squared, SURPRISE), or a share of what
     was unexplained of at most DETAILS, or BEYOND times ``left``, the share that it leaves in the fitted runs, but at
-    most 1 - MOST. Disproved: it leaves more. Unproved: nothing can be said, for the reason given; without runs that are
-    held out for good (held), too little may be left to find a law in runs left out one by one.
+    most 1 - MOST, and no more than that of the squared error of the signals, either: misfit weighs an order by its
+    noise, so that small orders may outweigh the motion. Disproved: it leaves more. Unproved: nothing can be said, for
+    the reason given; without runs that are held out for good (held), too little may be left to find a law in runs left
+    out one by one.
     """
     if not (isinstance(before, HeldScore) and isinstance(after, HeldScore)):
         return _by_error(before, after)
@@ -69,9 +71,21 @@ def prove(before: Score, after: Score, *, left: float = 0.0, held: bool = True) 
     allowed = min(max(DETAILS, BEYOND * left), 1 - MOST)
     said = f"it leaves {share:.2g} of what was unexplained there, {times:.3g} times the variance of the noise"
     if before.misfit > before.rows and share <= allowed:
-        return Proof("proved", f"{said}: no more than details of the law")
-    said = f"{said}: more than the fitted runs give reason for ({allowed:.2g})"
+        error = _error_left(before, after)
+        if error <= 1 - MOST:
+            return Proof("proved", f"{said}: no more than details of the law")
+        limit = f"more than details of a law ({1 - MOST:.2g})"
+        said = f"{said}, but {error:.2g} of the squared error of the signals: {limit}"
+    else:
+        said = f"{said}: more than the fitted runs give reason for ({allowed:.2g})"
     return Proof("disproved" if held else "unproved", said)
+
+
+def _error_left(before: Score, after: Score) -> float:
+    """Return the share of the squared error beyond the noise floor that a repair leaves; 0 where it is not known."""
+    if before.total is None or after.total is None or before.noise is None or after.noise is None:
+        return 0.0
+    return max(after.total**2 - after.noise**2, 0.0) / max(before.total**2 - before.noise**2, 1e-300)
 
 
 def _by_error(before: Score, after: Score) -> Proof:

@@ -88,8 +88,13 @@ def test_faint_lines_are_not_noise_though_little_in_all():
     assert verdict_of(Named(strong, chosen, (), lines_left, 1e-4), (EFFECT,)) == "missing_physics"  # details of a law
 
 
-def scored(times: float | None, total: float = 0.1, reason: str = "") -> HeldScore:
-    """Return the score of runs of which a diagram leaves so many times the variance of the noise."""
+def scored(times: float | None, total: float | None = None, reason: str = "") -> HeldScore:
+    """Return the score of runs of which a diagram leaves so many times the variance of the noise, of 1 % of the signal.
+
+    total: the error of the signals, if it is not that of white noise.
+    """
+    if total is None:
+        total = 0.1 if times is None else 0.01 * np.sqrt(times)
     return HeldScore({"p": total}, {"p": 0.01}, None if times is None else times * ROWS, ROWS, reason=reason)
 
 
@@ -118,6 +123,22 @@ def test_no_law_that_leaves_more_than_what_may_rest_is_proved():
     worst = 0.02
     assert prove(scored(1e4), scored(1 + 0.99 * worst * 9999), left=0.05).status == "proved"
     assert prove(scored(1e4), scored(1 + 1.01 * worst * 9999), left=0.05).status == "disproved"
+
+
+def test_small_orders_do_not_outweigh_the_motion():
+    """A contact that imitates another leaves 1 % of the misfit, and ten times that of the motion."""
+    before, after = scored(1e6, 0.4), scored(1e4, 0.13)
+    found = prove(before, after, left=0.005)
+    assert found.status == "disproved"
+    assert found.reason == (
+        "it leaves 0.01 of what was unexplained there, 1e+04 times the variance of the noise, but 0.11 of the squared "
+        "error of the signals: more than details of a law (0.02)"
+    )
+    assert prove(before, after, left=0.005, held=False).status == "unproved"
+    floor = 0.01**2
+    for share, status in ((0.0199, "proved"), (0.0201, "disproved")):
+        error = np.sqrt(floor + share * (0.4**2 - floor))
+        assert prove(before, scored(1e4, error), left=0.005).status == status
 
 
 def test_what_could_not_run_is_not_proved_and_says_why():
