@@ -128,8 +128,8 @@ def main() -> int:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         file, wired = make_fmu(Path(folder, "plant.fmu")), wirable(Path(folder, "wired.fmu"))
-        with open_fmu(file, in_process=True) as here, open_fmu(file) as apart:
-            slaves = [fmu.instantiate("cs") for fmu in (here, here, apart, apart)]
+        with open_fmu(file, in_process=True) as here, open_fmu(file) as far:
+            slaves = [fmu.instantiate("cs") for fmu in (here, here, far, far)]
             for slave in slaves:
                 slave.setup(inputs=["u"], outputs=["y"])
             actions: dict[str, Callable[[int], float]] = {
@@ -157,8 +157,10 @@ def main() -> int:
     added = medians["one, own process"] - medians["one, in process"]
     gain = medians["pair, loop over FMPy"] / medians["pair, loop in C"]
     held = cpu["pair, master, in process"] / cpu["pair, loop over FMPy"]
+    apart = medians["pair, master, own processes"]
     lines = [
         at_most("a pair: CPU of the master in process / of the loop over FMPy", held, 0.5, "{:.2f}"),
+        at_most("a pair: a step of the master in own processes", apart, 15, "{:.1f}", "us"),
         at_most("a process of its own adds to a step", added, 20, "{:.1f}", "us"),
         at_least("a pair: loop over FMPy / loop in C", gain, 5, "{:.1f}"),
     ]

@@ -37,7 +37,7 @@ __all__ = ["command"]
               help="This participant (or the one of this block) takes N steps at once; repeatable.")  # fmt: skip
 @click.option("--adaptive", type=click.FloatRange(0.0, 1.0, min_open=True), metavar="ERROR",
               help="Relative error allowed per step; the step then adapts.")  # fmt: skip
-@click.option("--fast", is_flag=True, help="The plain loop in C, for FMUs in process.")
+@click.option("--fast", is_flag=True, help="The plain loop in C, for FMUs for Co-Simulation.")
 @click.option("--solver", type=click.Choice(("rk4", "dop853", "rk45", "radau", "bdf", "lsoda"), case_sensitive=False),
               default="rk4", show_default=True,
               help="Of the states of FMUs for Model Exchange; radau, bdf and lsoda are implicit.")  # fmt: skip

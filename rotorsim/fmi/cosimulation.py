@@ -360,9 +360,9 @@ def _fast(
     if failure is not None:
         worker.known = [[(len(made) * step, rows[-1][part])] for part in coupling.y_parts]
         last = _last_sample(coupling, worker, failure, len(made) * step)
-    for k, participant in enumerate(coupling.participants):
+    for participant in coupling.participants:
         if isinstance(participant, FmuParticipant):
-            participant.most_parts, participant.do_steps, participant.warned = 1, len(made), loop.warned(k)
+            participant.most_parts, participant.do_steps = 1, len(made)
     times = [*(np.arange(len(rows)) * step)]
     if last is not None:
         times, kept, _ = _with_last(times, [*rows], times, *last)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,26 +69,23 @@ class Slave(Instance):
 
     def finish_exchange(self) -> np.ndarray:
         """Return the outputs of what `begin_exchange` began."""
-        try:
-            self._finish()
-        except CallError as failure:
-            self._note_end()
-            raise self._failed(failure, self._t) from None
+        self.wait(self._t, self._finish)
         y = self._y.copy()
         if not is_finite(y):
             self._finite(y, self.output_names, self._t)
-        if self._head[Head.SAID]:
-            self._note_end()
         if self.log:
             self._forward_log()
         return y
 
-    def asked_end(self) -> float | None:
-        """Return the time at which an FMU (FMI 2.0) that refused a step asks for the end, None if it does not."""
-        if self.description.version != "2.0":
-            return None
-        found = self.worker.command("reached")
-        return found["last"] if found["ended"] else None
+    def wait(self, t: float, finish: Callable[[], None]) -> None:
+        """Wait by finish, which raises CallError, for a step from t that was begun. Raises FmuError."""
+        try:
+            finish()
+        except CallError as failure:
+            self._note_end()
+            raise self._failed(failure, t) from None
+        if self._head[Head.SAID]:
+            self._note_end()
 
     def _set_derivatives(self, derivatives: np.ndarray) -> None:
         if len(derivatives) > len(self._du):

@@ -66,7 +66,6 @@ class FmuParticipant:
         self.internal = min(internal, own) if own else internal
         self.rigid = self.integrator is None and not self.kind.can_vary_step
         self.most_parts = self.do_steps = 0
-        self.warned = 0  # times, besides those that the instance has counted
         self._width = 0.0  # of all steps, where it is rigid
         self.feedthrough = np.array(
             [[_depends(description, y, u) for u in self._u_names] for y in self._y_names], bool
@@ -167,7 +166,7 @@ class FmuParticipant:
         said = list(dict.fromkeys(f"{status}: {text}" for status, _, text in lines if status != "OK" and text))
         return {
             "interface": self.slave.kind, "do_steps": self.do_steps, "most_parts": self.most_parts,
-            "warnings": self.slave.warned + self.warned, "messages": counts, "said": said[-SHOWN:], "texts": texts,
+            "warnings": self.slave.warned, "messages": counts, "said": said[-SHOWN:], "texts": texts,
         }  # fmt: skip
 
     def final(self) -> np.ndarray:

@@ -73,14 +73,19 @@ class _Host:
         """Do what is asked, for ever. Raises ClosedError at the end of the pipe."""
         head, session = self.head, self.session
         while True:
-            self._wait()
-            self.seen = head[Head.REQUEST]
+            what, self.seen = session.serve(self.seen, self.looks, self.pipe.sink)
+            if not what:
+                self._wait()
+                self.seen = head[Head.REQUEST]
             op = head[Head.OP]
             if op == Op.COMMAND:
                 self._command()
             else:
                 try:
-                    session.run(op)
+                    if what:
+                        session.fail(what)
+                    else:
+                        session.run(op)
                 except Exception as error:
                     self._tell({"failed": _failure(error).data()})
                     head[Head.STATUS] = 1
@@ -92,7 +97,7 @@ class _Host:
     def _wait(self) -> None:
         """Wait until the request changes."""
         head, done = self.head, self.seen
-        if seen(head, Head.REQUEST, done, self.looks):
+        if seen(head, Head.REQUEST, done, self.looks if self.session.member is None else 0):
             return
         if self.ordered:
             head[Head.FMU_SLEEPS] = 1

@@ -211,6 +211,11 @@ class Instance:
         return self._t
 
     @property
+    def is_running(self) -> bool:
+        """Whether it is set up and past its initialisation."""
+        return self._phase == "running"
+
+    @property
     def warned(self) -> int:
         """How many calls have returned a warning."""
         return int(self._head[Head.WARNED]) if self._phase != "freed" else 0

@@ -1,15 +1,17 @@
-"""An explicit co-simulation with a fixed communication step in one loop of C, for members in this process.
+"""An explicit co-simulation with a fixed communication step in one loop of C.
 
-Members are instances of FMUs for Co-Simulation whose inputs and outputs are all Float64, and compiled parts of a
-diagram. Inputs are held during a step: u = L y + u0.
+Members are compiled parts of a diagram, and instances of FMUs for Co-Simulation: in processes of their own, or in this
+one where their inputs and outputs are all Float64. Inputs are held during a step: u = L y + u0.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import os
 import time
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 from importlib.resources import files
 from typing import Any, Protocol
 
@@ -18,15 +20,16 @@ import numpy as np
 from rotorsim.compile.instance import CompiledInstance
 from rotorsim.compile.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.fmi.binding import STATUS
-from rotorsim.fmi.calls import Call
 from rotorsim.fmi.exchange import Slave
-from rotorsim.fmi.process import LocalWorker
+from rotorsim.fmi.failure import FmuError
+from rotorsim.fmi.process import LocalWorker, RemoteWorker
+from rotorsim.fmi.steps import DEFINES, Member
 
 __all__ = ["FastLoop", "PartMember"]
 
 _FIRST, _SLICE = 100, 0.1  # steps taken first; s between looks at Ctrl-C and progress
-_WHAT = {1: "Set", 2: "DoStep", 3: "Get"}
+_LATE = 6  # returned of a process that has not answered yet, or has more to say
+_PROCESS, _ASKED, _DONE = 1, 1, 2  # a kind of members; states of them
 
 
 class PartMember(Protocol):
@@ -38,23 +41,6 @@ class PartMember(Protocol):
     n_z: int
     inputs: Sequence[str]
     outputs: Sequence[str]
-
-
-class _Call(ctypes.Structure):
-    _fields_ = [
-        ("function", ctypes.c_void_p), ("references", ctypes.c_void_p), ("n_references", ctypes.c_size_t),
-        ("values", ctypes.c_void_p), ("n", ctypes.c_size_t),
-    ]  # fmt: skip
-
-
-class _Member(ctypes.Structure):
-    _fields_ = [
-        *((name, ctypes.c_int64) for name in ("kind", "n_set", "n_get", "unbound")),
-        *((name, ctypes.c_void_p) for name in (
-            "instance", "do_step", "set", "get", "run", "record", "p", "m", "x", "z", "y", "row",
-        )),
-        ("step", ctypes.c_double), ("last", ctypes.c_double), ("warned", ctypes.c_int64),
-    ]  # fmt: skip
 
 
 class FastLoop:
@@ -73,15 +59,19 @@ class FastLoop:
         library = None if wrong else _library()
         if library is None:
             what = "; ".join(wrong) or "there is no C compiler that works"
-            hint = 'FMUs take part with "in_process": true, as Co-Simulation; or leave out fast'
+            hint = "FMUs take part as Co-Simulation; or leave out fast"
             raise RotorsimError(Problem(f"no fast loop: {what}", hint=hint))
         self.members = list(members)
-        self._function = library.rs_cosimulate
+        self._function, self._library = library.rs_cosimulate, str(library._name)
         self._keep: list[Any] = []
-        self._made = (_Member * len(members))(*map(self._member, members))
+        self._rows: dict[int, np.ndarray] = {}
+        self._made = (Member * len(members))(*map(self._member, members))
+        workers = [getattr(member, "worker", None) for member in members]
+        pairs = zip(workers, self._made, strict=True)
+        self._apart = [(worker, made) for worker, made in pairs if isinstance(worker, RemoteWorker)]
         sizes = [len(_inputs(member)) for member in members]
         self._first = np.cumsum([0, *sizes], dtype=np.int64)
-        self._u = _pointers([at for member in members for at in _places(member, "u")])
+        self._u = _pointers([at for member in members for at in _places(member, "u", self._rows)])
         self._y = _pointers([at for member in members for at in _places(member, "y", self._rows)])
         self.n_y = len(self._y)
         if L.shape != (len(self._u), self.n_y):
@@ -92,7 +82,7 @@ class FastLoop:
         self._u0 = np.ascontiguousarray(u0, float)
         self._order = np.array(range(len(members)) if order is None else order, np.int64)
         self._sequential, self._sweeps = int(order is not None), sweeps
-        self._failed = np.zeros(2, np.int64)
+        self._failed, self._place = np.zeros(2, np.int64), np.zeros(2, np.int64)
         self.rows = np.empty((0, self.n_y))  # what was computed until a failure
 
     def begin(self, y: np.ndarray) -> None:
@@ -114,6 +104,17 @@ class FastLoop:
         one is not finite; that row is the last. Raises FmuError with the time when an FMU fails.
         """
         rows = np.empty((steps // every, self.n_y))
+        for worker, made in self._apart:
+            made.count = worker.count
+        try:
+            return self._steps(rows, t0, h, steps, every, progress)
+        finally:
+            for worker, made in self._apart:
+                worker.count = max(worker.count, made.count)
+
+    def _steps(
+        self, rows: np.ndarray, t0: float, h: float, steps: int, every: int, progress: Callable[[float], None] | None
+    ) -> np.ndarray:  # fmt: skip
         done = written = 0
         chunk = _FIRST
         while done < steps:
@@ -123,11 +124,21 @@ class FastLoop:
                 ctypes.addressof(self._made), len(self.members), *map(_at, (self._order,)), self._sequential,
                 *map(_at, (self._first, self._start, self._column, self._gain, self._u0, self._u)), self.n_y,
                 _at(self._y), t0, h, done, end, every, self._sweeps, _at(rows[written:]), _at(self._failed),
+                _at(self._place),
             )  # fmt: skip
             written = (done + taken) // every
             if self._failed[1]:
-                self.rows = rows[:written].copy()
-                self._raise(int(self._failed[0]), int(self._failed[1]), t0 + (done + taken) * h)
+                done += taken
+                t, now = t0 + done * h, t0 + (done + 1) * h
+                try:
+                    self._go_on(int(self._failed[0]), int(self._failed[1]), t, now)
+                except FmuError:
+                    self.rows = rows[:written].copy()
+                    self._leave()
+                    raise
+                if progress:
+                    progress(done / steps)
+                continue
             if taken < end - done or (written and not np.isfinite(rows[written - 1]).all()):
                 return rows[:written].copy()
             done = end
@@ -137,64 +148,61 @@ class FastLoop:
                 progress(done / steps)
         return rows
 
-    def warned(self, k: int) -> int:
-        """Return how often an FMU has returned a warning in this loop."""
-        return int(self._made[k].warned)
-
-    def _raise(self, k: int, what: int, t: float) -> None:
-        """Raise the failure of a member as `Slave.exchange` does, with the time of an end that it asks for."""
-        member = self.members[k]
+    def _go_on(self, k: int, what: int, t: float, now: float) -> None:
+        """Wait for a process in the step from t to now; raise a failure and an end as a participant does."""
+        member, made = self.members[k], self._made[k]
         assert isinstance(member, Slave)
-        if what == 5:
-            raise member.step_failed("-", "asks for the end of the simulation", "ended", self._made[k].last)
-        if what == 4:
-            raise member.step_failed("DoStep", "returned early", "discard", t)
-        status = what // 16
-        if status == 2 and what % 16 == 2 and (end := member.asked_end()) is not None:
-            raise member.step_failed("-", "asks for the end of the simulation", "ended", end)
-        word = STATUS[status] if status < len(STATUS) else f"status {status}"
-        kind = {2: "discard", 4: "fatal"}.get(status, "error")
-        returned = f"returned fmi{member.description.version[0]}{word}"
-        raise member.step_failed(_WHAT[what % 16], returned, kind, t)
+        worker, finish = member.worker, member.worker.finish
+        if isinstance(worker, RemoteWorker):
+            worker.count, made.state = made.count, _DONE
+        elif isinstance(worker, LocalWorker):
+            finish = partial(worker.session.fail, what)
+        try:
+            member.wait(t, finish)
+        except FmuError as failure:
+            if failure.kind == "discard" and member.ended:
+                end = failure.last if failure.last is not None else t
+                raise member.step_failed("-", "asks for the end of the simulation", "ended", end) from None
+            raise
+        if member.ended:
+            raise member.step_failed("-", "asks for the end of the simulation", "ended", now)
+
+    def _leave(self) -> None:
+        """Wait for processes that are at work still, so that others can ask them again."""
+        for k, made in enumerate(self._made):
+            if made.kind == _PROCESS and made.state == _ASKED:
+                with contextlib.suppress(FmuError):
+                    self._go_on(k, _LATE, 0.0, 0.0)
 
     # -- filling the structures ----------------------------------------------------------------------------------------
 
-    def _member(self, member: Slave | PartMember) -> _Member:
+    def _member(self, member: Slave | PartMember) -> Member:
         if isinstance(member, Slave):
-            return self._fmu(member)
+            return self._process(member) if isinstance(member.worker, RemoteWorker) else self._fmu(member)
         instance: CompiledInstance = member.instance
         row = np.zeros(instance.n_y)
-        self._rows = getattr(self, "_rows", {})
         self._rows[id(member)] = out = np.zeros(instance.n_y)
         self._keep += [row, out, instance, member]
         library = instance.library
-        made = _Member(kind=0, step=member.internal)
+        made = Member(kind=0, step=member.internal)
         made.run, made.record = (ctypes.cast(f, ctypes.c_void_p) for f in (library.run, library.record))
         made.p, made.m, made.x, made.z = (_at(a) for a in (instance.p, instance.memory, instance.x, instance.z))
         made.y, made.row = _at(out), _at(row)
         return made
 
-    def _fmu(self, slave: Slave) -> _Member:
-        self._rows = getattr(self, "_rows", {})
-        assert isinstance(slave.worker, LocalWorker)
-        steps = slave.worker.session.steps
-        assert steps is not None
-        calls = steps.calls
-        getters, setters = (self._calls(found, calls.two) for found in (steps.output_calls, steps.input_calls))
-        made = _Member(kind=2 if calls.two else 3, n_set=len(setters), n_get=len(getters), unbound=steps.unbound)
-        made.instance = calls.instance
-        made.do_step = ctypes.cast(calls.library["DoStep"], ctypes.c_void_p)
-        made.set, made.get = ctypes.addressof(setters), ctypes.addressof(getters)
-        self._keep += [setters, getters, slave]
-        return made
+    def _process(self, slave: Slave) -> Member:
+        worker = slave.worker
+        assert isinstance(worker, RemoteWorker)
+        if os.path.exists(self._library):  # a cache that cannot be written to keeps none
+            slave.command("in_c", library=self._library)
+        self._keep += [slave]
+        return Member(kind=_PROCESS, head=worker.block.at(0), looks=worker.looks, bell=worker.pipe.sink)
 
-    @staticmethod
-    def _calls(calls: Sequence[Call], two: bool) -> Any:
-        made = (_Call * len(calls))()
-        for entry, (_, function, arguments) in zip(made, calls, strict=True):
-            entry.function = ctypes.cast(function, ctypes.c_void_p)
-            entry.references, entry.n_references, entry.values = arguments[1:4]
-            entry.n = 0 if two else arguments[4]
+    def _fmu(self, slave: Slave) -> Member:
+        assert isinstance(slave.worker, LocalWorker)
+        made = slave.worker.session.steps and slave.worker.session.steps.in_c()
+        assert made
+        self._keep += [slave]
         return made
 
 
@@ -202,20 +210,21 @@ def _unfit(member: Slave | PartMember) -> str:
     """Return why a member cannot take part, or ""."""
     if not isinstance(member, Slave):
         return "" if isinstance(member.instance, CompiledInstance) else "is not compiled"
-    if not isinstance(member.worker, LocalWorker):
-        return "has a process of its own"
-    steps = member.worker.session.steps
-    if member.kind != "cs" or steps is None:
+    if member.kind != "cs" or not member.is_running:
         return "is not set up for Co-Simulation"
-    prepared = (*steps.input_calls, *steps.output_calls)
-    return "" if all(number for number, _, _ in prepared) else "has inputs or outputs that are not Float64"
+    worker = member.worker
+    if isinstance(worker, RemoteWorker):
+        return "" if worker.ordered else "has a process of its own, and this machine cannot look at it"
+    assert isinstance(worker, LocalWorker)
+    assert worker.session.steps
+    return "" if worker.session.steps.in_c() else "has inputs or outputs that are not Float64"
 
 
 def _inputs(member: Slave | PartMember) -> Sequence[str]:
     return member.input_names if isinstance(member, Slave) else member.inputs
 
 
-def _places(member: Slave | PartMember, which: str, rows: dict[int, np.ndarray] | None = None) -> list[int]:
+def _places(member: Slave | PartMember, which: str, rows: Mapping[int, np.ndarray]) -> list[int]:
     """Return the addresses of the inputs or outputs of a member."""
     if isinstance(member, Slave):
         block = member.worker.block
@@ -223,7 +232,6 @@ def _places(member: Slave | PartMember, which: str, rows: dict[int, np.ndarray] 
         return [block.at(first + k) for k in range(count)]
     if which == "u":
         return [_at(member.instance.z) + 8 * (member.n_z + k) for k in range(len(member.inputs))]
-    assert rows is not None
     return [_at(rows[id(member)]) + 8 * k for k in range(len(member.outputs))]
 
 
@@ -241,7 +249,7 @@ def _library() -> Any:
     compiler = find_compiler()
     if compiler is None:
         return None
-    source = files("rotorsim.fmi").joinpath("c", "loop.c").read_text(encoding="utf-8")
+    source = DEFINES + files("rotorsim.fmi").joinpath("c", "loop.c").read_text(encoding="utf-8")
     try:
         library, _ = compile_c(source, compiler)
     except CompilerError as failure:
@@ -249,7 +257,7 @@ def _library() -> Any:
         return None
     i64, f64, ptr = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
     library.rs_cosimulate.argtypes = [
-        ptr, i64, ptr, i64, ptr, ptr, ptr, ptr, ptr, ptr, i64, ptr, f64, f64, i64, i64, i64, i64, ptr, ptr,
+        ptr, i64, ptr, i64, ptr, ptr, ptr, ptr, ptr, ptr, i64, ptr, f64, f64, i64, i64, i64, i64, ptr, ptr, ptr,
     ]  # fmt: skip
     library.rs_cosimulate.restype = i64
     return library

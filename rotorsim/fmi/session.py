@@ -14,7 +14,7 @@ from typing import Any
 from rotorsim.fmi.binding import CallError
 from rotorsim.fmi.block import Block
 from rotorsim.fmi.calls import FUNCTIONS, Calls, address, references
-from rotorsim.fmi.steps import Steps
+from rotorsim.fmi.steps import Member, Steps
 
 __all__ = ["FUNCTIONS", "Session"]
 
@@ -28,6 +28,22 @@ class Session:
         self.steps: Steps | None = None
         self.saved: dict[int, Any] = {}
         self.run: Callable[[int], None] = _not_yet
+        self.member: Member | None = None  # of c/loop.c, which does plain steps then
+
+    def serve(self, seen: int, looks: int, bell: int) -> tuple[int, int]:
+        """Do plain steps in C after the request ``seen``, until something else is asked, or nothing in so many looks.
+
+        Return what failed, for `fail` (0: nothing), and the last request that was taken up.
+        """
+        if self.member is None or self.steps is None:
+            return 0, seen
+        self.member.unbound, self.member.count = self.steps.unbound, seen
+        self.member.looks, self.member.bell = looks, bell
+        return int(self._serve(ctypes.byref(self.member))), int(self.member.count)
+
+    def fail(self, what: int) -> None:
+        """Raise what failed in C, as `run` does. Raises CallError."""
+        self._steps().fail(what)
 
     def command(self, name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """Carry out a command. Raises CallError."""
@@ -98,16 +114,17 @@ class Session:
         calls.call("ExitInitializationMode", "ExitInitializationMode")
         steps.begin()
 
-    def _do_reached(self) -> dict[str, Any]:
-        last, ended = self._steps().reached()
-        return {"last": last, "ended": ended}
-
     def _do_terminate(self) -> None:
         self._calls().call("Terminate", "Terminate")
 
     def _do_reset(self) -> None:
         self._calls().call("Reset", "Reset")
-        self.steps, self.run = None, _not_yet
+        self.steps, self.run, self.member = None, _not_yet, None
+
+    def _do_in_c(self, library: str) -> None:
+        self._serve = ctypes.CDLL(library)["rs_serve"]
+        self._serve.restype = ctypes.c_int64
+        self.member = self._steps().in_c()
 
     def _do_free(self) -> dict[str, Any]:
         if self.calls is None:
@@ -116,7 +133,7 @@ class Session:
             for handle in list(self.saved):
                 self._do_free_state(handle)
             self.calls.free()
-        self.run = _not_yet
+        self.run, self.member = _not_yet, None
         return {"log": self.calls.log.taken()}
 
     def _do_log(self) -> dict[str, Any]:

@@ -12,9 +12,38 @@ from rotorsim.fmi.binding import CallError
 from rotorsim.fmi.block import Block, Head, Op, Said
 from rotorsim.fmi.calls import FUNCTIONS, NUMBER, Call, Calls, address, references, whole
 
-__all__ = ["Steps"]
+__all__ = ["DEFINES", "Member", "Steps"]
 
 MAX_ITERATIONS = 1000  # of an event
+_SET, _STEP, _GET, _EARLY, _ENDED = range(1, 6)  # what c/loop.c may return, beside 16 times the status of a call
+_PLACES = {
+    **{name: getattr(Head, name) for name in (
+        "REQUEST", "OP", "USER_SLEEPS", "REPLY", "STATUS", "SAID", "FUNCTION", "FMU_SLEEPS", "WARNED",
+    )},
+    "T": Block.T, "H": Block.H, "LAST": Block.LAST, "U": Op.U, "STEP": Op.STEP, "Y": Op.Y,
+    "TERMINATE": Said.TERMINATE, "DO_STEP": NUMBER["DoStep"],
+}  # fmt: skip
+DEFINES = "".join(f"#define RS_{name} {place}\n" for name, place in _PLACES.items())  # that c/loop.c begins with
+
+
+class _Call(ctypes.Structure):
+    _fields_ = [
+        ("number", ctypes.c_int64), ("function", ctypes.c_void_p), ("references", ctypes.c_void_p),
+        ("n_references", ctypes.c_size_t), ("values", ctypes.c_void_p), ("n", ctypes.c_size_t),
+    ]  # fmt: skip
+
+
+class Member(ctypes.Structure):
+    """A participant as c/loop.c takes it: ``rs_member``."""
+
+    _fields_ = [
+        *((name, ctypes.c_int64) for name in ("kind", "state", "n_set", "n_get", "unbound")),
+        *((name, ctypes.c_void_p) for name in (
+            "instance", "do_step", "set", "get", "run", "record", "p", "m", "x", "z", "y", "row",
+        )),
+        ("step", ctypes.c_double), ("head", ctypes.c_void_p),
+        *((name, ctypes.c_int64) for name in ("count", "looks", "bell")),
+    ]  # fmt: skip
 
 
 class Steps:
@@ -124,15 +153,30 @@ class Steps:
                     calls.append((NUMBER["SetInputDerivatives"], function, arguments))
         return calls
 
-    @property
-    def input_calls(self) -> list[Call]:
-        """The prepared calls that set the inputs."""
-        return self._held
+    # -- in C ----------------------------------------------------------------------------------------------------------
 
-    @property
-    def output_calls(self) -> list[Call]:
-        """The prepared calls that get the outputs."""
-        return self._outputs
+    def in_c(self) -> Member | None:
+        """Return the steps of Co-Simulation for c/loop.c; None where inputs or outputs are not all Float64."""
+        calls = self.calls
+        if calls.kind != "cs" or not all(number for number, _, _ in (*self._held, *self._outputs)):
+            return None
+        setters, getters = (_in_c(found, calls.two) for found in (self._held, self._outputs))
+        self._keep += [setters, getters]
+        return Member(
+            kind=2 if calls.two else 3, n_set=len(setters), n_get=len(getters), unbound=self.unbound,
+            instance=calls.instance, do_step=ctypes.cast(self._do_step, ctypes.c_void_p), set=address(setters),
+            get=address(getters), head=self.block.at(0),
+        )  # fmt: skip
+
+    def fail(self, what: int) -> None:
+        """Raise what c/loop.c returned, as `run` does. Raises CallError, but for an end that is asked for."""
+        kind, status = what % 16, what // 16
+        if kind == _EARLY:
+            raise self._early()
+        if kind == _STEP:
+            self._refused(status)
+        if kind != _ENDED:
+            self.calls.fail({_SET: "Set", _GET: "Get"}[kind], status)
 
     # -- steps ---------------------------------------------------------------------------------------------------------
 
@@ -186,10 +230,13 @@ class Steps:
         elif status:
             self._refused(status)
         if not self.two:
-            last = numbers[Block.LAST]
-            if self._flags[2] and abs(last - t - h) > 1e-9 * h:
-                raise CallError("discard", "DoStep", f"returned early, at t = {last:.9g} s", last=last)
+            if self._flags[2] and abs(numbers[Block.LAST] - t - h) > 1e-9 * h:
+                raise self._early()
             self.head[Head.SAID] = Said.TERMINATE if self._flags[1] else 0
+
+    def _early(self) -> CallError:
+        last = self.numbers[Block.LAST]
+        return CallError("discard", "DoStep", f"returned early, at t = {last:.9g} s", last=last)
 
     def _refused(self, status: int) -> None:
         """Raise why a step was not done; of a step that was refused, how far it came."""
@@ -258,6 +305,15 @@ class Steps:
         if not said & Said.TERMINATE:
             self.calls.call("EnterContinuousTimeMode", "EnterContinuousTimeMode")
             self.calls.many(self._read_x)
+
+
+def _in_c(calls: Sequence[Call], two: bool) -> Any:
+    made = (_Call * len(calls))()
+    for entry, (number, function, arguments) in zip(made, calls, strict=True):
+        entry.number, entry.function = number, ctypes.cast(function, ctypes.c_void_p)
+        entry.references, entry.n_references, entry.values = arguments[1:4]
+        entry.n = 0 if two else arguments[4]
+    return made
 
 
 _FLAGS = ("needed", "terminate", "nominals", "states", "defined")

@@ -80,7 +80,7 @@ def test_the_ports_of_an_fmu_are_those_of_the_block(folder: Path) -> None:
 
 def test_parameters_reach_the_fmu(folder: Path, whole: Result) -> None:
     other = simulate(load("jeffcott", set={"solver.step": INNER, "solver.stop": STOP, "controller.KP": 9000.0}))
-    diagram = with_fmu(folder, "controller", "controller2.fmu", KP=9000.0)
+    diagram = with_fmu(folder, "controller", "controller2.fmu", in_process=True, KP=9000.0)
     found = cosimulate_diagram(diagram, step=1e-4, order=2)
     assert off(found, other) < 1e-3
     assert off(found, whole) > 1e-2

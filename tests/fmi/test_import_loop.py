@@ -96,7 +96,8 @@ def test_who_cannot_take_part(files: list[Path]) -> None:
         assert not FastLoop.possible([far])
         with pytest.raises(RotorsimError) as caught:
             FastLoop([far, near], np.zeros((0, 0)), np.zeros(0))
-        what = "no fast loop: far has a process of its own; near is not set up for Co-Simulation"
+        what = "no fast loop: far is not set up for Co-Simulation; near is not set up for Co-Simulation"
         assert caught.value.problems[0].what == what
+        far.setup(outputs=["count"])
         near.setup(outputs=["count"])
         assert not FastLoop.possible([near])

@@ -21,8 +21,9 @@ from rotorsim.fmi.loop import FastLoop
 from rotorsim.fmi.masters import Master
 from rotorsim.fmi.participant import Held
 from rotorsim.fmi.process import RemoteWorker
+from rotorsim.fmi.slave import open_fmu
 from rotorsim.simulate.result import Result
-from tests.fmi.plant import FAULTS, make_fmu
+from tests.fmi.plant import FAULTS, description2, make_fmu
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="FMUs are built by a C compiler")
 H, STOP = 1e-4, 6e-3
@@ -92,6 +93,13 @@ def test_what_is_no_plain_step_takes_the_general_ones(cut: Diagram, loops: list[
     assert loops == []
 
 
+def coupled() -> str:
+    """Return the description of a plant whose input fits its output and does not reach it at once."""
+    text = description2().replace('unit="N"', 'unit="m"').replace('dependencies="2 6"', 'dependencies="2"')
+    text = text.replace('causality="output" variability="discrete"', 'variability="discrete"')
+    return text.replace('<Unknown index="15" dependencies=""/>', "")
+
+
 def alone(folder: Path, fault: str, version: str, **more: Any) -> Diagram:
     make_fmu(folder / "plant.fmu", version)
     options = {"fault": FAULTS.index(fault), "fault_time": 0.01, "in_process": True, **more}
@@ -104,16 +112,76 @@ def alone(folder: Path, fault: str, version: str, **more: Any) -> Diagram:
     return load({**document, "record": ["it.y"]}, folder=folder, trust_blocks=True)
 
 
-@pytest.mark.parametrize("fault", ["fail", "discard"])
-def test_failures_are_told_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str) -> None:
-    diagram = alone(tmp_path, fault, "2.0")
+HERE_AND_APART = [
+    *(("2.0", True, fault) for fault in ("fail", "discard")),
+    *(("2.0", False, fault) for fault in ("fail", "discard", "segv", "leave", "hang")),
+    *(("3.0", here, fault) for here in (True, False) for fault in ("fatal", "terminate")),
+]
+
+
+@pytest.mark.parametrize(("version", "here", "fault"), HERE_AND_APART)
+def test_failures_are_told_alike(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loops: list[int], version: str, here: bool, fault: str
+) -> None:
+    if fault == "hang":
+        monkeypatch.setitem(open_fmu.__kwdefaults__, "timeout", 0.5)  # s
+    diagram = alone(tmp_path, fault, version, in_process=here)
     fast, plain, general = all_ways(diagram, monkeypatch, step=1e-3)
+    assert loops == ([] if here else [20])  # in this process only Float64 is passed on in C
     assert [found.status for found in (fast, plain, general)] == ["stopped"] * 3
-    assert plain.message == general.message
-    assert fast.message.split(" (")[0].startswith("it: ")
+    assert fast.message == plain.message == general.message
     for found in (fast, plain):
         assert found.time == pytest.approx(general.time)
         assert found["it.y"] == pytest.approx(general["it.y"], rel=1e-12)
+
+
+def pair(folder: Path, **other: Any) -> Diagram:
+    """Return two plants in processes of their own, each driven by the other."""
+    make_fmu(folder / "plant.fmu", description=coupled())
+    block = {"type": "fmu", "file": "plant.fmu", "parameters": {}}
+    document = {
+        "blocks": {"a": block, "b": {**block, "parameters": other}},
+        "wires": [["a.y", "b.u"], ["b.y", "a.u"]],
+        "solver": {"step": 1e-3, "stop": 0.02},
+    }
+    return load({**document, "record": ["a.y", "b.y"]}, folder=folder, trust_blocks=True)
+
+
+@pytest.mark.parametrize("master", ["jacobi", "gauss_seidel"])
+def test_two_processes_give_what_they_give_in_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loops: list[int], master: str
+) -> None:
+    fast, *others = all_ways(pair(tmp_path), monkeypatch, step=1e-3, master=master)
+    assert loops == [20]
+    for found in others:
+        for name in ("a.y", "b.y", "coupling.error"):
+            assert fast[name] == pytest.approx(found[name], rel=1e-12, abs=1e-15), name
+
+
+def test_processes_that_outlast_every_look_are_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loops: list[int]
+) -> None:
+    """As those do whose step takes milliseconds: the loop is left at any place, and taken up there again."""
+    diagram = pair(tmp_path)
+    quick = cosimulate_diagram(diagram, step=1e-3)
+    for looks in (0, 1):
+        monkeypatch.setattr("rotorsim.fmi.process.LOOKS", looks)
+        for master in ("jacobi", "gauss_seidel"):
+            slow = cosimulate_diagram(diagram, step=1e-3, master=master)
+            if master == "gauss_seidel":
+                assert np.array_equal(slow["b.y"], quick["b.y"])
+            assert (slow.status, slow.counters["steps"]) == ("finished", 20)
+    assert loops == [20] * 5
+
+
+def test_the_other_process_can_be_asked_again_after_a_failure(tmp_path: Path, loops: list[int]) -> None:
+    """Both were at work when one failed; its messages are asked for afterwards."""
+    diagram = pair(tmp_path, fault=FAULTS.index("fail"), fault_time=0.01)
+    found = cosimulate_diagram(diagram, step=1e-3, master="jacobi")
+    assert loops == [20]
+    assert (found.status, len(found.time)) == ("stopped", 11)
+    assert found.message.startswith("b: fmi2DoStep returned fmi2Error (t = 0.01 s)")
+    assert {found.provenance["fmus"][name]["warnings"] for name in "ab"} == {0}
 
 
 def test_a_held_step_of_a_process_of_its_own_is_one_exchange(tmp_path: Path) -> None:

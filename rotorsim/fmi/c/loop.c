@@ -1,5 +1,6 @@
-/* The loop of an explicit co-simulation with a fixed communication step, over members in this process: FMUs for
-   Co-Simulation (FMI 2.0, 3.0) and compiled parts of a diagram. See loop.py, which fills the structures. */
+/* The loop of an explicit co-simulation with a fixed communication step, over compiled parts of a diagram and FMUs for
+   Co-Simulation (FMI 2.0, 3.0), in this process or in their own. See loop.py, which fills the structures and defines the
+   places in the block that is shared with a process (block.py). */
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -8,22 +9,37 @@
 #if defined _WIN32
 #define RS_EXPORT __declspec(dllexport)
 #else
+#include <sched.h>
+#include <unistd.h>
 #define RS_EXPORT __attribute__((visibility("default")))
 #endif
 
-typedef struct { void *function; const uint32_t *references; size_t n_references; void *values; size_t n; } rs_call;
-
-/* kind: 0 a compiled part, 2 and 3 an FMU of that version. A part: m its memory, p its parameters, step its own. */
+/* number: of the function, as it is told to whoever finds the process dead (calls.py). */
 typedef struct {
-    int64_t kind, n_set, n_get, unbound;
+    int64_t number;
+    void *function;
+    const uint32_t *references;
+    size_t n_references;
+    void *values;
+    size_t n;
+} rs_call;
+
+/* kind: 0 a compiled part, 1 an FMU in its own process, 2 and 3 an FMU of that version. A part: m its memory, p its
+   parameters, step its own. An FMU: head of its block. A process: count of what was asked of it, looks at its reply
+   before waiting otherwise, bell: the descriptor that wakes it. state: in this pass. */
+typedef struct {
+    int64_t kind, state, n_set, n_get, unbound;
     void *instance, *do_step;
     const rs_call *set, *get;
     void *run, *record;
     const double *p;
     double *m, *x, *z, *y, *row;
-    double step, last;
-    int64_t warned;
+    double step;
+    int64_t *head, count, looks, bell;
 } rs_member;
+
+/* Where a loop is that was left to wait for a process: in the step itself or a sweep after it; begun: inputs are set. */
+typedef struct { int64_t sweep, begun; } rs_place;
 
 typedef int (*access2)(void *, const uint32_t *, size_t, void *);
 typedef int (*access3)(void *, const uint32_t *, size_t, void *, size_t);
@@ -32,15 +48,17 @@ typedef int (*step3)(void *, double, double, bool, bool *, bool *, bool *, doubl
 typedef int64_t (*run_part)(const double *, double *, int64_t, int64_t, double, double, int64_t, double *);
 typedef void (*record_part)(double, const double *, const double *, const double *, double *, double *);
 
-enum { SET = 1, STEP, GET, EARLY, ENDED };
+enum { SET = 1, STEP, GET, EARLY, ENDED, LATE };
+enum { TODO, ASKED, DONE };
 
-static int access(rs_member *a, const rs_call *calls, int64_t n) {
+static int call_all(rs_member *a, const rs_call *calls, int64_t n) {
     for (int64_t k = 0; k < n; k++) {
         const rs_call *c = calls + k;
+        a->head[RS_FUNCTION] = c->number;
         int status = a->kind == 2 ? ((access2)c->function)(a->instance, c->references, c->n_references, c->values)
                                   : ((access3)c->function)(a->instance, c->references, c->n_references, c->values, c->n);
         if (status > 1) return status;
-        a->warned += status;
+        a->head[RS_WARNED] += status;
     }
     return 0;
 }
@@ -59,22 +77,21 @@ static int advance(rs_member *a, double t, double h) {
         ((record_part)a->record)(t + h, a->x, a->z, a->p, a->m, a->y);
         return 0;
     }
-    if ((status = access(a, a->set, a->n_set))) return SET + 16 * status;
+    if ((status = call_all(a, a->set, a->n_set))) return SET + 16 * status;
+    bool event = false, ended = false, early = false;
     if (h > 0.0) {
-        if (a->kind == 2) {
-            if ((status = ((step2)a->do_step)(a->instance, t, h, (int)a->unbound)) > 1) return STEP + 16 * status;
-            a->warned += status;
-        } else {
-            bool event = false, ended = false, early = false;
-            status = ((step3)a->do_step)(a->instance, t, h, a->unbound, &event, &ended, &early, &a->last);
-            if (status > 1) return STEP + 16 * status;
-            a->warned += status;
-            if (early && fabs(a->last - t - h) > 1e-9 * h) return EARLY;
-            if (ended) return ENDED;
-        }
+        double *last = (double *)a->head + RS_LAST;
+        a->head[RS_FUNCTION] = RS_DO_STEP;
+        status = a->kind == 2 ? ((step2)a->do_step)(a->instance, t, h, (int)a->unbound)
+                              : ((step3)a->do_step)(a->instance, t, h, a->unbound, &event, &ended, &early, last);
+        if (status > 1) return STEP + 16 * status;
+        a->head[RS_WARNED] += status;
+        if (early && fabs(*last - t - h) > 1e-9 * h) return EARLY;
+        a->head[RS_SAID] = ended ? RS_TERMINATE : 0;
     }
-    if ((status = access(a, a->get, a->n_get))) return GET + 16 * status;
-    return 0;
+    if ((status = call_all(a, a->get, a->n_get))) return GET + 16 * status;
+    a->head[RS_FUNCTION] = 0;
+    return ended ? ENDED : 0;
 }
 
 /* u = u0 + L y for the inputs first..last-1; L by rows: start, column, gain. Return whether any of them changed. */
@@ -90,37 +107,105 @@ static bool connect(int64_t first, int64_t last, const int64_t *start, const int
     return changed;
 }
 
+/* Ask a process for what `advance` does. */
+static void ask(rs_member *a, double t, double h) {
+#if !defined _WIN32
+    double *numbers = (double *)a->head;
+    a->head[RS_OP] = RS_U | RS_Y;
+    if (h > 0.0) {
+        numbers[RS_T] = t;
+        numbers[RS_H] = h;
+        a->head[RS_OP] |= RS_STEP;
+    }
+    __atomic_store_n(a->head + RS_REQUEST, ++a->count, __ATOMIC_SEQ_CST);
+    __atomic_thread_fence(__ATOMIC_SEQ_CST);
+    if (__atomic_load_n(a->head + RS_FMU_SLEEPS, __ATOMIC_SEQ_CST) && write((int)a->bell, "\0\0\0", 4) != 4)
+        a->looks = 0; /* it is gone, as whoever waits will find */
+#endif
+}
+
+/* In the process of an FMU: do what is asked while it is what `ask` asks. Return 0 where nothing came in so many looks or
+   something else is asked, or what failed; a->count: the last request that was taken up. */
+RS_EXPORT int64_t rs_serve(rs_member *a) {
+#if !defined _WIN32
+    double *numbers = (double *)a->head;
+    for (;;) {
+        int64_t k = 0, request, op;
+        while ((request = __atomic_load_n(a->head + RS_REQUEST, __ATOMIC_ACQUIRE)) == a->count) {
+            if (k++ >= a->looks) return 0;
+            sched_yield();
+        }
+        op = a->head[RS_OP];
+        if ((op | RS_STEP) != (RS_U | RS_STEP | RS_Y)) return 0;
+        a->count = request;
+        int what = advance(a, numbers[RS_T], op & RS_STEP ? numbers[RS_H] : 0.0);
+        if (what && what != ENDED) return what;
+        __atomic_store_n(a->head + RS_REPLY, request, __ATOMIC_SEQ_CST);
+        __atomic_thread_fence(__ATOMIC_SEQ_CST);
+        if (__atomic_load_n(a->head + RS_USER_SLEEPS, __ATOMIC_SEQ_CST) && write((int)a->bell, "\0\0\0", 4) != 4)
+            return 0; /* the pipe is closed, as whoever waits at it will find */
+    }
+#endif
+    return 0;
+}
+
+/* Look for the reply of a process that was asked; return 0, or LATE where it has to be waited for or has more to say. */
+static int look(rs_member *a) {
+#if !defined _WIN32
+    if (a->state == DONE) return 0;
+    for (int64_t k = 0; k < a->looks; k++) {
+        if (__atomic_load_n(a->head + RS_REPLY, __ATOMIC_ACQUIRE) == a->count) {
+            if (a->head[RS_STATUS] || a->head[RS_SAID]) return LATE;
+            a->state = DONE;
+            return 0;
+        }
+        sched_yield(); /* see channel.py */
+    }
+#endif
+    return a->state == DONE ? 0 : LATE;
+}
+
 /* Take the steps n0..n1-1 of length h from t0 on. order: of the members; sequential: those that come later see the new
-   outputs of the earlier (Gauss-Seidel), else all see the old (Jacobi). sweeps: how often, at most, inputs and outputs
-   are made to agree after a step. rows: y after each step that `every` divides.
-   Returns the number of steps done; failed: {member, what}, what = 0 if none. */
+   outputs of the earlier (Gauss-Seidel), else all see the old (Jacobi), and processes work at the same time. sweeps: how
+   often, at most, inputs and outputs are made to agree after a step. rows: y after each step that `every` divides.
+   Returns the number of steps done; failed: {member, what}, what = 0 if none. After LATE, once that member is DONE, the
+   loop goes on with n0 where it was, at the same place. */
 RS_EXPORT int64_t rs_cosimulate(rs_member *members, int64_t count, const int64_t *order, int64_t sequential,
                                 const int64_t *first, const int64_t *start, const int64_t *column, const double *gain,
                                 const double *u0, double **u, int64_t n_y, double **y, double t0, double h, int64_t n0,
-                                int64_t n1, int64_t every, int64_t sweeps, double *rows, int64_t *failed) {
+                                int64_t n1, int64_t every, int64_t sweeps, double *rows, int64_t *failed,
+                                rs_place *place) {
+    int what;
     failed[0] = failed[1] = 0;
     for (int64_t n = n0; n < n1; n++) {
         double t = t0 + (double)n * h, width = t0 + (double)(n + 1) * h - t;
-        if (!sequential) connect(0, first[count], start, column, gain, u0, u, y);
-        for (int64_t k = 0; k < count; k++) {
-            int64_t member = order[k];
-            if (sequential) connect(first[member], first[member + 1], start, column, gain, u0, u, y);
-            int what = advance(members + member, t, width);
-            if (what) {
-                failed[0] = member;
-                failed[1] = what;
-                return n - n0;
+        for (; place->sweep <= sweeps; place->sweep++) {
+            bool again = place->sweep > 0, one_by_one = sequential && !again;
+            if (!place->begun) {
+                if (!one_by_one && !connect(0, first[count], start, column, gain, u0, u, y) && again) break;
+                for (int64_t k = 0; k < count; k++) members[k].state = TODO;
+                place->begun = 1;
             }
-        }
-        for (int64_t s = 0; s < sweeps && connect(0, first[count], start, column, gain, u0, u, y); s++)
             for (int64_t k = 0; k < count; k++) {
-                int what = advance(members + k, t + width, 0.0);
-                if (what) {
+                rs_member *a = members + order[k];
+                failed[0] = order[k];
+                if (a->state == TODO) {
+                    if (one_by_one) connect(first[order[k]], first[order[k] + 1], start, column, gain, u0, u, y);
+                    if (a->kind == 1) ask(a, t, again ? 0.0 : width);
+                    else if ((failed[1] = advance(a, again ? t + width : t, again ? 0.0 : width))) return n - n0;
+                    a->state = a->kind == 1 ? ASKED : DONE;
+                }
+                if (one_by_one && (failed[1] = look(a))) return n - n0;
+            }
+            for (int64_t k = 0; k < count; k++)
+                if ((what = look(members + k))) {
                     failed[0] = k;
                     failed[1] = what;
                     return n - n0;
                 }
-            }
+            place->begun = 0;
+        }
+        place->sweep = 0;
         if ((n + 1) % every == 0) {
             bool finite = true;
             for (int64_t j = 0; j < n_y; j++) {
