@@ -19,6 +19,8 @@ from rotorsim.report.diagnosis_comparison import fitted_pair, held_pair
 from rotorsim.report.diagnosis_figures import spectra_figure
 from rotorsim.simulate import simulate
 
+pytestmark = pytest.mark.slow  # each machine is diagnosed in three to ten seconds
+
 TURN = 2 * np.pi
 RATE, N = 2000.0, 2000
 SETTLING = 0.4  # s: the closed loop decays with 56 and 79 per second
@@ -149,8 +151,7 @@ MACHINES = {
     "swinging": Machine(swing=SWING, nu=SWINGING),
     "either way": Machine(swing=SWING, nu=SWINGING, directions=(1, -1, -1, 1, 1, -1)),
 }
-SLOW = ("healthy", "faint", "swinging", "either way")
-SWUNG = [pytest.param(name, marks=pytest.mark.slow) for name in SLOW[2:]]
+SWUNG = ("swinging", "either way")
 
 
 @cache
@@ -179,7 +180,6 @@ def test_a_shaken_base_is_named_and_measured():
     assert frequency["std"] < 1e-4 * SHAKEN
 
 
-@pytest.mark.slow
 def test_a_shaking_too_faint_for_any_run_is_named_from_all():
     found = diagnosed("faint")
     assert not any(item.fit.lines for item in harmonics_of(recording(MACHINES["faint"])))
@@ -189,7 +189,6 @@ def test_a_shaking_too_faint_for_any_run_is_named_from_all():
     assert found.score_before.total < 1.1 * found.score_before.noise
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["shaken", "faint"])
 def test_lines_that_no_row_explains_are_described(name):
     """The force that acts is mass times acceleration, 0-peak; faint: noise adds 40 % at most."""
@@ -205,7 +204,6 @@ def test_lines_that_no_row_explains_are_described(name):
     assert f"lines beside the harmonics at {lines['value']:.4g} Hz" in found.statement
 
 
-@pytest.mark.slow
 def test_a_swinging_speed_is_named_as_a_class_and_measured():
     """Drive or disc: the pulses of both look alike, for an even angle explains them too."""
     found = diagnosed("swinging")
@@ -218,16 +216,13 @@ def test_a_swinging_speed_is_named_as_a_class_and_measured():
     assert found.next_experiment
 
 
-@pytest.mark.slow
 def test_it_is_measured_with_a_shaft_that_turns_either_way():
     found = diagnosed("either way")
     assert [effect.physics for effect in found.effects] == ["speed_fluctuation"]
     assert abs(off(found, "speed_fluctuation.amplitude", SWING)) < 3
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in MACHINES]
-)
+@pytest.mark.parametrize("name", MACHINES)
 def test_the_free_parameters_are_the_true_ones(name):
     found = diagnosed(name)
     own = [item.name for item in found.before.free]
@@ -236,7 +231,6 @@ def test_the_free_parameters_are_the_true_ones(name):
         assert abs(off(found, parameter, getattr(MACHINES[name], parameter))) < 4, parameter
 
 
-@pytest.mark.slow
 def test_nothing_is_found_in_a_healthy_machine():
     found = diagnosed("healthy")
     assert (found.verdict, found.effects, found.source.second) == ("consistent", (), None)

@@ -153,6 +153,7 @@ def test_a_drive_at_the_other_bearing_is_noticed():
     assert "The recorded input acts at rotor.force[9], not where the diagram says" in diagnosed(1.0, 2).statement
 
 
+@pytest.mark.slow
 def test_held_out_runs_are_compared_by_their_resonances():
     made = recording(1.0)
     held = Recording("held", made.source, made.folder, made.channels, made.runs)

@@ -23,7 +23,14 @@ PAGES = [
     "docs/recordings.md",
     "docs/thesis.md",
 ]
-LONG = {"docs/cosimulation.md", "docs/diagrams.md", "docs/recordings.md", "docs/identification.md", "docs/thesis.md"}
+LONG = {
+    "README.md",
+    "docs/cosimulation.md",
+    "docs/diagrams.md",
+    "docs/recordings.md",
+    "docs/identification.md",
+    "docs/thesis.md",
+}
 MEASURED = ROOT.parent / "shared" / "recordings"
 
 

@@ -49,6 +49,7 @@ def test_mains_hum_is_no_missing_physics(clean, level):
         assert said[1:] == checked[1:] == [near.format(order) for order in (5, 3, 5, 3)]
 
 
+@pytest.mark.slow
 def test_pulses_of_another_clock_are_said(clean):
     """A clock of the pulses that is 0.5 % slow: a turn of the harmonics is not one of the pulses."""
     recording = recorded([with_noise(run, 0.01, (12, k), "white") for k, run in enumerate(clean)])

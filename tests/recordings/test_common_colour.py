@@ -26,6 +26,7 @@ def made(seed: int, corners=(CORNER,) * 6, levels=(LEVEL,) * 6):
     return recording(signals, SPEEDS, tacho)
 
 
+@pytest.mark.slow
 def test_few_turns_have_the_noise_that_other_runs_show():
     """Harmonics 2.2 Hz apart leave few lines. 1X: 1 + 40 / 2.2 = 19 times white noise; errors are chi-squared."""
     ratio, total = [], 0.0

@@ -36,7 +36,9 @@ def held(y: np.ndarray) -> np.ndarray:
     return y
 
 
-@pytest.mark.parametrize("kind", ["flicker", "held", "drift", "all"])
+@pytest.mark.parametrize(
+    "kind", [*(pytest.param(k, marks=pytest.mark.slow) for k in ("flicker", "held", "drift")), "all"]
+)
 def test_whitened_errors_of_harmonics_are_chi_squared(kind):
     """40 draws of 16 real harmonics: 640 rows, whose sum of squares is within five standard deviations of 640."""
     theta, c = TURN * 12.3 * TIME + 0.4, harmonics(K)
@@ -178,7 +180,13 @@ def humming(seed: int, lines: dict[float, float], noise: float = 0.01):
     return recording(signals, SPEEDS, tacho)
 
 
-@pytest.mark.parametrize("lines", [{50.03: 0.002}, {59.95: 0.002}, {50.0: 0.002, 150.0: 0.002}, {100.0: 0.002}])
+@pytest.mark.parametrize(
+    "lines",
+    [
+        *(pytest.param(f, marks=pytest.mark.slow) for f in ({50.03: 0.002}, {59.95: 0.002}, {100.0: 0.002})),
+        {50.0: 0.002, 150.0: 0.002},
+    ],
+)
 def test_hum_of_a_fifth_of_the_noise_is_found_and_measured(lines):
     """One channel; amplitude 0.002 beside noise of 0.01: each line holds 2000 / 2 * 0.04 = 40 of its variances."""
     data = humming(1, lines)

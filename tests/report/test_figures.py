@@ -54,6 +54,7 @@ def test_the_orbit_marks_every_turn_of_the_shaft(result):
     assert np.ptp(marks.get_xdata()) < 0.1  # um: the same place every turn
 
 
+@pytest.mark.slow
 def test_a_run_up_figure_names_resonances_and_peaks(tmp_path):
     result = simulate(load("jeffcott_runup"), record_every=5)
     made = drawn(run_up_figure(result, "rotor.displacement[1]"), tmp_path / "r.png")
