@@ -239,6 +239,7 @@ class Block:
     category: ClassVar[str] = "elementary"
     faults: ClassVar[tuple[Any, ...]] = ()  # rotorsim.fault.Fault: physics that a diagnosis may add by this block
     refinement: ClassVar[str | None] = None  # option that makes the block more exact as it grows (a finer mesh)
+    no_signals: ClassVar[Mapping[str, str]] = {}  # names that may be taken for outputs, and what they are
     opaque: ClassVar[bool] = False  # its equations are elsewhere (an FMU): only a co-simulation can run it
 
     inputs: ClassVar[dict[str, In]] = {}

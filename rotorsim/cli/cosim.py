@@ -12,7 +12,7 @@ import click
 
 from rotorsim.cli import common
 from rotorsim.cli.app import show_problems
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, visible
 
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
@@ -106,6 +106,8 @@ def command(
             if about["most_parts"] > 1:
                 click.echo(f"{name}: its inputs move within a step: taken in up to {about['most_parts']} parts, "
                            f"{about['do_steps']} calls of doStep")  # fmt: skip
+            for text, said in about["texts"].items():
+                click.echo(f"{name}: {text} is '{visible(' '.join(said.split())[:100])}' at the end")
         if text := _peaks(loaded, result):
             click.echo(f"\n{text}")
     if result.status != "finished":

@@ -223,6 +223,10 @@ def _made(
         "fmu_path": path, "fmu_description": description, "fmu_options": options,
         "fmu_warnings": [*description.warnings, *unit_warnings(description), *_silent(description, outputs, prefix)],
         "fmu_inputs": inputs, "fmu_outputs": outputs, "fmu_parameters": parameters,
+        "no_signals": {
+            port_name(v.name, prefix): "a text, no signal: cosim tells its last value"
+            for v in description.by_causality("output") if v.type == "String" and not v.clocked
+        },
         "file": Option(str(path), kind=str, doc="file of the FMU"),
         "interface": Option("any", choices=("any", "cs", "me"), kind=str, doc="cs, me, or any: cs where it is offered"),
         "in_process": Option(False, kind=bool, doc="load its code into this process: faster, but a crash is ours"),

@@ -114,6 +114,18 @@ def test_what_the_fmu_is_told_of_the_experiment(tmp_path: Path, file: Path) -> N
     assert last(cosimulate_diagram(diagram, step=0.1), "told_tolerance") == [1e-7]
 
 
+def test_a_text_is_no_signal_and_told_at_the_end(tmp_path: Path, run: Run) -> None:
+    file = gauge_fmu(tmp_path)
+    with pytest.raises(RotorsimError) as caught:
+        with_gauge(file, record=["it.said"])
+    assert caught.value.problems[0].what == "'said' is a text, no signal: cosim tells its last value"
+    document = with_gauge(file, text="rotor ä").document
+    (tmp_path / "d.json").write_text(json.dumps(dict(document)))
+    result = run("cosim", str(tmp_path / "d.json"), "--step", "0.5 s", "--trust-blocks")
+    assert result.exit_code == 0
+    assert "it: said is 'rotor ä' at the end\n" in result.stdout
+
+
 def test_an_fmu_without_outputs_says_what_can_be_recorded(tmp_path: Path) -> None:
     text = description(real=True).replace('causality="output"', 'causality="local"')
     file = gauge_fmu(tmp_path, text[: text.index("<Outputs>")] + "</ModelStructure></fmiModelDescription>")
