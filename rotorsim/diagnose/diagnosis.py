@@ -13,7 +13,7 @@ from rotorsim.diagnose.converters import find_converters
 from rotorsim.diagnose.drifts import drift_warnings, find_drifts, tells_drifts, with_drifts
 from rotorsim.diagnose.explaining import explanations, is_force, residual_of
 from rotorsim.diagnose.fitting import Fit, Source
-from rotorsim.diagnose.naming import name_missing, without_effects
+from rotorsim.diagnose.naming import Named, name_missing, without_effects, without_last
 from rotorsim.diagnose.pickups import find_pickups
 from rotorsim.diagnose.proof import is_faint, is_material, prove
 from rotorsim.diagnose.scoring import Held, Score, left_out_score, score
@@ -34,7 +34,7 @@ from rotorsim.recordings.recording import Recording
 from rotorsim.recordings.second_frequency import Second, find_second, with_second
 from rotorsim.threads import one_thread
 
-__all__ = ["Diagnosis", "diagnose"]
+__all__ = ["Diagnosis", "diagnose", "material_effects"]
 
 PICKUPS = 3  # times that lines which are picked up are looked for, behind stronger ones
 SETTLED = 0.5  # of the rms of all signals: what harmonics leave over of a run that has no settled motion
@@ -107,8 +107,7 @@ def diagnose(
         base, source, registry=registry, physics=physics, workers=workers, scheduler=scheduler, progress=progress,
     )  # fmt: skip
     scored = _Scores(source, held)
-    if named.chosen and named.explains and not is_material(scored(base), scored(named.fit), base, named.fit):
-        named = without_effects(named)
+    named = material_effects(named, scored)
     effects = effects_of(named)
     proof = None
     if (effects or converters) and named.explains:
@@ -136,6 +135,19 @@ def diagnose(
         warnings=[*warnings, *data.warnings, *(Problem(note, severity="warning") for note in refined)],
     )  # fmt: skip
     return in_words(found)
+
+
+def material_effects(named: Named, scored: Callable[[Fit], Score]) -> Named:
+    """Return a search without effects that do not show in runs that took no part, each beside those found before."""
+    while named.chosen and named.explains:
+        less = without_last(named)
+        if is_material(scored(less.fit), scored(named.fit), less.fit, named.fit):
+            break
+        named = less
+    base = named.base
+    if named.chosen and named.explains and not is_material(scored(base), scored(named.fit), base, named.fit):
+        return without_effects(named)
+    return named
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from rotorsim.diagram.registry import Registry
 from rotorsim.identify.coordinates import ANGLE_UNIT
 from rotorsim.jobs import local_workers
 
-__all__ = ["Candidate", "Named", "Round", "least_gain", "name_missing", "without_effects"]
+__all__ = ["Candidate", "Named", "Round", "least_gain", "name_missing", "without_effects", "without_last"]
 
 # of the equations, in the misfit: what meshes get wrong where another mesh is the truth. Meshes are refined until a
 # finer one changes 0.02 of them (`base.VISIBLE`); the sum of what still finer ones would change is five times that
@@ -79,6 +79,13 @@ def without_effects(named: Named) -> Named:
     """Return a search whose effects do not count."""
     first = named.first or named.rounds[0]
     return replace(named, chosen=(), rounds=(first,), fit=named.base)
+
+
+def without_last(named: Named) -> Named:
+    """Return a search without the effect that was found beside all others."""
+    if len(named.chosen) < 2:
+        return without_effects(named)
+    return replace(named, chosen=named.chosen[:-1], rounds=named.rounds[:-1], fit=named.chosen[-2].fit)
 
 
 def name_missing(

@@ -8,6 +8,7 @@ import pytest
 
 from rotorsim.diagnose import explaining
 from rotorsim.diagnose.conclusions import _effect, _open, _rejected, nearest, verdict_of
+from rotorsim.diagnose.diagnosis import material_effects
 from rotorsim.diagnose.fitting import Fit
 from rotorsim.diagnose.naming import Named, Round, _completed, _level, _named, _reconsidered, _simplified, least_gain
 from rotorsim.diagnose.proof import is_faint, is_material, prove
@@ -179,6 +180,27 @@ def test_errors_alone_prove_what_lowers_them():
 def test_a_cause_is_named_only_where_it_lowers_the_error_of_other_runs(fitted, before, after, errors, material):
     base, fit = (left(times) for times in fitted)
     assert is_material(scored(before, errors[0]), scored(after, errors[1]), base, fit) is material
+
+
+@pytest.mark.parametrize(
+    ("first", "both", "effects"),
+    [
+        (0.9, 0.9002, 1),  # of dry friction 1.16 times the noise is left in the fitted runs, nothing in others
+        (1.16, 1.0, 2),
+        (1.16, 1.1, 1),  # less than half of it
+        (357.0, 1.0, 2),  # the first is nothing without the second
+        (357.0, 357.0, 0),
+    ],
+)
+def test_every_effect_has_to_show_in_runs_that_took_no_part(first, both, effects):
+    fits = [left(840.0), left(1.16), left(1.0)]
+    chosen = tuple(SimpleNamespace(fit=fit) for fit in fits[1:])
+    found = Named(fits[0], chosen, ("before", "beside"), fits[2], 1e-4, first="before")
+    held = dict(zip(fits, (scored(357.0), scored(first), scored(both)), strict=True))
+    kept = material_effects(found, held.__getitem__)
+    assert kept.chosen == chosen[:effects]
+    assert kept.fit is fits[effects]
+    assert kept.rounds == (("before", "beside")[:effects] or ("before",))
 
 
 def test_little_that_nothing_explains_is_no_missing_physics():
