@@ -109,25 +109,19 @@ def master(file: Path, *, here: bool) -> Callable[[int], float]:
     return run
 
 
-def wirable(file: Path) -> Path:
-    """Write a plant whose input fits its output and does not reach it at once."""
-    from tests.fmi.plant import description2, make_fmu
-
-    text = description2().replace('unit="N"', 'unit="m"').replace('dependencies="2 6"', 'dependencies="2"')
-    text = text.replace('causality="output" variability="discrete"', 'variability="discrete"')
-    return make_fmu(file, description=text.replace('<Unknown index="15" dependencies=""/>', ""))
-
-
 def main() -> int:
     """Measure and print."""
-    from tests.fmi.plant import make_fmu
+    from tests.fmi.plant import floats_only, make_fmu
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--repeats", type=int, default=5)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        file, wired = make_fmu(Path(folder, "plant.fmu")), wirable(Path(folder, "wired.fmu"))
+        file, wired = (
+            make_fmu(Path(folder, name), description=text)
+            for name, text in (("plant.fmu", ""), ("wired.fmu", floats_only()))
+        )
         with open_fmu(file, in_process=True) as here, open_fmu(file) as far:
             slaves = [fmu.instantiate("cs") for fmu in (here, here, far, far)]
             for slave in slaves:

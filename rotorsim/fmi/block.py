@@ -20,7 +20,7 @@ class Head:
     """Places in the head; what the two sides write lies on different cache lines."""
 
     REQUEST, OP, USER_SLEEPS = 0, 1, 2  # written by the user
-    REPLY, STATUS, SAID, FUNCTION, FMU_SLEEPS, WARNED = 16, 17, 18, 19, 20, 21  # written beside the FMU
+    REPLY, STATUS, SAID, FUNCTION, FMU_SLEEPS, WARNED = 16, 17, 18, 19, 20, 21  # beside the FMU; STATUS is taken back
 
 
 class Op:

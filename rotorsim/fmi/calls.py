@@ -83,7 +83,7 @@ class Calls:
 
     def check(self, function: str, status: int) -> None:
         """Count a warning; raise what a worse status means."""
-        if status > 1:
+        if status != 1:
             self.fail(function, status)
         self.head[Head.WARNED] += 1
 
@@ -91,7 +91,7 @@ class Calls:
         """Raise what a status means."""
         self.head[Head.FUNCTION] = 0
         kind = {2: "discard", 4: "fatal"}.get(status, "error")
-        word = self.library.prefix + STATUS[status] if status < len(STATUS) else f"status {status}"
+        word = self.library.prefix + STATUS[status] if 0 <= status < len(STATUS) else f"status {status}"
         raise CallError(kind, function, f"returned {word}", log=self.log.taken())
 
     # -- values --------------------------------------------------------------------------------------------------------

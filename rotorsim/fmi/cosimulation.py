@@ -64,7 +64,8 @@ def cosimulate(
     it takes at once; its outputs are extrapolated in between. A participant that fails or a signal that leaves
     the finite numbers ends the run; what was found until then is kept, with status and message. check: refuse a step
     with which the linearised loop is unstable though the loop as a whole is stable. fast: the plain loop in C, inputs
-    held and outputs taken as each participant left them (no sweeps through direct feedthrough), for FMUs in process.
+    held and outputs taken as each participant left them (no sweeps through direct feedthrough), for FMUs for
+    Co-Simulation.
     solver: of the states of FMUs for Model Exchange: "rk4" with the steps of the run, or "radau", "bdf", "lsoda"
     (implicit), "dop853", "rk45" with steps of their own. Where RK4 is unstable at the poles of such an FMU, or the
     linearised loop is unstable as a whole and the motion grows, the run ends with status "diverged" or "unstable".
@@ -285,6 +286,8 @@ def _refuse(
         hint = "leave out one of them"
         problems.append(Problem("cannot be combined with adaptive steps", "the fast loop", hint=hint))
     stuck = [p.name for p in coupling.participants if not p.can_restore]
+    if fast and any(isinstance(p, FmuParticipant) and p.slave.log for p in coupling.participants):
+        problems.append(Problem("tells no messages of FMUs", "the fast loop", hint="leave out --fast, or the log"))
     if adaptive is not None and stuck:
         hint = "take fixed steps"
         problems.append(Problem(f"cannot take a step back: {', '.join(stuck)}", "adaptive steps", hint=hint))
@@ -349,7 +352,7 @@ def _fast(
     status, message, last = "finished", "", None
     failure: FmuError | None = None
     try:
-        made = loop.run(0.0, step, count, progress=progress)
+        made = loop.run(0.0, step, count, end=end, progress=progress)
     except FmuError as error:
         failure, made, (status, message) = error, loop.rows, _stopped(error)
     rows = np.vstack([first, made * fy + oy])
@@ -363,7 +366,7 @@ def _fast(
     for participant in coupling.participants:
         if isinstance(participant, FmuParticipant):
             participant.most_parts, participant.do_steps = 1, len(made)
-    times = [*(np.arange(len(rows)) * step)]
+    times = [*np.minimum(np.arange(len(rows)) * step, end)]
     if last is not None:
         times, kept, _ = _with_last(times, [*rows], times, *last)
         rows = np.array(kept)

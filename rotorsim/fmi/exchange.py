@@ -70,12 +70,15 @@ class Slave(Instance):
     def finish_exchange(self) -> np.ndarray:
         """Return the outputs of what `begin_exchange` began."""
         self.wait(self._t, self._finish)
-        y = self._y.copy()
-        if not is_finite(y):
-            self._finite(y, self.output_names, self._t)
+        y = self.finite_outputs(self._t)
         if self.log:
             self._forward_log()
         return y
+
+    def finite_outputs(self, t: float) -> np.ndarray:
+        """Return the outputs (n_y,) of a step from t. Raises FmuError that names those that are not finite."""
+        y = self._y.copy()
+        return y if is_finite(y) else self._finite(y, self.output_names, t)
 
     def wait(self, t: float, finish: Callable[[], None]) -> None:
         """Wait by finish, which raises CallError, for a step from t that was begun. Raises FmuError."""

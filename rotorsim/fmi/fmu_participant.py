@@ -162,7 +162,7 @@ class FmuParticipant:
         names = [v.name for v in self.fmu.description.by_causality("output") if v.type == "String" and not v.clocked]
         with contextlib.suppress(RotorsimError, CallError):
             lines, counts = self.slave.messages()
-            texts = dict(zip(names, self.slave.get(names), strict=True)) if self._started else {}
+            texts = {name: ", ".join(self.slave.get([name])) for name in names if self._started}
         said = list(dict.fromkeys(f"{status}: {text}" for status, _, text in lines if status != "OK" and text))
         return {
             "interface": self.slave.kind, "do_steps": self.do_steps, "most_parts": self.most_parts,

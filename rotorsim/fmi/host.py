@@ -77,15 +77,14 @@ class _Host:
             if not what:
                 self._wait()
                 self.seen = head[Head.REQUEST]
-            op = head[Head.OP]
-            if op == Op.COMMAND:
+            if not what and head[Head.OP] == Op.COMMAND:
                 self._command()
             else:
                 try:
-                    if what:
+                    if what:  # whoever does not wait may have asked for more by now
                         session.fail(what)
                     else:
-                        session.run(op)
+                        session.run(head[Head.OP])
                 except Exception as error:
                     self._tell({"failed": _failure(error).data()})
                     head[Head.STATUS] = 1

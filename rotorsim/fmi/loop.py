@@ -23,13 +23,11 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.exchange import Slave
 from rotorsim.fmi.failure import FmuError
 from rotorsim.fmi.process import LocalWorker, RemoteWorker
-from rotorsim.fmi.steps import DEFINES, Member
+from rotorsim.fmi.steps import DEFINES, PART, PROCESS, Failed, Member, State
 
 __all__ = ["FastLoop", "PartMember"]
 
 _FIRST, _SLICE = 100, 0.1  # steps taken first; s between looks at Ctrl-C and progress
-_LATE = 6  # returned of a process that has not answered yet, or has more to say
-_PROCESS, _ASKED, _DONE = 1, 1, 2  # a kind of members; states of them
 
 
 class PartMember(Protocol):
@@ -66,9 +64,7 @@ class FastLoop:
         self._keep: list[Any] = []
         self._rows: dict[int, np.ndarray] = {}
         self._made = (Member * len(members))(*map(self._member, members))
-        workers = [getattr(member, "worker", None) for member in members]
-        pairs = zip(workers, self._made, strict=True)
-        self._apart = [(worker, made) for worker, made in pairs if isinstance(worker, RemoteWorker)]
+        self._slaves = [(m, made) for m, made in zip(members, self._made, strict=True) if isinstance(m, Slave)]
         sizes = [len(_inputs(member)) for member in members]
         self._first = np.cumsum([0, *sizes], dtype=np.int64)
         self._u = _pointers([at for member in members for at in _places(member, "u", self._rows)])
@@ -96,65 +92,76 @@ class FastLoop:
         return not any(map(_unfit, members)) and _library() is not None
 
     def run(
-        self, t0: float, h: float, steps: int, *, every: int = 1, progress: Callable[[float], None] | None = None
-    ) -> np.ndarray:
-        """Take steps of length h from t0 on; return y (rows, n_y) after each step that ``every`` divides.
+        self, t0: float, h: float, steps: int, *, every: int = 1, end: float = np.inf,
+        progress: Callable[[float], None] | None = None,
+    ) -> np.ndarray:  # fmt: skip
+        """Take steps of length h from t0 on, to ``end`` at most; return y (rows, n_y) after each that every divides.
 
         The outputs of the members must be up to date (`exchange` without a step, `output`). The rows end early where
-        one is not finite; that row is the last. Raises FmuError with the time when an FMU fails.
+        one is not finite; that row is the last. Raises FmuError with the time when an FMU fails, or its outputs are not
+        finite.
         """
+        if wrong := [f"{member.name} {why}" for member in self.members if (why := _unfit(member))]:
+            raise RotorsimError(Problem(f"no fast loop: {'; '.join(wrong)}"))
+        for slave, made in self._slaves:
+            if isinstance(slave.worker, RemoteWorker):
+                slave.wait(t0, slave.worker.expect)
+            elif isinstance(slave.worker, LocalWorker) and slave.worker.session.steps:
+                made.unbound = slave.worker.session.steps.unbound
+        self._place[:] = 0
         rows = np.empty((steps // every, self.n_y))
-        for worker, made in self._apart:
-            made.count = worker.count
-        try:
-            return self._steps(rows, t0, h, steps, every, progress)
-        finally:
-            for worker, made in self._apart:
-                worker.count = max(worker.count, made.count)
-
-    def _steps(
-        self, rows: np.ndarray, t0: float, h: float, steps: int, every: int, progress: Callable[[float], None] | None
-    ) -> np.ndarray:  # fmt: skip
         done = written = 0
-        chunk = _FIRST
+        chunk, told = _FIRST, time.perf_counter()
         while done < steps:
-            end = min(steps, done + max(chunk // every, 1) * every)
+            last = min(steps, done + max(chunk // every, 1) * every)
             begun = time.perf_counter()
-            taken = self._function(
-                ctypes.addressof(self._made), len(self.members), *map(_at, (self._order,)), self._sequential,
-                *map(_at, (self._first, self._start, self._column, self._gain, self._u0, self._u)), self.n_y,
-                _at(self._y), t0, h, done, end, every, self._sweeps, _at(rows[written:]), _at(self._failed),
-                _at(self._place),
-            )  # fmt: skip
+            taken = self._call(t0, h, end, done, last, every, rows[written:])
             written = (done + taken) // every
-            if self._failed[1]:
-                done += taken
-                t, now = t0 + done * h, t0 + (done + 1) * h
-                try:
-                    self._go_on(int(self._failed[0]), int(self._failed[1]), t, now)
-                except FmuError:
-                    self.rows = rows[:written].copy()
-                    self._leave()
-                    raise
-                if progress:
-                    progress(done / steps)
-                continue
-            if taken < end - done or (written and not np.isfinite(rows[written - 1]).all()):
-                return rows[:written].copy()
-            done = end
+            member, what = map(int, self._failed)
+            t, now = (min(t0 + n * h, end) for n in (done + taken, done + taken + 1))
+            try:
+                if what:
+                    self._go_on(member, what, now if self._place[0] else t, now)
+                elif written and not np.isfinite(rows[written - 1]).all():
+                    written -= 1
+                    for slave, _ in self._slaves:
+                        slave.finite_outputs(t0 + (done + taken - 1) * h)
+                    return rows[: written + 1].copy()
+            except FmuError:
+                self.rows = rows[:written].copy()
+                self._leave()
+                raise
+            done += taken
             if time.perf_counter() - begun < _SLICE:
                 chunk *= 2
-            if progress:
+            if progress and time.perf_counter() - told > _SLICE:
                 progress(done / steps)
+                told = time.perf_counter()
+        if progress:
+            progress(1.0)
         return rows
 
+    def _call(self, t0: float, h: float, end: float, first: int, last: int, every: int, rows: np.ndarray) -> int:
+        """Take the steps first..last-1 in C; return how many were done."""
+        apart = [(slave.worker, made) for slave, made in self._slaves if isinstance(slave.worker, RemoteWorker)]
+        for worker, made in apart:
+            made.count = worker.count
+        taken = self._function(
+            ctypes.addressof(self._made), len(self.members), _at(self._order), self._sequential,
+            *map(_at, (self._first, self._start, self._column, self._gain, self._u0, self._u)), self.n_y,
+            _at(self._y), t0, h, end, first, last, every, self._sweeps, _at(rows), _at(self._failed), _at(self._place),
+        )  # fmt: skip
+        for worker, made in apart:
+            worker.count = made.count
+        return int(taken)
+
     def _go_on(self, k: int, what: int, t: float, now: float) -> None:
-        """Wait for a process in the step from t to now; raise a failure and an end as a participant does."""
-        member, made = self.members[k], self._made[k]
+        """Wait for a process that was asked at t; raise a failure, or an end at the time now, as participants do."""
+        member = self.members[k]
         assert isinstance(member, Slave)
         worker, finish = member.worker, member.worker.finish
         if isinstance(worker, RemoteWorker):
-            worker.count, made.state = made.count, _DONE
+            finish, self._made[k].state = partial(worker.finish, 0), State.DONE
         elif isinstance(worker, LocalWorker):
             finish = partial(worker.session.fail, what)
         try:
@@ -170,9 +177,9 @@ class FastLoop:
     def _leave(self) -> None:
         """Wait for processes that are at work still, so that others can ask them again."""
         for k, made in enumerate(self._made):
-            if made.kind == _PROCESS and made.state == _ASKED:
+            if made.kind == PROCESS and made.state == State.ASKED:
                 with contextlib.suppress(FmuError):
-                    self._go_on(k, _LATE, 0.0, 0.0)
+                    self._go_on(k, Failed.LATE, 0.0, 0.0)
 
     # -- filling the structures ----------------------------------------------------------------------------------------
 
@@ -184,7 +191,7 @@ class FastLoop:
         self._rows[id(member)] = out = np.zeros(instance.n_y)
         self._keep += [row, out, instance, member]
         library = instance.library
-        made = Member(kind=0, step=member.internal)
+        made = Member(kind=PART, step=member.internal)
         made.run, made.record = (ctypes.cast(f, ctypes.c_void_p) for f in (library.run, library.record))
         made.p, made.m, made.x, made.z = (_at(a) for a in (instance.p, instance.memory, instance.x, instance.z))
         made.y, made.row = _at(out), _at(row)
@@ -196,14 +203,13 @@ class FastLoop:
         if os.path.exists(self._library):  # a cache that cannot be written to keeps none
             slave.command("in_c", library=self._library)
         self._keep += [slave]
-        return Member(kind=_PROCESS, head=worker.block.at(0), looks=worker.looks, bell=worker.pipe.sink)
+        return Member(kind=PROCESS, head=worker.block.at(0), looks=worker.looks, bell=worker.pipe.sink)
 
     def _fmu(self, slave: Slave) -> Member:
         assert isinstance(slave.worker, LocalWorker)
-        made = slave.worker.session.steps and slave.worker.session.steps.in_c()
-        assert made
+        assert slave.worker.session.steps
         self._keep += [slave]
-        return made
+        return slave.worker.session.steps.in_c()
 
 
 def _unfit(member: Slave | PartMember) -> str:
@@ -217,7 +223,7 @@ def _unfit(member: Slave | PartMember) -> str:
         return "" if worker.ordered else "has a process of its own, and this machine cannot look at it"
     assert isinstance(worker, LocalWorker)
     assert worker.session.steps
-    return "" if worker.session.steps.in_c() else "has inputs or outputs that are not Float64"
+    return "" if worker.session.steps.all_float else "has inputs or outputs that are not Float64"
 
 
 def _inputs(member: Slave | PartMember) -> Sequence[str]:
@@ -257,7 +263,7 @@ def _library() -> Any:
         return None
     i64, f64, ptr = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
     library.rs_cosimulate.argtypes = [
-        ptr, i64, ptr, i64, ptr, ptr, ptr, ptr, ptr, ptr, i64, ptr, f64, f64, i64, i64, i64, i64, ptr, ptr, ptr,
+        ptr, i64, ptr, i64, ptr, ptr, ptr, ptr, ptr, ptr, i64, ptr, f64, f64, f64, i64, i64, i64, i64, ptr, ptr, ptr,
     ]  # fmt: skip
     library.rs_cosimulate.restype = i64
     return library

@@ -114,7 +114,7 @@ class RemoteWorker(Worker):
         descriptor = _shared(max(sizes.bytes, mmap.PAGESIZE))
         self.block = Block(mmap.mmap(descriptor, max(sizes.bytes, mmap.PAGESIZE)), sizes)
         self.head = self.block.head
-        self.count = 0
+        self.count, self.commanded = 0, False
         self.ordered = ordered()
         self.fence, self.looks = Fence(), LOOKS if self.ordered else 0
         if not self.ordered:
@@ -152,9 +152,18 @@ class RemoteWorker(Worker):
         self.begin(op)
         self.finish()
 
-    def begin(self, op: int) -> None:
+    def expect(self) -> None:
+        """Make sure that it can be asked: drop the reply that nobody waited for. Raises CallError if it has ended."""
         if self.dead:
             raise self.dead
+        if self.head[Head.REPLY] != self.count:
+            self._wait()
+        if self.head[Head.STATUS] or self.commanded:
+            self.head[Head.STATUS], self.commanded = 0, False
+            self._answer()
+
+    def begin(self, op: int) -> None:
+        self.expect()
         head = self.head
         head[Head.OP] = op
         head[Head.REQUEST] = self.count = self.count + 1
@@ -165,18 +174,18 @@ class RemoteWorker(Worker):
             except ClosedError:
                 raise self._died() from None
 
-    def finish(self) -> None:
-        if not seen(self.head, Head.REPLY, self.count - 1, self.looks):
+    def finish(self, looks: int | None = None) -> None:
+        if not seen(self.head, Head.REPLY, self.count - 1, self.looks if looks is None else looks):
             self._wait()
         if self.head[Head.STATUS]:
             self.head[Head.STATUS] = 0
             raise CallError.from_data(self._answer()["failed"])
 
     def command(self, name: str, /, **arguments: Any) -> dict[str, Any]:
-        if self.dead:
-            raise self.dead
+        self.expect()
         text = json.dumps({"name": name, "arguments": arguments}).encode()
         self.count += 1
+        self.commanded = True
         self.head[Head.OP] = Op.COMMAND
         self.head[Head.REQUEST] = self.count
         try:
@@ -184,6 +193,7 @@ class RemoteWorker(Worker):
         except ClosedError:
             raise self._died() from None
         answer = self._answer(name)
+        self.commanded = False
         self._wait()
         self.limit = self.timeout
         if "failed" in answer:

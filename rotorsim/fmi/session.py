@@ -7,12 +7,13 @@ Two ways to ask: `Session.run` for what happens at every step (numbers in the bl
 from __future__ import annotations
 
 import base64
+import contextlib
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rotorsim.fmi.binding import CallError
-from rotorsim.fmi.block import Block
+from rotorsim.fmi.block import Block, Head
 from rotorsim.fmi.calls import FUNCTIONS, Calls, address, references
 from rotorsim.fmi.steps import Member, Steps
 
@@ -73,6 +74,7 @@ class Session:
         inputs: Sequence[Any], outputs: Sequence[Any], sizes: Sequence[Any] = (),
     ) -> None:  # fmt: skip
         calls = self._calls()
+        self.block.head[Head.SAID] = 0
         if sizes:
             calls.call("EnterConfigurationMode", "EnterConfigurationMode")
             self._set_all(calls, sizes, 0)
@@ -122,9 +124,11 @@ class Session:
         self.steps, self.run, self.member = None, _not_yet, None
 
     def _do_in_c(self, library: str) -> None:
-        self._serve = ctypes.CDLL(library)["rs_serve"]
-        self._serve.restype = ctypes.c_int64
-        self.member = self._steps().in_c()
+        steps = self._steps()
+        with contextlib.suppress(OSError):  # what cannot be loaded is done here
+            self._serve = ctypes.CDLL(library)["rs_serve"]
+            self._serve.restype = ctypes.c_int64
+            self.member = steps.in_c() if steps.all_float and self._calls().kind == "cs" else None
 
     def _do_free(self) -> dict[str, Any]:
         if self.calls is None:

@@ -12,18 +12,30 @@ from rotorsim.fmi.binding import CallError
 from rotorsim.fmi.block import Block, Head, Op, Said
 from rotorsim.fmi.calls import FUNCTIONS, NUMBER, Call, Calls, address, references, whole
 
-__all__ = ["DEFINES", "Member", "Steps"]
+__all__ = ["DEFINES", "PART", "PROCESS", "Failed", "Member", "State", "Steps"]
 
 MAX_ITERATIONS = 1000  # of an event
-_SET, _STEP, _GET, _EARLY, _ENDED = range(1, 6)  # what c/loop.c may return, beside 16 times the status of a call
-_PLACES = {
-    **{name: getattr(Head, name) for name in (
-        "REQUEST", "OP", "USER_SLEEPS", "REPLY", "STATUS", "SAID", "FUNCTION", "FMU_SLEEPS", "WARNED",
-    )},
-    "T": Block.T, "H": Block.H, "LAST": Block.LAST, "U": Op.U, "STEP": Op.STEP, "Y": Op.Y,
-    "TERMINATE": Said.TERMINATE, "DO_STEP": NUMBER["DoStep"],
+
+
+class Failed:
+    """What c/loop.c returns, beside 16 times the status of a call. LATE: wait for a process, or it says more."""
+
+    SET, STEP, GET, EARLY, ENDED, LATE = range(1, 7)
+
+
+class State:
+    """What a member of c/loop.c has done in a pass."""
+
+    TODO, ASKED, DONE = range(3)
+
+
+PART, PROCESS = 0, 1  # kinds of members, beside the versions of FMUs in this process
+_DEFINED = {
+    "T": Block.T, "H": Block.H, "LAST": Block.LAST, "OP_U": Op.U, "OP_STEP": Op.STEP, "OP_Y": Op.Y,
+    "TERMINATE": Said.TERMINATE, "DO_STEP": NUMBER["DoStep"], "PART": PART, "PROCESS": PROCESS,
+    **{name: n for of in (Head, Failed, State) for name, n in vars(of).items() if name.isupper()},
 }  # fmt: skip
-DEFINES = "".join(f"#define RS_{name} {place}\n" for name, place in _PLACES.items())  # that c/loop.c begins with
+DEFINES = "".join(f"#define RS_{name} {number}\n" for name, number in _DEFINED.items())  # that c/loop.c begins with
 
 
 class _Call(ctypes.Structure):
@@ -155,11 +167,14 @@ class Steps:
 
     # -- in C ----------------------------------------------------------------------------------------------------------
 
-    def in_c(self) -> Member | None:
-        """Return the steps of Co-Simulation for c/loop.c; None where inputs or outputs are not all Float64."""
+    @property
+    def all_float(self) -> bool:
+        """Whether inputs and outputs are all Float64."""
+        return all(number for number, _, _ in (*self._held, *self._outputs))
+
+    def in_c(self) -> Member:
+        """Return the steps of Co-Simulation for c/loop.c, where inputs and outputs are all Float64."""
         calls = self.calls
-        if calls.kind != "cs" or not all(number for number, _, _ in (*self._held, *self._outputs)):
-            return None
         setters, getters = (_in_c(found, calls.two) for found in (self._held, self._outputs))
         self._keep += [setters, getters]
         return Member(
@@ -171,12 +186,12 @@ class Steps:
     def fail(self, what: int) -> None:
         """Raise what c/loop.c returned, as `run` does. Raises CallError, but for an end that is asked for."""
         kind, status = what % 16, what // 16
-        if kind == _EARLY:
+        if kind == Failed.EARLY:
             raise self._early()
-        if kind == _STEP:
+        if kind == Failed.STEP:
             self._refused(status)
-        if kind != _ENDED:
-            self.calls.fail({_SET: "Set", _GET: "Get"}[kind], status)
+        if kind != Failed.ENDED:
+            self.calls.fail({Failed.SET: "Set", Failed.GET: "Get"}[kind], status)
 
     # -- steps ---------------------------------------------------------------------------------------------------------
 

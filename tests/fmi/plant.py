@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import tempfile
 import zipfile
@@ -14,11 +15,11 @@ import pytest
 from rotorsim.compile.toolchain import find_compiler
 from rotorsim.fmi.platforms import SUFFIXES, folders, this_platform
 
-__all__ = ["FAULTS", "description2", "description3", "library", "make_fmu"]
+__all__ = ["FAULTS", "description2", "description3", "floats_only", "library", "make_fmu"]
 
 FAULTS = (
     "ok", "segv", "hang", "fail", "nan", "discard", "hungry", "leave", "abort", "print", "fatal", "bad_free",
-    "terminate", "child",
+    "terminate", "child", "below",
 )  # fmt: skip
 SOURCES = Path(__file__).parent / "c"
 _FLAGS = 'canGetAndSetFMU{s}="true" canSerializeFMU{s}="true" canBeInstantiatedOnlyOncePerProcess="{once}"'
@@ -73,6 +74,19 @@ def description2(*, once: bool = False, identifier: str = "plant") -> str:
 <InitialUnknowns>{derivatives}{unknowns}</InitialUnknowns></ModelStructure>
 </fmiModelDescription>
 """
+
+
+def floats_only(version: str = "2.0") -> str:
+    """Return the description of a plant that exchanges Float64 alone; u fits y and does not reach it at once."""
+    if version == "3.0":
+        text = description3().replace(
+            'causality="input" start="true"', 'causality="local" initial="exact" start="true"'
+        )
+        text = text.replace('21" causality="output"', '21" causality="local"').replace('unit="N"', 'unit="m"')
+        return re.sub(r'<(Output|InitialUnknown) valueReference="21"[^>]*/>', "", text)
+    text = description2().replace('unit="N"', 'unit="m"').replace('dependencies="2 6"', 'dependencies="2"')
+    text = re.sub('causality="(in|out)put" variability="discrete"', 'variability="discrete"', text)
+    return text.replace('<Unknown index="15" dependencies=""/>', "")
 
 
 def description3(*, once: bool = False, identifier: str = "plant") -> str:

@@ -23,7 +23,7 @@ from rotorsim.fmi.participant import Held
 from rotorsim.fmi.process import RemoteWorker
 from rotorsim.fmi.slave import open_fmu
 from rotorsim.simulate.result import Result
-from tests.fmi.plant import FAULTS, description2, make_fmu
+from tests.fmi.plant import FAULTS, floats_only, make_fmu
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="FMUs are built by a C compiler")
 H, STOP = 1e-4, 6e-3
@@ -93,15 +93,8 @@ def test_what_is_no_plain_step_takes_the_general_ones(cut: Diagram, loops: list[
     assert loops == []
 
 
-def coupled() -> str:
-    """Return the description of a plant whose input fits its output and does not reach it at once."""
-    text = description2().replace('unit="N"', 'unit="m"').replace('dependencies="2 6"', 'dependencies="2"')
-    text = text.replace('causality="output" variability="discrete"', 'variability="discrete"')
-    return text.replace('<Unknown index="15" dependencies=""/>', "")
-
-
-def alone(folder: Path, fault: str, version: str, **more: Any) -> Diagram:
-    make_fmu(folder / "plant.fmu", version)
+def alone(folder: Path, fault: str, version: str, *, floats: bool = False, **more: Any) -> Diagram:
+    make_fmu(folder / "plant.fmu", version, description=floats_only(version) if floats else "")
     options = {"fault": FAULTS.index(fault), "fault_time": 0.01, "in_process": True, **more}
     block = {"type": "fmu", "file": "plant.fmu", "parameters": options}
     document = {
@@ -112,22 +105,25 @@ def alone(folder: Path, fault: str, version: str, **more: Any) -> Diagram:
     return load({**document, "record": ["it.y"]}, folder=folder, trust_blocks=True)
 
 
-HERE_AND_APART = [
-    *(("2.0", True, fault) for fault in ("fail", "discard")),
-    *(("2.0", False, fault) for fault in ("fail", "discard", "segv", "leave", "hang")),
-    *(("3.0", here, fault) for here in (True, False) for fault in ("fatal", "terminate")),
-]
-
-
-@pytest.mark.parametrize(("version", "here", "fault"), HERE_AND_APART)
+@pytest.mark.parametrize(
+    ("version", "floats", "here", "fault"),
+    [
+        *(("2.0", floats, True, fault) for floats in (True, False) for fault in ("fail", "discard", "nan")),
+        *(("2.0", floats, False, fault) for floats in (True, False) for fault in ("fail", "discard", "nan", "segv")),
+        *(("2.0", True, False, fault) for fault in ("leave", "hang")),
+        *(("3.0", True, here, fault) for here in (True, False) for fault in ("fatal", "terminate")),
+    ],
+)
 def test_failures_are_told_alike(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loops: list[int], version: str, here: bool, fault: str
-) -> None:
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loops: list[int], version: str, floats: bool, here: bool,
+    fault: str,
+) -> None:  # fmt: skip
+    """In C here, in C there, and in C here beside Python there, where not all are Float64."""
     if fault == "hang":
         monkeypatch.setitem(open_fmu.__kwdefaults__, "timeout", 0.5)  # s
-    diagram = alone(tmp_path, fault, version, in_process=here)
+    diagram = alone(tmp_path, fault, version, floats=floats, in_process=here)
     fast, plain, general = all_ways(diagram, monkeypatch, step=1e-3)
-    assert loops == ([] if here else [20])  # in this process only Float64 is passed on in C
+    assert loops == ([20] if floats or not here else [])
     assert [found.status for found in (fast, plain, general)] == ["stopped"] * 3
     assert fast.message == plain.message == general.message
     for found in (fast, plain):
@@ -137,7 +133,7 @@ def test_failures_are_told_alike(
 
 def pair(folder: Path, **other: Any) -> Diagram:
     """Return two plants in processes of their own, each driven by the other."""
-    make_fmu(folder / "plant.fmu", description=coupled())
+    make_fmu(folder / "plant.fmu", description=floats_only())
     block = {"type": "fmu", "file": "plant.fmu", "parameters": {}}
     document = {
         "blocks": {"a": block, "b": {**block, "parameters": other}},
@@ -199,3 +195,22 @@ def test_a_held_step_of_a_process_of_its_own_is_one_exchange(tmp_path: Path) -> 
         assert worker.count - before == 5
     finally:
         coupling.close()
+
+
+def test_the_last_step_ends_at_the_stop_time(tmp_path: Path, loops: list[int]) -> None:
+    """Three steps of 0.1 s end at 0.30000000000000004 s, where an FMU may refuse what is beyond its stop time."""
+    found = cosimulate_diagram(alone(tmp_path, "ok", "2.0", floats=True), step=0.1, stop=0.3)
+    assert loops == [3]
+    assert found.time.tolist() == [0.0, 0.1, 0.2, 0.3]
+
+
+def test_an_end_that_was_asked_for_is_forgotten_by_the_next_run(tmp_path: Path) -> None:
+    diagram = alone(tmp_path, "terminate", "3.0", floats=True)
+    coupling = open_coupling(diagram)
+    try:
+        first, second = (cosimulation.cosimulate(coupling, diagram, step=1e-3) for _ in range(2))
+    finally:
+        coupling.close()
+    assert first.message == second.message
+    assert first.time.tolist() == second.time.tolist()
+    assert len(first.time) > 10

@@ -9,7 +9,8 @@
 #include <string.h>
 #include <unistd.h>
 
-enum { OK, SEGV, HANG, FAIL, NOT_A_NUMBER, DISCARD, HUNGRY, LEAVE, ABORT, PRINT, FATAL, BAD_FREE, TERMINATE, CHILD };
+enum { OK, SEGV, HANG, FAIL, NOT_A_NUMBER, DISCARD, HUNGRY, LEAVE, ABORT, PRINT, FATAL, BAD_FREE, TERMINATE, CHILD,
+       BELOW };
 
 typedef struct {
     double t, x[N], v[N], u[N], stiffness, damping, gain, wall, tick, fault_time, next;
@@ -54,7 +55,7 @@ static void advance(Plant *p, double h) {
     p->t += h;
 }
 
-/* Do what is wrong; return the status: 0 fine, 2 discard, 3 error, 4 fatal. */
+/* Do what is wrong; return the status: 0 fine, 2 discard, 3 error, 4 fatal, -1: none that there is. */
 static int misbehave(Plant *p, double t) {
     static char *volatile nowhere = 0;
     if (p->fault == OK || t < p->fault_time - 1e-12) return 0;
@@ -73,6 +74,7 @@ static int misbehave(Plant *p, double t) {
         case ABORT: fprintf(stderr, "assertion failed: the plant is tired\n"); abort();
         case PRINT: for (int k = 0; k < 20000; k++) printf("line %d of what nobody wants to read\n", k); break;
         case FATAL: return 4;
+        case BELOW: return -1;
         case CHILD: if (fork() == 0) for (;;) sleep(1); break;
     }
     return 0;
