@@ -43,9 +43,11 @@ def test_importing_the_package_imports_nothing_else() -> None:
 
 @pytest.mark.parametrize(
     "first",
-    [*(pytest.param(first, marks=pytest.mark.slow) for first in ("import rotorsim", "import rotorsim.simulate")),
-     "from rotorsim.simulate import periodic; import rotorsim",
-     "from rotorsim import simulate; simulate(diagram, stop=0.01); import rotorsim"],
+    ["from rotorsim.simulate import periodic; import rotorsim",
+     *(pytest.param(first, marks=pytest.mark.slow) for first in (
+        "import rotorsim", "import rotorsim.simulate",
+        "from rotorsim import simulate; simulate(diagram, stop=0.01); import rotorsim",
+     ))],
 )  # fmt: skip
 def test_simulate_can_be_called_whatever_was_imported_before(first: str) -> None:
     """The package of this name is what Python puts in the place of the function."""

@@ -89,6 +89,7 @@ def test_exit_code_1_when_something_is_open(run: Run, poor: str):
     assert "force_displacement_factor" in data["next_experiment"][0]["solves"]
 
 
+@pytest.mark.slow
 def test_exit_code_1_when_the_model_does_not_explain_the_data(run: Run, good: str):
     result = run("identify", "jeffcott", good, "--without", "crack")
     assert result.exit_code == 1

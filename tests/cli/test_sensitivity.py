@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from tests.cli.conftest import Run
 
 FAST = ("--seeds", "2", "--scheduler", "synchronous")
@@ -54,6 +56,7 @@ def test_wrong_known_parameters(run: Run) -> None:
     assert rows["crack_stiffness"]["bias"] == 0.05
 
 
+@pytest.mark.slow
 def test_smallest_crack(run: Run) -> None:
     found = run("sensitivity", "jeffcott", "--speeds", "1140 rpm,1620 rpm", "--noise", "5", "--smallest-crack", *FAST)
     assert found.exit_code == 0

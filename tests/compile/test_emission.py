@@ -63,6 +63,7 @@ def test_axes_of_one_form_are_neighbours():
     assert pairs == [[f"{state}_{axis}.value" for axis in "xy"] for state in ("velocity", "displacement", "integral")]
 
 
+@pytest.mark.slow
 def test_a_finite_element_rotor_keeps_its_banded_solution():
     cost = {}
     for n in (10, 20, 40):

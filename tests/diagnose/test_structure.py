@@ -201,6 +201,7 @@ def test_what_moves_no_sensor_is_not_seen() -> None:
     assert not any(name.startswith("second controller") for name in model.extra)
 
 
+@pytest.mark.slow
 def test_smallest_tells_as_much_as_all_sensors() -> None:
     model = _of("fe_rigid", "rotor.displacement[3]", "controller.current")
     smallest, every = model.smallest(), model.gain(list(model.extra))
@@ -294,12 +295,17 @@ def _settled(diagram: Diagram, changes: Mapping[str, float]) -> np.ndarray:
     ("key", "parameter", "steps", "shape"),
     [
         ("residual_bow/0@rotor.force", "amplitude", (2e-6, 1e-6), {"phase": 0.0}),
-        ("support_stiffness/0@rotor.force", "stiffness", (2000.0, 1000.0), {}),
-        ("seal_cross_coupling/0@rotor.force", "cross_stiffness", (200.0, 100.0), {}),
         ("rub/0@rotor.force", "stiffness", (40.0, 20.0), {}),
-        ("sensor_gain/0@rotor.displacement", "gain_error", (2e-3, 1e-3), {}),
         ("eddy_current_lag/1@amb.current", "share", (2e-3, 1e-3), {"time_constant": 1e-3}),
-        ("current_sensor_gain/0@controller.current", "gain_error", (2e-3, 1e-3), {}),
+        *(
+            pytest.param(*each, {}, marks=pytest.mark.slow)
+            for each in (
+                ("support_stiffness/0@rotor.force", "stiffness", (2000.0, 1000.0)),
+                ("seal_cross_coupling/0@rotor.force", "cross_stiffness", (200.0, 100.0)),
+                ("sensor_gain/0@rotor.displacement", "gain_error", (2e-3, 1e-3)),
+                ("current_sensor_gain/0@controller.current", "gain_error", (2e-3, 1e-3)),
+            )
+        ),
     ],
 )
 def test_signatures_are_the_limits_of_small_faults(

@@ -32,8 +32,10 @@ def version(request):
 @pytest.mark.parametrize(
     ("name", "blocks"),
     [
-        *((name, ["rotor"]) for name in ("jeffcott", "offset_disc")),
-        *(pytest.param(name, ["rotor"], marks=pytest.mark.slow) for name in ("fe_rigid", "fe_flexible")),
+        *(
+            pytest.param(name, ["rotor"], marks=pytest.mark.slow)
+            for name in ("jeffcott", "offset_disc", "fe_rigid", "fe_flexible")
+        ),
         ("jeffcott", ["controller"]),
         ("offset_disc", ["rotor", "amb"]),
     ],

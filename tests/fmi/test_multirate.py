@@ -30,7 +30,7 @@ def run(step: float, rates: Mapping[str, int], master: str, order: int) -> Resul
 
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss_seidel"])
-@pytest.mark.parametrize("order", [0, 1, 2])
+@pytest.mark.parametrize("order", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 2))])
 @pytest.mark.parametrize(
     "rates",
     [

@@ -14,7 +14,7 @@ from rotorsim.identify.scatter import DRAWS
 from rotorsim.recordings import Channel, Recording
 from rotorsim.recordings.harmonics import harmonics_of
 from tests.identify import TRUTH, changed, errors, free, made, recorded, shipped
-from tests.identify.test_likelihood import CLEAN, LEVEL, RANGES, at, difference, speeds_of, two_gains
+from tests.identify.test_likelihood import CLEAN, LEVEL, RANGES, SHORT, at, difference, speeds_of, two_gains
 from tests.reference.excitation import participation
 from tests.reference.recordings import LOWER, UPPER, RecordedRun, rotor_of
 
@@ -28,7 +28,7 @@ def regression_of(model: str, recording: Recording, **named) -> Regression:
 
 @pytest.mark.parametrize(
     ("model", "name"),
-    [each if each == ("jeffcott", "lower") else pytest.param(*each, marks=pytest.mark.slow) for each in RANGES],
+    [each if each == SHORT else pytest.param(*each, marks=pytest.mark.slow) for each in RANGES],
 )
 def test_clean_data_give_the_truth(model, name):
     speeds = speeds_of(model, name)[:: 2 if model.startswith("fe") else 1]
@@ -188,7 +188,7 @@ def test_a_rotor_without_tilt_has_nothing_to_condense():
     [
         ("jeffcott", 1, "exact", None),
         pytest.param("offset_disc", -1, "exact", None, marks=pytest.mark.slow),
-        ("offset_disc", 1, "central", None),
+        pytest.param("offset_disc", 1, "central", None, marks=pytest.mark.slow),
         pytest.param("fe_flexible", 1, "exact", ("x2", "y2", "x4", "y4", "ix", "iy"), marks=pytest.mark.slow),
         pytest.param("fe_rigid", -1, "exact", ("x3", "y3", "x5", "ix", "iy"), marks=pytest.mark.slow),
     ],

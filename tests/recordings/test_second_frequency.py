@@ -277,7 +277,7 @@ def noise(kind: str, random: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("kind", "draws"),
-    [("late", 20)] + [pytest.param(k, 100, marks=pytest.mark.slow) for k in ("white", "across", "late", "coloured")],
+    [pytest.param(k, 100, marks=pytest.mark.slow) for k in ("white", "across", "late", "coloured")],
 )
 def test_amplitudes_scatter_as_their_covariance_says(kind, draws):
     """Draws of the noise at a known frequency; every line on its own, as `covariance_beside` has them."""

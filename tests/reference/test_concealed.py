@@ -86,7 +86,7 @@ def test_mean_rises_with_the_slow_pole_after_lifting() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["rub", *(pytest.param(name, marks=pytest.mark.slow) for name in ("dahl", "magnetic_nonlinearity"))]
+    "name", ["dahl", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rub", "magnetic_nonlinearity"))]
 )
 def test_feedback_agrees_with_another_integrator(name: str) -> None:
     parameters, runs, _, peaks = scene("jeffcott")

@@ -142,6 +142,7 @@ def test_one_valid_file_that_needs_no_other(which: str) -> None:
         assert np.ptp(pixels) > 0.5  # something is drawn
 
 
+@pytest.mark.slow
 def test_what_a_user_wrote_is_text() -> None:
     page, files, _ = _reported("nasty", drawn=False)
     assert b"<script" not in files["report.html"]
