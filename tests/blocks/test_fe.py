@@ -62,6 +62,7 @@ def test_a_pinned_shaft_has_the_frequencies_of_the_euler_bernoulli_beam():
     assert frequencies(block, 0.0)[:8:2] == pytest.approx(exact, rel=2e-5)
 
 
+@pytest.mark.slow
 def test_a_pinned_timoshenko_shaft_has_the_frequencies_of_the_timoshenko_beam():
     """Roots of rho^2 I/(kG) w^4 - (rho A + rho I b^2 (1 + E/(kG))) w^2 + E I b^4 = 0 (Han et al. 1999)."""
     d, nu = 0.05, 0.3

@@ -79,6 +79,7 @@ def test_what_is_missing_and_the_repaired_diagram(run: Run, bowed: str, held: st
     assert run("diff", "jeffcott", "found/diagram.json").exit_code == 1
 
 
+@pytest.mark.slow
 def test_nothing_is_missing(run: Run, healthy: str):
     result = run("diagnose", "jeffcott", healthy, "--physics", "residual_bow", "--workers", "1", "--json")
     assert result.exit_code == 0

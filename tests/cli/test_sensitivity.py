@@ -30,6 +30,7 @@ def test_table_of_the_thesis(run: Run) -> None:
     assert "written: a.csv" in found.stderr
 
 
+@pytest.mark.slow
 def test_free_study_as_json(run: Run) -> None:
     arguments = (
         "sensitivity", "jeffcott", "--speeds", "1140 rpm, 1620 rpm", "--noise", "2 %", "--method", "likelihood",

@@ -107,7 +107,9 @@ def test_a_swap_that_does_not_fit_says_which_ports_and_what_would_fit():
     )
 
 
-@pytest.mark.parametrize("name", sorted(DOCUMENTS))
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if "elementary" in n else n for n in sorted(DOCUMENTS)]
+)
 def test_shipped_diagrams_fit_the_schema_and_misspelt_ones_do_not(name):
     jsonschema = pytest.importorskip("jsonschema")
     validator = jsonschema.Draft202012Validator(json_schema())

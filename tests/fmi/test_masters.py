@@ -109,6 +109,7 @@ def test_forces_on_one_input_are_added() -> None:
 
 
 @pytest.mark.parametrize("master", [pytest.param("jacobi", marks=pytest.mark.slow), "gauss_seidel"])
+@pytest.mark.slow
 def test_a_sum_of_which_one_part_is_known_already(whole: Result, tmp_path: Path, master: str) -> None:
     """Forces of three participants add up at a rotor that is an FMU; it comes between them."""
     settings = {"solver.step": INNER, "solver.stop": STOP}

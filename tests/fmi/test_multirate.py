@@ -85,6 +85,7 @@ ALONE, BOTH = ({"controller": 3}, PARTS[:1]), ({"rotor": 2, "controller": 3}, PA
         ),
     ],
 )  # fmt: skip
+@pytest.mark.slow
 def test_the_growth_told_is_that_of_a_run(
     master: str, order: int, rates: dict[str, int], parts: list[list[str]]
 ) -> None:  # fmt: skip

@@ -111,7 +111,7 @@ def test_a_shaft_that_turns_back(model):
     assert max(errors(identify(shipped(model), recording, profile=False)).values()) < CLEAN[model]
 
 
-@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("way", [pytest.param(1, marks=pytest.mark.slow), -1])
 def test_a_clock_that_does_not_start_at_angle_zero(way):
     """Turning back, angle zero comes later, not earlier."""
     diagram = changed("jeffcott", lambda document: document["blocks"]["clock"]["parameters"].update(phase="40 deg"))

@@ -117,6 +117,7 @@ def test_no_settled_motion_is_no_number():
     assert np.isfinite(estimate(Search(likelihood), likelihood.experiment.theta0).misfit)
 
 
+@pytest.mark.slow
 def test_a_motion_that_nearly_sticks_is_found_from_rest():
     """Dry friction of 0.5 N at 900, 1200, 1500 rpm; at 900 rpm the harmonics are those of an integration in time."""
     friction, width = 0.5, 3e-6

@@ -74,6 +74,7 @@ def test_currents_that_were_not_measured_follow_from_the_controller(columns):
     assert max(errors(found).values()) < 1e-3
 
 
+@pytest.mark.slow
 def test_one_axis_with_both_currents():
     runs = [run.select(("x", "ix", "iy")) for run in two_gains("jeffcott", LOWER["jeffcott"][::4])]
     assert max(errors(identify(shipped("jeffcott"), recorded(runs), method="regression")).values()) < 1e-3
@@ -104,6 +105,7 @@ def test_an_angle_channel():
     [("ix", "iy"), ("iy",), *(pytest.param(c, marks=pytest.mark.slow) for c in (("x", "y"), ("x", "y", "ix", "iy")))],
     ids=" ".join,
 )
+@pytest.mark.slow
 def test_channels_whose_mean_means_nothing(columns):
     runs = made("jeffcott", LOWER["jeffcott"])
     runs = [
@@ -305,6 +307,7 @@ def test_a_wrong_model_is_not_called_adequate():
     assert not found.adequate or len(found.open) == len(found.parameters)
 
 
+@pytest.mark.slow
 def test_additive_noise_in_the_upper_range_spoils_it():
     """Section 6 of the thesis facts: 5 % white noise, one set of gains: k_s is far off, and the interval says so."""
     found = identify(

@@ -89,6 +89,7 @@ def test_the_combination_holds_the_truth_as_often_as_stated():
     assert low <= alone <= high
 
 
+@pytest.mark.slow
 def test_a_second_set_of_gains_settles_it():
     found = upper(gains=2)
     assert found.adequate
@@ -154,6 +155,7 @@ def test_advice_when_nothing_would_help():
 
 
 @pytest.mark.parametrize("level", [pytest.param(0.0, marks=pytest.mark.slow), 1e-2])
+@pytest.mark.slow
 def test_parameters_that_are_one_number_are_open_however_good_the_data(level):
     names = {item.name: {} for item in shipped("jeffcott").free}
     for second, first in (("unbalance__mass", "eccentricity"), ("crack__sag", "crack_stiffness")):

@@ -127,6 +127,7 @@ def test_whatever_comes_is_refused_or_identified(tmp_path_factory, edits, change
         min_size=1, max_size=4, unique=True,
     )
 )  # fmt: skip
+@pytest.mark.slow
 def test_any_free_parameters(names):
     """The others are fixed at wrong values: whatever is said to be sure and adequate is right.
 

@@ -75,6 +75,7 @@ def test_slopes_are_those_of_the_log_likelihood():
 @pytest.mark.parametrize(
     ("share", "seeds"), [*(pytest.param(s, 12, marks=pytest.mark.slow) for s in (0.02, 0.04, 0.1, 0.3, 0.6)), (0.1, 4)]
 )
+@pytest.mark.slow
 def test_harmonics_behind_a_converter_are_found_with_their_covariance(share, seeds):
     """Noise of a fiftieth of a step to more than half of one: misses are chi-squared, plain harmonics' are not."""
     step, plain, entered, equations = 2e-7, 0.0, 0.0, 0

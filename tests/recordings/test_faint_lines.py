@@ -43,6 +43,7 @@ def test_it_is_found_with_shafts_that_turn_back():
     assert abs(second.value - NU) < 4 * second.std
 
 
+@pytest.mark.slow
 def test_skirts_of_harmonics_that_grow_are_no_lines():
     for seed in range(5):
         data, _ = made({}, seed=seed)

@@ -234,6 +234,7 @@ def swinging(
 
 
 @pytest.mark.parametrize("frequency", [23.17, *(pytest.param(f, marks=pytest.mark.slow) for f in (5.3, 7.7, 71.7))])
+@pytest.mark.slow
 def test_a_swinging_shaft_has_sidebands_of_bessel_functions(frequency):
     """e^{i m theta} = sum J_n(m swing) e^{i (m W t + n (nu t + phase))}: those of n = 1 stand beside order m.
 

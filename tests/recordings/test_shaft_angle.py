@@ -119,6 +119,7 @@ def test_jitter_of_pulses_is_estimated_and_smoothed():
 
 
 @pytest.mark.parametrize("draws", [60, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_jitter_and_noise_together_make_the_covariance_of_harmonics(draws):
     """Pulses with jitter, a drifting mean, a window that is not whole turns; both matter alike."""
     time = np.arange(2000) / RATE

@@ -213,6 +213,7 @@ def test_aliases_leave_no_trace_and_faults_do() -> None:
 @pytest.mark.parametrize(
     ("kind", "machine"), [pytest.param("nothing", "fe_rigid", marks=pytest.mark.slow), ("one", "jeffcott")]
 )
+@pytest.mark.slow
 def test_same_seed_writes_the_same_bytes(tmp_path: Path, kind: str, machine: str) -> None:
     for name in ("a", "b"):
         case = generator.make_case("c", kind, machine, (5, 0), 3)

@@ -174,6 +174,7 @@ def test_numbers_are_those_of_the_diagnosis() -> None:
     assert f"leaves {ratio:.3g} times as much" in page.text  # the rival, and why it lost
 
 
+@pytest.mark.slow
 def test_a_report_of_nothing_missing() -> None:
     page, files, _ = _reported("healthy", drawn=False)
     assert "Nothing is missing" in page.text
@@ -260,6 +261,7 @@ def test_orbits_close_and_have_both_axes() -> None:
         assert axes.get_ylabel() == "y [um]"
 
 
+@pytest.mark.slow
 def test_without_a_motion_of_the_diagram_as_given_the_figures_show_the_other() -> None:
     pair = held_pair(bowed())
     assert pair is not None

@@ -316,6 +316,7 @@ def test_a_model_that_takes_measured_currents_has_no_line_between_the_runs(diagr
     assert np.concatenate([line.get_ydata() for line in models]) == pytest.approx(points, rel=0.01)
 
 
+@pytest.mark.slow
 def test_one_run_has_no_curve_and_one_axis_no_orbit(diagram, recording, tmp_path):
     channels = {column: channel for column, channel in recording.channels.items() if column == "x"}
     run = replace(recording.runs[1], values={"x": recording.runs[1].values["x"]})

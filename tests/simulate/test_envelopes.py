@@ -28,6 +28,7 @@ def test_the_envelope_of_whole_periods_is_their_amplitude(periods, amplitude, ph
     assert envelope(samples) == pytest.approx(np.full(256, amplitude), rel=1e-10)
 
 
+@pytest.mark.slow
 def test_the_resonance_of_a_slow_chirp_through_one_degree_of_freedom_is_that_of_its_response_curve():
     w0, zeta, rate = 300.0, 0.05, 5.0
     time = np.arange(0, 100, 5e-4)
@@ -79,6 +80,7 @@ def test_orders_are_those_of_the_response_curve_and_nothing_leaks():
     assert (found.orders[2] < 2e-3 * found.peaks)[turns].all()
 
 
+@pytest.mark.slow
 def test_what_has_no_second_harmonic_has_no_sub_resonance():
     assert [one.order for one in resonance_peaks(crossing({1: 1.0}), "r.x", orders=(1, 2, 3, 4))] == [1]
 
