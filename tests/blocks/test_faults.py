@@ -182,7 +182,12 @@ def base_of(text: str, compiled: bool) -> np.ndarray:
 @pytest.mark.parametrize(  # every way of a fault in; compiled the first of its block
     ("cls", "fault", "compiled"),
     [
-        pytest.param(*each, compiled, id=f"{name}-{compiled}", marks=pytest.mark.slow if compiled else ())
+        pytest.param(
+            *each,
+            compiled,
+            id=f"{name}-{compiled}",
+            marks=pytest.mark.slow if compiled or each[1] is not each[0].faults[0] else (),
+        )
         for each, name in zip(FAULTS, IDS, strict=True)
         for compiled in (False, True)
         if not compiled or each[1] is each[0].faults[0]

@@ -76,6 +76,7 @@ Not seen: the free parameters imitate:
 """
 
 
+@pytest.mark.slow
 def test_one_probe_cannot_tell_its_own_gain(run: Run):
     """A gain of the only probe scales eccentricity, crack and force factors; bow and runout differ in their laws."""
     result = run("diagnose", "jeffcott", "--sensors", "rotor.displacement", "--speeds", "900 rpm, 1500 rpm, 2100 rpm",

@@ -180,6 +180,7 @@ def test_the_law_of_the_controller_is_tested_without_the_rotor() -> None:
     assert blocks == {"controller"}
 
 
+@pytest.mark.slow
 def test_forces_at_nodes_need_probes() -> None:
     one = _of("fe_rigid", "rotor.displacement[3]", "controller.current")
     bow = "residual_bow/0@rotor.force[{}]".format

@@ -59,8 +59,9 @@ def test_a_linear_oscillator_lacks_nothing(noise):
 
 @pytest.mark.parametrize(
     ("noise", "physics"),
-    [(machines.NOISE, ())] + [pytest.param(noise, PHYSICS, marks=pytest.mark.slow) for noise in (machines.NOISE, 0.0)],
+    [(machines.NOISE, ()), (machines.NOISE, PHYSICS), (0.0, PHYSICS)],
 )
+@pytest.mark.slow
 def test_the_cubic_spring_of_a_duffing_oscillator_is_named_and_measured(noise, physics):
     found = diagnosed(machines.CUBIC, noise, *physics)
     assert found.verdict == "missing_physics"

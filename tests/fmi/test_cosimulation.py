@@ -86,6 +86,7 @@ def test_parameters_reach_the_fmu(folder: Path, whole: Result) -> None:
     assert off(found, whole) > 1e-2
 
 
+@pytest.mark.slow
 def test_the_iterative_master_keeps_the_damping() -> None:
     """At 1 ms, 0.76 rad of the rotor's own motion: within 1 % of the whole loop's damping."""
     coupling = couple(load("jeffcott"), [["controller"]])

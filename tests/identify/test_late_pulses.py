@@ -52,6 +52,7 @@ def test_a_common_delay_is_one_number_that_all_runs_share(clean):
     np.testing.assert_allclose(e[harmonics], np.concatenate(own)[harmonics], atol=0.01)  # standard deviations
 
 
+@pytest.mark.slow
 def test_a_delay_is_followed_and_turns_what_is_predicted(clean):
     """0.4 ms at up to 27 Hz: 1X is off by up to 3.9 deg; turned back, by the noise of harmonics alone."""
     for stamp, follows in ((STAMP, True), (0.0, False)):

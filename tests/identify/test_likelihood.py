@@ -71,6 +71,7 @@ FAR = [
 
 
 @pytest.mark.parametrize("start", [*FAR[:2], pytest.param(FAR[2], marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_start_values_do_not_matter(start):
     """Ten times, a thousandth, none; the last is a start at which the closed loop is not stable."""
     recording = recorded(two_gains("jeffcott", LOWER["jeffcott"][::4]))
@@ -148,6 +149,7 @@ def test_channels_whose_mean_means_nothing(columns):
     assert max(z) < norm.isf(LEVEL / 2 / len(z))
 
 
+@pytest.mark.slow
 def test_means_that_were_taken_away_without_saying_so():
     runs = two_gains("jeffcott", LOWER["jeffcott"][::8], level=1e-3, duration=0.5)
     runs = [replace(run, columns={c: v - v.mean() for c, v in run.columns.items()}) for run in runs]

@@ -48,6 +48,7 @@ def test_a_shaft_that_turns_back(model):
 @pytest.mark.parametrize(
     "orders", [(1, 2, 3), *(pytest.param(o, marks=pytest.mark.slow) for o in ((0, 1, -1, 2, -2), (5, 7, -5, 1, 0)))]
 )
+@pytest.mark.slow
 def test_fewer_harmonics_will_do(orders):
     recording = recorded(made("jeffcott", LOWER["jeffcott"]))
     assert max(errors(identify(shipped("jeffcott"), recording, method="regression", orders=orders)).values()) < 1e-3

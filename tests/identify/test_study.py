@@ -92,6 +92,7 @@ def test_settled_motion_is_that_of_harmonic_balance():
     assert all(abs(row.mean_percent) < 1e-4 for row in run(study(1140, 1500, settled=True)).rows)
 
 
+@pytest.mark.slow
 def test_wrong_sag_scales_the_crack_and_wrong_stiffness_moves_to_the_bearing():
     """Eq. (2.64): the crack enters as stiffness times sag, shaft and bearing stiffness as k - k_s."""
     level, seed = 0.05, 3

@@ -46,6 +46,7 @@ def one_set() -> Identification:
 # --- one set of gains -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_one_set_of_gains_leaves_k_s_open(one_set):
     """i = K_P u + K_D u' in all but the mean: k_s, c and k_i act alike; thesis facts, "does not hold", 6."""
     item = one_set.parameters[K_S]
@@ -166,6 +167,7 @@ def test_parameters_that_are_one_number_are_open_however_good_the_data(level):
         assert (high - low) / 2 > 0.3 * found.parameters[first].value
 
 
+@pytest.mark.slow
 def test_a_parameter_that_nothing_depends_on():
     """An eccentricity of a second disc without mass: no data can say anything about it."""
     names = {item.name: {} for item in shipped("jeffcott").free}
@@ -290,6 +292,7 @@ def with_prior(std: float, mean: float | None = None, value: float = 76.0) -> Fr
     return Free("viscous_damping", "viscous_damping", 0, value, "N s/m", 0.0, np.inf, mean or value, std)
 
 
+@pytest.mark.slow
 def test_a_prior_is_one_more_measurement():
     """Weights of the inverse variances, analytic for a parameter that enters almost linearly."""
     recording = recorded(two_gains("jeffcott", LOWER["jeffcott"][::4], level=0.02))

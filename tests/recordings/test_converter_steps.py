@@ -110,6 +110,7 @@ def test_with_less_noise_than_can_be_told_intervals_are_wide(share, seeds):
     ("share", "seeds"),
     [pytest.param(share, 6, marks=pytest.mark.slow) for share in (0.005, 0.02, 0.04, 0.06)] + [(0.2, 1)],
 )
+@pytest.mark.slow
 def test_small_motions_beside_large_ones_tell_what_they_tell(share, seeds):
     """Of a run that moves by few steps few samples tell the noise: it is that of the others. 100 steps to half of one.
 

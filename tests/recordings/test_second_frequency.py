@@ -179,6 +179,7 @@ def test_a_line_hidden_by_a_stronger_one_is_found():
 # --- nothing to be found ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_noise_has_no_second_frequency():
     found = [made({}, seed=100 + seed)[0] for seed in range(10)]
     assert sum(find_second(data, harmonics_of(data)) is not None for data in found) <= 1

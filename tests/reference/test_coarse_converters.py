@@ -35,6 +35,7 @@ def test_the_step_of_a_converter_is_read_off_the_recording(tmp_path):
     assert (again.verdict, again.effects) == ("consistent", ())
 
 
+@pytest.mark.slow
 def test_usual_converters_are_not_named(tmp_path):
     write_case(make_case("case", "nothing", "jeffcott", SEED, 1), tmp_path, SEED)
     recording = load_recording(tmp_path / "case")
