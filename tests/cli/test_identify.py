@@ -97,6 +97,7 @@ def test_exit_code_1_when_the_model_does_not_explain_the_data(run: Run, good: st
     assert "crack_stiffness" not in result.stdout
 
 
+@pytest.mark.slow
 def test_precision_is_in_percent_or_a_share(run: Run, poor: str):
     for text in ("90 %", "0.9", "90%"):
         assert run("identify", "jeffcott", poor, "--precision", text).exit_code == 0

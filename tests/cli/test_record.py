@@ -132,6 +132,7 @@ def test_the_options_offer_all_kinds_of_noise() -> None:
     assert common.NOISE_KINDS == measuring.KINDS
 
 
+@pytest.mark.slow
 def test_identify_finds_what_record_hid(run) -> None:
     """The circle closed: a diagram measured with another crack and unbalance; true values within the intervals."""
     arguments = ["--set", "crack_stiffness=2.2e5 N/m", "--set", "eccentricity=31 um", "--noise", "1 %", "--settle"]

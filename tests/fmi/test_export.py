@@ -54,6 +54,7 @@ def test_fmpy_simulates_both_kinds(fmu, version):
 
 @pytest.mark.parametrize("arrays", [False, True])
 @pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.slow
 def test_every_kind_of_diagram_passes_the_validator(fmu, version, arrays):
     if arrays and version == "2.0":
         pytest.skip("FMI 2.0 has no arrays")

@@ -58,6 +58,7 @@ def test_a_part_has_the_ports_of_its_blocks(fmu, version):
     assert description.modelName == "jeffcott: rotor"
 
 
+@pytest.mark.slow
 def test_the_part_put_together_with_its_sampled_controller_is_the_whole(fmu, version):
     """Rotor first, then the controller with what it reached: at the hits this is the sampled loop itself."""
     made = sampled_jeffcott()

@@ -126,6 +126,7 @@ def compare(network: Any, use_compiler: bool) -> None:
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(networks())
+@pytest.mark.slow
 def test_the_virtual_machine_runs_random_diagrams_as_their_formulas_say(network):
     compare(network, use_compiler=False)
 

@@ -150,6 +150,7 @@ def test_growth_without_bound_is_drawn_on_a_logarithmic_scale(tmp_path):
     assert "507.3 1/s" in result.message
 
 
+@pytest.mark.slow
 def test_short_and_empty_runs_are_drawn(tmp_path):
     for n in (0, 1, 5):
         values = {"r.d": np.ones((n, 2)), "clock.theta": np.arange(float(n))}
@@ -167,7 +168,7 @@ def test_figures_leave_matplotlib_as_it_was(result):
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "False"
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+@pytest.mark.parametrize("suffix", ["png", "svg", pytest.param("pdf", marks=pytest.mark.slow)])
 def test_figures_are_written_whole(result, tmp_path, suffix):
     drawn(orbit(result, "rotor.displacement"), tmp_path / f"orbit.{suffix}")
     assert [path.name for path in tmp_path.iterdir()] == [f"orbit.{suffix}"]

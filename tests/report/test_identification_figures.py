@@ -248,7 +248,7 @@ def test_chosen_runs_are_spread_over_speed_and_gains(compared):
     assert len(compared.chosen(9)) == 5
 
 
-@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("which", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_curves_over_speed_are_those_of_the_true_rotor(compared, which):
     signal, factor = compared.signals[which], (1e6, 1.0)[which]
     made = speed_curve_figure(compared, signal)
@@ -305,6 +305,7 @@ def test_orbits_are_measured_and_predicted_with_their_start_and_direction(compar
         assert ((tip - tail) * ahead.conjugate()).real > 0
 
 
+@pytest.mark.slow
 def test_a_model_that_takes_measured_currents_has_no_line_between_the_runs(diagram, recording):
     chosen = replace(diagram, free=tuple(item for item in diagram.free if item.name != "force_current_factor"))
     compared = compare(identify(chosen, recording, given=["controller.current"]), recording)

@@ -31,6 +31,7 @@ def legend(axes) -> list[str]:
     return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
+@pytest.mark.slow
 def test_a_campbell_diagram_of_the_rigid_rotor(tmp_path):
     found = campbell(load("fe_rigid", without=["amb"]), speeds=np.linspace(0.0, 1000.0, 21))
     axes = drawn(campbell_figure(found, "fe_rigid"), tmp_path / "c.png").axes[0]

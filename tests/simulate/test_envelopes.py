@@ -60,6 +60,7 @@ def crossing(forces: dict[int, float]) -> Result:
     return Result(time, {"r.x": samples, "clock.speed": speed}, {"r.x": "m"})
 
 
+@pytest.mark.slow
 def test_sub_resonances_are_where_harmonics_of_the_speed_meet_the_natural_frequency():
     forces = {1: 1.0, 2: 0.2, 3: 0.1}
     found = resonance_peaks(crossing(forces), "r.x")
@@ -70,6 +71,7 @@ def test_sub_resonances_are_where_harmonics_of_the_speed_meet_the_natural_freque
         assert one.peak == pytest.approx(forces[one.order] * abs(response(top)), rel=1e-2)
 
 
+@pytest.mark.slow
 def test_orders_are_those_of_the_response_curve_and_nothing_leaks():
     found = run_up(crossing({1: 1.0, 3: 0.1}), "r.x")
     turns = slice(10, -10)

@@ -231,6 +231,7 @@ def test_no_motion_has_no_truncation_error_and_none_with_more_orders_an_infinite
     np.testing.assert_array_equal(_change(motion, finer), [0.2, 0.0, np.inf])
 
 
+@pytest.mark.slow
 def test_parametric_excitation_is_solved_and_its_instability_seen():
     """Mathieu: x'' + 0.02 x' + (1 + e cos W t) x = 1 is unstable at W = 2 for e > 0.04."""
 

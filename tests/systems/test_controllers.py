@@ -16,7 +16,7 @@ from tests.systems.shipped import document, load_document, shipped
 
 @pytest.mark.parametrize(
     "controller",
-    [c if c in ("pid", "discrete_pid") else pytest.param(c, marks=pytest.mark.slow) for c in CONTROLLERS],
+    [c if c == "pid" else pytest.param(c, marks=pytest.mark.slow) for c in CONTROLLERS],
 )
 def test_swapped_controller_levitates(controller: str, tmp_path: Path) -> None:
     row = judge(swapped("jeffcott", controller, tmp_path), controller)

@@ -43,7 +43,7 @@ def test_rk4_does_not_integrate_a_quartic_exactly() -> None:
     ("name", "reference", "node", "step"),
     [
         ("offset_disc", offset_disc, None, 2e-5),
-        ("fe_rigid", fe_rigid, 3, 5e-6),
+        pytest.param("fe_rigid", fe_rigid, 3, 5e-6, marks=pytest.mark.slow),
         pytest.param("fe_flexible", fe_flexible, 4, 2e-6, marks=pytest.mark.slow),
     ],
 )
