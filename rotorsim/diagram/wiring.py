@@ -102,10 +102,9 @@ class Wiring:
             hint = "wires run from an output to an input" + (f"; {kind}s: {', '.join(ports)}" if ports else "")
             self.error(f"'{end.port}' is {others}", place, str(end), hint)
             return False
-        if not is_input and end.port in work.cls.no_signals:
-            self.error(f"'{end.port}' is {work.cls.no_signals[end.port]}", place, str(end), near_miss(end.port, ports))
-            return False
         what = f"block type '{work.cls.type_name}' has no {kind} '{end.port}'"
+        if not is_input and end.port in work.cls.no_signals:
+            what = f"'{end.port}' is {work.cls.no_signals[end.port]}"
         self.error(what, place, str(end), near_miss(end.port, ports) if ports else f"it has no {kind}s")
         return False
 

@@ -57,7 +57,7 @@ class FastLoop:
         library = None if wrong else _library()
         if library is None:
             what = "; ".join(wrong) or "there is no C compiler that works"
-            hint = "FMUs take part as Co-Simulation; or leave out fast"
+            hint = "FMUs take part as Co-Simulation, in this process with Float64 alone; or leave out fast"
             raise RotorsimError(Problem(f"no fast loop: {what}", hint=hint))
         self.members = list(members)
         self._function, self._library = library.rs_cosimulate, str(library._name)
@@ -146,14 +146,16 @@ class FastLoop:
         apart = [(slave.worker, made) for slave, made in self._slaves if isinstance(slave.worker, RemoteWorker)]
         for worker, made in apart:
             made.count = worker.count
-        taken = self._function(
-            ctypes.addressof(self._made), len(self.members), _at(self._order), self._sequential,
-            *map(_at, (self._first, self._start, self._column, self._gain, self._u0, self._u)), self.n_y,
-            _at(self._y), t0, h, end, first, last, every, self._sweeps, _at(rows), _at(self._failed), _at(self._place),
-        )  # fmt: skip
-        for worker, made in apart:
-            worker.count = made.count
-        return int(taken)
+        try:
+            return int(self._function(
+                ctypes.addressof(self._made), len(self.members), _at(self._order), self._sequential,
+                *map(_at, (self._first, self._start, self._column, self._gain, self._u0, self._u)), self.n_y,
+                _at(self._y), t0, h, end, first, last, every, self._sweeps, _at(rows), _at(self._failed),
+                _at(self._place),
+            ))  # fmt: skip
+        finally:  # Ctrl-C in C is raised when it returns
+            for worker, made in apart:
+                worker.count = made.count
 
     def _go_on(self, k: int, what: int, t: float, now: float) -> None:
         """Wait for a process that was asked at t; raise a failure, or an end at the time now, as participants do."""
@@ -202,13 +204,11 @@ class FastLoop:
         assert isinstance(worker, RemoteWorker)
         if os.path.exists(self._library):  # a cache that cannot be written to keeps none
             slave.command("in_c", library=self._library)
-        self._keep += [slave]
         return Member(kind=PROCESS, head=worker.block.at(0), looks=worker.looks, bell=worker.pipe.sink)
 
     def _fmu(self, slave: Slave) -> Member:
         assert isinstance(slave.worker, LocalWorker)
         assert slave.worker.session.steps
-        self._keep += [slave]
         return slave.worker.session.steps.in_c()
 
 

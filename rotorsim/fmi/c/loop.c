@@ -163,9 +163,9 @@ static int64_t look(rs_member *a) {
     return RS_LATE;
 }
 
-/* Take the steps n0..n1-1 of length h from t0 on, to end at most. order: of the members; sequential: those that come later see the new
-   outputs of the earlier (Gauss-Seidel), else all see the old (Jacobi), and processes work at the same time. sweeps: how
-   often, at most, inputs and outputs are made to agree after a step. rows: y after each step that `every` divides.
+/* Take the steps n0..n1-1 of length h from t0 on, to end at most. order: of the members; sequential: those that come
+   later see the new outputs of the earlier (Gauss-Seidel), else all see the old (Jacobi), and processes work at the
+   same time. sweeps: how often, at most, inputs and outputs are made to agree after a step. rows: y after each step that `every` divides.
    Returns the number of steps done; failed: {member, what}, what = 0 if none. After RS_LATE, once it is RS_DONE, the
    loop goes on with n0 where it was, at the same place. */
 RS_EXPORT int64_t rs_cosimulate(rs_member *members, int64_t count, const int64_t *order, int64_t sequential,
