@@ -19,11 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import ROOT, run_process
-from rotorsim.compile import Model, compile_diagram
-from rotorsim.diagram import load
 from rotorsim.errors import RotorsimError
-from rotorsim.simulate import frequency_response, sensitivity, simulate
-from rotorsim.simulate.frequency import zone_of
+from rotorsim.linear.frequency import frequency_response, sensitivity, zone_of
+from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.model.load import load
+from rotorsim.simulation.run import simulate
 from tests.systems.shipped import load_document
 
 MODELS = ("jeffcott", "offset_disc")

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagram.load import load
-from rotorsim.fmi.cosimulation import cosimulate_diagram, couple
-from rotorsim.fmi.export import export_fmu
-from rotorsim.fmi.stability import coupling_stability
-from rotorsim.simulate import simulate
+from rotorsim.cosim.cosimulation import cosimulate_diagram, couple
+from rotorsim.cosim.stability import coupling_stability
+from rotorsim.fmi.export.export import export_fmu
+from rotorsim.model.load import load
+from rotorsim.simulation.run import simulate
 
 MASTERS = (
     ("jacobi", 0, "Jacobi, held"), ("gauss_seidel", 0, "Gauss-Seidel, held"), ("jacobi", 1, "Jacobi, linear"),

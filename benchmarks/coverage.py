@@ -29,13 +29,13 @@ def one_seed(argument: dict[str, int]) -> dict[str, Any]:
     """Return values, intervals and verdicts of one draw of the noise."""
     from threadpoolctl import threadpool_limits
 
-    from rotorsim.diagram.load import load
-    from rotorsim.identify.estimate import Search, estimate
-    from rotorsim.identify.experiment import open_experiment
-    from rotorsim.identify.likelihood import Likelihood
-    from rotorsim.identify.profile import profile_intervals
-    from rotorsim.identify.verdict import judge
-    from rotorsim.recordings import load_recording
+    from rotorsim.identification.estimate import Search, estimate
+    from rotorsim.identification.experiment import open_experiment
+    from rotorsim.identification.likelihood import Likelihood
+    from rotorsim.identification.profile import profile_intervals
+    from rotorsim.identification.verdict import judge
+    from rotorsim.model.load import load
+    from rotorsim.recordings.loading import load_recording
     from tests.reference.recordings import add_noise, write_recording
 
     runs = [add_noise(run, LEVEL, (argument["seed"], k)) for k, run in enumerate(_clean(argument["sets"]))]
@@ -62,10 +62,10 @@ def one_seed(argument: dict[str, int]) -> dict[str, Any]:
 
 def cramer_rao(sets: int) -> np.ndarray:
     """Return the standard deviations that no unbiased estimate can undercut, from the slopes at the truth."""
-    from rotorsim.diagram.load import load
-    from rotorsim.identify.experiment import open_experiment
-    from rotorsim.identify.likelihood import Likelihood
-    from rotorsim.recordings import load_recording
+    from rotorsim.identification.experiment import open_experiment
+    from rotorsim.identification.likelihood import Likelihood
+    from rotorsim.model.load import load
+    from rotorsim.recordings.loading import load_recording
     from tests.reference.recordings import Truth, add_noise, write_recording
 
     runs = [add_noise(run, LEVEL, (0, k)) for k, run in enumerate(_clean(sets))]
@@ -79,7 +79,7 @@ def cramer_rao(sets: int) -> np.ndarray:
 
 def study(seeds: int = 400) -> dict[str, Any]:
     """Return the figures of the promise: coverage, verdicts on k_s, rms errors over the Cramer-Rao bound."""
-    from rotorsim.jobs import run_jobs
+    from rotorsim.jobs.jobs import run_jobs
     from tests.reference.recordings import Truth
 
     truth = Truth()

@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks import controllers, speed
 from benchmarks.harness import ROOT, Line, at_most, run_process, within, write
-from rotorsim.simulate import modes
+from rotorsim.linear.eigenmodes import modes
 from tests.reference.excitation import RPM
 from tests.reference.published import (
     FE_RIGID_AT_3000_RPM,

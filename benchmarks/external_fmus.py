@@ -29,12 +29,12 @@ from scipy.linalg import expm
 
 from benchmarks.harness import ROOT, Line, at_least, at_most
 from benchmarks.markers import expect, fill, refuse, table_text
-from rotorsim.diagram import load
+from rotorsim.cosim.cosimulation import cosimulate_diagram
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.fmi.cosimulation import cosimulate_diagram
-from rotorsim.fmi.slave import open_fmu
-from rotorsim.simulate import simulate
+from rotorsim.fmi.runtime.slave import open_fmu
+from rotorsim.model.load import load
+from rotorsim.simulation.run import simulate
 
 HALVES = ("MassSpringSubSystem1.fmu", "MassSpringSubSystem2.fmu")
 WHOLE = "MassSpringSystem.fmu"

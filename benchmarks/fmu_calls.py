@@ -16,10 +16,10 @@ from fmpy.fmi2 import FMU2Slave
 
 from benchmarks import baselines
 from benchmarks.harness import Line, medians
-from rotorsim.diagram.load import load
-from rotorsim.fmi.export import export_fmu
-from rotorsim.fmi.loop import FastLoop
-from rotorsim.fmi.slave import open_fmu
+from rotorsim.cosim.loop import FastLoop
+from rotorsim.fmi.export.export import export_fmu
+from rotorsim.fmi.runtime.slave import open_fmu
+from rotorsim.model.load import load
 
 STEPS, H = 20_000, 1e-4
 OUTPUTS = ["rotor.displacement[1]", "rotor.displacement[2]"]

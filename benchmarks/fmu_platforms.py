@@ -29,11 +29,11 @@ import numpy as np
 
 from benchmarks.harness import ROOT, Line, at_most
 from benchmarks.markers import expect, fill, table_text
-from rotorsim.diagram import load
 from rotorsim.errors import RotorsimError
-from rotorsim.fmi.build import PLATFORMS, own_platform
-from rotorsim.fmi.export import export_fmu
-from rotorsim.fmi.slave import describe_fmu
+from rotorsim.fmi.export.build import PLATFORMS, own_platform
+from rotorsim.fmi.export.export import export_fmu
+from rotorsim.fmi.runtime.slave import describe_fmu
+from rotorsim.model.load import load
 
 HOST = ROOT / "benchmarks" / "external" / "fmu_host.c"
 WHAT: dict[str, list[str] | None] = {"rotor": ["rotor"], "whole diagram": None}

@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import at_least, at_most
-from rotorsim.diagram.load import load
-from rotorsim.fmi.cosimulation import cosimulate, open_coupling
-from rotorsim.fmi.loop import FastLoop
-from rotorsim.fmi.slave import Slave, open_fmu
+from rotorsim.cosim.cosimulation import cosimulate, open_coupling
+from rotorsim.cosim.loop import FastLoop
+from rotorsim.fmi.runtime.slave import Slave, open_fmu
+from rotorsim.model.load import load
 
 H = 1e-4
 L = np.array([[0.0, -1.0], [1.0, 0.0]])  # the inputs of a coupled pair

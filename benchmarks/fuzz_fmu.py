@@ -28,7 +28,7 @@ from click.testing import CliRunner
 
 from rotorsim.cli.app import rotorsim
 from rotorsim.errors import RotorsimError
-from rotorsim.fmi.slave import open_fmu
+from rotorsim.fmi.runtime.slave import open_fmu
 
 __all__ = ["damaged", "sandbox", "try_case"]
 

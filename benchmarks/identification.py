@@ -20,10 +20,10 @@ from threadpoolctl import threadpool_limits
 from benchmarks import coverage
 from benchmarks.baselines import regression as plain
 from benchmarks.harness import ROOT, Line, at_least, at_most, medians
-from rotorsim.diagram.load import load
-from rotorsim.identify import identify
-from rotorsim.recordings import load_recording
-from rotorsim.recordings.harmonics import harmonics_of
+from rotorsim.identification.identification import identify
+from rotorsim.model.load import load
+from rotorsim.recordings.loading import load_recording
+from rotorsim.signals.harmonics import harmonics_of
 from tests.reference import recordings as made
 
 RUNS = {
@@ -168,7 +168,7 @@ def study(seeds: int) -> list[Line]:
     """Table 2-5, thesis noise of 0, 1, 2 and 5 %, regression: wall time on two cores."""
     from dataclasses import replace
 
-    from rotorsim.identify.study import run_study, study_of_table
+    from rotorsim.identification.study.study import run_study, study_of_table
 
     asked = replace(study_of_table("2-5"), seeds=seeds, kinds=("thesis",))
     begun = time.perf_counter()

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Line, Process, at_least, at_most, run_process, within
-from rotorsim.recordings import load_recording
+from rotorsim.recordings.loading import load_recording
 
 COMMAND = [sys.executable, "-m", "rotorsim"]
 WALL = 60.0  # s, of a diagnosis on two idle cores

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from rotorsim.diagnose.base import with_uncertain
-from rotorsim.diagram.load import load
-from rotorsim.identify.estimate import Search, estimate
-from rotorsim.identify.experiment import open_experiment
-from rotorsim.identify.likelihood import Likelihood
-from rotorsim.recordings import load_recording
-from rotorsim.recordings.harmonics import harmonics_of
+from rotorsim.diagnosis.evidence.base import with_uncertain
+from rotorsim.identification.estimate import Search, estimate
+from rotorsim.identification.experiment import open_experiment
+from rotorsim.identification.likelihood import Likelihood
+from rotorsim.model.load import load
+from rotorsim.recordings.loading import load_recording
+from rotorsim.signals.harmonics import harmonics_of
 
 SUBDIVISIONS = (1, 2, 4)
 TRUSTED = (1e-6, 1e-5)

@@ -13,10 +13,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.harness import medians
-from rotorsim.compile import compile_diagram
-from rotorsim.diagram.load import load
-from rotorsim.identify.functions import Equations
-from rotorsim.identify.motion import Motion, PortMotion
+from rotorsim.model.compiled import compile_diagram
+from rotorsim.model.load import load
+from rotorsim.settled.linear_equations import Equations
+from rotorsim.settled.linear_motion import Motion, PortMotion
 
 ORDERS = 12
 SPEEDS = 2 * np.pi * np.linspace(5.0, 60.0, 10)

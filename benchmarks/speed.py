@@ -92,7 +92,7 @@ def sized_beam(elements: int) -> dict[str, Any]:
 def measure_size(elements: int) -> None:
     """Print time per step, memory and preparation of one size as JSON (run in a process of its own)."""
     from benchmarks.harness import own_peak, peak_since_reset, reset_peak
-    from rotorsim.compile import compile_diagram
+    from rotorsim.model.compiled import compile_diagram
 
     before = reset_peak()
     begun = time.perf_counter()
@@ -147,7 +147,7 @@ def sixty_speeds() -> list[Line]:
     The pole of the integral action has the time constant (k - k_s + k_i K_P) / (k_i K_I) = 13.9 s, so that
     takes 13.9 ln(1e6) = 193 s of simulated time a speed. Every hundredth step is recorded.
     """
-    from rotorsim.simulate import periodic
+    from rotorsim.settled.periodic import periodic
 
     model = shipped("jeffcott")
     speeds = np.linspace(900, 6000, 60) * RPM

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from benchmarks.markers import expect, fill, refuse, table_text
 from rotorsim.errors import RotorsimError
-from rotorsim.identify.study import Case, StudyResult, run_study, study_of_table
-from rotorsim.identify.thesis_tables import TABLES
+from rotorsim.identification.study.printed import TABLES
+from rotorsim.identification.study.study import Case, StudyResult, run_study, study_of_table
 
 SYMBOLS = {
     "viscous_damping": "c", "crack_stiffness": "dk", "eccentricity": "e", "eccentricity1": "e1", "eccentricity2": "e2",

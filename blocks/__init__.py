@@ -1,1 +1,1 @@
-"""Block library; every file defines one block."""
+"""Block library; every file defines one block, in folders by category."""

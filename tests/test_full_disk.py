@@ -17,12 +17,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from rotorsim.diagram import files, load
-from rotorsim.diagram.files import atomic_target, sweep, temporary_prefix, write_atomically
+from rotorsim import files
 from rotorsim.errors import Place, Problem, RotorsimError, visible
-from rotorsim.simulate.files import load_result, save
-from rotorsim.simulate.result import Result
-from rotorsim.simulate.sinks import check_sinks
+from rotorsim.files import atomic_target, sweep, temporary_prefix, write_atomically
+from rotorsim.model.load import load
+from rotorsim.simulation.files import load_result, save
+from rotorsim.simulation.result import Result
+from rotorsim.simulation.sinks import check_sinks
 
 ROOT = Path(__file__).parents[1]
 posix = pytest.mark.skipif(sys.platform == "win32", reason="limits, pipes and links of POSIX")
@@ -75,7 +76,7 @@ def test_a_result_on_a_full_disk_says_what_it_takes_and_what_is_kept(tmp_path, s
 
 @posix
 def test_texts_archives_and_figures_on_a_full_disk(tmp_path):
-    from rotorsim.report.figures import save_figure
+    from rotorsim.report.figures.run import save_figure
 
     path = tmp_path / "x.json"
     assert refused(lambda: write_atomically(path, "x" * 6000), path).startswith("file too large: it takes about 6 kB;")
@@ -191,7 +192,7 @@ def test_a_diagram_or_recording_with_control_characters_is_refused(run, tmp_path
 def test_a_figure_with_control_characters_in_a_name_is_valid_svg(tmp_path):
     from matplotlib.figure import Figure
 
-    from rotorsim.report.figures import save_figure
+    from rotorsim.report.figures.run import save_figure
 
     figure = Figure((1, 1))
     figure.suptitle(ESCAPES)
@@ -203,7 +204,7 @@ def test_a_figure_with_control_characters_in_a_name_is_valid_svg(tmp_path):
 def test_what_a_killed_run_leaves_is_swept_by_the_next(tmp_path):
     """A process writes and is killed; the next write to that folder deletes its half, and nothing of anybody else."""
     code = (
-        "import os, signal, sys; from rotorsim.diagram.files import atomic_target\n"
+        "import os, signal, sys; from rotorsim.files import atomic_target\n"
         "with atomic_target(sys.argv[1]) as half:\n half.write_text('half'); os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "run.csv")], check=False, cwd=ROOT)

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorsim import jobs, processes
 from rotorsim.errors import RotorsimError
-from rotorsim.jobs import Failure, local_workers, run_jobs
+from rotorsim.jobs import jobs, processes
+from rotorsim.jobs.jobs import Failure, local_workers, run_jobs
 
 ROOT = Path(__file__).parents[1]
 
@@ -104,7 +104,7 @@ def done(tmp_path: Path) -> list[int]:
 
 
 def test_import_is_cheap():
-    code = "import sys, rotorsim.jobs; print(sorted({'dask', 'distributed', 'numpy'} & set(sys.modules)))"
+    code = "import sys, rotorsim.jobs.jobs; print(sorted({'dask', 'distributed', 'numpy'} & set(sys.modules)))"
     found = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
 
@@ -292,7 +292,9 @@ def interrupt(_: float) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell's exit codes")
 def test_a_script_that_does_not_guard_its_start_is_told_so(tmp_path):
     script = tmp_path / "script.py"
-    script.write_text("import math\nfrom rotorsim.jobs import run_jobs\nrun_jobs(math.sqrt, [1.0, 4.0], workers=2)\n")
+    script.write_text(
+        "import math\nfrom rotorsim.jobs.jobs import run_jobs\nrun_jobs(math.sqrt, [1.0, 4.0], workers=2)\n"
+    )
     done = subprocess.run([sys.executable, str(script)], cwd=ROOT, capture_output=True, text=True, check=False,
                           env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=60)  # fmt: skip
     assert done.returncode == 1
@@ -345,7 +347,7 @@ def test_ctrl_c_and_a_kill_keep_results_and_leave_no_process(tmp_path, how):
     store = tmp_path / "s.jsonl"
     script = tmp_path / "script.py"
     script.write_text(
-        "import signal\nfrom rotorsim.jobs import run_jobs\nfrom tests.test_jobs import waits\n"
+        "import signal\nfrom rotorsim.jobs.jobs import run_jobs\nfrom tests.test_jobs import waits\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # shells have what runs behind them ignore it
         f"if __name__ == '__main__':\n    run_jobs(waits, range(6), store={str(store)!r}, workers=2)\n"
     )

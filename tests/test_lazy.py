@@ -5,12 +5,11 @@ from __future__ import annotations
 import subprocess
 import sys
 from importlib import import_module
-from importlib.util import find_spec
+from types import ModuleType
 
 import pytest
 
-CALLED = ("simulate", "identify", "diagnose")  # rooms that do the work of the function they hide
-PACKAGES = ("rotorsim", *(f"rotorsim.{room}" for room in ("simulate", "recordings", "identify", "diagnose", "fmi")))
+import rotorsim
 
 
 def said(code: str) -> str:
@@ -18,39 +17,20 @@ def said(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_every_public_name_is_found_in_its_module(package: str) -> None:
-    module = import_module(package)
-    assert dir(module) == sorted(module.__all__)
-    for name, home in module._HOME.items():
-        assert getattr(import_module(f"{package}.{home}"), name) is not None
-        if package == "rotorsim" and name in CALLED:
-            continue
-        assert find_spec(f"{package}.{name}") is None  # a module would hide it
-        assert getattr(module, name) is getattr(import_module(f"{package}.{home}"), name)
+@pytest.mark.parametrize("name", sorted(rotorsim._HOME))
+def test_every_public_name_is_found_in_its_module_and_no_module_hides_it(name: str) -> None:
+    found = getattr(rotorsim, name)
+    assert found is getattr(import_module(f"rotorsim.{rotorsim._HOME[name]}"), name)
+    assert not isinstance(found, ModuleType)
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_other_names_are_not_there(package: str) -> None:
-    with pytest.raises(AttributeError, match=f"^module '{package}' has no attribute 'nothing'$"):
-        _ = import_module(package).nothing
+def test_public_names_are_listed_in_order_and_others_are_not_there() -> None:
+    assert dir(rotorsim) == sorted(rotorsim.__all__)
+    assert list(rotorsim._HOME) == sorted(rotorsim._HOME)
+    with pytest.raises(AttributeError, match=r"^module 'rotorsim' has no attribute 'nothing'$"):
+        _ = rotorsim.nothing
 
 
 def test_importing_the_package_imports_nothing_else() -> None:
     code = "import sys, rotorsim; print(sorted(n for n in sys.modules if n[:8] in ('rotorsim', 'numpy')))"
     assert said(code) == "['rotorsim', 'rotorsim._lazy']\n"
-
-
-@pytest.mark.parametrize(
-    "first",
-    ["from rotorsim.simulate import periodic; import rotorsim",
-     *(pytest.param(first, marks=pytest.mark.slow) for first in (
-        "import rotorsim", "import rotorsim.simulate",
-        "from rotorsim import simulate; simulate(diagram, stop=0.01); import rotorsim",
-     ))],
-)  # fmt: skip
-def test_simulate_can_be_called_whatever_was_imported_before(first: str) -> None:
-    """The package of this name is what Python puts in the place of the function."""
-    call = "print(rotorsim.simulate(diagram, stop=0.01).status, rotorsim.simulate.modes is rotorsim.modes)"
-    code = f"from rotorsim.diagram import load; diagram = load('jeffcott'); {first}; {call}; {call}"
-    assert said(code) == "finished True\n" * 2

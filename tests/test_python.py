@@ -58,14 +58,6 @@ def test_values_of_a_diagram_cannot_be_changed(jeffcott) -> None:
         assert str(again) == str(values)
 
 
-@pytest.mark.parametrize("name", ["simulate", "identify", "diagnose"])
-def test_rooms_are_called_as_their_functions(name: str) -> None:
-    room = getattr(rotorsim, name)
-    function = getattr(room, name)
-    assert inspect.signature(room) == inspect.signature(function)
-    assert function.__doc__ in room.__doc__
-
-
 @pytest.mark.parametrize("name", ["simulate", "periodic", "modes", "campbell", "linearise", "sensitivity"])
 def test_analyses_are_called_alike(name: str) -> None:
     """The diagram first, what it is analysed for by keyword: `parameters` among it."""

@@ -33,7 +33,7 @@ def command(
     """
     from rotorsim.cli.app import show_problems
     from rotorsim.cli.block_pages import block_data, block_list, block_text, markdown_page
-    from rotorsim.diagram.registry import Registry
+    from rotorsim.diagram.resolve.registry import Registry
 
     registry = Registry(_folders(diagram) if trust_blocks else ())
     known = registry.all_types()
@@ -64,7 +64,7 @@ def command(
 
 def _folders(diagram: str | None) -> list[Path]:
     """Return the block folders of a diagram, or of those in the current folder, as seen from there."""
-    from rotorsim.diagram.source import read_document
+    from rotorsim.diagram.parse.source import read_document
 
     found: dict[Path, None] = {}
     for file in sorted(Path().glob("*.json"))[:_MOST] if diagram is None else [Path(diagram)]:

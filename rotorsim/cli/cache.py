@@ -17,8 +17,8 @@ __all__ = ["command"]
 @json_option
 def command(clear: bool, as_json: bool) -> None:
     """Show or clear the cache of compiled models."""
-    from rotorsim.compile.toolchain import cache_folder
-    from rotorsim.diagram.files import HIDDEN, sweep
+    from rotorsim.files import HIDDEN, sweep
+    from rotorsim.model.emit.toolchain import cache_folder
 
     folder = cache_folder()
     inside = list(folder.iterdir()) if folder.is_dir() else []

@@ -38,12 +38,12 @@ def command(
     multiples = _whole_numbers(orders)
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
     from rotorsim.cli.app import show_problems
-    from rotorsim.simulate.campbell_diagram import campbell
+    from rotorsim.linear.campbell import campbell
 
     found = campbell(loaded, speeds=chosen, orders=multiples)
     if plot:
-        from rotorsim.report.figures import save_figure
-        from rotorsim.report.linear_figures import campbell_figure
+        from rotorsim.report.figures.linear import campbell_figure
+        from rotorsim.report.figures.run import save_figure
 
         save_figure(campbell_figure(found, loaded.name, orders=multiples), plot)
         common.note(f"written: {plot}")

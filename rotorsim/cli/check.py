@@ -69,7 +69,7 @@ def _diagram(
 ) -> tuple[Diagram | None, Found]:
     """Return a diagram, and its entry for --json, its problems, the exit code and what it holds."""
     from rotorsim.cli.app import problem_data
-    from rotorsim.diagram.load import load
+    from rotorsim.model.load import load
 
     entry: dict[str, Any] = {"diagram": name, "valid": True}
     loaded = None
@@ -90,9 +90,9 @@ def _recording(name: str, against: Diagram | None) -> Found:
     against: the diagram whose signals and parameters it names.
     """
     from rotorsim.cli.app import problem_data
-    from rotorsim.recordings.checks import check_signals
+    from rotorsim.measure.checks import check_signals
     from rotorsim.recordings.loading import load_recording
-    from rotorsim.recordings.pickup import check_harmonics
+    from rotorsim.signals.pickup import check_harmonics
 
     entry: dict[str, Any] = {"recording": name, "valid": True}
     line = ""
@@ -103,7 +103,7 @@ def _recording(name: str, against: Diagram | None) -> Found:
         if not code:
             problems = (*problems, *check_harmonics(recording))
         if against is not None:
-            from rotorsim.identify.experiment import check_against
+            from rotorsim.identification.experiment import check_against
 
             foreign = check_against(against, recording)
             problems, code = (*problems, *foreign), 2 if foreign else code

@@ -157,7 +157,7 @@ def progress_bar(label: str, wanted: bool | None) -> Iterator[Callable[[float], 
 def open_diagram(diagram: str, settings: Sequence[str], without: Sequence[str], trust_blocks: bool) -> Diagram:
     """Load a diagram with its settings; show its warnings on stderr."""
     from rotorsim.cli.app import show_problems
-    from rotorsim.diagram.load import load
+    from rotorsim.model.load import load
 
     loaded = load(diagram, set=parse_settings(settings), without=without, trust_blocks=trust_blocks)
     show_problems(loaded.warnings)
@@ -167,8 +167,8 @@ def open_diagram(diagram: str, settings: Sequence[str], without: Sequence[str], 
 def document_of(diagram: str) -> tuple[Path, dict[str, Any]]:
     """Return the file and the JSON of a diagram (a file, or the name of a shipped one), not validated."""
     from rotorsim.cli.app import show_problems
-    from rotorsim.diagram.load import find_diagram
-    from rotorsim.diagram.source import read_document
+    from rotorsim.diagram.parse.source import read_document
+    from rotorsim.diagram.resolve.resolution import find_diagram
 
     path, said = find_diagram(diagram)
     show_problems(said)

@@ -16,7 +16,7 @@ from rotorsim.errors import Problem, RotorsimError, visible
 
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
-    from rotorsim.simulate.result import Result
+    from rotorsim.simulation.result import Result
 
 __all__ = ["command"]
 
@@ -62,8 +62,8 @@ def command(
     rotorsim cosim jeffcott --part controller --step "0.1 ms" --master iterative
     rotorsim cosim jeffcott --part controller --step "20 us" --order 1 --rate controller=5
     """
-    from rotorsim.fmi.cosimulation import cosimulate_diagram
-    from rotorsim.fmi.process import printing_elsewhere
+    from rotorsim.cosim.cosimulation import cosimulate_diagram
+    from rotorsim.fmi.runtime.process import printing_elsewhere
 
     common.check_target("--out", out, (".csv", ".h5", ".npz"))
     width = common.quantity(step, "s", "--step")
@@ -82,7 +82,7 @@ def command(
             check=not no_check, rates=every, solver=solver.lower(), progress=show, log=hear,
         )  # fmt: skip
     if out:
-        from rotorsim.simulate.files import save
+        from rotorsim.simulation.files import save
 
         save(result, out)
         common.note(f"written: {out}")

@@ -12,7 +12,7 @@ from rotorsim.cli import common
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
 if TYPE_CHECKING:
-    from rotorsim.diagnose.conclusions import Diagnosis
+    from rotorsim.diagnosis.conclude.conclusions import Diagnosis
     from rotorsim.diagram.diagram import Diagram
 
 __all__ = ["command"]
@@ -57,8 +57,8 @@ def command(
     """
     from rotorsim.cli.app import show_problems
     from rotorsim.cli.structure import show_isolation
-    from rotorsim.diagnose.diagnosis import diagnose
-    from rotorsim.diagnose.files import diagnosis_data, save_diagnosis
+    from rotorsim.diagnosis.diagnosis import diagnose
+    from rotorsim.diagnosis.files import diagnosis_data, save_diagnosis
     from rotorsim.recordings.loading import load_recording
 
     if (recording is None) == (sensors is None):
@@ -99,7 +99,7 @@ def command(
         )  # fmt: skip
     show_problems(found.warnings)
     if out:
-        from rotorsim.report.diagnosis_report import save_report
+        from rotorsim.report.diagnosis.report import save_report
 
         for save in (save_diagnosis, save_report):
             for file in save(found, out):
@@ -130,7 +130,7 @@ def _made(folder: str) -> None:
 
 def _check_free(diagram: Diagram) -> None:
     """Raise RotorsimError where nothing may be refitted."""
-    from rotorsim.diagnose.base import with_uncertain
+    from rotorsim.diagnosis.evidence.base import with_uncertain
 
     if not with_uncertain(diagram).get("identify"):
         known = [name for name in diagram.parameters if name != "speed"]
@@ -142,7 +142,7 @@ def _check_free(diagram: Diagram) -> None:
 
 def _rows(text: str) -> list[str]:
     """Return names of physics. Raises RotorsimError for those that no block declares."""
-    from rotorsim.diagram.registry import all_types
+    from rotorsim.diagram.resolve.registry import all_types
 
     known = sorted({fault.physics for kind in all_types().values() for fault in kind.faults})
     wanted = [name.strip() for name in text.split(",") if name.strip()]

@@ -25,7 +25,7 @@ def command(
     common.check_target("--out", out, (".svg",))
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
     from rotorsim.diagram.draw import draw_svg
-    from rotorsim.diagram.files import write_atomically
+    from rotorsim.files import write_atomically
 
     text = draw_svg(loaded)
     if out:

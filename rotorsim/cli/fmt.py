@@ -21,9 +21,9 @@ def command(files: tuple[str, ...], check: bool, as_json: bool) -> int:
 
     Values and the order of blocks and wires stay as they are.
     """
-    from rotorsim.diagram.files import write_atomically
-    from rotorsim.diagram.fmt import format_document
-    from rotorsim.diagram.source import read_document
+    from rotorsim.diagram.parse.fmt import format_document
+    from rotorsim.diagram.parse.source import read_document
+    from rotorsim.files import write_atomically
 
     texts: dict[str, str] = {}
     problems: list[Problem] = []

@@ -80,7 +80,7 @@ def export(
     """
     common.check_target("--out", out, (".fmu",))
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
-    from rotorsim.fmi.export import export_fmu
+    from rotorsim.fmi.export.export import export_fmu
 
     wanted = [name for name in platforms if name != SOURCE] if platforms else None
     done = export_fmu(

@@ -23,8 +23,8 @@ def info(file: str, every: bool, as_json: bool) -> int:
 
     Nothing of it is loaded or unpacked.
     """
-    from rotorsim.fmi.info import information, information_text
-    from rotorsim.fmi.slave import describe_fmu
+    from rotorsim.fmi.description.info import information, information_text
+    from rotorsim.fmi.runtime.slave import describe_fmu
 
     data = information(describe_fmu(file), every=every)
     if as_json:

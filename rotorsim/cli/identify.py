@@ -12,7 +12,7 @@ from rotorsim.cli import common
 from rotorsim.errors import Problem, RotorsimError
 
 if TYPE_CHECKING:
-    from rotorsim.identify.identification import Identification
+    from rotorsim.identification.identification import Identification
 
 __all__ = ["command"]
 
@@ -50,9 +50,9 @@ def command(
     rotorsim identify jeffcott measurements/2026-11 --out result
     """
     from rotorsim.cli.app import show_problems
-    from rotorsim.identify.files import identification_data, save_identification
-    from rotorsim.identify.identification import identify
-    from rotorsim.identify.regression import THESIS_ORDERS
+    from rotorsim.identification.files import identification_data, save_identification
+    from rotorsim.identification.identification import identify
+    from rotorsim.identification.regression import THESIS_ORDERS
     from rotorsim.recordings.loading import load_recording
 
     common.check_folder("--out", out)
@@ -69,7 +69,7 @@ def command(
     )  # fmt: skip
     show_problems(found.warnings)
     if out:
-        from rotorsim.report.identification_figures import save_figures
+        from rotorsim.report.identification.figures import save_figures
 
         for file in [*save_identification(found, out), *save_figures(found, measured, out)]:
             common.note(f"written: {file}")

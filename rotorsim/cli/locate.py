@@ -11,7 +11,7 @@ import click
 from rotorsim.cli import common
 
 if TYPE_CHECKING:
-    from rotorsim.identify.locate import Location
+    from rotorsim.identification.locate import Location
 
 __all__ = ["command"]
 
@@ -42,9 +42,9 @@ def command(
     \b
     rotorsim locate fe_rigid measurements --block crack
     """
-    from rotorsim.identify.files import with_values
-    from rotorsim.identify.locate import locate
-    from rotorsim.recordings import load_recording
+    from rotorsim.identification.files import with_values
+    from rotorsim.identification.locate import locate
+    from rotorsim.recordings.loading import load_recording
 
     common.check_target("--out", out, (".json",))
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
@@ -52,9 +52,9 @@ def command(
     found = locate(loaded, measured, block, count=count, given=given, trust_blocks=trust_blocks)
     single = locate(loaded, measured, block, given=given, trust_blocks=trust_blocks)[0] if count == 2 else None
     if out:
-        from rotorsim.diagram.files import write_atomically
-        from rotorsim.diagram.fmt import format_document
-        from rotorsim.diagram.load import load
+        from rotorsim.diagram.parse.fmt import format_document
+        from rotorsim.files import write_atomically
+        from rotorsim.model.load import load
 
         best = found[0]
         folder = Path(loaded.file).parent if loaded.file else None

@@ -23,7 +23,7 @@ def command(
     rotorsim modes fe_rigid --without amb --set "speed=3000 rpm"
     """
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
-    from rotorsim.simulate.eigenmodes import modes
+    from rotorsim.linear.eigenmodes import modes
 
     found = modes(loaded)
     for text in found.notes:

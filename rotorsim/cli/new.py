@@ -27,10 +27,10 @@ def command(name: str, source: str, as_json: bool) -> None:
     rotorsim new mine
     rotorsim new models/beam --from fe_flexible
     """
-    from rotorsim.diagram.files import write_atomically
-    from rotorsim.diagram.fmt import format_document
-    from rotorsim.diagram.load import shipped_diagrams
-    from rotorsim.diagram.source import read_document
+    from rotorsim.diagram.parse.fmt import format_document
+    from rotorsim.diagram.parse.source import read_document
+    from rotorsim.diagram.resolve.resolution import shipped_diagrams
+    from rotorsim.files import write_atomically
 
     shipped = shipped_diagrams()
     problems = []

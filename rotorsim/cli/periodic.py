@@ -11,7 +11,7 @@ from rotorsim.cli import common
 from rotorsim.errors import Problem, RotorsimError
 
 if TYPE_CHECKING:
-    from rotorsim.simulate.periodic_result import Periodic
+    from rotorsim.settled.result import Periodic
 
 __all__ = ["command"]
 
@@ -42,7 +42,7 @@ def command(
     chosen = common.speeds_of(speeds) if speeds else None
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
     from rotorsim.cli.app import show_problems
-    from rotorsim.simulate.periodic_motion import periodic
+    from rotorsim.settled.periodic import periodic
 
     found = periodic(loaded, speeds=chosen, harmonics=harmonics, subharmonic=subharmonic, signals=record or None)
     for name in found.drifting:
@@ -50,8 +50,8 @@ def command(
     if plot:
         if len(found.speeds) < 2:
             raise RotorsimError(Problem(what="--plot needs several speeds", hint="give --speeds"))
-        from rotorsim.report.figures import save_figure
-        from rotorsim.report.linear_figures import periodic_figure
+        from rotorsim.report.figures.linear import periodic_figure
+        from rotorsim.report.figures.run import save_figure
 
         save_figure(periodic_figure(found, title=loaded.name), plot)
         common.note(f"written: {plot}")

@@ -18,9 +18,9 @@ from rotorsim.cli.spectrum import window_of
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
 if TYPE_CHECKING:
-    from rotorsim.compile import Model
     from rotorsim.diagram.diagram import Diagram
-    from rotorsim.recordings.measuring import Noise
+    from rotorsim.measure.record import Noise
+    from rotorsim.model.compiled import Model
     from rotorsim.recordings.writing import NewRun
 
 __all__ = ["command", "parse_gains"]
@@ -80,7 +80,7 @@ def command(
     _limit(len(chosen) * len(known))
     diagrams = _diagrams(diagram, settings, without, trust_blocks, known)
     measured = list(signals) or _two_axis(diagrams[0])
-    from rotorsim.recordings.measuring import Noise
+    from rotorsim.measure.record import Noise
 
     disturbance = Noise(level, noise_kind, seed) if level else None
     runs = _simulate(diagrams, known, chosen, held, measured, span, settle, hertz, disturbance, progress)
@@ -101,11 +101,11 @@ def _simulate(
     progress: bool | None,
 ) -> list[NewRun]:  # fmt: skip
     """Return one run per set of gains and speed, in this order."""
-    from rotorsim.compile import compile_diagram
-    from rotorsim.recordings.measuring import measure, noisy
+    from rotorsim.linear.eigenmodes import require_speed
+    from rotorsim.linear.linearisation import speed_of
+    from rotorsim.measure.record import measure, noisy
+    from rotorsim.model.compiled import compile_diagram
     from rotorsim.recordings.writing import NewRun
-    from rotorsim.simulate.eigenmodes import require_speed
-    from rotorsim.simulate.linear import speed_of
 
     clock = common.clock_of(diagrams[0])
     rising = clock is not None and diagrams[0].nodes[clock].block.option.profile != "constant"
@@ -147,7 +147,7 @@ def _diagrams(
 ) -> list[Diagram]:
     """Return the diagram with each set of gains."""
     from rotorsim.cli.app import show_problems
-    from rotorsim.diagram.load import load
+    from rotorsim.model.load import load
 
     given = common.parse_settings(settings)
     loaded = load(diagram, set=given, without=without, trust_blocks=trust_blocks)
@@ -223,7 +223,7 @@ def _speeds(speeds: str | None, hold_out: str | None) -> tuple[list[float | None
 
 def _two_axis(diagram: Diagram) -> list[str]:
     """Return the two-axis signals that a diagram records; of those with nodes, the nodes that can move."""
-    from rotorsim.compile import compile_diagram
+    from rotorsim.model.compiled import compile_diagram
 
     model = compile_diagram(diagram)
     found: list[str] = []

@@ -14,9 +14,9 @@ from rotorsim.errors import Problem, RotorsimError, near_miss
 
 if TYPE_CHECKING:
     from rotorsim.recordings.recording import Recording, Run
-    from rotorsim.recordings.shaft_angle import ShaftAngle
-    from rotorsim.recordings.two_axis import TwoAxis
-    from rotorsim.simulate.result import Result
+    from rotorsim.signals.shaft_angle import ShaftAngle
+    from rotorsim.signals.two_axis import TwoAxis
+    from rotorsim.simulation.result import Result
 
 __all__ = ["contents", "harmonics_data", "harmonics_text", "is_recording", "recording_spectrum"]
 
@@ -33,7 +33,7 @@ def is_recording(source: str) -> bool:
         if path.name == FILE or (path / FILE).exists():
             return True
         if path.is_dir():
-            from rotorsim.diagram.load import shipped_diagrams
+            from rotorsim.diagram.resolve.resolution import shipped_diagrams
 
             return source not in shipped_diagrams()
         if path.suffix != ".json" or not path.is_file():
@@ -145,11 +145,11 @@ def _run_spectrum(
 
     import numpy as np
 
-    from rotorsim.recordings.as_result import as_result, has_angle
+    from rotorsim.measure.as_result import as_result, has_angle
     from rotorsim.recordings.recording import ANGLE
-    from rotorsim.recordings.shaft_angle import refuse_run_up, shaft_angle
-    from rotorsim.recordings.two_axis import METHODS, two_axis_harmonics, two_axis_names, whole_turns
-    from rotorsim.simulate.spectrum import full_spectrum
+    from rotorsim.signals.shaft_angle import refuse_run_up, shaft_angle
+    from rotorsim.signals.spectrum import full_spectrum
+    from rotorsim.signals.two_axis import METHODS, two_axis_harmonics, two_axis_names, whole_turns
 
     angle = shaft_angle(recording, run) if has_angle(recording, run) else None
     if angle is None and method is not None:
@@ -198,7 +198,7 @@ def _run_spectrum(
     if plot:
         if angle is None:
             raise RotorsimError(Problem("--plot needs the shaft angle", hint='a "tacho", or a channel of clock.theta'))
-        from rotorsim.report.figures import save_figure, spectrum_figure
+        from rotorsim.report.figures.run import save_figure, spectrum_figure
 
         save_figure(spectrum_figure(result, names[0], window=span), plot)
         common.note(f"written: {plot}")

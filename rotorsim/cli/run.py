@@ -12,9 +12,9 @@ from rotorsim.cli.app import show_problems
 from rotorsim.errors import Problem
 
 if TYPE_CHECKING:
-    from rotorsim.compile import Model
-    from rotorsim.simulate.result import Result
-    from rotorsim.simulate.spectrum import Harmonics
+    from rotorsim.model.compiled import Model
+    from rotorsim.signals.spectrum import Harmonics
+    from rotorsim.simulation.result import Result
 
 __all__ = ["command"]
 
@@ -67,9 +67,9 @@ def command(
     hidden = [f"{clock}.theta", *([f"{clock}.speed"] if rising else [])] if clock else []
     signals = tuple(dict.fromkeys([*shown, *hidden]))
 
-    from rotorsim.compile import compile_diagram
-    from rotorsim.simulate.run import simulate
-    from rotorsim.simulate.sinks import check_sinks
+    from rotorsim.model.compiled import compile_diagram
+    from rotorsim.simulation.run import simulate
+    from rotorsim.simulation.sinks import check_sinks
 
     check_sinks(loaded)
     model = compile_diagram(loaded)
@@ -97,18 +97,18 @@ def _report(
 ) -> int:
     """Write, draw and print a result; return the exit code."""
     from rotorsim.cli import summary
-    from rotorsim.simulate.sinks import write_sinks
+    from rotorsim.simulation.sinks import write_sinks
 
     common.note(summary.run_line(result))
     asked = replace(result, signals={name: result.signals[name] for name in shown})
     files = [str(path) for path in write_sinks(model.diagram, result)]
     if out:
-        from rotorsim.simulate.files import save
+        from rotorsim.simulation.files import save
 
         save(asked, out)
         files.append(out)
     if plot and len(result.time) > 1:
-        from rotorsim.report.figures import overview, save_figure
+        from rotorsim.report.figures.run import overview, save_figure
 
         save_figure(overview(result), plot)
         files.append(plot)

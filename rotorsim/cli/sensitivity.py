@@ -12,8 +12,8 @@ from rotorsim.cli import common
 from rotorsim.errors import Problem, RotorsimError
 
 if TYPE_CHECKING:
-    from rotorsim.identify.study import Study, StudyResult, StudyRow
-    from rotorsim.identify.study_questions import Comparison, Smallest
+    from rotorsim.identification.study.questions import Comparison, Smallest
+    from rotorsim.identification.study.study import Study, StudyResult, StudyRow
 
 __all__ = ["command"]
 
@@ -90,24 +90,24 @@ def command(
     jobs: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
     with common.progress_bar("sensitivity", progress) as bar:
         if smallest_crack:
-            from rotorsim.identify.study_questions import smallest_rows, smallest_size
+            from rotorsim.identification.study.questions import smallest_rows, smallest_size
 
             sizes = smallest_size(study, progress=bar, **jobs)
             text, rows = _smallest_text(study, sizes), smallest_rows(sizes)
             data: Any = rows
         elif controllers:
-            from rotorsim.identify.study_questions import compare_controllers, comparison_rows
+            from rotorsim.identification.study.questions import compare_controllers, comparison_rows
 
             compared = compare_controllers(study, progress=bar, **jobs)
             text, rows = _comparison_text(compared), comparison_rows(compared)
             data = {"rows": rows, "left_out": dict(compared.left_out)}
         else:
-            from rotorsim.identify.study import run_study, study_data, study_rows
+            from rotorsim.identification.study.study import run_study, study_data, study_rows
 
             found = run_study(study, store=store, progress=bar, **jobs)
             text, data, rows = _text(found), study_data(found), study_rows(found)
     if out:
-        from rotorsim.identify.study import write_rows
+        from rotorsim.identification.study.study import write_rows
 
         write_rows(rows, common.plain(data), out)
         common.note(f"written: {out}")
@@ -126,8 +126,8 @@ def _study(
     """Return the study that the options describe."""
     from pathlib import Path
 
-    from rotorsim.identify.study import Study, study_of_table
-    from rotorsim.identify.thesis_tables import TABLES
+    from rotorsim.identification.study.printed import TABLES
+    from rotorsim.identification.study.study import Study, study_of_table
 
     if diagram is None and table is None:
         hint = "rotorsim sensitivity --table 2-5, or a diagram with --speeds"
@@ -195,7 +195,7 @@ def _window(text: str) -> tuple[float, float]:
 
 def _gains(text: str, diagram: Any) -> dict[str, float]:
     """Return NAME=VALUE,... as SI values by name."""
-    from rotorsim.diagram.values import ValueProblem, numeric
+    from rotorsim.diagram.resolve.values import ValueProblem, numeric
     from rotorsim.errors import near_miss
 
     units = {
@@ -224,7 +224,7 @@ def _gains(text: str, diagram: Any) -> dict[str, float]:
 
 
 def _list(as_json: bool) -> None:
-    from rotorsim.identify.thesis_tables import LEVELS, TABLES
+    from rotorsim.identification.study.printed import LEVELS, TABLES
 
     tables = list(TABLES.values())
     if as_json:
@@ -276,7 +276,7 @@ def _text(found: StudyResult) -> str:
 
 
 def _misprints(table: str) -> list[str]:
-    from rotorsim.identify.thesis_tables import misprints
+    from rotorsim.identification.study.printed import misprints
 
     found = [
         f"{symbol} at {100 * level:g} %: {printed:g} % is printed, its value says {error:.2f} %"

@@ -12,15 +12,15 @@ from rotorsim.cli.app import show_problems
 from rotorsim.errors import Place, Problem, RotorsimError
 
 if TYPE_CHECKING:
-    from rotorsim.recordings.two_axis import TwoAxis
-    from rotorsim.simulate.result import Result
-    from rotorsim.simulate.spectrum import FullSpectrum
+    from rotorsim.signals.spectrum import FullSpectrum
+    from rotorsim.signals.two_axis import TwoAxis
+    from rotorsim.simulation.result import Result
 
 __all__ = ["command", "spectrum_text", "window_of"]
 
 HUGE = 1e100
 RESULTS = (".csv", ".h5", ".npz")
-METHODS = ("least-squares", "fft", "regression")  # those of rotorsim.recordings.two_axis
+METHODS = ("least-squares", "fft", "regression")  # those of rotorsim.signals.two_axis
 
 
 @click.command("spectrum")
@@ -74,7 +74,7 @@ def command(
     import numpy as np
 
     from rotorsim.cli.summary import two_axis
-    from rotorsim.simulate.spectrum import few_samples, full_spectrum, harmonics, last_turns
+    from rotorsim.signals.spectrum import few_samples, full_spectrum, harmonics, last_turns
 
     names = list(signals) or two_axis(result)
     if not names:
@@ -86,7 +86,7 @@ def command(
         span = _inside(result, span, angle, window or "")
     span = span or (last_turns(result, angle) if angle else None)
     if angle is not None and span is not None:
-        from rotorsim.recordings.shaft_angle import refuse_run_up
+        from rotorsim.signals.shaft_angle import refuse_run_up
 
         part = slice(*np.searchsorted(result.time, span))
         refuse_run_up(source, Place(), result.time[part], result[angle][part])
@@ -101,7 +101,7 @@ def command(
     if plot:
         if running is None:
             raise RotorsimError(Problem(what="--plot needs the shaft angle", hint="record clock.theta"))
-        from rotorsim.report.figures import save_figure, spectrum_figure
+        from rotorsim.report.figures.run import save_figure, spectrum_figure
 
         save_figure(spectrum_figure(result, names[0], window=span), plot)
         common.note(f"written: {plot}")
@@ -132,7 +132,7 @@ def _fits(
     result: Result, names: list[str], method: str, span: tuple[float, float] | None, angle: str | None
 ) -> dict[str, TwoAxis]:
     """Return the harmonics of the signals by method."""
-    from rotorsim.recordings.two_axis import two_axis_harmonics
+    from rotorsim.signals.two_axis import two_axis_harmonics
 
     if angle is None:
         raise RotorsimError(Problem(what="--harmonics needs the shaft angle", hint="record clock.theta"))
@@ -170,7 +170,7 @@ def _running(result: Result, angle: str | None, span: tuple[float, float] | None
 
 def _inside(result: Result, span: tuple[float, float], angle: str | None, text: str) -> tuple[float, float]:
     """Return the window cut to whole turns (what it lacks of them leaks); refuse one that the run does not cover."""
-    from rotorsim.recordings.two_axis import whole_turns
+    from rotorsim.signals.two_axis import whole_turns
 
     first, last = float(result.time[0]), float(result.time[-1])
     step = (last - first) / (len(result.time) - 1)
@@ -206,7 +206,7 @@ def _result(
 ) -> tuple[Result, str | None]:
     """Return the saved or the computed result and the name of the shaft angle in it."""
     if Path(source).suffix.lower() in RESULTS:
-        from rotorsim.simulate.files import load_result
+        from rotorsim.simulation.files import load_result
 
         if settings or without:
             raise RotorsimError(Problem(what="--set and --without need a diagram, not a saved result", subject=source))
@@ -219,7 +219,7 @@ def _result(
         angles = [name for name in result.signals if name.endswith(".theta")]
         return result, "clock.theta" if "clock.theta" in angles else angles[0] if len(angles) == 1 else None
     loaded = common.open_diagram(source, settings, without, trust_blocks)
-    from rotorsim.simulate.run import simulate
+    from rotorsim.simulation.run import simulate
 
     clock = common.clock_of(loaded)
     angle = f"{clock}.theta" if clock else None

@@ -46,7 +46,7 @@ def export(
     common.check_target("--out", out, (".ssp",))
     cut = _parts(parts)
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
-    from rotorsim.fmi.ssp import export_ssp
+    from rotorsim.ssp.from_diagram import export_ssp
 
     wanted = [name for name in platforms if name != "source"] if platforms else None
     done = export_ssp(loaded, out, cut, version=version, platforms=wanted)
@@ -102,7 +102,7 @@ def import_(file: str, out: str, as_json: bool) -> None:
     rotorsim cosim system/diagram.json --trust-blocks --step "1 ms"
     """
     common.check_folder("--out", out)
-    from rotorsim.fmi.ssp_import import import_ssp
+    from rotorsim.ssp.to_diagram import import_ssp
 
     done = import_ssp(file, out)
     show_problems(done.warnings)

@@ -14,8 +14,8 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.units import format_quantity
 
 if TYPE_CHECKING:
-    from rotorsim.diagnose.isolation import Isolation, Laws
-    from rotorsim.diagnose.structure import Gain
+    from rotorsim.diagnosis.isolability.isolation import Isolation, Laws
+    from rotorsim.diagnosis.isolability.structure import Gain
     from rotorsim.diagram.diagram import Diagram
 
 __all__ = ["show_isolation"]
@@ -33,7 +33,7 @@ def show_isolation(
 
     physics: only these faults (default: all).
     """
-    from rotorsim.diagnose.isolation import isolate, isolation_data
+    from rotorsim.diagnosis.isolability.isolation import isolate, isolation_data
 
     wanted = list(dict.fromkeys(name.strip() for name in re.split(r",(?![^\[]*\])", sensors) if name.strip()))
     at = [] if speeds is None else [float(speed) for speed in common.speeds_of(speeds)]
@@ -128,7 +128,7 @@ def _counts(found: Isolation, seen: Iterable[str], pairs: Iterable[tuple[str, st
 
 
 def _laws(found: Isolation, laws: Laws) -> list[str]:
-    from rotorsim.diagnose.signatures import NOISE, SIGMAS
+    from rotorsim.diagnosis.isolability.signatures import NOISE, SIGMAS
 
     runs = laws.signatures.runs
     rpm = ", ".join(f"{common.rpm(float(speed)):.0f}" for speed in runs.speeds[runs.sets == 0])

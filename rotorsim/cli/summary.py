@@ -11,10 +11,10 @@ from rotorsim.cli import common
 from rotorsim.errors import RotorsimError
 
 if TYPE_CHECKING:
-    from rotorsim.compile import Model
-    from rotorsim.simulate.periodic_result import Periodic
-    from rotorsim.simulate.result import Result
-    from rotorsim.simulate.spectrum import Harmonics
+    from rotorsim.model.compiled import Model
+    from rotorsim.settled.result import Periodic
+    from rotorsim.signals.spectrum import Harmonics
+    from rotorsim.simulation.result import Result
 
 __all__ = [
     "constant_speed", "harmonics_of", "motion", "motion_line", "peaks", "peaks_table", "run_line", "run_up_table",
@@ -69,7 +69,7 @@ def harmonics_of(result: Result, angle: str) -> list[Harmonics]:
     """
     if result.status != "finished" or constant_speed(result, angle) is None:
         return []
-    from rotorsim.simulate.spectrum import few_samples, harmonics, last_turns
+    from rotorsim.signals.spectrum import few_samples, harmonics, last_turns
 
     if few_samples(result, angle) is not None:
         return []
@@ -91,7 +91,7 @@ def settled_motion(model: Model, result: Result, angle: str, found: Sequence[Har
     decaying = poles.real[poles.real < -ROUNDING * np.abs(poles).max(initial=0.0)]
     if decaying.max(initial=-np.inf) * result.time[-1] < np.log(OVER):
         return None
-    from rotorsim.simulate.periodic_motion import periodic
+    from rotorsim.settled.periodic import periodic
 
     try:
         made = periodic(model, speeds=[speed], signals=[item.signal for item in found], stability=False)
@@ -112,7 +112,7 @@ def motion(
     speed = _constant_speed(result, angle)
     if speed is None:
         return {}
-    from rotorsim.simulate.spectrum import LEAST_SAMPLES, few_samples, harmonics, last_turns
+    from rotorsim.signals.spectrum import LEAST_SAMPLES, few_samples, harmonics, last_turns
 
     made: dict[str, Any] = {"speed": speed, "speed_rpm": common.rpm(speed), "settled": None}
     if not found:
@@ -189,7 +189,7 @@ def run_ups(result: Result, angle: str, shown: Collection[str]) -> list[dict[str
     speed = angle.replace(".theta", ".speed")
     if not angle or result.status != "finished" or speed not in result or np.ptp(result[speed]) == 0.0:
         return []
-    from rotorsim.simulate.spectrum import run_up
+    from rotorsim.signals.spectrum import run_up
 
     if not (np.diff(result[speed]) >= 0).all() or len(result.time) < 100:
         return []

@@ -45,10 +45,11 @@ def command(
     """
     from rotorsim.diagram.diff import diff
     from rotorsim.diagram.edit import swap
-    from rotorsim.diagram.files import write_atomically
-    from rotorsim.diagram.fmt import format_document
-    from rotorsim.diagram.load import load, shipped_diagrams
-    from rotorsim.diagram.registry import Registry
+    from rotorsim.diagram.parse.fmt import format_document
+    from rotorsim.diagram.resolve.registry import Registry
+    from rotorsim.diagram.resolve.resolution import shipped_diagrams
+    from rotorsim.files import write_atomically
+    from rotorsim.model.load import load
 
     if out and in_place:
         raise RotorsimError(Problem(what="--out and --in-place exclude each other", hint="give one of them"))
@@ -123,8 +124,8 @@ def _from(folder: Path, file: str) -> str:
 
 def _designed(diagram: str, block: str, given: dict[str, Any], trust_blocks: bool) -> dict[str, Any]:
     """Design the controller from the linearised rest of the diagram; return its matrices as lists."""
-    from rotorsim.diagram.load import load
-    from rotorsim.simulate.design import design_state_feedback
+    from rotorsim.linear.design import design_state_feedback
+    from rotorsim.model.load import load
 
     unknown = [
         Problem(what=f"the design has no weight '{name}'", subject=block, hint=near_miss(name, WEIGHTS))

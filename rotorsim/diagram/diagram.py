@@ -7,13 +7,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import networkx as nx
 import numpy as np
 
 from rotorsim.block import Block, In, Out, Shape
-from rotorsim.diagram.traced import BlockTrace
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.fault import Fault, Steps
 
@@ -141,9 +141,9 @@ class Free:
     scale: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Diagram:
-    """A validated diagram; made by `rotorsim.diagram.load`, never by hand.
+    """A validated diagram; made by `rotorsim.model.load`, never by hand.
 
     parameters: diagram parameters as SI arrays. cut: input ports cut by ``--without`` (they read zero).
     document: the JSON it came from, with ``set`` in it (for fmt, swap, diff and provenance). file: its name.
@@ -177,9 +177,8 @@ class Diagram:
         return f"Diagram({self.name}: {len(self.nodes)} blocks, {len(self.wires)} wires{where})"
 
     def _repr_html_(self) -> str:
-        from rotorsim.diagram.draw import draw_svg
-
-        return draw_svg(self)
+        # the picture is made above the data, and therefore named, not imported (as in `rotorsim._shown`)
+        return str(import_module("rotorsim.diagram.draw").draw_svg(self))
 
     def as_measured(self, name: str) -> str:
         """Return the signal of this diagram that a recording means by a flat name ("rotor.displacement[3,1]")."""
@@ -214,9 +213,7 @@ class Diagram:
                 end, before = before, self._entering(before)
         if not passed:
             return self
-        seen = replace(self, looked_through=frozenset(passed))
-        vars(seen).update({key: value for key, value in vars(self).items() if key not in seen.__dataclass_fields__})
-        return seen
+        return replace(self, looked_through=frozenset(passed))
 
     def _entering(self, end: Endpoint) -> Endpoint | None:
         """Return what a converter makes a signal from, None where no converter makes it."""
@@ -227,16 +224,6 @@ class Diagram:
             if at.block == end.block and at.port in ports and end.index[: len(at.index)] == at.index:
                 return Endpoint(wire.source.block, wire.source.port, (*wire.source.index, *end.index[len(at.index) :]))
         return None
-
-    @cached_property
-    def traces(self) -> Mapping[str, BlockTrace]:
-        """The traced equations of every block; like blocks share one trace."""
-        from rotorsim.diagram.order import trace_blocks
-
-        traces, problems = trace_blocks(self)
-        if problems:
-            raise RotorsimError(*problems)
-        return traces
 
     @cached_property
     def sha256(self) -> str:

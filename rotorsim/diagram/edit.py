@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from rotorsim.block import Block
-from rotorsim.diagram.document import endpoint
-from rotorsim.diagram.registry import Registry
+from rotorsim.diagram.parse.document import endpoint
+from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
 __all__ = ["fitting_types", "swap"]

@@ -6,8 +6,8 @@ import json
 from typing import Any
 
 from rotorsim.block import Block, _Option, _Param
-from rotorsim.diagram.load import METHODS
-from rotorsim.diagram.registry import all_types
+from rotorsim.diagram.resolve.registry import all_types
+from rotorsim.diagram.resolve.resolution import METHODS
 
 __all__ = ["json_schema", "schema_text"]
 

@@ -1,82 +1,290 @@
-"""The block of numbers that an FMU and its user share: in one process, or between two.
+"""The block ``fmu``: its ports and parameters are those that the model description of an FMU states.
 
-64 whole numbers (who asks, what, what came of it), 16 numbers (time, step, ...), then u, its derivatives, y, x, its
-derivative, event indicators and nominal values. Its layout follows from four sizes that both sides know.
+Variables are grouped by their structured names: ``rotor.force[1]``, ``rotor.force[2]`` are a port of shape 2. A first
+part that all inputs and outputs share ("rotor.") is left out; other dots become underscores.
 """
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
-import mmap
-from dataclasses import dataclass
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import prod
+from pathlib import Path
+from typing import Any
 
-__all__ = ["Block", "Head", "Op", "Said", "Sizes"]
+import numpy as np
 
-_HEAD, _SCALARS = 64, 16
+from rotorsim.block import Block, Equations, In, Option, Out, Param, Shape
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.fmi.description.model import FLOATS, INTEGERS, NUMERIC, FmuVariable, ModelDescription
+from rotorsim.fmi.runtime.slave import describe_fmu
 
+__all__ = ["FmuPort", "block_class", "ports_of"]
 
-class Head:
-    """Places in the head; what the two sides write lies on different cache lines."""
-
-    REQUEST, OP, USER_SLEEPS = 0, 1, 2  # written by the user
-    REPLY, STATUS, SAID, FUNCTION, FMU_SLEEPS, WARNED = 16, 17, 18, 19, 20, 21  # beside the FMU; STATUS is taken back
-
-
-class Op:
-    """What to do, in this order; bits."""
-
-    TIME, X, U, DU, STEP, XDOT, Y, Z, READ_X, COMPLETED, EVENT = (1 << k for k in range(11))
-    COMMAND = -1
-
-
-class Said:
-    """What the FMU said; bits."""
-
-    EVENT, TERMINATE, STATES, NOMINALS = (1 << k for k in range(4))
+_INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")
+_TAKEN = ("file", "interface", "in_process")  # options of the block itself; a value of the FMU of this name gets a "_"
+_WORDS: dict[str, type] = {"Boolean": bool, "String": str}  # types whose values are given as such
 
 
 @dataclass(frozen=True)
-class Sizes:
-    """Numbers of scalars in all, states, event indicators; order: derivatives of inputs."""
+class FmuPort:
+    """A port or parameter of an ``fmu`` block: the FMU's own names of its entries, row-major.
 
-    n: int
-    n_x: int
-    n_z: int
-    order: int = 0
+    Ports are in SI units, whatever the FMU has: scales (n, 2) are factor and offset of the entries, SI value = factor *
+    value of the FMU + offset. start: SI.
+    """
 
-    @property
-    def bytes(self) -> int:
-        """How long the block is."""
-        return 8 * (_HEAD + _SCALARS + self.n * (2 + self.order) + 3 * self.n_x + self.n_z)
+    name: str
+    shape: Shape
+    unit: str | None
+    entries: tuple[str, ...]
+    start: np.ndarray | None
+    description: str
+    scales: np.ndarray
+    discrete: bool = False
+
+    def to_si(self, values: Any) -> np.ndarray:
+        """Return values (n,) of the FMU in SI units."""
+        return np.asarray(self.scales[:, 0] * np.ravel(values) + self.scales[:, 1])
+
+    def of_fmu(self, values: Any) -> np.ndarray:
+        """Return SI values (n,) in the units of the FMU."""
+        return np.asarray((np.ravel(values) - self.scales[:, 1]) / self.scales[:, 0])
 
 
-class Block:
-    """Views on a block: head (whole numbers), numbers, and the offsets of the vectors in numbers."""
+@dataclass(frozen=True)
+class FmuOption:
+    """A value of a variable that is no number: true or false, a text, the name of an item, or the size of arrays."""
 
-    T, H, NEXT, LAST = (_HEAD + k for k in range(4))
+    name: str
+    variable: FmuVariable
+    default: Any
+    items: Mapping[str, int]
 
-    def __init__(self, memory: mmap.mmap, sizes: Sizes) -> None:
-        self.sizes, self.memory = sizes, memory
-        with memoryview(memory) as whole, whole[: sizes.bytes] as view:
-            self.head = view.cast("q")
-            self.numbers = view.cast("d")
-        self.address = ctypes.addressof(ctypes.c_char.from_buffer(memory))
-        self.u = _HEAD + _SCALARS
-        self.du = self.u + sizes.n
-        self.y = self.du + sizes.n * sizes.order
-        self.x = self.y + sizes.n
-        self.xdot = self.x + sizes.n_x
-        self.nominals = self.xdot + sizes.n_x
-        self.z = self.nominals + sizes.n_x
+    def of_fmu(self, value: Any) -> Any:
+        """Return a value as the FMU has it."""
+        return self.items.get(value, value) if isinstance(value, str) else value
 
-    def at(self, offset: int) -> int:
-        """Return the address of a number."""
-        return self.address + 8 * offset
 
-    def close(self) -> None:
-        """Give the memory back, once nobody has a view on it; nothing here can be used afterwards."""
-        self.head.release()
-        self.numbers.release()
-        with contextlib.suppress(BufferError):
-            self.memory.close()
+def ports_of(
+    description: ModelDescription, causalities: Sequence[str], prefix: str, types: Sequence[str] = NUMERIC
+) -> dict[str, FmuPort]:  # fmt: skip
+    """Return the variables of some causalities grouped to ports: numbers; flags as 0 and 1."""
+    groups: dict[tuple[str, int], list[tuple[tuple[int, ...], str, FmuVariable, float | None]]] = {}
+    for variable in description.by_causality(*causalities):
+        if variable.type not in types or variable.clocked:
+            continue
+        starts = np.ravel(variable.start) if variable.start is not None else [None] * variable.size
+        starts = list(starts) * variable.size if len(starts) == 1 < variable.size else list(starts)
+        for name, start in zip(variable.names(), starts, strict=True):
+            match = _INDEX.fullmatch(name)
+            base = match[1] if match else name
+            index = tuple(int(part) for part in match[2].split(",")) if match else ()
+            groups.setdefault((base, len(index)), []).append((index, name, variable, start))
+    found: dict[str, FmuPort] = {}
+    for (base, _), members in groups.items():
+        port = _port(description, base, members, prefix)
+        if port.name in found and "local" in causalities:
+            continue  # it cannot be named
+        if port.name in found:
+            raise RotorsimError(
+                Problem(f"two variables would be called '{port.name}'", description.name, description.place)
+            )
+        found[port.name] = port
+    return found
+
+
+def _port(
+    description: ModelDescription, base: str, members: Sequence[tuple[tuple[int, ...], str, FmuVariable, float | None]],
+    prefix: str,
+) -> FmuPort:  # fmt: skip
+    members = sorted(members, key=lambda member: member[0])
+    indices = np.array([member[0] for member in members])
+    shape: Shape = ()
+    if indices.size:
+        shape = tuple(int(n) for n in indices.max(axis=0))
+        if prod(shape) != len(members) or indices.min() != 1:
+            shape = (len(members),)
+    variable = members[0][2]
+    starts = [member[3] for member in members]
+    units = {v.name: description.unit_of(v) for _, _, v, _ in members}
+    scales = np.array([(unit.factor, unit.offset) if (unit := units[v.name]) else (1.0, 0.0) for _, _, v, _ in members])
+    shown = {unit.si if unit else None for unit in units.values()}
+    port = FmuPort(
+        port_name(base, prefix), shape, shown.pop() if len(shown) == 1 else None, tuple(m[1] for m in members), None,
+        variable.description, scales, variable.variability in ("discrete", "constant", "fixed"),
+    )  # fmt: skip
+    if not all(value is not None and math.isfinite(value) for value in starts):
+        return port  # what is not finite cannot be given here: the FMU keeps it
+    return replace(port, start=port.to_si(np.array(starts, float)).reshape(shape))
+
+
+def port_name(base: str, prefix: str) -> str:
+    """Return the name of a port for the base of variables' names."""
+    text = base[len(prefix) :] if prefix and base.startswith(prefix) else base
+    text = re.sub(r"\W", "_", text)
+    return f"_{text}" if text[:1].isdigit() else text
+
+
+def unit_warnings(description: ModelDescription) -> list[Problem]:
+    """Return a warning for every unit of a variable at work that is neither defined nor known, and so fits anything."""
+    names: dict[str, FmuVariable] = {}
+    for variable in description.by_causality("input", "output", "parameter"):
+        if variable.unit and variable.type in FLOATS and description.unit_of(variable) is None:
+            names.setdefault(variable.unit, variable)
+    return [
+        Problem(
+            f"the unit '{unit[:80]}' is neither defined in the FMU nor known: it is taken as it is and fits all",
+            variable.name[:200], variable.place, severity="warning",
+        )
+        for unit, variable in names.items()
+    ]  # fmt: skip
+
+
+def _silent(description: ModelDescription, outputs: Mapping[str, FmuPort], prefix: str) -> list[Problem]:
+    """Return a warning where nothing of an FMU can be seen."""
+    inside = [] if outputs else [*ports_of(description, ("local",), prefix)]
+    if not inside:
+        return []
+    shown = ", ".join(inside[:5]) + (", ..." if len(inside) > 5 else "")
+    hint = f'"record": ["BLOCK.{inside[0]}"]; there are {shown}'
+    what = "it has no outputs, and none of the variables inside is recorded or wired"
+    return [Problem(what, hint=hint, severity="warning")]
+
+
+def prefix_of(description: ModelDescription) -> str:
+    """Return the first part "name." that all inputs and outputs share, or nothing."""
+    names = [v.name for v in description.by_causality("input", "output")]
+    first = {name.partition(".")[0] for name in names if "." in name.partition("[")[0]}
+    return f"{first.pop()}." if len(first) == 1 and all("." in name.partition("[")[0] for name in names) else ""
+
+
+def options_of(description: ModelDescription, prefix: str) -> dict[str, FmuOption]:
+    """Return what is given as text, true or false, or the name of an item, and the sizes of arrays (FMI 3.0)."""
+    found = {}
+    for variable in description.by_causality("parameter", "input", "structuralParameter"):
+        items = description.items.get(variable.declared_type, {}) if variable.type == "Enumeration" else {}
+        sized = variable.causality == "structuralParameter"
+        if variable.start is None or variable.clocked or not (variable.type in _WORDS or items or sized):
+            continue
+        name, start = _value_name(port_name(variable.name, prefix)), variable.start
+        if items and not variable.dimensions:
+            start = next((item for item, value in items.items() if value == start), start)
+        if not variable.dimensions or variable.type in _WORDS:
+            found[name] = FmuOption(name, variable, list(start) if isinstance(start, tuple) else start, items)
+    return found
+
+
+def _value_name(name: str) -> str:
+    return f"{name}_" if name in _TAKEN else name
+
+
+def _option(option: FmuOption) -> Any:
+    """Return the declaration of an option."""
+    kind: Any = _WORDS.get(option.variable.type, int)
+    more: dict[str, Any] = {"low": 0} if option.variable.causality == "structuralParameter" else {}
+    if option.items:
+        kind, more = (str, int), {"choices": (*option.items, *option.items.values())}
+    return Option(option.default, name=option.name, kind=kind, doc=option.variable.description, **more)
+
+
+@lru_cache(maxsize=64)
+def _made(
+    path: Path, _stamp: tuple[int, int], sizes: tuple[tuple[str, int], ...] = (), signals: frozenset[str] = frozenset()
+) -> type[Block]:
+    if sizes:  # given by the names of the block
+        prefix = prefix_of(_made(path, _stamp).fmu_description)  # type: ignore[attr-defined]
+        known = {
+            port_name(v.name, prefix): v.name
+            for v in describe_fmu(path).by_causality("structuralParameter")
+        }  # fmt: skip
+        description = describe_fmu(path, sizes={known[name]: size for name, size in sizes if name in known})
+    else:
+        description = describe_fmu(path)
+    prefix = prefix_of(description)
+    inputs = ports_of(description, ("input",), prefix)
+    outputs = ports_of(description, ("output",), prefix)
+    if not signals <= outputs.keys():
+        inside = ports_of(description, ("local", "calculatedParameter", "parameter", "independent"), prefix)
+        outputs |= {name: port for name, port in inside.items() if name in signals - outputs.keys()}
+    options = options_of(description, prefix)
+    resized = set(description.sizes)
+    parameters = {
+        _value_name(name): port
+        for name, port in ports_of(description, ("parameter",), prefix, (*FLOATS, *INTEGERS)).items()
+        if name not in options and (port.start is not None or resized)
+    }
+    body: dict[str, Any] = {
+        "__doc__": f"{description.description or description.name} (FMU).\n\nIts equations are inside the FMU.",
+        "type_name": "fmu", "category": "fmu", "opaque": True, "source": description.name,
+        "fmu_path": path, "fmu_description": description, "fmu_options": options,
+        "fmu_warnings": [*description.warnings, *unit_warnings(description), *_silent(description, outputs, prefix)],
+        "fmu_inputs": inputs, "fmu_outputs": outputs, "fmu_parameters": parameters,
+        "no_signals": {
+            port_name(v.name, prefix): "a text, no signal: cosim tells its last value"
+            for v in description.by_causality("output") if v.type == "String" and not v.clocked
+        },
+        "file": Option(str(path), kind=str, doc="file of the FMU"),
+        "interface": Option("any", choices=("any", "cs", "me"), kind=str, doc="cs, me, or any: cs where it is offered"),
+        "in_process": Option(False, kind=bool, doc="load its code into this process: faster, but a crash is ours"),
+    }  # fmt: skip
+    for kind, ports in (("i", inputs), ("o", outputs)):
+        for port in ports.values():
+            declare = In if kind == "i" else Out
+            extra: dict[str, Any] = {"additive": True} if kind == "i" else {}
+            body[f"_{kind}_{port.name}"] = declare(
+                name=port.name, shape=port.shape, unit=port.unit, doc=port.description, **extra
+            )
+    starts = {
+        name: port for name, port in inputs.items()
+        if port.start is not None and name not in parameters and name not in options and name not in _TAKEN
+    }  # fmt: skip
+    body |= {f"_s_{name}": _option(option) for name, option in options.items()}
+    for name, port in {**parameters, **starts}.items():
+        body[f"_p_{name}"] = Param(
+            port.start.tolist() if port.start is not None and port.shape else port.start,
+            name=name, shape=port.shape, unit=port.unit, doc=port.description,
+        )  # fmt: skip
+    body["equations"] = _equations
+    return type("Fmu", (Block,), body)
+
+
+def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    """Return zeros: a co-simulation puts what the FMU says in their place."""
+    import casadi as ca
+
+    ports: Mapping[str, FmuPort] = self.fmu_outputs  # type: ignore[attr-defined]
+    zeros = {}
+    for name, port in ports.items():
+        rows, columns = (*port.shape, 1, 1)[:2] if len(port.shape) < 3 else (prod(port.shape), 1)
+        zeros[name] = ca.SX.zeros(rows, columns)
+    return Equations(outputs=zeros)
+
+
+def block_class(
+    path: str | Path, values: Mapping[str, Any] | None = None, signals: frozenset[str] = frozenset()
+) -> type[Block]:  # fmt: skip
+    """Return the block class of an FMU file. Raises RotorsimError for what cannot be read.
+
+    values: those given to the block, of which sizes of arrays give its ports their shapes. signals: names of ports that
+    somebody wants: variables inside the FMU among them become outputs.
+    """
+    path = Path(path).resolve()
+    try:
+        found = path.stat()
+    except OSError as error:
+        raise RotorsimError(Problem(f"cannot read {path.name}: {(error.strerror or str(error)).lower()}")) from None
+    stamp = (found.st_mtime_ns, found.st_size)
+    made = _made(path, stamp)
+    options: Mapping[str, FmuOption] = made.fmu_options  # type: ignore[attr-defined]
+    sizes = tuple(
+        (name, int(value))
+        for name, value in (values or {}).items()
+        if name in options and options[name].variable.causality == "structuralParameter"
+        and type(value) is int and value >= 0 and value != options[name].default
+    )  # fmt: skip
+    own: Mapping[str, FmuPort] = made.fmu_outputs  # type: ignore[attr-defined]
+    return _made(path, stamp, sizes, signals) if sizes or not signals <= own.keys() else made

@@ -15,10 +15,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from rotorsim.errors import Place, Problem, RotorsimError
-from rotorsim.fmi.archive import Archive
-from rotorsim.fmi.model_description import FLOATS, NUMERIC, FmuVariable, ModelDescription
-from rotorsim.fmi.platforms import SUFFIXES, binary_kind, folders, platform_of
-from rotorsim.fmi.slave import describe, open_fmu
+from rotorsim.fmi.description.archive import Archive
+from rotorsim.fmi.description.model import FLOATS, NUMERIC, FmuVariable, ModelDescription
+from rotorsim.fmi.description.platforms import SUFFIXES, binary_kind, folders, platform_of
+from rotorsim.fmi.runtime.slave import describe, open_fmu
 
 __all__ = ["validate_fmu"]
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagram.document import endpoint
-from rotorsim.diagram.source import JsonPath, Source, read_document
-from rotorsim.diagram.values import ValueProblem, numeric
+from rotorsim.diagram.parse.document import endpoint
+from rotorsim.diagram.parse.source import JsonPath, Source, read_document
+from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.recordings.recording import ANGLE, AXES, TACHO, USES, Channel
 from rotorsim.units import UnitError, compatible, parse_unit, split_quantity

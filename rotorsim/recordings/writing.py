@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagram.files import atomic_target, write_atomically
-from rotorsim.diagram.source import Source
+from rotorsim.diagram.parse.source import Source
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.files import atomic_target, write_atomically
 from rotorsim.recordings.document import FILE, parse_recording
 from rotorsim.recordings.recording import ANGLE, AXES, Channel
-from rotorsim.simulate.result import Result, flat_name
+from rotorsim.simulation.result import Result, flat_name
 from rotorsim.units import UnitError, conversion
 
 __all__ = ["NewRun", "save_recording"]

@@ -1,1 +1,1 @@
-"""Figures that a rotor engineer reads."""
+"""Figures and reports that a rotor engineer reads."""

@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.block import Block, DiscreteState, Shape
-from rotorsim.diagram.registry import find
-from rotorsim.diagram.traced import BlockTrace, trace_block
+from rotorsim.diagram.resolve.registry import find
+from rotorsim.model.trace.block import BlockTrace, trace_block
 
 Values = Mapping[str, Any]
 

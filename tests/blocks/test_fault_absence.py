@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rotorsim.diagram.registry import all_types, find
+from rotorsim.diagram.resolve.registry import all_types, find
 from tests.blocks.evaluation import prepare
 
 SHAPES: dict[str, tuple[int, ...]] = {"acceleration": (), "theta": (), "speed": ()}  # of inputs; all others are pairs

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorsim.diagram import load
-from rotorsim.diagram.registry import find
-from rotorsim.simulate import simulate
+from rotorsim.diagram.resolve.registry import find
+from rotorsim.model.load import load
+from rotorsim.simulation.run import simulate
 from tests.blocks.evaluation import Prepared, prepare, response_at, state_space_of
 
 BAND = 2 * pi * np.geomspace(1.0, 1000.0, 301)  # rad/s

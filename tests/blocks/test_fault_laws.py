@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorsim.diagram.registry import find
+from rotorsim.diagram.resolve.registry import find
 from tests.blocks.evaluation import Prepared, prepare
 
 SHAPES: dict[str, tuple[int, ...]] = {"theta": (), "speed": ()}

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from rotorsim.block import Block
-from rotorsim.diagram import load
-from rotorsim.diagram.load import shipped_diagrams
-from rotorsim.diagram.registry import all_types
-from rotorsim.diagram.source import read_document
+from rotorsim.diagram.parse.source import read_document
+from rotorsim.diagram.resolve.registry import all_types
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.fault import Fault, Lines, Of, Steps
-from rotorsim.simulate import simulate
+from rotorsim.model.load import load
+from rotorsim.simulation.run import simulate
 
 # every effect that a rotor model commonly leaves out and that can be named
 CATALOGUE = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rotorsim.blocks import _beam
+from rotorsim.blocks.common import beam as _beam
 from scipy.linalg import eigh, solve
 
 from tests.blocks.evaluation import prepare

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from rotorsim.diagram import load
-from rotorsim.simulate import Result, simulate
+from rotorsim.model.load import load
+from rotorsim.simulation.result import Result
+from rotorsim.simulation.run import simulate
 
 STEP = 1e-3
 

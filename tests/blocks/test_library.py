@@ -12,13 +12,13 @@ import pytest
 
 import rotorsim.block
 from rotorsim.block import Block
-from rotorsim.diagram.registry import find
+from rotorsim.diagram.resolve.registry import find
 from rotorsim.fault import ENTRIES
 from rotorsim.units import parse_unit
 from tests.blocks.evaluation import prepare_class
 
 ROOT = Path(rotorsim.block.__file__).parents[1]
-FILES = sorted((ROOT / "blocks").glob("[a-z]*.py"))
+FILES = sorted(file for file in (ROOT / "blocks").glob("*/[a-z]*.py") if file.parent.name != "common")
 NAMES = [file.stem for file in FILES]
 GUIDE = ROOT / "docs" / "writing-a-block.md"
 
@@ -51,7 +51,7 @@ def test_a_block_imports_nothing_else_of_ours(file: Path) -> None:
     modules |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     ours = {str(module) for module in modules if str(module).startswith("rotorsim")}
     assert "rotorsim.block" in ours
-    # what several blocks share lies beside them in a file that is no block: blocks/_beam.py
+    # what several blocks share lies beside them in a file that is no block: blocks/common/beam.py
     assert all(m in ("rotorsim.block", "rotorsim.fault") or m.startswith("rotorsim.blocks") for m in ours)
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rotorsim.diagnose.finder import insertions
-from rotorsim.diagram import load
+from rotorsim.diagnosis.catalogue.finder import insertions
+from rotorsim.model.load import load
 from tests.blocks.evaluation import prepare
 
 LENGTHS = (0.1, 0.15, 0.05, 0.2)

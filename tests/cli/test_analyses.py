@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rotorsim.cli.common import speeds_of
-from rotorsim.diagram.load import shipped_diagrams
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.errors import RotorsimError
 from tests.reference.published import FE_RIGID_AT_3000_RPM, as_printed
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorsim.diagram.load import shipped_diagrams
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from tests.cli.conftest import Run
-from tests.diagnose.test_diagnosis import HELD, NOISE, SPEEDS, bent
-from tests.identify import OTHER_GAINS, TRUTH, made
+from tests.diagnosis.test_diagnosis import HELD, NOISE, SPEEDS, bent
+from tests.identification import OTHER_GAINS, TRUTH, made
 from tests.reference.recordings import THESIS_GAINS, write_recording
 from tests.report import undrawn
 

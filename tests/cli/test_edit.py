@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from rotorsim.diagram import shipped_diagrams
-from rotorsim.diagram.registry import all_types
+from rotorsim.diagram.resolve.registry import all_types
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
 
 DIAGRAMS = sorted(shipped_diagrams())
 

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorsim.diagram import load
-from rotorsim.diagram.load import shipped_diagrams
-from rotorsim.identify import identify, save_identification
-from rotorsim.recordings import load_recording
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
+from rotorsim.identification.files import save_identification
+from rotorsim.identification.identification import identify
+from rotorsim.model.load import load
+from rotorsim.recordings.loading import load_recording
 from tests.cli.conftest import Run
-from tests.identify import TRUTH, made
-from tests.identify.test_likelihood import two_gains
+from tests.identification import TRUTH, made
+from tests.identification.test_likelihood import two_gains
 from tests.reference.recordings import LOWER, UPPER, write_recording
 from tests.report import undrawn
 

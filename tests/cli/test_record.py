@@ -12,7 +12,9 @@ import pytest
 
 from rotorsim.cli import common
 from rotorsim.cli.record import parse_gains
-from rotorsim.recordings import check_signals, load_recording, measuring
+from rotorsim.measure import record as measuring
+from rotorsim.measure.checks import check_signals
+from rotorsim.recordings.loading import load_recording
 
 
 def test_a_run_per_speed_and_set_of_gains(run) -> None:
@@ -55,7 +57,7 @@ def test_what_set_changes_is_not_written_as_known(run) -> None:
 def test_the_default_is_the_last_fifth_at_the_speed_of_the_diagram(run) -> None:
     run("record", "jeffcott", "--out", "m")
     run("run", "jeffcott", "--out", "r.npz")
-    from rotorsim.simulate import load_result
+    from rotorsim.simulation.files import load_result
 
     whole = load_result("r.npz")
     [item] = load_recording("m").runs

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorsim.diagram.source import Source
+from rotorsim.diagram.parse.source import Source
 from rotorsim.recordings.document import parse_recording
 from tests.recordings import made
 from tests.reference.published import TABLE_2_2

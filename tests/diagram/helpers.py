@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from rotorsim.diagram import load
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.model.load import load
 
 
 def diagram(blocks: dict[str, Any], *wires: tuple[str, str], **more: Any) -> dict[str, Any]:

@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorsim.diagram import load, shipped_diagrams
 from rotorsim.diagram.diff import diff
 from rotorsim.diagram.draw import draw_svg
 from rotorsim.diagram.edit import fitting_types, swap
-from rotorsim.diagram.fmt import format_document
+from rotorsim.diagram.parse.fmt import format_document
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.diagram.schema import json_schema
 from rotorsim.errors import RotorsimError
+from rotorsim.model.load import load
 
 DOCUMENTS = {name: json.loads(file.read_text(encoding="utf-8")) for name, file in shipped_diagrams().items()}
 JSON = st.recursive(

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from rotorsim.diagram.diff import diff
-from rotorsim.diagram.files import write_atomically
-from rotorsim.diagram.fmt import format_document
+from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.errors import RotorsimError
+from rotorsim.files import write_atomically
 
 
 def test_a_force_wired_twice_is_another_diagram() -> None:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotorsim.diagram import load
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import RotorsimError
+from rotorsim.model.load import load
 from tests.diagram.helpers import block, diagram, mistakes, written
 
 BLOCKS = {

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from rotorsim.diagram import load
-from rotorsim.diagram.load import MAX_PROBLEMS
+from rotorsim.diagram.resolve.resolution import MAX_PROBLEMS
 from rotorsim.errors import RotorsimError
+from rotorsim.model.load import load
 from tests.diagram.helpers import block, diagram, mistakes, written
 
 

@@ -11,8 +11,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rotorsim.diagram import Diagram, Endpoint, load, shipped_diagrams
+from rotorsim.diagram.diagram import Diagram, Endpoint
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.errors import RotorsimError
+from rotorsim.model.load import load
+from rotorsim.model.trace.order import block_traces
 from tests.diagram.helpers import block, diagram, mistakes, written
 
 
@@ -21,7 +24,7 @@ def test_a_shipped_diagram_has_no_mistakes_and_no_warnings(name: str) -> None:
     loaded = load(name)
     assert loaded.warnings == ()
     assert loaded.name == name
-    assert set(loaded.traces) == set(loaded.nodes)
+    assert set(block_traces(loaded)) == set(loaded.nodes)
 
 
 def test_values_are_si_arrays_of_the_resolved_shape() -> None:
@@ -235,7 +238,7 @@ def test_ten_thousand_blocks() -> None:
     loaded = load(chain(10_000))
     assert len(loaded.nodes) == 10_000
     assert loaded.nodes["b9999"].outputs["output"].shape == (2,)
-    assert len({id(trace) for trace in loaded.traces.values()}) == 3  # like blocks are traced once
+    assert len({id(trace) for trace in block_traces(loaded).values()}) == 3  # like blocks are traced once
     assert len(loaded.graph) == 10_000
 
 

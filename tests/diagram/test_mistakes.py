@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from rotorsim.diagram import load
 from rotorsim.errors import RotorsimError
+from rotorsim.model.load import load
 from tests.diagram.helpers import block, diagram, mistakes, written
 
 DOCS = "docs/diagrams.md describes the format; `rotorsim blocks TYPE` lists ports and parameters"

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rotorsim.diagram import load
-from rotorsim.diagram.order import evaluation_order, feedthrough_graph
+from rotorsim.model.load import load
+from rotorsim.model.trace.order import block_traces, evaluation_order, feedthrough_graph
 from tests.diagram.helpers import block, diagram, mistakes, written
 
 CURE = 'put a state into it (integrator, derivative filter, delay), or write "algebraic_loops": "solve"'
@@ -61,7 +61,7 @@ def test_feedthrough_is_per_port_not_per_block() -> None:
     order = [group[0] for group in evaluation_order(loaded)]
     assert order.index(("rotor", "displacement")) < order.index(("controller", "current"))
     assert order.index(("controller", "current")) < order.index(("amb", "force"))
-    graph = feedthrough_graph(loaded, loaded.traces)
+    graph = feedthrough_graph(loaded, block_traces(loaded))
     assert not list(graph.predecessors(("rotor", "displacement")))
     assert graph.edges[("clock", "speed"), ("unbalance", "force")]["via"] == "speed"
 

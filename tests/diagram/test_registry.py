@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from rotorsim.block import Block
-from rotorsim.diagram import load
-from rotorsim.diagram.registry import Registry, all_types, find
+from rotorsim.diagram.resolve.registry import Registry, all_types, find
+from rotorsim.model.load import load
 from tests.diagram.helpers import diagram, mistakes
 
 GOOD = '''
@@ -67,7 +67,7 @@ def folder(empty_folder: Path) -> Path:
 def test_a_type_is_the_name_of_its_file() -> None:
     found = find("gain")
     assert found is not None
-    assert found.__module__ == "rotorsim.blocks.gain"
+    assert found.__module__ == "rotorsim.blocks.signals.gain"
     assert find("no_such_type") is None
     for name in ("__init__", "os.path", "Gain", "../gain", "", "_beam"):
         assert find(name) is None
@@ -75,7 +75,7 @@ def test_a_type_is_the_name_of_its_file() -> None:
 
 def test_only_the_files_in_use_are_imported() -> None:
     code = (
-        "import sys, rotorsim.diagram as d; d.load('jeffcott');"
+        "import sys, rotorsim; rotorsim.load('jeffcott');"
         "print(sorted(m.split('.')[-1] for m in sys.modules if m.startswith('rotorsim.blocks.')))"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

@@ -8,9 +8,10 @@ from typing import Any
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rotorsim.diagram import load, shipped_diagrams
-from rotorsim.diagram.source import parse_document
+from rotorsim.diagram.parse.source import parse_document
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.model.load import load
 
 SHIPPED = {name: json.loads(file.read_text()) for name, file in shipped_diagrams().items() if "runup" not in name}
 ODD = st.one_of(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotorsim.diagram.source import MAX_BYTES, MAX_DEPTH, parse_document, read_document
+from rotorsim.diagram.parse.source import MAX_BYTES, MAX_DEPTH, parse_document, read_document
 from rotorsim.errors import Place, RotorsimError
 
 

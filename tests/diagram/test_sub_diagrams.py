@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorsim.diagram import Endpoint, load
+from rotorsim.diagram.diagram import Endpoint
 from rotorsim.errors import RotorsimError
+from rotorsim.model.load import load
 from tests.diagram.helpers import block, diagram, mistakes, written
 
 OUTSIDE = "name a file below that folder, such as 'parts/sub.json'"

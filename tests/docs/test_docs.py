@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from rotorsim.cli.block_pages import markdown_page
-from rotorsim.diagram.registry import all_types
+from rotorsim.diagram.resolve.registry import all_types
 from rotorsim.diagram.schema import schema_text
 from tests.docs.pages import FENCE, ROOT, blocks
 
@@ -52,8 +52,8 @@ def test_the_schema_is_current() -> None:
 
 def test_the_example_block_runs_as_shown(tmp_path: Path) -> None:
     """Duffing's spring by hand: f = -(k + a |u|^2) u."""
-    from rotorsim.diagram import load
-    from rotorsim.simulate import simulate
+    from rotorsim.model.load import load
+    from rotorsim.simulation.run import simulate
 
     [text] = blocks("docs/writing-a-block.md", "python")
     assert len([line for line in text.splitlines() if line.strip()]) <= 15

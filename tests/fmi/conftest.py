@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from rotorsim.diagram import load
-from rotorsim.fmi import export_fmu
+from rotorsim.fmi.export.export import export_fmu
+from rotorsim.model.load import load
 from tests.cli.conftest import run  # noqa: F401 - a fixture of the command line, here too
 
 Make = Callable[..., Path]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.diagram.load import load
+from rotorsim.model.load import load
 from tests.fmi.plant import library, make_fmu
 
 __all__ = ["MODELS", "alone", "events_fmu"]

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from rotorsim.compile.toolchain import find_compiler
-from rotorsim.fmi.platforms import SUFFIXES, folders, this_platform
+from rotorsim.fmi.description.platforms import SUFFIXES, folders, this_platform
+from rotorsim.model.emit.toolchain import find_compiler
 
 __all__ = ["FAULTS", "description2", "description3", "floats_only", "library", "make_fmu"]
 

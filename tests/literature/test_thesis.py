@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rotorsim.simulate import modes
+from rotorsim.linear.eigenmodes import modes
 from tests.reference.excitation import RPM
 from tests.reference.published import (
     FE_RIGID_AT_3000_RPM,

@@ -16,9 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorsim.cli.app import rotorsim
-from rotorsim.diagram import load, shipped_diagrams
-from rotorsim.diagram.registry import all_types
+from rotorsim.diagram.resolve.registry import all_types
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.errors import RotorsimError
+from rotorsim.model.load import load
 
 DOCUMENTS = {name: json.loads(file.read_text(encoding="utf-8")) for name, file in shipped_diagrams().items()}
 ODD: list[Any] = [

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorsim.compile import compile_diagram
-from rotorsim.compile.instance import make_instance
-from rotorsim.diagram import load
+from rotorsim.model.compiled import compile_diagram
+from rotorsim.model.instance import make_instance
+from rotorsim.model.load import load
 
 STEP, STEPS = 1e-2, 12
 CONSTANTS = [0.0, 1.0, -1.0, 0.5, 2.0, -3.0, 0.1]

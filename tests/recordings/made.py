@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.recordings import Recording, load_recording
+from rotorsim.recordings.loading import load_recording
+from rotorsim.recordings.recording import Recording
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "recordings"
 CHANNELS = {

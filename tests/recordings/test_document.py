@@ -11,10 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorsim.diagram.source import Source, parse_document
+from rotorsim.diagram.parse.source import Source, parse_document
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.recordings import Recording, check_signals, load_recording, recording_schema
-from rotorsim.recordings.document import KEYS, parse_recording
+from rotorsim.measure.checks import check_signals
+from rotorsim.recordings.document import KEYS, parse_recording, recording_schema
+from rotorsim.recordings.loading import load_recording
+from rotorsim.recordings.recording import Recording
 from tests.recordings.made import CHANNELS, SHARED, SPEED, document, load, run, samples, write
 
 

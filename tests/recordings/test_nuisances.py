@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from rotorsim.recordings import pickup
-from rotorsim.recordings.colour import colour_of, density, of_mean
-from rotorsim.recordings.faint_lines import Spectrum
-from rotorsim.recordings.harmonic_fit import harmonic_basis, real_vector
-from rotorsim.recordings.harmonics import harmonics_of
-from rotorsim.recordings.held import _step, find_held, without_held
-from rotorsim.recordings.pickup import find_mains, with_pickups
-from tests.recordings.test_harmonic_fit import fitted, harmonics, signal
-from tests.recordings.test_second_frequency import HARMONICS, TURN, closed_form, pulses, recording
+from rotorsim.signals import pickup
+from rotorsim.signals.colour import colour_of, density, of_mean
+from rotorsim.signals.faint_lines import Spectrum
+from rotorsim.signals.harmonic_fit import harmonic_basis, real_vector
+from rotorsim.signals.harmonics import harmonics_of
+from rotorsim.signals.held import _step, find_held, without_held
+from rotorsim.signals.pickup import find_mains, with_pickups
+from tests.signals.test_asynchronous import HARMONICS, TURN, closed_form, pulses, recording
+from tests.signals.test_harmonic_fit import fitted, harmonics, signal
 
 RATE, N, K = 2000.0, 2000, 4
 TIME = np.arange(N) / RATE

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.recordings import load_recording, readers
+from rotorsim.recordings import readers
+from rotorsim.recordings.loading import load_recording
 from rotorsim.recordings.readers import read_columns
 from tests.recordings.made import CHANNELS, document, run, samples, write
 

@@ -7,11 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import rotorsim.recordings
-from rotorsim.diagram import load, shipped_diagrams
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.errors import RotorsimError
-from rotorsim.recordings import NewRun, check_signals, load_recording, save_recording, writing
-from rotorsim.simulate import Result, simulate
+from rotorsim.measure.checks import check_signals
+from rotorsim.model.load import load
+from rotorsim.recordings import writing
+from rotorsim.recordings.loading import load_recording
+from rotorsim.recordings.writing import NewRun, save_recording
+from rotorsim.simulation.result import Result
+from rotorsim.simulation.run import simulate
 
 SPEED = 2 * np.pi * 25.0
 
@@ -210,10 +214,3 @@ def test_mistakes_write_nothing(tmp_path):
     assert not folder.exists()
     (tmp_path / "file").write_text("x")
     assert len(problems(tmp_path / "file" / "new", good)) == 1
-
-
-def test_the_public_names_are_there():
-    for name in rotorsim.recordings.__all__:
-        assert getattr(rotorsim.recordings, name) is not None
-    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
-        rotorsim.recordings.nothing  # noqa: B018

@@ -4,14 +4,14 @@ import pytest
 
 from benchmarks.concealed.generator import make_case
 from benchmarks.concealed.writing import write_case
-from rotorsim.diagnose.diagnosis import diagnose
-from rotorsim.diagnose.files import save_diagnosis
-from rotorsim.diagram import load
-from rotorsim.identify.identification import identify
-from rotorsim.recordings import load_recording
-from rotorsim.recordings.converter_steps import find_steps
-from rotorsim.recordings.converters import stated_steps
-from rotorsim.recordings.harmonics import harmonics_of
+from rotorsim.diagnosis.diagnosis import diagnose
+from rotorsim.diagnosis.files import save_diagnosis
+from rotorsim.identification.identification import identify
+from rotorsim.model.load import load
+from rotorsim.recordings.loading import load_recording
+from rotorsim.signals.converters import stated_steps
+from rotorsim.signals.harmonics import harmonics_of
+from rotorsim.signals.quantisation import find_steps
 
 SEED = (77, 1)
 

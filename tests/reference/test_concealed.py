@@ -228,7 +228,7 @@ def test_same_seed_writes_the_same_bytes(tmp_path: Path, kind: str, machine: str
 
 
 def test_recordings_are_read_and_fit_the_diagram(tmp_path: Path) -> None:
-    from rotorsim.recordings import load_recording
+    from rotorsim.recordings.loading import load_recording
 
     write_case(generator.make_case("c", "nothing", "jeffcott", (1, 0), 0), tmp_path, (1, 0))
     truth = json.loads((tmp_path / "truth" / "c.json").read_text())

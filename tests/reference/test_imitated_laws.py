@@ -6,9 +6,9 @@ import pytest
 
 from benchmarks.concealed.generator import make_case
 from benchmarks.concealed.writing import write_case
-from rotorsim.diagnose.diagnosis import diagnose
-from rotorsim.diagram import load
-from rotorsim.recordings import load_recording
+from rotorsim.diagnosis.diagnosis import diagnose
+from rotorsim.model.load import load
+from rotorsim.recordings.loading import load_recording
 
 SEED = (77, 0)
 

@@ -18,20 +18,20 @@ import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
 
-from rotorsim.diagnose.diagnosis import Diagnosis, diagnose
-from rotorsim.diagnose.files import diagnosis_data
-from rotorsim.diagnose.insertion import Spot
-from rotorsim.diagram import load
-from rotorsim.recordings import Recording
-from rotorsim.report.diagnosis_comparison import Pair, excess_of, fitted_pair, held_pair, traces
-from rotorsim.report.diagnosis_evidence import parameters_figure, residuals_figure, traces_figure
-from rotorsim.report.diagnosis_figures import orbits_figure, spectra_figure, speed_curves_figure
-from rotorsim.report.diagnosis_places import NEW, SHADES, block_diagram, places_figure
-from rotorsim.report.diagnosis_report import save_report
-from rotorsim.report.diagnosis_tables import estimate, flat
-from tests.diagnose.test_diagnosis import HELD, SPEEDS, recording
-from tests.diagnose.time_machines import OSCILLATOR, oscillator_recording
-from tests.identify import OTHER_GAINS, changed, shipped
+from rotorsim.diagnosis.catalogue.insertion import Spot
+from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
+from rotorsim.diagnosis.files import diagnosis_data
+from rotorsim.model.load import load
+from rotorsim.recordings.recording import Recording
+from rotorsim.report.diagnosis.comparison import Pair, excess_of, fitted_pair, held_pair, traces
+from rotorsim.report.diagnosis.evidence import parameters_figure, residuals_figure, traces_figure
+from rotorsim.report.diagnosis.figures import orbits_figure, spectra_figure, speed_curves_figure
+from rotorsim.report.diagnosis.places import NEW, SHADES, block_diagram, places_figure
+from rotorsim.report.diagnosis.report import save_report
+from rotorsim.report.diagnosis.tables import estimate, flat
+from tests.diagnosis.evidence.machines import OSCILLATOR, oscillator_recording
+from tests.diagnosis.test_diagnosis import HELD, SPEEDS, recording
+from tests.identification import OTHER_GAINS, changed, shipped
 from tests.report import undrawn
 
 FIGURES = {"where.png", "spectra.png", "orbits.png", "speed_curves.png", "residuals.png", "parameters.png"}

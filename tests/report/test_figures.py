@@ -8,12 +8,12 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from rotorsim.diagram import load
 from rotorsim.errors import RotorsimError
-from rotorsim.report.figures import orbit, overview, run_up_figure, save_figure, spectrum_figure, time_histories
+from rotorsim.model.load import load
+from rotorsim.report.figures.run import orbit, overview, run_up_figure, save_figure, spectrum_figure, time_histories
 from rotorsim.report.style import BLUE, ORANGE
-from rotorsim.simulate.result import Result
-from rotorsim.simulate.run import simulate
+from rotorsim.simulation.result import Result
+from rotorsim.simulation.run import simulate
 
 
 @pytest.fixture(scope="module")
@@ -162,9 +162,7 @@ def test_figures_leave_matplotlib_as_it_was(result):
     before = dict(mpl.rcParams)
     overview(result)
     assert dict(mpl.rcParams) == before
-    code = (
-        "import sys, rotorsim.report.figures, rotorsim.report.linear_figures; print('matplotlib.pyplot' in sys.modules)"
-    )
+    code = "import sys, rotorsim.report.figures.linear; print('matplotlib.pyplot' in sys.modules)"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "False"
 
 

@@ -9,12 +9,12 @@ import pytest
 from click.testing import CliRunner
 
 from rotorsim.cli.app import rotorsim
-from rotorsim.diagram import load
 from rotorsim.errors import Place
-from rotorsim.identify import identify
+from rotorsim.identification.identification import identify
+from rotorsim.model.load import load
 from rotorsim.recordings.recording import Channel, Recording, Run
-from rotorsim.report.comparison import compare
-from rotorsim.report.identification_figures import (
+from rotorsim.report.identification.comparison import compare
+from rotorsim.report.identification.figures import (
     correlation_figure,
     orbits_figure,
     parameters_figure,
@@ -23,7 +23,7 @@ from rotorsim.report.identification_figures import (
     speed_curve_figure,
 )
 from rotorsim.report.style import BLUE, GREY, INK, RED
-from rotorsim.simulate.periodic_motion import periodic
+from rotorsim.settled.periodic import periodic
 from tests.recordings import made as written
 
 RPM = np.pi / 30

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from rotorsim.report import diagnosis_figures, identification_figures
+from rotorsim.report.diagnosis import figures as diagnosis_figures
+from rotorsim.report.identification import figures as identification_figures
 from tests.report.test_identification_figures import bars
 
 SIGNAL = SimpleNamespace(unit="m", title="rotor.displacement", y="")

@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from rotorsim.diagram import load
 from rotorsim.errors import RotorsimError
-from rotorsim.report.figures import save_figure
-from rotorsim.report.linear_figures import (
+from rotorsim.linear.campbell import Campbell, Crossing, campbell
+from rotorsim.linear.frequency import FrequencyResponse, frequency_response, sensitivity
+from rotorsim.model.load import load
+from rotorsim.report.figures.linear import (
     campbell_figure,
     frequency_response_figure,
     periodic_figure,
     sensitivity_figure,
 )
+from rotorsim.report.figures.run import save_figure
 from rotorsim.report.style import BLUE, ORANGE
-from rotorsim.simulate.campbell_diagram import Campbell, Crossing, campbell
-from rotorsim.simulate.frequency import FrequencyResponse, frequency_response, sensitivity
-from rotorsim.simulate.periodic_result import Periodic
+from rotorsim.settled.result import Periodic
 
 RPM = np.pi / 30
 

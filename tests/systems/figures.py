@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.signal import hilbert
 
-from rotorsim.compile import compile_diagram
-from rotorsim.simulate import periodic, simulate
+from rotorsim.model.compiled import compile_diagram
+from rotorsim.settled.periodic import periodic
+from rotorsim.simulation.run import simulate
 from tests.reference.excitation import RPM, harmonics
 from tests.reference.jeffcott import Jeffcott
 from tests.reference.published import TABLE_2_2

@@ -10,9 +10,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rotorsim.compile import compile_diagram
-from rotorsim.diagram import load
-from rotorsim.simulate import simulate
+from rotorsim.model.compiled import compile_diagram
+from rotorsim.model.load import load
+from rotorsim.simulation.run import simulate
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 DIAGRAMS = ROOT / "diagrams"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.controllers import CONTROLLERS, judge, sampled_sensitivity, swapped
-from rotorsim.compile import compile_diagram
-from rotorsim.simulate import sensitivity
+from rotorsim.linear.frequency import sensitivity
+from rotorsim.model.compiled import compile_diagram
 from tests.reference.jeffcott import Jeffcott
 from tests.systems.shipped import document, load_document, shipped
 

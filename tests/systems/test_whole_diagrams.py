@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rotorsim.simulate import simulate
+from rotorsim.simulation.run import simulate
 from tests.reference.jeffcott import Jeffcott
 from tests.reference.rotor import Rotor
 from tests.systems import figures

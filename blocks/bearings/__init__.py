@@ -1,0 +1,1 @@
+"""Magnetic bearings and supports."""

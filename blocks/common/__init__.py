@@ -1,0 +1,1 @@
+"""What several blocks share; no blocks of their own."""

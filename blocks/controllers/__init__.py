@@ -1,0 +1,1 @@
+"""Controllers of magnetic bearings, which can be swapped for one another."""

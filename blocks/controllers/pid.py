@@ -1,0 +1,37 @@
+"""PID controller of a magnetic bearing."""
+
+from typing import Any
+
+from rotorsim.blocks.common import controller as control
+
+from rotorsim.block import Block, Equations, Param, State
+
+
+class Pid(Block):
+    """Control a magnetic bearing by proportional, integral and derivative action on each axis.
+
+    i = KP e + KI int e dt + KD u'        e = u - reference        thesis eq. (2.24)
+
+    u: displacement. u' is the wired velocity; without that wire it is taken from the displacement through a filter,
+    s / (1 + derivative_time_constant s). It acts on the displacement alone, so a jump of the reference gives no kick.
+    Positive displacement gives positive current. Gains: thesis Table 2-1.
+    """
+
+    source = "thesis eq. (2.24), Table 2-1"
+    category = "controller"
+
+    displacement = control.DISPLACEMENT
+    velocity = control.VELOCITY
+    reference = control.REFERENCE
+    current = control.CURRENT
+    KP = Param(12200.0, unit="A/m", doc="proportional gain")
+    KI = Param(2000.0, unit="A/(m s)", doc="integral gain")
+    KD = Param(3.0, unit="A s/m", doc="derivative gain")
+    derivative_time_constant = control.FILTER
+    initial_displacement = control.START
+    integral = State(shape=2, unit="m s", doc="integral of e")
+    filtered = control.FILTERED
+
+    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+        current, _, _, derivatives = control.pid_of(p, u, x)
+        return Equations(outputs={"current": current}, derivatives=derivatives)

@@ -1,0 +1,1 @@
+"""What drives a rotor: clock, references, unbalance, crack, recorded signals."""

@@ -1,0 +1,1 @@
+"""Physics that a diagram may lack: the candidates of a diagnosis."""

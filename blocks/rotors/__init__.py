@@ -1,0 +1,1 @@
+"""Rotors and other mechanical plants."""

@@ -1,0 +1,1 @@
+"""Elementary blocks: sources, arithmetic, dynamics, routing and recording of signals."""

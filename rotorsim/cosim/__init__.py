@@ -1,0 +1,1 @@
+"""Co-simulation: participants, masters, coupling, and what the coupling does to stability."""

@@ -1,0 +1,213 @@
+"""How participants are coupled: which output goes to which input, in which order they are best advanced."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import networkx as nx
+import numpy as np
+
+from rotorsim.cosim.participant import Participant
+from rotorsim.errors import Problem, RotorsimError, near_miss
+
+__all__ = ["Coupling"]
+
+NEWTON_STEPS = 20
+CLOSE = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """Participants and the matrix L (inputs, outputs) of their wires: u = L y + u0.
+
+    u and y hold the inputs and outputs of all participants, one after the other. held (outputs,): those that are
+    piecewise constant (sampled), which are held and never extrapolated.
+    """
+
+    participants: tuple[Participant, ...]
+    L: np.ndarray
+    u0: np.ndarray
+    held: np.ndarray | None = None
+
+    @cached_property
+    def u_parts(self) -> list[slice]:
+        """Where the inputs of each participant lie in u."""
+        return _parts([len(p.inputs) for p in self.participants])
+
+    @cached_property
+    def y_parts(self) -> list[slice]:
+        """Where the outputs of each participant lie in y."""
+        return _parts([len(p.outputs) for p in self.participants])
+
+    def inputs_of(self, y: np.ndarray) -> np.ndarray:
+        """Return u for outputs y."""
+        return np.asarray(self.L @ y + self.u0)
+
+    @cached_property
+    def is_held(self) -> np.ndarray:
+        """Which outputs (n_y,) are held."""
+        return np.zeros(self.L.shape[1], bool) if self.held is None else self.held
+
+    @cached_property
+    def moving_wires(self) -> np.ndarray:
+        """L of the outputs that move between communication points."""
+        return np.where(self.is_held, 0.0, self.L)
+
+    @cached_property
+    def held_wires(self) -> np.ndarray:
+        """L of the outputs that are held."""
+        return np.where(self.is_held, self.L, 0.0)
+
+    @cached_property
+    def graph(self) -> nx.DiGraph:
+        """Participants as nodes; an edge a -> b carries the number of signals that a gives to b, held ones left out.
+
+        Nobody waits for a signal that is held from the start of the step: sampled controllers come last.
+        """
+        graph = nx.DiGraph()
+        graph.add_nodes_from(range(len(self.participants)))
+        for b, rows in enumerate(self.u_parts):
+            for a, columns in enumerate(self.y_parts):
+                count = int((self.moving_wires[rows, columns] != 0).sum())
+                if count and a != b:
+                    graph.add_edge(a, b, signals=count)
+        return graph
+
+    @cached_property
+    def order(self) -> list[int]:
+        """The order for Gauss-Seidel: as few signals as possible go backward against it."""
+        order: list[int] = []
+        condensed = nx.condensation(self.graph)
+        for component in nx.topological_sort(condensed):
+            members = sorted(condensed.nodes[component]["members"])
+            inner = self.graph.subgraph(members)
+            while members:
+                best = max(members, key=lambda k: (_out(inner, k, members) - _in(inner, k, members), -k))
+                order.append(best)
+                members = [k for k in members if k != best]
+        return order
+
+    @cached_property
+    def feedthrough(self) -> np.ndarray:
+        """Whether an output follows an input at the same instant, (outputs, inputs)."""
+        D = np.zeros((self.L.shape[1], self.L.shape[0]), bool)
+        for participant, y, u in zip(self.participants, self.y_parts, self.u_parts, strict=True):
+            D[y, u] = participant.feedthrough
+        return D
+
+    @cached_property
+    def passes(self) -> bool:
+        """Whether any output follows an input at the same instant."""
+        return bool(self.feedthrough.any())
+
+    @cached_property
+    def has_loop(self) -> bool:
+        """Whether outputs and inputs make an algebraic loop across participants."""
+        pattern = (self.L != 0).astype(int) @ self.feedthrough.astype(int)
+        graph = nx.from_numpy_array(pattern, create_using=nx.DiGraph)
+        return not nx.is_directed_acyclic_graph(graph)
+
+    def consistent(
+        self, t: float, u: np.ndarray, y: np.ndarray | None = None, due: Sequence[int] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """Return u and y that agree at time t: u = L y(u) + u0, by sweeps, or by Newton's method in a loop.
+
+        due: participants that are at time t, default all; the outputs of the others stay as they are in y.
+        Raises RotorsimError when they cannot be made to agree.
+        """
+        y = self._outputs(t, u, y, due)
+        if not self.has_loop:
+            for _ in range(len(u) + 1):
+                new = self.inputs_of(y)
+                if np.array_equal(new, u):
+                    break
+                u, y = new, self._outputs(t, new, y, due)
+            return u, y
+        scale = np.maximum(np.abs(u), 1e-6)
+        for _ in range(NEWTON_STEPS):
+            residual = self.inputs_of(y) - u
+            if np.abs(residual).max(initial=0.0) <= CLOSE * (1 + np.abs(u).max(initial=0.0)):
+                return u, y
+            J = np.empty((len(u), len(u)))
+            for k in range(len(u)):
+                moved = u.copy()
+                moved[k] += 1e-6 * scale[k]
+                J[:, k] = (self.inputs_of(self._outputs(t, moved, y, due)) - moved - residual) / (1e-6 * scale[k])
+            try:
+                u = u - np.linalg.solve(J, residual)
+            except np.linalg.LinAlgError:
+                break
+            y = self._outputs(t, u, y, due)
+        hint = "put a delay or a dynamic block into the loop"
+        raise RotorsimError(Problem(f"inputs and outputs cannot be made to agree at t = {t:g} s", hint=hint))
+
+    def rates_of(self, rates: Mapping[str, int]) -> tuple[int, ...]:
+        """Return of every participant how many base steps it takes at once; names: participants, or blocks in them.
+
+        Raises RotorsimError with every name and number that does not fit.
+        """
+        known = {block: k for k, p in enumerate(self.participants) for block in (p.name, *getattr(p, "blocks", ()))}
+        found = [1] * len(self.participants)
+        problems = []
+        for name, rate in rates.items():
+            if name not in known:
+                names = [p.name for p in self.participants]
+                problems.append(Problem("no such participant", name, hint=near_miss(name, [*known, *names])))
+            elif rate < 1 or rate != int(rate):
+                problems.append(Problem(f"rate {rate:g}: not a whole number of base steps", name, hint="1 or more"))
+            elif found[known[name]] not in (1, rate):
+                what = f"rates {found[known[name]]} and {rate:g} for one participant"
+                problems.append(Problem(what, name, hint="its blocks step together: give one rate"))
+            else:
+                found[known[name]] = int(rate)
+        if problems:
+            raise RotorsimError(*problems)
+        return tuple(found)
+
+    def close(self) -> None:
+        """Close all participants."""
+        for participant in self.participants:
+            participant.close()
+
+    @property
+    def has_rates(self) -> bool:
+        """Whether every participant tells the rates of its outputs."""
+        return all(participant.has_rates for participant in self.participants)
+
+    def consistent_rates(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return the rates of the inputs at time t that agree with the rates of the outputs."""
+        for _ in range(NEWTON_STEPS if self.has_loop else len(u) + 1):
+            y = [p.output_rate(t, u[part], rate[part]) for p, part in zip(self.participants, self.u_parts, strict=True)]
+            new = self.moving_wires @ np.concatenate(y)
+            if np.allclose(new, rate, rtol=1e-12, atol=0.0):
+                break
+            rate = new
+        return rate
+
+    def _outputs(
+        self, t: float, u: np.ndarray, y: np.ndarray | None = None, due: Sequence[int] | None = None
+    ) -> np.ndarray:  # fmt: skip
+        if due is None or len(due) == len(self.participants):
+            parts = zip(self.participants, self.u_parts, strict=True)
+            return np.concatenate([p.output(t, u[part]) for p, part in parts])
+        assert y is not None
+        y = y.copy()
+        for k in due:
+            y[self.y_parts[k]] = self.participants[k].output(t, u[self.u_parts[k]])
+        return y
+
+
+def _parts(sizes: Sequence[int]) -> list[slice]:
+    ends = [0, *np.cumsum(sizes).tolist()]
+    return [slice(a, b) for a, b in pairwise(ends)]
+
+
+def _out(graph: nx.DiGraph, k: int, members: Sequence[int]) -> int:
+    return sum(graph.edges[k, b]["signals"] for b in graph.successors(k) if b in members)
+
+
+def _in(graph: nx.DiGraph, k: int, members: Sequence[int]) -> int:
+    return sum(graph.edges[a, k]["signals"] for a in graph.predecessors(k) if a in members)

@@ -1,0 +1,172 @@
+"""Cut a diagram into participants of a co-simulation: compiled parts and FMUs, and the wires between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from rotorsim.cosim.coupling import Coupling
+from rotorsim.cosim.fmu_participant import fmu_participant
+from rotorsim.cosim.participant import CompiledParticipant, Participant
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.linear.linearisation import entry_names
+from rotorsim.model.part import open_part
+
+__all__ = ["couple", "open_coupling", "sources_of"]
+
+
+def couple(
+    diagram: Diagram, groups: Sequence[Iterable[str]], *, parameters: Mapping[str, Any] | None = None,
+    participants: Mapping[str, Participant] | None = None, use_compiler: bool = True,
+) -> Coupling:  # fmt: skip
+    """Return a diagram cut into participants: one compiled part for each group of blocks, and the participants given.
+
+    participants: block -> a participant in its place (an FMU); its inputs and outputs are named as the block's ports,
+    "rotor.force[1]". Blocks that no group names make one more part. Raises RotorsimError for what does not fit.
+    """
+    given = dict(participants or {})
+    taken = [block for group in groups for block in group]
+    rest = [block for block in diagram.nodes if block not in taken and block not in given]
+    parts = [tuple(group) for group in groups] + ([tuple(rest)] if rest else [])
+    _refuse_doubles(diagram, [*taken, *given])
+    crossing = _crossing(diagram, [*parts, *((block,) for block in given)])
+    made: list[Participant] = []
+    for blocks in parts:
+        part = open_part(diagram, blocks, by_source=True)
+        p = part.parameter_vector(parameters)
+        record = [port for port in crossing if port.rpartition(".")[0] in blocks]
+        watched = [str(name) for name in diagram.record if str(name).partition(".")[0] in blocks]
+        record += [name for name in watched if name.partition("[")[0] not in record]
+        name = "+".join(blocks) if len(blocks) < 4 else f"{blocks[0]}+{len(blocks) - 1} more"
+        made.append(CompiledParticipant(name, part, record, p, diagram.solver.step, use_compiler=use_compiler))
+    made += given.values()
+    L, u0 = _wires(diagram, made, set(given))
+    return Coupling(tuple(made), L, u0, _held(made, L))
+
+
+def _held(participants: Sequence[Participant], L: np.ndarray) -> np.ndarray:
+    """Return which outputs are piecewise constant: they follow neither time nor states nor an input that moves."""
+    moving = np.concatenate([p.moving for p in participants])
+    following = [p.following for p in participants]
+    while True:
+        u_moves = ((L != 0) & moving).any(axis=1)
+        new, y_at, u_at = moving.copy(), 0, 0
+        for pattern in following:
+            n_y, n_u = pattern.shape
+            new[y_at : y_at + n_y] |= (pattern & u_moves[u_at : u_at + n_u]).any(axis=1)
+            y_at, u_at = y_at + n_y, u_at + n_u
+        if (new == moving).all():
+            return np.asarray(~moving)
+        moving = new
+
+
+def _refuse_doubles(diagram: Diagram, blocks: Sequence[str]) -> None:
+    problems = [
+        Problem("is in two parts", block, hint="name each block in one part only")
+        for block in dict.fromkeys(blocks)
+        if blocks.count(block) > 1
+    ]
+    problems += [
+        Problem("no such block", block, hint=near_miss(block, diagram.nodes))
+        for block in dict.fromkeys(blocks)
+        if block not in diagram.nodes
+    ]
+    if problems:
+        raise RotorsimError(*problems)
+
+
+def _crossing(diagram: Diagram, parts: Sequence[Sequence[str]]) -> list[str]:
+    """Return the output ports that feed another part."""
+    home = {block: k for k, blocks in enumerate(parts) for block in blocks}
+    return list(dict.fromkeys(
+        f"{w.source.block}.{w.source.port}" for w in diagram.wires if home[w.source.block] != home[w.target.block]
+    ))  # fmt: skip
+
+
+def _wires(diagram: Diagram, participants: Sequence[Participant], foreign: set[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return L and u0: a compiled part's inputs are named by their source, a foreign one's by its own ports."""
+    outputs = [name for participant in participants for name in participant.outputs]
+    at = {name: k for k, name in enumerate(outputs)}
+    rows = []
+    for participant in participants:
+        for name in participant.inputs:
+            row = np.zeros(len(outputs))
+            if name.partition(".")[0] in foreign and participant is not None and _owns(participant, name, foreign):
+                for source in sources_of(diagram, name):
+                    row[at[source]] += 1.0
+            else:
+                row[at[name]] = 1.0
+            rows.append(row)
+    L = np.array(rows).reshape(len(rows), len(outputs))
+    return L, np.zeros(len(rows))
+
+
+def _owns(participant: Participant, name: str, foreign: set[str]) -> bool:
+    return participant.name in foreign and name.partition(".")[0] == participant.name
+
+
+def sources_of(diagram: Diagram, name: str) -> list[str]:
+    """Return the flat output entries that add up to one input entry of a block."""
+    found = []
+    for wire in diagram.wires:
+        target, source = wire.target, wire.source
+        declared = diagram.nodes[target.block].inputs[target.port]
+        entries = entry_names(f"{target.block}.{target.port}", declared.shape)
+        if name not in entries:
+            continue
+        port = diagram.nodes[source.block].outputs[source.port]
+        out = np.array(entry_names(f"{source.block}.{source.port}", port.shape)).reshape(port.shape or (1,))
+        inside = np.array(entries).reshape(declared.shape or (1,))
+        if source.index:
+            out = out[source.index]
+        if target.index:
+            inside = inside[target.index]
+        out, inside = np.atleast_1d(out), np.atleast_1d(inside)
+        out = np.broadcast_to(out, inside.shape)
+        found += [str(o) for o, i in zip(out.ravel(), inside.ravel(), strict=True) if str(i) == name]
+    return found
+
+
+def _refuse_foreign_code(diagram: Diagram) -> None:
+    """Refuse to run the FMUs of a diagram that nobody vouches for: a process of their own is no wall against malice."""
+    what = "FMUs are programs; they are not run unless you say so"
+    hint = "if you trust where they come from, add --trust-blocks (trust_blocks=True)"
+    foreign = [(name, node.place) for name, node in diagram.nodes.items() if node.block.opaque]
+    if foreign and not diagram.trusted:
+        raise RotorsimError(*[Problem(what, name, place, hint) for name, place in foreign])
+
+
+def open_coupling(
+    diagram: Diagram, groups: Sequence[Iterable[str]] = (), *, stop: float | None = None,
+    parameters: Mapping[str, Any] | None = None, use_compiler: bool = True,
+    log: Callable[[str, float, str, str, str], None] | None = None,
+) -> Coupling:  # fmt: skip
+    """Return the participants of a diagram: its FMUs, the groups of blocks given, and the rest; FMUs are opened.
+
+    log: gets block, time, status, category and text of every message of an FMU.
+
+    Close them with `Coupling.close`. Raises RotorsimError, also for a diagram of one participant, and for one with
+    FMUs that was not loaded with trust_blocks=True.
+    """
+    end = diagram.solver.stop if stop is None else stop
+    _refuse_foreign_code(diagram)
+    opened: dict[str, Participant] = {}
+    try:
+        for name, node in diagram.nodes.items():
+            if node.block.opaque:
+                wired = {wire.target.port for wire in diagram.wires if wire.target.block == name}
+                told = diagram.solver.rtol if "rtol" in (diagram.document.get("solver") or {}) else None
+                opened[name] = fmu_participant(
+                    name, node, wired, end, diagram.solver.step, tolerance=told, log=log
+                )  # fmt: skip
+        if not opened and not groups:
+            hint = "cut it with --part BLOCK,BLOCK, or `rotorsim run` it"
+            raise RotorsimError(Problem("has no FMU: there is nothing to be coupled", diagram.name, hint=hint))
+        return couple(diagram, groups, parameters=parameters, participants=opened, use_compiler=use_compiler)
+    except BaseException:
+        for participant in opened.values():
+            participant.close()
+        raise

@@ -1,0 +1,353 @@
+"""An FMU as a participant of a co-simulation."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Collection
+from typing import Any
+
+import numpy as np
+
+from rotorsim.cosim.linear import LinearModel
+from rotorsim.cosim.participant import Held, InputHistory
+from rotorsim.diagram.diagram import Node
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.fmi.block import FmuPort
+from rotorsim.fmi.description.model import FLOATS, ModelDescription
+from rotorsim.fmi.runtime.binding import CallError
+from rotorsim.fmi.runtime.failure import FmuError
+from rotorsim.fmi.runtime.model_exchange import ModelExchange
+from rotorsim.fmi.runtime.slave import Fmu, Slave, open_fmu
+from rotorsim.linear.linearisation import entry_names
+
+__all__ = ["FmuParticipant", "fmu_participant"]
+
+KEPT = 8  # saved states that a master may come back to
+RATE_STEP = 1e-3  # of the last step, over which rates of outputs are taken
+MOST_SUBSTEPS = 32
+SHOWN = 5  # messages
+HELD = 1e-12  # relative difference over a step within which inputs count as held
+
+
+class FmuParticipant:
+    """An FMU behind the interface of a participant; its names are those of the ports of its block.
+
+    Co-Simulation: inputs that move during a step are met by substeps of the FMU's own step, each with the inputs of
+    its middle, if it can vary its communication step; if it cannot (rigid), each step is one, and all must be equal.
+    Where all outputs are sampled it is given the inputs of the end of the step, as its new outputs are seen from there
+    on. Model Exchange: its states are integrated here, with steps ``internal``, from event to event.
+
+    moving, following: as of a compiled part; outputs of variability discrete do not move between events.
+    Inputs and outputs are in SI units here; u_scales, y_scales (n, 2): factors and offsets, None where all are SI.
+    """
+
+    def __init__(
+        self, name: str, fmu: Fmu, slave: Slave, inputs: dict[str, FmuPort], outputs: dict[str, FmuPort],
+        parameters: dict[str, Any], stop: float, internal: float, tolerance: float | None = None,
+    ) -> None:  # fmt: skip
+        self.name, self.fmu, self.slave, self.parameters = name, fmu, slave, parameters
+        self.stop: float | None = stop
+        self.tolerance = tolerance
+        self.blocks = (name,)
+        description = fmu.description
+        self.inputs = tuple(n for p in inputs.values() for n in entry_names(f"{name}.{p.name}", p.shape))
+        self.outputs = tuple(n for p in outputs.values() for n in entry_names(f"{name}.{p.name}", p.shape))
+        self._u_names = [entry for port in inputs.values() for entry in port.entries]
+        self._y_names = [entry for port in outputs.values() for entry in port.entries]
+        self.u_scales, self.y_scales = _scales(inputs), _scales(outputs)
+        self.kind = description.kinds[slave.kind]
+        discrete = [entry.variable.variability != "continuous" for entry in description.resolve(self._u_names)]
+        self.integrator = ModelExchange(slave, np.array(discrete, bool)) if slave.kind == "me" else None
+        self.can_restore = self.kind.can_get_set_state or (
+            self.integrator is not None and not self.integrator.may_have_events
+        )
+        self.has_rates = self.can_restore and (self.integrator is not None or self.kind.can_vary_step)
+        own = self.kind.fixed_step or description.experiment.step
+        self.internal = min(internal, own) if own else internal
+        self.rigid = self.integrator is None and not self.kind.can_vary_step
+        self.most_parts = self.do_steps = 0
+        self._width = 0.0  # of all steps, where it is rigid
+        self.feedthrough = np.array(
+            [[_depends(description, y, u) for u in self._u_names] for y in self._y_names], bool
+        ).reshape(len(self._y_names), len(self._u_names))
+        self.moving = np.array([not port.discrete for port in outputs.values() for _ in port.entries], bool)
+        self.following = self.feedthrough & self.moving[:, None]
+        self.sampled = bool(self._y_names) and not self.moving.any()
+        self._saved: list[int] = []
+        self._last = internal
+        self._begun = self._started = False
+
+    def initialise(self, t: float, u: np.ndarray) -> None:
+        if self._begun:
+            self._forget()
+            self.slave.reset()
+        self._begun, self._started = True, False
+        self._width = 0.0
+        self.slave.setup(
+            t, self.stop, self.tolerance, parameters=self.parameters, inputs=self._u_names, outputs=self._y_names,
+            exit_initialisation=False,
+        )  # fmt: skip
+
+    def start(self, t: float, u: np.ndarray) -> None:
+        self.output(t, u)
+        self.slave.exit_initialisation()
+        self._started = True
+        if self.integrator is not None:
+            self.integrator.begin(t, self._of_fmu(u))
+        elif self.slave.ended:
+            raise self._ended(t)
+
+    def output(self, t: float, u: np.ndarray) -> np.ndarray:
+        u = self._of_fmu(u)
+        if self.integrator is None:
+            return self._si(self.slave.exchange(u, t))
+        return self._si(self.integrator.output(t, u) if self._started else self.slave.outputs(t, None, u))
+
+    def _of_fmu(self, u: np.ndarray) -> np.ndarray:
+        """Return inputs (n_u,) in the units of the FMU."""
+        return u if self.u_scales is None else (u - self.u_scales[:, 1]) / self.u_scales[:, 0]
+
+    def _si(self, y: np.ndarray) -> np.ndarray:
+        """Return outputs (n_y,) in SI units."""
+        return y if self.y_scales is None else self.y_scales[:, 0] * y + self.y_scales[:, 1]
+
+    def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return rates of the outputs by a very short step that is taken back."""
+        h = RATE_STEP * self._last
+        before = self.output(t, u)
+        if self.integrator is not None:
+            after = self._si(self.integrator.slope(t, h, lambda tau: self._of_fmu(u + rate * tau)))
+            return np.asarray((after - before) / h)
+        saved = self.slave.save_state()
+        after = self._advance(t, h, lambda tau: u + rate * tau, 1)
+        self.slave.restore_state(saved)
+        self.slave.free_state(saved)
+        return np.asarray((after - before) / h)
+
+    def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
+        self._last = h
+        if self.integrator is not None:
+            own = u if self.u_scales is None else lambda tau: self._of_fmu(u(tau))
+            self.integrator.advance(t, h, own, min(max(1, int(np.ceil(h / self.internal - 1e-9))), 10_000))
+            return self.output(t + h, u(h))
+        if self.rigid:
+            h = self._equal(t, h)
+        if isinstance(u, Held):
+            return self._advance(t, h, u, 1)
+        if self.sampled:
+            return self._advance(t, h, Held(u(h)), 1)
+        start, end = u(0.0), u(h)
+        moves = bool((np.abs(end - start) > HELD * (np.abs(end) + np.abs(start))).any())
+        most = max(1, int(np.ceil(h / self.internal - 1e-9)))
+        return self._advance(t, h, u, min(most, MOST_SUBSTEPS) if moves and not self.rigid else 1)
+
+    def _equal(self, t: float, h: float) -> float:
+        """Return the step that all steps of a rigid FMU have. Raises FmuError if this is another."""
+        self._width = self._width or h
+        if abs(h - self._width) <= 1e-9 * self._width + 8.0 * np.finfo(float).eps * abs(t):
+            return self._width
+        what = f"cannot vary its communication step: the first was {self._width:.9g} s, this would be one of {h:.9g} s"
+        hint = "take fixed steps (no --adaptive) that divide the stop time and the sample times of the others"
+        raise self.slave.step_failed("-", what, "refused", t, hint)
+
+    def told(self) -> dict[str, Any]:
+        """Return what is to be known of its run.
+
+        do_steps; most_parts: of one step of the master; warnings: calls that returned a warning; messages: how many, by
+        status; said: the last that are no mere news; texts: its outputs that are texts.
+        """
+        lines: list[tuple[str, str, str]] = []
+        counts: dict[str, int] = {}
+        texts: dict[str, str] = {}
+        names = [v.name for v in self.fmu.description.by_causality("output") if v.type == "String" and not v.clocked]
+        with contextlib.suppress(RotorsimError, CallError):
+            lines, counts = self.slave.messages()
+            texts = {name: ", ".join(self.slave.get([name])) for name in names if self._started}
+        said = list(dict.fromkeys(f"{status}: {text}" for status, _, text in lines if status != "OK" and text))
+        return {
+            "interface": self.slave.kind, "do_steps": self.do_steps, "most_parts": self.most_parts,
+            "warnings": self.slave.warned, "messages": counts, "said": said[-SHOWN:], "texts": texts,
+        }  # fmt: skip
+
+    def final(self) -> np.ndarray:
+        """Return the outputs (n_y,) as they are, whatever the FMU is at. Raises RotorsimError."""
+        return np.asarray(self._si(np.array(self.slave.get(self._y_names), float)))
+
+    def _advance(self, t: float, h: float, u: Callable[[float], np.ndarray], count: int) -> np.ndarray:
+        """Take steps of Co-Simulation. Raises FmuError, also where the FMU asks for the end."""
+        width = h / count
+        self.most_parts = max(self.most_parts, count)
+        for k in range(count):
+            self.do_steps += 1
+            try:
+                y = self.slave.exchange(self._of_fmu(u((k + 0.5) * width)), t + k * width, width)
+            except FmuError as failure:
+                if failure.kind == "discard" and self.slave.ended:
+                    raise self._ended(failure.last if failure.last is not None else t + k * width) from None
+                raise
+            if self.slave.ended:
+                raise self._ended(t + (k + 1) * width)
+        return self._si(y if isinstance(u, Held) else self.slave.exchange(self._of_fmu(u(h)), t + h))
+
+    def next_hit(self, t: float) -> float:
+        return np.inf if self.integrator is None else self.integrator.next_time
+
+    def _ended(self, t: float) -> FmuError:
+        return self.slave.step_failed("-", "asks for the end of the simulation", "ended", t)
+
+    def save(self) -> Any:
+        if self.integrator is not None:
+            return self.integrator.save()
+        if not self.can_restore:
+            return None
+        self._saved.append(self.slave.save_state())
+        while len(self._saved) > KEPT:
+            self.slave.free_state(self._saved.pop(0))
+        return self._saved[-1]
+
+    def restore(self, saved: Any) -> None:
+        if self.integrator is not None:
+            self.integrator.restore(saved)
+        elif saved is not None:
+            self.slave.restore_state(saved)
+
+    def _forget(self) -> None:
+        """Free all saved states."""
+        if self.integrator is not None:
+            self.integrator.forget()
+        while self._saved:
+            self.slave.free_state(self._saved.pop())
+
+    def linear(self, used: np.ndarray) -> LinearModel | str:
+        """Return the linearisation at the present state by directional derivatives, or why there is none.
+
+        used (n_y,): outputs that others take.
+        """
+        description = self.fmu.description
+        if not self.kind.directional_derivatives:
+            return "offers no directional derivatives"
+        if self.integrator is not None and self.integrator.next_time < np.inf:
+            return "has time events, which directional derivatives do not show"
+        sampled = [
+            v.name for v in description.by_causality("local")
+            if v.variability == "discrete" and v.type in FLOATS  # whole numbers and flags are modes
+        ]  # fmt: skip
+        sampled += [
+            name for name, taken, moves in zip(self._y_names, used, self.moving, strict=True)
+            if taken and not moves and not _still(description, name)
+        ]  # fmt: skip
+        if sampled:
+            return f"has values that change at events ({sampled[0]}), which directional derivatives do not show"
+        if self.integrator is None and not description.states:
+            return "does not tell its states"
+        n = len(description.states)
+        smooth = [
+            np.array([entry.variable.type in FLOATS for entry in description.resolve(names)], bool)
+            for names in (self._y_names, self._u_names)
+        ]
+        stepped = [name for name, taken, floats in zip(self._y_names, used, smooth[0], strict=True) if taken > floats]
+        if stepped:
+            return f"gives others whole numbers or flags ({stepped[0]}), which have no derivatives"
+        rows, columns = (np.flatnonzero([True] * n + list(mask)) for mask in smooth)
+        every = [*description.derivatives, *self._y_names], [*description.states, *self._u_names]
+        unknowns, knowns = ([names[k] for k in at] for names, at in zip(every, (rows, columns), strict=True))
+        J = np.zeros((len(every[0]), len(every[1])))
+        try:
+            if unknowns and knowns:
+                J[np.ix_(rows, columns)] = self.slave.jacobian(unknowns, knowns)
+        except RotorsimError as error:
+            return error.problems[0].what
+        if self.y_scales is not None:
+            J[n:] *= self.y_scales[:, :1]
+        if self.u_scales is not None:
+            J[:, n:] /= self.u_scales[:, 0]
+        return LinearModel(J[:n, :n], J[:n, n:], J[n:, :n], J[n:, n:])
+
+    def close(self) -> None:
+        """Free the instance and what was unpacked."""
+        self.fmu.close()
+
+
+def _still(description: ModelDescription, output: str) -> bool:
+    """Return whether an output depends on parameters at most."""
+    known = description.dependencies.get(output)
+    return known is not None and all(description.variables[k].causality == "parameter" for k in known)
+
+
+def _scales(ports: dict[str, FmuPort]) -> np.ndarray | None:
+    """Return factors and offsets (n, 2) of all entries, or None where all are 1 and 0."""
+    found = np.concatenate([np.zeros((0, 2)), *(port.scales for port in ports.values())])
+    return None if (found == (1.0, 0.0)).all() else found
+
+
+def _depends(description: ModelDescription, output: str, name: str) -> bool:
+    """Return whether an output follows an input at once, as the model structure says (not said: it does).
+
+    Of variables inside, which the structure does not list, nothing is said.
+    """
+    base, dependencies = output.partition("[")[0], description.dependencies
+    inside = description.resolve([output])[0].variable.causality == "local"
+    known = dependencies.get(output, dependencies.get(base, None if inside else ()))
+    return known is None or name in known or name.partition("[")[0] in known
+
+
+def fmu_participant(
+    name: str, node: Node, wired: Collection[str], stop: float, internal: float, *, tolerance: float | None = None,
+    log: Callable[[str, float, str, str, str], None] | None = None,
+) -> FmuParticipant:  # fmt: skip
+    """Open the FMU of a block and return it as a participant.
+
+    wired: its input ports that something feeds; the others keep the values that the block gives them. tolerance: told
+    to the FMU, None: the one that it proposes for its own solver. log: gets block, time, status, category and text of
+    every message.
+    Raises RotorsimError.
+    """
+    block: Any = node.block
+    option = block.option
+    own: list[Slave] = []
+
+    def hear(status: str, category: str, text: str) -> None:
+        if log is not None:
+            log(name, own[0].time if own else 0.0, status, category, text)
+
+    fmu = open_fmu(
+        block.fmu_path, in_process=bool(option.in_process), log=hear if log is not None else None,
+        sizes=block.fmu_description.sizes,
+    )  # fmt: skip
+    kinds = fmu.description.kinds
+    kind = option.interface if option.interface != "any" else "cs" if "cs" in kinds else "me"
+    if kind not in kinds:
+        offered = ", ".join(kinds) or "neither"
+        fmu.close()
+        what = f"the FMU offers no interface '{kind}'"
+        if list(kinds) == ["se"]:
+            clocks = ", ".join(fmu.description.clocks[:5])
+            what = "the FMU offers Scheduled Execution only, which is driven by clocks: not supported"
+            raise RotorsimError(Problem(what, name, node.place, f"its clocks are {clocks}" if clocks else ""))
+        raise RotorsimError(Problem(what, name, node.place, f"it offers {offered}"))
+    given = {**block.fmu_parameters, **{key: port for key, port in block.fmu_inputs.items() if key not in wired}}
+    parameters: dict[str, Any] = {
+        entry: float(raw)
+        for key, port in given.items()
+        if key in node.values
+        for entry, value, raw, start in zip(
+            port.entries, np.ravel(node.values[key]), port.of_fmu(node.values[key]),
+            [None] * len(port.entries) if port.start is None else np.ravel(port.start), strict=True
+        )
+        if value != start
+    }  # fmt: skip
+    for key, chosen in block.fmu_options.items():
+        value = getattr(option, key)
+        settable = chosen.variable.causality != "structuralParameter" and key not in wired
+        if settable and value != chosen.default:
+            parameters[chosen.variable.name] = chosen.of_fmu(value)
+    try:
+        slave = fmu.instantiate(kind, name)
+    except BaseException:
+        fmu.close()
+        raise
+    inputs = {key: port for key, port in block.fmu_inputs.items() if key in wired}
+    own.append(slave)
+    proposed = fmu.description.experiment.tolerance if kind == "cs" else None  # of its own solver
+    allowed = proposed if tolerance is None else tolerance
+    return FmuParticipant(name, fmu, slave, inputs, block.fmu_outputs, parameters, stop, internal, allowed)

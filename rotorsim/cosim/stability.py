@@ -1,0 +1,378 @@
+"""What the coupling does to stability: the linearised loop with the master in it, one period of it as a matrix.
+
+Coupling by held or extrapolated inputs adds delay. A magnetic bearing lives by the damping of its controller, so that a
+run can be stable and still be wrong: the damping that the coupling costs is computed, and the largest stable step.
+
+With several rates or sampled controllers the period is the shortest after which all communication points and sample
+hits fall together again (lifting: Meyer & Burrus, IEEE Trans. Circuits Syst. 22 (1975) 162-168).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import lcm
+from typing import Any
+
+import numpy as np
+
+from rotorsim.cosim.coupling import Coupling
+from rotorsim.cosim.iterative import Iterative
+from rotorsim.cosim.linear import LinearCoupling, LinearModel, LinearParticipant, linear_part
+from rotorsim.cosim.masters import CLOSE, Master, make_master
+from rotorsim.cosim.participant import CompiledParticipant
+from rotorsim.errors import RotorsimError
+from rotorsim.jobs.threads import one_thread
+
+__all__ = ["CouplingStability", "coupling_stability", "largest_stable_step", "linear_coupling", "why_not_linear"]
+
+OSCILLATES = 0.05  # modes with a smaller part of oscillation are not judged by their damping ratio
+GRID = 12  # steps tried in a decade
+MOST_STEPS = 240  # in one period
+WHOLE = 1e-6  # how far a number of steps may be from a whole one
+
+
+@dataclass(frozen=True)
+class CouplingStability:
+    """The loop with the master in it, against the loop as a whole.
+
+    radius: largest size of an eigenvalue of one communication step (stable below 1). whole, coupled: the eigenvalue
+    [1/s] of the whole loop that loses most damping, and what the coupling makes of it; kept: share of its damping
+    ratio that is left (nan where no mode oscillates slowly enough to be told). largest_step: the step above which it
+    is unstable [s]; with sampled parts, the largest stable one among multiples and fractions of their sample time.
+    exact: every part is linear with constant coefficients, so that this is the loop itself.
+    """
+
+    radius: float
+    whole: complex
+    coupled: complex
+    kept: float
+    largest_step: float
+    exact: bool = False
+
+    @property
+    def stable(self) -> bool:
+        """Whether the coupled loop is stable."""
+        return self.radius < 1 + 1e-9
+
+
+class _NoPeriodError(Exception):
+    """Steps, rates and sample times have no short common period."""
+
+
+def _models(coupling: Coupling) -> list[LinearModel | str]:
+    """Return the linear model of every participant, or why there is none."""
+    found: list[LinearModel | str] = []
+    used = (coupling.L != 0).any(axis=0)
+    for participant, part in zip(coupling.participants, coupling.y_parts, strict=True):
+        if isinstance(participant, CompiledParticipant):
+            found.append(linear_part(participant))
+            continue
+        told: Any = getattr(participant, "linear", None)
+        found.append(told(used[part]) if told else "cannot be linearised")
+    return found
+
+
+def linear_coupling(coupling: Coupling) -> LinearCoupling | None:
+    """Return a coupling of linearised participants, or None when one of them cannot be linearised."""
+    made = []
+    for participant, model in zip(coupling.participants, _models(coupling), strict=True):
+        if isinstance(model, str):
+            return None
+        made.append(LinearParticipant(participant.name, participant.inputs, participant.outputs, model))
+    return LinearCoupling(tuple(made), coupling.L, np.zeros_like(coupling.u0), coupling.held)
+
+
+def why_not_linear(coupling: Coupling, step: float, rates: Sequence[int] | None = None) -> str:
+    """Return why the stability of a coupling is not told: the participants that cannot be linearised, or the times."""
+    models = zip(coupling.participants, _models(coupling), strict=True)
+    wrong = [f"{participant.name} {model}" for participant, model in models if isinstance(model, str)]
+    if wrong:
+        return "; ".join(wrong)
+    try:
+        _count(step, _periods(linear_coupling(coupling)), rates)
+    except _NoPeriodError:
+        pass
+    else:
+        return "the linearised loop is singular"
+    times = [f"{step:g} s", *(f"{T:g} s" for T in sorted(_periods(linear_coupling(coupling))))]
+    shown = f"steps and sample times ({', '.join(times)})"
+    if rates and max(rates) > 1:
+        shown += f" and rates ({', '.join(map(str, rates))})"
+    return f"{shown} have no common period of {MOST_STEPS} steps or fewer"
+
+
+def coupling_stability(
+    coupling: Coupling, step: float, *, master: str, order: int | None = None, limit: bool = True,
+    rates: Sequence[int] | None = None,
+) -> CouplingStability | None:  # fmt: skip
+    """Return how stable the coupled loop is with this communication step, or None when it cannot be told."""
+    linear = linear_coupling(coupling)
+    if linear is None:
+        return None
+    with one_thread():  # many small matrices: threads cost more than they save
+        try:
+            period = one_period(linear, step, master, order, rates)
+        except (_NoPeriodError, np.linalg.LinAlgError):
+            return None
+        except RotorsimError:  # the iteration does not converge
+            period = Period(np.full((1, 1), np.inf), 1, step, ())
+        whole = _whole(linear)
+        radius = period.radius ** (1 / period.count)
+        reference, changed, kept = _most_hurt(
+            whole, period.eigenvalues(), max(step, min(_periods(linear), default=0.0))
+        )
+        largest = largest_stable_step(linear, master=master, order=order, rates=rates) if limit else np.nan
+    exact = all(part.model.exact for part in _parts(linear))
+    return CouplingStability(radius, reference, changed, kept, largest, exact)
+
+
+def _parts(coupling: Coupling) -> list[LinearParticipant]:
+    return [p for p in coupling.participants if isinstance(p, LinearParticipant)]
+
+
+def _periods(coupling: Coupling | None) -> set[float]:
+    return {T for p in _parts(coupling) for T in p.model.periods} if coupling is not None else set()
+
+
+def _count(step: float, periods: set[float], rates: Sequence[int] | None) -> int:
+    """Return after how many steps everything begins anew. Raises _NoPeriodError."""
+    first = lcm(*(rates or [1]))
+    for count in range(first, MOST_STEPS + 1, first):
+        if all(abs(count * step / T - round(count * step / T)) < WHOLE * count and count * step > 0.5 * T
+               for T in periods):  # fmt: skip
+            return count
+    raise _NoPeriodError
+
+
+def _whole(coupling: Coupling) -> np.ndarray:
+    """Return the eigenvalues [1/s] of the loop without coupling error; with sampled parts, of one period of it."""
+    parts = _parts(coupling)
+    A, B, C, D = (_diagonal([getattr(p.model, key) for p in parts]) for key in "ABCD")
+    closed = np.linalg.solve(np.eye(len(coupling.u0)) - coupling.L @ D, coupling.L @ C)
+    periods = _periods(coupling)
+    if not periods:
+        return np.asarray(np.linalg.eigvals(A + B @ closed))
+    shortest = min(periods)
+    count = _count(shortest, periods, None)
+    end = count * shortest
+    flow = LinearParticipant("whole", (), (), LinearModel(A + B @ closed, B[:, :0], C[:0], D[:0, :0]))
+    whole: np.ndarray = np.eye(len(A))
+    flow.x, t = whole, 0.0
+    passed = [whole]
+    for hit in _apart([hit for p in parts for hit in p.model.hits(0.0, end)], WHOLE * shortest):
+        flow.step(t, hit - t, _nothing)
+        jumps = [p.model.jump(due) if (due := p.model.due(hit)) else _still(p.model) for p in parts]
+        J, K = (_diagonal([jump[i] for jump in jumps]) for i in (0, 1))
+        flow.x, t = J @ flow.x + K @ (closed @ flow.x), hit
+        passed.append(flow.x)
+    return Period(flow.x, len(passed) - 1, end, passed).eigenvalues()
+
+
+def _apart(times: Iterable[float], least: float) -> list[float]:
+    """Return times in order, without those that others are closer to than ``least``."""
+    ordered = sorted(times)
+    return [t for k, t in enumerate(ordered) if k == 0 or t - ordered[k - 1] > least]
+
+
+def _nothing(tau: float) -> np.ndarray:
+    return np.zeros((0, 1))
+
+
+def _still(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
+    return np.eye(len(model.A)), np.zeros_like(model.B)
+
+
+def _diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
+    out = np.zeros((sum(b.shape[0] for b in blocks), sum(b.shape[1] for b in blocks)))
+    row = column = 0
+    for block in blocks:
+        out[row : row + block.shape[0], column : column + block.shape[1]] = block
+        row, column = row + block.shape[0], column + block.shape[1]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Period:
+    """What one period makes of every unit vector: matrix (n, n), in ``count`` steps and a time [s].
+
+    passed: the states (m, n), m <= n, at the start and after every step.
+    """
+
+    matrix: np.ndarray
+    count: int
+    time: float
+    passed: Sequence[np.ndarray]
+
+    @property
+    def radius(self) -> float:
+        """Largest size of an eigenvalue of the period."""
+        if not np.isfinite(self.matrix).all():
+            return np.inf
+        return float(np.abs(np.linalg.eigvals(self.matrix)).max(initial=0.0))
+
+    def eigenvalues(self) -> np.ndarray:
+        """Return log(z) / time of the eigenvalues z that are not zero [1/s].
+
+        A mode may turn more than once in a period; how often is seen on its way from step to step.
+        """
+        if not np.isfinite(self.matrix).all():
+            return np.zeros(0)
+        found, modes = np.linalg.eig(self.matrix)
+        made = []
+        for z, mode in zip(found, modes.T, strict=True):
+            if abs(z) < 1e-12:
+                continue
+            way = [states @ mode for states in self.passed]
+            turned = sum(float(np.angle(np.vdot(a, b))) for a, b in pairwise(way))
+            angle = float(np.angle(z))
+            angle += 2 * np.pi * round((turned - angle) / (2 * np.pi))
+            made.append(complex(np.log(abs(z)), angle) / self.time)
+        return np.array(made)
+
+
+def one_period(
+    coupling: Coupling, step: float, master: str, order: int | None = None, rates: Sequence[int] | None = None
+) -> Period:  # fmt: skip
+    """Return one period of the coupled loop.
+
+    It acts on the states and on the signals at the points before that the master looks back to, and is found by
+    letting the master itself go from every unit vector, from all at once where it does not iterate.
+    Raises _NoPeriodError.
+    """
+    count = _count(step, _periods(coupling), rates)
+    for part in _parts(coupling):
+        part.forget()
+    fed = (coupling.moving_wires != 0).any(axis=0)
+    feeding = [np.flatnonzero(fed[part]) for part in coupling.y_parts]
+    shape = (len(coupling.u0),) if master == "iterative" else (len(coupling.u0), 1)
+    coupling = replace(coupling, u0=np.zeros(shape))
+    worker = make_master(master, coupling, order=order, tolerance=1e-12, rates=rates)
+    earlier = _earlier(worker, step, count)
+    n = sum(len(p.x) for p in _parts(coupling))
+    size = n + sum(len(times) * len(part) for times, part in zip(earlier, feeding, strict=True))
+    if not size:
+        return Period(np.zeros((0, 0)), count, count * step, ())
+    runs = list(np.eye(size)) if isinstance(worker, Iterative) else [np.eye(size)]
+    made = [_go(worker, coupling, start, feeding, earlier, step, count) for start in runs]
+    passed = [np.column_stack([run[1][k] for run in made]) for k in range(count + 1)]
+    return Period(np.column_stack([run[0] for run in made]), count, count * step, passed)
+
+
+def _earlier(worker: Master, step: float, count: int) -> list[list[float]]:
+    """Return of every participant the times before 0 of the points that the master may look back to, newest first."""
+    memory = worker.order - 1 if isinstance(worker, Iterative) else worker.depth - 1
+    if max(worker.rates) > 1 or not worker.sampling:
+        return [[-(j + 1) * rate * step for j in range(memory)] for rate in worker.rates]
+    parts = [worker.coupling.participants[k] for k in worker.sampling]
+    end = count * step
+    hits = [hit for p in parts if isinstance(p, LinearParticipant) for hit in p.model.hits(0.0, end)]
+    points = _apart([*hits, *(step * (k + 1) for k in range(count))], CLOSE * step)
+    before = [t - (turn + 1) * end for turn in range(2 * memory + 1) for t in reversed(points)]
+    return [before[1 : 2 * memory + 1]] * len(worker.rates)  # points that are close to each other are left out
+
+
+def _go(
+    worker: Master, coupling: Coupling, start: np.ndarray, feeding: Sequence[np.ndarray],
+    earlier: Sequence[Sequence[float]], step: float, count: int,
+) -> tuple[np.ndarray, list[np.ndarray]]:  # fmt: skip
+    """Return states and past signals, (size,) or (size, runs), after one period, and the states after every step."""
+    parts, at = _parts(coupling), 0
+    for part in parts:
+        part.x = start[at : at + len(part.x)].copy()
+        at += len(part.x)
+    u, y = coupling.consistent(0.0, coupling.u0)
+    for a, columns in enumerate(coupling.y_parts):
+        worker.known[a] = [(0.0, y[columns])]
+        for time in earlier[a]:
+            before = np.zeros_like(y[columns])
+            before[feeding[a]] = start[at : at + len(feeding[a])]
+            at += len(feeding[a])
+            worker.known[a].insert(0, (time, before))
+    worker.since, worker.tick = [0.0] * len(parts), 0
+    if isinstance(worker, Iterative):
+        worker.begin(0.0, u)
+    passed = [np.concatenate([p.x for p in parts])]
+    for k in range(count):
+        worker.advance(k * step, (k + 1) * step)
+        passed.append(np.concatenate([p.x for p in parts]))
+    now = [worker.known[a][-2 - j][1][feeding[a]] for a in range(len(parts)) for j in range(len(earlier[a]))]
+    return np.concatenate([passed[-1], *now]), passed
+
+
+def _most_hurt(whole: np.ndarray, coupled: np.ndarray, step: float) -> tuple[complex, complex, float]:
+    """Return the mode that loses most damping: its eigenvalue, what it becomes, the share of damping ratio kept.
+
+    Modes with less than about two steps (or samples) in a turn are left out.
+    """
+    worst: tuple[complex, complex, float] = (0j, 0j, np.nan)
+    for value in whole:
+        if value.imag < OSCILLATES * abs(value) or abs(value.imag) * step > 0.9 * np.pi or not value.real < 0:
+            continue
+        if not coupled.size:
+            break
+        near = coupled[np.argmin(np.abs(coupled - value))]
+        kept = float((-near.real / abs(near)) / (-value.real / abs(value)))
+        if worst[0] == 0 or kept < worst[2]:
+            worst = (complex(value), complex(near), kept)
+    return worst
+
+
+def largest_stable_step(
+    coupling: Coupling, *, master: str, order: int | None = None, rates: Sequence[int] | None = None
+) -> float:
+    """Return the communication step [s] above which the coupled loop is unstable (infinite if none is found).
+
+    The whole loop's fastest mode and slowest swing set where to look; sampled parts, their sample time. A loop that is
+    unstable as a whole has none: 0.
+    """
+    whole = _whole(coupling)
+    slowest_rise = 1e-9 * np.abs(whole).max(initial=1.0)
+    if (whole.real > slowest_rise).any():
+        return 0.0
+    fastest = float(np.abs(whole).max(initial=0.0))
+    if fastest == 0.0:
+        return np.inf
+
+    def stable(step: float) -> bool:
+        try:
+            period = one_period(coupling, step, master, order, rates)
+        except (RotorsimError, np.linalg.LinAlgError):  # the iteration itself may not converge there
+            return False
+        return period.radius < 1 + 1e-7
+
+    if periods := _periods(coupling):
+        return _largest_multiple(min(periods), stable)
+    swings = np.abs(whole[np.abs(whole.imag) > OSCILLATES * np.abs(whole)])
+    longest = 1e2 / float(swings.min(initial=fastest))
+    steps = np.geomspace(1e-3 / fastest, longest, round(GRID * np.log10(longest * fastest * 1e3)))
+    below = steps[0]
+    for step in steps:
+        if not stable(float(step)):
+            above = float(step)
+            break
+        below = float(step)
+    else:
+        return np.inf
+    for _ in range(20):
+        middle = (below + above) / 2
+        below, above = (middle, above) if stable(middle) else (below, middle)
+    return float(below)
+
+
+def _largest_multiple(period: float, stable: Any) -> float:
+    """Return the largest stable step among multiples of a period, or else among its fractions; 0 where none is."""
+
+    def good(step: float) -> bool:
+        try:
+            return bool(stable(step))
+        except _NoPeriodError:
+            return False
+
+    if good(period):
+        for k in range(2, 21):
+            if not good(k * period):
+                return (k - 1) * period
+        return np.inf
+    return next((period / k for k in range(2, 51) if good(period / k)), 0.0)

@@ -1,0 +1,1 @@
+"""Diagnosis: locate where model and recordings differ, name the missing physics, model it, show the fit improve."""

@@ -1,0 +1,171 @@
+"""A fault at a place of a diagram: what is wired, cut and read, and where its parameters start."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rotorsim.block import Block
+from rotorsim.fault import Fault, Lines, Longest, Of, Steps
+
+__all__ = ["LEAST", "LINES", "LONGEST", "Insertion", "Spot", "fixed_of", "limits_of", "starts_of"]
+
+LEAST = "least"  # before the name of a signal: its size in the run in which it is smallest
+LONGEST = "longest run"  # among the largest magnitudes of signals: how long it is [s]
+LINES = "lines"  # among the largest magnitudes of signals: the frequency of lines that do not follow the shaft
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A place in a diagram: a port of a block, and the node (from 1) where it has nodes.
+
+    beside: the only node of another block to which this one is wired: where along the shaft it stands.
+    """
+
+    block: str
+    port: str
+    node: int | None = None
+    beside: int | None = field(default=None, compare=False)
+
+    def __str__(self) -> str:
+        return f"{self.block}.{self.port}" + (f"[{self.node}]" if self.node is not None else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Insertion:
+    """A fault at a spot. name: of the block that carries it. wires: added; cut: taken out (source, target).
+
+    measured: what recordings mean with it. values: parameters and options of the block. variant: of several
+    declarations for one physics.
+    """
+
+    kind: type[Block]
+    fault: Fault
+    spot: Spot
+    name: str
+    wires: tuple[tuple[str, str], ...] = ()
+    cut: tuple[tuple[str, str], ...] = ()
+    measured: Mapping[str, str] = field(default_factory=dict)
+    values: Mapping[str, Any] = field(default_factory=dict)
+    feeds: Mapping[str, str] = field(default_factory=dict)
+    variant: int = 0
+
+    @property
+    def physics(self) -> str:
+        """The name of the physics."""
+        return self.fault.physics
+
+    @property
+    def key(self) -> str:
+        """A text that tells this insertion from all others of a diagram."""
+        return f"{self.physics}/{self.variant}@{self.spot}"
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The names under which its parameters are free."""
+        return tuple(f"{self.name}.{key}" for key in self.fault.free)
+
+    @property
+    def from_lines(self) -> tuple[str, ...]:
+        """The parameters that take the frequency of lines that do not follow the shaft."""
+        return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Lines))
+
+    @property
+    def from_steps(self) -> tuple[str, ...]:
+        """The parameters that take the step between readings."""
+        return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Steps))
+
+    def document(
+        self, document: Mapping[str, Any], start: Mapping[str, float] | None = None,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+    ) -> dict[str, Any]:  # fmt: skip
+        """Return the document with the fault in it and its parameters free, from starts {parameter: SI value}.
+
+        limits: (low, high) of its free parameters, where they are narrower than what the block allows.
+        """
+        new = copy.deepcopy(dict(document))
+        entered = self.fault.enters
+        if entered in ("replace", "move"):
+            block = new["blocks"][self.name]
+            kept = {
+                key: value for key, value in block.get("parameters", {}).items()
+                if key in self.kind.parameters or key in self.kind.options
+            }  # fmt: skip
+            new["blocks"][self.name] = {"type": self.kind.type_name, "parameters": {**kept, **self.values}}
+            followed = {v[1:] for v in kept.values() if isinstance(v, str) and v.startswith("$")}
+            if block["type"] != self.kind.type_name:
+                for name in followed & set(new.get("identify", {})):  # other bounds may hold for the new type
+                    new["identify"][name] = {
+                        k: v for k, v in new["identify"][name].items() if k not in ("low", "high")
+                    }  # fmt: skip
+        else:
+            new["blocks"][self.name] = {"type": self.kind.type_name, "parameters": dict(self.values)}
+        parameters = new["blocks"][self.name]["parameters"]
+        for key, value in (start or {}).items():
+            parameters[key] = value
+        if self.cut or self.wires:
+            cut = {(_plain(a), _plain(b)) for a, b in self.cut}
+            new["wires"] = [w for w in new["wires"] if (_plain(w[0]), _plain(w[1])) not in cut]
+            new["wires"] += [list(wire) for wire in self.wires]
+        if self.measured:
+            new["measured"] = {**new.get("measured", {}), **self.measured}
+        ends = limits or {}
+        free = {
+            key: dict(zip(("low", "high"), ends[key], strict=True)) if key in ends else {} for key in self.fault.free
+        }
+        new["identify"] = {**new.get("identify", {}), **{f"{self.name}.{key}": given for key, given in free.items()}}
+        return new
+
+
+def _plain(end: str) -> str:
+    return end.replace(" ", "")
+
+
+def starts_of(insertion: Insertion, largest: Mapping[str, float]) -> list[dict[str, float]]:
+    """Return the starts of an insertion: every combination that its fault declares, {parameter: SI value}.
+
+    largest: the largest magnitude of each input of the block at its place, for starts that follow the data.
+    """
+    combined: list[dict[str, float]] = [{}]
+    for key, options in insertion.fault.free.items():
+        low, high = limits_of(insertion, largest).get(key, (-np.inf, np.inf))
+        values = [float(np.clip(_number(item, largest), low, high)) for item in options]
+        combined = [{**start, key: value} for start in combined for value in dict.fromkeys(values)]
+    return combined
+
+
+def limits_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """Return (low, high) of the free parameters that the data bound more narrowly than the block does."""
+    found = {}
+    for key, item in insertion.fault.most.items():
+        known = largest.get(LONGEST if isinstance(item, Longest) else item.input)
+        if key not in insertion.fault.free or not known:
+            continue
+        declared = insertion.kind.parameters[key]
+        most = item.factor * known if isinstance(item, Longest) else _number(item, largest)
+        least = declared.low if declared.low is not None else declared.above
+        if (declared.high is None or most < declared.high) and (least is None or most > least):
+            # an open end is left by a thousandth of the way, as where a value is given (diagram.resolve.free)
+            low = -most if least is None else least if declared.low is not None else least + 1e-3 * (most - least)
+            found[key] = (low, most)
+    return found
+
+
+def fixed_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters of an insertion that are set once and not fitted."""
+    fixed = {key: item for key, item in insertion.fault.fixed.items() if not isinstance(item, Steps)}
+    return {key: _number(item, largest) for key, item in fixed.items()}
+
+
+def _number(item: float | Of | Lines, largest: Mapping[str, float]) -> float:
+    if isinstance(item, Lines):
+        return largest[LINES]
+    if not isinstance(item, Of):
+        return float(item)
+    size = largest.get(item.input, 1.0)
+    size = largest.get(f"{LEAST} {item.input}", size) if item.least else size
+    return item.factor * size**item.power

@@ -1,0 +1,1 @@
+"""What follows from the search: verdict, statement, unknown forces, the next experiment."""

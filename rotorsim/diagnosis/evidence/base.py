@@ -1,0 +1,83 @@
+"""The diagram as given, made ready for a diagnosis: values that nobody measured are free, meshes fine enough."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.evidence.harmonic import Fit, Source
+from rotorsim.diagram.diagram import Diagram
+
+__all__ = ["base_fit", "with_uncertain"]
+
+VISIBLE = 0.02  # of the number of equations: change of the misfit by a finer mesh that is worth it
+FINEST = 8
+
+
+def with_uncertain(diagram: Diagram) -> dict[str, Any]:
+    """Return the document with parameters free that their blocks declare with a tolerance, as priors."""
+    document = copy.deepcopy(dict(diagram.document))
+    wanted = document.setdefault("identify", {})
+    for name, node in diagram.nodes.items():
+        for key, declared in node.block.parameters.items():
+            full = f"{name}.{key}"
+            if declared.tolerance is None or key in node.references or "/" in name:
+                continue
+            if not any(str(given).partition("[")[0] == full for given in wanted):
+                wanted[full] = {"prior": {"std": declared.tolerance}}
+                _write_out(document, name, key, node.values[key])
+    for item in diagram.free:
+        block, _, key = item.base.rpartition(".")
+        if "[" in item.name and block:
+            _write_out(document, block, key, diagram.nodes[block].values[key])
+        elif "[" in item.name:
+            document["parameters"][item.base] = diagram.parameters[item.base].tolist()
+    return document
+
+
+def _write_out(document: dict[str, Any], block: str, key: str, values: np.ndarray) -> None:
+    """Write all entries of a parameter, so that each can be replaced."""
+    if values.ndim and block in document["blocks"]:
+        document["blocks"][block].setdefault("parameters", {})[key] = values.tolist()
+
+
+def base_fit(diagram: Diagram, source: Source) -> tuple[Fit, list[str]]:
+    """Return the fit of a diagram to a recording, on meshes so fine that finer ones change nothing; what was refined.
+
+    A block that declares ``refinement`` is refined until a finer mesh changes the whitened prediction by less than
+    VISIBLE of the equations (sum of squares).
+    """
+    found = source.fit(with_uncertain(diagram), [])
+    notes: list[str] = []
+    for name, node in diagram.nodes.items():
+        option = node.block.refinement
+        if option is None or found.failure:
+            continue
+        level = int(getattr(node.block.option, option))
+        while level < FINEST and _shows(found, source, name, option, 2 * level):
+            finer = source.fit(_with_option(found.document, name, option, 2 * level), [])
+            if finer.failure:
+                break
+            found, level = finer, 2 * level
+            notes.append(f"{name}: {option} {level}, for what the coarser mesh gets wrong shows in these data")
+    return found, notes[-1:]
+
+
+def _shows(found: Fit, source: Source, block: str, option: str, value: int) -> bool:
+    """Return whether a finer mesh changes what the fit predicts by more than the data can tell."""
+    document = values_in(found.document, found.values)
+    coarse, fine = (source.residual(d) for d in (document, _with_option(document, block, option, value)))
+    if coarse is None or fine is None:
+        return False
+    change = fine - coarse
+    return float(change @ change) > VISIBLE * found.rows
+
+
+def _with_option(document: Mapping[str, Any], block: str, option: str, value: int) -> Mapping[str, Any]:
+    changed = dict(document["blocks"][block])
+    changed["parameters"] = {**changed.get("parameters", {}), option: value}
+    return {**document, "blocks": {**document["blocks"], block: changed}}

@@ -1,0 +1,106 @@
+"""Offsets of channels that drift within the runs, and what that leaves of their means."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.evidence.harmonic import Fit, Source
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.likelihood import Likelihood
+from rotorsim.recordings.recording import Recording
+from rotorsim.settled.linear_motion import Motion
+from rotorsim.signals.harmonics import RunHarmonics
+from rotorsim.units import conversion
+
+__all__ = ["drift_warnings", "find_drifts", "tells_drifts", "with_drifts"]
+
+FALSE_ALARM = 1e-3  # for a channel of a recording
+# a random walk that starts with a run has Var(mean) = s^2 T / 3, and s^2 3 T / 10 in its slope's Legendre coefficient
+MEAN = 10 / 9
+DRIFTING = 2.0  # times the noise: a diagram that leaves more does not say what drifts of itself
+SCORINGS = 20  # steps of Fisher's scoring
+LEAST = 1e-9  # of a channel's information that slow states leave: below, they take all of its drift
+
+
+def find_drifts(base: Fit, source: Source) -> dict[str, float]:
+    """Return channels whose offset drifts within the runs by more than noise, and the rms of the slope, SI.
+
+    The slope is the Legendre coefficient of degree one: half of what the offset changes over a run. What slow states of
+    the fitted diagram, which are not in rest yet, share between the channels is no drift of an offset. What remains may
+    be any channel's that shares them: each is counted as if it were its own alone.
+    """
+    try:
+        experiment = source.open(source.load(values_in(base.document, base.values)))
+    except RotorsimError:
+        return {}
+    if not isinstance(experiment.motion, Motion):
+        return {}
+    response = Likelihood(experiment).response(experiment.theta0)
+    c = len(experiment.predicted)
+    power, count = np.zeros(c), 0
+    slopes: list[tuple[np.ndarray, np.ndarray]] = []
+    for r, item in enumerate(experiment.runs):
+        columns = experiment.columns[r][:c]
+        if len(item.fit.drift) < 2:
+            continue
+        for degree in (1, 2):
+            variance = np.maximum(item.fit.noise.of_drift(degree)[columns] / item.fit.samples, 1e-300)
+            slow = response.C[r] @ response.slow_states(r) / np.sqrt(variance)[:, None]
+            length = np.linalg.norm(slow, axis=0)
+            q = np.linalg.qr(slow[:, length > 0] / length[length > 0])[0]
+            free = np.maximum(1 - (q**2).sum(axis=1), LEAST)
+            white = item.fit.drift[degree - 1, columns] / np.sqrt(variance)
+            rest = (white - (white @ q) @ q.T) / free
+            power += np.where(free > LEAST, rest**2 * free, 0.0)
+            if degree == 1:
+                slopes.append((rest**2 * variance, np.where(free > LEAST, variance / free, np.inf)))
+        count += 1
+    if not count:
+        return {}
+    squares, noise = (np.array([pair[k] for pair in slopes]) for k in (0, 1))
+    size = _variance(squares, noise)
+    drifts = (power > chi2.isf(FALSE_ALARM, 2 * count)) & experiment.use_mean[:c] & (size > 0)
+    return {experiment.predicted[k]: float(np.sqrt(size[k])) for k in np.flatnonzero(drifts)}
+
+
+def _variance(squares: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return the most likely variance (c,) of slopes beside noise's, from squares of what is seen, both (R, c)."""
+    size = np.zeros(squares.shape[1])
+    for _ in range(SCORINGS):  # Fisher's scoring
+        weight = 1 / (noise + size) ** 2
+        size = np.maximum((weight * np.where(np.isfinite(noise), squares - noise, 0.0)).sum(axis=0), 0.0)
+        size = size / np.maximum(weight.sum(axis=0), 1e-300)
+    return size
+
+
+def with_drifts(runs: Sequence[RunHarmonics], drifts: Mapping[str, float]) -> tuple[RunHarmonics, ...]:
+    """Return runs whose means are as uncertain as the offsets of their channels drift."""
+    if not drifts:
+        return tuple(runs)
+    found = []
+    for item in runs:
+        variance = MEAN * np.array([drifts.get(name, 0.0) for name in item.fit.names]) ** 2
+        hum = {**item.fit.hum, 0: item.fit.hum.get(0, 0.0) + variance}
+        found.append(replace(item, fit=replace(item.fit, hum=hum)))
+    return tuple(found)
+
+
+def tells_drifts(found: Fit) -> bool:
+    """Return whether a fit to runs without their drifts leaves so little that those are drifts of offsets."""
+    return not found.failure and found.misfit <= DRIFTING * found.freedom
+
+
+def drift_warnings(drifts: Mapping[str, float], recording: Recording) -> list[Problem]:
+    """Return what is to be said of channels that drift."""
+    units = {channel.name: channel.unit for channel in recording.channels.values()}
+    warnings = []
+    for name, slope in drifts.items():
+        size = 2 * slope / conversion(units[name], None)
+        what = f"its offset drifts, by {size:.2g} {units[name]} over a run: its mean counts less"
+        warnings.append(Problem(what, name, severity="warning"))
+    return warnings

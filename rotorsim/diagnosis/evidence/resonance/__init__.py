@@ -1,0 +1,1 @@
+"""Recordings as resonances, compared with the modes of a diagram."""

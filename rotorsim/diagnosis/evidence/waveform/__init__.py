@@ -1,0 +1,1 @@
+"""Recordings as samples in time, compared with simulated runs."""

@@ -1,0 +1,245 @@
+"""Runs as samples in time: what drives the diagram, what it is to predict, and values between samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.interpolate import CubicSpline
+
+from rotorsim.diagnosis.evidence.waveform.equations import driven_parameters, measured_expression
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.resolve.values import ValueProblem, numeric
+from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.model.load import load
+from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
+from rotorsim.units import compatible
+
+__all__ = ["RATE", "Channels", "OfRuns", "TimeRun", "between_samples", "channels_of", "is_in_time", "read_run"]
+
+EVEN = 1e-4  # of a sample period: jitter of the time column that counts as none
+RATE = "rate of "
+CLOSE = 1e-3  # m, between a sensor and the node that stands for it
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Recorded signals by flat name: inputs drive the diagram, outputs are what it predicts.
+
+    columns: name -> column of the data. kinds: of each input, how it goes on between samples.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    columns: Mapping[str, str]
+    kinds: Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class TimeRun:
+    """Samples of one run: values {flat name: (N,)}, SI; dt: sample period [s]; start: time of the first [s]."""
+
+    id: str
+    values: Mapping[str, np.ndarray]
+    kinds: Mapping[str, str]
+    dt: float
+    start: float
+    settings: Mapping[str, Any]
+    _found: dict[tuple[str, int], np.ndarray] = field(default_factory=dict, repr=False)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle without what can be computed again."""
+        return TimeRun, (self.id, dict(self.values), dict(self.kinds), self.dt, self.start, dict(self.settings))
+
+    def first(self, count: int) -> TimeRun:
+        """Return the run up to a number of samples."""
+        return replace(self, values={name: array[:count] for name, array in self.values.items()}, _found={})
+
+    @property
+    def size(self) -> int:
+        """The number of samples N."""
+        return len(next(iter(self.values.values())))
+
+    def measured(self, names: Sequence[str]) -> np.ndarray:
+        """Return samples of signals, (N, c)."""
+        return np.stack([self.values[name] for name in names], axis=1)
+
+    def inputs(self, names: Sequence[str], sub: int) -> np.ndarray:
+        """Return signals at ends and middles of the ``sub`` steps after each sample, (N, 2 sub + 1, n_v).
+
+        A name that begins with "rate of " stands for the time derivative of the rest; measured outputs and rates go
+        between samples on a cubic spline.
+        """
+        for name in names:
+            if (name, sub) not in self._found:
+                self._found[name, sub] = self._input(name, 2 * sub)
+        columns = [self._found[name, sub] for name in names]
+        return np.stack(columns, axis=2) if columns else np.zeros((self.size, 2 * sub + 1, 0))
+
+    def _input(self, name: str, parts: int) -> np.ndarray:
+        of = name.removeprefix(RATE)
+        if of == name and name in self.kinds:
+            return between_samples(self.values[name], self.kinds[name], parts)
+        spline = CubicSpline(np.arange(self.size) * self.dt, self.values[of])
+        at = (np.arange(self.size)[:, None] + np.linspace(0.0, 1.0, parts + 1)) * self.dt
+        at[-1] = at[-1, 0]
+        return np.asarray(spline(at, 1 if of != name else 0))
+
+
+class OfRuns:
+    """What all sources of runs in time have: diagrams are read as the given one, signals named as it names them."""
+
+    channels: Channels
+    folder: str | None
+    trust_blocks: bool
+
+    def load(self, document: Mapping[str, Any]) -> Diagram:
+        """Return the diagram of a document. Raises RotorsimError."""
+        return load(document, folder=Path(self.folder) if self.folder else None, trust_blocks=self.trust_blocks)
+
+    @property
+    def recorded(self) -> list[str]:
+        """The flat names of the recorded signals."""
+        return [*self.channels.inputs, *self.channels.outputs]
+
+
+def between_samples(values: np.ndarray, kind: str, parts: int) -> np.ndarray:
+    """Return a signal at ``parts`` equal parts after each sample and at the end, (N, parts + 1).
+
+    kind: "hold", "linear" or "band_limited" (by Fourier transform of the signal followed by its mirror image).
+    """
+    n = len(values)
+    if kind == "hold":
+        return np.repeat(values[:, None], parts + 1, axis=1)
+    if kind == "linear" or n < 4:
+        later = np.append(values[1:], values[-1])
+        return np.asarray(values[:, None] + (later - values)[:, None] * np.linspace(0.0, 1.0, parts + 1))
+    size = next_fast_len(n - 1, real=True) * 2
+    mirrored = np.concatenate([values, values[-2:0:-1], np.full(size - 2 * n + 2, values[0])])
+    spectrum = np.zeros(parts * size // 2 + 1, complex)
+    spectrum[: size // 2 + 1] = rfft(mirrored)
+    spectrum[size // 2] /= 2  # shared with the negative frequency
+    fine = irfft(spectrum, parts * size) * parts
+    return np.lib.stride_tricks.sliding_window_view(fine[: parts * n + 1], parts + 1)[::parts].copy()
+
+
+def is_in_time(diagram: Diagram, recording: Recording) -> bool:
+    """Return whether a recording is compared sample by sample: nothing in it or in the diagram turns."""
+    turning = {channel.signal for channel in recording.channels.values()} & {ANGLE, TACHO}
+    return not (turning or "speed" in diagram.parameters or any(run.tacho is not None for run in recording.runs))
+
+
+def channels_of(diagram: Diagram, recording: Recording) -> Channels:
+    """Return what a recording gives to a diagram and what it measures of it. Raises RotorsimError with all mistakes."""
+    model = compile_diagram(diagram)
+    driven = driven_parameters(diagram)
+    problems: list[Problem] = []
+    inputs: dict[str, str] = {}
+    outputs: list[str] = []
+    columns: dict[str, str] = {}
+    for column, channel in recording.channels.items():
+        name = _checked(model, channel, column, problems)
+        if name is None:
+            continue
+        if name in columns:
+            problems.append(Problem(f"'{name}' is measured by two channels", f"channel {column}"))
+        elif channel.signal in driven:
+            option = diagram.nodes[channel.signal.rpartition(".")[0]].block.option
+            inputs[name] = str(getattr(option, "interpolation", "linear"))
+        else:
+            outputs.append(name)
+        columns[name] = column
+    if not outputs and not problems:
+        hint = "a channel must name a signal that the diagram computes"
+        problems.append(
+            Problem("nothing was measured that the diagram could be compared with", recording.name, hint=hint)
+        )
+    if problems:
+        raise RotorsimError(*problems)
+    return Channels(tuple(inputs), tuple(outputs), columns, inputs)
+
+
+def _checked(model: Model, channel: Channel, column: str, problems: list[Problem]) -> str | None:
+    """Return the flat name of a channel's signal in the diagram, None where there is none; add what is wrong."""
+    subject = f"channel {column}"
+    try:
+        name = node_name(model, channel)
+        expression = measured_expression(model, name)
+    except RotorsimError as error:
+        hint = error.problems[0].hint or near_miss(channel.signal, model.signals)
+        problems.append(Problem(error.problems[0].what, subject, hint=hint))
+        return None
+    if expression.numel() != 1:
+        problems.append(Problem(f"'{name}' is {expression.numel()} numbers", subject, hint="say node and axis"))
+        return None
+    signal = model.signals.get(channel.signal)
+    if (
+        signal is not None
+        and signal.unit is not None
+        and compatible(channel.unit, signal.unit) not in ("same", "scaled")
+    ):
+        what = f"unit '{channel.unit}' does not fit '{channel.signal}', which is in {signal.unit}"
+        problems.append(Problem(what, subject, hint="correct the unit, or the signal, in recording.json"))
+        return None
+    return name
+
+
+def node_name(model: Model, channel: Channel) -> str:
+    """Return the flat name of a channel's signal, a place along the shaft replaced by the node there.
+
+    Raises RotorsimError where the shaft has no node at this place.
+    """
+    if channel.position is None or channel.node is not None:
+        return channel.name
+    block = channel.signal.rpartition(".")[0]
+    node = model.diagram.nodes.get(block)
+    if node is None or "element_length" not in node.values:
+        raise RotorsimError(Problem("a position along the shaft, but this block has no elements", channel.name))
+    lengths = np.ravel(node.values["element_length"])
+    count = int(node.block.option.elements)
+    places = np.concatenate([[0.0], np.cumsum(np.broadcast_to(lengths, (count,)))])
+    k = int(np.argmin(np.abs(places - channel.position)))
+    if abs(places[k] - channel.position) > CLOSE:
+        hint = (
+            f"the nearest is node {k + 1} at {places[k]:g} m; divide the shaft so that a node is where it was measured"
+        )
+        raise RotorsimError(Problem(f"no node at {channel.position:g} m", channel.name, hint=hint))
+    return channel.name.replace(f"{channel.position:g} m", str(k + 1))
+
+
+def read_run(diagram: Diagram, run: Run, channels: Channels) -> TimeRun:
+    """Return the samples of a run. Raises RotorsimError for uneven samples and settings that are not numbers."""
+    problems: list[Problem] = []
+    dt = float(run.time[-1] - run.time[0]) / (len(run.time) - 1)
+    uneven = np.abs(run.time - run.time[0] - dt * np.arange(len(run.time))).max() if len(run.time) > 2 else 0.0
+    if uneven > EVEN * dt:
+        hint = "resample the run at equal steps"
+        problems.append(
+            Problem(f"its samples are not evenly spaced (by up to {uneven / dt:.2g} periods)", run.id, run.place, hint)
+        )
+    settings: dict[str, Any] = {}
+    for name, value in run.settings.items():
+        try:
+            settings[name] = numeric(value, _unit(diagram, name))
+        except ValueProblem as problem:
+            problems.append(Problem(problem.what, f"run {run.id}: set {name}", run.place, problem.hint))
+    if problems:
+        raise RotorsimError(*problems)
+    missing = [column for column in channels.columns.values() if column not in run.values]
+    if missing:
+        raise RotorsimError(Problem(f"has no column '{missing[0]}'", f"run {run.id}", run.place))
+    values = {name: run.values[column] for name, column in channels.columns.items()}
+    return TimeRun(run.id, values, channels.kinds, dt, float(run.time[0]), settings)
+
+
+def _unit(diagram: Diagram, name: str) -> str | None:
+    if name in diagram.parameters:
+        return diagram.parameter_units.get(name)
+    block, _, key = name.rpartition(".")
+    node = diagram.nodes.get(block)
+    return node.block.parameters[key].unit if node is not None and key in node.block.parameters else None

@@ -1,0 +1,184 @@
+"""What a diagnosis leaves behind: diagnosis.json, the repaired diagram, the report."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorsim.diagnosis.catalogue.insertion import Spot
+from rotorsim.diagnosis.conclude.conclusions import Diagnosis, Effect, estimates, interval
+from rotorsim.diagnosis.conclude.explaining import Explained
+from rotorsim.diagnosis.evidence.harmonic import Fit
+from rotorsim.diagnosis.search.trials import is_adequate
+from rotorsim.diagram.parse.fmt import format_document
+from rotorsim.files import write_atomically
+
+__all__ = ["diagnosis_data", "diagnosis_schema", "repaired_document", "save_diagnosis"]
+
+DIAGRAM = "diagram.json"
+RESULT = "diagnosis.json"
+
+
+def diagnosis_schema() -> dict[str, Any]:
+    """Return the JSON schema of diagnosis.json, which says what each key means."""
+    schema: dict[str, Any] = json.loads(Path(__file__).with_name("diagnosis.schema.json").read_text(encoding="utf-8"))
+    return schema
+
+
+def diagnosis_data(found: Diagnosis) -> dict[str, Any]:
+    """Return a diagnosis as plain data, in the form of diagnosis.json."""
+    return {
+        "verdict": found.verdict,
+        "where": [_place(spot, probability) for spot, probability in found.places],
+        "missing": _missing(found),
+        "rejected": [{"physics": name, "why": why} for name, why in found.rejected],
+        "open": [{"physics": name, "why": why} for name, why in found.open],
+        "parameters": {"before": _parameters(found.before), "after": _parameters(found.after)},
+        "fit": {
+            "before": _score(found.score_before, found.before, found),
+            "after": _score(found.score_after, found.after, found),
+            "noise_floor": found.score_after.noise if found.score_after.noise is not None else found.score_before.noise,
+            "held_out": "hold_out" if found.held else "left_out",
+        },
+        "nearest": _nearest(found),
+        "next_experiment": found.next_experiment,
+        "statement": found.statement,
+        "diagram": DIAGRAM,
+        "proof": None if found.proof is None else {"status": found.proof.status, "reason": found.proof.reason},
+        "residual": None if found.residual is None else dict(found.residual),
+        "detectable": {name: dict(values) for name, values in found.detectable.items()},
+        "outside": dict(found.outside),
+        "warnings": [f"{problem.subject}: {problem.what}" for problem in found.warnings],
+        "counts": dict(found.named.counts),
+    }
+
+
+def _missing(found: Diagnosis) -> list[dict[str, Any]]:
+    if found.verdict == "outside_catalogue":
+        return [{"physics": "outside_catalogue", "class": ["outside_catalogue"], "probability": 1.0, "parameters": {}}]
+    return [
+        {
+            "physics": effect.physics,
+            "class": list(effect.members),
+            "probability": effect.members[effect.physics],
+            "block": effect.candidate.insertion.name,
+            "place": str(effect.spot_of(effect.physics)),
+            "parameters": {**_effect_parameters(effect, found.after), **_taken(effect, found)},
+            "explained": _explained(found.explained[number]) if number < len(found.explained) else None,
+        }
+        for number, effect in enumerate(found.effects)
+    ]
+
+
+def _nearest(found: Diagnosis) -> dict[str, Any] | None:
+    """Return which rows explain most in the fitted runs, and the share of what was to be explained."""
+    named = found.named
+    if not named.chosen:
+        return None
+    left = _finite(named.fit.misfit / named.fit.freedom)
+    return {"physics": [i.insertion.physics for i in named.chosen], "share": named.share, "excess_variance": left}
+
+
+def _explained(item: Explained) -> dict[str, Any] | None:
+    if item.share is None:
+        return None
+    ends = None if item.share.interval is None else [_finite(end) for end in item.share.interval]
+    return {"share": _finite(item.share.value), "interval90": ends, "explainable": item.explainable}
+
+
+def _place(spot: Spot, probability: float) -> dict[str, Any]:
+    node = spot.beside if spot.node is None else spot.node
+    return {"block": spot.block, "port": spot.port, "node": node, "axis": None, "probability": probability}
+
+
+def _effect_parameters(effect: Effect, fit: Fit) -> dict[str, Any]:
+    every = _parameters(fit)
+    return {name.rpartition(".")[2]: every[name] for name in effect.candidate.insertion.free if name in every}
+
+
+def _taken(effect: Effect, found: Diagnosis) -> dict[str, Any]:
+    """Return the parameters that lines beside the harmonics, or steps of the readings, gave."""
+    out = {}
+    for key, (value, std, unit) in found.taken(effect).items():
+        ends = [_finite(end) for end in interval(value, std)]
+        out[key] = {"value": value, "std": std, "interval90": ends, "unit": unit, "at_bound": False}
+    return out
+
+
+def _parameters(fit: Fit) -> dict[str, Any]:
+    return {
+        name: {
+            "value": item.value, "std": _finite(item.std),
+            "interval90": [_finite(end) for end in item.interval], "unit": item.unit,
+            "at_bound": item.at_bound,
+        }
+        for name, item in estimates(fit).items()
+    }  # fmt: skip
+
+
+def _score(scored: Any, fit: Fit, found: Diagnosis) -> dict[str, Any]:
+    from rotorsim.diagnosis.evidence.waveform.source import TimeSource
+
+    independent = not isinstance(found.source, TimeSource)  # samples in time are not
+    return {
+        "hold_out": scored.total, "ports": {k: _finite(v) for k, v in scored.ports.items() if k},
+        "excess_variance": _finite(fit.misfit / fit.freedom), "goodness": fit.goodness if independent else None,
+        "adequate": is_adequate(fit), "reason": getattr(scored, "reason", "") or None,
+    }  # fmt: skip
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def repaired_document(found: Diagnosis) -> dict[str, Any]:
+    """Return the repaired diagram: the values of the fit with their units, the new blocks beside the old ones."""
+    document = copy.deepcopy(dict(found.document))
+    units = {item.name: item.unit for item in found.after.free}
+    for effect in found.effects:
+        taken = found.taken(effect).items()
+        units |= {f"{effect.candidate.insertion.name}.{key}": unit for key, (_, _, unit) in taken}
+    for name, unit in units.items():
+        block, _, key = name.rpartition(".")
+        holder = document["blocks"].get(block, {}).get("parameters", {}) if block else document.get("parameters", {})
+        value = holder.get(key)
+        if isinstance(value, float) and unit not in ("", "1"):
+            holder[key] = f"{value!r} {unit}"
+    layout = document.get("layout")
+    if isinstance(layout, dict) and layout:
+        for effect in found.effects:
+            insertion = effect.candidate.insertion
+            if insertion.name not in layout and insertion.spot.block in layout:
+                x, y = layout[insertion.spot.block]
+                layout[insertion.name] = [x, y + 1.5]
+    description = str(document.get("description", "")).rstrip()
+    description += "." if description and not description.endswith(".") else ""
+    if found.effects and found.verdict == "missing_physics":
+        names = ", ".join(effect.physics for effect in found.effects)
+        document["description"] = f"{description} Repaired by diagnosis: {names}.".strip()
+    return document
+
+
+def save_diagnosis(found: Diagnosis, folder: str | Path) -> list[Path]:
+    """Write diagnosis.json and diagram.json into a folder (made if need be); return the files."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / RESULT, folder / DIAGRAM]
+    text = json.dumps(diagnosis_data(found), indent=2, allow_nan=False, default=_plain)
+    write_atomically(files[0], text + "\n")
+    write_atomically(files[1], format_document(repaired_document(found)))
+    return files
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} in a diagnosis")

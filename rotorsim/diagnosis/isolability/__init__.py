@@ -1,0 +1,1 @@
+"""Which faults are detectable and isolable with which sensors, before anything is measured."""

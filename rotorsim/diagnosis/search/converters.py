@@ -1,0 +1,64 @@
+"""Converters that a diagram lacks and whose steps the readings show."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rotorsim.diagnosis.catalogue.finder import insertions
+from rotorsim.diagnosis.catalogue.insertion import Insertion
+from rotorsim.diagnosis.evidence.harmonic import Source
+from rotorsim.diagram.resolve.registry import Registry
+from rotorsim.errors import Problem
+from rotorsim.signals.converters import SAME, is_entry
+from rotorsim.signals.quantisation import Step, find_steps, readings_of, step_of
+from rotorsim.units import format_quantity
+
+__all__ = ["Converter", "find_converters"]
+
+
+@dataclass(frozen=True, eq=False)
+class Converter:
+    """A converter that a diagram lacks: where it is put in, the document with it, the step of every channel behind it.
+
+    warnings: of channels that do not have the step that is told.
+    """
+
+    insertion: Insertion
+    document: Mapping[str, Any]
+    steps: Mapping[str, Step]
+    warnings: tuple[Problem, ...] = ()
+
+    @property
+    def step(self) -> Step:
+        """The step of the channel that shows it best."""
+        return max(self.steps.values(), key=lambda step: step.seen)
+
+
+def find_converters(
+    document: Mapping[str, Any], source: Source, registry: Registry, physics: Collection[str] | None
+) -> list[Converter]:  # fmt: skip
+    """Return the converters whose steps change the recorded harmonics, one put in after another."""
+    seen = find_steps(source.recording, source.harmonics)
+    found: list[Converter] = []
+    while seen:
+        for item in insertions(source.load(document), source.recorded, registry):
+            behind = {name for name in source.recorded if any(is_entry(name, said) for said in item.measured)}
+            if item.from_steps and behind & seen.keys() and (physics is None or item.physics in physics):
+                break
+        else:
+            break
+        best = max((seen[name] for name in behind & seen.keys()), key=lambda step: step.seen)
+        steps, warnings = {}, []
+        for name in sorted(behind):  # one converter has them all
+            step = seen.get(name) or step_of(readings_of(source.recording, name))
+            if step is not None and abs(step.size - best.size) <= SAME * best.size:
+                steps[name] = step
+            else:
+                what = f"does not have the step that the readings beside it have, {format_quantity(best.size, 'm')}"
+                warnings.append(Problem(what, name, severity="warning"))
+        document = item.document(document, dict.fromkeys(item.from_steps, best.size))
+        found.append(Converter(item, document, steps, tuple(warnings)))
+        seen = {name: step for name, step in seen.items() if name not in behind}
+    return found

@@ -1,0 +1,416 @@
+"""Every row of the catalogue at every place, put into a fitted diagram and refitted, what is promising to the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from rotorsim.diagnosis.catalogue.finder import insertions
+from rotorsim.diagnosis.catalogue.insertion import LEAST, LINES, LONGEST, Insertion, fixed_of, limits_of, starts_of
+from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.evidence.harmonic import LATER, Fit, Source, fit_from_plain, fit_to_plain
+from rotorsim.diagnosis.search.places import open_places
+from rotorsim.diagram.resolve.registry import Registry
+from rotorsim.fault import Of
+from rotorsim.identification.coordinates import ANGLE_UNIT
+from rotorsim.identification.estimate import NOT_EXPLAINED
+from rotorsim.identification.profile import Z90
+from rotorsim.jobs.jobs import Failure, run_jobs
+from rotorsim.jobs.threads import one_thread
+
+__all__ = ["Candidate", "Round", "Trials", "is_adequate", "is_noise"]
+
+# excess variance that is not worth a name, whatever its probability: a variance estimated from n independent samples is
+# wrong by sqrt(2 / n), 5 % for the 800 between the harmonics of a run of 0.2 s at 5 kHz
+MODEL_ERROR = 1.05
+MOST_FITS = 90  # in one round; places beyond are screened
+# times the least misfit that any place allows: places that allow no less are not looked at. The bound is that of free
+# harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it
+POSSIBLE = 10.0
+BATCHES = 4  # of jobs, for every process
+FIRST_EVALUATIONS, SECOND_EVALUATIONS = 5, 15  # of a nonlinear diagram, before it is judged whether it is worth more
+LAST_EVALUATIONS = 3  # where the data are explained already, and only rivals are looked for
+SECOND = 8  # nonlinear fits that get as far as the second
+REFINED = 3  # fits carried to the end at least
+PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
+HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
+STARTED = 0.1  # share of what the best explains: of nonlinear laws below, SECOND_EVALUATIONS are the last
+ASTRAY = 100.0  # times its size, as given and in the fit before: nobody states a value so wrong, and what cancels is so
+RESTART = 0.1  # of its scale: how far off a bound a parameter of the diagram begins again
+NEAR = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
+
+_Job = tuple[dict[str, Any], list[list[dict[str, float]]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An insertion and the refitted diagram with it.
+
+    astray: parameters of the diagram that have left all reason. final: whether the fit was carried to the end.
+    """
+
+    insertion: Insertion
+    fit: Fit
+    astray: str = ""
+    final: bool = True
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The names of the parameters of the fault in the diagram."""
+        return tuple(name for name in self.insertion.free if name in self.fit.values)
+
+    @property
+    def ended(self) -> tuple[str, ...]:
+        """The parameters of the fault that ended at a bound."""
+        ended = {item.name for item, end in zip(self.fit.free, self.fit.at_bound, strict=True) if end}
+        return tuple(name for name in self.parameters if name in ended)
+
+    @property
+    def physical(self) -> bool:
+        """Whether this can be: see `unphysical`."""
+        return not self.unphysical
+
+    @property
+    def unphysical(self) -> str:
+        """Why this cannot be, empty where it can.
+
+        A parameter of the fault ended at a bound; the data tell none of its sizes from zero (their 90 % intervals hold
+        it, were the rest of its law known); or it needs a parameter of the diagram far beyond all reason, as one that
+        cancels the effect is.
+        """
+        fit = self.fit
+        if fit.failure:
+            return ""
+        if self.ended:
+            return f"its {', '.join(name.rpartition('.')[2] for name in self.ended)} ended at a physical bound"
+        names = [item.name for item in fit.free]
+        sizes = [name for name in self.parameters if name.rpartition(".")[2] in self.insertion.fault.sizes]
+        std = fit.alone if len(fit.alone) else np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+        told = (abs(fit.theta[j]) > Z90 * std[j] for j in map(names.index, sizes))
+        if sizes and not any(told):
+            return f"its {' and '.join(name.rpartition('.')[2] for name in sizes)} cannot be told from zero"
+        return f"needs {self.astray}" if self.astray else ""
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One round of the selection: what was tried on top of ``before``, the best first."""
+
+    before: Fit
+    tried: tuple[Candidate, ...]
+
+    @property
+    def best(self) -> Candidate | None:
+        """The best candidate that is physical."""
+        return next((item for item in self.tried if not item.fit.failure and item.physical), None)
+
+
+def is_adequate(found: Fit) -> bool:
+    """Return whether a model leaves over what noise can make."""
+    if found.failure:
+        return False
+    return found.goodness >= NOT_EXPLAINED or found.misfit <= MODEL_ERROR * found.freedom
+
+
+def is_noise(found: Fit) -> bool:
+    """Return whether noise can make what a model leaves over, of few lines beside many harmonics too."""
+    return is_adequate(found) and float(chi2.sf(found.line_misfit, max(found.line_rows, 1))) >= NOT_EXPLAINED
+
+
+class Trials:
+    """Insertions into fitted diagrams, each refitted; ``slack``: of the misfit, what says nothing."""
+
+    def __init__(
+        self, source: Source, registry: Registry | None, physics: Collection[str] | None, workers: int | None,
+        scheduler: str | None, progress: Callable[[float], None] | None,
+    ) -> None:  # fmt: skip
+        self.source, self.registry, self.physics = source, registry, physics
+        self.workers, self.scheduler, self.progress = workers, scheduler, progress
+        self.counts = {"fits": 0, "rounds": 0}
+        self.nominal: dict[str, float] = {}
+        self.slack = 0.0
+
+    def has_mesh(self, base: Fit) -> bool:
+        """Return whether a block of the diagram is a mesh, which is never exact."""
+        if not isinstance(self.source, Source):
+            return False
+        return any(node.block.refinement for node in self.source.load(base.document).nodes.values())
+
+    def round(self, before: Fit, only: Collection[str] | None = None) -> Round:
+        """Try every insertion into a fitted diagram, or those of some keys only."""
+        document = values_in(before.document, before.values)
+        diagram = self.source.load(document)
+        found = insertions(diagram, self.source.recorded, self.registry)
+        if self.physics is not None:
+            found = [item for item in found if item.physics in self.physics]
+        if only is not None:
+            found = [item for item in found if item.key in only]
+        self.counts["rounds"] += 1
+        jobs = []
+        largest = self.source.largest()
+        away = self._off_bounds(before)
+        found = [item for item in found if (LINES in largest or not item.from_lines) and not item.from_steps]
+        for item in found:
+            sizes = _sizes(item, largest)
+            starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
+            here = [dict(zip(item.free, start.values(), strict=True)) for start in starts]
+            groups = [[{**off, **start} for off in (({}, away) if away else ({},)) for start in here]]
+            if not before.nonlinear:  # else it costs too much to begin once more from values as given
+                groups.append([{**self.nominal, **away, **start} for start in here])
+            jobs.append((item.document(document, {**fixed, **starts[0]}, limits_of(item, sizes)), groups))
+        if len(jobs) > MOST_FITS:
+            kept = self._screened(before, found, jobs)
+            found, jobs = [found[k] for k in kept], [jobs[k] for k in kept]
+        self.counts["fits"] += len(found)
+        fits = self._fit(jobs, FIRST_EVALUATIONS, linear_only=True)
+        later = [k for k, fit in enumerate(fits) if fit.failure == LATER]
+        explained = is_adequate(before) or any(is_adequate(fit) for fit in fits)
+        more = self._fit([jobs[k] for k in later], LAST_EVALUATIONS if explained else FIRST_EVALUATIONS)
+        for k, fit in zip(later, more, strict=True):
+            fits[k] = fit
+        fits, ended = self._refined(before, jobs, fits, [(item.physics, item.variant) for item in found])
+        tried = [
+            Candidate(item, fit, self._astray(before, fit), bool(fit.failure) or not fit.nonlinear or k in ended)
+            for k, (item, fit) in enumerate(zip(found, fits, strict=True))
+        ]
+        return Round(before, tuple(_simplest_first(tried, self.slack)))
+
+    def completed(self, found: Round, physics: Collection[str]) -> Round:
+        """Return a round with these physics carried to the end, each law at its best place."""
+        tried = list(found.tried)
+        best: dict[tuple[str, int], int] = {}
+        for k in sorted(range(len(tried)), key=lambda k: tried[k].fit.misfit):
+            item = tried[k]
+            if item.insertion.physics in physics and not item.fit.failure:
+                best.setdefault((item.insertion.physics, item.insertion.variant), k)
+        which = [k for k in best.values() if not tried[k].final]
+        jobs: list[_Job] = [(values_in(tried[k].fit.document, tried[k].fit.values), [[{}]]) for k in which]
+        for k, fit in zip(which, self._fit(jobs, None), strict=True):
+            better = not fit.failure and fit.misfit <= tried[k].fit.misfit
+            fit = fit if better else tried[k].fit
+            tried[k] = Candidate(tried[k].insertion, fit, self._astray(found.before, fit))
+        return Round(found.before, tuple(_simplest_first(tried, self.slack))) if which else found
+
+    def _astray(self, before: Fit, fit: Fit) -> str:
+        """Return in words the parameters of the diagram that are ASTRAY times what was given and fitted before."""
+        found, known = [], before.values
+        for item, value in zip(fit.free, fit.theta, strict=True):
+            usual = max(item.scale, abs(self.nominal.get(item.name, 0.0)), abs(known.get(item.name, 0.0)))
+            if item.name in self.nominal and item.unit != ANGLE_UNIT and abs(value) > ASTRAY * usual > 0:
+                found.append(f"{item.name} {abs(value) / usual:.2g} times as large")
+        return " and ".join(found)
+
+    def _off_bounds(self, fit: Fit) -> dict[str, float]:
+        """Return where parameters of the diagram as given that ended at a bound begin again: as given, off the bound.
+
+        What held one there may be gone with the next effect.
+        """
+        found = {}
+        for item, ended in zip(fit.free, fit.at_bound, strict=True):
+            if ended and item.name in self.nominal:
+                off = min(RESTART * (item.scale or 1.0), (item.high - item.low) / 2)
+                found[item.name] = float(np.clip(self.nominal[item.name], item.low + off, item.high - off))
+        return found
+
+    def _screened(self, before: Fit, found: Sequence[Insertion], jobs: Sequence[_Job]) -> list[int]:
+        """Return which insertions are fitted where places are many: each law at its best place, then the best places.
+
+        A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
+        """
+        if is_adequate(before):
+            return self._promising(found, jobs, before.misfit - HINT * MOST_FITS)
+        places = open_places(before, self.source)
+        if places is None:
+            return self._promising(found, jobs)
+        with one_thread():
+            bounds = [places.bound(item) for item in found]
+        known = sorted({bound for bound in bounds if bound is not None})
+        if not known:
+            return self._promising(found, jobs)
+        kept = [k for k, bound in enumerate(bounds) if bound is None]
+        best: dict[tuple[str, int], int] = {}
+        for k in sorted((k for k in range(len(found)) if bounds[k] is not None), key=lambda k: bounds[k] or 0.0):
+            best.setdefault((found[k].physics, found[k].variant), k)
+        kept += best.values()
+        for least in known:
+            if least > POSSIBLE * known[0]:
+                break
+            here = [k for k, bound in enumerate(bounds) if bound == least and k not in kept]
+            if least > known[0] and len(kept) + len(here) > MOST_FITS:
+                break
+            kept += here
+        return kept
+
+    def _promising(self, found: Sequence[Insertion], jobs: Sequence[_Job], most: float = np.inf) -> list[int]:
+        """Return the best place of each law, and the next best below ``most``, by what one step promises."""
+        promises = np.array(self._promises(jobs))
+        order = np.argsort(promises, kind="stable")
+        seen: set[tuple[str, int]] = set()
+        first: list[int] = []
+        second: list[int] = []
+        for k in order.tolist():
+            law = (found[k].physics, found[k].variant)
+            if not np.isfinite(promises[k]):
+                continue
+            if law not in seen:
+                first.append(k)
+            elif promises[k] < most:
+                second.append(k)
+            seen.add(law)
+        return [*first, *second[: max(MOST_FITS - len(first), MOST_FITS // 3)]]
+
+    def _promises(self, jobs: Sequence[_Job]) -> list[float]:
+        count = min(len(jobs), BATCHES * (self.workers or 2))
+        batches = [list(jobs[k::count]) for k in range(count)]
+        results = run_jobs(
+            _promise_batch, [(batch, self.source) for batch in batches], workers=self.workers,
+            scheduler=self.scheduler, progress=self.progress, on_error="return",
+        )  # fmt: skip
+        out = [float("inf")] * len(jobs)
+        for k, result in enumerate(results):
+            if not isinstance(result, Failure):
+                out[k::count] = result
+        return out
+
+    def _refined(
+        self, before: Fit, jobs: Sequence[_Job], fits: list[Fit], laws: Sequence[tuple[str, int]]
+    ) -> tuple[list[Fit], set[int]]:  # fmt: skip
+        """Return the fits, and which of them were carried to the end: those that promise most.
+
+        laws: physics and variant of each. Where one of all explains the data, only those near it matter any more.
+        """
+        if not any(is_adequate(fit) for fit in fits):
+            order = [k for k in _by_misfit(fits) if fits[k].nonlinear]
+            self._again(jobs, fits, order[:SECOND], SECOND_EVALUATIONS)
+        order = _by_misfit(fits)
+        if is_adequate(before):  # only what is not noise matters
+            order = [k for k in order if before.misfit - fits[k].misfit > HINT * len(fits[k].free)][:SECOND]
+        elif any(is_adequate(fit) for fit in fits):
+            least = fits[order[0]].misfit
+            slow = before.misfit - STARTED * (before.misfit - least)
+            if before.misfit < NEAR * least:
+                best_of: dict[tuple[str, int], int] = {}  # of the places of each law
+                for k in order:
+                    best_of.setdefault(laws[k], k)
+                self._again(jobs, fits, [k for k in best_of.values() if _is_slow(fits[k], slow)], SECOND_EVALUATIONS)
+            order = [k for k in _by_misfit(fits) if fits[k].misfit < NEAR * least and not _is_slow(fits[k], slow)]
+        else:
+            order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < PROMISING * before.misfit]
+        self._again(jobs, fits, order, None)
+        return fits, set(order)
+
+    def _again(self, jobs: Sequence[_Job], fits: list[Fit], which: Sequence[int], most: int | None) -> None:
+        """Carry some fits on from where they are, in place."""
+        continued: list[_Job] = []
+        for k in which:
+            away = {} if fits[k].nonlinear else self._off_bounds(fits[k])
+            continued.append((values_in(jobs[k][0], fits[k].values), [[{}], *([[away]] if away else [])]))
+        for k, fit in zip(which, self._fit(continued, most), strict=True):
+            if not fit.failure and fit.misfit <= fits[k].misfit:
+                fits[k] = replace(fit, seconds=fit.seconds + fits[k].seconds)
+
+    def _fit(self, jobs: Sequence[_Job], most: int | None, *, linear_only: bool = False) -> list[Fit]:
+        if not jobs:
+            return []
+        count = min(len(jobs), BATCHES * (self.workers or 2))
+        batches = [list(jobs[k::count]) for k in range(count)]
+        results = run_jobs(
+            _fit_batch, [(batch, self.source, most, linear_only) for batch in batches], workers=self.workers,
+            scheduler=self.scheduler, progress=self.progress, on_error="return",
+        )  # fmt: skip
+        fits: list[Fit] = [Fit(document, failure="was not fitted") for document, _ in jobs]
+        for k, result in enumerate(results):
+            if isinstance(result, Failure):
+                for j in range(k, len(jobs), count):
+                    fits[j] = Fit(jobs[j][0], failure=result.text)
+                continue
+            for j, plain in zip(range(k, len(jobs), count), result, strict=True):
+                fits[j] = fit_from_plain(jobs[j][0], plain)
+        return fits
+
+    def refitted(self, base: Fit, effects: Sequence[Candidate], near: Fit) -> tuple[Candidate, ...]:
+        """Return these effects only, put in one by one; the last has the fit of all, from their values in ``near``.
+
+        Empty where they cannot stand alone.
+        """
+        document, known = dict(base.document), dict(near.values)
+        entered = []
+        for item in effects:
+            here = insertions(self.source.load(document), self.source.recorded, self.registry)
+            again = next((other for other in here if other.key == item.insertion.key), None)
+            if again is None:
+                return ()
+            old, new = item.insertion.name, again.name
+            had = near.document["blocks"][old].get("parameters", {})
+            own = {key: near.values[f"{old}.{key}"] for key in again.fault.free if f"{old}.{key}" in near.values}
+            set_once = {key: had[key] for key in again.fault.fixed if key in had}
+            bounds = {key: near.document["identify"].get(f"{old}.{key}", {}) for key in again.fault.free}
+            limits = {key: (given["low"], given["high"]) for key, given in bounds.items() if given}
+            document = again.document(document, {**own, **set_once}, limits)
+            known |= {f"{new}.{key}": value for key, value in own.items()}
+            entered.append(again)
+        known = {name: value for name, value in known.items() if name in document["identify"]}
+        document = values_in(document, known)  # a block that was put in the place of another has others
+        with one_thread():
+            fit = self.source.fit(document, [[{}], [{**self.nominal, **self._off_bounds(near)}]])
+        if fit.failure:
+            return ()
+        pairs = zip(entered[:-1], effects, strict=False)
+        kept = (Candidate(new, old.fit if new.name == old.insertion.name else fit) for new, old in pairs)
+        return (*kept, Candidate(entered[-1], fit))
+
+
+def _is_slow(fit: Fit, most: float) -> bool:
+    """Return whether the fit of a nonlinear law has not got below a misfit: it may have begun too far away."""
+    return fit.nonlinear and fit.misfit > most
+
+
+def _by_misfit(fits: Sequence[Fit]) -> list[int]:
+    return sorted((k for k, fit in enumerate(fits) if not fit.failure), key=lambda k: fits[k].misfit)
+
+
+def _simplest_first(tried: list[Candidate], slack: float) -> list[Candidate]:
+    """Return candidates by their criterion; of those that it does not tell from the best, the simplest first."""
+    tried = sorted(tried, key=lambda item: (bool(item.fit.failure), item.fit.criterion))
+    least = next((item.fit.criterion for item in tried if not item.fit.failure and item.physical), np.inf)
+    near = [item for item in tried if not item.fit.failure and item.physical and item.fit.criterion <= least + slack]
+    near.sort(key=lambda item: (len(item.fit.free), item.fit.criterion))
+    return [*near, *(item for item in tried if item not in near)]
+
+
+def _promise_batch(argument: tuple[list[_Job], Source]) -> list[float]:
+    batch, source = argument
+    with one_thread():
+        return [source.promise(document, starts) for document, starts in batch]
+
+
+def _fit_batch(argument: tuple[list[_Job], Source, int | None, bool]) -> list[dict[str, Any]]:
+    batch, source, most, linear_only = argument
+    with one_thread():
+        return [
+            fit_to_plain(source.fit(document, starts, most=most, linear_only=linear_only)) for document, starts in batch
+        ]
+
+
+def _sizes(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
+    """Return the magnitudes of the inputs of an insertion that were recorded (at their node or any).
+
+    Of signals that bound it but do not feed it, those of the block where it acts.
+    """
+    out = {key: value for key, value in largest.items() if key in (LINES, LONGEST)}
+    for bound in insertion.fault.most.values():
+        key = bound.input if isinstance(bound, Of) else ""
+        near = [v for name, v in largest.items() if name.partition("[")[0] == f"{insertion.spot.block}.{key}"]
+        if near:
+            out[key] = max(near)
+    for key, source in insertion.feeds.items():
+        for which in ("", f"{LEAST} "):
+            exact = [v for name, v in largest.items() if name.startswith(which + source.rstrip("]"))]
+            near = [v for name, v in largest.items() if name.partition("[")[0] == which + source.partition("[")[0]]
+            if exact or near:
+                out[which + key] = max(exact or near)
+    return out

@@ -1,0 +1,120 @@
+"""The form of a diagram document: known keys, kinds of values, names. What blocks allow is checked later."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rotorsim.diagram.parse.document import NAME
+from rotorsim.diagram.parse.source import JsonPath, Source
+from rotorsim.errors import CONTROL, Place, Problem, near_miss
+
+__all__ = ["BLOCK_KEYS", "KEYS", "RESERVED", "checked_form", "is_block"]
+
+RESERVED = ("solver",)
+KEYS: dict[str, type] = {
+    "$schema": str, "schema_version": int, "name": str, "description": str, "parameters": dict, "blocks": dict,
+    "wires": list, "solver": dict, "record": list, "algebraic_loops": str, "block_folders": list, "ports": dict,
+    "layout": dict, "identify": dict, "measured": dict,
+}  # fmt: skip
+BLOCK_KEYS: dict[str, type] = {"type": str, "parameters": dict, "file": str, "description": str}
+MAX_HINTS = 1000  # a near miss takes a look at every known word
+_WORDS = {str: "a text", int: "a whole number", dict: "an object {...}", list: "a list [...]"}
+_NAMES = "names are letters, digits and _, and do not start with a digit"
+
+
+class _Form:
+    def __init__(self, source: Source, problems: list[Problem]) -> None:
+        self.source, self.problems = source, problems
+
+    def error(self, what: str, path: JsonPath, subject: str = "", hint: str = "", *, key: bool = False) -> None:
+        place: Place = self.source.locate(path, key=key)
+        self.problems.append(Problem(what, subject=subject, place=place, hint=hint))
+
+    def document(self) -> dict[str, Any]:
+        data: dict[str, Any] = {}
+        unknown = 0
+        for key, value in self.source.data.items():
+            if key not in KEYS:
+                unknown += 1
+                hint = near_miss(str(key), KEYS) if unknown <= MAX_HINTS else "see docs/diagrams.md"
+                self.error(f"unknown key '{key}'", (key,), hint=hint, key=True)
+            elif not isinstance(value, KEYS[key]) or isinstance(value, bool):
+                self.error(f"must be {_WORDS[KEYS[key]]}", (key,), key)
+            else:
+                data[key] = value
+        for key in ("name", "description"):
+            if CONTROL.search(data.get(key, "")):  # of a document in memory: `parse_document` refuses them in a file
+                self.error("holds a control character", (key,), key, "remove it")
+        if "blocks" not in self.source.data:
+            self.error("key 'blocks' is missing", (), hint='"blocks": {"name": {"type": "..."}}')
+        version = data.get("schema_version", 1)
+        if version != 1:
+            hint = "this version of rotorsim reads schema_version 1"
+            self.error(f"schema_version {version} is not known", ("schema_version",), hint=hint)
+        loops = data.get("algebraic_loops", "refuse")
+        if loops not in ("refuse", "solve"):
+            self.error(f"algebraic_loops is '{loops}'", ("algebraic_loops",), hint="it is 'refuse' or 'solve'")
+        for key, empty in (("parameters", {}), ("blocks", {}), ("wires", []), ("ports", {}), ("layout", {})):
+            data.setdefault(key, empty)
+        self.names(data)
+        self.layout(data)
+        return data
+
+    def names(self, data: dict[str, Any]) -> None:
+        for key in ("parameters", "blocks"):
+            for name in [name for name in data[key] if not NAME.fullmatch(str(name))]:
+                self.error(f"'{name}' is not a name", (key, name), key, _NAMES, key=True)
+        for name in RESERVED:
+            if name in data["blocks"]:
+                hint = f"'{name}' would not be told from the settings in --set {name}.step=..."
+                self.error(f"'{name}' is reserved", ("blocks", name), name, hint, key=True)
+
+    def layout(self, data: dict[str, Any]) -> None:
+        for name, at in data["layout"].items():
+            subject = f"layout.{name}"
+            if name not in data["blocks"]:
+                hint = near_miss(str(name), data["blocks"])
+                place = self.source.locate(("layout", name), key=True)
+                self.problems.append(Problem(f"no block '{name}'", subject, place, hint, "warning"))
+            numbers = isinstance(at, list | tuple) and all(
+                isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e9 for x in at
+            )
+            if not numbers or len(at) != 2:
+                self.error("must be two numbers", ("layout", name), subject, "write [column, row]")
+
+    def block(self, name: str, block: Any) -> bool:
+        path: JsonPath = ("blocks", name)
+        if not isinstance(block, dict):
+            self.error('must be an object {"type": ...}', path, name, 'for example {"type": "gain"}')
+            return False
+        if block.keys() <= BLOCK_KEYS.keys() and "type" in block:
+            good = True
+        else:
+            good = "type" in block
+            if not good:
+                self.error("key 'type' is missing", path, name, '"type": "gain"; `rotorsim blocks` lists the types')
+            for key in block:
+                if key not in BLOCK_KEYS:
+                    hint = near_miss(str(key), BLOCK_KEYS)
+                    if not hint.startswith("did"):
+                        hint = 'parameters of the block go into "parameters": {...}'
+                    self.error(f"unknown key '{key}'", (*path, key), name, hint, key=True)
+        for key, value in block.items():
+            kind = BLOCK_KEYS.get(key)
+            if kind is not None and not isinstance(value, kind):
+                self.error(f"'{key}' must be {_WORDS[kind]}", (*path, key), name)
+                good = False
+        return good
+
+
+def checked_form(source: Source, problems: list[Problem]) -> dict[str, Any]:
+    """Return the keys of a document that are known and of the right kind, with empty ones for what is missing.
+
+    ``source.data`` is an object. Mistakes are added to ``problems``.
+    """
+    return _Form(source, problems).document()
+
+
+def is_block(source: Source, name: str, block: Any, problems: list[Problem]) -> bool:
+    """Return whether a block of a document has the right form; add what is wrong to ``problems``."""
+    return _Form(source, problems).block(name, block)

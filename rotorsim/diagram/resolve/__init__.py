@@ -1,0 +1,1 @@
+"""A document to a diagram: block classes, shapes, values, units and wires, all mistakes at once."""

@@ -1,0 +1,237 @@
+"""Free parameters: what the ``identify`` key of a diagram leaves to be estimated from recordings."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rotorsim.block import _Param
+from rotorsim.diagram.diagram import Free, Node
+from rotorsim.diagram.parse.source import JsonPath, Source
+from rotorsim.diagram.resolve.values import ValueProblem, numeric
+from rotorsim.errors import Place, Problem, near_miss
+
+__all__ = ["KEYS", "free_parameters", "unknown_names"]
+
+SPEED = "speed"
+KEYS = ("low", "high", "prior", "description")
+PRIOR_KEYS = ("mean", "std")
+MOST = 1e100
+COLLAPSED = 1e-3  # of what is usual: a value below says nothing of its size (an earlier fit may have ended at a bound)
+_NAME = re.compile(r"([A-Za-z_][\w./]*?)(?:\[\s*(\d{1,6}(?:\s*,\s*\d{1,6})*)\s*\])?")
+_PERCENT = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
+
+
+@dataclass
+class _Found:
+    """What a name stands for: its value, unit, shape, the declarations that bound it, and sizes that are usual."""
+
+    value: np.ndarray
+    unit: str
+    declared: list[_Param] = field(default_factory=list)
+    usual: list[float] = field(default_factory=list)
+
+
+class _Reader:
+    def __init__(
+        self, source: Source, parameters: Mapping[str, np.ndarray], units: Mapping[str, str], nodes: Mapping[str, Node]
+    ) -> None:
+        self.source, self.parameters, self.units, self.nodes = source, parameters, units, nodes
+        self.problems: list[Problem] = []
+
+    def error(self, what: str, path: JsonPath, hint: str = "", *, key: bool = False) -> None:
+        subject = f"identify.{path[1]}" if len(path) > 1 else "identify"
+        place: Place = self.source.place(path, key=key)
+        self.problems.append(Problem(what, subject, place, hint))
+
+    def find(self, base: str) -> _Found | None:
+        if base in self.parameters:
+            followers = [
+                (node, key)
+                for node in self.nodes.values()
+                for key, reference in node.references.items()
+                if reference == base
+            ]
+            declared = [node.block.parameters[key] for node, key in followers]
+            usual = [size for node, key in followers for size in _usual(node, key)]
+            return _Found(self.parameters[base], self.units.get(base, "1"), declared, usual)
+        block, _, key = base.rpartition(".")
+        node = self.nodes.get(block)
+        if node is None or key not in node.values:
+            return None
+        own = node.block.parameters[key]
+        return _Found(node.values[key], own.unit or "1", [own], _usual(node, key))
+
+    def one(self, name: str, given: Any) -> list[Free]:
+        path: JsonPath = ("identify", name)
+        match = _NAME.fullmatch(str(name))
+        found = self.find(match[1]) if match else None
+        if match is None or found is None:
+            blocks = (f"{block}.{key}" for block, node in self.nodes.items() for key in node.values)
+            hint = near_miss(name, [*self.parameters, *blocks], list_all=False)
+            self.error("no such parameter", path, hint, key=True)
+            return []
+        if match[1] == SPEED:
+            self.error("is measured, so that it cannot be free", path, key=True)
+            return []
+        if not isinstance(given, Mapping):
+            self.error("must be an object", path, '{} leaves it free; {"low": 0, "prior": {"std": "5 %"}} says more')
+            return []
+        for key in given:
+            if key not in KEYS:
+                self.error(f"unknown key '{key}'", (*path, key), near_miss(str(key), KEYS), key=True)
+        follows = None if "." not in match[1] else self.nodes[match[1].rpartition(".")[0]].references
+        if follows and match[1].rpartition(".")[2] in follows:
+            parameter = follows[match[1].rpartition(".")[2]]
+            self.error(f"follows the diagram parameter '{parameter}'", path, f'write "{parameter}" here', key=True)
+            return []
+        entries = self.entries(match[2], found, path)
+        return [free for entry in entries if (free := self.entry(match[1], entry, found, given, path)) is not None]
+
+    def entries(self, inside: str | None, found: _Found, path: JsonPath) -> list[tuple[int, ...]]:
+        shape = found.value.shape
+        if inside is None:
+            return list(np.ndindex(*shape)) if shape else [()]
+        index = tuple(int(part) - 1 for part in inside.split(","))
+        if len(index) != len(shape) or any(not 0 <= i < n for i, n in zip(index, shape, strict=True)):
+            size = " x ".join(map(str, shape)) or "a single number"
+            self.error(f"no such entry; the parameter is {size}, counted from 1", path, key=True)
+            return []
+        return [index]
+
+    def entry(
+        self, base: str, index: tuple[int, ...], found: _Found, given: Mapping[str, Any], path: JsonPath
+    ) -> Free | None:
+        value = float(found.value[index])
+        low = max((bound for d in found.declared if (bound := _lowest(d, value)) is not None), default=-math.inf)
+        high = min((d.high for d in found.declared if d.high is not None), default=math.inf)
+        before = len(self.problems)
+        declared = low, high
+        low = self.number(given, "low", found.unit, path, low)
+        high = self.number(given, "high", found.unit, path, high)
+        if low < declared[0] or high > declared[1]:
+            end = "low" if low < declared[0] else "high"
+            hint = f"bounds can only be narrowed: leave '{end}' out of identify, for the block has its own"
+            what = f"the block allows {declared[0]:g} .. {declared[1]:g} {found.unit}"
+            self.error(what, (*path, end), hint)
+        if not isinstance(given.get("description", ""), str):
+            self.error("must be a text", (*path, "description"))
+        mean = std = None
+        if "prior" in given:
+            mean, std = self.prior(given["prior"], value, found.unit, (*path, "prior"))
+        name = f"{base}[{','.join(str(i + 1) for i in index)}]" if index else base
+        if len(self.problems) > before:
+            return None
+        if not low < high:
+            self.error(f"low {low:g} is not below high {high:g}", path)
+        elif mean is not None and not low <= mean <= high:
+            self.error(f"its mean {mean:g} {found.unit} is outside the bounds {low:g} .. {high:g}", (*path, "prior"))
+        elif not low <= value <= high:
+            self.error(f"the value {value:g} {found.unit} is outside its bounds {low:g} .. {high:g}", path)
+        else:
+            flat = int(np.ravel_multi_index(index, found.value.shape)) if index else 0
+            usual = std or next((size for size in found.usual if size), 0.0)
+            scale = abs(value) if abs(value) > COLLAPSED * usual else usual
+            return Free(name, base, flat, value, found.unit, low, high, mean, std, scale)
+        return None
+
+    def number(self, given: Mapping[str, Any], key: str, unit: str, path: JsonPath, default: float) -> float:
+        if key not in given:
+            return default
+        try:
+            value = numeric(given[key], unit)
+        except ValueProblem as problem:
+            self.error(problem.what, (*path, key), problem.hint)
+            return default
+        if value.ndim:
+            self.error("must be one number", (*path, key))
+            return default
+        return float(value)
+
+    def prior(self, given: Any, value: float, unit: str, path: JsonPath) -> tuple[float | None, float | None]:
+        """Return mean and standard deviation of a normal prior."""
+        hint = 'for example {"mean": "2 kg", "std": "1 %"}; the mean is the value in the diagram unless it is given'
+        if not isinstance(given, Mapping) or "std" not in given:
+            self.error("a prior is an object with 'std'", path, hint)
+            return None, None
+        for key in given:
+            if key not in PRIOR_KEYS:
+                self.error(f"unknown key '{key}'", (*path, key), near_miss(str(key), PRIOR_KEYS), key=True)
+        mean = self.number(given, "mean", unit, path, value)
+        percent = _PERCENT.fullmatch(given["std"]) if isinstance(given["std"], str) else None
+        try:
+            std = abs(mean) * float(percent[1]) / 100 if percent else self.number(given, "std", unit, path, math.nan)
+        except ValueError:
+            self.error(f"cannot read '{given['std']}'", (*path, "std"), hint)
+            return None, None
+        if std <= 0:
+            self.error("the standard deviation must be positive", (*path, "std"))
+        elif std > MOST:
+            self.error("the standard deviation must be finite", (*path, "std"))
+        return mean, std
+
+
+def _usual(node: Node, key: str) -> list[float]:
+    """Return the sizes that a block declares for a parameter: its default, and where a diagnosis starts."""
+    default = node.block.parameters[key].default
+    starts = [start for fault in node.block.faults for start in fault.free.get(key, ())]
+    found = [*(np.ravel(default).tolist() if default is not None else []), *starts]
+    return [abs(float(size)) for size in found if isinstance(size, int | float)]
+
+
+def _lowest(declared: _Param, value: float) -> float | None:
+    """Return the closed lower bound; an open one is left by a thousandth of the way to the value."""
+    if declared.above is not None:
+        return declared.above + 1e-3 * max(value - declared.above, 0.0)
+    return declared.low
+
+
+def unknown_names(
+    source: Source, given: Mapping[str, Any], parameters: Collection[str], blocks: Mapping[str, Collection[str]]
+) -> list[Problem]:  # fmt: skip
+    """Return the names under ``identify`` that cannot be right, before blocks have values.
+
+    blocks: block -> names of its parameters; blocks that are not in it (broken, removed) are passed over.
+    """
+    problems = []
+    known = [*parameters, *(f"{block}.{key}" for block, keys in blocks.items() for key in keys)]
+    for name in given:
+        match = _NAME.fullmatch(str(name))
+        base = match[1] if match else ""
+        block, dot, key = base.rpartition(".")
+        if base in parameters or (dot and (block not in blocks or key in blocks[block])):
+            continue
+        place = source.place(("identify", name), key=True)
+        hint = near_miss(str(name), known, list_all=False)
+        problems.append(Problem("no such parameter", f"identify.{name}", place, hint))
+    return problems
+
+
+def free_parameters(
+    source: Source, given: Mapping[str, Any], parameters: Mapping[str, np.ndarray], units: Mapping[str, str],
+    nodes: Mapping[str, Node], removed: Collection[str] = (),
+) -> tuple[tuple[Free, ...], list[Problem]]:  # fmt: skip
+    """Return the free parameters that ``identify`` of a document names, and what is wrong with them.
+
+    A name is a diagram parameter, ``block.parameter``, or an entry of one (``support.stiffness[2]``); a name
+    without an index stands for all entries. Bounds are those that the block declares unless they are narrowed.
+    Parameters of blocks that were removed are passed over.
+    """
+    reader = _Reader(source, parameters, units, nodes)
+    found: dict[str, Free] = {}
+    for name, value in given.items():
+        if str(name).rpartition(".")[0] in removed:
+            continue
+        followed = any(name in node.references.values() for node in nodes.values())
+        if removed and name in parameters and not followed:
+            continue
+        for free in reader.one(str(name), value):
+            if free.name in found:
+                reader.error(f"'{free.name}' is named twice", ("identify", name), key=True)
+            found[free.name] = free
+    return tuple(found.values()), reader.problems

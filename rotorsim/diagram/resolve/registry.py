@@ -1,0 +1,165 @@
+"""Finding block classes: built-in files, entry points ``rotorsim.blocks``, and folders the user trusts.
+
+A built-in block type is the name of its file (``blocks/controllers/pid.py`` defines type ``pid``), so that only the
+files in use are imported. A file that cannot be imported is reported by name and breaks nothing else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.metadata
+import importlib.util
+import re
+import sys
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from rotorsim.block import Block
+from rotorsim.errors import Place, Problem, near_miss
+
+__all__ = ["Registry", "all_types", "find"]
+
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+_PACKAGE = "rotorsim.blocks"
+_SHARED = "common"  # the folder of what several blocks share
+
+
+class Registry:
+    """The block types that one diagram can use.
+
+    folders: user folders with block files; they are executed, so pass only what the user trusts.
+    problems: what could not be imported so far (warnings).
+    """
+
+    def __init__(self, folders: Iterable[str | Path] = ()) -> None:
+        self.folders = tuple(Path(folder) for folder in folders)
+        self.problems: list[Problem] = []
+        self._known: dict[str, type[Block]] = {}
+        self._tried: set[str] = set()
+        self._scanned = False
+
+    def find(self, type_name: str) -> type[Block] | None:
+        """Return the block class of a type, or None if there is none (see `problems`, `hint`)."""
+        if type_name in self._known:
+            return self._known[type_name]
+        if not _NAME.fullmatch(type_name):
+            return None
+        self._import_built_in(type_name)
+        if type_name not in self._known:
+            self._scan_folders()
+        if type_name not in self._known:
+            self._scan()
+        return self._known.get(type_name)
+
+    def all_types(self) -> dict[str, type[Block]]:
+        """Return every block class by type name, sorted."""
+        self._scan_folders()
+        self._scan()
+        return dict(sorted(self._known.items()))
+
+    def hint(self, type_name: str) -> str:
+        """Return the near misses of an unknown type."""
+        if self._broken(type_name):
+            return "its block file cannot be used; see the warning"
+        return near_miss(type_name, [*self.all_types(), "diagram"])
+
+    def _broken(self, type_name: str) -> bool:
+        return any(problem.subject.rsplit(".", 1)[-1] == type_name for problem in self.problems)
+
+    def _import_built_in(self, stem: str) -> None:
+        module = _built_in().get(stem)
+        if module is None or module in self._tried:
+            return
+        self._tried.add(module)
+        self._collect(module, lambda: importlib.import_module(module))
+
+    def _scan(self) -> None:
+        if self._scanned:
+            return
+        self._scanned = True
+        for stem in _built_in():
+            self._import_built_in(stem)
+        for entry in importlib.metadata.entry_points(group=_PACKAGE):
+            self._collect(f"entry point {entry.name}", entry.load)
+
+    def _scan_folders(self) -> None:
+        for folder in self.folders:
+            if str(folder) in self._tried:
+                continue
+            self._tried.add(str(folder))
+            if not folder.is_dir():
+                self._report(str(folder), "block folder does not exist", Place(str(folder)))
+                continue
+            for file in sorted(folder.glob("*.py")):
+                if not file.name.startswith("_"):
+                    self._collect(file.stem, lambda file=file: _import_file(file), Place(str(file)))
+
+    def _collect(self, subject: str, load: Any, place: Place | None = None) -> None:
+        try:
+            found = load()
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # a foreign file may raise anything, also SystemExit
+            text = str(error).strip().split("\n")[0]
+            self._report(subject, f"block file cannot be used: {type(error).__name__}: {text}", place)
+            return
+        for block in _classes(found):
+            other = self._known.setdefault(block.type_name, block)
+            if other is not block:
+                what = f"type '{block.type_name}' is defined again; the one in {other.__module__} is used"
+                self._report(subject, what, place)
+
+    def _report(self, subject: str, what: str, place: Place | None) -> None:
+        self.problems.append(Problem(what, subject=subject, place=place or Place(), severity="warning"))
+
+
+@cache
+def _built_in() -> dict[str, str]:
+    """Return type name -> module of the block files in the folders of all categories."""
+    files = (
+        file for root in importlib.import_module(_PACKAGE).__path__ for file in sorted(Path(root).glob("*/[a-z]*.py"))
+    )
+    return {file.stem: f"{_PACKAGE}.{file.parent.name}.{file.stem}" for file in files if file.parent.name != _SHARED}
+
+
+def _classes(found: Any) -> list[type[Block]]:
+    if isinstance(found, ModuleType):
+        values = [v for v in vars(found).values() if isinstance(v, type) and v.__module__ == found.__name__]
+    else:
+        values = [found]
+    return [v for v in values if isinstance(v, type) and issubclass(v, Block) and v is not Block]
+
+
+def _import_file(file: Path) -> ModuleType:
+    # a name of its own: two folders may hold files of the same name
+    name = f"rotorsim_user_blocks.{file.stem}_{hashlib.sha256(str(file.resolve()).encode()).hexdigest()[:12]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None:
+        raise ImportError("not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+_BUILT_IN = Registry()
+
+
+def find(type_name: str) -> type[Block] | None:
+    """Return the class of a built-in or installed block type, or None."""
+    return _BUILT_IN.find(type_name)
+
+
+def all_types() -> dict[str, type[Block]]:
+    """Return every built-in and installed block class by type name, sorted."""
+    return _BUILT_IN.all_types()

@@ -1,0 +1,86 @@
+"""What outputs and state derivatives depend on, from the sparsity of the traced equations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rotorsim.model.part import Part
+
+__all__ = ["Dependencies", "find_dependencies"]
+
+Rows = list[list[int]]
+
+
+@dataclass(frozen=True)
+class Dependencies:
+    """Sparsity of rows [xdot; y; events] by columns [x; u; t] and by p, and of [xdot; y; x0] at the start.
+
+    At the start the columns are x exact; z exact; u; p; t (how many: 0 or 1). moving: positions of outputs that change
+    between sample hits.
+    """
+
+    by_column: Rows
+    by_parameter: Rows
+    initial_x: Rows
+    initial_z: Rows
+    initial_u: Rows
+    initial_p: Rows
+    initial_t: Rows
+    moving: frozenset[int]
+
+
+def find_dependencies(
+    part: Part, record: Sequence[str], x_constant: np.ndarray, z_constant: np.ndarray
+) -> Dependencies:
+    """Return what depends on what: in motion, and at the start, when states follow from parameters."""
+    trace = part.trace
+    y = ca.vertcat(*[part.expression(name) for name in record]) if record else ca.SX(0, 1)
+    u = inputs_of(part)
+    moving_columns = ca.vertcat(trace.x, u, trace.t)
+    rows = ca.vertcat(trace.xdot, y, trace.events)
+    by_column, by_parameter = _rows(rows, moving_columns), _rows(rows, trace.p)
+    n_x = part.n_x
+    moving = frozenset(k for k in range(y.numel()) if by_column[n_x + k])
+    own = part.n_z - u.numel()
+    if trace.samplers and y.numel() and own:
+        new = ca.substitute(trace.z_next, trace.hit, ca.SX.ones(*trace.hit.shape))[:own]
+        at_hit = ca.substitute(y, trace.z[:own], new)
+        for k, columns in enumerate(_rows(at_hit, u)):  # what passes through at a sample hit
+            by_column[n_x + k] = sorted({*by_column[n_x + k], *(c + n_x for c in columns)})
+        for k, columns in enumerate(_rows(at_hit, trace.p)):
+            by_parameter[n_x + k] = sorted({*by_parameter[n_x + k], *columns})
+    first = ca.vertcat(trace.xdot, y, trace.x0)
+    for symbols, begun, constant in ((trace.x, trace.x0, x_constant), (trace.z[:own], trace.z0, z_constant[:own])):
+        if not constant.all():
+            begun = ca.densify(begun)
+            start = [symbols[k] if exact else begun[k] for k, exact in enumerate(constant)]
+            first = ca.substitute(first, symbols, ca.vertcat(*start))
+    initial_u = _rows(first, u)
+    for k in range(y.numel()):
+        initial_u[n_x + k] = sorted({*initial_u[n_x + k], *(c - n_x for c in by_column[n_x + k] if c >= n_x)})
+        initial_u[n_x + k] = [c for c in initial_u[n_x + k] if c < u.numel()]
+    initial_x, initial_z = _rows(first, trace.x), _rows(first, trace.z[:own])
+    initial_p, initial_t = _rows(first, trace.p), _rows(first, trace.t)
+    return Dependencies(by_column, by_parameter, initial_x, initial_z, initial_u, initial_p, initial_t, moving)
+
+
+def inputs_of(part: Part) -> Any:
+    """Return the inputs of a part as symbols of its trace."""
+    places = [k for signal in part.inputs.values() for k in range(signal.part.start, signal.part.stop)]
+    return part.trace.z[places] if places else ca.SX(0, 1)
+
+
+def _rows(expression: Any, symbols: Any) -> Rows:
+    """Return the columns on which every row of an expression depends."""
+    found: Rows = [[] for _ in range(expression.numel())]
+    if not expression.numel() or not symbols.numel():
+        return found
+    sparsity = ca.jacobian_sparsity(ca.densify(expression), symbols)
+    for row, column in zip(*sparsity.get_triplet(), strict=True):
+        found[row].append(column)
+    return [sorted(columns) for columns in found]

@@ -1,0 +1,158 @@
+"""Export a diagram or some of its blocks as an FMU: model exchange and co-simulation in one file."""
+
+from __future__ import annotations
+
+import uuid
+import zipfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import Problem, RotorsimError, escape, near_miss
+from rotorsim.files import atomic_target
+from rotorsim.fmi.export.build import build_library, find_platforms
+from rotorsim.fmi.export.sources import make_sources, with_token
+from rotorsim.fmi.export.variables import Interface, make_interface
+from rotorsim.fmi.export.writer import build_description, model_description
+from rotorsim.model.emit.toolchain import FLAGS
+from rotorsim.model.part import open_part
+
+__all__ = ["Exported", "export_fmu"]
+
+VERSIONS = ("2.0", "3.0")
+_NAMESPACE = uuid.UUID("6c0b7b0e-7f55-4d0c-9a53-0f0a2f6e4c11")  # of the tokens: one content, one token
+_DATE = (1980, 1, 1, 0, 0, 0)  # of files in the archive: the same export gives the same bytes
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written: the file, its interface, the size of the library of every platform [bytes]; what is odd."""
+
+    file: Path
+    version: str
+    token: str
+    interface: Interface
+    libraries: dict[str, int]
+    warnings: tuple[Problem, ...] = ()
+
+
+def export_fmu(
+    diagram: Diagram,
+    file: str | Path,
+    *,
+    blocks: Iterable[str] | None = None,
+    version: str = "2.0",
+    platforms: Sequence[str] | None = None,
+    arrays: bool = False,
+    inputs: Iterable[str] = (),
+    outputs: Sequence[str] | None = None,
+    fixed: bool = False,
+    by_source: bool = False,
+) -> Exported:
+    """Write a diagram, or some of its blocks, as an FMU for model exchange and co-simulation.
+
+    blocks: default all; what crosses their boundary becomes an input. inputs: further input ports, unwired or
+    additive ones. outputs: signals; default: what the diagram records, or every output port of the blocks.
+    version: "2.0" or "3.0". platforms: "x86_64-linux", "win64", ...; default this one; () for sources only.
+    arrays: array variables (3.0). fixed: parameters cannot change after initialisation. by_source: one input for each
+    output port outside that feeds the blocks, under its name, instead of the sum of what an additive port gets.
+
+    Co-simulation takes the diagram's own step, Runge-Kutta of order 4. The same diagram gives the same bytes.
+    Raises RotorsimError.
+    """
+    wanted_inputs = list(dict.fromkeys(inputs))
+    chosen = list(diagram.nodes) if blocks is None else list(dict.fromkeys(blocks))
+    _check(diagram, chosen, version, arrays, wanted_inputs)
+    wanted = find_platforms(platforms)
+    part = open_part(diagram, chosen, inputs=wanted_inputs, by_source=by_source)
+    interface = make_interface(part, outputs=outputs, arrays=arrays, fixed=fixed)
+    draft, optimise = make_sources(interface, version)
+    main = next(iter(draft))
+    content = b"".join([*draft.values(), model_description(interface, version, "", [main])])
+    token = "{" + str(uuid.uuid5(_NAMESPACE, content.hex())) + "}"
+    sources = with_token(draft, token)
+    files = {"modelDescription.xml": model_description(interface, version, token, [main])}
+    libraries = {}
+    for platform in wanted:
+        library = build_library(sources, platform, optimise)
+        folder = platform.folder(version)
+        libraries[folder] = len(library)
+        files[f"binaries/{folder}/{interface.identifier}{platform.suffix}"] = library
+    files |= {f"sources/{name}": text for name, text in sources.items()}
+    if version == "3.0":
+        options = " ".join([optimise, *(flag for flag in FLAGS if flag.startswith("-f") and flag != "-fPIC")])
+        files["sources/buildDescription.xml"] = build_description(interface, [main], options)
+    files["documentation/index.html"] = _documentation(interface, main, optimise).encode()
+    path = Path(file)
+    size = sum(map(len, files.values()))
+    with (
+        atomic_target(path, size=size) as temporary,
+        zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
+        for name, data in files.items():
+            entry = zipfile.ZipInfo(name, _DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, data)
+    return Exported(path, version, token, interface, libraries, _oddities(diagram))
+
+
+def _check(diagram: Diagram, blocks: Sequence[str], version: str, arrays: bool, inputs: Sequence[str]) -> None:
+    problems = []
+    if version not in VERSIONS:
+        problems.append(Problem(f"unknown version of FMI '{version}'", hint=f"one of {', '.join(VERSIONS)}"))
+    if arrays and version == "2.0":
+        problems.append(Problem("FMI 2.0 has no arrays", hint="export as FMI 3.0, or without arrays"))
+    problems += [
+        Problem("no such block", block, hint=near_miss(block, diagram.nodes))
+        for block in blocks
+        if block not in diagram.nodes
+    ]
+    additive = [
+        f"{block}.{name}"
+        for block in blocks
+        if block in diagram.nodes
+        for name, port in diagram.nodes[block].inputs.items()
+        if getattr(port.declaration, "additive", False)
+    ]
+    for name in inputs:
+        block, _, port = name.rpartition(".")
+        node = diagram.nodes.get(block)
+        if node is not None and block in blocks and port in node.inputs and name not in additive:
+            what = "no value can be added to this input port"
+            feeding = [w.source.block for w in diagram.wires if f"{w.target.block}.{w.target.port}" == name]
+            hint = f"leave out block {feeding[0]}, and it becomes an input" if feeding else "wire it"
+            problems.append(Problem(what, name, hint=hint))
+        elif name not in additive:
+            problems.append(Problem("no such additive input port", name, hint=near_miss(name, additive)))
+    if problems:
+        raise RotorsimError(*problems)
+
+
+def _oddities(diagram: Diagram) -> tuple[Problem, ...]:
+    solver = diagram.solver
+    if solver.method == "rk4":
+        return ()
+    what = f"co-simulation steps by Runge-Kutta of order 4 and {solver.step:g} s, not by {solver.method}"
+    hint = "check that this step is small enough, or use model exchange"
+    return (Problem(what, diagram.name, hint=hint, severity="warning"),)
+
+
+def _documentation(interface: Interface, main: str, optimise: str) -> str:
+    """Return documentation/index.html."""
+    diagram = interface.part.diagram
+    words = diagram.document.get("description")
+    what = escape(words) if isinstance(words, str) else ""
+    command = f"cc {' '.join(FLAGS)} {optimise} sources/{main} -o {interface.identifier}.so -lm"
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{escape(diagram.name)}</title></head><body>
+<h1>{escape(diagram.name)}</h1>
+<p>{what}</p>
+<p>Blocks: {escape(", ".join(interface.part.blocks))}. All quantities are in SI units.</p>
+<p>Co-simulation steps by {diagram.solver.step!r} s (Runge-Kutta of order 4), inputs held unless their derivatives
+are set; a communication step that is no multiple of it is cut into equal steps not above it. Sampled blocks act at
+their hits exactly, those at the end of a step with the inputs of that step.</p>
+<p>Library from the sources: <code>{escape(command)}</code></p>
+</body></html>
+"""

@@ -1,0 +1,369 @@
+"""An FMU in a subprocess: its crash, hang or hunger for memory ends with a message, and this process stays clean.
+
+This protects against faults, not against malice: a library of another's making can do what its user can.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import mmap
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import weakref
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import rotorsim
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.fmi.runtime.binding import CallError
+from rotorsim.fmi.runtime.calls import FUNCTIONS
+from rotorsim.fmi.runtime.channel import LOOKS, ClosedError, Fence, LateError, Pipe, ordered, seen
+from rotorsim.fmi.runtime.memory import Block, Head, Op, Sizes
+from rotorsim.fmi.runtime.session import Session
+
+__all__ = ["LocalWorker", "RemoteWorker", "Worker", "printing_elsewhere"]
+
+START = 60.0  # s for Python itself to start on a busy machine
+GRACE = 2.0  # s to leave, before it is killed
+PRINTED = 4000  # characters kept of what it prints
+_CODE = "import sys; sys.path.append(sys.argv[1]); from rotorsim.fmi.runtime.host import main; main()"
+
+
+@contextlib.contextmanager
+def printing_elsewhere() -> Iterator[None]:
+    """Send what libraries in this process print to where errors go, so that standard output stays ours."""
+    libc: Any = ctypes.cdll.msvcrt if sys.platform == "win32" else ctypes.CDLL(None)
+    sys.stdout.flush()
+    try:
+        kept = os.dup(1)
+    except OSError:  # there is none
+        yield
+        return
+    try:
+        libc.fflush(None)
+        os.dup2(2, 1)
+        yield
+    finally:
+        libc.fflush(None)  # what C holds back was printed there
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
+class Worker:
+    """Where an FMU works; `run` does steps on the block, `command` everything else. Both raise CallError."""
+
+    block: Block
+
+    def run(self, op: int) -> None:
+        """Do what the bits of ``op`` say."""
+        raise NotImplementedError
+
+    def begin(self, op: int) -> None:
+        """Ask for steps; where the FMU has its own process, it works while others do."""
+        self.run(op)
+
+    def finish(self) -> None:
+        """Wait for what `begin` asked."""
+
+    def command(self, name: str, /, **arguments: Any) -> dict[str, Any]:
+        """Carry out a command of `Session`."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Free what it holds; may be called twice."""
+        raise NotImplementedError
+
+
+class LocalWorker(Worker):
+    """An FMU in this process: fast, and its faults are ours."""
+
+    def __init__(self, sizes: Sizes) -> None:
+        self.block = Block(mmap.mmap(-1, max(sizes.bytes, mmap.PAGESIZE)), sizes)
+        self.session = Session(self.block)
+
+    def run(self, op: int) -> None:
+        self.session.run(op)
+
+    def begin(self, op: int) -> None:
+        self.session.run(op)
+
+    def command(self, name: str, /, **arguments: Any) -> dict[str, Any]:
+        return self.session.command(name, arguments)
+
+    def close(self) -> None:
+        with contextlib.suppress(CallError):
+            self.session.command("free", {})
+
+
+class RemoteWorker(Worker):
+    """An FMU in a subprocess. folder: the unpacked FMU, removed by the child if this process dies."""
+
+    def __init__(self, sizes: Sizes, folder: Path, library: Path, timeout: float, memory: int | None) -> None:
+        if sys.platform == "win32":
+            hint = 'use it in process: "in_process": true among its parameters'
+            raise RotorsimError(Problem("FMUs in a subprocess are not supported on Windows yet", hint=hint))
+        self.timeout, self.memory = timeout, memory
+        descriptor = _shared(max(sizes.bytes, mmap.PAGESIZE))
+        self.block = Block(mmap.mmap(descriptor, max(sizes.bytes, mmap.PAGESIZE)), sizes)
+        self.head = self.block.head
+        self.count, self.commanded = 0, False
+        self.ordered = ordered()
+        self.fence, self.looks = Fence(), LOOKS if self.ordered else 0
+        if not self.ordered:
+            self.head[Head.FMU_SLEEPS] = self.head[Head.USER_SLEEPS] = 1
+        end, self._lifeline = os.pipe()
+        scratch = tempfile.mkdtemp(prefix="scratch-", dir=folder)
+        given = {
+            "memory": memory, "lifeline": end, "folder": str(folder), "block": descriptor,
+            "bytes": max(sizes.bytes, mmap.PAGESIZE), "ordered": self.ordered,
+            "sizes": {"n": sizes.n, "n_x": sizes.n_x, "n_z": sizes.n_z, "order": sizes.order},
+        }  # fmt: skip
+        root = str(Path(rotorsim.__file__).resolve().parent.parent)
+        try:
+            self.process = subprocess.Popen(
+                [sys.executable, "-P", "-c", _CODE, root, json.dumps(given)], stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE, pass_fds=(end, descriptor), cwd=scratch, bufsize=0,
+                env=_environment(library.parent), start_new_session=True,
+            )  # fmt: skip
+        except BaseException:
+            os.close(self._lifeline)
+            raise
+        finally:
+            os.close(end)
+            os.close(descriptor)
+        assert self.process.stdin
+        assert self.process.stdout
+        assert self.process.stderr
+        self.pipe = _Watched(self.process)
+        self.printed = _Printed(self.process.stderr)
+        self._finalizer = weakref.finalize(self, _end, self.process, self._lifeline)
+        self.limit = START  # of the first command
+        self.dead: CallError | None = None
+
+    def run(self, op: int) -> None:
+        self.begin(op)
+        self.finish()
+
+    def expect(self) -> None:
+        """Make sure that it can be asked: drop the reply that nobody waited for. Raises CallError if it has ended."""
+        if self.dead:
+            raise self.dead
+        if self.head[Head.REPLY] != self.count:
+            self._wait()
+        if self.head[Head.STATUS] or self.commanded:
+            self.head[Head.STATUS], self.commanded = 0, False
+            self._answer()
+
+    def begin(self, op: int) -> None:
+        self.expect()
+        head = self.head
+        head[Head.OP] = op
+        head[Head.REQUEST] = self.count = self.count + 1
+        self.fence()
+        if head[Head.FMU_SLEEPS]:
+            try:
+                self.pipe.ring()
+            except ClosedError:
+                raise self._died() from None
+
+    def finish(self, looks: int | None = None) -> None:
+        if not seen(self.head, Head.REPLY, self.count - 1, self.looks if looks is None else looks):
+            self._wait()
+        if self.head[Head.STATUS]:
+            self.head[Head.STATUS] = 0
+            raise CallError.from_data(self._answer()["failed"])
+
+    def command(self, name: str, /, **arguments: Any) -> dict[str, Any]:
+        self.expect()
+        text = json.dumps({"name": name, "arguments": arguments}).encode()
+        self.count += 1
+        self.commanded = True
+        self.head[Head.OP] = Op.COMMAND
+        self.head[Head.REQUEST] = self.count
+        try:
+            self.pipe.send(text)
+        except ClosedError:
+            raise self._died() from None
+        answer = self._answer(name)
+        self.commanded = False
+        self._wait()
+        self.limit = self.timeout
+        if "failed" in answer:
+            raise CallError.from_data(answer["failed"])
+        return dict(answer["done"])
+
+    def close(self) -> None:
+        if self.dead is None:
+            with contextlib.suppress(CallError, RotorsimError):
+                self.command("free")
+            self.dead = CallError("refused", "-", "the FMU is closed")
+        self._finalizer()
+        self.printed.close()
+
+    # -- waiting -------------------------------------------------------------------------------------------------------
+
+    def _wait(self) -> None:
+        """Sleep until the reply is there."""
+        head, count = self.head, self.count
+        if self.ordered:
+            head[Head.USER_SLEEPS] = 1
+            self.fence()
+        deadline = time.monotonic() + self.limit
+        try:
+            while head[Head.REPLY] != count:
+                self.pipe.keep(self.pipe.receive(deadline))
+        except ClosedError:
+            raise self._died() from None
+        except LateError:
+            raise self._hangs() from None
+        if self.ordered:
+            head[Head.USER_SLEEPS] = 0
+
+    def _answer(self, name: str = "") -> dict[str, Any]:
+        deadline = time.monotonic() + self.limit
+        try:
+            while not self.pipe.kept:
+                self.pipe.keep(self.pipe.receive(deadline))
+            answer = json.loads(self.pipe.kept.pop(0))
+        except ClosedError:
+            raise self._died() from None
+        except LateError:
+            raise self._hangs() from None
+        except (ValueError, RecursionError):
+            answer = None
+        if not isinstance(answer, dict) or not isinstance(answer.get("failed", answer.get("done")), dict):
+            self._finalizer()
+            self.dead = CallError("crash", name, "its process answers nonsense: its memory is damaged")
+            raise self.dead
+        return answer
+
+    # -- the end -------------------------------------------------------------------------------------------------------
+
+    def _function(self) -> str:
+        """Return the function at work when the process stopped to answer."""
+        number = self.head[Head.FUNCTION]
+        return FUNCTIONS[number] if 0 < number < len(FUNCTIONS) else ""
+
+    def _died(self) -> CallError:
+        if self.dead is None:
+            function = self._function()
+            code, used = _end(self.process, self._lifeline)
+            self._finalizer.detach()
+            how = f"was ended by {_signal(-code)}" if code < 0 else f"left with exit code {code}"
+            more: dict[str, Any] = {"code": code, "printed": self.printed.close()}
+            if self.memory is not None and used > 0.5 * self.memory:
+                more["hint"] = f"it held {used / 2**20:.0f} MiB of the {self.memory / 2**20:.0f} MiB that it may have"
+            self.dead = CallError("crash", function, f"its process {how}", **more)
+        return self.dead
+
+    def _hangs(self) -> CallError:
+        function = self._function()
+        _end(self.process, self._lifeline, 0.0)
+        self._finalizer.detach()
+        what = f"does not answer within {self.limit:g} s"
+        self.dead = CallError("hang", function, what, printed=self.printed.close())
+        return self.dead
+
+
+class _Watched(Pipe):
+    """The pipe to a subprocess; keeps messages until they are wanted."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdin
+        assert process.stdout
+        super().__init__(process.stdout.fileno(), process.stdin.fileno())
+        self.process = process
+        self.kept: list[bytes] = []
+
+    def keep(self, message: bytes) -> None:
+        """Keep a message; the bell is none."""
+        if message:
+            self.kept.append(message)
+
+    def look(self) -> None:
+        if os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+            raise ClosedError
+
+
+class _Printed:
+    """Reads what a subprocess prints, so that it never waits for a reader; the end of it is kept."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream, self.text = stream, b""
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        with contextlib.suppress(OSError, ValueError), self._stream as stream:
+            while piece := os.read(stream.fileno(), 1 << 16):
+                self.text = (self.text + piece)[-PRINTED:]
+
+    def close(self) -> str:
+        """Return the end of what was printed, once the process is gone."""
+        self._thread.join(1.0)
+        return self.text.decode("utf-8", "replace").strip()
+
+
+def _end(process: subprocess.Popen[bytes], lifeline: int, grace: float = GRACE) -> tuple[int, int]:
+    """End a process and its children; return its exit code and the most memory it held [bytes]."""
+    for stream in (process.stdin, process.stdout):
+        with contextlib.suppress(OSError):
+            if stream:
+                stream.close()
+    used = 0
+    if process.returncode is None:
+        stop, pause = time.monotonic() + grace, 0.0002
+        while os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+            if time.monotonic() >= stop:
+                _kill(process.pid)
+            time.sleep(pause)
+            pause = min(2 * pause, 0.05)
+        _kill(process.pid)  # whatever it has started itself
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        used = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        os.close(lifeline)
+    return process.returncode, used
+
+
+def _kill(group: int) -> None:
+    with contextlib.suppress(OSError):
+        os.killpg(group, signal.SIGKILL)
+
+
+def _shared(size: int) -> int:
+    """Return a descriptor of memory that two processes can share and that neither can cut short, where possible."""
+    if hasattr(os, "memfd_create"):
+        import fcntl
+
+        descriptor = os.memfd_create("rotorsim-fmu", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+        os.ftruncate(descriptor, size)
+        fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
+        return descriptor
+    with tempfile.TemporaryFile(prefix="rotorsim-") as file:
+        file.truncate(size)
+        return os.dup(file.fileno())
+
+
+def _environment(folder: Path) -> Mapping[str, str]:
+    """Return the environment of the subprocess: libraries beside the FMU's own are found."""
+    name = "DYLD_LIBRARY_PATH" if sys.platform == "darwin" else "LD_LIBRARY_PATH"
+    paths = [str(folder), *filter(None, [os.environ.get(name)])]
+    return {**os.environ, name: os.pathsep.join(paths)}
+
+
+def _signal(number: int) -> str:
+    try:
+        name = signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+    words = {"SIGSEGV": "it used memory that is not its own", "SIGABRT": "it gave up", "SIGKILL": "killed from outside"}
+    return f"{name} ({words[name]})" if name in words else name

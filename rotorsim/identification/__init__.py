@@ -1,0 +1,1 @@
+"""From recordings to parameters: regression, maximum likelihood, intervals, verdicts, the next experiment."""

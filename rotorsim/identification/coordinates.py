@@ -1,0 +1,157 @@
+"""The coordinates of the search: parameters scaled, and an amplitude with its angle as two linear components."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorsim.diagram.diagram import Free
+from rotorsim.settled.equations import NonlinearEquations
+from rotorsim.settled.linear_equations import Equations
+
+__all__ = ["Coordinates", "amplitude_pairs", "coordinates_of", "moves_matrices"]
+
+ANGLE_UNIT = "rad"
+AnyEquations = Equations | NonlinearEquations
+PROBES = (0.4, 1.9)
+INSTANTS = 64  # of a turn, at which the forcing is compared
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """theta (m,) <-> q (m,): q = theta / scale, but (a cos phi, a sin phi) / scale for pairs (amplitude, angle)."""
+
+    scale: np.ndarray
+    pairs: tuple[tuple[int, int], ...]
+    low: np.ndarray
+    high: np.ndarray
+
+    def inside(self, theta: np.ndarray) -> np.ndarray:
+        """Return q of theta."""
+        q = theta / self.scale
+        for a, b in self.pairs:
+            q[a], q[b] = (theta[a] / self.scale[a]) * np.array([np.cos(theta[b]), np.sin(theta[b])])
+        return np.asarray(q)
+
+    def outside(self, q: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
+        """Return theta of q; angles within half a turn of ``near``, else of zero."""
+        theta = q * self.scale
+        for a, b in self.pairs:
+            theta[a] = min(np.hypot(q[a], q[b]) * self.scale[a], self.high[a])
+            theta[b] = np.arctan2(q[b], q[a])
+            if near is not None:
+                theta[b] = near[b] + np.angle(np.exp(1j * (theta[b] - near[b])))
+        return np.asarray(theta)
+
+    def slopes(self, theta: np.ndarray) -> np.ndarray:
+        """Return dtheta/dq (m, m)."""
+        J = np.diag(self.scale.copy())
+        for a, b in self.pairs:
+            c, s = np.cos(theta[b]), np.sin(theta[b])
+            amplitude = max(abs(theta[a]), 1e-12 * self.scale[a])
+            J[a, a], J[a, b] = c * self.scale[a], s * self.scale[a]
+            J[b, a], J[b, b] = -s * self.scale[a] / amplitude, c * self.scale[a] / amplitude
+        return J
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of q; those of a pair hold its largest amplitude, which cannot be negative."""
+        low, high = self.low / self.scale, self.high / self.scale
+        for a, b in self.pairs:
+            low[[a, b]], high[[a, b]] = -high[a], high[a]
+        return low, high
+
+    def at_bound(self, q: np.ndarray, near: float) -> np.ndarray:
+        """Return which parameters (m,) are at a bound, or as near as that in q."""
+        low, high = self.bounds
+        found = (q <= low + near) | (q >= high - near)
+        for a, b in self.pairs:
+            found[a], found[b] = np.hypot(q[a], q[b]) >= high[a] - near, False
+        return np.asarray(found)
+
+
+def coordinates_of(
+    free: tuple[Free, ...], equations: AnyEquations, p: np.ndarray, speeds: np.ndarray, *, bounded: bool = True
+) -> Coordinates:
+    """Return the coordinates of a search over the free parameters, within their bounds or not."""
+    theta = np.array([item.value for item in free])
+    scale = np.array([_scale(item) for item in free])
+    pairs = amplitude_pairs(free, equations, p, speeds, theta)
+    low, high = (np.array([getattr(item, end) for item in free]) for end in ("low", "high"))
+    if not bounded:
+        low, high = np.full(len(free), -np.inf), np.full(len(free), np.inf)
+    for _, b in pairs:
+        scale[b] = 1.0
+    for a, b in pairs:
+        scale[b] = scale[a]
+    return Coordinates(scale, pairs, low, high)
+
+
+def _scale(free: Free) -> float:
+    """Return the size of a step that means something: never that of a value which a fit has brought to nothing."""
+    if free.unit == ANGLE_UNIT:
+        return 1.0
+    size = free.scale or abs(free.value) or free.prior_std
+    if size:
+        return size
+    return abs(free.high) if np.isfinite(free.high) and free.high else 1.0
+
+
+def amplitude_pairs(
+    free: tuple[Free, ...], equations: AnyEquations, p: np.ndarray, speeds: np.ndarray, theta: np.ndarray
+) -> tuple[tuple[int, int], ...]:
+    """Return the pairs (amplitude, angle) that enter as a cos phi and a sin phi, as an unbalance does.
+
+    Found from the traced forcing: with amplitude one, the force at every angle is made up of those at 0 and pi / 2.
+    Lower bounds other than zero, or priors, leave a pair as it is.
+    """
+    plain = [item.prior_std is None for item in free]
+    angles = [
+        j for j, item in enumerate(free)
+        if item.unit == ANGLE_UNIT and plain[j] and item.low == -np.inf and item.high == np.inf
+    ]  # fmt: skip
+    amplitudes = [j for j, item in enumerate(free) if plain[j] and item.low in (0.0, -np.inf) and item.high > 0]
+    amplitudes = [j for j in amplitudes if free[j].unit != ANGLE_UNIT]
+    if not angles or not amplitudes:
+        return ()
+    row, speed = p[:1], np.abs(speeds[:1])
+    moved = moves_matrices(equations, row, theta)
+    angles, amplitudes = ([j for j in some if not moved[j]] for some in (angles, amplitudes))
+
+    def forces(*points: Mapping[int, float]) -> np.ndarray:
+        changed = np.repeat(theta[None], len(points), axis=0)
+        for k, point in enumerate(points):
+            changed[k, list(point)] = list(point.values())
+        many = len(points)
+        return equations.at_rest(np.repeat(row, many, 0), changed, np.repeat(speed, many), INSTANTS)
+
+    pairs: list[tuple[int, int]] = []
+    for b in angles:
+        for a in amplitudes:
+            if any(a in pair for pair in pairs):
+                continue
+            unit = 3.0 * _scale(free[a])
+            none, turned, cosine, sine, *probes = forces(
+                {a: 0.0}, {a: 0.0, b: 1.0}, {a: unit, b: 0.0}, {a: unit, b: np.pi / 2},
+                *({a: unit / 3, b: at} for at in PROBES),
+            )  # fmt: skip
+            cosine, sine = cosine - none, sine - none
+            size = np.abs(cosine).max()
+            if not size > 0 or np.abs(turned - none).max() > 1e-9 * size:
+                continue
+            wrong = [
+                probe - none - (np.cos(at) * cosine + np.sin(at) * sine) / 3
+                for probe, at in zip(probes, PROBES, strict=True)
+            ]
+            if np.abs(wrong).max() < 1e-9 * size:
+                pairs.append((a, b))
+                break
+    return tuple(pairs)
+
+
+def moves_matrices(equations: AnyEquations, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Return which parameters change the equations themselves, not only their forcing, (m,)."""
+    moved = [matrix(p, theta[None])[1].reshape(-1, len(theta)).any(axis=0) for matrix in equations.matrices.values()]
+    return np.asarray(np.any(moved, axis=0))

@@ -1,0 +1,158 @@
+"""What an identification leaves behind: identification.json and the diagram with the values in it."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.diagram.parse.fmt import format_document
+from rotorsim.files import write_atomically
+from rotorsim.identification.identification import Identification
+
+__all__ = ["identification_data", "save_identification", "with_values"]
+
+DIAGRAM = "diagram.json"
+RESULT = "identification.json"
+
+
+def identification_data(found: Identification, *, diagram_file: str = DIAGRAM) -> dict[str, Any]:
+    """Return an identification as plain data, in the form of identification.json."""
+    names = list(found.parameters)
+    parameters = {}
+    for name, item in found.parameters.items():
+        parameters[name] = {
+            "value": item.value,
+            "std": _finite(item.std),
+            "interval90": [_finite(end) for end in item.interval90],
+            "joint90": [_finite(end) for end in item.joint90],
+            "unit": item.unit,
+            "at_bound": item.at_bound,
+        }
+    identifiable = {}
+    for name, item in found.parameters.items():
+        verdict = item.verdict
+        said: dict[str, Any] = {"identifiable": verdict.identifiable, "reason": verdict.reason}
+        if verdict.combination is not None:
+            known = verdict.combination
+            said["combination"] = {
+                "expression": known.expression, "factors": dict(known.factors), "value": known.value,
+                "std": known.std, "unit": known.unit,
+            }  # fmt: skip
+        identifiable[name] = said
+    advice = [
+        {
+            "change": item.change,
+            "solves": list(item.solves),
+            "expected_std": {name: _finite(value) for name, value in zip(names, item.std, strict=True)},
+        }
+        for item in found.advice
+    ]
+    return {
+        "method": found.method,
+        "diagram": diagram_file,
+        "parameters": parameters,
+        "correlation": {"names": names, "matrix": np.asarray(found.correlation).tolist()},
+        "identifiable": identifiable,
+        "fit": {use: dict(values) for use, values in found.fit.items()},
+        "noise_floor": dict(found.noise_floor),
+        "adequate": found.adequate,
+        "excess_variance": found.excess,
+        "goodness": found.goodness,
+        "next_experiment": advice,
+        "statement": found.statement,
+        "warnings": [f"{problem.subject}: {problem.what}" for problem in found.warnings],
+        "runs": [item.run.id for item in found.runs],
+        "settings": dict(found.settings),
+        "provenance": {"diagram": found.diagram.name, "diagram_sha256": found.diagram.sha256},
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def with_values(diagram: Diagram, free: list[tuple[Free, float]]) -> dict[str, Any]:
+    """Return the document of a diagram with values put in place of free parameters (SI, with their unit).
+
+    Blocks that were removed (``--without``) are left out, with their wires and what was free in them.
+    """
+    document = _without_removed(copy.deepcopy(dict(diagram.document)), diagram)
+    for item, value in free:
+        text = value if item.unit in ("", "1") else f"{value!r} {item.unit}"
+        if item.base in diagram.parameters:
+            document["parameters"][item.base] = _replaced(
+                diagram.parameters[item.base], item, text, document["parameters"].get(item.base)
+            )
+            continue
+        block, _, key = item.base.rpartition(".")
+        parameters = document["blocks"][block].setdefault("parameters", {})
+        parameters[key] = _replaced(diagram.nodes[block].values[key], item, text, parameters.get(key))
+    return document
+
+
+def _without_removed(document: dict[str, Any], diagram: Diagram) -> dict[str, Any]:
+    def is_there(name: str) -> bool:
+        return name in diagram.nodes or any(node.startswith(f"{name}/") for node in diagram.nodes)
+
+    removed = {name for name in document["blocks"] if not is_there(name)}
+    if not removed:
+        return document
+
+    def touches(end: Any) -> bool:
+        return str(end).partition(".")[0].partition("/")[0] in removed
+
+    followed = {reference for node in diagram.nodes.values() for reference in node.references.values()}
+    document["blocks"] = {name: block for name, block in document["blocks"].items() if name not in removed}
+    document["wires"] = [wire for wire in document.get("wires", []) if not any(touches(end) for end in wire)]
+    for key in ("record",):
+        if key in document:
+            document[key] = [name for name in document[key] if not touches(name)]
+    idle = {name for name in document.get("parameters", {}) if name not in followed}
+    if "parameters" in document:
+        document["parameters"] = {n: v for n, v in document["parameters"].items() if n not in idle}
+    for key in ("identify", "layout"):
+        if key in document:
+            document[key] = {n: v for n, v in document[key].items() if not touches(n) and n not in idle}
+    return document
+
+
+def _replaced(values: np.ndarray, free: Free, text: Any, before: Any) -> Any:
+    """Return a parameter's JSON value with one entry replaced."""
+    if values.ndim == 0:
+        return text
+    unit = free.unit
+    if not (isinstance(before, list) and np.shape(before) == values.shape):
+        before = (
+            [float(v) if unit in ("", "1") else f"{float(v)!r} {unit}" for v in values]
+            if values.ndim == 1
+            else (values.tolist())
+        )
+    index = np.unravel_index(free.entry, values.shape)
+    inner = before = copy.deepcopy(before)
+    for k in index[:-1]:
+        inner = inner[int(k)]
+    inner[int(index[-1])] = text
+    return before
+
+
+def save_identification(found: Identification, folder: str | Path) -> list[Path]:
+    """Write identification.json and diagram.json into a folder (made if need be); return the files."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    known = {item.name: item for item in found.diagram.free}
+    values = [
+        (known[name], item.value)
+        for name, item in found.parameters.items()
+        if name in known and known[name].low <= item.value <= known[name].high  # else the diagram would be refused
+    ]
+    document = with_values(found.diagram, values)
+    files = [folder / RESULT, folder / DIAGRAM]
+    write_atomically(files[0], json.dumps(identification_data(found), indent=2, allow_nan=False) + "\n")
+    write_atomically(files[1], format_document(document))
+    return files

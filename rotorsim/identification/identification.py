@@ -1,0 +1,316 @@
+"""From a diagram and a recording to parameters with intervals, verdicts and the next experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rotorsim._shown import Shown
+from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.advice import Advice, advise
+from rotorsim.identification.estimate import Estimate, Search, estimate
+from rotorsim.identification.experiment import open_experiment
+from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.periodic_likelihood import likelihood_of
+from rotorsim.identification.profile import Z90, joint_factor, linear_intervals, profile_intervals
+from rotorsim.identification.regression import THESIS_ORDERS, Regression, open_regression
+from rotorsim.identification.scatter import scatter_of, with_covariance
+from rotorsim.identification.verdict import PRECISION, Verdict, judge
+from rotorsim.jobs.threads import one_thread
+from rotorsim.linear.linearisation import refuse_sampled
+from rotorsim.measure.checks import check_signals
+from rotorsim.recordings.recording import Recording, Run
+from rotorsim.settled.linear_motion import Motion
+from rotorsim.signals.converters import stated_steps, through_converters
+from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of
+from rotorsim.signals.pickup import find_mains, pickup_warnings, with_pickups
+
+__all__ = ["METHODS", "Identification", "Identified", "identify"]
+
+METHODS = ("likelihood", "regression")
+
+
+@dataclass(frozen=True)
+class Identified:
+    """One identified parameter (SI): value, standard deviation, central 90 % interval, and the verdict on it.
+
+    joint90: intervals that hold all parameters at once with 90 %. at_bound: the search ended at a physical bound; the
+    interval is then one-sided, and std is what it stands for.
+    """
+
+    name: str
+    value: float
+    std: float
+    interval90: tuple[float, float]
+    joint90: tuple[float, float]
+    unit: str
+    verdict: Verdict
+    at_bound: bool = False
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Shown):
+    """What a recording says about the free parameters of a diagram.
+
+    correlation: (m, m). fit: "identify" and "hold_out" -> signal -> NRMSE; noise_floor: signal -> what no model can
+    undercut. excess: variance of the residual over that of the noise (1 for a right model); goodness: its
+    probability; None for the regression, which does not weigh. adequate: the model explains the data within noise.
+    free: the parameters as they were before, with start values and bounds.
+    """
+
+    method: str
+    parameters: Mapping[str, Identified]
+    correlation: np.ndarray
+    fit: Mapping[str, Mapping[str, float]]
+    noise_floor: Mapping[str, float]
+    goodness: float | None
+    excess: float | None
+    adequate: bool
+    statement: str
+    advice: tuple[Advice, ...]
+    warnings: tuple[Problem, ...]
+    diagram: Diagram
+    runs: tuple[RunHarmonics, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    free: tuple[Free, ...] = ()
+
+    _figure = "rotorsim.report.identification.parameters:parameters_figure"
+
+    def __repr__(self) -> str:
+        return f"Identification({self.statement})"
+
+    def to_table(self) -> list[dict[str, Any]]:
+        """Return one row per parameter (SI): value, std, ends of the 90 % interval, unit, whether identifiable."""
+        return [
+            {"parameter": item.name, "value": item.value, "std": item.std, "low90": item.interval90[0],
+             "high90": item.interval90[1], "unit": item.unit, "identifiable": item.verdict.identifiable}
+            for item in self.parameters.values()
+        ]  # fmt: skip
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The identified values by name, SI."""
+        return {name: item.value for name, item in self.parameters.items()}
+
+    @property
+    def open(self) -> tuple[str, ...]:
+        """The parameters that the data do not determine."""
+        return tuple(name for name, item in self.parameters.items() if not item.verdict.identifiable)
+
+
+def identify(
+    diagram: Diagram,
+    recording: Recording,
+    *,
+    method: str = "likelihood",
+    given: Sequence[str] = (),
+    free: Sequence[Free] | None = None,
+    runs: Sequence[Run] | None = None,
+    orders: Sequence[int] = THESIS_ORDERS,
+    reduction: str = "exact",
+    precision: float = PRECISION,
+    profile: bool = True,
+    hold_out: Recording | None = None,
+    harmonics: Sequence[RunHarmonics] | None = None,
+) -> Identification:
+    """Estimate the free parameters of a diagram from the runs of a recording.
+
+    method: "likelihood" (errors in all measured signals, bounds, priors; intervals from the profile of the
+    likelihood), or "regression" (the thesis' least squares, eq. (2.64)-(2.66), (3.47), (4.34), (5.18)). given: ports
+    taken as measured inputs with their noise, so that what makes them need not be right. precision: half width of
+    the 90 % interval, as part of the value, that counts as identified. hold_out: further runs that are only scored.
+    orders, reduction: of the regression.
+
+    Raises RotorsimError for recordings with errors, channels or settings that the diagram does not have, runs
+    without phase reference, diagrams that are not linear in their states.
+    """
+    if method not in METHODS:
+        raise RotorsimError(Problem(f"no method '{method}'", hint=f"one of {', '.join(METHODS)}"))
+    warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
+    steps, unseen = stated_steps(diagram, recording)
+    diagram, warnings = diagram.before_converters(), [*warnings, *unseen]
+    if steps and harmonics is None:
+        recording = through_converters(recording, steps)
+        hold_out = None if hold_out is None else through_converters(hold_out, steps)
+        wanted_runs = None if runs is None else {run.id for run in runs}
+        runs = runs if wanted_runs is None else [run for run in recording.runs if run.id in wanted_runs]
+    wanted = diagram.free if free is None else free
+    chosen = tuple(recording.select("identify") if runs is None else runs)
+    with one_thread():  # many small matrices: threads cost more than they save
+        found = tuple(harmonics_of(recording, chosen) if harmonics is None else harmonics)
+        warnings += contradictions(found)
+
+        def likelihood(found: tuple[RunHarmonics, ...]) -> Likelihood:
+            experiment = open_experiment(diagram, recording, runs=chosen, given=given, free=free, harmonics=found)
+            if not given:
+                refuse_sampled(experiment.model, "identification with the loop closed")
+            return likelihood_of(experiment)
+
+        opened: Likelihood | Regression
+        if method == "likelihood":
+            opened = likelihood(found)
+        else:
+            opened = open_regression(
+                diagram, recording, runs=chosen, free=free, orders=orders, reduction=reduction, harmonics=found
+            )
+        search = Search(opened)
+        result = estimate(search)
+        if method == "likelihood" and harmonics is None and not result.adequate:
+            without, picked = with_pickups(recording, found, find_mains(recording, found))
+            if picked:
+                found, opened = without, likelihood(without)
+                search = Search(opened)
+                result = estimate(search)
+                treated = "it is fitted beside the harmonics"
+                warnings += pickup_warnings(picked, recording, "does not follow the shaft", treated)
+        adequate = method == "regression" or result.adequate
+        widen = 1.0 if adequate else result.widening
+        covariance = result.covariance * widen**2
+        if isinstance(opened, Regression):
+            scatter = scatter_of(opened, search, result)
+            covariance, adequate = scatter.covariance, scatter.adequate
+            result = with_covariance(result, covariance)
+            intervals = _about(result, np.sqrt(np.diag(covariance)), scatter.bias)
+        elif profile:
+            intervals = profile_intervals(search, result, widen)
+        else:
+            ends = result.theta[:, None] + widen * (linear_intervals(search, result) - result.theta[:, None])
+            low, high = (np.array([getattr(item, end) for item in result.free]) for end in ("low", "high"))
+            intervals = np.clip(ends, low[:, None], high[:, None])
+        verdicts = judge(result, intervals, precision=precision, widen=widen if method == "likelihood" else 1.0)
+        left = [item.name for item, verdict in zip(result.free, verdicts, strict=True) if not verdict.identifiable]
+        advice: list[Advice] = []
+        if left and method == "likelihood" and isinstance(opened.experiment.motion, Motion):
+            advice = advise(opened.experiment, result, left, precision)
+        used = (
+            given
+            if method == "likelihood"
+            else tuple(dict.fromkeys(n.partition("[")[0] for n in opened.experiment.given))
+        )
+        fit, floor = _scores(diagram, recording, found, hold_out, result, used)
+    kept = {item.name for item in result.free}
+    warnings += [
+        Problem("is left out: no block follows it", f"identify.{item.name}", severity="warning")
+        for item in wanted
+        if item.name not in kept
+    ]
+    std = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.nan_to_num(covariance / np.outer(std, std))
+    if method == "likelihood":
+        reach = np.abs(intervals - result.theta[:, None]).max(axis=1) / Z90
+        std = np.where(result.at_bound, reach, np.where(result.undetermined, np.inf, std))
+    joint = result.theta[:, None] + joint_factor(correlation) * (intervals - result.theta[:, None])
+    parameters = {
+        item.name: Identified(
+            item.name, float(result.theta[j]), float(std[j]),
+            (float(intervals[j, 0]), float(intervals[j, 1])),
+            (max(float(joint[j, 0]), item.low), min(float(joint[j, 1]), item.high)), item.unit, verdicts[j],
+            bool(result.at_bound[j]),
+        )
+        for j, item in enumerate(result.free)
+    }  # fmt: skip
+    goodness = result.goodness if method == "likelihood" else None
+    excess = result.excess if method == "likelihood" else None
+    return Identification(
+        method=method,
+        parameters=parameters,
+        correlation=correlation,
+        fit=fit,
+        noise_floor=floor,
+        goodness=goodness,
+        excess=excess,
+        adequate=adequate,
+        statement=_statement(method, parameters, adequate, result, advice),
+        advice=tuple(advice),
+        warnings=tuple(warnings),
+        diagram=diagram,
+        runs=found,
+        settings={"given": list(used), "orders": list(orders), "reduction": reduction, "precision": precision},
+        free=result.free,
+    )
+
+
+def _checked(recording: Recording) -> list[Problem]:
+    """Return the warnings about a recording. Raises RotorsimError with its errors: the data are at fault."""
+    problems = [*recording.warnings, *check_signals(recording)]
+    if any(problem.severity == "error" for problem in problems):
+        raise RotorsimError(*problems, exit_code=1)
+    return problems
+
+
+def _about(result: Estimate, std: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """Return intervals (m, 2) about the estimate, on the side of a bias wide enough to hold the unbiased value."""
+    low = result.theta - Z90 * std - np.maximum(bias, 0)
+    high = result.theta + Z90 * std - np.minimum(bias, 0)
+    return np.column_stack([low, high])
+
+
+def _scores(
+    diagram: Diagram,
+    recording: Recording,
+    found: Sequence[RunHarmonics],
+    hold_out: Recording | None,
+    result: Estimate,
+    given: Sequence[str],
+) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
+    """Return NRMSE per signal of the runs identified from and of those held out, and the noise floor."""
+    sets: list[tuple[str, Recording, Sequence[RunHarmonics]]] = [("identify", recording, found)]
+    outside = recording.select("hold_out")
+    if outside:
+        sets.append(("hold_out", recording, harmonics_of(recording, outside)))
+    if hold_out is not None:
+        sets.append(("hold_out", hold_out, harmonics_of(hold_out)))
+    squares: dict[str, dict[str, np.ndarray]] = {}
+    for use, source, runs in sets:
+        scored = open_experiment(
+            diagram, source, runs=[item.run for item in runs], given=given, free=result.free, harmonics=runs
+        )
+        likelihood = likelihood_of(scored)
+        Y = likelihood.evaluate(result.theta).Y
+        for r, item in enumerate(runs):
+            columns = scored.columns[r][: len(scored.predicted)]
+            difference = np.abs(Y[r] - likelihood.data[r][:, : len(scored.predicted)]) ** 2
+            wrong = difference[0] * scored.use_mean[: len(scored.predicted)] + 2 * difference[1:].sum(axis=0)
+            for c, name in enumerate(scored.predicted):
+                port = name.partition("[")[0]
+                left, total = item.fit.residual[columns[c]] ** 2, item.fit.rms[columns[c]] ** 2
+                sums = squares.setdefault(use, {}).setdefault(port, np.zeros(3))
+                sums += (left + wrong[c], left, total)
+    fit = {
+        use: {p: float(np.sqrt(s[0] / s[2])) for p, s in ports.items() if s[2] > 0} for use, ports in squares.items()
+    }
+    floor = {p: float(np.sqrt(s[1] / s[2])) for p, s in squares["identify"].items() if s[2] > 0}
+    return fit, floor
+
+
+def _statement(
+    method: str, parameters: Mapping[str, Identified], adequate: bool, result: Estimate, advice: Sequence[Advice]
+) -> str:
+    """Return what was found in plain words."""
+    sure = [name for name, item in parameters.items() if item.verdict.identifiable]
+    parts = [f"{len(sure)} of {len(parameters)} parameters are identified" + (f": {', '.join(sure)}." if sure else ".")]
+    parts += [
+        f"{name} is not: {item.verdict.reason}." for name, item in parameters.items() if not item.verdict.identifiable
+    ]
+    if advice:
+        best = advice[0]
+        parts.append(f"Next experiment: {best.change}; it would determine {', '.join(best.solves)}.")
+    elif len(sure) < len(parameters) and method == "likelihood":
+        parts.append("No change of gains, speeds, length or excitation that was tried would determine them.")
+    if not adequate and method == "regression":
+        parts.append(
+            "The model does not explain the data: the equations leave more over than noise can make; the intervals "
+            "mean nothing. something is missing in it."
+        )
+    elif not adequate:
+        parts.append(
+            f"The model does not explain the data: what is left over has {result.excess:.3g} times the variance of the "
+            f"noise, so something is missing in it; the intervals are widened by {np.sqrt(result.excess):.2g}, and "
+            "hold only if what is missing does not matter to a parameter."
+        )
+    return " ".join(parts if adequate else [parts[-1], *parts[:-1]])

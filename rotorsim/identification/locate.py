@@ -1,0 +1,161 @@
+"""Where along the shaft a force acts: a block wired to every node in turn, or two of it to every pair of nodes."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorsim.block import In
+from rotorsim.diagram.diagram import Diagram, Wire
+from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.identification.estimate import Estimate, Search, estimate
+from rotorsim.identification.experiment import open_experiment
+from rotorsim.identification.likelihood import Likelihood
+from rotorsim.jobs.threads import one_thread
+from rotorsim.model.load import load
+from rotorsim.recordings.recording import Recording
+from rotorsim.signals.harmonics import harmonics_of
+
+__all__ = ["Location", "locate"]
+
+
+@dataclass(frozen=True, eq=False)
+class Location:
+    """A block at one place (or two of it at two places), refitted.
+
+    nodes: counted from 1. misfit: minus twice the log likelihood at its best; probability: among all places tried, each
+    as likely as any other before the data, the noise as large as the best place leaves over.
+    """
+
+    nodes: tuple[int, ...]
+    misfit: float
+    probability: float
+    estimate: Estimate
+    document: Mapping[str, Any]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The refitted parameters, SI."""
+        return {item.name: float(v) for item, v in zip(self.estimate.free, self.estimate.theta, strict=True)}
+
+
+def locate(
+    diagram: Diagram, recording: Recording, block: str, *, count: int = 1, given: Sequence[str] = (),
+    trust_blocks: bool = False,
+) -> list[Location]:  # fmt: skip
+    """Return the places at which a block explains a recording, the most probable first.
+
+    block: its force enters one node of an additive input (``["crack.force", "rotor.force[4]"]``); it is tried at
+    every node that can move. count: 2 adds a copy of the block with parameters of its own ("crack2.stiffness",
+    "crack2.phase") and tries every pair of nodes. A crack's sag stays that of the diagram: what is identified is the
+    product of additive stiffness and sag at the place.
+
+    Raises RotorsimError for a block that does not act at one node, and what `identify` raises.
+    """
+    if count not in (1, 2):
+        raise RotorsimError(Problem(f"count must be 1 or 2, not {count}", "locate"))
+    wires = _wires(diagram, block)
+    nodes = _nodes(diagram, wires)
+    document = dict(diagram.document)
+    harmonics = harmonics_of(recording, recording.select("identify"))
+    tried: list[tuple[tuple[int, ...], Estimate, Mapping[str, Any]]] = []
+    with one_thread():
+        for places in combinations(nodes, count):
+            moved = _placed(document, diagram, block, wires, places)
+            model = load(moved, folder=Path(diagram.file).parent if diagram.file else None, trust_blocks=trust_blocks)
+            experiment = open_experiment(model, recording, given=given, harmonics=harmonics)
+            tried.append((places, estimate(Search(Likelihood(experiment)), tries=1), moved))
+    best = min(item.misfit for _, item, _ in tried)
+    scale = max(1.0, best / max(tried[0][1].freedom, 1))
+    weights = np.exp(-0.5 * (np.array([item.misfit for _, item, _ in tried]) - best) / scale)
+    found = [
+        Location(places, item.misfit, float(weight / weights.sum()), item, moved)
+        for (places, item, moved), weight in zip(tried, weights, strict=True)
+    ]
+    return sorted(found, key=lambda location: location.misfit)
+
+
+def _wires(diagram: Diagram, block: str) -> list[Wire]:
+    """Return the wires of a block into one node of an additive input."""
+    if block not in diagram.nodes:
+        raise RotorsimError(Problem("no such block", block, hint=near_miss(block, diagram.nodes)))
+    found = []
+    for wire in diagram.wires:
+        declared = diagram.nodes[wire.target.block].inputs[wire.target.port].declaration
+        if wire.source.block == block and isinstance(declared, In) and declared.additive and wire.target.index:
+            found.append(wire)
+    if not found:
+        what = "its force does not enter one node of a rotor: there is no place to look for"
+        raise RotorsimError(Problem(what, block, hint='a wire such as ["crack.force", "rotor.force[4]"]'))
+    if len({wire.target.index[0] for wire in found}) > 1:
+        raise RotorsimError(
+            Problem("its wires enter different nodes", block, hint="locate moves a block with one place")
+        )
+    return found
+
+
+def _nodes(diagram: Diagram, wires: Sequence[Wire]) -> list[int]:
+    """Return the nodes (from 1) that the block can be moved to: all but pinned ones."""
+    target = wires[0].target
+    node = diagram.nodes[target.block]
+    pinned = set(getattr(node.block.option, "pinned_nodes", ()) or ())
+    return [k for k in range(1, node.inputs[target.port].shape[0] + 1) if k not in pinned]
+
+
+def _placed(
+    document: Mapping[str, Any], diagram: Diagram, block: str, wires: Sequence[Wire], places: Sequence[int]
+) -> dict[str, Any]:  # fmt: skip
+    """Return the document with the block at the first place, and a copy of it at the second."""
+    moved = copy.deepcopy(dict(document))
+    ends = {(str(wire.source), str(wire.target)): wire for wire in wires}
+    rewired = []
+    extra = []
+    for pair in moved["wires"]:
+        wire = ends.get((str(pair[0]).replace(" ", ""), str(pair[1]).replace(" ", "")))
+        if wire is None:
+            rewired.append(pair)
+            continue
+        base = f"{wire.target.block}.{wire.target.port}"
+        rest = "".join(f",{k + 1}" for k in wire.target.index[1:])
+        rewired.append([str(pair[0]), f"{base}[{places[0]}{rest}]"])
+        if len(places) > 1:
+            extra.append([str(pair[0]).replace(block, _second(document, block), 1), f"{base}[{places[1]}{rest}]"])
+    moved["wires"] = rewired
+    if len(places) > 1:
+        _add_second(moved, diagram, block, extra)
+    return moved
+
+
+def _second(document: Mapping[str, Any], block: str) -> str:
+    number = 2
+    while f"{block}{number}" in document["blocks"]:
+        number += 1
+    return f"{block}{number}"
+
+
+def _add_second(moved: dict[str, Any], diagram: Diagram, block: str, wires: list[list[str]]) -> None:
+    """Add a copy of a block with its inputs, and free what is free of the first."""
+    name = _second(moved, block)
+    copied = copy.deepcopy(moved["blocks"][block])
+    node = diagram.nodes[block]
+    parameters = copied.setdefault("parameters", {})
+    for key, reference in node.references.items():
+        parameters[key] = np.asarray(node.values[key]).tolist()
+        if reference in moved.get("identify", {}):
+            moved["identify"][f"{name}.{key}"] = copy.deepcopy(moved["identify"][reference])
+    for key in node.values:
+        if f"{block}.{key}" in moved.get("identify", {}):
+            moved["identify"][f"{name}.{key}"] = copy.deepcopy(moved["identify"][f"{block}.{key}"])
+    inputs = [
+        [str(s), str(t).replace(f"{block}.", f"{name}.", 1)]
+        for s, t in moved["wires"]
+        if str(t).startswith(f"{block}.")
+    ]
+    moved["blocks"][name] = copied
+    moved["wires"] = [*moved["wires"], *inputs, *wires]

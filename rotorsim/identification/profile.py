@@ -1,0 +1,160 @@
+"""Profile-likelihood intervals: how far one parameter can go while all others follow as well as they can."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import norm
+
+from rotorsim.identification.estimate import Estimate, Search
+
+__all__ = ["Z90", "joint_factor", "linear_intervals", "profile_intervals"]
+
+Z90 = float(norm.ppf(0.95))  # half width of a central 90 % interval, in standard deviations
+NORMAL = 0.02  # the profile agrees so well with a parabola that its end points are those of the parabola
+STEPS = 8
+WIDEST = 1e3  # standard widths beyond which an interval is called unbounded
+
+
+def profile_intervals(search: Search, found: Estimate, widen: float = 1.0) -> np.ndarray:
+    """Return 90 % intervals (m, 2) [SI] at which the profile of minus twice the log likelihood rises by 2.71.
+
+    widen: factor on standard deviations where the model does not explain the data. Intervals end at the physical
+    bounds. Source: Pawitan, In All Likelihood (2001), ch. 3; Raue et al., Bioinformatics 25 (2009) 1923.
+    """
+    polar = _polar(search)
+    covariance = found.covariance
+    intervals = np.empty((len(found.free), 2))
+    best = polar.residual(polar.coordinates.inside(found.theta))
+    least = float(best @ best)
+    whole, nothing = _unbounded(found), found.undetermined
+    for j, item in enumerate(found.free):
+        used = whole if found.at_bound[j] else covariance
+        std = float(np.sqrt(max(used[j, j], 0.0))) * widen
+        if nothing[j] or not 0 < std < np.inf:
+            intervals[j] = item.low, item.high
+            continue
+        ridge = used[:, j] / used[j, j]
+        for side, sign in enumerate((-1.0, 1.0)):
+            end = _end(polar, found.theta, ridge, j, sign * Z90 * std, least, (Z90 * widen) ** 2)
+            intervals[j, side] = float(np.clip(end, item.low, item.high))
+    return intervals
+
+
+def linear_intervals(search: Search, found: Estimate) -> np.ndarray:
+    """Return 90 % intervals (m, 2) [SI] by linear theory, cut at the physical bounds: where undetermined, all between.
+
+    At a bound the profile rises by 2 b x + h x^2 over a step x off it, h = |J_j|^2 and b = J_j^T r beside all other
+    parameters: the interval is one-sided, up to the x of a rise by 2.71.
+    """
+    low, high = search.coordinates.low, search.coordinates.high
+    half = Z90 * found.std
+    intervals = np.column_stack([np.maximum(found.theta - half, low), np.minimum(found.theta + half, high)])
+    q = search.coordinates.inside(found.theta)
+    if not found.at_bound.any():
+        return intervals
+    r, J = search.residual(q), search.slopes(q)
+    base, _, _ = np.linalg.svd(_units(J[:, ~found.at_bound]), full_matrices=False)
+    for j in np.flatnonzero(found.at_bound):
+        scale = search.coordinates.scale[j]
+        below = found.theta[j] - low[j] <= high[j] - found.theta[j]
+        own = (1.0 if below else -1.0) * (J[:, j] - base @ (base.T @ J[:, j]))
+        h, b = float(own @ own), max(float(own @ r), 0.0)
+        # x = (sqrt(b^2 + h 2.71) - b) / h, without its difference of large numbers
+        rise = Z90**2 / (b + np.sqrt(b**2 + h * Z90**2)) * scale if h > 0 or b > 0 else np.inf
+        end = found.theta[j] + (rise if below else -rise)
+        intervals[j] = (low[j], min(end, high[j])) if below else (max(end, low[j]), high[j])
+    return intervals
+
+
+def _units(J: np.ndarray) -> np.ndarray:
+    """Return columns of length one, without those of none."""
+    size = np.linalg.norm(J, axis=0)
+    return np.asarray(J[:, size > 0] / size[size > 0])
+
+
+def joint_factor(correlation: np.ndarray) -> float:
+    """Return by how much 90 % intervals of single parameters must be widened to hold all of them at once in 90 %.
+
+    From the largest of m correlated standard normal numbers, 20 000 draws.
+    """
+    m = len(correlation)
+    values, vectors = np.linalg.eigh(correlation)
+    root = vectors * np.sqrt(np.maximum(values, 0))
+    draws = np.random.default_rng(0).standard_normal((20_000, m)) @ root.T
+    return float(np.quantile(np.abs(draws).max(axis=1), 0.9) / Z90)
+
+
+def _unbounded(found: Estimate) -> np.ndarray:
+    """Return the covariance (m, m) of theta as it would be if no parameter were at its bound."""
+    if not found.at_bound.any():
+        return found.covariance
+    free = replace(found, at_bound=np.zeros(len(found.free), bool))
+    return free.covariance
+
+
+def _polar(search: Search) -> Search:
+    """Return the search in the parameters themselves, so that an amplitude or an angle can be held."""
+    other = object.__new__(Search)
+    other.__dict__.update(search.__dict__)
+    coordinates = search.coordinates
+    scale = coordinates.scale.copy()
+    for _, b in coordinates.pairs:
+        scale[b] = 1.0
+    other.coordinates = replace(coordinates, pairs=(), scale=scale)
+    other._known = None
+    return other
+
+
+def _end(
+    search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, step: float, least: float, rise: float
+) -> float:  # fmt: skip
+    """Return the value of parameter j at which the profile has risen so far."""
+    low, high = search.coordinates.low[j], search.coordinates.high[j]
+    share = 1.0
+    known = [(0.0, 0.0)]  # (share of the step, root of the rise)
+    for _ in range(STEPS):
+        value = float(np.clip(theta[j] + share * step, low, high))
+        reached = (value - theta[j]) / step
+        root = np.sqrt(max(_profile(search, theta, ridge, j, value) - least, 0.0) / rise)
+        known.append((reached, root))
+        if abs(root - 1) < NORMAL or (reached < share and root < 1):  # there, or at the bound
+            return float(theta[j] + reached * step / root) if abs(root - 1) < NORMAL else value
+        below = max((pair for pair in known if pair[1] < 1), key=lambda pair: pair[0])
+        above = min((pair for pair in known if pair[1] >= 1), key=lambda pair: pair[0], default=None)
+        if above is None:
+            share = min(2 * reached / max(root, 0.25), 4 * reached)
+            if share > WIDEST:
+                return float(high if step > 0 else low)
+        else:
+            share = below[0] + (1 - below[1]) / (above[1] - below[1]) * (above[0] - below[0])
+    return float(theta[j] + share * step)
+
+
+def _profile(search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, value: float) -> float:
+    """Return the least of minus twice the log likelihood with parameter j held at a value."""
+    start = theta + ridge * (value - theta[j])
+    low, high = search.coordinates.low, search.coordinates.high
+    start = np.clip(start, low, high)
+    start[j] = value
+    q = search.coordinates.inside(start)
+    others = [k for k in range(len(q)) if k != j]
+    r = search.residual(q)
+    cost = float(r @ r)
+    for _ in range(4):
+        J = search.slopes(q)[:, others]
+        step, *_ = np.linalg.lstsq(J, -r, rcond=1e-9)
+        trial = q.copy()
+        trial[others] += step
+        trial = np.clip(trial, *search.coordinates.bounds)
+        r_new = search.residual(trial)
+        lower = float(r_new @ r_new)
+        if lower > cost * (1 + 1e-9):
+            found = search.minimise(q, held=(j,))
+            r = search.residual(found)
+            return min(float(r @ r), cost)
+        gained, q, r, cost = cost - lower, trial, r_new, lower
+        if gained < 1e-3:
+            break
+    return cost

@@ -1,0 +1,1 @@
+"""Sensitivity studies: how noise and wrong known parameters move the identified ones."""

@@ -1,0 +1,321 @@
+"""One seed of a sensitivity study: undisturbed runs, made once; noise; wrong known parameters; the estimate.
+
+The undisturbed runs come from the product's own simulation. That is right for a study of what noise and wrong
+parameters do; it says nothing about whether the equations are those of a machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.identification.estimate import Estimate, Search, estimate
+from rotorsim.identification.experiment import open_experiment
+from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.profile import Z90, profile_intervals
+from rotorsim.identification.regression import Regression, open_regression
+from rotorsim.identification.verdict import judge
+from rotorsim.jobs.threads import one_thread
+from rotorsim.linear.linearisation import flat_names, refuse_sampled
+from rotorsim.measure.record import measure, with_noise
+from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.recordings.recording import ANGLE, AXES, Channel, Recording, Run
+from rotorsim.signals.harmonic_fit import Basis, HarmonicFit, complex_values, fit_harmonics, harmonic_basis
+from rotorsim.signals.harmonics import RunHarmonics
+from rotorsim.signals.shaft_angle import ShaftAngle
+
+__all__ = ["Bench", "Clean", "clean_runs"]
+
+RATE = 1e4  # Hz, of the recordings; the thesis' step of 0.1 ms
+PROBE, LINEAR = 0.1, 1e-6  # size of a step; departure from linearity, of the change, that counts as none
+
+
+@dataclass(frozen=True, eq=False)
+class Clean:
+    """One undisturbed run: samples (n, C) of the channels [SI], shaft angle, harmonics and the columns of their fit."""
+
+    run: Run
+    values: np.ndarray
+    angle: ShaftAngle
+    basis: Basis
+    fit: HarmonicFit
+
+    @cached_property
+    def rms(self) -> np.ndarray:
+        """Root mean square of every channel about its mean, (C,)."""
+        return np.asarray(self.values.std(axis=0))
+
+    @cached_property
+    def projector(self) -> np.ndarray:
+        """What makes harmonics of samples: (2K+1, n)."""
+        return np.ascontiguousarray(self.basis.inverse[: 2 * self.basis.orders + 1] @ self.basis.columns.T)
+
+
+def clean_runs(
+    diagram: Diagram,
+    speeds: Sequence[float],
+    gains: Sequence[Mapping[str, float]] = ({},),
+    window: tuple[float, float] = (4.0, 5.0),
+    settled: bool = False,
+) -> tuple[Recording, list[Clean]]:
+    """Return the recording (without samples) and the undisturbed runs of a diagram at speeds [rad/s] and gains.
+
+    Each run starts at rest and is recorded over the window [s] at 10 kHz; ``settled``: the settled motion instead.
+    Recorded are the signals that the diagram records and that move. Raises RotorsimError for a run that diverges.
+    """
+    model = compile_diagram(diagram)
+    channels = _channels(model, diagram)
+    ports = list(dict.fromkeys(channel.signal for channel in channels))
+    runs: list[Clean] = []
+    problems: list[Problem] = []
+    for number, setting in enumerate(gains):
+        for speed in speeds:
+            name = f"{speed * 30 / np.pi:.6g} rpm" + (f", gains {number + 1}" if len(gains) > 1 else "")
+            try:
+                time, theta, found = _one_run(model, ports, {"speed": speed, **setting}, window, settled)
+            except RotorsimError as error:
+                problems += [replace(problem, subject=f"run at {name}") for problem in error.problems]
+                continue
+            values = np.column_stack([_entry(found[c.signal], c) for c in channels])
+            run = Run(name, "", time, {}, speed, None, setting, "identify", Place(diagram.file))
+            angle = ShaftAngle(theta, (theta[-1] - theta[0]) / (time[-1] - time[0]), 0.0, 0.0, "channel", True)
+            basis = harmonic_basis(name, time, theta)
+            signals = {c.name: column for c, column in zip(channels, values.T, strict=True)}
+            fit = fit_harmonics(name, time, theta, signals, {c.name: c.unit for c in channels}, basis=basis)
+            runs.append(Clean(run, values, angle, basis, fit))
+    if problems:
+        raise RotorsimError(*problems)
+    recording = Recording(diagram.name, "simulation", Path(), {c.name: c for c in channels}, tuple(r.run for r in runs))
+    return recording, runs
+
+
+def _channels(model: Model, diagram: Diagram) -> list[Channel]:
+    """Return a channel for every recorded entry that a recording can hold and that moves."""
+    channels = []
+    for end in dict.fromkeys(f"{end.block}.{end.port}" for end in diagram.record):
+        signal = model.signals[end]
+        if end == ANGLE or signal.unit in (None, "", "1") or signal.shape[-1:] != (2,) or len(signal.shape) > 2:
+            continue
+        nodes: Sequence[int | None] = range(1, signal.shape[0] + 1) if len(signal.shape) == 2 else [None]
+        for node in nodes:
+            for axis in AXES:
+                channel = Channel("", end, axis, node, None, signal.unit or "1")
+                expression = model.expression(channel.name)
+                if not (expression.is_constant() and float(expression) == 0.0):
+                    channels.append(replace(channel, column=channel.name))
+    if not channels:
+        hint = 'let the diagram record two-axis signals: "record": ["rotor.displacement", "controller.current"]'
+        raise RotorsimError(Problem("nothing is recorded", diagram.name, Place(diagram.file), hint))
+    return channels
+
+
+def _entry(values: np.ndarray, channel: Channel) -> np.ndarray:
+    """Return the samples (n,) of one channel from those of its signal (n, 2) or (n, nodes, 2)."""
+    own = values if channel.node is None else values[:, channel.node - 1]
+    return np.asarray(own[:, AXES.index(channel.axis or "x")])
+
+
+def _one_run(
+    model: Model, signals: Sequence[str], parameters: Mapping[str, float], window: tuple[float, float], settled: bool
+) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Return times (n,) and shaft angles (n,) of the window, and the signals (n, ...) over it."""
+    wanted = [] if settled else signals
+    result = measure(model, wanted, ANGLE, window=window, rate=RATE, parameters=parameters, closed=False)
+    time, theta = result.time, result[ANGLE].reshape(len(result.time))
+    if not settled:
+        return time, theta, {name: result[name] for name in signals}
+    from rotorsim.settled.periodic import periodic
+
+    names = [flat for name in signals for flat in flat_names(model, name)]
+    speed = parameters["speed"]
+    others = {name: value for name, value in parameters.items() if name != "speed"}
+    motion = periodic(model, speeds=[speed], parameters=others, signals=names, stability=False)
+    if not motion.settled[0]:
+        raise RotorsimError(Problem(motion.status[0]), exit_code=1)
+    wave = np.exp(1j * speed * np.outer(time, motion.orders))
+    flat = {name: (wave @ np.nan_to_num(motion.harmonics[name][0])).real for name in names}
+    shapes = {name: model.signals[name].shape for name in signals}
+    return time, theta, {
+        name: np.column_stack([flat[entry] for entry in flat_names(model, name)]).reshape(len(time), *shapes[name])
+        for name in signals
+    }  # fmt: skip
+
+
+class Bench:
+    """Undisturbed runs of a diagram with everything that does not change from seed to seed.
+
+    free: names of the parameters to estimate (default: all that the diagram leaves free). groups: name -> known
+    parameters that one draw makes wrong together. given: ports that the likelihood takes as measured.
+    """
+
+    def __init__(
+        self,
+        diagram: Diagram,
+        speeds: Sequence[float],
+        *,
+        gains: Sequence[Mapping[str, float]] = ({},),
+        free: Sequence[str] = (),
+        groups: Mapping[str, Sequence[str]] | None = None,
+        method: str = "regression",
+        reduction: str = "exact",
+        given: Sequence[str] = (),
+        window: tuple[float, float] = (4.0, 5.0),
+        settled: bool = False,
+        profile: bool = True,
+    ) -> None:
+        self.diagram, self.method, self.profile = diagram, method, profile
+        self.free = _free(diagram, free)
+        self.recording, self.clean = clean_runs(diagram, speeds, gains, window, settled)
+        self.names = tuple(self.recording.channels)
+        self.units = {name: channel.unit for name, channel in self.recording.channels.items()}
+        runs = [item.run for item in self.clean]
+        undisturbed = [RunHarmonics(item.run, item.angle, item.fit) for item in self.clean]
+        self.opened: Likelihood | Regression
+        if method == "likelihood":
+            experiment = open_experiment(
+                diagram, self.recording, runs=runs, free=self.free, harmonics=undisturbed, given=given
+            )
+            if not given:
+                refuse_sampled(experiment.model, "identification with the loop closed")
+            self.opened = Likelihood(experiment)
+        else:
+            self.opened = open_regression(
+                diagram, self.recording, runs=runs, free=self.free, harmonics=undisturbed, reduction=reduction
+            )
+        self.search = Search(self.opened)
+        self.groups = {name: self._entries(parameters) for name, parameters in (groups or {}).items()}
+
+    @property
+    def true(self) -> np.ndarray:
+        """The parameters that the data were made with, (m,) SI."""
+        return self.opened.experiment.theta0
+
+    def harmonics(self, kind: str, level: float, random: np.random.Generator) -> list[RunHarmonics]:
+        """Return the harmonics of the runs with noise (see `with_noise`)."""
+        found = []
+        for item in self.clean:
+            values = item.values
+            if level:
+                values = with_noise(values, kind, level, random, item.rms)
+            if self.method == "regression" and not item.fit.lines:  # it needs no covariance: a tenth of the work
+                fit = replace(item.fit, values=complex_values((item.projector @ values).ravel(), len(self.names)))
+                found.append(RunHarmonics(item.run, item.angle, fit))
+                continue
+            signals = dict(zip(self.names, values.T, strict=True))
+            fit = fit_harmonics(
+                item.run.id, item.run.time, item.angle.theta, signals, self.units, basis=item.basis
+            )  # fmt: skip
+            found.append(RunHarmonics(item.run, item.angle, fit))
+        return found
+
+    def solve(self, kind: str, level: float, bias: float, seed: int) -> dict[str, Any]:
+        """Return the estimate with one draw of noise and wrong parameters, as plain data.
+
+        values (m,), SI; with the likelihood also intervals (m, 2), 90 %, and whether each is called identified. The
+        same seed draws the same numbers at every level.
+        """
+        with one_thread():
+            wrong, noise = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
+            experiment = self.opened.experiment
+            p = self._biased(experiment.p, bias, wrong) if bias else None
+            experiment = experiment.again(self.harmonics(kind, level, noise), p)
+            if isinstance(self.opened, Regression):
+                return {"values": self._regressed(self.search.again(self.opened.again(experiment))).tolist()}
+            search = self.search.again(Likelihood(experiment))
+            result = estimate(search, self.true)
+            intervals, verdicts = self._judged(search, result)
+        return {"values": result.theta.tolist(), "intervals": intervals.tolist(), "identified": verdicts}
+
+    def _regressed(self, search: Search) -> np.ndarray:
+        """Return the parameters (m,) of least squares: in one step where the equations are linear in them."""
+        if not self._linear:
+            return estimate(search, self.true).theta
+        q = search.coordinates.inside(self.true)
+        slopes = search.slopes(q)
+        size = np.linalg.norm(slopes, axis=0)
+        size[size == 0] = 1.0
+        step = np.linalg.lstsq(slopes / size, -search.residual(q), rcond=None)[0] / size
+        return search.coordinates.outside(q + step, self.true)
+
+    @cached_property
+    def _linear(self) -> bool:
+        """Whether the equations of the regression are linear in the free parameters, at ten per cent from them."""
+        q = self.search.coordinates.inside(self.true)
+        step = PROBE * np.where(q == 0, 1.0, q)
+        promised = self.search.slopes(q) * step
+        change = self.search.residual(q + step) - self.search.residual(q)
+        return bool(np.linalg.norm(change - promised.sum(axis=1)) <= LINEAR * np.linalg.norm(promised))
+
+    def expected_std(self, kind: str, level: float) -> np.ndarray:
+        """Return the standard deviations (m,) that the likelihood promises at the true parameters."""
+        with one_thread():
+            harmonics = self.harmonics(kind, level, np.random.default_rng([0, 1]))
+            slopes = Likelihood(self.opened.experiment.again(harmonics)).expected(self.true)
+            size = np.linalg.norm(slopes, axis=0)
+            scaled = slopes / np.where(size > 0, size, 1.0)
+            inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True, rcond=1e-13)
+        return np.asarray(np.sqrt(np.diag(inverse)) / np.where(size > 0, size, np.nan))
+
+    def _judged(self, search: Search, result: Estimate) -> tuple[np.ndarray, list[bool]]:
+        """Return intervals (m, 2) and verdicts as `identify` gives them."""
+        widen = result.widening
+        if self.profile:
+            intervals = profile_intervals(search, result, widen)
+        else:
+            half = Z90 * widen * result.std
+            intervals = np.column_stack([result.theta - half, result.theta + half])
+        return intervals, [verdict.identifiable for verdict in judge(result, intervals, widen=widen)]
+
+    def _biased(self, p: np.ndarray, bias: float, random: np.random.Generator) -> np.ndarray:
+        """Return known parameters p (R, n_p) with a relative error in every group, the same in all runs."""
+        p = p.copy()
+        for entries in self.groups.values():
+            p[:, entries] *= 1 + bias * random.standard_normal()
+        return p
+
+    def _entries(self, parameters: Sequence[str]) -> np.ndarray:
+        """Return where parameters lie in p. Raises RotorsimError for names that are unknown or to be estimated."""
+        model = self.opened.experiment.model
+        entries: list[int] = []
+        problems = []
+        for name in parameters:
+            if name in model.references:
+                entries += [k for part in model.references[name] for k in range(part.start, part.stop)]
+            elif name in model.parameters:
+                part = model.parameters[name]
+                entries += range(part.start, part.stop)
+            else:
+                hint = near_miss(name, [*model.references, *model.parameters])
+                problems.append(Problem(f"no parameter '{name}' that could be wrong", self.diagram.name, hint=hint))
+        slots = {slot: item.name for item, slot in self._free_slots()}
+        for entry in entries:
+            if entry in slots:
+                problems.append(Problem("is estimated: it cannot be known wrongly as well", slots[entry]))
+        if problems:
+            raise RotorsimError(*dict.fromkeys(problems))
+        return np.array(entries, int)
+
+    def _free_slots(self) -> list[tuple[Free, int]]:
+        from rotorsim.settled.linear_equations import slots_of
+
+        return [(item, slot) for item in self.free for slot in slots_of(self.opened.experiment.model, item)]
+
+
+def _free(diagram: Diagram, names: Sequence[str]) -> tuple[Free, ...]:
+    """Return the free parameters of these names, in this order. Raises RotorsimError for others."""
+    known = {item.name: item for item in diagram.free}
+    problems = [
+        Problem(f"'{name}' is not among the parameters to identify", diagram.name, Place(diagram.file),
+                near_miss(name, known) or f"they are {', '.join(known)}")
+        for name in names if name not in known
+    ]  # fmt: skip
+    if problems:
+        raise RotorsimError(*problems)
+    return tuple(known[name] for name in names) if names else diagram.free

@@ -1,0 +1,135 @@
+"""Which parameters the data determine, which only in combination with others, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorsim.identification.coordinates import ANGLE_UNIT
+from rotorsim.identification.estimate import Estimate
+from rotorsim.identification.profile import Z90
+from rotorsim.units import format_quantity
+
+__all__ = ["PRECISION", "Combination", "Verdict", "judge", "relative_width"]
+
+PRECISION = 0.05  # half width of the 90 % interval, as part of the value, that counts as identified
+CORRELATED = 0.9
+LOOSE = 1 / 3  # of the width that remains when the partners are known
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A linear combination of parameters that is known much better than they are: sum of factors * parameters."""
+
+    factors: dict[str, float]
+    value: float
+    std: float
+    unit: str
+
+    @property
+    def expression(self) -> str:
+        """The combination as text: 'a - 4930 b'."""
+        text = ""
+        for name, factor in self.factors.items():
+            sign = " - " if factor < 0 else " + " if text else ""
+            size = "" if abs(abs(factor) - 1) < 1e-12 else f"{abs(factor):.4g} "
+            text += f"{sign if text or factor < 0 else ''}{size}{name}"
+        return text.strip()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether one parameter is identified; why not; with which others it is confused, and what is known instead."""
+
+    identifiable: bool
+    reason: str
+    partners: tuple[str, ...] = ()
+    combination: Combination | None = None
+
+
+def relative_width(value: float, half_width: float, unit: str) -> float:
+    """Return the half width of an interval as part of the value; of one radian for an angle."""
+    scale = 1.0 if unit == ANGLE_UNIT else abs(value)
+    return half_width / scale if scale > 0 else np.inf
+
+
+def judge(found: Estimate, intervals: np.ndarray, *, precision: float = PRECISION, widen: float = 1.0) -> list[Verdict]:
+    """Return the verdict on every parameter.
+
+    A parameter is identified when half of its 90 % interval is at most ``precision`` of its value (of one radian for
+    an angle). Otherwise it is uncertain by itself, or only together with others: then the best known combination is
+    given.
+    """
+    covariance = found.covariance * widen**2
+    std = np.sqrt(np.maximum(np.diag(covariance), 0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correlation = np.nan_to_num(covariance / np.outer(std, std))
+    verdicts = []
+    for j, item in enumerate(found.free):
+        value = float(found.theta[j])
+        half = float(intervals[j, 1] - intervals[j, 0]) / 2
+        width = relative_width(value, half, item.unit)
+        if not item.low <= value <= item.high:
+            text = f"{format_quantity(value, item.unit)} is outside its physical bounds: the data or the model are not"
+            verdicts.append(Verdict(False, text + " right for it"))
+        elif found.at_bound[j]:
+            near = item.low if abs(value - item.low) <= abs(value - item.high) else item.high
+            text = f"the search ended at its physical bound {format_quantity(near, item.unit)}"
+            verdicts.append(Verdict(False, text + ": the data or the model are not right for it"))
+        elif width <= precision:
+            verdicts.append(Verdict(True, f"known within {_percent(width, item.unit)}"))
+        else:
+            verdicts.append(_not_identified(found, covariance, correlation, j, width, precision))
+    return verdicts
+
+
+def _not_identified(
+    found: Estimate, covariance: np.ndarray, correlation: np.ndarray, j: int, width: float, precision: float
+) -> Verdict:  # fmt: skip
+    item = found.free[j]
+    others = [k for k in np.argsort(-np.abs(correlation[j])) if k != j and abs(correlation[j, k]) > CORRELATED]
+    others = [k for k in others if not found.at_bound[k]]
+    alone = _conditional(found, j) * covariance[j, j] ** 0.5 / max(found.covariance[j, j] ** 0.5, 1e-300)
+    alone_width = relative_width(float(found.theta[j]), Z90 * alone, item.unit)
+    if not others or alone_width > LOOSE * width:
+        text = (
+            f"the data say too little about it: its 90 % interval is +-{_percent(width, item.unit)}, and would be "
+            f"+-{_percent(alone_width, item.unit)} if all other parameters were known"
+        )
+        return Verdict(False, text)
+    names = tuple(found.free[k].name for k in others)
+    combination = _combination(found, covariance, j, others)
+    text = (
+        f"cannot be told from {_list(names)} with these data (correlation {correlation[j, others[0]]:+.4f}): by itself "
+        f"it is known within +-{_percent(width, item.unit)} only, but {combination.expression} is "
+        f"{combination.value:.5g} +- {Z90 * combination.std:.2g} {combination.unit}"
+    )
+    return Verdict(False, text, names, combination)
+
+
+def _conditional(found: Estimate, j: int) -> float:
+    """Return the standard deviation of a parameter if all others were known."""
+    slopes = np.linalg.inv(found.coordinates.slopes(found.theta))
+    information = float(slopes[:, j] @ found.information @ slopes[:, j])
+    return 1 / np.sqrt(information) if information > 0 else np.inf
+
+
+def _combination(found: Estimate, covariance: np.ndarray, j: int, others: list[int]) -> Combination:
+    """Return parameter j less its regression on the others: what is left is known best."""
+    inner = covariance[np.ix_(others, others)]
+    factors = np.linalg.lstsq(inner, covariance[others, j], rcond=1e-12)[0]
+    weights = {found.free[j].name: 1.0, **{found.free[k].name: -float(f) for k, f in zip(others, factors, strict=True)}}
+    value = float(found.theta[j] - factors @ found.theta[others])
+    variance = float(covariance[j, j] - factors @ covariance[others, j])
+    return Combination(weights, value, float(np.sqrt(max(variance, 0.0))), found.free[j].unit)
+
+
+def _percent(width: float, unit: str) -> str:
+    if unit == ANGLE_UNIT:
+        return f"{np.degrees(width):.2g} deg"
+    return f"{100 * width:.2g} %" if np.isfinite(width) else "any amount"
+
+
+def _list(names: tuple[str, ...]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,1 @@
+"""Lists of independent jobs, on the processes of this machine or on a cluster."""

@@ -1,0 +1,1 @@
+"""Linear analyses: operating points, modes, Campbell diagrams, frequency response, controller design."""

@@ -1,0 +1,242 @@
+"""Campbell diagram: modes over speed, followed by their shape, and where they cross multiples of the speed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq, linear_sum_assignment
+
+from rotorsim._shown import Shown, xarray_module
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.linear.eigenmodes import RESONANT, Eigen, _shape_signals, checked_speeds, eigen, require_speed, whirl
+from rotorsim.linear.linearisation import as_model, linearise
+from rotorsim.linear.stability import growing
+from rotorsim.model.compiled import Model
+
+__all__ = ["Campbell", "Crossing", "campbell"]
+
+UNMATCHED = 0.98  # cost from which two modes are not the same one
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """Where the damped frequency of ``mode`` (from 1) equals ``order`` times the speed: a critical speed (order 1).
+
+    stable: whether no pole of the machine grows at this speed; a settled motion is never reached where one does.
+    """
+
+    order: int
+    speed: float
+    frequency_hz: float
+    mode: int
+    whirl: str
+    damping_ratio: float
+    stable: bool = True
+
+
+@dataclass(frozen=True, repr=False)
+class Campbell(Shown):
+    """Modes over speed: one column per mode, followed by shape; NaN where a mode does not oscillate.
+
+    speeds (n,) [rad/s]; frequency_hz, damping_ratio (n, modes); whirl (n, modes) text, "" where NaN.
+    stable (n,): whether no pole of the machine grows there, also none that does not oscillate.
+    """
+
+    speeds: np.ndarray
+    frequency_hz: np.ndarray
+    damping_ratio: np.ndarray
+    whirl: np.ndarray
+    crossings: tuple[Crossing, ...]
+    stable: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    _figure = "rotorsim.report.figures.linear:campbell_figure"
+
+    def __repr__(self) -> str:
+        low, high = (end * 30 / np.pi for end in (self.speeds.min(), self.speeds.max()))
+        critical = [f"{item.speed * 30 / np.pi:.6g}" for item in self.crossings if item.order == 1]
+        found = f"critical speeds {', '.join(critical)} rpm" if critical else "no critical speed"
+        name = self.provenance.get("diagram", "")
+        return f"Campbell({name}: {self.frequency_hz.shape[1]} modes, {low:.6g}..{high:.6g} rpm, {found})"
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset over speed [rad/s] and mode; needs the optional package xarray."""
+        dims = ("speed", "mode")
+        variables = {
+            "frequency_hz": (dims, self.frequency_hz, {"units": "Hz"}),
+            "damping_ratio": (dims, self.damping_ratio, {"units": "1"}),
+            "whirl": (dims, self.whirl, {}),
+        }
+        coordinates = {
+            "speed": ("speed", self.speeds, {"units": "rad/s"}), "mode": np.arange(self.frequency_hz.shape[1]) + 1,
+        }  # fmt: skip
+        return xarray_module().Dataset(variables, coordinates, {k: str(v) for k, v in self.provenance.items()})
+
+    @property
+    def resonant(self) -> np.ndarray:
+        """Which modes have a damping ratio below 1/sqrt(2) at some speed, (modes,)."""
+        return np.asarray(np.nanmin(self.damping_ratio, axis=0, initial=np.inf) < RESONANT)
+
+    def to_table(self) -> list[dict[str, Any]]:
+        """Return one row per speed and mode."""
+        return [
+            {
+                "speed": float(speed),
+                "mode": k + 1,
+                "frequency_hz": float(self.frequency_hz[j, k]),
+                "damping_ratio": float(self.damping_ratio[j, k]),
+                "whirl": str(self.whirl[j, k]),
+                "stable": bool(self.stable[j]),
+            }
+            for j, speed in enumerate(self.speeds)
+            for k in range(self.frequency_hz.shape[1])
+            if np.isfinite(self.frequency_hz[j, k])
+        ]
+
+
+@dataclass(frozen=True)
+class _Point:
+    eigen: Eigen
+    whirl: list[str]
+    stable: bool
+
+
+def campbell(
+    diagram: Diagram | Model,
+    *,
+    speeds: Sequence[float] | np.ndarray,
+    parameters: Mapping[str, Any] | None = None,
+    orders: Sequence[int] = (1, 2),
+) -> Campbell:
+    """Return the modes at many speeds [rad/s], each followed through crossings, and the critical speeds.
+
+    Modes at neighbouring speeds belong together where |l1^H r2| |l2^H r1| (left and right eigenvectors: a
+    modal assurance criterion that no scaling of the states changes) is near 1 and the frequencies are near;
+    the assignment is optimal (Hungarian method). Crossings with order times speed are refined by root finding.
+
+    Raises RotorsimError as `modes`, and without a diagram parameter ``speed``.
+    Source: Allemang, Sound and Vibration 37 (2003) 14-23 (MAC).
+    """
+    model = as_model(diagram)
+    require_speed(model, "campbell")
+    values = np.unique(checked_speeds(speeds, zero=True))
+    outputs = _shape_signals(model)
+
+    def point(speed: float) -> _Point:
+        given = {**(parameters or {}), "speed": speed}
+        system = linearise(model, parameters=given, inputs=(), outputs=outputs)
+        found = eigen(system.A)
+        return _Point(found, whirl(found, system), not growing(system.A))
+
+    points = [point(float(speed)) for speed in values]
+    columns = _follow(points)
+    n_modes = columns.shape[1]
+    frequency = np.full((len(values), n_modes), np.nan)
+    damping = np.full((len(values), n_modes), np.nan)
+    direction = np.full((len(values), n_modes), "", dtype="<U8")
+    for j, at in enumerate(points):
+        there = np.flatnonzero(columns[j] >= 0)
+        found = at.eigen.values[columns[j, there]]
+        frequency[j, there] = found.imag / (2 * np.pi)
+        damping[j, there] = -found.real / np.abs(found)
+        direction[j, there] = [at.whirl[k] for k in columns[j, there]]
+    crossings = [
+        crossing
+        for order in orders
+        for k in range(n_modes)
+        for crossing in _crossings(point, values, points, columns[:, k], k, order)
+    ]
+    return Campbell(
+        speeds=values,
+        frequency_hz=frequency,
+        damping_ratio=damping,
+        whirl=direction,
+        crossings=tuple(sorted(crossings, key=lambda c: (c.order, c.speed, c.mode))),
+        stable=np.array([at.stable for at in points], bool),
+        provenance={"diagram": model.diagram.name, "set": dict(parameters or {}), "analysis": "campbell"},
+    )
+
+
+def _cost(a: Eigen, b: Eigen) -> np.ndarray:
+    """Return how little two sets of modes resemble one another, in [0, 1] plus a small term for continuity."""
+    assurance = np.abs(a.left.conj().T @ b.right) * np.abs(b.left.conj().T @ a.right).T
+    scale = np.maximum(np.abs(a.values)[:, None], np.abs(b.values)[None])
+    distance = np.abs(a.values[:, None] - b.values[None]) / scale
+    cost: np.ndarray = 1 - np.minimum(assurance, 1.0) + distance
+    return cost
+
+
+def _follow(points: list[_Point]) -> np.ndarray:
+    """Return for every speed and mode the number of the eigenvalue there, -1 where it is missing.
+
+    From the highest speed down: there the modes are most distinct; at rest pairs may be arbitrary.
+    """
+    last = len(points) - 1
+    columns = [[k] for k in range(len(points[last].eigen.values))]  # from high to low speed
+    seen = [(last, k) for k in range(len(columns))]  # where each mode was seen last
+    for j in range(last - 1, -1, -1):
+        here = points[j].eigen
+        cost = np.ones((len(columns), len(here.values)))
+        for source in {at for at, _ in seen}:
+            rows = [row for row, (at, _) in enumerate(seen) if at == source]
+            numbers = [seen[row][1] for row in rows]
+            cost[rows] = _cost(points[source].eigen, here)[numbers]
+        rows, found = linear_sum_assignment(cost)
+        match = {int(r): int(c) for r, c in zip(rows, found, strict=True) if cost[r, c] < UNMATCHED}
+        for row, column in enumerate(columns):
+            column.append(match.get(row, -1))
+            if row in match:
+                seen[row] = (j, match[row])
+        for new in sorted(set(range(len(here.values))) - set(match.values())):
+            columns.append([-1] * (last - j) + [new])
+            seen.append((j, new))
+    table = np.array(columns, int).reshape(len(columns), len(points)).T[::-1]
+    frequencies = [
+        np.nanmin([points[j].eigen.values[k].imag for j, k in enumerate(column) if k >= 0]) for column in table.T
+    ]
+    return table[:, np.argsort(frequencies, kind="stable")] if frequencies else table
+
+
+def _crossings(
+    point: Any, speeds: np.ndarray, points: list[_Point], column: np.ndarray, mode: int, order: int
+) -> list[Crossing]:
+    found = []
+    for j in range(len(speeds) - 1):
+        if column[j] < 0 or column[j + 1] < 0:
+            continue
+        ends = [points[i].eigen.values[column[i]].imag - order * speeds[i] for i in (j, j + 1)]
+        if ends[0] * ends[1] > 0 or (ends[1] == 0.0 < abs(ends[0]) and j + 2 < len(speeds)):
+            continue  # no crossing, or one that the next interval reports
+        weights = {i: int(column[i]) for i in (j, j + 1)}
+
+        def nearest(speed: float, j: int = j, weights: dict[int, int] = weights) -> tuple[_Point, int]:
+            at = point(speed)
+            cost = sum(_cost(points[i].eigen, at.eigen)[number] for i, number in weights.items())
+            return at, int(np.argmin(cost))
+
+        def gap(speed: float) -> float:
+            at, number = nearest(speed)
+            return float(at.eigen.values[number].imag - order * speed)
+
+        try:
+            speed = float(brentq(gap, speeds[j], speeds[j + 1], xtol=1e-9, rtol=1e-12))
+        except ValueError:  # the sign differs at an end where a pair of modes is arbitrary: interpolate
+            share = ends[0] / (ends[0] - ends[1])
+            speed = float(speeds[j] + share * (speeds[j + 1] - speeds[j]))
+        at, number = nearest(speed)
+        value = at.eigen.values[number]
+        found.append(
+            Crossing(
+                order=order,
+                speed=speed,
+                frequency_hz=float(value.imag / (2 * np.pi)),
+                mode=mode + 1,
+                whirl=at.whirl[number],
+                damping_ratio=float(-value.real / abs(value)),
+                stable=at.stable,
+            )
+        )
+    return found

@@ -1,0 +1,233 @@
+"""Modes of the closed loop, the direction of their whirl, and how they change with speed (Campbell)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.linalg import eig
+
+from rotorsim._shown import Shown
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.linear.linearisation import LinearSystem, as_model, linearise, speed_of
+from rotorsim.linear.stability import growing
+from rotorsim.model.compiled import Model
+
+__all__ = ["Mode", "Modes", "modes", "two_axis_signals"]
+
+OSCILLATES = 1e-8  # imaginary part, relative to the largest |eigenvalue|, above which a pole oscillates
+DEGENERATE = 1e-7  # relative distance of eigenvalues that count as one (isotropic rotor without gyroscopic effect)
+RESONANT = 0.5**0.5  # damping ratio below which a forced response has a maximum
+PLANAR = 1e-6  # relative difference of forward and backward amplitude below which the motion is a line
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One oscillating mode: x(t) = Re(shape exp(eigenvalue t)).
+
+    eigenvalue [1/s], imaginary part positive. whirl: "forward", "backward" or "planar". shape: complex
+    amplitude of every entry of the two-axis displacements (names in `Modes.shape_names`), largest entry 1.
+    """
+
+    eigenvalue: complex
+    whirl: str
+    shape: np.ndarray
+
+    @property
+    def frequency_hz(self) -> float:
+        """Damped natural frequency, Im(lambda) / 2 pi [Hz]."""
+        return self.eigenvalue.imag / (2 * np.pi)
+
+    @property
+    def natural_frequency_hz(self) -> float:
+        """Undamped natural frequency, |lambda| / 2 pi [Hz]."""
+        return abs(self.eigenvalue) / (2 * np.pi)
+
+    @property
+    def damping_ratio(self) -> float:
+        """-Re(lambda) / |lambda|."""
+        return -self.eigenvalue.real / abs(self.eigenvalue)
+
+    @property
+    def resonant(self) -> bool:
+        """Whether a forced response has a maximum near the mode: its damping ratio is below 1/sqrt(2)."""
+        return self.damping_ratio < RESONANT
+
+    @property
+    def unstable(self) -> bool:
+        """Whether the mode grows."""
+        return self.eigenvalue.real > 0.0
+
+
+@dataclass(frozen=True, repr=False)
+class Modes(Shown):
+    """The modes in ascending damped frequency, one per conjugate pair, and the poles that do not oscillate.
+
+    real_poles [1/s], ascending. speed [rad/s]: value of the diagram parameter ``speed``, None without one.
+    stable: no pole has a positive real part.
+    """
+
+    modes: tuple[Mode, ...]
+    real_poles: np.ndarray
+    shape_names: tuple[str, ...]
+    speed: float | None
+    stable: bool
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    _figure = "rotorsim.report.figures.linear:modes_figure"
+
+    def __repr__(self) -> str:
+        listed = ", ".join(f"{mode.frequency_hz:.5g} Hz" for mode in self.modes[:4])
+        more = ", ..." if len(self.modes) > 4 else ""
+        state = "stable" if self.stable else "unstable"
+        return f"Modes({self.provenance.get('diagram', '')}: {state}, {len(self.modes)} modes: {listed}{more})"
+
+    def to_table(self) -> list[dict[str, Any]]:
+        """Return one row per mode: frequencies [Hz], damping ratio, whirl, whether it grows."""
+        return [
+            {
+                "frequency_hz": mode.frequency_hz,
+                "natural_frequency_hz": mode.natural_frequency_hz,
+                "damping_ratio": mode.damping_ratio,
+                "whirl": mode.whirl,
+                "unstable": mode.unstable,
+            }
+            for mode in self.modes
+        ]
+
+
+@dataclass(frozen=True)
+class Eigen:
+    """Oscillating eigenvalues (imaginary part positive, ascending), their vectors, and the real poles."""
+
+    values: np.ndarray
+    right: np.ndarray
+    left: np.ndarray
+    real: np.ndarray
+
+
+def eigen(A: np.ndarray) -> Eigen:
+    """Return the eigenvalues of A apart by kind, with right and left vectors (left^H right = 1)."""
+    if not len(A):
+        empty = np.zeros((0, 0), complex)
+        return Eigen(np.zeros(0, complex), empty, empty, np.zeros(0))
+    values, left, right = eig(A, left=True, right=True)
+    limit = OSCILLATES * np.abs(values).max()
+    real = np.sort(values[np.abs(values.imag) <= limit].real)
+    keep = np.flatnonzero(values.imag > limit)
+    keep = keep[np.argsort(values[keep].imag, kind="stable")]
+    products = np.sum(left.conj() * right, axis=0)[keep]
+    products = np.where(np.abs(products) > 0, products, 1.0)
+    return Eigen(values[keep], right[:, keep], left[:, keep] / products.conj(), real)
+
+
+def two_axis_signals(model: Model) -> tuple[str, ...]:
+    """Return the displacement signals whose last dimension is the pair (x, y); tilts where there are none."""
+    for ending, unit in ((".displacement", "m"), (".tilt", "rad")):
+        found = tuple(
+            name
+            for name, signal in model.signals.items()
+            if name.endswith(ending) and signal.shape and signal.shape[-1] == 2 and signal.unit in (unit, None)
+        )
+        if found:
+            return found
+    return ()
+
+
+def modes(
+    diagram: Diagram | Model, *, parameters: Mapping[str, Any] | None = None, at: np.ndarray | None = None
+) -> Modes:
+    """Return the modes of the closed loop: eigenvalues of A of d x/dt = A x at the operating point.
+
+    Whirl: with x = Re(X exp(st)), y = Re(Y exp(st)), s = a + iw, w > 0,
+
+        x + iy = ((X + iY) exp(iwt) + conj(X - iY) exp(-iwt)) exp(at) / 2,
+
+    so that |X + iY| is the forward and |X - iY| the backward amplitude; the larger sum of squares over all
+    nodes gives the direction. Equal amplitudes, and modes of equal eigenvalue (their plane is arbitrary: an
+    isotropic rotor without gyroscopic effect), are "planar".
+
+    Raises RotorsimError as `linearise`. Source: Friswell et al., Dynamics of Rotating Machines (2010), 3.6.
+    """
+    model = as_model(diagram)
+    system = linearise(model, parameters=parameters, inputs=(), outputs=_shape_signals(model), at=at)
+    found = eigen(system.A)
+    direction = whirl(found, system)
+    pairs = _displacements(model)
+    shapes = system.C[: sum(pairs)] @ found.right if pairs else np.zeros((0, len(found.values)))
+    return Modes(
+        modes=tuple(
+            Mode(complex(value), direction[k], _normalised(shapes[:, k])) for k, value in enumerate(found.values)
+        ),
+        real_poles=found.real,
+        shape_names=system.outputs[: sum(pairs)],
+        speed=speed_of(model, model.parameter_vector(parameters)),
+        stable=not growing(system.A),
+        notes=system.notes,
+        provenance={**system.provenance, "analysis": "modes"},
+    )
+
+
+def _shape_signals(model: Model) -> tuple[str, ...]:
+    names = two_axis_signals(model)
+    tilts = tuple(n for n in model.signals if n.endswith(".tilt") and model.signals[n].shape[-1:] == (2,))
+    return names + tuple(n for n in tilts if n not in names)
+
+
+def _displacements(model: Model) -> list[int]:
+    return [int(np.prod(model.signals[name].shape)) for name in two_axis_signals(model)]
+
+
+def _normalised(shape: np.ndarray) -> np.ndarray:
+    if not len(shape) or not np.abs(shape).max():
+        return np.asarray(shape, complex)
+    return np.asarray(shape / shape[np.argmax(np.abs(shape))])
+
+
+def whirl(found: Eigen, system: LinearSystem) -> list[str]:
+    """Return "forward", "backward" or "planar" for every oscillating eigenvalue (see `modes`)."""
+    motion = system.C @ found.right
+    tilt = np.array([".tilt" in name for name in system.outputs], bool)
+    directions = []
+    for k, value in enumerate(found.values):
+        distance = np.abs(np.delete(found.values, k) - value)
+        if not len(motion) or distance.min(initial=np.inf) <= DEGENERATE * abs(value):
+            directions.append("planar")
+            continue
+        column = motion[:, k]
+        # a purely tilting mode does not move its disc; its direction shows in the tilt
+        still = tilt.any() and np.abs(column[~tilt]).max(initial=0.0) <= 1e-9 * np.abs(column[tilt]).max()
+        column = column[tilt] if still else column[~tilt] if (~tilt).any() else column
+        forward = np.linalg.norm(column[0::2] + 1j * column[1::2])
+        backward = np.linalg.norm(column[0::2] - 1j * column[1::2])
+        if abs(forward - backward) <= PLANAR * (forward + backward):
+            directions.append("planar")
+        else:
+            directions.append("forward" if forward > backward else "backward")
+    return directions
+
+
+def require_speed(model: Model, what: str) -> None:
+    """Raise RotorsimError unless blocks of the diagram follow its parameter ``speed``."""
+    if speed_of(model, model.p0) is None:
+        raise RotorsimError(
+            Problem(
+                what=f"{what} varies the diagram parameter 'speed', but no block follows it",
+                subject=model.diagram.name,
+                hint='declare "parameters": {"speed": "1500 rpm"} and use "$speed" in the blocks',
+            )
+        )
+
+
+def checked_speeds(speeds: Sequence[float] | np.ndarray, *, zero: bool) -> np.ndarray:
+    """Return speeds [rad/s] as an array. Raises RotorsimError for none, non-finite or negative ones."""
+    values = np.atleast_1d(np.asarray(speeds, float)).ravel()
+    lowest_ok = values >= 0 if zero else values > 0
+    if not len(values) or not np.isfinite(values).all() or not lowest_ok.all():
+        sign = "not negative" if zero else "positive"
+        raise RotorsimError(Problem(what=f"speeds must be finite and {sign} [rad/s]", subject="speeds"))
+    return values

@@ -1,0 +1,410 @@
+"""Operating points and linearised state-space systems, from the exact Jacobians of the traced diagram."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import casadi as ca
+import numpy as np
+
+from rotorsim.block import Shape
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.model.matrix_function import MatrixFunction
+
+__all__ = [
+    "LinearSystem", "as_model", "drifting_states", "equilibrium", "flat_names", "linearise",
+    "refuse_sampled", "require_finite", "speed_of", "state_names",
+]  # fmt: skip
+
+TURN_SAMPLES = 64  # instants for averages over one turn
+SINGULAR = 1e-14  # reciprocal condition number below which a group of states is taken to have a pole at zero
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """The linear system d x/dt = A x + B u, y = C x + D u of deviations from an operating point.
+
+    A (n, n), B (n, m), C (k, n), D (k, m), SI units. states, inputs, outputs: flat names, one per entry.
+    x: operating point (n,). notes: what the reader must know (averages, drifting states).
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_units: tuple[str, ...]
+    x: np.ndarray
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def poles(self) -> np.ndarray:
+        """Return the eigenvalues of A [1/s], shape (n,)."""
+        return np.asarray(np.linalg.eigvals(self.A))
+
+    def response(self, frequencies: Any) -> np.ndarray:
+        """Return C (i 2 pi f I - A)^-1 B + D at frequencies f [Hz], shape (len(f), k, m); inf on a pole."""
+        s = 2j * np.pi * np.atleast_1d(np.asarray(frequencies, float))
+        n = len(self.A)
+        if n == 0 or 0 in self.B.shape or 0 in self.C.shape:
+            return np.repeat(self.D[None].astype(complex), len(s), 0)
+        out = np.empty((len(s), *self.D.shape), complex)
+        chunk = max(1, 2_000_000 // (n * n))
+        for start in range(0, len(s), chunk):
+            part = s[start : start + chunk]
+            matrices = part[:, None, None] * np.eye(n) - self.A
+            try:
+                solved = np.linalg.solve(matrices, np.broadcast_to(self.B, (len(part), *self.B.shape)))
+                out[start : start + chunk] = self.C @ solved + self.D
+            except np.linalg.LinAlgError:
+                for k, matrix in enumerate(matrices):
+                    out[start + k] = _response_at(matrix, self)
+        return out
+
+
+def _response_at(matrix: np.ndarray, system: LinearSystem) -> np.ndarray:
+    try:
+        return np.asarray(system.C @ np.linalg.solve(matrix, system.B.astype(complex)) + system.D)
+    except np.linalg.LinAlgError:
+        return np.full(system.D.shape, complex(np.inf))
+
+
+def as_model(diagram: Diagram | Model, inject: Sequence[str] = (), replace: Sequence[str] = ()) -> Model:
+    """Return the model of a diagram with the external inputs that are asked for.
+
+    A model that already has these external inputs is taken as it is.
+    """
+    if not isinstance(diagram, Model):
+        return compile_diagram(diagram, inject=inject, replace=replace)
+    if set(diagram.trace.external) >= {*inject, *replace}:
+        return diagram
+    return compile_diagram(diagram.diagram, inject=inject, replace=replace)
+
+
+def entry_names(name: str, shape: Shape) -> list[str]:
+    """Return the flat names of a value's entries, row-major, counted from 1: ``name[2,1]``."""
+    if not shape:
+        return [name]
+    return [f"{name}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(*shape)]
+
+
+def flat_names(model: Model, name: str) -> list[str]:
+    """Return the flat names of the entries that a signal name (or a part of it) selects."""
+    signal, positions = model.select(name)
+    names = entry_names(signal.name, signal.shape)
+    return [names[k] for k in positions]
+
+
+def state_names(model: Model) -> tuple[str, ...]:
+    """Return the flat names of the entries of x."""
+    return tuple(name for state in model.states.values() for name in entry_names(state.name, state.shape))
+
+
+def speed_of(model: Model, p: np.ndarray) -> float | None:
+    """Return the shaft speed [rad/s] that p holds: the diagram parameter ``speed``; None without one."""
+    mask = speed_entries(model)
+    return float(p[mask][0]) if mask is not None and mask.any() else None
+
+
+def speed_entries(model: Model) -> np.ndarray | None:
+    """Return which entries of p follow the diagram parameter ``speed``, shape (n_p,); None without one."""
+    if "speed" not in model.diagram.parameters:
+        return None
+    return np.asarray(model.parameter_vector({"speed": 1.0}) != model.parameter_vector({"speed": 2.0}))
+
+
+def refuse_sampled(model: Model, what: str) -> None:
+    """Raise RotorsimError if the diagram has sampled blocks, which ``what`` cannot treat."""
+    if model.n_z:
+        blocks = dict.fromkeys(name.rpartition(".")[0] for name in model.trace.discrete_states)
+        raise RotorsimError(
+            *(
+                Problem(
+                    what=f"{what} needs continuous blocks; this one has a sample time",
+                    subject=block,
+                    hint="`rotorsim swap` a continuous controller in, or use `rotorsim run`",
+                )
+                for block in blocks
+            )
+        )
+
+
+@dataclass
+class _Functions:
+    """Jacobians of one model, made once."""
+
+    model: Model
+    made: dict[Any, MatrixFunction] = field(default_factory=dict)
+
+    @property
+    def arguments(self) -> list[Any]:
+        trace = self.model.trace
+        return [trace.t, trace.x, trace.z, trace.p]
+
+    def state_matrix(self) -> MatrixFunction:
+        if "A" not in self.made:
+            self.made["A"] = MatrixFunction(self.arguments, self.model.jacobian_expression)
+        return self.made["A"]
+
+    def matrices(self, outputs: tuple[str, ...]) -> dict[str, MatrixFunction]:
+        trace, model = self.model.trace, self.model
+        y = ca.vertcat(*[model.expression(name) for name in outputs]) if outputs else ca.SX(0, 1)
+        zero = ca.SX.zeros(*trace.v.shape)
+        for key, of, by in (("B", trace.xdot, trace.v), (("C", outputs), y, trace.x), (("D", outputs), y, trace.v)):
+            if key not in self.made:
+                jacobian = ca.substitute(ca.jacobian(of, by), trace.v, zero)
+                self.made[key] = MatrixFunction(self.arguments, jacobian)
+        return {
+            "A": self.state_matrix(),
+            "B": self.made["B"],
+            "C": self.made["C", outputs],
+            "D": self.made["D", outputs],
+        }
+
+
+_CACHE: WeakKeyDictionary[Model, _Functions] = WeakKeyDictionary()
+
+
+def functions(model: Model) -> _Functions:
+    """Return the Jacobian functions of a model; they are kept as long as the model lives."""
+    if model not in _CACHE:
+        _CACHE[model] = _Functions(model)
+    return _CACHE[model]
+
+
+def require_finite(model: Model, A: np.ndarray) -> None:
+    """Raise RotorsimError, with the blocks, where a Jacobian (..., n, n) has entries that are not finite."""
+    bad = ~np.isfinite(A.reshape(-1, *A.shape[-2:])).all(axis=(0, 2))
+    if bad.any():
+        names = state_names(model)
+        first = {model.block_of_state(k): names[k] for k in np.flatnonzero(bad).tolist()[::-1]}
+        hint = "a parameter is out of all proportion: a mass, density or time constant of nearly nothing"
+        problems = [Problem(f"the rate of {name} has no finite derivatives", b, hint=hint) for b, name in first.items()]
+        raise RotorsimError(*problems[::-1])
+
+
+def drifting_states(A: np.ndarray) -> tuple[list[int], list[int]]:
+    """Return the states with a pole at zero of their own, and all states that these drive.
+
+    A: (n, n) or (m, n, n). The states are grouped into strongly coupled sets (a set is driven by others
+    or not); a set whose own matrix is singular has no mean of its own: a free integrator, a free body.
+    """
+    stack = A.reshape(-1, *A.shape[-2:])
+    pattern = np.any(stack != 0, axis=0)
+    n = len(pattern)
+    if n == 0:
+        return [], []
+    from scipy.linalg import matrix_balance  # as long to load as a short run takes
+    from scipy.sparse.csgraph import connected_components
+
+    count, group = connected_components(pattern, directed=True, connection="strong")
+    seeds: list[int] = []
+    for k in range(count):
+        members = np.flatnonzero(group == k)
+        own = stack[0][np.ix_(members, members)]
+        if len(members) == 1:
+            singular = not pattern[members[0], members[0]]
+        else:
+            balanced = matrix_balance(own, separate=False)[0]
+            values = np.linalg.svd(balanced / np.abs(balanced).max(axis=1, keepdims=True), compute_uv=False)
+            singular = bool(values[-1] <= SINGULAR * values[0])
+        if singular:
+            seeds += members.tolist()
+    reached = np.zeros(n, bool)
+    reached[seeds] = True
+    while True:
+        new = reached | pattern[:, reached].any(axis=1)
+        if (new == reached).all():
+            return sorted(seeds), np.flatnonzero(reached).tolist()
+        reached = new
+
+
+def equilibrium(
+    model: Diagram | Model,
+    p: np.ndarray | None = None,
+    t: float | None = 0.0,
+    *,
+    start: np.ndarray | None = None,
+    hold_drifting: bool = False,
+) -> np.ndarray:
+    """Return the state x (n_x,) at which dx/dt(t, x) = 0, by Newton's method with the exact Jacobian.
+
+    t: instant at which explicit time is frozen; None averages dx/dt over one turn of the diagram
+    parameter ``speed``. hold_drifting: states that nothing depends on, such as the integral of a controller
+    whose bearing is cut, keep their start value; otherwise they are an error.
+
+    Raises RotorsimError when there is no equilibrium, with the block of the largest residual.
+    """
+    model = as_model(model)
+    p = model.p0 if p is None else p
+    times = _instants(model, p) if t is None else np.array([t])
+    x = (model.x0(p) if start is None else np.asarray(start, float)).copy()
+    z, many = model.z0(p), np.repeat(p[None], len(times), 0)
+    jacobian = functions(model).state_matrix()
+    names = state_names(model)
+
+    def rates(at: np.ndarray) -> np.ndarray:
+        return model.rhs_batch(times, np.repeat(at[None], len(times), 0), z, many)
+
+    def evaluate(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        points = np.repeat(at[None], len(times), 0)
+        return rates(at).mean(axis=0), jacobian(times[None, :], points.T, z, p).mean(axis=0)
+
+    forced = np.abs(rates(np.zeros_like(x))).mean(axis=0)  # what cancels over the turn, and against the springs
+
+    f, A = evaluate(x)
+    require_finite(model, A)
+    seeds, held = drifting_states(A) if hold_drifting or len(x) else ([], [])
+    if seeds and not hold_drifting:
+        raise RotorsimError(
+            *(
+                Problem(
+                    what="no equilibrium: nothing returns this state, it may take any value or drift",
+                    subject=names[k],
+                    hint="wire what it acts on, or remove its block",
+                )
+                for k in seeds
+            )
+        )
+    free = np.setdiff1d(np.arange(len(x)), held)
+    for _ in range(50):
+        try:
+            step = np.linalg.solve(A[np.ix_(free, free)], -f[free])
+            if _is_rounding(step, A[np.ix_(free, free)], x[free], forced[free]):
+                x[free] += step
+                return x
+        except np.linalg.LinAlgError:
+            break
+        x, f, A, done = _damped_step(evaluate, x, f, step, free)
+        if done:
+            return x
+    worst = int(free[np.argmax(np.where(np.isfinite(f[free]), np.abs(f[free]), np.inf))]) if len(free) else 0
+    raise RotorsimError(
+        Problem(
+            what=f"no equilibrium found: the rate of {names[worst]} stays at {f[worst]:.3g}",
+            subject=model.block_of_state(worst),
+            hint="start nearer (initial values of the blocks), or check that static forces can be carried",
+        ),
+        exit_code=1,
+    )
+
+
+def _is_rounding(step: np.ndarray, A: np.ndarray, x: np.ndarray, forced: np.ndarray) -> bool:
+    """Return whether a Newton step is what rounding of the terms that cancel in f = A x + forced leaves.
+
+    |step| <= 1e-13 | |A^-1| (|A| |x| + |forced|) |, largest entries of balanced states: a state that an integral
+    action holds at zero has no size of its own. Source: Higham, Accuracy and Stability (2002), sec. 7.2, 25.2.
+    """
+    from scipy.linalg import matrix_balance  # as in `drifting_states`
+
+    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    terms = np.abs(balanced) @ np.abs(x / scale) + forced / scale
+    reach = np.abs(np.linalg.inv(balanced)) @ terms
+    return bool(np.abs(step / scale).max(initial=0.0) <= 1e-13 * reach.max(initial=0.0))
+
+
+def _damped_step(
+    evaluate: Any, x: np.ndarray, f: np.ndarray, step: np.ndarray, free: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
+    """Return the point after one Newton step, shortened until the residual falls, and whether it is the last."""
+    scale = np.abs(f[free]).max(initial=0.0)
+    length = 1.0
+    while True:
+        new = x.copy()
+        new[free] += length * step
+        g, A = evaluate(new)
+        small = bool(np.all(np.abs(step) <= 1e-12 * np.abs(new[free]) + 1e-300))
+        lower = bool(np.isfinite(g).all()) and np.abs(g[free]).max(initial=0.0) < scale
+        if small or lower or length < 1e-4 or scale == 0.0:
+            rounding = np.abs(A[np.ix_(free, free)]) @ np.abs(new[free])
+            flat = bool(np.all(np.abs(g[free]) <= 1e-13 * rounding + 1e-300))
+            return new, g, A, bool(np.isfinite(g).all()) and (small or flat)
+        length /= 2
+
+
+def _instants(model: Model, p: np.ndarray) -> np.ndarray:
+    """Return instants over one turn; one instant where nothing depends on time."""
+    if not ca.depends_on(model.trace.xdot, model.trace.t):
+        return np.zeros(1)
+    speed = speed_of(model, p)
+    if speed is None or speed == 0.0:
+        return np.zeros(1)
+    return np.arange(TURN_SAMPLES) * (2 * math.pi / abs(speed) / TURN_SAMPLES)
+
+
+def linearise(
+    diagram: Diagram | Model,
+    *,
+    parameters: Mapping[str, Any] | None = None,
+    inputs: Sequence[str] = ("controller.current",),
+    outputs: Sequence[str] = ("rotor.displacement",),
+    at: np.ndarray | None = None,
+    open_loop: bool = False,
+) -> LinearSystem:
+    """Return the linear system between external inputs and signals at an operating point.
+
+    d x/dt = A x + B u, y = C x + D u, from exact Jacobians. inputs: output ports to whose value u is added
+    for all consumers; with open_loop u replaces the value, which opens the loop there. outputs: signals, or
+    parts of them (a port's own value, without u). at: operating point x; None takes the equilibrium of the
+    mean over one turn (a linear diagram needs none). Explicit time in the forcing is dropped; a Jacobian that
+    depends on time is averaged over one turn, and a note says so.
+
+    Raises RotorsimError for sampled blocks, unknown signals and where there is no operating point.
+    """
+    ports = tuple(inputs)
+    model = as_model(diagram, *(((), ports) if open_loop else (ports, ())))
+    refuse_sampled(model, "linearise")
+    p = model.parameter_vector(parameters)
+    notes: list[str] = []
+    z = model.z0(p)
+    if at is None:
+        x = model.x0(p) if model.linear else equilibrium(model, p, None, hold_drifting=True)
+    else:
+        x = np.asarray(at, float).ravel()
+        if x.shape != (model.n_x,):
+            raise RotorsimError(Problem(what=f"operating point has {x.size} entries, {model.n_x} expected"))
+    made = functions(model).matrices(tuple(outputs))
+    times = np.zeros(1)
+    if ca.depends_on(model.jacobian_expression, model.trace.t):
+        times = _instants(model, p)
+        how = "averaged over one turn" if len(times) > 1 else "taken at t = 0"
+        notes.append(f"the Jacobian depends on time and was {how}; parametric resonance is not seen")
+    columns = [k for port in ports for k in np.arange(model.trace.v.numel())[model.trace.external[port].part]]
+    with np.errstate(all="ignore"):
+        values = {key: f(times[None, :], x, z, p).mean(axis=0) for key, f in made.items()}
+    require_finite(model, values["A"])
+    values["B"], values["D"] = values["B"][:, columns], values["D"][:, columns]
+    seeds, _ = drifting_states(values["A"])
+    names = state_names(model)
+    notes += [f"{names[k]} has a pole at zero: nothing returns it" for k in seeds]
+    return LinearSystem(
+        **values,
+        states=names,
+        inputs=tuple(name for port in ports for name in flat_names(model, port)),
+        outputs=tuple(name for output in outputs for name in flat_names(model, output)),
+        input_units=_units(model, ports),
+        output_units=_units(model, outputs),
+        x=x,
+        notes=tuple(notes),
+        provenance=provenance(model, parameters, "linearise"),
+    )
+
+
+def _units(model: Model, names: Sequence[str]) -> tuple[str, ...]:
+    found = [model.select(name) for name in names]
+    return tuple(signal.unit or "1" for signal, positions in found for _ in positions)
+
+
+def provenance(model: Model, parameters: Mapping[str, Any] | None, analysis: str) -> dict[str, Any]:
+    """Return what a result came from: diagram, values that were set, and the analysis."""
+    given = {name: np.asarray(value, float).tolist() for name, value in (parameters or {}).items()}
+    return {"diagram": model.diagram.name, "file": model.diagram.file, "set": given, "analysis": analysis}

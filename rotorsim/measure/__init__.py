@@ -1,0 +1,1 @@
+"""Measuring and checking: simulated recordings, recordings as results, suspicious signals."""

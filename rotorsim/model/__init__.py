@@ -1,0 +1,1 @@
+"""A diagram as a compiled model: traced by CasADi, emitted as C, at work with its parameters and states."""

@@ -1,0 +1,301 @@
+"""A compiled diagram: its functions as CasADi functions and as a C library, its parameters by name."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rotorsim.diagram.diagram import Diagram, Endpoint
+from rotorsim.diagram.resolve.values import ValueProblem, bounds_problem, numeric
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.model.emit.emit import Kernel, build_kernel, emit_c
+from rotorsim.model.emit.toolchain import Compiler, CompilerError, compile_c, compiler_error, find_compiler
+from rotorsim.model.trace.diagram import Signal, Trace, flat_indices, trace_diagram
+
+__all__ = ["Library", "Model", "compile_diagram"]
+
+
+def _pointer(array: np.ndarray) -> Any:
+    import ctypes
+
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+class Library:
+    """The C functions of one diagram (see runtime.c), and how they came about."""
+
+    size: Any
+    prepare: Any
+    start: Any
+    sample: Any
+    derivative: Any
+    derivatives: Any
+    record: Any
+    run: Any
+
+    def __init__(self, kernel: Kernel, compiler: Compiler) -> None:
+        import ctypes
+
+        self.kernel = kernel
+        self.source = emit_c(kernel)
+        self.compiler = compiler.name
+        self.handle, self.cached = compile_c(self.source, compiler, "-O3" if kernel.unrolled else "-O2")
+        i64, f64, ptr = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+        for name, arguments, result in (
+            ("rs_size", [], i64),
+            ("rs_prepare", [ptr, ptr], None),
+            ("rs_start", [f64, ptr, ptr], None),
+            ("rs_sample", [f64, ptr, ptr], None),
+            ("rs_derivative", [f64, ptr, ptr, ptr, ptr, ptr], None),
+            ("rs_record", [f64, ptr, ptr, ptr, ptr, ptr], None),
+            ("rs_derivatives", [i64, ptr, ptr, ptr, ptr, i64, ptr, ptr], None),
+            ("rs_run", [ptr, ptr, i64, i64, f64, f64, i64, ptr], i64),
+        ):
+            function = getattr(self.handle, name, None)
+            if function is None:
+                raise compiler_error(compiler.command[0], f"wrote a library without {name}")
+            function.argtypes, function.restype = arguments, result
+            setattr(self, name[3:], function)
+        if kernel.trace.samplers:
+            self.handle.rs_next.argtypes, self.handle.rs_next.restype = [ptr, ptr], f64
+
+    def memory(self) -> np.ndarray:
+        """Return zeroed memory of one instance."""
+        return np.zeros(int(self.handle.rs_size()))
+
+
+class Model:
+    """A diagram ready to be simulated and analysed.
+
+    Vectors: x (n_x,) continuous states, z (n_z,) discrete states, p parameters, all row-major.
+    """
+
+    def __init__(self, diagram: Diagram, trace: Trace) -> None:
+        self.diagram = diagram
+        self.trace = trace
+        self.states: Mapping[str, Signal] = trace.states
+        self.signals: Mapping[str, Signal] = trace.ports
+        self.parameters = {name: signal.part for name, signal in trace.parameters.items()}
+        self.n_x = trace.x.numel()
+        self.n_z = trace.z.numel()
+        self.n_p = trace.p.numel()
+        self._outputs: dict[tuple[str, ...], ca.Function] = {}
+        self._selected: dict[str, tuple[Signal, np.ndarray]] = {}
+        self._libraries: dict[tuple[str, ...], Library | None] = {}
+        self.without = "no C compiler"  # why a run is without one, if it is
+        self.p0 = np.zeros(self.n_p)
+        for name, node in diagram.nodes.items():
+            for key, value in node.values.items():
+                self.p0[self.parameters[f"{name}.{key}"]] = np.ravel(value)
+
+    def parameter_vector(self, overrides: Mapping[str, Any] | None = None) -> np.ndarray:
+        """Return p with some values replaced; diagram parameters by name set all that refer to them.
+
+        overrides: SI numbers, or texts with a unit ("1800 rpm"). Raises RotorsimError for unknown names, texts that do
+        not fit, values outside the declared bounds and wrong shapes.
+        """
+        p = self.p0.copy()
+        problems = []
+        for name, value in (overrides or {}).items():
+            parts = self._parts_of(name)
+            if not parts:
+                known = [*self.diagram.parameters, *self.parameters]
+                near = difflib.get_close_matches(name, known, 1)
+                hint = f"did you mean '{near[0]}'?" if near else "`rotorsim blocks TYPE` lists parameters"
+                problems.append(Problem(what="no such parameter", subject=name, hint=hint))
+                continue
+            for target, part in parts.items():
+                try:
+                    given = self._value(target, value)
+                except ValueProblem as problem:
+                    problems.append(Problem(what=problem.what, subject=name, hint=problem.hint))
+                    break
+                if given.size not in (1, part.stop - part.start):
+                    what = f"{given.size} values given, {part.stop - part.start} expected"
+                    problems.append(Problem(what=what, subject=name))
+                else:
+                    p[part] = given.ravel()
+        if problems:
+            raise RotorsimError(*problems)
+        return p
+
+    def _value(self, name: str, value: Any) -> np.ndarray:
+        """Return a value for a parameter of a block ("" for one that no block follows) in SI; raise ValueProblem."""
+        block, _, key = name.rpartition(".")
+        if not block:
+            return numeric(value, None)
+        declared = self.diagram.nodes[block].block.parameters[key]
+        array = numeric(value, declared.unit)
+        outside = bounds_problem(array, declared)
+        if outside is not None:
+            raise outside
+        return array
+
+    def _parts_of(self, name: str) -> dict[str, slice]:
+        """Return the parameters of blocks that a name sets, with their parts of p."""
+        if name in self.diagram.parameters:
+            return self._followers.get(name, {}) or {"": slice(0, 0)}
+        return {name: self.parameters[name]} if name in self.parameters else {}
+
+    @cached_property
+    def _followers(self) -> dict[str, dict[str, slice]]:
+        found: dict[str, dict[str, slice]] = {}
+        for block, node in self.diagram.nodes.items():
+            for key, reference in node.references.items():
+                target = f"{block}.{key}"
+                found.setdefault(reference, {})[target] = self.parameters[target]
+        return found
+
+    @cached_property
+    def references(self) -> dict[str, list[slice]]:
+        """Diagram parameter -> the parts of p that follow it."""
+        return {name: list(parts.values()) for name, parts in self._followers.items()}
+
+    @cached_property
+    def _initial(self) -> ca.Function:
+        return ca.Function("initial", [self.trace.p], [ca.densify(self.trace.x0), ca.densify(self.trace.z0)])
+
+    def initial(self, p: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the initial states x (n_x,) and z (n_z,)."""
+        x, z = self._initial(self.p0 if p is None else p)
+        return np.array(x).ravel(), np.array(z).ravel()
+
+    def x0(self, p: np.ndarray | None = None) -> np.ndarray:
+        """Return the initial continuous states, shape (n_x,)."""
+        return self.initial(p)[0]
+
+    def z0(self, p: np.ndarray | None = None) -> np.ndarray:
+        """Return the initial discrete states, shape (n_z,)."""
+        return self.initial(p)[1]
+
+    @property
+    def _arguments(self) -> list[Any]:
+        return [self.trace.t, self.trace.x, self.trace.z, self.trace.p]
+
+    @cached_property
+    def rhs(self) -> ca.Function:
+        """dx/dt as a CasADi function of (t, x, z, p)."""
+        return ca.Function("rhs", self._arguments, [ca.densify(self._closed(self.trace.xdot))])
+
+    @cached_property
+    def jacobian_expression(self) -> Any:
+        """Sparse d(dx/dt)/dx as an expression of the trace's symbols."""
+        return ca.jacobian(self._closed(self.trace.xdot), self.trace.x)
+
+    @cached_property
+    def jacobian(self) -> ca.Function:
+        """d(dx/dt)/dx, sparse (n_x, n_x), as a CasADi function of (t, x, z, p)."""
+        return ca.Function("jacobian", self._arguments, [self.jacobian_expression])
+
+    @cached_property
+    def linear(self) -> bool:
+        """Whether dx/dt is linear in x with constant coefficients (its Jacobian has neither x nor t)."""
+        return not ca.depends_on(self.jacobian_expression, ca.vertcat(self.trace.x, self.trace.t))
+
+    def _closed(self, expression: Any) -> Any:
+        """Return an expression with the external inputs (if any were asked for) at zero."""
+        v = self.trace.v
+        return ca.substitute(expression, v, ca.SX.zeros(*v.shape)) if v.numel() else expression
+
+    def output(self, names: Sequence[str]) -> ca.Function:
+        """Return the named signals, stacked row-major, as a CasADi function of (t, x, z, p).
+
+        A name may select a part: ``rotor.displacement[3]`` (counted from 1).
+        """
+        key = tuple(names)
+        if key not in self._outputs:
+            column = ca.vertcat(*[self.expression(name) for name in key]) if key else ca.SX(0, 1)
+            self._outputs[key] = ca.Function("output", self._arguments, [ca.densify(self._closed(column))])
+        return self._outputs[key]
+
+    def expression(self, name: str) -> Any:
+        """Return the column of a signal (or of a part of it) as an expression of the trace's symbols."""
+        signal, positions = self.select(name)
+        column = self.trace.signals[signal.name]
+        return column if len(positions) == column.shape[0] else column[positions.tolist()]
+
+    def select(self, name: str) -> tuple[Signal, np.ndarray]:
+        """Return the signal of a name such as ``rotor.displacement[3,1]`` and the row-major entries it selects."""
+        if name not in self._selected:
+            self._selected[name] = self._select(name)
+        return self._selected[name]
+
+    def _select(self, name: str) -> tuple[Signal, np.ndarray]:
+        base, bracket, inside = name.partition("[")
+        signal = self.signals.get(base)
+        if signal is None:
+            near = difflib.get_close_matches(base, list(self.signals), 1)
+            hint = f"did you mean '{near[0]}'?" if near else f"signals: {', '.join(list(self.signals)[:8])}"
+            raise RotorsimError(Problem(what="no such signal", subject=name, hint=hint))
+        try:
+            index = tuple(int(part) - 1 for part in inside.rstrip("]").split(",")) if bracket else ()
+            if any(i < 0 for i in index):
+                raise IndexError
+            return signal, flat_indices(signal.shape, index)
+        except (ValueError, IndexError):
+            shape = " x ".join(map(str, signal.shape)) or "scalar"
+            what = f"no such entry; '{base}' has shape {shape}, counted from 1"
+            raise RotorsimError(Problem(what=what, subject=name)) from None
+
+    def record_names(self, record: Iterable[str | Endpoint] | None = None) -> tuple[str, ...]:
+        """Return what a run records, by name: what is asked for, else what the diagram says."""
+        return tuple(str(item) for item in (self.diagram.record if record is None else record))
+
+    def shape_of(self, name: str) -> tuple[int, ...]:
+        """Return the shape of a signal or of the part that a name selects."""
+        signal, _ = self.select(name)
+        dropped = name.count(",") + 1 if "[" in name else 0
+        return signal.shape[dropped:]
+
+    def kernel(self, record: Sequence[str]) -> Kernel:
+        """Return the scalar programs that record the named signals."""
+        return build_kernel(self.trace, [self.expression(name) for name in record])
+
+    def library(self, record: Sequence[str] = ()) -> Library | None:
+        """Return the compiled C functions that record the named signals, or None without a compiler that works."""
+        key = tuple(record)
+        if key not in self._libraries:
+            self._libraries[key] = self._compiled(key)
+        return self._libraries[key]
+
+    def _compiled(self, record: Sequence[str]) -> Library | None:
+        compiler = find_compiler()
+        if compiler is None:
+            return None
+        try:
+            return Library(self.kernel(record), compiler)
+        except CompilerError as failure:
+            self.without = "the C compiler failed"
+            failure.warn("the model runs on CasADi's virtual machine: the same numbers, several times slower")
+            return None
+
+    def rhs_batch(self, t: np.ndarray, x: np.ndarray, z: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Return dx/dt of n instants: t (n,), x (n, n_x), z (n_z,), p (n, n_p) -> (n, n_x)."""
+        t, x, p, z = (np.ascontiguousarray(a, float) for a in (t, x, p, z))
+        compiled = (library for library in self._libraries.values() if library is not None)
+        library = next(compiled, None) or self.library()  # whatever it records
+        if library is None:
+            columns = self.rhs(t[None, :], x.T, np.repeat(z[:, None], len(t), 1), p.T)
+            return np.array(columns).T
+        out = np.empty((len(t), self.n_x))
+        m = library.memory()
+        addresses = [_pointer(a) for a in (t, x, z, p)]
+        library.derivatives(len(t), *addresses, self.n_p, _pointer(m), _pointer(out))
+        return out
+
+    def block_of_state(self, position: int) -> str:
+        """Return the name of the block that owns an entry of x."""
+        return self.trace.state_blocks[position]
+
+
+def compile_diagram(diagram: Diagram, *, inject: Iterable[str] = (), replace: Iterable[str] = ()) -> Model:
+    """Trace a diagram and return its model; C is generated and compiled when first needed.
+
+    inject, replace: see `trace_diagram`. Raises RotorsimError.
+    """
+    return Model(diagram, trace_diagram(diagram, inject, replace))

@@ -1,0 +1,1 @@
+"""Traced expressions to C, and C to a shared library."""

@@ -1,0 +1,269 @@
+"""Emit a traced diagram as C: constants of a run, forcing of an instant, right-hand side, RK4 step.
+
+What depends on parameters only is computed once per run (`rs_constants`), what depends on time and
+parameters once per instant (`rs_forcing`; the instant t + h serves the next step too), and only the rest
+in each of the four stages. Small diagrams get the whole RK4 step as one straight function, so that
+terms shared by stages are computed once; large ones get the right-hand side, called four times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+
+import casadi as ca
+
+from rotorsim.model.emit import program as ir
+from rotorsim.model.emit.affine import collapse_linear
+from rotorsim.model.emit.angle_recurrence import share_harmonics
+from rotorsim.model.emit.pairing import paired_constants, paired_states
+from rotorsim.model.emit.program import Program
+from rotorsim.model.emit.writer import Writer, array_leaf
+from rotorsim.model.trace.diagram import Trace
+
+__all__ = ["Kernel", "StepProgram", "build_kernel", "emit_c", "step_program"]
+
+UNROLL_LIMIT = 1500  # operations of the right-hand side above which the step is not unrolled
+LARGEST_PAIRED = 200  # states up to which axes of one form are laid out side by side
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """The programs of one diagram, cut by what they depend on.
+
+    constants, forcing: nodes of ``program`` computed per run and per instant; xdot, outputs, update: nodes.
+    order: the states as the unrolled step lays them out.
+    """
+
+    program: Program
+    constants: tuple[int, ...]
+    forcing: tuple[int, ...]
+    xdot: tuple[int, ...]
+    outputs: tuple[int, ...]
+    update: tuple[int, ...]
+    trace: Trace
+    order: tuple[int, ...] = ()
+    sizes: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def unrolled(self) -> bool:
+        """Whether the whole RK4 step is one function."""
+        given = dict.fromkeys((*self.constants, *self.forcing))
+        return len(self.program.needed(self.xdot, given)) <= UNROLL_LIMIT
+
+
+def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
+    """Turn a trace into programs; ``record`` are the columns to be recorded (loop residuals are added)."""
+    recorded = ca.vertcat(*record, trace.loop_residuals)
+    function = ca.Function(
+        "diagram",
+        [trace.t, trace.x, trace.z, trace.p, trace.v, trace.w, trace.hit],
+        [ca.densify(trace.xdot), ca.densify(recorded), ca.densify(trace.z_next)],
+        {"allow_free": False},
+    )
+    raw = Program(reassociate=False)
+    names = ["t", "x", "z", "p", "v", "w", "hit"]
+    leaves = [lambda i, name=name: raw.input(name, i) for name in names]
+    xdot, outputs, update = raw.load(function, leaves)
+    raw.reassociate = True
+    program, nodes = share_harmonics(raw, [*xdot, *outputs, *update])
+    n, m = len(xdot), len(outputs)
+    program, nodes = collapse_linear(program, nodes[:n], nodes[n:])
+    forcing = program.boundary(nodes, ir.LEVEL_TIME)
+    moving = [k for k in forcing if program.levels[k] == ir.LEVEL_TIME]
+    constants = [
+        k
+        for k in program.boundary([*nodes, *moving], ir.LEVEL_PARAMETER)
+        if program.levels[k] == ir.LEVEL_PARAMETER and program.nodes[k][0] != ir.INPUT
+    ]
+    extra = _constants_behind(program, moving)
+    ordered = sorted({*constants, *extra})
+    groups = [[state] for state in range(n)]
+    if n <= LARGEST_PAIRED:
+        groups = paired_states(program, nodes[:n])
+        ordered = paired_constants(program, nodes[:n], groups, ordered)
+    return Kernel(
+        program=program,
+        constants=tuple(ordered),
+        forcing=tuple(moving),
+        xdot=tuple(nodes[:n]),
+        outputs=tuple(nodes[n : n + m]),
+        update=tuple(nodes[n + m :]),
+        trace=trace,
+        order=tuple(state for group in groups for state in group),
+        sizes={
+            "RS_NX": n,
+            "RS_NZ": len(update),
+            "RS_NY": m,
+            "RS_NS": len(trace.samplers),
+            "RS_NW": trace.w.numel(),
+        },
+    )
+
+
+def _constants_behind(program: Program, moving: Sequence[int]) -> list[int]:
+    """Return the parameter-only nodes that the forcing itself needs."""
+    found: set[int] = set()
+    seen: set[int] = set()
+    stack = list(moving)
+    while stack:
+        number = stack.pop()
+        if number in seen:
+            continue
+        seen.add(number)
+        op, a, b = program.nodes[number]
+        if op in (ir.INPUT, ir.CONSTANT):
+            continue
+        if program.levels[number] <= ir.LEVEL_PARAMETER:
+            found.add(number)
+            continue
+        stack.append(int(a))
+        if b >= 0:
+            stack.append(b)
+    return list(found)
+
+
+def emit_c(kernel: Kernel) -> str:
+    """Return the whole C source of a diagram: generated functions, then the runtime."""
+    program = kernel.program
+    constants = {node: f"c[{k}]" for k, node in enumerate(kernel.constants)}
+    forcing = {node: f"g[{k}]" for k, node in enumerate(kernel.forcing)}
+    given = {**forcing, **constants}
+    state = "const double *x, const double *z, const double *p, const double *c, const double *g"
+    parts: list[tuple[str, int]] = [
+        Writer(program, {}, array_leaf).text(
+            "rs_constants",
+            "const double *restrict p, double *restrict c, double *restrict work",
+            "p, c, work",
+            [(f"c[{k}]", node) for k, node in enumerate(kernel.constants)],
+        ),
+        Writer(program, constants, array_leaf).text(
+            "rs_forcing",
+            "double t, const double *restrict p, const double *restrict c, double *restrict g, double *restrict work",
+            "t, p, c, g, work",
+            [(f"g[{k}]", node) for k, node in enumerate(kernel.forcing)],
+        ),
+        Writer(program, given, array_leaf).text(
+            "rs_rhs",
+            f"{state}, double *restrict xdot, double *restrict work",
+            "x, z, p, c, g, xdot, work",
+            [(f"xdot[{k}]", node) for k, node in enumerate(kernel.xdot)],
+        ),
+        Writer(program, given, array_leaf).text(
+            "rs_outputs",
+            f"{state}, double *restrict y, double *restrict work",
+            "x, z, p, c, g, y, work",
+            [(f"y[{k}]", node) for k, node in enumerate(kernel.outputs)],
+        ),
+    ]
+    if kernel.trace.samplers:
+        parts.append(
+            Writer(program, given, array_leaf).text(
+                "rs_update",
+                f"{state}, const double *w, const double *hit, double *restrict zn, double *restrict work",
+                "x, z, p, c, g, w, hit, zn, work",
+                [(f"zn[{k}]", node) for k, node in enumerate(kernel.update)],
+            )
+        )
+    if kernel.unrolled:
+        parts.append(_unrolled_step(kernel))
+    sizes = {
+        **kernel.sizes,
+        "RS_NC": len(kernel.constants),
+        "RS_NG": len(kernel.forcing),
+        "RS_WORK": max(size for _, size in parts),
+        "RS_UNROLLED": int(kernel.unrolled),
+    }
+    head = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
+    head += [f"#define {name} {value}" for name, value in sizes.items()]
+    order = ", ".join(map(str, kernel.order)) or "0"
+    head.append(f"static const int rs_order[] = {{{order}}};")
+    samplers = kernel.trace.samplers
+    if samplers:
+        for name, values in (
+            ("rs_period", [s.period for s in samplers]),
+            ("rs_seed", [s.seed or 0 for s in samplers]),
+            ("rs_draw_begin", [s.draws.start for s in samplers]),
+            ("rs_draw_end", [s.draws.stop for s in samplers]),
+        ):
+            head.append(f"static const int {name}[] = {{{', '.join(map(str, values))}}};")
+    runtime = resources.files("rotorsim.model.emit").joinpath("runtime.c").read_text(encoding="utf-8")
+    return "\n".join([*head, *(text for text, _ in parts), runtime])
+
+
+@dataclass(frozen=True)
+class StepProgram:
+    """The classical Runge-Kutta step (Kutta 1901) as one program with shared terms.
+
+    Its inputs are x, z, p, c (constants of the run), g0, gm, g1 (forcing at t, t + h/2, t + h) and h.
+    x: nodes of the states; y: recorded at the start of the step; new: the states after it.
+    """
+
+    program: Program
+    x: tuple[int, ...]
+    y: tuple[int, ...]
+    new: tuple[int, ...]
+
+
+def step_program(kernel: Kernel) -> StepProgram:
+    """Put the four stages of a step into one program, so that terms they share are computed once."""
+    step = Program(reassociate=False)
+    old = kernel.program
+    h = step.input("h", 0)
+    half, sixth = step.apply(ir.MUL, step.constant(0.5), h), step.apply(ir.DIV, h, step.constant(6.0))
+    n = len(kernel.xdot)
+    x = [step.input("x", i) for i in range(n)]
+    at_constants = {node: step.input("c", k) for k, node in enumerate(kernel.constants)}
+
+    def evaluate(nodes: Sequence[int], state: Sequence[int], instant: str) -> list[int]:
+        known = dict(at_constants)
+        known.update({node: step.input(instant, k) for k, node in enumerate(kernel.forcing)})
+        for number in old.needed(nodes, known):
+            if number in known:
+                continue
+            op, a, b = old.nodes[number]
+            if op == ir.INPUT:
+                known[number] = state[b] if a == "x" else step.input(str(a), b)
+            elif op == ir.CONSTANT:
+                known[number] = step.constant(float(a))
+            else:
+                known[number] = step.apply(op, known[int(a)], known[b] if b >= 0 else -1)
+        return [known[node] for node in nodes]
+
+    def moved(slope: Sequence[int], by: int) -> list[int]:
+        return [step.apply(ir.ADD, x[i], step.apply(ir.MUL, by, slope[i])) for i in range(n)]
+
+    values = evaluate([*kernel.xdot, *kernel.outputs], x, "g0")
+    k1, y = values[:n], values[n:]
+    k2 = evaluate(kernel.xdot, moved(k1, half), "gm")
+    k3 = evaluate(kernel.xdot, moved(k2, half), "gm")
+    k4 = evaluate(kernel.xdot, moved(k3, h), "g1")
+    new = []
+    for i in range(n):
+        middle = step.apply(ir.TWICE, step.apply(ir.ADD, k2[i], k3[i]))
+        total = step.apply(ir.ADD, step.apply(ir.ADD, k1[i], k4[i]), middle)
+        new.append(step.apply(ir.ADD, x[i], step.apply(ir.MUL, sixth, total)))
+    return StepProgram(step, tuple(x), tuple(y), tuple(new))
+
+
+def _unrolled_step(kernel: Kernel) -> tuple[str, int]:
+    """Write the step as one C function."""
+    step = step_program(kernel)
+
+    def leaf(node: tuple[int, object, int]) -> str:
+        _, vector, position = node
+        return "h" if vector == "h" else f"{vector}[{position}]"
+
+    loads = "".join(f"  const double x_{i} = x[{k}];\n" for k, i in enumerate(kernel.order))
+    given = {node: f"x_{i}" for i, node in enumerate(step.x)}
+    targets = [(f"y[{k}]", node) for k, node in enumerate(step.y)]
+    targets += [(f"x[{k}]", step.new[i]) for k, i in enumerate(kernel.order)]
+    arguments = (
+        "double *restrict x, const double *restrict z, const double *restrict p, const double *restrict c, "
+        "const double *restrict g0, const double *restrict gm, const double *restrict g1, double h, "
+        "double *restrict y, double *restrict k, double *restrict work"
+    )
+    writer = Writer(step.program, given, leaf)
+    text, size = writer.text("rs_step", arguments, "x, z, p, c, g0, gm, g1, h, y, k, work", targets, whole=True)
+    return text.replace("{\n", "{\n" + loads + "  (void)k;\n", 1), size

@@ -1,0 +1,153 @@
+"""Write nodes of a program as C functions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+import casadi as ca
+
+from rotorsim.model.emit import program as ir
+from rotorsim.model.emit.program import Program
+
+__all__ = ["Writer", "array_leaf"]
+
+CHUNK = 200  # statements per C function of large diagrams (compilers are slow on long functions)
+
+_INFIX = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
+_COMPARE = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!=", ca.OP_AND: "&&", ca.OP_OR: "||"}
+_CALL = {
+    ca.OP_EXP: "exp", ca.OP_LOG: "log", ca.OP_POW: "pow", ca.OP_CONSTPOW: "pow", ca.OP_SQRT: "sqrt", ca.OP_SIN: "sin",
+    ca.OP_COS: "cos", ca.OP_TAN: "tan", ca.OP_ASIN: "asin", ca.OP_ACOS: "acos", ca.OP_ATAN: "atan",
+    ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_FMOD: "fmod", ca.OP_FABS: "fabs", ca.OP_COPYSIGN: "copysign",
+    ca.OP_ERF: "erf", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax", ca.OP_SINH: "sinh", ca.OP_COSH: "cosh",
+    ca.OP_TANH: "tanh", ca.OP_ASINH: "asinh", ca.OP_ACOSH: "acosh", ca.OP_ATANH: "atanh", ca.OP_ATAN2: "atan2",
+    ca.OP_LOG1P: "log1p", ca.OP_EXPM1: "expm1", ca.OP_HYPOT: "hypot", ca.OP_REMAINDER: "remainder",
+}  # fmt: skip
+_FORMAT: dict[int, Callable[[str, str], str]] = {
+    ca.OP_NEG: lambda a, _: f"-{a}",
+    ca.OP_SQ: lambda a, _: f"{a} * {a}",
+    ca.OP_TWICE: lambda a, _: f"{a} + {a}",
+    ca.OP_INV: lambda a, _: f"1.0 / {a}",
+    ca.OP_NOT: lambda a, _: f"!{a}",
+    ca.OP_SIGN: lambda a, _: f"({a} > 0) - ({a} < 0)",
+    ca.OP_IF_ELSE_ZERO: lambda a, b: f"{a} != 0 ? {b} : 0.0",
+}
+
+
+class Writer:
+    """Writes nodes of a program as one C function (several, when it is long).
+
+    given: node -> C text of what is computed before. leaf: C text of an input of the program, such as `array_leaf`.
+    """
+
+    def __init__(self, program: Program, given: Mapping[int, str], leaf: Callable[[ir.Node], str]) -> None:
+        self.program = program
+        self.given = given
+        self.leaf = leaf
+
+    def text(
+        self, name: str, arguments: str, call: str, targets: Sequence[tuple[str, int]], whole: bool = False
+    ) -> tuple[str, int]:
+        """Return the C text of function ``name`` that sets targets (C text, node), and the work space it needs.
+
+        arguments: of its declaration; call: as parts of it are called. whole: one function, however long.
+        """
+        order = [
+            k
+            for k in self.program.needed([node for _, node in targets], self.given)
+            if k not in self.given and self.program.nodes[k][0] not in (ir.INPUT, ir.CONSTANT)
+        ]
+        if whole or len(order) <= 6 * CHUNK:
+            lines = [f"  const double {self._name(k)} = {self._expression(k, self._operand)};" for k in order]
+            lines += [f"  {target} = {self._operand(node)};" for target, node in targets]
+            return f"static void {name}({arguments}) {{\n" + "\n".join(lines) + "\n  (void)work;\n}\n", 0
+        return self._chunked(name, arguments, call, targets, order)
+
+    def _chunked(
+        self, name: str, arguments: str, call: str, targets: Sequence[tuple[str, int]], order: list[int]
+    ) -> tuple[str, int]:
+        where = {k: i // CHUNK for i, k in enumerate(order)}
+        last_use = dict(where)
+        for k in order:
+            _, a, b = self.program.nodes[k]
+            for operand in (int(a), b):
+                if operand in where:
+                    last_use[operand] = max(last_use[operand], where[k])
+        n_chunks = where[order[-1]] + 1
+        for _, node in targets:
+            if node in where:
+                last_use[node] = n_chunks
+        slots: dict[int, int] = {}
+        free: list[int] = []
+        released: dict[int, list[int]] = {}
+        text: list[str] = []
+        size = 0
+        for chunk in range(n_chunks):
+            lines = []
+            for k in order[chunk * CHUNK : (chunk + 1) * CHUNK]:
+                expression = self._expression(k, partial(self._chunk_operand, where, slots, chunk))
+                lines.append(f"  const double {self._name(k)} = {expression};")
+                if last_use[k] > chunk:
+                    if free:
+                        slot = free.pop()
+                    else:
+                        slot, size = size, size + 1
+                    slots[k] = slot
+                    released.setdefault(last_use[k], []).append(slot)
+                    lines.append(f"  work[{slot}] = {self._name(k)};")
+            free += released.pop(chunk, [])  # reusable from the next chunk on
+            text.append(f"static void {name}_{chunk}({arguments}) {{\n" + "\n".join(lines) + "\n}\n")
+        final = [f"  {t} = {self._chunk_operand(where, slots, n_chunks, node)};" for t, node in targets]
+        for start in range(0, len(final), CHUNK):
+            body = "\n".join(final[start : start + CHUNK])
+            text.append(f"static void {name}_out{start // CHUNK}({arguments}) {{\n{body}\n}}\n")
+        calls = [f"  {name}_{chunk}({call});" for chunk in range(n_chunks)]
+        calls += [f"  {name}_out{k}({call});" for k in range(math.ceil(len(final) / CHUNK))]
+        text.append(f"static void {name}({arguments}) {{\n" + "\n".join(calls) + "\n}\n")
+        return "\n".join(text), size
+
+    def _chunk_operand(self, where: Mapping[int, int], slots: Mapping[int, int], chunk: int, node: int) -> str:
+        if node in where and where[node] < chunk and node not in self.given:
+            return f"work[{slots[node]}]"
+        return self._operand(node)
+
+    @staticmethod
+    def _name(number: int) -> str:
+        return f"v{number}"
+
+    def _operand(self, number: int) -> str:
+        if number in self.given:
+            return self.given[number]
+        op, a, _ = self.program.nodes[number]
+        if op == ir.CONSTANT:
+            return _literal(float(a))
+        return self.leaf(self.program.nodes[number]) if op == ir.INPUT else self._name(number)
+
+    def _expression(self, number: int, operand: Callable[[int], str]) -> str:
+        op, a, b = self.program.nodes[number]
+        left = operand(int(a))
+        right = operand(b) if b >= 0 else ""
+        if op in _INFIX:
+            return f"{left} {_INFIX[op]} {right}"
+        if op in _COMPARE:
+            return f"{left} {_COMPARE[op]} {right}"
+        if op in _CALL:
+            return f"{_CALL[op]}({left}, {right})" if right else f"{_CALL[op]}({left})"
+        return _FORMAT[op](left, right)
+
+
+def _literal(value: float) -> str:
+    if math.isnan(value):
+        return "NAN"
+    if math.isinf(value):
+        return "INFINITY" if value > 0 else "(-INFINITY)"
+    text = repr(value)
+    return f"({text})" if value < 0 or text.startswith("-") else text
+
+
+def array_leaf(node: tuple[int, object, int]) -> str:
+    """Return the C text of an input: ``t``, or an entry of the array of its name, ``x[3]``."""
+    _, vector, position = node
+    return "t" if vector == "t" else f"{vector}[{position}]"

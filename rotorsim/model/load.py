@@ -1,0 +1,39 @@
+"""Load a diagram: a document resolved, its equations traced, its algebraic loops found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.resolve.resolution import raise_errors, resolve
+from rotorsim.errors import RotorsimError
+from rotorsim.model.trace.order import block_traces, evaluation_order
+
+__all__ = ["load"]
+
+
+def load(
+    source: str | Path | Mapping[str, Any],
+    *,
+    set: Mapping[str, Any] | None = None,
+    without: Iterable[str] = (),
+    trust_blocks: bool = False,
+    folder: str | Path | None = None,
+) -> Diagram:
+    """Load a diagram from a file, the name of a shipped diagram, or a document in memory.
+
+    set: "speed", "block.param" or "solver.step" -> number or text with a unit. without: blocks removed
+    with their wires; inputs cut that way read zero. trust_blocks: run the code that comes with it: the
+    block files of ``block_folders`` here, its FMUs in a co-simulation. folder: of the files that a
+    document in memory names.
+    Raises RotorsimError with every mistake found; warnings are in ``diagram.warnings``.
+    """
+    diagram = resolve(source, set=set, without=without, trust_blocks=trust_blocks, folder=folder)
+    try:
+        block_traces(diagram)
+    except RotorsimError as error:
+        raise_errors([*diagram.warnings, *error.problems])
+    evaluation_order(diagram)
+    return diagram

@@ -1,0 +1,143 @@
+"""In which order the outputs of blocks can be computed, and where that is a circle (algebraic loops)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import networkx as nx
+import numpy as np
+
+from rotorsim.block import Block
+from rotorsim.diagram.diagram import Diagram, Node
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.model.trace.block import BlockTrace, TraceError, trace_block
+
+__all__ = ["block_traces", "evaluation_order", "feedthrough_graph", "trace_blocks"]
+
+Key = tuple[str, str]
+Shapes = tuple[tuple[str, Any], ...]
+KEPT = 256  # traces of blocks; a diagnosis loads hundreds of diagrams that differ in one block
+SHOWN_HOPS = 20  # at the start and at the end of a loop
+_TRACES: WeakKeyDictionary[Diagram, dict[str, BlockTrace]] = WeakKeyDictionary()
+
+
+def block_traces(diagram: Diagram) -> Mapping[str, BlockTrace]:
+    """Return the trace of every block, kept for as long as the diagram. Raises RotorsimError where equations fail."""
+    if diagram not in _TRACES:
+        traces, problems = trace_blocks(diagram)
+        if problems:
+            raise RotorsimError(*problems)
+        _TRACES[diagram] = traces
+    return _TRACES[diagram]
+
+
+def trace_blocks(diagram: Diagram) -> tuple[dict[str, BlockTrace], list[Problem]]:
+    """Return the trace of every block (like blocks share one, of other diagrams too) and what went wrong."""
+    wired: dict[str, set[str]] = {}
+    for wire in diagram.wires:
+        wired.setdefault(wire.target.block, set()).add(wire.target.port)
+    traces: dict[str, BlockTrace] = {}
+    problems: list[Problem] = []
+    for name, node in diagram.nodes.items():
+        inputs = {
+            port: declared.shape
+            for port, declared in node.inputs.items()
+            if port in wired.get(name, ())
+            or getattr(declared.declaration, "additive", False)
+            or (name, port) in diagram.cut
+        }
+        shapes = {key: np.shape(value) for key, value in node.values.items()}
+        outputs = {port: declared.shape for port, declared in node.outputs.items()}
+        each = [tuple(s.items()) for s in (inputs, outputs, shapes, node.state_shapes, node.random_shapes)]
+        try:
+            traces[name] = _traced(_Like(node.block), *each)
+        except Exception as error:  # the equations are foreign code
+            problems.append(_failed(node, error))
+    return traces, problems
+
+
+class _Like:
+    """A block that equals every other one with the same equations: of its class, with its options and wired inputs."""
+
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        self._key = (type(block), repr(sorted(vars(block.option).items())), block.wired)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Like) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+@lru_cache(maxsize=KEPT)
+def _traced(
+    like: _Like, inputs: Shapes, outputs: Shapes, parameters: Shapes, states: Shapes, randoms: Shapes
+) -> BlockTrace:  # fmt: skip
+    return trace_block(like.block, *(dict(shapes) for shapes in (inputs, outputs, parameters, states, randoms)))
+
+
+def _failed(node: Node, error: Exception) -> Problem:
+    kind = type(node.block)
+    if isinstance(error, TraceError):
+        return Problem(f"block type '{kind.type_name}': {error}", node.name, node.place, "correct the block file")
+    text = str(error).strip().split("\n")[-1][:200]
+    what = f"equations of block type '{kind.type_name}' fail: {type(error).__name__}: {text}"
+    return Problem(what, node.name, node.place, "check options and shapes, or the block file")
+
+
+def feedthrough_graph(diagram: Diagram, traces: Mapping[str, BlockTrace]) -> nx.DiGraph:
+    """Return the graph of (block, output port): an edge where one is needed to compute the other at once.
+
+    Every edge carries ``via``: the input port through which it acts.
+    """
+    into: dict[Key, list[Key]] = {}
+    for wire in diagram.wires:
+        into.setdefault((wire.target.block, wire.target.port), []).append((wire.source.block, wire.source.port))
+    graph = nx.DiGraph()
+    for name, trace in traces.items():
+        for port, feeding in trace.feedthrough.items():
+            graph.add_node((name, port))
+            for fed in feeding:
+                for source in into.get((name, fed), ()):
+                    graph.add_edge(source, (name, port), via=fed)
+    return graph
+
+
+def evaluation_order(diagram: Diagram) -> tuple[tuple[Key, ...], ...]:
+    """Return groups of (block, output port) in evaluation order; a group of several, or of one that feeds
+    itself, is an algebraic loop.
+
+    Raises RotorsimError that prints every loop hop by hop unless the diagram solves its loops.
+    """
+    graph = feedthrough_graph(diagram, block_traces(diagram))
+    try:
+        return tuple((key,) for key in nx.topological_sort(graph))
+    except nx.NetworkXUnfeasible:
+        pass
+    condensed = nx.condensation(graph)
+    position = {key: k for k, key in enumerate(graph)}
+    groups = tuple(
+        tuple(sorted(condensed.nodes[k]["members"], key=position.__getitem__)) for k in nx.topological_sort(condensed)
+    )
+    loops = [group for group in groups if len(group) > 1 or graph.has_edge(group[0], group[0])]
+    if loops and not diagram.solve_loops:
+        raise RotorsimError(*[_loop_problem(diagram, graph, loop) for loop in loops])
+    return groups
+
+
+def _loop_problem(diagram: Diagram, graph: nx.DiGraph, loop: tuple[Key, ...]) -> Problem:
+    cycle = nx.find_cycle(graph.subgraph(loop), loop[0])
+    hops = [
+        f"{block}.{port} -> {after}.{graph.edges[(block, port), (after, out)]['via']}"
+        for (block, port), (after, out) in cycle
+    ]
+    if len(hops) > 2 * SHOWN_HOPS:
+        hops[SHOWN_HOPS:-SHOWN_HOPS] = [f"... {len(hops) - 2 * SHOWN_HOPS} more hops ..."]
+    more = f" (and {len(loop) - len(cycle)} more outputs in the same loop)" if len(loop) > len(cycle) else ""
+    what = "algebraic loop: " + ", ".join(hops) + more
+    hint = 'put a state into it (integrator, derivative filter, delay), or write "algebraic_loops": "solve"'
+    return Problem(what, cycle[0][0][0], diagram.nodes[cycle[0][0][0]].place, hint)

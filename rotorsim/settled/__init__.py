@@ -1,0 +1,1 @@
+"""Settled periodic motion: harmonic balance, with its derivatives by free parameters, and its stability."""

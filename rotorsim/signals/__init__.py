@@ -1,0 +1,1 @@
+"""Signal processing of rotors: shaft angle, harmonics, spectra, asynchronous lines, noise, quantisation."""

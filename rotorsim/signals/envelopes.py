@@ -1,0 +1,164 @@
+"""Run-ups: peaks of the turns and orders of a signal against the speed, and the resonances in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.simulation.result import Result
+
+__all__ = ["Resonance", "RunUp", "envelope", "resonance_peaks", "run_up"]
+
+SPEED = "clock.speed"
+ORDERS = (1, 2, 3)
+WINDOW = 3  # turns that an order is fitted over, with a Hann window: orders one apart do not leak into each other
+STANDS_OUT = 0.2  # prominence over height: an unbalance response of damping ratio 0.45 peaks 1.25 above its limit 1
+SHARE = 0.02  # of the peak of the turn: below, an order may be leakage of a larger one (0.002 at 50 rad/s^2)
+
+
+@dataclass(frozen=True)
+class Resonance:
+    """A local maximum of an order of the motion over the speed: order k, speed [rad/s], amplitude |R_k| (0-peak)."""
+
+    order: int
+    speed: float
+    peak: float
+
+
+@dataclass(frozen=True)
+class RunUp:
+    """A run-up turn by turn.
+
+    speed, samples (n,): as they were recorded, [rad/s] and SI less the mean of the turn. speeds, peaks (turns,): speed
+    in the middle of each turn, largest |x| in it. orders: k -> |R_k| (turns,), 0-peak; NaN where a window of some turns
+    does not fit. resonance [rad/s], peak: of the largest turn after the start transient; ``rises``: it is among the
+    last three, so that the resonance lies beyond.
+    """
+
+    signal: str
+    unit: str
+    speed: np.ndarray
+    samples: np.ndarray
+    speeds: np.ndarray
+    peaks: np.ndarray
+    orders: Mapping[int, np.ndarray]
+    resonance: float
+    peak: float
+    rises: bool
+
+    def resonances(self) -> tuple[Resonance, ...]:
+        """Return the largest resonance of every order that has one: a maximum that rises out of its flanks."""
+        from scipy.signal import find_peaks
+
+        found = []
+        for order, curve in self.orders.items():
+            inside = np.flatnonzero(np.isfinite(curve))
+            inside = inside[_transient(curve[inside]) :]
+            at, _ = find_peaks(curve[inside], prominence=STANDS_OUT * np.nanmax(curve, initial=0.0))
+            at = inside[at]
+            at = at[curve[at] > SHARE * self.peaks[at]]
+            if len(at):
+                best = int(at[np.argmax(curve[at])])
+                found.append(Resonance(order, float(self.speeds[best]), float(curve[best])))
+        return tuple(found)
+
+
+def envelope(samples: np.ndarray) -> np.ndarray:
+    """Return the Hilbert envelope |x + i H[x]| of a real signal, shape (n,).
+
+    It is a line where one order is in the signal; the sum of several makes a band of it.
+    """
+    from scipy.signal import hilbert
+
+    return np.asarray(np.abs(hilbert(samples)))
+
+
+def run_up(result: Result, signal: str, *, speed: str = SPEED, orders: Sequence[int] = ORDERS) -> RunUp:
+    """Return one axis of a run-up turn by turn: peak of each turn, and its orders |R_k|, k > 0.
+
+    x = sum over k of Re(R_k e^{i k theta}), fitted over three turns with a Hann window about the mean of the turn; the
+    angle is the recorded one, else the integral of the speed. signal: a scalar one such as ``rotor.displacement[1]``.
+    The start transient is not searched for a resonance: the turns until the peaks have fallen to their first minimum.
+    Raises RotorsimError when the speed does not rise, and for too few turns or samples in a turn.
+    """
+    samples = np.asarray(result[signal], float)
+    if samples.ndim != 1:
+        hint = (
+            f"name one entry: '{signal}[1]'"
+            if "[" not in signal
+            else "name one entry, such as 'rotor.displacement[4,1]'"
+        )
+        raise RotorsimError(Problem("not a scalar signal", signal, hint=hint))
+    if not np.isfinite(samples).all():
+        at = result.time[np.flatnonzero(~np.isfinite(samples))[0]]
+        raise RotorsimError(Problem(f"not finite from t = {at:g} s on", signal, hint=result.message), exit_code=1)
+    if len(samples) < 16:
+        raise RotorsimError(Problem(f"only {len(samples)} samples", signal, hint="a longer run-up"))
+    speeds = np.asarray(result[speed], float)
+    if not (np.diff(speeds) >= 0).all() or speeds[-1] <= speeds[0]:
+        raise RotorsimError(Problem("the speed does not rise", speed, hint="set clock.profile to ramp"))
+    theta = _angle(result, speed, speeds)
+    turns = int((theta[-1] - theta[0]) / (2 * np.pi))
+    if turns < 2 * WINDOW:
+        raise RotorsimError(Problem(f"only {turns} turns", speed, hint="a longer run-up"))
+    starts = np.searchsorted(theta - theta[0], 2 * np.pi * np.arange(turns + 1))
+    counts = np.diff(starts)
+    if counts.min() < 4 * max(orders):
+        hint = "record more often (record_every), or fewer orders"
+        raise RotorsimError(Problem(f"only {counts.min()} samples in a turn", signal, hint=hint))
+    means = np.add.reduceat(samples, starts[:-1])
+    means[-1] -= samples[starts[-1] :].sum()
+    middles = (starts[:-1] + starts[1:]) // 2
+    about = samples - np.interp(np.arange(len(samples)), middles, means / counts)
+    peaks = np.array([np.abs(about[a:b]).max() for a, b in pairwise(starts)])
+    begin = _transient(peaks)
+    best = begin + int(np.argmax(peaks[begin:]))
+    tracked = {int(k): _order(about, theta, starts, int(k)) for k in orders}
+    return RunUp(
+        signal, result.unit(signal), speeds, about, speeds[middles], peaks, tracked, float(speeds[middles[best]]),
+        float(peaks[best]), best >= turns - WINDOW,
+    )  # fmt: skip
+
+
+def _angle(result: Result, speed: str, speeds: np.ndarray) -> np.ndarray:
+    """Return the shaft angle (n,) [rad]: as recorded beside the speed, else the integral of the speed."""
+    recorded = f"{speed.rpartition('.')[0]}.theta"
+    if recorded in result and (np.diff(result[recorded]) >= 0).all():
+        return np.asarray(result[recorded], float)
+    steps = 0.5 * (speeds[1:] + speeds[:-1]) * np.diff(result.time)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _transient(peaks: np.ndarray) -> int:
+    """Return the number of the turn at which what decays from the start has fallen to its first minimum."""
+    if len(peaks) < 3 or peaks[0] < peaks[: max(3, len(peaks) // 10)].max():
+        return 0
+    rising = np.flatnonzero(np.diff(peaks) > 0)
+    return int(rising[0]) if len(rising) else 0
+
+
+def _order(samples: np.ndarray, theta: np.ndarray, starts: np.ndarray, order: int) -> np.ndarray:
+    """Return |R_k| in the middle of each turn, (turns,): 2 int w x e^{-i k theta} dtheta / int w dtheta."""
+    out = np.full(len(starts) - 1, np.nan)
+    for turn in range(WINDOW // 2, len(out) - WINDOW // 2):
+        first = turn - WINDOW // 2
+        part = slice(starts[first], starts[first + WINDOW] + 1)
+        angle = theta[part]
+        weight = 0.5 - 0.5 * np.cos((angle - theta[0] - 2 * np.pi * first) / WINDOW)
+        value = np.trapezoid(weight * samples[part] * np.exp(-1j * order * angle), angle)
+        out[turn] = 2 * abs(value) / np.trapezoid(weight, angle)
+    return out
+
+
+def resonance_peaks(
+    result: Result, signal: str, *, speed: str = SPEED, orders: Sequence[int] = ORDERS
+) -> tuple[Resonance, ...]:
+    """Return the resonances of a run-up, each a maximum of an order of the motion over the speed.
+
+    Source: thesis section 2.6: "the 1x resonance ..., the 1/2x and 1/3x resonances". Raises RotorsimError as `run_up`.
+    """
+    return run_up(result, signal, speed=speed, orders=orders).resonances()

@@ -1,0 +1,282 @@
+"""The result of a simulation: signals with units, status, work counters, provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rotorsim._shown import Shown, html_table, xarray_module
+from rotorsim.errors import Problem, RotorsimError, escape, near_miss
+
+if TYPE_CHECKING:
+    from rotorsim.diagram.diagram import Diagram
+    from rotorsim.model.compiled import Model
+
+__all__ = ["Result", "flat_name", "make_result"]
+
+
+def flat_name(name: str, index: tuple[int, ...]) -> str:
+    """Return the FMI structured name of one entry: ``rotor.displacement[3,2]``, counted from 1."""
+    base, _, inside = name.rstrip("]").partition("[")
+    parts = [*([inside] if inside else []), *(str(i + 1) for i in index)]
+    return f"{base}[{','.join(parts)}]" if parts else base
+
+
+def _entry(array: np.ndarray, index: tuple[int, ...]) -> np.ndarray:
+    """Return one entry (or row) of a signal at every instant."""
+    place: Any = (slice(None), *index)
+    return np.asarray(array[place])
+
+
+def _read_only(values: Any) -> np.ndarray:
+    """Return a view that cannot be written; the caller's own array stays as it is."""
+    array = np.asarray(values).view()
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Result(Shown):
+    """Recorded signals of one run; nothing in it can be changed.
+
+    time: (n,) [s]. signals: name -> (n, *shape), SI. units: name -> unit. status: "finished",
+    "unstable" (the machine is, by its poles), "diverged" (a state stopped being finite, or the step is beyond the
+    stability limit) or "stopped" (interrupted); message: the reason, or advice. counters: steps, evaluations,
+    CPU seconds, step_error (of a fixed step, relative). provenance: what was run, with what.
+
+    ``result["rotor.displacement"]`` is the whole signal, ``result["rotor.displacement[3,1]"]`` one entry of it.
+    Raises RotorsimError for signals that are not as long as time.
+    """
+
+    time: np.ndarray
+    signals: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+    status: str = "finished"
+    message: str = ""
+    counters: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    _figure = "rotorsim.report.figures.run:overview"
+
+    def __post_init__(self) -> None:
+        time = _read_only(self.time)
+        signals = {name: _read_only(array) for name, array in self.signals.items()}
+        problems = [
+            Problem(what=f"{len(np.atleast_1d(array))} samples, but time has {time.size}", subject=name)
+            for name, array in signals.items()
+            if array.shape[:1] != time.shape
+        ]
+        if time.ndim != 1:
+            problems = [Problem(what=f"must have shape (n,), got {time.shape}", subject="time")]
+        if problems:
+            raise RotorsimError(*problems)
+        frozen = {"time": time, "signals": MappingProxyType(signals)}
+        frozen |= {name: MappingProxyType(dict(getattr(self, name))) for name in ("units", "counters", "provenance")}
+        for name, value in frozen.items():
+            object.__setattr__(self, name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as plain dictionaries: results travel between processes."""
+        maps = (dict(self.counters), dict(self.provenance))
+        return Result, (self.time, dict(self.signals), dict(self.units), self.status, self.message, *maps)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether everything is equal, to the last bit (NaN equals NaN)."""
+        if not isinstance(other, Result):
+            return NotImplemented
+        return (
+            list(self.signals) == list(other.signals)
+            and np.array_equal(self.time, other.time)
+            and all(np.array_equal(self.signals[k], other.signals[k], equal_nan=True) for k in self.signals)
+            and (self.units, self.status, self.message) == (other.units, other.status, other.message)
+            and (self.counters, self.provenance) == (other.counters, other.provenance)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return a signal (n, *shape) or the part that a name such as ``rotor.displacement[3,1]`` selects."""
+        if name == "time":
+            return self.time
+        recorded, index = self._find(name)
+        return _entry(self.signals[recorded], index)
+
+    def column(self, name: str) -> np.ndarray:
+        """Return one entry of a signal by its flat name, shape (n,). Raises RotorsimError if there are several."""
+        values = self[name]
+        if values.ndim != 1:
+            first = flat_name(name, (0,) * (values.ndim - 1))
+            last = flat_name(name, tuple(n - 1 for n in values.shape[1:]))
+            hint = f"name one of them: '{first}' .. '{last}'"
+            what = f"has {np.prod(values.shape[1:])} entries"
+            raise RotorsimError(Problem(what=what, subject=name, hint=hint))
+        return values
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a signal or of a part of one ("" where it is not known)."""
+        return "s" if name == "time" else self.units.get(self._find(name)[0], "")
+
+    def _find(self, name: str) -> tuple[str, tuple[int, ...]]:
+        """Return the recorded signal and the place in it (from 0) that a name stands for."""
+        if name in self.signals:
+            return name, ()
+        base, bracket, inside = name.partition("[")
+        if bracket and inside.endswith("]"):
+            parts = inside[:-1].split(",")
+            for kept in range(len(parts)):  # a part of a recorded part: displacement[4,1] of displacement[4]
+                recorded = f"{base}[{','.join(parts[:kept])}]" if kept else base
+                if recorded in self.signals:
+                    return recorded, self._place(name, recorded, parts[kept:])
+        hint = near_miss(name, self.signals) or "nothing was recorded"
+        raise RotorsimError(
+            Problem(what="this signal was not recorded", subject=name, hint=hint.replace("known:", "recorded:"))
+        )
+
+    def _place(self, name: str, recorded: str, parts: list[str]) -> tuple[int, ...]:
+        shape = self.signals[recorded].shape[1:]
+        if len(parts) <= len(shape) and all(part.strip().isdecimal() for part in parts):
+            index = tuple(int(part) - 1 for part in parts)
+            if all(0 <= at < size for at, size in zip(index, shape, strict=False)):
+                return index
+        text = " x ".join(map(str, shape)) or "scalar"
+        what = f"no such entry; '{recorded}' has shape {text}, counted from 1"
+        if not shape:
+            what = f"no such entry; '{recorded}' is a scalar"
+        raise RotorsimError(Problem(what=what, subject=name))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.signals
+
+    def complex(self, name: str) -> np.ndarray:
+        """Return x + i y of a two-axis signal: (n, 2) -> (n,), (n, nodes, 2) -> (n, nodes).
+
+        Raises RotorsimError when the last dimension is not [x, y].
+        """
+        array = self[name]
+        if array.ndim < 2 or array.shape[-1] != 2:
+            raise RotorsimError(
+                Problem(what="not a two-axis signal", subject=name, hint="its last dimension must be [x, y]")
+            )
+        return np.asarray(array[..., 0] + 1j * array[..., 1])
+
+    def columns(self) -> Iterator[tuple[str, np.ndarray]]:
+        """Yield every entry of every signal by its flat name, row-major."""
+        for name, array in self.signals.items():
+            for index in product(*(range(n) for n in array.shape[1:])):
+                yield flat_name(name, index), _entry(array, index)
+
+    def flat_names(self) -> list[str]:
+        """Return the flat names of `columns`."""
+        return [name for name, _ in self.columns()]
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset with the coordinate time [s]; needs the optional package xarray."""
+        xarray = xarray_module()
+        variables = {}
+        for name, array in self.signals.items():
+            dims = ["time", *self._dimensions(name, array)]
+            variables[name] = (dims, array, {"units": self.units.get(name, "1")})
+        coordinates: dict[str, Any] = {"time": ("time", self.time, {"units": "s"})}
+        if any(a.ndim > 1 and a.shape[-1] == 2 for a in self.signals.values()):
+            coordinates["axis"] = ["x", "y"]
+        attributes = {"status": self.status, "message": self.message, **{k: str(v) for k, v in self.provenance.items()}}
+        return xarray.Dataset(variables, coordinates, attributes)
+
+    @staticmethod
+    def _dimensions(name: str, array: np.ndarray) -> list[str]:
+        shape = array.shape[1:]
+        names = [f"{name} {k + 1}" for k in range(len(shape))]
+        if shape and shape[-1] == 2:
+            names[-1] = "axis"
+        return names
+
+    def __repr__(self) -> str:
+        span = f"{self.time[0]:g}..{self.time[-1]:g} s" if len(self.time) else "empty"
+        names = ", ".join(list(self.signals)[:4]) + (
+            f", ... {len(self.signals)} signals" if len(self.signals) > 4 else ""
+        )
+        return f"Result({self.provenance.get('diagram', '')}: {self.status}, {span}, {names})"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            {"signal": name, "shape": a.shape[1:], "unit": self.units.get(name, ""),
+             "peak": float(np.abs(a).max()) if a.size else 0.0}
+            for name, a in self.signals.items()
+        ]  # fmt: skip
+        return f"{super()._repr_html_()}{html_table(rows)}<p>{escape(self.message)}</p>"
+
+
+def _plain(values: np.ndarray) -> Any:
+    return float(values[0]) if values.size == 1 else values.tolist()
+
+
+def _without(diagram: Diagram) -> list[str]:
+    """Return the blocks of the document (sub-diagrams as a whole) that the diagram was loaded without."""
+    there = {name.partition("/")[0] for name in diagram.nodes}
+    return [str(name) for name in diagram.document.get("blocks", {}) if name not in there]
+
+
+def make_result(
+    model: Model,
+    names: Sequence[str],
+    time: np.ndarray,
+    rows: np.ndarray,
+    status: str,
+    message: str,
+    counters: Mapping[str, Any],
+    *,
+    method: str,
+    step: float,
+    path: str,
+    p: np.ndarray,
+) -> Result:
+    """Cut the recorded rows (n, n_y) into signals and note what was run.
+
+    provenance: ``parameters`` are the diagram's in force; ``parameters_changed`` those given to the run, by
+    block; ``without`` the blocks that were left out. There is no date: the same run gives the same result.
+    """
+    signals: dict[str, np.ndarray] = {}
+    at = 0
+    for name in names:
+        shape = model.shape_of(name)
+        size = int(np.prod(shape, dtype=int))
+        signals[name] = rows[:, at : at + size].reshape(len(rows), *shape)
+        at += size
+    residual = float(np.abs(rows[:, at:]).max()) if rows.shape[1] > at and len(rows) else 0.0
+    counters = dict(counters)
+    if rows.shape[1] > at:
+        counters["loop_residual"] = residual
+        if residual > 1e-9 and status == "finished":
+            message = f"an algebraic loop did not converge: largest residual {residual:.2g}"
+            status = "diverged"
+    diagram = model.diagram
+    values = {name: np.ravel(value) for name, value in diagram.parameters.items()}
+    values |= {name: p[parts[0]] for name, parts in model.references.items() if parts}
+    changed = {}
+    if not np.array_equal(p, model.p0):
+        changed = {
+            name: _plain(p[part])
+            for name, part in model.parameters.items()
+            if not np.array_equal(p[part], model.p0[part])
+        }
+    from rotorsim import __version__
+
+    provenance = {
+        "rotorsim": __version__,
+        "diagram": diagram.name,
+        "file": diagram.file,
+        "document_sha256": diagram.sha256,
+        "parameters": {name: _plain(value) for name, value in values.items()},
+        "parameters_changed": changed,
+        "without": _without(diagram),
+        "method": method,
+        "step": step,
+        "path": path,
+    }
+    units = {name: model.select(name)[0].unit or "" for name in names}
+    return Result(time, signals, units, status, message, counters, provenance)

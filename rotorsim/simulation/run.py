@@ -1,0 +1,187 @@
+"""Simulate a diagram: classical Runge-Kutta of fixed step, or an adaptive method with events."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.model.input_limits import input_limits, passed_limit
+from rotorsim.model.instance import Instance, make_instance
+from rotorsim.simulation.failure import describe_failure
+from rotorsim.simulation.result import Result, make_result
+from rotorsim.simulation.validity import Stretch, judge, loose_tolerance, stretches_of
+
+__all__ = ["simulate"]
+
+LARGEST_RECORD = 1e9  # bytes; summing up and writing takes two to three times as much for a while
+Progress = Callable[[float], None]
+
+
+def simulate(
+    diagram: Diagram | Model,
+    *,
+    parameters: Mapping[str, Any] | None = None,
+    stop: float | None = None,
+    step: float | None = None,
+    method: str | None = None,
+    record: Iterable[str] | None = None,
+    record_every: int | None = None,
+    initial: np.ndarray | None = None,
+    progress: Progress | None = None,
+    use_compiler: bool = True,
+) -> Result:
+    """Simulate from t = 0 to ``stop`` [s] and return the recorded signals.
+
+    parameters: by name ("speed", "controller.KP"), SI or texts with a unit ("1800 rpm"). method: "rk4" (fixed
+    step, default) or "dop853", "rk45", "radau", "bdf", "lsoda" (adaptive, zero crossings located). record: signal
+    names, parts allowed ("rotor.displacement[3]"). record_every: keep every n-th step. initial: x (n_x,).
+    progress: called with the fraction done. A run of an unstable machine, one that diverges (a state is not
+    finite any more, or the step is beyond the stability limit of RK4) and one that is interrupted return what
+    was computed, with status "unstable", "diverged" or "stopped"; a step that makes a recorded signal wrong by
+    more than 1 % is said in the message. Raises RotorsimError for wrong arguments.
+    """
+    model = diagram if isinstance(diagram, Model) else compile_diagram(diagram)
+    solver = model.diagram.solver
+    chosen = (method or solver.method).lower()
+    h = solver.step if step is None else float(step)
+    end = solver.stop if stop is None else float(stop)
+    every = solver.record_every if record_every is None else int(record_every)
+    names = model.record_names(record)
+    _check(h, end, every)
+    p = model.parameter_vector(parameters)
+    limits = input_limits(model.diagram, {name: p[part] for name, part in model.parameters.items()})
+    watched = (*names, *dict.fromkeys(str(item.source) for item in limits if str(item.source) not in names))
+    begun = clock.process_time()
+    instance = make_instance(model, watched, p, use_compiler=use_compiler)
+    prepared = clock.process_time()
+    if initial is not None:
+        instance.x[:] = initial
+    n_steps = max(math.ceil(end / h - 1e-9), 1)  # a stop between two steps is covered
+    if every > n_steps:
+        what = f"every {every:.6g}th step of {n_steps} is recorded: nothing but the start"
+        raise RotorsimError(
+            Problem(what=what, subject="solver.record_every", hint=f"at most {n_steps}, or a longer run")
+        )
+    size = (n_steps // every + 1) * (instance.n_y + 1) * 8
+    if size > LARGEST_RECORD:
+        raise RotorsimError(
+            Problem(
+                what=f"the recorded signals of {n_steps} steps would take {size / 1e9:.3g} GB, at most 1 GB",
+                subject="record",
+                hint=f"a 'record_every' of {math.ceil(every * size / LARGEST_RECORD)} or more "
+                "(--set solver.record_every=...), fewer signals, or a shorter run",
+            )
+        )
+    stretches: list[Stretch] = []
+    if chosen == "rk4":
+        outcome = _run_rk4(model, instance, n_steps, h, every, progress, stretches)
+    else:
+        from rotorsim.simulation.adaptive import run_adaptive
+
+        outcome = run_adaptive(model, instance, chosen, n_steps, h, every, progress)
+    time, rows, status, message, counters = outcome
+    counters["compile_cpu_seconds"] = prepared - begun
+    ran = clock.process_time()
+    counters["run_cpu_seconds"] = ran - prepared
+    if status == "finished":
+        verdict = judge(model, instance, watched, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
+        status, message = verdict.status, verdict.message
+        signals = _by_name(model, watched, rows)
+        too_far = passed_limit(limits, time, {name: _shaped(model, name, v) for name, v in signals.items()})
+        if too_far and status == "finished":
+            status, message = "diverged", too_far
+        if status == "finished" and not message and chosen != "rk4":
+            message = loose_tolerance(model, signals, solver.atol)
+        if verdict.error is not None:
+            counters["step_error"] = verdict.error
+        counters["check_cpu_seconds"] = clock.process_time() - ran
+    width = sum(_width(model, name) for name in names)
+    return make_result(
+        model, names, time, rows[:, :width], status, message, counters, method=chosen, step=h, path=instance.path, p=p
+    )
+
+
+def _width(model: Model, name: str) -> int:
+    return int(np.prod(model.shape_of(name), dtype=int))
+
+
+def _shaped(model: Model, name: str, values: np.ndarray) -> np.ndarray:
+    return values.reshape(len(values), *model.shape_of(name))
+
+
+def _by_name(model: Model, names: tuple[str, ...], rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the columns of the named signals; those of algebraic loops' residuals stand behind them."""
+    ends = np.cumsum([_width(model, name) for name in names])
+    return dict(zip(names, np.split(rows, ends, axis=1)[:-1], strict=True))
+
+
+def _check(h: float, end: float, every: int) -> None:
+    problems = []
+    if not (np.isfinite(h) and h > 0):
+        hint = "a fraction of the shortest period, such as 1e-4 s"
+        problems.append(Problem(what=f"the step must be positive, got {h:g} s", subject="solver.step", hint=hint))
+    if not (np.isfinite(end) and end > 0):
+        hint = "runs begin at t = 0"
+        what = f"the stop time must be positive, got {end:g} s"
+        problems.append(Problem(what=what, subject="solver.stop", hint=hint))
+    if every < 1:
+        hint = "1 records every step"
+        problems.append(Problem(what=f"must be at least 1, got {every}", subject="solver.record_every", hint=hint))
+    if not problems and end < h * (1 - 1e-9):
+        what = f"step {h:g} s is longer than stop {end:g} s"
+        problems.append(Problem(what=what, subject="solver", hint="choose a smaller step"))
+    if not problems and end / h > 1e10:
+        problems.append(Problem(what=f"{end / h:.0e} steps; at most 1e10", subject="solver.step", hint="a larger step"))
+    if problems:
+        raise RotorsimError(*problems)
+
+
+Outcome = tuple[np.ndarray, np.ndarray, str, str, dict[str, Any]]
+
+
+def _run_rk4(
+    model: Model, instance: Instance, n_steps: int, h: float, every: int, progress: Progress | None,
+    stretches: list[Stretch],
+) -> Outcome:  # fmt: skip
+    """Take the steps; ``stretches`` receives the states from which parts of them can be repeated."""
+    ahead = stretches_of(n_steps)
+    rows = np.empty((n_steps // every + 1, instance.n_y))
+    n, chunk, status, message = 0, n_steps if progress is None else 1000, "finished", ""
+    chunk = min(chunk, 10_000_000)
+    try:
+        instance.start(0.0)
+        while n < n_steps:
+            saved = instance.save()
+            first = n
+            if ahead and n == ahead[0][0]:
+                stretches.append(Stretch(*ahead.pop(0), saved))
+            until = min(n + chunk, n_steps, *(start for start, _ in ahead))
+            begun = clock.perf_counter()
+            n = instance.run(n, until, 0.0, h, every, rows[-(-n // every) :])
+            if not np.isfinite(instance.x).all():
+                instance.restore(saved)
+                n = first
+                n, message = describe_failure(model, instance, first, until, h, every, rows)
+                status = "diverged"
+                break
+            elapsed = clock.perf_counter() - begun
+            if progress is not None:
+                progress(n / n_steps)
+                chunk = int(chunk * min(max(0.1 / max(elapsed, 1e-6), 0.5), 10.0)) + 1
+    except KeyboardInterrupt:
+        status, message = "stopped", f"interrupted at t = {n * h:.6g} s; what was computed until then is kept"
+    if status == "finished" and n_steps % every == 0:
+        rows[n_steps // every] = instance.record(n_steps * h, instance.x)
+        kept = n_steps // every + 1
+    else:
+        kept = -(-n // every)
+    time = np.arange(kept) * every * h
+    counters = {"steps": n, "evaluations": 4 * n}
+    return time, rows[:kept], status, message, counters

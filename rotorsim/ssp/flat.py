@@ -1,0 +1,201 @@
+"""A system of FMUs without its hierarchy: what feeds each input of a component, and with which factor."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from rotorsim.errors import Problem
+from rotorsim.fmi.description.model import FmuUnit, Value
+from rotorsim.ssp.structure import Component, Connection, Connector, Setting, Structure, System, same_unit
+
+__all__ = ["Feed", "Flat", "Path", "names_of", "rescaled", "value_at"]
+
+Path = tuple[str, ...]  # names from the root system (which is ()) down to an element
+Point = tuple[Path, str]  # a connector of an element
+Indices = tuple[int, ...]
+
+_SOURCES = ("output", "calculatedParameter", "constant", "local")
+_SINKS = ("input", "parameter", "structuralParameter")
+
+
+@dataclass(frozen=True)
+class Feed:
+    """What feeds an entry: factor * source + offset. The source is an output, or a connector of a system.
+
+    setting: the value that is given to the connector of a system. converted: units were looked at, or are not to be.
+    """
+
+    path: Path
+    connector: str
+    indices: Indices
+    factor: float
+    offset: float
+    setting: Setting | None = None
+    converted: bool = False
+
+
+@dataclass(frozen=True)
+class _Driver:
+    """A connection into a point: from where, and the entry there that it is restricted to."""
+
+    source: Point
+    start: Indices | None
+    connection: Connection
+
+
+class Flat:
+    """The components of all levels, what drives what, and the values given to parameters; mistakes in ``problems``.
+
+    settings: full name ("left.amb.gain") -> value; those of outer systems win, and of one system the later ones.
+    """
+
+    def __init__(self, structure: Structure) -> None:
+        self.problems: list[Problem] = []
+        self.components: dict[Path, Component] = {}
+        self.connectors: dict[Point, Connector] = {}
+        self.drivers: dict[Point, dict[Indices | None, _Driver]] = {}  # by the entry that is driven; None: all
+        self.settings: dict[str, Setting] = {}
+        self.systems: dict[Path, System] = {}
+        self._system((), structure.system)
+
+    def _system(self, path: Path, system: System) -> None:
+        self.systems[path] = system
+        self._connectors(path, system)
+        for inner in system.systems:
+            self._system((*path, inner.name), inner)
+        for component in system.components:
+            own = (*path, component.name)
+            self.components[own] = component
+            self._connectors(own, component)
+            self._settings(own, component)
+        self._settings(path, system)
+        for connection in system.connections:
+            self._connection(path, connection)
+
+    def _connectors(self, path: Path, element: Component | System) -> None:
+        self.connectors.update(((path, connector.name), connector) for connector in element.connectors)
+
+    def _settings(self, path: Path, element: Component | System) -> None:
+        self.settings.update((".".join((*path, setting.name)), setting) for setting in element.settings)
+
+    def _connection(self, path: Path, connection: Connection) -> None:
+        """Note a connection as driver of the end that takes the value: which one follows from the kinds."""
+        subject = f"{_named(path, connection, 'start')} -> {_named(path, connection, 'end')}"
+        ends = []
+        for end in (connection.start, connection.end):
+            point = ((*path, end.element) if end.element is not None else path, end.connector)
+            connector = self.connectors.get(point)
+            if connector is None:
+                where = f"element '{end.element}'" if end.element is not None else "the system"
+                self._wrong(f"{where} has no connector '{end.connector}'", subject, connection)
+                return
+            outward = connector.kind in _SOURCES
+            if connector.kind not in _SOURCES + _SINKS:
+                self._wrong(f"connectors of kind {connector.kind} are not supported", subject, connection)
+                return
+            ends.append((point, end.indices, outward if end.element is not None else not outward))
+        if ends[0][2] == ends[1][2]:
+            what = "two sources are connected" if ends[0][2] else "two connectors that take a value are connected"
+            self._wrong(what, subject, connection)
+            return
+        source, sink = ends if ends[0][2] else ends[::-1]
+        drivers = self.drivers.setdefault(sink[0], {})
+        if None in drivers or sink[1] in drivers or (sink[1] is None and drivers):
+            self._wrong("is fed by two connections", ".".join((*sink[0][0], sink[0][1])), connection)
+            return
+        drivers[sink[1]] = _Driver(source[0], source[1], connection)
+
+    def _wrong(self, what: str, subject: str, connection: Connection) -> None:
+        self.problems.append(Problem(what, subject[:200], connection.place))
+
+    def feed(self, sink: Point, indices: Indices, unit_of: Callable[[Point], FmuUnit | None]) -> Feed | None:
+        """Return what feeds an entry of a connector, or None. unit_of: the unit of a connector where it is known."""
+        hops: list[tuple[Point, Connection]] = []  # from the sink back to the source
+        point, seen = sink, set()
+        while point in self.drivers and point not in seen:
+            seen.add(point)
+            drivers = self.drivers[point]
+            restricted = indices in drivers
+            driver = drivers.get(indices, drivers.get(None))
+            if driver is None:
+                break
+            hops.append((point, driver.connection))
+            if driver.start is not None:
+                if indices and not restricted:
+                    self._wrong("an entry is connected to a whole array", _text(point), driver.connection)
+                indices = driver.start
+            elif restricted:
+                indices = ()
+            point = driver.source
+            if point[0] in self.components:
+                break
+            if point in seen:
+                self._wrong("connectors of systems feed each other in a circle", _text(point), driver.connection)
+        if not hops:
+            return None
+        setting = None if point[0] in self.components else self.settings.get(_text(point))
+        unit = (setting.unit if setting else None) or unit_of(point)
+        factor, offset, converted = 1.0, 0.0, True
+        for target, connection in reversed(hops):
+            own = unit_of(target)
+            scale = (1.0, 0.0)
+            if unit is not None and own is not None and not connection.suppress:
+                found = rescaled(unit, own)
+                if found is None:
+                    what = f"units do not fit: {unit.name} into {own.name}"
+                    self._wrong(what, f"{_text(point)} -> {_text(target)}", connection)
+                scale = found or scale
+            else:
+                converted = converted and connection.suppress
+            unit = own or unit
+            for a, b in (scale, (connection.factor, connection.offset)):
+                factor, offset = a * factor, a * offset + b
+        return Feed(point[0], point[1], indices, factor, offset, setting, converted)
+
+
+def rescaled(given: FmuUnit, wanted: FmuUnit) -> tuple[float, float] | None:
+    """Return (a, b) with value in the wanted unit = a * value + b, or None where the units do not fit."""
+    if same_unit(given, wanted):
+        return 1.0, 0.0
+    given, wanted = given.known or given, wanted.known or wanted
+    bases = given.powers.keys() | wanted.powers.keys()
+    if any(given.powers.get(base, 0) != wanted.powers.get(base, 0) for base in bases):
+        return None
+    return given.factor / wanted.factor, (given.offset - wanted.offset) / wanted.factor
+
+
+def value_at(setting: Setting, indices: Indices, dimensions: Indices) -> Value | None:
+    """Return the entry of a value that indices (from 1) pick, or None where the shapes differ."""
+    sizes = setting.dimensions or dimensions
+    if len(indices) != len(sizes) or any(not 1 <= i <= n for i, n in zip(indices, sizes, strict=False)):
+        return None if indices or len(setting.values) != 1 else setting.values[0]
+    place = 0
+    for i, n in zip(indices, sizes, strict=True):
+        place = place * n + i - 1
+    return setting.values[place] if place < len(setting.values) else None
+
+
+def _text(point: Point) -> str:
+    return ".".join((*point[0], point[1]))
+
+
+def _named(path: Path, connection: Connection, which: str) -> str:
+    end = connection.start if which == "start" else connection.end
+    return ".".join((*path, *((end.element,) if end.element is not None else ()), end.connector))
+
+
+def names_of(paths: Iterable[Path]) -> dict[Path, str]:
+    """Return a name of a block for every path: letters, digits and _, each once."""
+    found: dict[Path, str] = {}
+    taken: set[str] = set()
+    for path in paths:
+        name = re.sub(r"\W", "_", "_".join(path), flags=re.ASCII)[:80]
+        name = name if re.match(r"[A-Za-z_]", name) else f"_{name}"
+        unique, k = name, 2
+        while unique in taken:
+            unique, k = f"{name}_{k}", k + 1
+        taken.add(unique)
+        found[path] = unique
+    return found

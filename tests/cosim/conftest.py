@@ -1,0 +1,3 @@
+"""Exported FMUs that several tests share."""
+
+from tests.fmi.conftest import fmu, run  # noqa: F401 - fixtures, here too

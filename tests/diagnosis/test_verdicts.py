@@ -1,0 +1,477 @@
+"""Which verdict follows from what effects explain."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rotorsim.diagnosis.conclude import explaining
+from rotorsim.diagnosis.conclude.conclusions import _effect, _open, _rejected, nearest, verdict_of
+from rotorsim.diagnosis.diagnosis import material_effects
+from rotorsim.diagnosis.evidence.harmonic import Fit
+from rotorsim.diagnosis.evidence.scoring import HeldScore, Score
+from rotorsim.diagnosis.search.naming import (
+    Named,
+    Round,
+    _completed,
+    _level,
+    _named,
+    _reconsidered,
+    _simplified,
+    least_gain,
+)
+from rotorsim.diagnosis.search.proof import is_faint, is_material, prove
+from rotorsim.diagnosis.search.trials import Candidate, Trials, is_adequate, is_noise
+from rotorsim.diagram.diagram import Free
+
+ROWS = 1000
+
+
+def left(times: float) -> Fit:
+    """Return a fit that leaves so many times the variance of the noise."""
+    return Fit({}, misfit=times * ROWS, rows=ROWS, equations=ROWS, goodness=0.0 if times > 1.2 else 0.5)
+
+
+def named(before: float, after: float) -> Named:
+    return Named(left(before), (SimpleNamespace(fit=left(after)),), (), left(after), 1e-4)
+
+
+EFFECT = SimpleNamespace(members={"rub": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "verdict"),
+    [
+        (50.0, 1.0, "missing_physics"),
+        (2e4, 1.4, "missing_physics"),  # details of the law
+        (4300.0, 24.5, "missing_physics"),  # a friction that is smooth about zero speed: 99.4 %
+        (1 + 0.4 / 0.02 * 0.98, 1.4, "outside_catalogue"),  # too much is left
+        (1 + 0.4 / 0.02 * 1.02, 1.4, "missing_physics"),
+        (300.0, 60.0, "outside_catalogue"),
+    ],
+)
+def test_details_of_a_law_do_not_make_it_another(before, after, verdict):
+    assert verdict_of(named(before, after), (EFFECT,)) == verdict
+
+
+@pytest.mark.parametrize(
+    ("base", "free", "force"),
+    [
+        (1.37, 1.03, True),  # a friction with memory: of 650 equations 669 are left, probability 29 %
+        (1.36, 1.25, False),  # noise of one channel that is not as modelled: probability 1e-5
+        (1.19, 1.0, False),  # too little to tell
+        (1.21, 1.0, True),
+    ],
+)
+def test_what_is_in_all_channels_as_the_loop_demands_is_a_force(monkeypatch, base, free, force):
+    asked = []
+
+    def left_by(kind: str, *names: str) -> list[tuple[float, float]]:
+        asked.append((kind, names))
+        return [(free * 300, 300.0), (free * 350, 350.0)]
+
+    names = ("rotor.force[1]", "rotor.force[2]", "beam.force[4,1]", "beam.force[4,2]")
+    places = SimpleNamespace(places=dict.fromkeys(names), free=left_by)
+    monkeypatch.setattr(explaining, "open_places", lambda *_: places)
+    assert explaining.is_force(left(base), None) is force
+    assert not asked or asked[0] == ("force", ("rotor.force[1]", "rotor.force[2]"))
+    assert len(asked) < 2 or asked[1] == ("force", ("beam.force[4,1]", "beam.force[4,2]"))
+
+
+def test_what_nothing_was_found_for_is_outside_or_nothing():
+    assert verdict_of(Named(left(50.0), (), (), left(50.0), 1e-4), ()) == "outside_catalogue"
+    assert verdict_of(Named(left(1.0), (), (), left(1.0), 1e-4), ()) == "consistent"
+    assert verdict_of(Named(left(1.0), (), (), left(1.0), 1e-4), (), alike=True) == "not_identifiable"
+
+
+def test_faint_lines_are_not_noise_though_little_in_all():
+    base = replace(left(1.0), line_misfit=110.0, line_rows=30)
+    assert is_adequate(base)
+    assert not is_noise(base)
+    assert verdict_of(Named(base, (), (), base, 1e-4), ()) == "outside_catalogue"
+    chosen = (SimpleNamespace(fit=left(0.97)),)
+    assert verdict_of(Named(base, chosen, (), left(0.97), 1e-4), (EFFECT,)) == "missing_physics"
+    lines_left = replace(left(0.99), line_misfit=100.0, line_rows=30)
+    assert verdict_of(Named(base, chosen, (), lines_left, 1e-4), (EFFECT,)) == "outside_catalogue"
+    strong = replace(left(50.0), line_misfit=4e4, line_rows=30)
+    assert verdict_of(Named(strong, chosen, (), lines_left, 1e-4), (EFFECT,)) == "missing_physics"  # details of a law
+
+
+def scored(times: float | None, total: float | None = None, reason: str = "") -> HeldScore:
+    """Return the score of runs of which a diagram leaves so many times the variance of the noise, of 1 % of the signal.
+
+    total: the error of the signals, if it is not that of white noise.
+    """
+    if total is None:
+        total = 0.1 if times is None else 0.01 * np.sqrt(times)
+    return HeldScore({"p": total}, {"p": 0.01}, None if times is None else times * ROWS, ROWS, reason=reason)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "left", "status"),
+    [
+        (5e3, 1.0, 0.0, "proved"),  # noise is left
+        (1.05, 1.05, 0.0, "proved"),  # nothing to see before, nothing after
+        (3.0, 1.1062, 0.0, "proved"),  # chi-squared of 1000 exceeds 1106.97 with probability 1 %
+        (3.0, 1.1078, 0.0, "disproved"),
+        (1e6, 1 + 0.99e2, 0.0, "proved"),  # a ten-thousandth: details of the law
+        (1e6, 1 + 1.01e2, 0.0, "disproved"),
+        (1e4, 99.0, 1e-3, "proved"),  # ten times the share that is left in the fitted runs
+        (1e4, 103.0, 1e-3, "disproved"),
+        (None, 2.0, 0.0, "unproved"),  # the diagram as given has no settled motion there
+        (None, 1.0, 0.0, "proved"),
+        (5.0, None, 0.0, "unproved"),
+    ],
+)
+def test_effects_are_proved_by_runs_that_took_no_part(before, after, left, status):
+    assert prove(scored(before), scored(after), left=left).status == status
+
+
+def test_no_law_that_leaves_more_than_what_may_rest_is_proved():
+    """However much is left in the fitted runs: most of what was unexplained must be explained in the others."""
+    worst = 0.02
+    assert prove(scored(1e4), scored(1 + 0.99 * worst * 9999), left=0.05).status == "proved"
+    assert prove(scored(1e4), scored(1 + 1.01 * worst * 9999), left=0.05).status == "disproved"
+
+
+def test_small_orders_do_not_outweigh_the_motion():
+    """A contact that imitates another leaves 1 % of the misfit, and ten times that of the motion."""
+    before, after = scored(1e6, 0.4), scored(1e4, 0.13)
+    found = prove(before, after, left=0.005)
+    assert found.status == "disproved"
+    assert found.reason == (
+        "it leaves 0.01 of what was unexplained there, 1e+04 times the variance of the noise, but 0.11 of the squared "
+        "error of the signals: more than details of a law (0.02)"
+    )
+    assert prove(before, after, left=0.005, held=False).status == "unproved"
+    floor = 0.01**2
+    for share, status in ((0.0199, "proved"), (0.0201, "disproved")):
+        error = np.sqrt(floor + share * (0.4**2 - floor))
+        assert prove(before, scored(1e4, error), left=0.005).status == status
+
+
+def test_what_could_not_run_is_not_proved_and_says_why():
+    found = prove(scored(5.0), scored(None, reason="its motion is not stable in run run03"))
+    assert found.reason == "the repaired diagram predicts nothing: its motion is not stable in run run03"
+    found = prove(scored(None, reason="no periodic motion was found in run a"), scored(2.0))
+    assert found.reason == (
+        "the diagram as given has no settled motion to compare with (no periodic motion was found in run a); "
+        "the repaired one leaves 2 times the variance of the noise"
+    )
+
+
+def test_runs_left_out_one_by_one_disprove_nothing():
+    assert prove(scored(3.0), scored(1.2), held=False).status == "unproved"
+
+
+def test_errors_alone_prove_what_lowers_them():
+    before, after = Score({"y": 0.2}, {}), Score({"y": 0.05}, {})
+    assert prove(before, after).status == "proved"
+    assert prove(after, before).status == "unproved"
+    assert prove(before, Score({"y": float("nan")}, {})).status == "unproved"
+
+
+@pytest.mark.parametrize(
+    ("fitted", "before", "after", "errors", "material"),
+    [
+        ((1.2, 1.1), 1.20, 1.14, (0.10, 0.09), True),  # of a fall of 0.1, 0.06 are seen in runs left out
+        ((1.2, 1.1), 1.20, 1.152, (0.10, 0.09), False),  # 0.048
+        ((1.2, 1.1), 1.20, 1.10, (0.10, 0.1001), False),  # the error rises
+        ((50.0, 1.0), 50.0, 1.0, (0.10, 0.1001), True),  # so much is no noise: few runs, poorly determined
+        ((1.2, 1.1), None, 1.0, (0.10, 0.1001), True),  # nothing to compare with
+        ((160.0, 1.03), 67.0, 0.97, (0.10, 0.09), True),  # all that is left there, though less than in fitted runs
+        ((160.0, 1.03), 67.0, 35.0, (0.10, 0.09), False),  # less than half of it
+        ((1.87, 0.95), 0.995, 0.9985, (0.10, 0.1001), True),  # at those speeds it does not show: 3.5 of 1000
+        ((1.87, 0.95), 0.995, 0.9995, (0.10, 0.1001), False),  # 4.5: worse than a true one makes it
+    ],
+)
+def test_a_cause_is_named_only_where_it_lowers_the_error_of_other_runs(fitted, before, after, errors, material):
+    base, fit = (left(times) for times in fitted)
+    assert is_material(scored(before, errors[0]), scored(after, errors[1]), base, fit) is material
+
+
+@pytest.mark.parametrize(
+    ("first", "both", "effects"),
+    [
+        (0.9, 0.9002, 1),  # of dry friction 1.16 times the noise is left in the fitted runs, nothing in others
+        (1.16, 1.0, 2),
+        (1.16, 1.1, 1),  # less than half of it
+        (357.0, 1.0, 2),  # the first is nothing without the second
+        (357.0, 357.0, 0),
+    ],
+)
+def test_every_effect_has_to_show_in_runs_that_took_no_part(first, both, effects):
+    fits = [left(840.0), left(1.16), left(1.0)]
+    chosen = tuple(SimpleNamespace(fit=fit) for fit in fits[1:])
+    found = Named(fits[0], chosen, ("before", "beside"), fits[2], 1e-4, first="before")
+    held = dict(zip(fits, (scored(357.0), scored(first), scored(both)), strict=True))
+    kept = material_effects(found, held.__getitem__)
+    assert kept.chosen == chosen[:effects]
+    assert kept.fit is fits[effects]
+    assert kept.rounds == (("before", "beside")[:effects] or ("before",))
+
+
+def test_little_that_nothing_explains_is_no_missing_physics():
+    """Noise that is not what its model says leaves up to one and a half times its variance: no verdict by itself."""
+    for times, elsewhere, faint in ((1.49, 1.49, True), (1.51, 1.0, False), (1.0, 1.51, False), (1.49, None, True)):
+        assert is_faint(left(times), scored(elsewhere)) is faint
+    nothing = Named(left(1.36), (), (), left(1.36), 1e-4)
+    assert verdict_of(nothing, (), faint=True) == "consistent"
+    assert verdict_of(nothing, (), faint=True, alike=True) == "not_identifiable"
+    assert verdict_of(nothing, ()) == "outside_catalogue"
+    assert verdict_of(named(1.36, 1.25), (EFFECT,), faint=True) == "consistent"  # it explains too little
+    assert verdict_of(named(1.36, 1.0), (EFFECT,), faint=True) == "missing_physics"
+    assert not is_faint(replace(left(1.0), line_misfit=110.0, line_rows=30), scored(1.0))
+
+
+def test_effects_that_do_not_predict_are_outside_the_catalogue():
+    """A law may explain all runs that it is fitted to, and still be the wrong one."""
+    found = named(50.0, 1.0)
+    assert verdict_of(found, (EFFECT,)) == "missing_physics"
+    assert verdict_of(found, (EFFECT,), disproved=True) == "outside_catalogue"
+    assert nearest(found, None) is found.fit
+    assert nearest(found, None, disproved=True) is found.base
+
+
+def candidate(
+    physics: str, misfit: float, extra: int, nuisances: int = 20, alike: tuple[str, ...] = ()
+) -> SimpleNamespace:  # fmt: skip
+    free = tuple(Free(f"{physics}{k}", "", 0, 1.0, "", 0.0, np.inf) for k in range(extra))
+    fit = Fit({}, free, misfit=misfit, rows=ROWS - nuisances, equations=ROWS, goodness=0.5)
+    insertion = SimpleNamespace(
+        physics=physics, variant=0, spot="rotor.force", key=physics, free=(), fault=SimpleNamespace(confused_with=alike)
+    )  # fmt: skip
+    return SimpleNamespace(fit=fit, insertion=insertion, physical=True, unphysical="", parameters=(), final=True)
+
+
+def chosen(*tried: SimpleNamespace) -> list[str]:
+    base = Fit({}, misfit=1000.0, rows=ROWS - 20, equations=ROWS, goodness=0.5)
+    order = tuple(sorted(tried, key=lambda item: item.fit.criterion))
+    trials = SimpleNamespace(
+        round=lambda before: Round(before, order), has_mesh=lambda base: False, counts={}, nominal={}, slack=0.0,
+        completed=lambda found, physics: found,
+    )  # fmt: skip
+    return [item.insertion.physics for item in _named(trials, base, 3).chosen]
+
+
+@pytest.mark.parametrize(
+    ("times", "goodness", "adequate"),
+    [(1.049, 0.0, True), (1.051, 0.0, False), (1.2, 1.1e-4, True), (1.2, 0.9e-4, False)],
+)
+def test_what_is_left_is_noise_or_not_worth_a_name(times, goodness, adequate):
+    assert is_adequate(replace(left(times), goodness=goodness)) is adequate
+
+
+def test_a_parameter_at_its_bound_makes_a_law_unphysical_but_not_one_of_the_diagram():
+    found = law({"bow.amplitude": (0.0, 0.1), "damping": (1.0, 0.1)})
+    insertion = SimpleNamespace(free=("bow.amplitude",), fault=SimpleNamespace(sizes=()))
+    item = Candidate(insertion, replace(found, at_bound=np.array([True, False])))
+    assert not item.physical
+    assert replace(item, fit=replace(found, at_bound=np.array([False, True]))).physical
+    assert Round(found, (item,)).best is None
+
+
+@pytest.mark.parametrize(("more", "members"), [(9.9, {"rub", "clearance"}), (10.1, {"rub"})])
+def test_odds_of_less_than_150_to_1_do_not_part_two_explanations(more, members):
+    """exp(10 / 2) = 148."""
+    before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
+    found, rival = candidate("rub", 980.0, 1), candidate("clearance", 980.0 + more, 1)
+    assert set(_effect(found, Round(before, (found, rival)), 0.0).members) == members
+
+
+def test_of_more_than_four_explanations_none_is_named():
+    for count, verdict in ((4, "missing_physics"), (5, "not_identifiable")):
+        effect = SimpleNamespace(members=dict.fromkeys("abcde"[:count], 1 / count))
+        assert verdict_of(named(50.0, 1.0), (effect,)) == verdict
+
+
+def test_a_false_alarm_has_the_probability_of_one_percent_whatever_is_tried():
+    """Of two candidates each 0.5 %: chi-squared of one unknown 7.879, of two 10.597."""
+    one, two = candidate("rub", 990.0, 1), candidate("clearance", 990.0, 2)
+    level = _level([one, two])
+    assert level == pytest.approx(0.005)
+    base = Fit({}, misfit=1000.0, rows=ROWS - 20, equations=ROWS)
+    assert least_gain(one, base, level) == pytest.approx(7.879, abs=1e-3)
+    assert least_gain(two, base, level) == pytest.approx(10.597, abs=1e-3)
+
+
+def test_meshes_may_be_wrong_by_a_tenth_of_the_equations():
+    base = Fit({}, misfit=1000.0, rows=ROWS - 20, equations=ROWS, goodness=0.5)
+    for gain, found in ((104.0, []), (105.0, ["rub"])):  # 98 and chi-squared of one unknown, 1 %: 6.6
+        item = candidate("rub", 1000.0 - gain, 1)
+        trials = SimpleNamespace(
+            round=lambda before, item=item: Round(before, (item,)), has_mesh=lambda base: True, counts={}, nominal={},
+            slack=0.0, completed=lambda found, physics: found,
+        )  # fmt: skip
+        assert [item.insertion.physics for item in _named(trials, base, 3).chosen] == found
+        assert trials.slack == pytest.approx(98.0)
+
+
+@pytest.mark.parametrize(("second", "chosen"), [(9.1e3, ["rub", "clearance"]), (11.9e3, ["rub"])])
+def test_another_effect_must_explain_nine_tenths_of_what_is_left(second, chosen):
+    base = Fit({}, misfit=1e6, rows=ROWS, equations=ROWS)
+    first = candidate("rub", 1e5, 1)
+    later = candidate("clearance", ROWS + second, 2)
+    rounds = {1e6: Round(base, (first,)), 1e5: Round(first.fit, (later,))}
+    for item in (first, later):
+        item.fit = replace(item.fit, rows=ROWS, goodness=0.0)
+    trials = SimpleNamespace(
+        round=lambda before, only=None: rounds.get(before.misfit, Round(before, ())), has_mesh=lambda base: False,
+        counts={}, nominal={}, slack=0.0, completed=lambda found, physics: found, refitted=lambda *_: (),
+    )  # fmt: skip
+    assert [item.insertion.physics for item in _named(trials, base, 2).chosen] == chosen
+
+
+def test_places_that_allow_ten_times_the_least_are_not_looked_at(monkeypatch):
+    bounds = {"near": 1000.0, "far": 9990.0, "beyond": 10010.0}
+    places = SimpleNamespace(bound=lambda item: bounds.get(item.spot))
+    found = [SimpleNamespace(physics="rub", variant=0, spot=spot) for spot in ("beyond", "far", "near", "unknown")]
+    monkeypatch.setattr("rotorsim.diagnosis.search.trials.open_places", lambda before, source: places)
+    trials = Trials(None, None, None, 1, None, None)
+    kept = trials._screened(left(50.0), found, [])
+    assert sorted(kept) == [1, 2, 3]
+
+
+def test_where_noise_explains_all_only_what_it_cannot_make_is_named():
+    """A law that leaves fewer means open has the better criterion, but explains nothing that noise does not."""
+    fewer = candidate("hysteretic_damping", 1010.0, 0, nuisances=1)
+    seen, unseen = candidate("internal_damping", 980.0, 1), candidate("seal_cross_coupling", 995.0, 1)
+    assert chosen(fewer, seen, unseen) == ["internal_damping"]
+    assert chosen(fewer, unseen) == []
+
+
+def test_means_that_a_law_adds_cost_as_much_as_its_parameters():
+    """What a fault brings along must not absorb for nothing what another explains with a parameter."""
+    numbers = {"misfit": 900.0, "equations": ROWS, "goodness": 0.5}
+    given = Fit({}, rows=ROWS - 20, **numbers)
+    same = Fit({}, rows=ROWS - 20, standing=20, **numbers)
+    fewer = Fit({}, rows=ROWS - 10, standing=20, **numbers)
+    more = Fit({}, rows=ROWS - 40, standing=20, **numbers)
+    assert given.criterion == same.criterion == 920.0
+    assert fewer.criterion == 910.0
+    assert more.criterion == pytest.approx(920.0 + 20 * np.log(ROWS))
+
+
+def test_known_look_alikes_are_fitted_to_the_end_and_may_take_the_place():
+    """A delay beside a spring reads like an amplifier; that a fit did not get far is no reason to drop it."""
+    before = Fit({}, misfit=5e5, rows=ROWS, equations=ROWS)
+    found = candidate("amplifier_bandwidth", 1040.0, 1, alike=("control_delay",))
+    delay, bow = candidate("control_delay", 9000.0, 1), candidate("residual_bow", 9000.0, 1)
+    ended = candidate("control_delay", 1000.0, 1)
+    asked = []
+
+    def completed(given: Round, physics: set[str]) -> Round:
+        asked.append(physics)
+        return Round(before, (ended, found, bow))
+
+    trials = SimpleNamespace(completed=completed, slack=0.0)
+    chosen, rounds = _completed(trials, (found,), [Round(before, (found, delay, bow))])
+    assert asked == [{"control_delay"}]
+    assert [item.insertion.physics for item in chosen] == ["control_delay"]
+    assert rounds[0].tried[0] is ended
+
+
+def test_a_look_alike_is_carried_on_from_where_it_is_at_its_best_place():
+    def tried(spot: str, misfit: float) -> SimpleNamespace:
+        fit = Fit({"blocks": {}}, misfit=misfit, rows=ROWS, equations=ROWS, nonlinear=True)
+        fault = SimpleNamespace(sizes=())
+        insertion = SimpleNamespace(physics="rub", variant=0, spot=spot, free=(), fault=fault)
+        return SimpleNamespace(insertion=insertion, fit=fit, final=False, physical=True)
+
+    far, near = tried("far", 9e5), tried("near", 9e4)
+    better = replace(near.fit, misfit=1000.0)
+    jobs = []
+
+    class Carried(Trials):
+        def _fit(self, given, most, *, linear_only=False):
+            jobs.append((len(given), most))
+            return [better]
+
+    found = Carried(None, None, None, 1, None, None).completed(Round(Fit({}), (far, near)), {"rub"})
+    assert jobs == [(1, None)]
+    assert [(item.insertion.spot, item.fit.misfit, item.final) for item in found.tried] == [
+        ("near", 1000.0, True), ("far", 9e5, False),
+    ]  # fmt: skip
+
+
+def test_what_was_not_fitted_to_the_end_is_not_rejected():
+    before = Fit({}, misfit=5e5, rows=ROWS, equations=ROWS)
+    found, bow, rub = candidate("clearance", 1000.0, 1), candidate("residual_bow", 4e3, 1), candidate("rub", 3e4, 2)
+    rub.final = False
+    first = Round(before, (found, bow, rub))
+    everything = Named(before, (found,), (first,), found.fit, 1e-4, first=first)
+    effects = (SimpleNamespace(members={"clearance": 1.0}, candidate=found),)
+    assert [name for name, _ in _rejected(everything, effects)] == ["residual_bow"]
+    assert _open(everything, effects) == (
+        ("rub", "was not fitted to the end; so far it leaves 30.7 times the variance of the noise"),
+    )
+
+
+def free(name: str, unit: str = "N", low: float = 0.0) -> Free:
+    return Free(name, "", 0, 1.0, unit, low, np.inf)
+
+
+def law(sizes: dict[str, tuple[float, float]]) -> Fit:
+    """Return a fit with parameters {name: (value, standard deviation)}; angles are in rad."""
+    items = tuple(free(name, "rad", -np.inf) if "phase" in name else free(name) for name in sizes)
+    theta, stds = np.array(list(sizes.values())).T
+    document = {"blocks": {"law": {"parameters": {}}}, "identify": {name: {} for name in sizes}}
+    return Fit(document, items, theta, np.diag(stds**2), np.zeros(len(items), bool), 1000.0, ROWS, ROWS, goodness=0.5)
+
+
+def test_parameters_that_the_data_do_not_tell_from_zero_are_dropped_with_their_angles():
+    sizes = {
+        "law.amplitude1": (3.0, 0.1), "law.phase1": (0.3, 0.1), "law.amplitude2": (0.1, 0.2), "law.phase2": (1.0, 2.0),
+        "law.backward2": (0.39, 0.2), "law.backward_phase2": (1.0, 0.5), "law.amplitude0": (0.41, 0.2),
+    }  # fmt: skip
+    asked = []
+
+    def refitted(document, starts):
+        left = {name: sizes[name] for name in document["identify"]}
+        asked.append(set(sizes) - set(left))
+        return replace(law(left), misfit=1000.0 + (3.0 if len(left) < 5 else 2.0))
+
+    item = SimpleNamespace(insertion=SimpleNamespace(free=tuple(sizes)), fit=law(sizes))
+    [found] = _simplified(SimpleNamespace(source=SimpleNamespace(fit=refitted)), (item,))
+    assert set(found.fit.values) == {"law.amplitude1", "law.phase1", "law.amplitude0"}
+    assert asked[0] == {"law.amplitude2", "law.phase2"}  # the least told first
+    assert found.insertion is item.insertion
+
+
+def test_a_law_keeps_its_only_parameter():
+    item = SimpleNamespace(insertion=SimpleNamespace(free=("law.amplitude1",)), fit=law({"law.amplitude1": (0.1, 0.2)}))
+    assert _simplified(SimpleNamespace(), (item,)) == (item,)
+
+
+def test_a_rejection_is_void_once_another_effect_is_in():
+    """A bow alone explained nothing beside the rub, which was not known yet; with the rub, it is the simpler law."""
+    base = Fit({}, misfit=5e5, rows=ROWS, equations=ROWS)
+    coupling, rub = candidate("parallel_misalignment", 3e5, 8), candidate("rub", 990.0, 11)
+    bow_alone, bow = candidate("residual_bow", 4.99e5, 2), candidate("residual_bow", 995.0, 5)
+    without = candidate("rub", 2e5, 3)
+    again = []
+
+    def tried(before: Fit, only: object = None) -> Round:
+        again.append((before.misfit, only))
+        return Round(before, (bow, replaced(coupling, 990.0, 11)))
+
+    trials = SimpleNamespace(round=tried, refitted=lambda *_: (without,), slack=0.0)
+    rounds = [Round(base, (coupling, bow_alone)), Round(coupling.fit, (rub,))]
+    chosen, _ = _reconsidered(trials, base, (coupling, rub), rounds)
+    assert again[0] == (2e5, None)  # all rows, not those that had explained much
+    assert {item.insertion.physics for item in chosen} == {"residual_bow", "rub"}
+
+
+def replaced(item: SimpleNamespace, misfit: float, extra: int) -> SimpleNamespace:
+    return candidate(item.insertion.physics, misfit, extra)
+
+
+def test_a_class_is_judged_as_the_effect_stood_in_its_round():
+    """An effect may carry a fit without another that was exchanged since: its rivals stood beside that one too."""
+    before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
+    in_round, rival = candidate("rub", 980.0, 1), candidate("clearance", 1500.0, 1)
+    stale = candidate("rub", 90000.0, 1)
+    effect = _effect(stale, Round(before, (in_round, rival)), 0.0)
+    assert effect.members == {"rub": 1.0}
+    assert effect.candidate.fit is in_round.fit

@@ -1,0 +1,151 @@
+"""Parameters at their bounds, or of which the data say nothing: they move again, and no interval is empty."""
+
+import numpy as np
+import pytest
+
+from rotorsim.diagram.diagram import Free
+from rotorsim.identification.coordinates import Coordinates
+from rotorsim.identification.estimate import Estimate, Search
+from rotorsim.identification.files import identification_data
+from rotorsim.identification.identification import identify
+from rotorsim.identification.likelihood import Evaluation
+from rotorsim.identification.profile import linear_intervals
+from tests.identification import OTHER_GAINS, TRUTH, changed, errors, made, recorded
+from tests.reference.recordings import LOWER, THESIS_GAINS
+
+RISE = 2.705543  # of chi-squared of one parameter, 90 %
+COLLAPSED = {"viscous_damping": 1e-40, "force_displacement_factor": 1e-13}
+
+
+def collapsed():
+    return changed("jeffcott", lambda document: document["parameters"].update(COLLAPSED))
+
+
+def test_values_that_an_earlier_fit_brought_to_nothing_are_found_again():
+    """Scaled by themselves they moved nothing, and were left where they were."""
+    gains = (THESIS_GAINS, OTHER_GAINS)
+    runs = [run for some in gains for run in made("jeffcott", LOWER["jeffcott"][::4], TRUTH, gains=some)]
+    assert max(errors(identify(collapsed(), recorded(runs), profile=False)).values()) < 1e-3
+
+
+def test_the_size_of_a_value_that_says_nothing_is_what_its_block_declares():
+    scales = {item.name: item.scale for item in collapsed().free}
+    assert scales["force_displacement_factor"] == 105210.0
+    assert scales["viscous_damping"] == 76.0
+    assert scales["eccentricity"] == 24e-6  # as given
+
+    def bent(document, amplitude):
+        document["blocks"]["bow"] = {"type": "residual_bow", "parameters": {"amplitude": amplitude}}
+        document["wires"] += [["clock.theta", "bow.theta"], ["bow.force", "rotor.force"]]
+        document["identify"] = {"bow.amplitude": {}}
+
+    for amplitude, scale in ((0.0, 1e-6), (1e-20, 1e-6), (2e-8, 2e-8), (3e-5, 3e-5)):
+        [item] = changed("jeffcott", lambda document, a=amplitude: bent(document, a)).free
+        assert item.scale == scale
+
+
+class Straight:
+    """A search whose residual is J q - y, q = theta / scale between bounds."""
+
+    def __init__(self, J, y, scale, low, high) -> None:
+        self.J, self.y = np.asarray(J, float), np.asarray(y, float)
+        self.coordinates = Coordinates(np.asarray(scale, float), (), np.asarray(low, float), np.asarray(high, float))
+
+    def residual(self, q):
+        return self.J @ q - self.y
+
+    def slopes(self, q):
+        return self.J
+
+    def found(self, q) -> Estimate:
+        free = tuple(
+            Free(f"p{k}", f"p{k}", 0, 1.0, "m", low, high)
+            for k, (low, high) in enumerate(zip(self.coordinates.low, self.coordinates.high, strict=True))
+        )
+        r = self.residual(q)
+        evaluation = Evaluation(r, self.J, np.array([r @ r]), np.zeros(0), len(r))
+        at_bound = self.coordinates.at_bound(q, 1e-6)
+        information = self.J.T @ self.J
+        return Estimate(free, q * self.coordinates.scale, self.coordinates, evaluation, information, at_bound, r @ r, 1)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_interval_at_a_bound_has_one_side(side):
+    """Of x with the free estimate -0.5 std beyond the bound 0: up to where (x + 0.5)^2 - 0.5^2 is 2.71, in std."""
+    J = np.array([[2.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+    y = J @ [-side * 0.25, 3.0]  # std of the first: 1/2
+    ends = (0.0, np.inf) if side > 0 else (-np.inf, 0.0)
+    search = Straight(J, y, (1e-6, 1.0), (ends[0], -9.0), (ends[1], 9.0))
+    found = search.found(np.array([0.0, 3.0]))
+    assert found.at_bound.tolist() == [True, False]
+    assert found.std[0] == 0.0
+    intervals = linear_intervals(search, found)
+    far = side * 0.5e-6 * (np.sqrt(RISE + 0.25) - 0.5)
+    assert sorted(intervals[0]) == pytest.approx(sorted((0.0, far)), rel=1e-6, abs=1e-20)
+    assert intervals[1] == pytest.approx((3 - 1.644854 / np.sqrt(2), 3 + 1.644854 / np.sqrt(2)), rel=1e-6)
+
+
+def test_an_interval_at_a_bound_lets_the_others_follow():
+    """With a partner of correlation -0.8 the profile rises as 0.36 of the square."""
+    J = np.linalg.cholesky(np.array([[1.0, 0.8], [0.8, 1.0]])).T
+    search = Straight(J, np.zeros(2), (1.0, 1.0), (0.0, -9.0), (np.inf, 9.0))
+    intervals = linear_intervals(search, search.found(np.zeros(2)))
+    assert intervals[0] == pytest.approx((0.0, np.sqrt(RISE / 0.36)), rel=1e-6)
+
+
+def test_what_the_data_say_nothing_about_has_no_finite_interval():
+    """Two parameters that are one number, one that nothing depends on, and one that is known to a half."""
+    J = np.array([[3.0, 6e4, 0.0, 0.0], [1.0, 2e4, 0.0, 2.0], [1.0, 2e4, 0.0, -1.0]])
+    search = Straight(J, np.zeros(3), (1.0, 1.0, 1.0, 1.0), (0.0, *3 * [-np.inf]), 4 * [np.inf])
+    found = search.found(np.array([0.5, 0.0, 0.0, 0.0]))
+    assert found.undetermined.tolist() == [True, True, True, False]
+    assert np.isinf(found.std[:3]).all()
+    # (1, 2) projected off (1, 1, 3) / sqrt 11, with -1: |(2, -1)|^2 - 1 / 11
+    assert found.std[3] == pytest.approx(1 / np.sqrt(5 - 1 / 11), rel=1e-9)
+    intervals = linear_intervals(search, found)
+    assert intervals[0].tolist() == [0.0, np.inf]
+    assert intervals[1].tolist() == [-np.inf, np.inf]
+
+
+def test_a_small_slope_is_no_ignorance():
+    """A parameter known to 1 % is known, beside one that is known to 1e-11."""
+    search = Straight(np.diag([1e11, 100.0]), np.zeros(2), (1.0, 1.0), (-9, -9), (9, 9))
+    found = search.found(np.array([0.1, 0.2]))
+    assert found.std == pytest.approx([1e-11, 0.01], rel=1e-9)
+
+
+def test_an_amplitude_has_a_largest_value_in_every_direction():
+    pair = Coordinates(np.array([2.0, 2.0]), ((0, 1),), np.array([0.0, -np.inf]), np.array([10.0, np.inf]))
+    low, high = pair.bounds
+    assert low.tolist() == [-5.0, -5.0]
+    assert high.tolist() == [5.0, 5.0]
+    assert pair.outside(np.array([3.0, 3.9])) == pytest.approx([2 * np.hypot(3.0, 3.9), np.arctan2(3.9, 3.0)])
+    assert pair.outside(np.array([-4.0, 4.0])) == pytest.approx([10.0, 0.75 * np.pi])
+    assert pair.at_bound(np.array([-4.0, 4.0]), 1e-6).tolist() == [True, False]
+    assert pair.at_bound(np.array([0.0, 4.9]), 1e-6).tolist() == [False, False]
+
+
+def test_an_identification_says_what_is_at_its_bound():
+    """Without damping in the truth the estimate is at zero or above: the interval has a width, the flag says where."""
+    truth = TRUTH.changed({"viscous_damping": 0.0})
+    recording = recorded(made("jeffcott", LOWER["jeffcott"][::4], truth, level=0.02, seed=4))
+    found = identify(collapsed(), recording, profile=False)
+    item = found.parameters["viscous_damping"]
+    data = identification_data(found)["parameters"]
+    assert [name for name, said in data.items() if said["at_bound"]] == ["viscous_damping"]
+    assert item.value < 1e-4
+    low, high = item.interval90
+    assert low == 0.0
+    assert high > 0.01
+    assert item.std == pytest.approx(high / 1.644854, rel=1e-3)
+    assert data["viscous_damping"]["interval90"] == [low, high]
+
+
+def test_the_search_moves_off_a_bound():
+    """From the bound itself, where the data want it elsewhere."""
+    search = object.__new__(Search)
+    straight = Straight(
+        np.array([[1e6, 1.0], [0.0, 1e-2]]), [1e6 * 0.3 + 2.0, 2e-2], (1.0, 1.0), (0.0, 0.0), (9.0, 9.0)
+    )
+    search.coordinates, search.residual, search.slopes = straight.coordinates, straight.residual, straight.slopes
+    assert search.minimise(np.array([0.1, 0.0])) == pytest.approx([0.3, 2.0], rel=1e-6)

@@ -1,0 +1,162 @@
+"""The response of many runs at many orders, by inverses and by the ports of what nothing moves."""
+
+import numpy as np
+import pytest
+
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
+from rotorsim.model.compiled import compile_diagram
+from rotorsim.model.load import load
+from rotorsim.settled.equations import NonlinearEquations
+from rotorsim.settled.linear_equations import Equations
+from rotorsim.settled.linear_motion import Motion, PortMotion
+from rotorsim.settled.motion import NonlinearMotion
+from rotorsim.settled.ports import DENSE, open_ports, slow_states
+from rotorsim.settled.resolvent import PortResolvent, Resolvent
+
+SPEEDS = np.array([150.0, -260.0, 410.0])
+SLOW = [np.array([], int), np.array([2]), np.array([0, 5])]
+
+
+def systems(n: int) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(n)
+    A = random.standard_normal((3, n, n)) - 2 * np.sqrt(n) * np.eye(n)
+    return A, 1j * np.array([[10.0], [20.0], [31.0]]) * np.arange(4)
+
+
+def test_the_response_solves_the_system():
+    n = 30
+    A, s = systems(n)
+    random = np.random.default_rng(1)
+    right = random.standard_normal((3, 4, n, 2)) + 1j * random.standard_normal((3, 4, n, 2))
+    found = Resolvent(A, s, SLOW)
+    X = found.apply(right)
+    for r in range(3):
+        for k in range(4):
+            matrix, b = s[r, k] * np.eye(n) - A[r], right[r, k]
+            if k == 0 and len(SLOW[r]):  # slow states rest, and their equations are not asked for
+                kept = np.setdiff1d(np.arange(n), SLOW[r])
+                assert np.abs(X[r, 0, SLOW[r]]).max() == 0.0
+                matrix, b, x = matrix[np.ix_(kept, kept)], b[kept], X[r, 0, kept]
+            else:
+                x = X[r, k]
+            assert np.abs(matrix @ x - b).max() < 1e-11 * np.abs(b).max() * n
+        assert found.apply_to_run(r, right[r, :, :, 0]) == pytest.approx(X[r, :, :, 0], rel=1e-9, abs=1e-12)
+
+
+def test_ports_respond_as_the_whole_does_to_what_moves_them():
+    n, ranks = 40, 3
+    A, s = systems(n)
+    random = np.random.default_rng(2)
+    B = random.standard_normal((n, ranks))
+    columns = np.array([4, 7, 8, 30])
+    samples = [1e-9 * B @ random.standard_normal((ranks, 5)), 1e6 * B[:, :1]]  # of any size
+    ports = open_ports(A, s, SLOW, columns, samples)
+    assert len(ports.rows) == ranks
+    assert ports.columns.tolist() == [0, 2, 4, 5, 7, 8, 30]  # the slow states are seen, too
+    D = np.zeros((3, n, n))
+    D[:, :, columns] = np.einsum("ij,rjk->rik", B, 0.3 * random.standard_normal((3, ranks, len(columns))))
+    force = np.einsum("ij,rkjm->rkim", B, random.standard_normal((3, 4, ranks, 2)))
+    whole = Resolvent(A + D, s, SLOW)
+    change = (A + D)[:, ports.rows[:, None], ports.columns] - ports.within
+    part = PortResolvent(ports, change)
+    expected = whole.apply(force.astype(complex))[:, :, ports.columns]
+    assert part.apply(force[:, :, ports.rows].astype(complex)) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    for r in range(3):
+        one = part.apply_to_run(r, force[r][:, ports.rows, 0].astype(complex))
+        assert one == pytest.approx(expected[r, :, :, 0], rel=1e-9, abs=1e-9)
+        assert part.slow_columns(r) == pytest.approx(whole.slow_columns(r)[ports.columns], rel=1e-9, abs=1e-9)
+
+
+def test_slow_states_of_large_systems_are_those_of_all_modes():
+    random = np.random.default_rng(3)
+    n = DENSE + 20
+    blocks = np.diag(-np.linspace(40.0, 900.0, n))
+    blocks[3, 3], blocks[11, 11], blocks[12, 12] = -0.07, -0.02, -0.02  # two of them alike
+    T = np.eye(n) + 0.02 * random.standard_normal((n, n))
+    A = T @ blocks @ np.linalg.inv(T)
+    assert slow_states(A, 1.0).tolist() == [3, 11, 12]
+    assert slow_states(A + 50.0 * np.eye(n) - 100.0 * np.eye(n), 1.0).tolist() == []
+
+
+def test_slow_states_of_two_axes_that_are_exactly_alike():
+    n = DENSE
+    axis = np.diag(-np.linspace(40.0, 900.0, n)) + 2.0 * np.eye(n, k=1)
+    axis[5, 5] = -0.07
+    A = np.kron(axis, np.eye(2))
+    assert slow_states(A, 1.0).tolist() == [10, 11]
+    assert slow_states(np.kron(axis, np.eye(3)), 1.0).tolist() == [15, 16, 17]
+
+
+def machine(**parameters):
+    document = shipped_diagrams()["fe_rigid"]
+    diagram = load(document)
+    free = [item for item in diagram.free if item.name != "crack_phase"]
+    model = compile_diagram(diagram)
+    outputs = [f"rotor.displacement[{node},{axis}]" for node in (2, 3, 5) for axis in (1, 2)]
+    p = np.array([model.parameter_vector({"speed": speed, "controller.KD": 3.0 + r}) for r, speed in enumerate(SPEEDS)])
+    return model, [*outputs, "controller.current[1]"], free, p
+
+
+def test_a_beam_moves_by_way_of_its_ports_as_by_all_its_states():
+    model, outputs, free, p = machine()
+    equations = Equations(model, outputs, free)
+    assert equations.n > DENSE
+    motion = Motion(equations, p, SPEEDS, 7, [1.0, 1.0, 1.0], np.array([0.0, 0.4, 1.1]))
+    ports = PortMotion(motion, equations.theta0)
+    theta = equations.theta0 * np.linspace(0.8, 1.3, len(free))
+    whole, part = motion.response(theta), ports.response(theta)
+    X, x = whole.states(), part.states()
+    Y = whole.outputs(X)
+    assert np.abs(part.outputs(x) - Y).max() < 1e-9 * np.abs(Y).max()
+    slopes = whole.sensitivity(X)
+    for j in range(len(free)):
+        assert np.abs(part.sensitivity(x) - slopes)[..., j].max() < 1e-8 * np.abs(slopes[..., j]).max()
+    for r in range(3):
+        assert part.C[r] @ part.slow_states(r) == pytest.approx(whole.C[r] @ whole.slow_states(r), rel=1e-8, abs=1e-12)
+
+
+def test_harmonic_balance_of_a_linear_beam_is_its_direct_response():
+    model, outputs, free, p = machine()
+    linear, other = Equations(model, outputs, free), NonlinearEquations(model, outputs, free)
+    motion = Motion(linear, p, SPEEDS, 7, [1.0, 1.0, 1.0], np.array([0.0, 0.4, 1.1]))
+    balance = NonlinearMotion(other, p, SPEEDS, 7, [1.0, 1.0, 1.0], np.array([0.0, 0.4, 1.1]))
+    theta = linear.theta0 * np.linspace(0.8, 1.3, len(free))
+    response = motion.response(theta)
+    X = response.states()
+    found = balance.predict(theta)
+    assert found.settled.all()
+    Y, slopes = response.outputs(X), response.sensitivity(X)
+    assert np.abs(found.Y - Y).max() < 1e-9 * np.abs(Y).max()
+    for j in range(len(free)):
+        assert np.abs(found.slopes[..., j] - slopes[..., j]).max() < 1e-8 * np.abs(slopes[..., j]).max()
+
+
+def test_what_is_the_same_in_all_runs_becomes_a_number_and_changes_nothing():
+    model, outputs, free, p = machine()
+    whole, folded = Equations(model, outputs, free), Equations(model, outputs, free, p)
+    slots = {slot for some in folded.slots for slot in some}
+    assert len(folded.known) > 20
+    assert not slots & set(folded.known)
+    theta = whole.theta0 * np.linspace(0.8, 1.3, len(free))
+    many = np.repeat(theta[None], len(p), 0)
+    for key, matrix in whole.matrices.items():
+        for ours, theirs in zip(folded.matrices[key](p, many), matrix(p, many), strict=True):
+            assert np.abs(ours - theirs).max(initial=0.0) <= 1e-10 * np.abs(theirs).max(initial=0.0)
+    for ours, theirs in zip(folded.forcing(p, many, SPEEDS, 5), whole.forcing(p, many, SPEEDS, 5), strict=True):
+        assert np.abs(ours - theirs).max() < 1e-10 * np.abs(theirs).max()
+
+
+def test_known_parameters_of_other_runs_are_not_those_of_the_first():
+    model, outputs, free, p = machine()
+    folded = Equations(model, outputs, free, p)
+    assert folded.at(p[::-1]) is folded
+    other = p.copy()
+    place = model.parameters["controller.KP"].start
+    other[:, place] *= 1.5
+    found = Motion(folded, other, SPEEDS, 3, [1.0, 1.0, 1.0], np.zeros(3)).response(folded.theta0).A
+    right = Motion(Equations(model, outputs, free), other, SPEEDS, 3, [1.0, 1.0, 1.0], np.zeros(3))
+    expected = right.response(folded.theta0).A
+    assert found == pytest.approx(expected, rel=1e-10, abs=1e-10)
+    balance = NonlinearEquations(model, outputs, free, p)
+    assert balance.at(p) is balance
+    assert not balance.at(other).known
