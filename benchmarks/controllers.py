@@ -28,9 +28,15 @@ from tests.systems.shipped import load_document
 
 MODELS = ("jeffcott", "offset_disc")
 CONTROLLERS = (
-    "pid", "pd", "lead_lag", "state_feedback", "state_space", "discrete_pid", "notch_pid",
+    "pid",
+    "pd",
+    "lead_lag",
+    "state_feedback",
+    "state_space",
+    "discrete_pid",
+    "notch_pid",
     "cross_coupled_pid",
-)  # fmt: skip
+)
 WINDOW = (4.0, 5.0)  # s
 TOUCH_DOWN = 1e-3  # m; a rotor that moves further does not levitate
 

@@ -21,11 +21,15 @@ from rotorsim.model.load import load
 from rotorsim.simulation.run import simulate
 
 MASTERS = (
-    ("jacobi", 0, "Jacobi, held"), ("gauss_seidel", 0, "Gauss-Seidel, held"), ("jacobi", 1, "Jacobi, linear"),
-    ("gauss_seidel", 1, "Gauss-Seidel, linear"), ("jacobi", 2, "Jacobi, quadratic"),
-    ("iterative", 1, "iterative, linear"), ("iterative", 2, "iterative, quadratic"),
+    ("jacobi", 0, "Jacobi, held"),
+    ("gauss_seidel", 0, "Gauss-Seidel, held"),
+    ("jacobi", 1, "Jacobi, linear"),
+    ("gauss_seidel", 1, "Gauss-Seidel, linear"),
+    ("jacobi", 2, "Jacobi, quadratic"),
+    ("iterative", 1, "iterative, linear"),
+    ("iterative", 2, "iterative, quadratic"),
     ("iterative", 3, "iterative, cubic"),
-)  # fmt: skip
+)
 STEPS = (5e-5, 1e-4, 2e-4, 1e-3)
 INNER, STOP = 2e-5, 0.1
 

@@ -53,11 +53,12 @@ def one_seed(argument: dict[str, int]) -> dict[str, Any]:
         "identified": [verdict.identifiable for verdict in verdicts],
         "known": [
             [verdict.combination.factors, verdict.combination.value, verdict.combination.std]
-            if verdict.combination else None
+            if verdict.combination
+            else None
             for verdict in verdicts
         ],
         "goodness": found.goodness,
-    }  # fmt: skip
+    }
 
 
 def cramer_rao(sets: int) -> np.ndarray:

@@ -24,13 +24,7 @@ from benchmarks import controllers, speed
 from benchmarks.harness import ROOT, Line, at_most, run_process, within, write
 from rotorsim.linear.eigenmodes import modes
 from tests.reference.excitation import RPM
-from tests.reference.published import (
-    FE_RIGID_AT_3000_RPM,
-    FE_RIGID_AT_REST,
-    RUN_UP_RIGHT,
-    RUN_UP_THESIS,
-    as_printed,
-)
+from tests.reference.published import FE_RIGID_AT_3000_RPM, FE_RIGID_AT_REST, RUN_UP_RIGHT, RUN_UP_THESIS, as_printed
 from tests.reference.rotor import fe_rigid
 from tests.systems import figures
 from tests.systems.shipped import document, shipped
@@ -86,11 +80,21 @@ def order() -> list[Line]:
 def run_ups() -> list[Line]:
     """Resonances of the run-up of S1 from the Hilbert envelope."""
     return [
-        within("S1 run-up, angle = integral of speed [rpm]", figures.run_up_peak("jeffcott_runup"), RUN_UP_RIGHT,
-               0.01 * RUN_UP_RIGHT, "{:.0f}"),
-        within("S1 run-up, the thesis' angle omega(t) t [rpm]", figures.run_up_peak(figures.thesis_run_up()),
-               RUN_UP_THESIS, 0.01 * RUN_UP_THESIS, "{:.0f}"),
-    ]  # fmt: skip
+        within(
+            "S1 run-up, angle = integral of speed [rpm]",
+            figures.run_up_peak("jeffcott_runup"),
+            RUN_UP_RIGHT,
+            0.01 * RUN_UP_RIGHT,
+            "{:.0f}",
+        ),
+        within(
+            "S1 run-up, the thesis' angle omega(t) t [rpm]",
+            figures.run_up_peak(figures.thesis_run_up()),
+            RUN_UP_THESIS,
+            0.01 * RUN_UP_THESIS,
+            "{:.0f}",
+        ),
+    ]
 
 
 def settled() -> list[Line]:
@@ -202,9 +206,14 @@ def _interrupted(folder: Path) -> Line:
 
 
 PARTS: dict[str, Callable[[], list[Line]]] = {
-    "table": table, "frequencies": frequencies, "order": order, "run_ups": run_ups, "settled": settled,
-    "swapping": swapping, "bad_input": bad_input,
-}  # fmt: skip
+    "table": table,
+    "frequencies": frequencies,
+    "order": order,
+    "run_ups": run_ups,
+    "settled": settled,
+    "swapping": swapping,
+    "bad_input": bad_input,
+}
 
 
 def main() -> None:

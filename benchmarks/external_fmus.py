@@ -42,15 +42,21 @@ STEPS = (1e-1, 1e-2, 1e-3)  # s, communication
 JUDGED = 1  # the step of STEPS at which masters are compared: at 1 ms the iterative one is at rounding
 INNER, STOP = 1e-4, 1.0  # s; own steps of Model Exchange, and of Co-Simulation where inputs move
 EXPLICIT = (
-    ("jacobi", 0, "Jacobi, held"), ("gauss_seidel", 0, "Gauss-Seidel, held"), ("jacobi", 1, "Jacobi, linear"),
-    ("gauss_seidel", 1, "Gauss-Seidel, linear"), ("jacobi", 2, "Jacobi, quadratic"),
+    ("jacobi", 0, "Jacobi, held"),
+    ("gauss_seidel", 0, "Gauss-Seidel, held"),
+    ("jacobi", 1, "Jacobi, linear"),
+    ("gauss_seidel", 1, "Gauss-Seidel, linear"),
+    ("jacobi", 2, "Jacobi, quadratic"),
     ("gauss_seidel", 2, "Gauss-Seidel, quadratic"),
-)  # fmt: skip
+)
 ITERATIVE = {
-    "me": (("iterative", 1, "iterative, linear"), ("iterative", 2, "iterative, quadratic"),
-           ("iterative", 3, "iterative, cubic")),
+    "me": (
+        ("iterative", 1, "iterative, linear"),
+        ("iterative", 2, "iterative, quadratic"),
+        ("iterative", 3, "iterative, cubic"),
+    ),
     "cs": (("waveform", None, "waveform"),),  # these FMUs cannot restore a state
-}  # fmt: skip
+}
 TITLES = {"me": "Model Exchange", "cs": "Co-Simulation"}
 TARGET = 1e-6  # m, of the iterative master; the reference is to be a thousand times better
 PID_STEP, PID_STOP, LAST = 1e-4, 0.3, 0.05  # s; LAST: the part of the run whose peak is taken
@@ -72,9 +78,13 @@ def whole(folder: Path, kind: str) -> Diagram:
 
 def _diagram(folder: Path, blocks: dict[str, Any], wires: list[list[str]]) -> Diagram:
     document = {
-        "schema_version": 1, "name": "masses", "blocks": blocks, "wires": wires,
-        "solver": {"step": INNER, "stop": STOP}, "record": ["a.x1"],
-    }  # fmt: skip
+        "schema_version": 1,
+        "name": "masses",
+        "blocks": blocks,
+        "wires": wires,
+        "solver": {"step": INNER, "stop": STOP},
+        "record": ["a.x1"],
+    }
     return load(document, folder=folder, trust_blocks=True)
 
 
@@ -178,10 +188,15 @@ def controller(folder: Path) -> tuple[str, list[Line]]:
     apart = float(np.abs(coupled - monolithic[: len(coupled)]).max() / np.abs(monolithic).max())
     head = ["controller", "ends", "peak of the last 50 ms [um]", "processes left", "folders left"]
     rows = [
-        ["Pid.fmu (pythonfmu), Gauss-Seidel, held, 0.1 ms", f"{found.status} at {found.time[-1]:.3g} s",
-         f"{1e6 * peaks[0]:.3f}", str(processes), str(folders)],
+        [
+            "Pid.fmu (pythonfmu), Gauss-Seidel, held, 0.1 ms",
+            f"{found.status} at {found.time[-1]:.3g} s",
+            f"{1e6 * peaks[0]:.3f}",
+            str(processes),
+            str(folders),
+        ],
         ["`pid`, monolithic", "finished", f"{1e6 * peaks[1]:.3f}", "", ""],
-    ]  # fmt: skip
+    ]
     lines = [
         Line("Pid.fmu: the run", found.message or found.status, "finished", found.status == "finished"),
         Line("Pid.fmu: peak of the last 50 ms, coupled over monolithic", f"{peaks[0] / peaks[1]:.4f}"),

@@ -67,11 +67,13 @@ def main() -> None:
                 FastLoop([slave], np.zeros((0, 2)), np.zeros(0)).run(0.0, H, STEPS)
 
             slave.setup(0.0, 1e6, outputs=OUTPUTS)
-            times = medians({
-                "plain C": baselines.jeffcott(STEPS, H, flags=baselines.PLAIN),
-                "doStep from C": in_c,
-                "doStep from FMPy": fmpy_loop(file, str(Path(folder) / "unpacked")),
-            })  # fmt: skip
+            times = medians(
+                {
+                    "plain C": baselines.jeffcott(STEPS, H, flags=baselines.PLAIN),
+                    "doStep from C": in_c,
+                    "doStep from FMPy": fmpy_loop(file, str(Path(folder) / "unpacked")),
+                }
+            )
     for name, seconds in times.items():
         print(Line(name, f"{seconds / STEPS * 1e9:.0f} ns a step", f"{seconds / times['plain C']:.2f} of plain C"))
 

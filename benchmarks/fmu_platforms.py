@@ -38,9 +38,10 @@ from rotorsim.model.load import load
 HOST = ROOT / "benchmarks" / "external" / "fmu_host.c"
 WHAT: dict[str, list[str] | None] = {"rotor": ["rotor"], "whole diagram": None}
 PROCESSORS = {
-    "ELF": {0x3E: "x86_64", 0xB7: "aarch64"}, "PE": {0x8664: "x86_64", 0xAA64: "aarch64"},
+    "ELF": {0x3E: "x86_64", 0xB7: "aarch64"},
+    "PE": {0x8664: "x86_64", 0xAA64: "aarch64"},
     "Mach-O": {0x01000007: "x86_64", 0x0100000C: "aarch64"},
-}  # fmt: skip
+}
 SYSTEMS = {"ELF": "linux", "PE": "windows", "Mach-O": "darwin"}
 SIGNATURE = 0x1D  # LC_CODE_SIGNATURE: macOS on arm64 loads no library without one
 STEP, COUNT, EVERY = 1e-4, 5000, 10
@@ -172,9 +173,11 @@ def _run(file: Path, name: str, options: list[str], wine: list[str], folder: Pat
         library.write_bytes(archive.read(entry))
     given = [str(library), description.token, repr(STEP), str(COUNT), str(EVERY), *references]
     environment = {
-        **os.environ, "WINEPREFIX": str(folder / "prefix"), "WINEDEBUG": "-all",
+        **os.environ,
+        "WINEPREFIX": str(folder / "prefix"),
+        "WINEDEBUG": "-all",
         "WINEDLLOVERRIDES": "mscoree,mshtml=;winemenubuilder.exe=d",
-    }  # fmt: skip
+    }
     environment.pop("DISPLAY", None)
     command = [*wine, str(host), *given]
     server = shutil.which("wineserver") or shutil.which("/usr/lib/wine/wineserver64")

@@ -34,26 +34,114 @@ __all__ = ["damaged", "sandbox", "try_case"]
 
 SLOWEST = 5.0  # s that a case may take, apart from the FMU's own time limit
 ODD = (
-    "", " ", "-1", "0", "1", "2", "3", "99999999999", "4294967295", "4294967296", "-9223372036854775809", "1e999",
-    "NaN", "INF", "-INF", "nan", "1_000", "٣", "true", "maybe", "../../evil", "/etc/passwd", "C:evil", "a\\b", "a/b",
+    "",
+    " ",
+    "-1",
+    "0",
+    "1",
+    "2",
+    "3",
+    "99999999999",
+    "4294967295",
+    "4294967296",
+    "-9223372036854775809",
+    "1e999",
+    "NaN",
+    "INF",
+    "-INF",
+    "nan",
+    "1_000",
+    "٣",
+    "true",
+    "maybe",
+    "../../evil",
+    "/etc/passwd",
+    "C:evil",
+    "a\\b",
+    "a/b",
     "x" * 5000,
-    "\u202e\u0000".replace("\u0000", "&#1;"), "&lt;", "&amp;", "&evil;", "&#0;", "input", "output", "constant",
-    "calculated", "exact", "fixed", "discrete", "Float64", "1 2 3", "1 " * 300, "%s%s%n", "der(der(x))", "ä",
-    "'", "u[3]",
-)  # fmt: skip
+    "\u202e\u0000".replace("\u0000", "&#1;"),
+    "&lt;",
+    "&amp;",
+    "&evil;",
+    "&#0;",
+    "input",
+    "output",
+    "constant",
+    "calculated",
+    "exact",
+    "fixed",
+    "discrete",
+    "Float64",
+    "1 2 3",
+    "1 " * 300,
+    "%s%s%n",
+    "der(der(x))",
+    "ä",
+    "'",
+    "u[3]",
+)
 TAGS = (
-    "Float64", "Float32", "Int8", "UInt64", "Boolean", "String", "Binary", "Clock", "Enumeration", "Real", "Integer",
-    "Dimension", "Start", "Alias", "Unknown", "Output", "EventIndicator", "Unit", "ModelVariables", "x" * 3000,
-)  # fmt: skip
+    "Float64",
+    "Float32",
+    "Int8",
+    "UInt64",
+    "Boolean",
+    "String",
+    "Binary",
+    "Clock",
+    "Enumeration",
+    "Real",
+    "Integer",
+    "Dimension",
+    "Start",
+    "Alias",
+    "Unknown",
+    "Output",
+    "EventIndicator",
+    "Unit",
+    "ModelVariables",
+    "x" * 3000,
+)
 NAMES = (
-    "../evil", "../../../../evil", "/evil", "/tmp/evil", "C:/evil", "C:evil", "..\\evil", "a\\..\\..\\evil",
+    "../evil",
+    "../../../../evil",
+    "/evil",
+    "/tmp/evil",
+    "C:/evil",
+    "C:evil",
+    "..\\evil",
+    "a\\..\\..\\evil",
     "a/../../evil",
-    "a//b", "./a", "a/./b", "a/..", "..", ".", "/", "//evil/share", "resources/../../evil",
+    "a//b",
+    "./a",
+    "a/./b",
+    "a/..",
+    "..",
+    ".",
+    "/",
+    "//evil/share",
+    "resources/../../evil",
     "binaries/linux64/../../../evil",
-    "a\0b", "a\nb", "\x7f", "x" * 300, "x/" * 60 + "y", "resources", "resources/note.txt/below",
+    "a\0b",
+    "a\nb",
+    "\x7f",
+    "x" * 300,
+    "x/" * 60 + "y",
+    "resources",
+    "resources/note.txt/below",
     "modelDescription.xml/x",
-    "ä/ö", "con", "nul.txt", "a:b", "\u202egpj.exe", "~/evil", "$HOME/evil", "`touch evil`", "evil;rm", "-rf",
-)  # fmt: skip
+    "ä/ö",
+    "con",
+    "nul.txt",
+    "a:b",
+    "\u202egpj.exe",
+    "~/evil",
+    "$HOME/evil",
+    "`touch evil`",
+    "evil;rm",
+    "-rf",
+)
 
 _ATTRIBUTE = re.compile(r'[\w:]+="([^"]*)"')
 _TAG = re.compile(r"</?([A-Za-z]\w*)")
@@ -140,12 +228,28 @@ def _inserted(random_: random.Random, text: str) -> str:
     bomb = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'
     what = random_.choice(
         (
-            bomb, '<!DOCTYPE x SYSTEM "file:///etc/passwd">', "<a>" * 5000, "<a>" * 40 + "</a>" * 40, "<a/>" * 3000,
-            "<!--", "<![CDATA[", "]]>", "<?php ?>", "\x00", "\x01", "\ufffe", "&#xD800;", "<", "&", '"', "x" * 100_000,
-            '<a b="' + "y" * 100_000 + '"/>', "<a " + " ".join(f'a{k}=""' for k in range(500)) + "/>",
+            bomb,
+            '<!DOCTYPE x SYSTEM "file:///etc/passwd">',
+            "<a>" * 5000,
+            "<a>" * 40 + "</a>" * 40,
+            "<a/>" * 3000,
+            "<!--",
+            "<![CDATA[",
+            "]]>",
+            "<?php ?>",
+            "\x00",
+            "\x01",
+            "\ufffe",
+            "&#xD800;",
+            "<",
+            "&",
+            '"',
+            "x" * 100_000,
+            '<a b="' + "y" * 100_000 + '"/>',
+            "<a " + " ".join(f'a{k}=""' for k in range(500)) + "/>",
             '<Float64 name="big" valueReference="77">' + 2 * '<Dimension start="4000000000"/>' + "</Float64>",
         )
-    )  # fmt: skip
+    )
     at = random_.randrange(len(text) + 1)
     if random_.random() < 0.5:
         at = random_.choice([m.start() for m in re.finditer("<", text)] or [0])
@@ -171,9 +275,18 @@ def _recoded(random_: random.Random, data: bytes) -> bytes:
 
 
 _CHANGES = (
-    _value, _value, _value, _value_of_another, _value_of_another, _attribute_removed, _tag, _cut_out, _line_removed,
-    _line_moved, _inserted,
-)  # fmt: skip
+    _value,
+    _value,
+    _value,
+    _value_of_another,
+    _value_of_another,
+    _attribute_removed,
+    _tag,
+    _cut_out,
+    _line_removed,
+    _line_moved,
+    _inserted,
+)
 
 # -- archives ----------------------------------------------------------------------------------------------------------
 
@@ -254,11 +367,14 @@ def _cut(random_: random.Random, fmu: bytes) -> tuple[str, bytes]:
     a, b = sorted(random_.randrange(len(fmu) + 1) for _ in range(2))
     return random_.choice(
         (
-            ("archive: cut short", fmu[:a]), ("archive: a piece is missing", fmu[:a] + fmu[b:]),
-            ("archive: something before", b"MZ" * 5000 + fmu), ("archive: something after", fmu + bytes(100)),
-            ("archive: nothing", b""), ("archive: only a comment", b"PK\x05\x06" + bytes(18)),
+            ("archive: cut short", fmu[:a]),
+            ("archive: a piece is missing", fmu[:a] + fmu[b:]),
+            ("archive: something before", b"MZ" * 5000 + fmu),
+            ("archive: something after", fmu + bytes(100)),
+            ("archive: nothing", b""),
+            ("archive: only a comment", b"PK\x05\x06" + bytes(18)),
         )
-    )  # fmt: skip
+    )
 
 
 # -- trying ------------------------------------------------------------------------------------------------------------

@@ -35,9 +35,13 @@ RUNS = {
 LIMIT = {"jeffcott": 0.1, "offset_disc": 0.1, "fe_rigid": 0.5, "fe_flexible": 0.5}
 DEVELOPMENT = ROOT.parent / "shared" / "recordings" / "concealed_development" / "dev01_nothing"
 NAMES = {
-    "viscous_damping": "c", "crack_stiffness": "dk", "eccentricity": "e", "force_displacement_factor": "ks",
-    "force_current_factor": "ki", "crack_phase": "crack_phase",
-}  # fmt: skip
+    "viscous_damping": "c",
+    "crack_stiffness": "dk",
+    "eccentricity": "e",
+    "force_displacement_factor": "ks",
+    "force_current_factor": "ki",
+    "crack_phase": "crack_phase",
+}
 
 
 def _recording(runs: list[Any]) -> Any:
@@ -118,11 +122,14 @@ def development() -> list[Line]:
 
 def speed() -> list[Line]:
     """CPU times, beside plain NumPy for the same equations."""
-    ten = [made.add_noise(made.jeffcott_run(made.Truth(), w, rate=5000.0), 0.01, k)
-           for k, w in enumerate([*made.LOWER["jeffcott"], made.UPPER["jeffcott"][0]])]  # fmt: skip
+    ten = [
+        made.add_noise(made.jeffcott_run(made.Truth(), w, rate=5000.0), 0.01, k)
+        for k, w in enumerate([*made.LOWER["jeffcott"], made.UPPER["jeffcott"][0]])
+    ]
     recording = _recording(ten)
-    nine = _recording([made.add_noise(made.jeffcott_run(made.Truth(), w), 0.01, k)
-                       for k, w in enumerate(made.LOWER["jeffcott"])])  # fmt: skip
+    nine = _recording(
+        [made.add_noise(made.jeffcott_run(made.Truth(), w), 0.01, k) for k, w in enumerate(made.LOWER["jeffcott"])]
+    )
     diagram = load("jeffcott")
 
     def plain_harmonics() -> None:
@@ -143,13 +150,15 @@ def speed() -> list[Line]:
         plain.identify(found)
 
     with threadpool_limits(1, "blas"):
-        times = medians({
-            "plain harmonics": plain_harmonics,
-            "harmonics": lambda: harmonics_of(recording),
-            "plain": plain_identification,
-            "regression": lambda: identify(diagram, nine, method="regression"),
-            "likelihood": lambda: identify(diagram, nine),
-        })  # fmt: skip
+        times = medians(
+            {
+                "plain harmonics": plain_harmonics,
+                "harmonics": lambda: harmonics_of(recording),
+                "plain": plain_identification,
+                "regression": lambda: identify(diagram, nine, method="regression"),
+                "likelihood": lambda: identify(diagram, nine),
+            }
+        )
     h, p = times["harmonics"], times["plain harmonics"]
     also = f" ({h / p:.2f} of plain lstsq)"
     lines = [
@@ -178,8 +187,12 @@ def study(seeds: int) -> list[Line]:
 
 
 SECTIONS: dict[str, Callable[..., list[Line]]] = {
-    "clean": clean, "noisy": noisy, "development": development, "speed": speed, "study": study,
-}  # fmt: skip
+    "clean": clean,
+    "noisy": noisy,
+    "development": development,
+    "speed": speed,
+    "study": study,
+}
 
 
 def main() -> None:

@@ -23,9 +23,11 @@ from rotorsim.recordings.loading import load_recording
 COMMAND = [sys.executable, "-m", "rotorsim"]
 WALL = 60.0  # s, of a diagnosis on two idle cores
 EMPS = {  # Janot, Gautier & Brunot (2019)
-    "carriage.mass": 95.1, "carriage.viscous_friction": 203.5, "coulomb_friction.friction": 20.4,
+    "carriage.mass": 95.1,
+    "carriage.viscous_friction": 203.5,
+    "coulomb_friction.friction": 20.4,
     "coulomb_friction.offset": -3.2,
-}  # fmt: skip
+}
 PEAKS = (17.0, 51.0, 60.0, 100.5, 162.0, 203.3)  # Hz, as the recording of the rotor states them
 DOUBLET = (203.3, 211.5)  # Hz, likewise
 
@@ -102,10 +104,12 @@ def tum_amb_rotor(recordings: Path, out: Path) -> list[Line]:
         Line("   each predicted from the other resonances, before", f"{fit['before']['hold_out']:.3f}"),
         Line("   the same, repaired", f"{fit['after']['hold_out']:.3f}"),
         Line(
-            "   resonance that is said to be open", f"{at:.1f} Hz", f"of {DOUBLET[0]} and {DOUBLET[1]} Hz",
+            "   resonance that is said to be open",
+            f"{at:.1f} Hz",
+            f"of {DOUBLET[0]} and {DOUBLET[1]} Hz",
             bool(min(abs(at / peak - 1) for peak in DOUBLET) < 0.01),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _modes(diagram: str, settings: list[str]) -> np.ndarray:
@@ -120,8 +124,10 @@ def _rms(frequencies: np.ndarray) -> float:
 
 
 SECTIONS: dict[str, Callable[[Path, Path], list[Line]]] = {
-    "silverbox": silverbox, "emps": emps, "tum_amb_rotor": tum_amb_rotor,
-}  # fmt: skip
+    "silverbox": silverbox,
+    "emps": emps,
+    "tum_amb_rotor": tum_amb_rotor,
+}
 
 
 def main() -> None:

@@ -135,19 +135,32 @@ def jaxonomy(steps):
     displacement = add(Integrator(jnp.zeros(2), name="displacement"))
     integral = add(Integrator(jnp.zeros(2), name="integral"))
     wires = [
-        (displacement, controller, 0), (velocity, controller, 1), (integral, controller, 2),
-        (displacement, amb, 0), (controller, amb, 1),
-        (crack_block, rotor, 0), (unbalance_block, rotor, 1), (amb, rotor, 2), (displacement, rotor, 3),
-        (velocity, rotor, 4), (rotor, velocity, 0), (velocity, displacement, 0), (displacement, integral, 0),
-    ]  # fmt: skip
+        (displacement, controller, 0),
+        (velocity, controller, 1),
+        (integral, controller, 2),
+        (displacement, amb, 0),
+        (controller, amb, 1),
+        (crack_block, rotor, 0),
+        (unbalance_block, rotor, 1),
+        (amb, rotor, 2),
+        (displacement, rotor, 3),
+        (velocity, rotor, 4),
+        (rotor, velocity, 0),
+        (velocity, displacement, 0),
+        (displacement, integral, 0),
+    ]
     for source, target, port in wires:
         connect(source.output_ports[0], target.input_ports[port])
     diagram = builder.build()
     context = diagram.create_context()
     options = package.SimulatorOptions(
-        ode_solver_method="rk4", max_minor_step_size=STEP * (1 + 1e-6), max_major_step_length=STEP,
-        max_major_steps=steps + 10, buffer_length=2 * steps + 100, math_backend="jax",
-    )  # fmt: skip
+        ode_solver_method="rk4",
+        max_minor_step_size=STEP * (1 + 1e-6),
+        max_major_step_length=STEP,
+        max_major_steps=steps + 10,
+        buffer_length=2 * steps + 100,
+        math_backend="jax",
+    )
     recorded = {"displacement": displacement.output_ports[0], "current": controller.output_ports[0]}
     found = []
 
@@ -174,11 +187,17 @@ def main():
     print(
         json.dumps(
             {
-                "peer": name, "version": version(name), "steps": steps, "cpu": cpu, "wall": wall, "blocks": blocks,
-                "note": note, "last": [float(v) for v in last],
+                "peer": name,
+                "version": version(name),
+                "steps": steps,
+                "cpu": cpu,
+                "wall": wall,
+                "blocks": blocks,
+                "note": note,
+                "last": [float(v) for v in last],
             }
         )
-    )  # fmt: skip
+    )
 
 
 if __name__ == "__main__":

@@ -211,9 +211,13 @@ def _checked(tool: str, path: Path, environment: dict[str, str]) -> float:
 
 
 PARTS: dict[str, Callable[[], list[Line]]] = {
-    "jeffcott": jeffcott, "beam": beam, "sizes": sizes, "sixty_speeds": sixty_speeds, "command_line": command_line,
+    "jeffcott": jeffcott,
+    "beam": beam,
+    "sizes": sizes,
+    "sixty_speeds": sixty_speeds,
+    "command_line": command_line,
     "many_blocks": many_blocks,
-}  # fmt: skip
+}
 
 
 def report(parts: dict[str, Callable[[], list[Line]]], only: list[str] | None = None) -> list[Line]:

@@ -19,12 +19,21 @@ from rotorsim.identification.study.printed import TABLES
 from rotorsim.identification.study.study import Case, StudyResult, run_study, study_of_table
 
 SYMBOLS = {
-    "viscous_damping": "c", "crack_stiffness": "dk", "eccentricity": "e", "eccentricity1": "e1", "eccentricity2": "e2",
-    "unbalance_phase": "beta", "unbalance_phase1": "beta1", "unbalance_phase2": "beta2",
-    "force_displacement_factor": "k_s", "force_current_factor": "k_i",
-    "support_left.stiffness[1]": "k_Lx", "support_left.stiffness[2]": "k_Ly",
-    "support_right.stiffness[1]": "k_Rx", "support_right.stiffness[2]": "k_Ry",
-}  # fmt: skip
+    "viscous_damping": "c",
+    "crack_stiffness": "dk",
+    "eccentricity": "e",
+    "eccentricity1": "e1",
+    "eccentricity2": "e2",
+    "unbalance_phase": "beta",
+    "unbalance_phase1": "beta1",
+    "unbalance_phase2": "beta2",
+    "force_displacement_factor": "k_s",
+    "force_current_factor": "k_i",
+    "support_left.stiffness[1]": "k_Lx",
+    "support_left.stiffness[2]": "k_Ly",
+    "support_right.stiffness[1]": "k_Rx",
+    "support_right.stiffness[2]": "k_Ry",
+}
 NOISES = {"uniform": "5 % uniform: mean (rms)", "white": "5 % white", "thesis": "5 % normal (2.67)"}
 NOISE, BIASES = 0.05, (0.01, 0.05)
 CLEAN = Case("", 0.0, 0.0)

@@ -25,10 +25,39 @@ import casadi as ca
 import numpy as np
 
 __all__ = [
-    "Block", "Declaration", "DiscreteState", "Equations", "In", "Option", "Out", "Param", "Random", "State",
-    "absolute", "arctan2", "concatenate", "cos", "exp", "floor", "log", "matrix", "maximum", "minimum", "mod",
-    "rows", "sign", "sin", "solve", "sqrt", "sum_of", "tan", "tanh", "vec", "where", "zeros",
-]  # fmt: skip
+    "Block",
+    "Declaration",
+    "DiscreteState",
+    "Equations",
+    "In",
+    "Option",
+    "Out",
+    "Param",
+    "Random",
+    "State",
+    "absolute",
+    "arctan2",
+    "concatenate",
+    "cos",
+    "exp",
+    "floor",
+    "log",
+    "matrix",
+    "maximum",
+    "minimum",
+    "mod",
+    "rows",
+    "sign",
+    "sin",
+    "solve",
+    "sqrt",
+    "sum_of",
+    "tan",
+    "tanh",
+    "vec",
+    "where",
+    "zeros",
+]
 
 Symbol = Any  # a CasADi SX expression; CasADi has no type information
 Shape = tuple[int, ...]
@@ -219,9 +248,13 @@ class Equations:
 
 
 _KINDS: dict[str, tuple[type, ...]] = {
-    "inputs": (In,), "outputs": (Out,), "parameters": (_Param,), "options": (_Option,),
-    "states": (State,), "randoms": (Random,),
-}  # fmt: skip
+    "inputs": (In,),
+    "outputs": (Out,),
+    "parameters": (_Param,),
+    "options": (_Option,),
+    "states": (State,),
+    "randoms": (Random,),
+}
 
 
 class Block:

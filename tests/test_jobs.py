@@ -295,8 +295,15 @@ def test_a_script_that_does_not_guard_its_start_is_told_so(tmp_path):
     script.write_text(
         "import math\nfrom rotorsim.jobs.jobs import run_jobs\nrun_jobs(math.sqrt, [1.0, 4.0], workers=2)\n"
     )
-    done = subprocess.run([sys.executable, str(script)], cwd=ROOT, capture_output=True, text=True, check=False,
-                          env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=60)  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        timeout=60,
+    )
     assert done.returncode == 1
     assert done.stderr.endswith(
         "RotorsimError: error: the worker processes do not start: they end at once\n\n"
@@ -400,7 +407,7 @@ def test_cluster_elsewhere():
         protocol="tcp://",
         memory_limit=0,
         dashboard_address="127.0.0.1:0",
-    ) as cluster:  # fmt: skip
+    ) as cluster:
         address = cluster.scheduler_address
         with pytest.raises(RotorsimError, match="has no workers"):
             run_jobs(square, [1, 2], scheduler=address)

@@ -20,9 +20,7 @@ IMPORT = re.compile(r"^ *(?:import|from(?= [\w.]+ import )) (\w[\w., ]*?)(?: imp
 
 
 def test_the_package_list_is_complete() -> None:
-    inside = {
-        ".".join(init.parent.relative_to(ROOT).parts) for init in (ROOT / "rotorsim").rglob("__init__.py")
-    }  # fmt: skip
+    inside = {".".join(init.parent.relative_to(ROOT).parts) for init in (ROOT / "rotorsim").rglob("__init__.py")}
     blocks = {
         "rotorsim." + ".".join(init.parent.relative_to(ROOT).parts) for init in ROOT.glob("blocks/**/__init__.py")
     }
@@ -59,8 +57,11 @@ def test_block_files_import_only_what_a_block_is() -> None:
 
 def test_every_third_party_import_is_a_declared_dependency() -> None:
     declared = {re.split(r"[<>=!;\[ ]", item)[0].lower() for item in PROJECT["project"]["dependencies"]}
-    optional = {re.split(r"[<>=!;\[ ]", item)[0].lower()
-                for group in PROJECT["project"]["optional-dependencies"].values() for item in group}  # fmt: skip
+    optional = {
+        re.split(r"[<>=!;\[ ]", item)[0].lower()
+        for group in PROJECT["project"]["optional-dependencies"].values()
+        for item in group
+    }
     optional.add("cycler")  # a part of matplotlib's interface, and always installed with it
     unknown = set()
     for source in [*(ROOT / "rotorsim").rglob("*.py"), *(ROOT / "blocks").rglob("*.py")]:

@@ -13,13 +13,16 @@ from rotorsim import RotorsimError, load
 
 PARAMETERS = (
     ("speed", "1800", "'1800' has no unit\n\nhint: write '1800 rad/s', or a number without quotes (SI)"),
-    ("speed", "3 um", "unit 'um' does not fit 'rad/s'\n\nhint: give an angular speed in rad/s, rpm or Hz"
-     " (revolutions per second)"),
+    (
+        "speed",
+        "3 um",
+        "unit 'um' does not fit 'rad/s'\n\nhint: give an angular speed in rad/s, rpm or Hz (revolutions per second)",
+    ),
     ("speed", float("nan"), "must be a finite number"),
     ("speed", [1.0, 2.0], "2 values given, 1 expected"),
     ("rotor.mass", -1, "-1 kg must be greater than 0 kg"),
     ("rotor.mass", "2 lbs", "unknown unit 'lbs'\n\nhint: did you mean 'lb' or 'lbf'?"),
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")
@@ -70,17 +73,20 @@ def test_analyses_are_called_alike(name: str) -> None:
 def test_results_have_a_short_text_a_table_and_a_figure(jeffcott) -> None:
     speeds = np.array([100.0, 200.0])
     beam = load("fe_rigid", without=["crack"])
+    response = rotorsim.frequency_response(jeffcott, "amb.force", "rotor.displacement", frequencies=[1.0, 9.0])
     found = {
-        "Result(jeffcott: finished, 0..0.5 s, rotor.displacement, controller.current, clock.theta)":
-            rotorsim.simulate(jeffcott, stop=0.5),
-        "Periodic(jeffcott: 2 speeds, 954.93..1909.86 rpm, rotor.displacement)":
-            rotorsim.periodic(jeffcott, speeds=speeds, signals=["rotor.displacement"]),
+        "Result(jeffcott: finished, 0..0.5 s, rotor.displacement, controller.current, clock.theta)": rotorsim.simulate(
+            jeffcott, stop=0.5
+        ),
+        "Periodic(jeffcott: 2 speeds, 954.93..1909.86 rpm, rotor.displacement)": rotorsim.periodic(
+            jeffcott, speeds=speeds, signals=["rotor.displacement"]
+        ),
         "Modes(jeffcott: stable, 2 modes: 121.38 Hz, 121.38 Hz)": rotorsim.modes(jeffcott),
-        "Campbell(fe_rigid: 20 modes, 954.93..1909.86 rpm, no critical speed)":
-            rotorsim.campbell(beam, speeds=speeds, orders=(1,)),
-        "FrequencyResponse(rotor.displacement[1], rotor.displacement[2] / amb.force[1], amb.force[2]: 1..9 Hz)":
-            rotorsim.frequency_response(jeffcott, "amb.force", "rotor.displacement", frequencies=[1.0, 9.0]),
-    }  # fmt: skip
+        "Campbell(fe_rigid: 20 modes, 954.93..1909.86 rpm, no critical speed)": rotorsim.campbell(
+            beam, speeds=speeds, orders=(1,)
+        ),
+        "FrequencyResponse(rotor.displacement[1], rotor.displacement[2] / amb.force[1], amb.force[2]: 1..9 Hz)": response,
+    }
     for text, result in found.items():
         assert repr(result) == text
         assert text.partition(":")[0] in result._repr_html_()

@@ -7,15 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotorsim.units import (
-    UnitError,
-    compatible,
-    conversion,
-    convert,
-    format_quantity,
-    parse_quantity,
-    parse_unit,
-)
+from rotorsim.units import UnitError, compatible, conversion, convert, format_quantity, parse_quantity, parse_unit
 
 SYMBOLS = ["m", "kg", "s", "A", "K", "rad", "N", "Pa", "J", "W", "V", "Ohm", "F", "H", "T", "Wb", "C", "um", "kN", "mm"]
 UNIT = st.lists(
@@ -26,17 +18,39 @@ UNIT = st.lists(
 @pytest.mark.parametrize(
     ("text", "unit", "value"),
     [
-        ("24 um", "m", 24e-6), ("24um", "m", 24e-6), ("24 µm", "m", 24e-6), ("24 μm", "m", 24e-6),
-        ("1500 rpm", "rad/s", 50 * math.pi), ("25 Hz", "rad/s", 50 * math.pi), ("1 rev/s", "rad/s", 2 * math.pi),
-        ("90 deg/s", "rad/s", math.pi / 2), ("0.1 ms", "s", 1e-4), ("3e5 N/m", "N/m", 3e5),
-        ("105.21 kN/m", "N/m", 105210.0), ("30 deg", "rad", math.pi / 6), ("30 °", "rad", math.pi / 6),
-        ("1 kg/s", "N s/m", 1.0), ("3 N s^2/m", "kg", 3.0), ("5 g mm", "kg m", 5e-6), ("2 N/(A m)", "N/m/A", 2.0),
-        ("1 kg m²/s²", "J", 1.0), ("1 N**2", "N^2", 1.0), ("5 %", "1", 0.05), ("5", "1", 5.0), ("-.5e1 V", "V", -5.0),
-        ("1 mil", "m", 2.54e-5), ("1 lbf", "N", 4.4482216152605), ("25 Hz", "Hz", 25.0), ("1500 rpm", "Hz", 25.0),
-        ("3 T", "V s/m^2", 3.0), ("2 MPa", "N/mm^2", 2.0), ("7 kg", None, 7.0), ("7 g", None, 7e-3),
+        ("24 um", "m", 24e-6),
+        ("24um", "m", 24e-6),
+        ("24 µm", "m", 24e-6),
+        ("24 μm", "m", 24e-6),
+        ("1500 rpm", "rad/s", 50 * math.pi),
+        ("25 Hz", "rad/s", 50 * math.pi),
+        ("1 rev/s", "rad/s", 2 * math.pi),
+        ("90 deg/s", "rad/s", math.pi / 2),
+        ("0.1 ms", "s", 1e-4),
+        ("3e5 N/m", "N/m", 3e5),
+        ("105.21 kN/m", "N/m", 105210.0),
+        ("30 deg", "rad", math.pi / 6),
+        ("30 °", "rad", math.pi / 6),
+        ("1 kg/s", "N s/m", 1.0),
+        ("3 N s^2/m", "kg", 3.0),
+        ("5 g mm", "kg m", 5e-6),
+        ("2 N/(A m)", "N/m/A", 2.0),
+        ("1 kg m²/s²", "J", 1.0),
+        ("1 N**2", "N^2", 1.0),
+        ("5 %", "1", 0.05),
+        ("5", "1", 5.0),
+        ("-.5e1 V", "V", -5.0),
+        ("1 mil", "m", 2.54e-5),
+        ("1 lbf", "N", 4.4482216152605),
+        ("25 Hz", "Hz", 25.0),
+        ("1500 rpm", "Hz", 25.0),
+        ("3 T", "V s/m^2", 3.0),
+        ("2 MPa", "N/mm^2", 2.0),
+        ("7 kg", None, 7.0),
+        ("7 g", None, 7e-3),
         ("1 h", "s", 3600.0),
     ],
-)  # fmt: skip
+)
 def test_a_quantity_is_the_si_value(text: str, unit: str | None, value: float) -> None:
     assert parse_quantity(text, unit) == pytest.approx(value, rel=4e-16)
 
@@ -79,7 +93,7 @@ def test_a_decimal_prefix_gives_the_same_float_as_writing_the_exponent(text: str
         ("3 m^100", "m", "'m^100' is not a unit: power 100 has no base or is too large"),
         ("3 m!", "m", "'m!' is not a unit: unexpected '!'; write units like 'N s/m' or 'kg m^2'"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_quantity_is_refused_with_a_cure(text: str, unit: str, message: str) -> None:
     with pytest.raises(UnitError) as error:
         parse_quantity(text, unit)
@@ -93,12 +107,20 @@ def test_a_number_without_unit_is_si_only_where_that_is_allowed() -> None:
 @pytest.mark.parametrize(
     ("a", "b", "fit"),
     [
-        ("m", "m", "same"), ("N", "kg m/s^2", "same"), ("N m", "J", "same"), ("mm", "m", "scaled"),
+        ("m", "m", "same"),
+        ("N", "kg m/s^2", "same"),
+        ("N m", "J", "same"),
+        ("mm", "m", "scaled"),
         ("Hz", "rad/s", "scaled"),
-        ("rad", "1", "angle"), ("N m/rad", "N m", "angle"), ("1/s", "rad/s", "angle"), ("m", "m/s", "different"),
-        (None, "m", "same"), ("rad", None, "same"), (None, None, "same"),
+        ("rad", "1", "angle"),
+        ("N m/rad", "N m", "angle"),
+        ("1/s", "rad/s", "angle"),
+        ("m", "m/s", "different"),
+        (None, "m", "same"),
+        ("rad", None, "same"),
+        (None, None, "same"),
     ],
-)  # fmt: skip
+)
 def test_two_units_fit_or_not(a: str | None, b: str | None, fit: str) -> None:
     assert compatible(a, b) == fit
     assert compatible(b, a) == fit
@@ -151,11 +173,20 @@ def test_any_text_is_a_quantity_or_a_unit_error(text: str) -> None:
 @pytest.mark.parametrize(
     ("value", "unit", "text"),
     [
-        (24e-6, "m", "24 um"), (105210.0, "N/m", "105.21 kN/m"), (999.9999999, "m", "1 km"), (0.0, "m", "0 m"),
-        (3.0, "kg", "3 kg"), (157.08, "rad/s", "157.08 rad/s"), (1e-4, "s", "100 us"), (0.5, "1", "0.5"),
+        (24e-6, "m", "24 um"),
+        (105210.0, "N/m", "105.21 kN/m"),
+        (999.9999999, "m", "1 km"),
+        (0.0, "m", "0 m"),
+        (3.0, "kg", "3 kg"),
+        (157.08, "rad/s", "157.08 rad/s"),
+        (1e-4, "s", "100 us"),
+        (0.5, "1", "0.5"),
         (0.5, None, "0.5"),
-        (2e4, "m^2", "20000 m^2"), (-24e-6, "m", "-24 um"), (1e20, "N", "1e+11 GN"), (math.inf, "m", "inf m"),
+        (2e4, "m^2", "20000 m^2"),
+        (-24e-6, "m", "-24 um"),
+        (1e20, "N", "1e+11 GN"),
+        (math.inf, "m", "inf m"),
     ],
-)  # fmt: skip
+)
 def test_display_chooses_a_prefix_that_reads_well(value: float, unit: str | None, text: str) -> None:
     assert format_quantity(value, unit) == text

@@ -51,9 +51,20 @@ def jeffcott(steps: int, step: float, by_hand: bool = False, flags: tuple[str, .
     """Return a function that runs the Jeffcott rotor in C and returns rows (steps + 1, 4)."""
     d = Jeffcott()
     values = (ctypes.c_double * 13)(
-        d.mass, d.stiffness, d.damping, d.crack_stiffness, d.sag, d.eccentricity, d.phase,
-        d.force_displacement, d.force_current, d.kp, d.ki, d.kd, d.speed,
-    )  # fmt: skip
+        d.mass,
+        d.stiffness,
+        d.damping,
+        d.crack_stiffness,
+        d.sag,
+        d.eccentricity,
+        d.phase,
+        d.force_displacement,
+        d.force_current,
+        d.kp,
+        d.ki,
+        d.kd,
+        d.speed,
+    )
     run = library("jeffcott_by_hand" if by_hand else "jeffcott", flags).run
     run.restype = None
 
@@ -101,10 +112,22 @@ def fe_rigid(
     where[1:-1] = rotor.translations
     _, mass, eccentricity, phase = rotor.discs[0]
     data = _Beam(
-        *[a.ctypes.data for a in (k, c, g, factor)], rotor.amb, rotor.crack, tilt, rotor.crack_stiffness, rotor.sag,
-        mass * eccentricity * rotor.speed**2, phase, rotor.force_displacement, rotor.force_current,
-        rotor.kp, rotor.ki, rotor.kd, rotor.speed, where.ctypes.data,
-    )  # fmt: skip
+        *[a.ctypes.data for a in (k, c, g, factor)],
+        rotor.amb,
+        rotor.crack,
+        tilt,
+        rotor.crack_stiffness,
+        rotor.sag,
+        mass * eccentricity * rotor.speed**2,
+        phase,
+        rotor.force_displacement,
+        rotor.force_current,
+        rotor.kp,
+        rotor.ki,
+        rotor.kd,
+        rotor.speed,
+        where.ctypes.data,
+    )
     run = library("fe_rigid", (*flags, f"-DN={n}", *(["-DBANDED"] if banded else []))).run
     run.restype = None
     keep = (k, c, g, factor, where)

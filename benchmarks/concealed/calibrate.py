@@ -24,11 +24,18 @@ def shares(folder: Path, diagnoses: Path) -> list[dict[str, Any]]:
         nearest = data.get("nearest") or {"physics": [], "share": None, "excess_variance": None}
         classes = [truth.get("class", {}).get(name, [name]) for name in truth["missing"]]
         right = all(any(name in some for name in nearest["physics"]) for some in classes) if classes else None
-        found.append({
-            "case": file.parent.name, "truth": truth.get("law") or ", ".join(truth["missing"]) or "-", "right": right,
-            "verdict": data["verdict"], "nearest": ", ".join(nearest["physics"]) or "-", "share": nearest["share"],
-            "before": data["fit"]["before"]["excess_variance"], "left": nearest["excess_variance"],
-        })  # fmt: skip
+        found.append(
+            {
+                "case": file.parent.name,
+                "truth": truth.get("law") or ", ".join(truth["missing"]) or "-",
+                "right": right,
+                "verdict": data["verdict"],
+                "nearest": ", ".join(nearest["physics"]) or "-",
+                "share": nearest["share"],
+                "before": data["fit"]["before"]["excess_variance"],
+                "left": nearest["excess_variance"],
+            }
+        )
     return found
 
 

@@ -85,9 +85,15 @@ class Healthy:
 
 
 def detectability(
-    machine: str, parameters: dict[str, float], runs: list[Run], lifted: float,
-    healthy: Motion, faulty: Motion, instruments: Instruments, coarse: float,
-) -> float:  # fmt: skip
+    machine: str,
+    parameters: dict[str, float],
+    runs: list[Run],
+    lifted: float,
+    healthy: Motion,
+    faulty: Motion,
+    instruments: Instruments,
+    coarse: float,
+) -> float:
     """Return D; a coarser converter counts as the noise that it adds."""
     lanes = [k for k, run in enumerate(runs) if run.use == "identify"]
     t = healthy.clock.t[0]

@@ -61,15 +61,22 @@ class Case:
         classes = {fault.physics: [fault.physics, *sorted({*fault.alias} - {fault.physics})] for fault in self.faults}
         hold = [k for k, run in enumerate(self.runs) if run.use == "hold_out"]
         return {
-            "case": self.name, "kind": self.kind, "machine": self.machine, "missing": missing,
-            "node": nodes[0] if len(nodes) == 1 else None, "effect": effect, "parameters": self.parameters,
+            "case": self.name,
+            "kind": self.kind,
+            "machine": self.machine,
+            "missing": missing,
+            "node": nodes[0] if len(nodes) == 1 else None,
+            "effect": effect,
+            "parameters": self.parameters,
             "class": classes,
             "nodes": {f.physics: f.node for f in self.faults} if self.machine == "fe_rigid" else {},
             "blocks": {fault.physics: list(fault.blocks) for fault in self.faults},
             "law": next((fault.law for fault in self.faults if fault.law), None),
-            "detectability": round(self.visible, 1), "lifted_s": self.lifted if np.isfinite(self.lifted) else None,
-            "noise": list(self.instruments.noise), "noise_floor": self._noise_floor(hold),
-        }  # fmt: skip
+            "detectability": round(self.visible, 1),
+            "lifted_s": self.lifted if np.isfinite(self.lifted) else None,
+            "noise": list(self.instruments.noise),
+            "noise_floor": self._noise_floor(hold),
+        }
 
     def _noise_floor(self, lanes: list[int]) -> float:
         """Return noise over motion: of all held-out runs together for probes and for current, rms of the two."""
@@ -142,10 +149,12 @@ def _choose(seed: tuple[int, ...], kind: str, machine: str, number: int, only: t
         return [able[first]]
     rough = ("rub", "clearance", "coulomb_friction", "current_clipping")
     fits = [
-        n for n in pool
-        if able[n].group != able[first].group and not (n in rough and first in rough)
+        n
+        for n in pool
+        if able[n].group != able[first].group
+        and not (n in rough and first in rough)
         and {able[n].group, able[first].group} not in ({"sensor", "amb"}, {"controller", "amb"})
-    ]  # fmt: skip
+    ]
     second = str(np.random.default_rng([*seed, 7]).choice(fits))
     return [able[first], able[second]]
 
@@ -172,10 +181,16 @@ def make_case(
                 plant = MACHINES[machine](parameters, A)
                 low = max(least, 0.5 if kind == "two" else 0.0)
                 draw = Draw(
-                    rng, machine, int(rng.choice(entry.nodes[machine])), parameters, sizes,
-                    float(rng.uniform(low, 1.0)), len(runs), plant.amb,
+                    rng,
+                    machine,
+                    int(rng.choice(entry.nodes[machine])),
+                    parameters,
+                    sizes,
+                    float(rng.uniform(low, 1.0)),
+                    len(runs),
+                    plant.amb,
                     {node: 1 / plant.flexibility(node) for node in plant.displacement},
-                )  # fmt: skip
+                )
                 faults.append(entry.make(draw))
             motion = healthy
             if faults:

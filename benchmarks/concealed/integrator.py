@@ -105,10 +105,18 @@ class Stepper:
     """Steps of many lanes at once. lam (L, n), B (L, n, m) and C (L, p, n) are in eigenvectors of A."""
 
     def __init__(
-        self, lam: Array, B: Array, C: Array, step: float, forces: Forces | None = None,
-        scales: Array | None = None, rough: float | None = None, points: int = 7, samples: int = 1,
+        self,
+        lam: Array,
+        B: Array,
+        C: Array,
+        step: float,
+        forces: Forces | None = None,
+        scales: Array | None = None,
+        rough: float | None = None,
+        points: int = 7,
+        samples: int = 1,
         timed: bool = True,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.lam, self.B, self.C, self.step, self.forces, self.points = lam, B, C, step, forces, points
         self.timed = timed  # the forces depend on time or angle
         self.samples = samples  # equidistant, in one step
@@ -136,10 +144,12 @@ class Stepper:
             drive = h * np.einsum("lnm,lnek->lenmk", self.B, weights(z, self.c, ends))
             reach = (np.abs(reply).max(axis=(2, 4)) / self.scales[:, None]).max(axis=1)
             self.tables[level] = Table(
-                np.exp(z[:, None] * ends[:, None]), outputs.reshape(lanes, p * s, n),
+                np.exp(z[:, None] * ends[:, None]),
+                outputs.reshape(lanes, p * s, n),
                 np.ascontiguousarray(reply.reshape(lanes, p * s, m * s)),
-                drive.reshape(lanes, len(ends) * n, m * s), reach,
-            )  # fmt: skip
+                drive.reshape(lanes, len(ends) * n, m * s),
+                reach,
+            )
         return self.tables[level]
 
     def free_run(self, w: Array, known: Array) -> Array:

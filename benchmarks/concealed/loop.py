@@ -29,9 +29,15 @@ def magnetic_nonlinearity(draw: Draw) -> Fault:
         return {draw.place[0]: per_axis(law, motion[draw.place[1]], motion["i"])}
 
     return Fault(
-        "magnetic_nonlinearity", {"i0": i0, "g0": g0}, draw.node, AMB,
-        feedback=feedback, reads=(draw.place[1], "i"), drives=draw.place[:1], corner=1e-15,
-    )  # fmt: skip
+        "magnetic_nonlinearity",
+        {"i0": i0, "g0": g0},
+        draw.node,
+        AMB,
+        feedback=feedback,
+        reads=(draw.place[1], "i"),
+        drives=draw.place[:1],
+        corner=1e-15,
+    )
 
 
 @row(ROWS, "magnetic_saturation", "amb", fe=(3,))
@@ -44,9 +50,15 @@ def magnetic_saturation(draw: Draw) -> Fault:
         return {draw.place[0]: lost}
 
     return Fault(
-        "magnetic_saturation", {"is": limit}, draw.node, AMB,
-        feedback=feedback, reads=("i",), drives=draw.place[:1], corner=1e-15,
-    )  # fmt: skip
+        "magnetic_saturation",
+        {"is": limit},
+        draw.node,
+        AMB,
+        feedback=feedback,
+        reads=("i",),
+        drives=draw.place[:1],
+        corner=1e-15,
+    )
 
 
 @row(ROWS, "eddy_current_lag", "amb", fe=(3,))
@@ -148,9 +160,16 @@ def current_clipping(draw: Draw) -> Fault:
         signals["current"] = clip(signals["current"])
 
     return Fault(
-        "current_clipping", {"imax": limit}, draw.node, ("controller", "amb", "amplifier"),
-        feedback=feedback, measure=measure, reads=("i",), drives=draw.place[:1], corner=2e-16,
-    )  # fmt: skip
+        "current_clipping",
+        {"imax": limit},
+        draw.node,
+        ("controller", "amb", "amplifier"),
+        feedback=feedback,
+        measure=measure,
+        reads=("i",),
+        drives=draw.place[:1],
+        corner=2e-16,
+    )
 
 
 @row(ROWS, "current_sensor_gain", "current sensor", fe=(3,))

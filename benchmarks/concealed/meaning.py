@@ -32,9 +32,14 @@ def if_there(key: str) -> Reading:
 BETWEEN = 4e5  # N/m, bearing_stiffness of the block foundation_mode: of it only its square over the mass is seen
 
 FREE = {
-    "viscous_damping": "c", "eccentricity": "e", "unbalance_phase": "beta", "crack_stiffness": "dk",
-    "force_displacement_factor": "ks", "force_current_factor": "ki", "crack_phase": "crack_phase",
-}  # fmt: skip
+    "viscous_damping": "c",
+    "eccentricity": "e",
+    "unbalance_phase": "beta",
+    "crack_stiffness": "dk",
+    "force_displacement_factor": "ks",
+    "force_current_factor": "ki",
+    "crack_phase": "crack_phase",
+}
 
 PHASES = {"phase", "phase1", "phase2", "phase3", "growth_phase", "backward_phase2", "direction"}
 HALF_TURN = {("asymmetric_shaft", "phase"), ("base_excitation", "direction")}  # the law repeats after pi
@@ -42,15 +47,25 @@ HALF_TURN = {("asymmetric_shaft", "phase"), ("base_excitation", "direction")}  #
 MEANING: dict[str, dict[str, Reading]] = {
     "residual_bow": {"amplitude": the("bow"), "phase": the("bow_phase")},
     "thermal_bow": {
-        "amplitude": the("b0"), "phase": the("b0_phase"), "growth": the("b1"), "growth_phase": the("b1_phase"),
+        "amplitude": the("b0"),
+        "phase": the("b0_phase"),
+        "growth": the("b1"),
+        "growth_phase": the("b1_phase"),
         "time_constant": the("tau"),
     },
     "parallel_misalignment": {
-        "amplitude1": if_there("mis1"), "phase1": the("mis1_phase"), "amplitude2": the("mis2"),
-        "phase2": the("mis2_phase"), "backward2": if_there("mis-2"), "backward_phase2": the("mis-2_phase"),
+        "amplitude1": if_there("mis1"),
+        "phase1": the("mis1_phase"),
+        "amplitude2": the("mis2"),
+        "phase2": the("mis2_phase"),
+        "backward2": if_there("mis-2"),
+        "backward_phase2": the("mis-2_phase"),
     },
     "angular_misalignment": {
-        "amplitude1": the("mom1"), "phase1": the("mom1_phase"), "amplitude2": the("mom2"), "phase2": the("mom2_phase"),
+        "amplitude1": the("mom1"),
+        "phase1": the("mom1_phase"),
+        "amplitude2": the("mom2"),
+        "phase2": the("mom2_phase"),
     },
     "rub": {"gap": the("gap"), "stiffness": the("k"), "friction": the("mu")},
     "clearance": {"gap": the("gap"), "stiffness": the("k")},
@@ -58,7 +73,8 @@ MEANING: dict[str, dict[str, Reading]] = {
     "asymmetric_shaft": {"asymmetry": the("dk"), "phase": the("phase")},
     "second_crack": {"stiffness": the("dk"), "phase": the("phase")},
     "foundation_mode": {
-        "mass": the("mass", (BETWEEN / SHAFT_STIFFNESS) ** 2), "frequency": lambda e: sqrt(e["stiffness"] / e["mass"]),
+        "mass": the("mass", (BETWEEN / SHAFT_STIFFNESS) ** 2),
+        "frequency": lambda e: sqrt(e["stiffness"] / e["mass"]),
         "damping_ratio": lambda e: e["damping"] / 2 / sqrt(e["stiffness"] * e["mass"]),
     },
     "internal_damping": {"damping": the("ci")},
@@ -87,8 +103,12 @@ MEANING: dict[str, dict[str, Reading]] = {
     "sensor_rotation": {"angle": the("angle")},
     "non_collocation": {"distance": the("distance")},
     "runout": {
-        "amplitude1": the("run1"), "phase1": the("run1_phase"), "amplitude2": if_there("run2"),
-        "phase2": the("run2_phase"), "amplitude3": if_there("run3"), "phase3": the("run3_phase"),
+        "amplitude1": the("run1"),
+        "phase1": the("run1_phase"),
+        "amplitude2": if_there("run2"),
+        "phase2": the("run2_phase"),
+        "amplitude3": if_there("run3"),
+        "phase3": the("run3_phase"),
     },
     "sensor_offset": {
         "offset_x": lambda e: e["offset"] * cos(e["direction"]),
@@ -96,14 +116,13 @@ MEANING: dict[str, dict[str, Reading]] = {
     },
     "quantisation": {"interval": the("lsb")},
     "base_excitation": {
-        "acceleration": the("acceleration"), "frequency": the("frequency", 2 * pi), "direction": the("direction"),
+        "acceleration": the("acceleration"),
+        "frequency": the("frequency", 2 * pi),
+        "direction": the("direction"),
     },
     "speed_fluctuation": {"amplitude": the("eps"), "frequency": the("frequency", 2 * pi)},
-    "blade_pass": {
-        "amplitude": lambda e: e["force"] * (e["N"] > 0),
-        "backward": lambda e: e["force"] * (e["N"] < 0),
-    },
-}  # fmt: skip
+    "blade_pass": {"amplitude": lambda e: e["force"] * (e["N"] > 0), "backward": lambda e: e["force"] * (e["N"] < 0)},
+}
 
 ONE_NODE = {"residual_bow", "thermal_bow"}  # their size rests on a stiffness that, on a beam, is a matter of definition
 

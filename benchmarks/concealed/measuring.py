@@ -77,9 +77,13 @@ def draw_nuisances(rng: np.random.Generator, names: tuple[str, ...], rate: float
     jitter = float(rng.uniform(1e-6, 8e-6))
     grid = 1 / rate
     return Nuisances(
-        hum if "hum" in names else (), pink if "pink" in names else 0.0, drift if "drift" in names else 0.0,
-        lost if "lost" in names else (0, 0), jitter if "jitter" in names else 0.0, grid if "pulses" in names else 0.0,
-    )  # fmt: skip
+        hum if "hum" in names else (),
+        pink if "pink" in names else 0.0,
+        drift if "drift" in names else 0.0,
+        lost if "lost" in names else (0, 0),
+        jitter if "jitter" in names else 0.0,
+        grid if "pulses" in names else 0.0,
+    )
 
 
 def flicker(n: int, corner: float, rate: float, rng: np.random.Generator) -> Array:
@@ -125,9 +129,14 @@ def convert(value: Array, noise: float, span: float, lsb: float, rng: np.random.
 
 
 def read_signals(
-    motion: Motion, instruments: Instruments, rng: np.random.Generator, coarse: float,
-    nuisances: Nuisances = Nuisances(), rate: float = 5000.0, more: np.random.Generator | None = None,
-) -> list[dict[str, Array]]:  # fmt: skip
+    motion: Motion,
+    instruments: Instruments,
+    rng: np.random.Generator,
+    coarse: float,
+    nuisances: Nuisances = Nuisances(),
+    rate: float = 5000.0,
+    more: np.random.Generator | None = None,
+) -> list[dict[str, Array]]:
     """Return for each lane its columns: x3, y3 ... (or x, y on one node), ix, iy. more: random numbers of nuisances."""
     probes = [name for name in motion.signals if name[0] == "p"]
     runs: list[dict[str, Array]] = []
@@ -150,7 +159,7 @@ def read_signals(
 
 def pulses(
     motion: Motion, duration: float, jitter: float, rng: np.random.Generator, sampling: float = 0.0
-) -> list[list[float]]:  # fmt: skip
+) -> list[list[float]]:
     """Return for each lane the times at which the shaft angle passes whole turns, to 0.1 us, or to the next sample."""
     grid = np.linspace(0.0, duration, 2001)
     theta = motion.angle(grid[None, None])[:, 0]

@@ -102,8 +102,11 @@ def thermal_bow(draw: Draw) -> Fault:
     return Fault(
         "thermal_bow",
         {"b0": abs(first), "b0_phase": float(np.angle(first)), "b1": size, "b1_phase": phase, "tau": tau},
-        draw.node, force=force, drives=draw.place[:1], synchronous=False,
-    )  # fmt: skip
+        draw.node,
+        force=force,
+        drives=draw.place[:1],
+        synchronous=False,
+    )
 
 
 @row(ROWS, "parallel_misalignment", "coupling", fe=EVERY)

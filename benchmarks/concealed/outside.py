@@ -25,9 +25,16 @@ def dahl(draw: Draw) -> Fault:
         return {f: -a * w, "aux0": q_dot - np.abs(q_dot) * w / b}
 
     return Fault(
-        NAME, {"a": a, "b": b}, draw.node, law="dahl", feedback=feedback,
-        reads=(v, "aux0"), drives=(f, "aux0"), integrators=1, corner=1e-13,
-    )  # fmt: skip
+        NAME,
+        {"a": a, "b": b},
+        draw.node,
+        law="dahl",
+        feedback=feedback,
+        reads=(v, "aux0"),
+        drives=(f, "aux0"),
+        integrators=1,
+        corner=1e-13,
+    )
 
 
 @row(OUTSIDE, "bouc_wen", "outside", fe=EVERY)
@@ -45,9 +52,16 @@ def bouc_wen(draw: Draw) -> Fault:
         return {f: -a * w, "aux0": rate(w.real, u.real) + 1j * rate(w.imag, u.imag)}
 
     return Fault(
-        NAME, {"a": a, "b": b}, draw.node, law="bouc_wen", feedback=feedback,
-        reads=(v, "aux0"), drives=(f, "aux0"), integrators=1, corner=3e-15,
-    )  # fmt: skip
+        NAME,
+        {"a": a, "b": b},
+        draw.node,
+        law="bouc_wen",
+        feedback=feedback,
+        reads=(v, "aux0"),
+        drives=(f, "aux0"),
+        integrators=1,
+        corner=3e-15,
+    )
 
 
 @row(OUTSIDE, "quadratic_drag", "outside", fe=EVERY)

@@ -87,10 +87,21 @@ def jeffcott(parameters: dict[str, float], gains: tuple[float, float, float]) ->
     """Return the disc on a massless shaft, thesis eq. (2.26): one node."""
     one = np.ones((1, 1), complex)
     return Plant(
-        mass=MASS * one, damping=parameters["c"] * one, stiffness=SHAFT_STIFFNESS * one, gyroscopic=0 * one,
-        displacement={1: 0}, tilt={}, amb=1, disc=1, crack=1,
-        ks=parameters["ks"], ki=parameters["ki"], gains=gains, base=MASS * one[0], probes={1: np.ones(1, complex)},
-    )  # fmt: skip
+        mass=MASS * one,
+        damping=parameters["c"] * one,
+        stiffness=SHAFT_STIFFNESS * one,
+        gyroscopic=0 * one,
+        displacement={1: 0},
+        tilt={},
+        amb=1,
+        disc=1,
+        crack=1,
+        ks=parameters["ks"],
+        ki=parameters["ki"],
+        gains=gains,
+        base=MASS * one[0],
+        probes={1: np.ones(1, complex)},
+    )
 
 
 def fe_rigid(parameters: dict[str, float], gains: tuple[float, float, float], elements: int = ELEMENTS) -> Plant:
@@ -115,10 +126,21 @@ def fe_rigid(parameters: dict[str, float], gains: tuple[float, float, float], el
     base[displacement[3]] += MASS
     probes = {node: np.eye(len(mass), dtype=complex)[dof] for node, dof in displacement.items()}
     return Plant(
-        mass=mass, damping=damping, stiffness=stiffness, gyroscopic=gyroscopic,
-        displacement=displacement, tilt=tilt, amb=3, disc=3, crack=4,
-        ks=parameters["ks"], ki=parameters["ki"], gains=gains, base=base, probes=probes,
-    )  # fmt: skip
+        mass=mass,
+        damping=damping,
+        stiffness=stiffness,
+        gyroscopic=gyroscopic,
+        displacement=displacement,
+        tilt=tilt,
+        amb=3,
+        disc=3,
+        crack=4,
+        ks=parameters["ks"],
+        ki=parameters["ki"],
+        gains=gains,
+        base=base,
+        probes=probes,
+    )
 
 
 MACHINES: dict[str, Callable[..., Plant]] = {"jeffcott": jeffcott, "fe_rigid": fe_rigid}

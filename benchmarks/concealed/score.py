@@ -64,10 +64,21 @@ def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, 
     """Return what a diagnosis got right."""
     kind, machine = truth["kind"], truth["machine"]
     result: dict[str, Any] = {
-        "case": truth["case"], "kind": kind, "machine": machine, "missing": truth["missing"], "law": truth.get("law"),
-        "detectability": truth.get("detectability"), "verdict": diagnosis["verdict"] if diagnosis else None,
-        "named": {}, "exact": {}, "located": {}, "parameters": [], "free": [], "false_names": [], "class_sizes": [],
-    }  # fmt: skip
+        "case": truth["case"],
+        "kind": kind,
+        "machine": machine,
+        "missing": truth["missing"],
+        "law": truth.get("law"),
+        "detectability": truth.get("detectability"),
+        "verdict": diagnosis["verdict"] if diagnosis else None,
+        "named": {},
+        "exact": {},
+        "located": {},
+        "parameters": [],
+        "free": [],
+        "false_names": [],
+        "class_sizes": [],
+    }
     if diagnosis is None:
         return result
     reported = diagnosis.get("missing", [])

@@ -22,9 +22,14 @@ Job = tuple[
 
 
 def plan(
-    folder: Path, instances: int, seed: int, kind: str, machine: str, only: tuple[str, ...],
+    folder: Path,
+    instances: int,
+    seed: int,
+    kind: str,
+    machine: str,
+    only: tuple[str, ...],
     nuisances: tuple[str, ...] = (),
-) -> list[Job]:  # fmt: skip
+) -> list[Job]:
     """Return the jobs of a set. A case depends on seed, machine, kind and its number, on nothing else."""
     machines = ("jeffcott", "fe_rigid") if machine == "both" else (machine,)
     jobs: list[Job] = []
@@ -55,10 +60,14 @@ def one(job: Job) -> dict[str, Any]:
         case = make_case(name, kind, machine, seed, number, only)
         write_case(case, Path(folder), seed, nuisances)
     return {
-        "case": name, "kind": kind, "missing": [fault.law or fault.physics for fault in case.faults],
-        "detectability": case.visible, "attempts": case.attempts,
-        "seconds": time.perf_counter() - begin, "cpu_seconds": time.process_time() - cpu,
-    }  # fmt: skip
+        "case": name,
+        "kind": kind,
+        "missing": [fault.law or fault.physics for fault in case.faults],
+        "detectability": case.visible,
+        "attempts": case.attempts,
+        "seconds": time.perf_counter() - begin,
+        "cpu_seconds": time.process_time() - cpu,
+    }
 
 
 def make(jobs: list[Job], processes: int) -> list[dict[str, Any]]:

@@ -123,9 +123,15 @@ class Simulation:
     """A machine with parameters and faults, ready to run."""
 
     def __init__(
-        self, machine: str, parameters: dict[str, float], runs: list[Run], rate: float,
-        rows: Sequence[Row] = (), lifted: float = np.inf, accuracy: Accuracy | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        machine: str,
+        parameters: dict[str, float],
+        runs: list[Run],
+        rate: float,
+        rows: Sequence[Row] = (),
+        lifted: float = np.inf,
+        accuracy: Accuracy | None = None,
+    ) -> None:
         self.machine, self.parameters, self.runs, self.rows, self.lifted = machine, parameters, runs, rows, lifted
         self.feedback = [row for row in rows if row.feedback]
         corner = min((row.corner for row in self.feedback if row.corner), default=None)
@@ -150,19 +156,27 @@ class Simulation:
         vectors = [_eigen(core) for core in cores]
         self.lam = np.array([lam for lam, _, _ in vectors])
         self.slow = (np.abs(self.lam) < SLOW) & (self.lam != 0)
-        self.B = np.array([
-            left @ np.stack([core.column(name) for name in self.inputs], axis=1)
-            for core, (_, _, left) in zip(cores, vectors, strict=True)
-        ])  # fmt: skip
+        self.B = np.array(
+            [
+                left @ np.stack([core.column(name) for name in self.inputs], axis=1)
+                for core, (_, _, left) in zip(cores, vectors, strict=True)
+            ]
+        )
         pairs = [(core, right) for core, (_, right, _) in zip(cores, vectors, strict=True)]
         self.C = _rows(pairs, self.recorded)
         seen = self.reads or ("i",)
         self.stepper = Stepper(
-            self.lam, self.B, _rows(pairs, seen), self.step, self._forces() if self.feedback else None,
+            self.lam,
+            self.B,
+            _rows(pairs, seen),
+            self.step,
+            self._forces() if self.feedback else None,
             np.array([SIZES[name[0]] for name in seen]),
-            corner and corner * accuracy.tolerance, accuracy.points, accuracy.samples,
+            corner and corner * accuracy.tolerance,
+            accuracy.points,
+            accuracy.samples,
             any(row.timed for row in self.feedback),
-        )  # fmt: skip
+        )
 
     def _forces(self) -> Forces:
         """Return the sum of the feedbacks, as the stepper wants it."""

@@ -47,7 +47,8 @@ def summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
     known = kind["one"] + kind["two"]
     rows = [(item, physics) for item in known for physics in item["missing"]]
     out: dict[str, Any] = {
-        "cases": len(judged), "diagnosed": len(done),
+        "cases": len(judged),
+        "diagnosed": len(done),
         "named": _count([item["named"][physics] for item, physics in rows]),
         "named_one": _count([item["named"][item["missing"][0]] for item in kind["one"]]),
         "named_both": _count([all(item["named"].values()) for item in kind["two"]]),
@@ -64,7 +65,7 @@ def summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
         "alias_false_name": _count([bool(item["false_names"]) for item in kind["alias"]]),
         "verdict_right": {name: _count([item["right"] for item in items]) for name, items in kind.items()},
         "class_size": _numbers([float(size) for item in known for size in item["class_sizes"]]),
-    }  # fmt: skip
+    }
     out["named_by_detectability"] = {
         f"D {low:g} to {high:g}": _count(
             [item["named"][p] for item, p in rows if low <= (item["detectability"] or 0) < high]
@@ -86,14 +87,14 @@ def summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
         }
     out["held_out_gain"] = {
         "of_one_and_two": _numbers([item.get("gain") for item in known]),
-        "after_over_floor": _numbers([
-            item["after"] / item["floor"] for item in known if item.get("after") and item.get("floor")
-        ]),
+        "after_over_floor": _numbers(
+            [item["after"] / item["floor"] for item in known if item.get("after") and item.get("floor")]
+        ),
         "at_least_90_%": _count([item["gain"] >= 0.9 for item in known if item.get("gain") is not None]),
-        "noise_floor_claimed_over_true": _numbers([
-            item["floor"] / item["true_floor"] for item in done if item.get("floor") and item.get("true_floor")
-        ]),
-    }  # fmt: skip
+        "noise_floor_claimed_over_true": _numbers(
+            [item["floor"] / item["true_floor"] for item in done if item.get("floor") and item.get("true_floor")]
+        ),
+    }
     each: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for item, physics in rows:
         each[physics].append({"named": item["named"][physics], "exact": item["exact"][physics]})

@@ -35,11 +35,17 @@ def write_case(case: Case, folder: Path, seed: tuple[int, ...], nuisances: tuple
             name = f"run{len(runs):02d}_{hertz:05.1f}Hz_{run.label}"
             _write_data(place / f"{name}.{suffix}", columns[lane])
             KP, KI, KD = run.gains
-            runs.append({
-                "id": name, "file": f"{name}.{suffix}", "sample_rate": f"{RATE:.0f} Hz",
-                "speed": f"{60 * hertz:.0f} rpm", "tacho": tacho[lane], "use": use,
-                "set": {"controller.KP": KP, "controller.KD": KD, "controller.KI": KI},
-            })  # fmt: skip
+            runs.append(
+                {
+                    "id": name,
+                    "file": f"{name}.{suffix}",
+                    "sample_rate": f"{RATE:.0f} Hz",
+                    "speed": f"{60 * hertz:.0f} rpm",
+                    "tacho": tacho[lane],
+                    "use": use,
+                    "set": {"controller.KP": KP, "controller.KD": KD, "controller.KI": KI},
+                }
+            )
         recording = {"name": case.name, "source": _source(case), "channels": _channels(case, columns[0]), "runs": runs}
         (place / "recording.json").write_text(json.dumps(recording, indent=1) + "\n")
     truths = folder / "truth"

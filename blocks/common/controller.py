@@ -43,6 +43,5 @@ def state_space_of(p: Any, u: Any, x: Any) -> Equations:
     """Return d value / dt = A value + B e, i = C value + D e."""
     error = error_of(u)
     return Equations(
-        outputs={"current": p.C @ x.value + p.D @ error},
-        derivatives={"value": p.A @ x.value + p.B @ error},
+        outputs={"current": p.C @ x.value + p.D @ error}, derivatives={"value": p.A @ x.value + p.B @ error}
     )

@@ -40,6 +40,5 @@ class AmplifierBandwidth(Block):
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
         return Equations(
-            outputs={"amplified": x.flowing},
-            derivatives={"flowing": p.bandwidth * (u.current - x.flowing)},
+            outputs={"amplified": x.flowing}, derivatives={"flowing": p.bandwidth * (u.current - x.flowing)}
         )

@@ -32,12 +32,7 @@ class AngularMisalignment(Block):
         Fault(
             physics="angular_misalignment",
             enters="force",
-            free={
-                "amplitude1": (0.02,),
-                "phase1": plane.ANGLES,
-                "amplitude2": (0.02,),
-                "phase2": plane.ANGLES,
-            },
+            free={"amplitude1": (0.02,), "phase1": plane.ANGLES, "amplitude2": (0.02,), "phase2": plane.ANGLES},
             sizes=("amplitude1", "amplitude2"),
             law="1X and 2X forward on the tilt, moments constant in speed",
             confused_with=_CONFUSED,

@@ -21,12 +21,7 @@ class BladePass(Block):
             physics="blade_pass",
             enters="force",
             options={"blades": blades},
-            free={
-                "amplitude": (0.2,),
-                "phase": plane.ANGLES,
-                "backward": (0.2,),
-                "backward_phase": (0.0,),
-            },
+            free={"amplitude": (0.2,), "phase": plane.ANGLES, "backward": (0.2,), "backward_phase": (0.0,)},
             sizes=("amplitude", "backward"),
             law=f"orders {blades} and -{blades} alone, constant in speed",
             confused_with=("runout",),

@@ -66,7 +66,4 @@ class Clearance(Block):
         else:
             normal = where(cos(p.direction) > 0, 1.0, -1.0) if q.shape[0] == 1 else plane.unit(p.direction)
             depth = sum_of(q * normal) - p.gap
-        return Equations(
-            outputs={"force": -p.stiffness * maximum(depth, 0.0) * normal},
-            events={"contact": depth},
-        )
+        return Equations(outputs={"force": -p.stiffness * maximum(depth, 0.0) * normal}, events={"contact": depth})

@@ -34,12 +34,7 @@ class ParallelMisalignment(Block):
         Fault(
             physics="parallel_misalignment",
             enters="force",
-            free={
-                "amplitude2": (0.5,),
-                "phase2": plane.ANGLES,
-                "backward2": (0.2,),
-                "backward_phase2": plane.ANGLES,
-            },
+            free={"amplitude2": (0.5,), "phase2": plane.ANGLES, "backward2": (0.2,), "backward_phase2": plane.ANGLES},
             sizes=("amplitude2", "backward2"),
             law="2X forward and backward, forces constant in speed",
             confused_with=_CONFUSED,

@@ -5,9 +5,7 @@ from typing import Any
 from rotorsim.block import Block, Equations, In, Out, Param
 from rotorsim.fault import Fault
 
-_CONFUSED = (
-    "force_displacement_factor", "force_current_factor", "sensor_gain", "magnetic_pull", "mass_error",
-)  # fmt: skip
+_CONFUSED = ("force_displacement_factor", "force_current_factor", "sensor_gain", "magnetic_pull", "mass_error")
 _TOLD = "another set of gains; a known mass added to the rotor"
 
 

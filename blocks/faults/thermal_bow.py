@@ -46,7 +46,4 @@ class ThermalBow(Block):
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
         bow = p.amplitude * plane.unit(u.theta + p.phase)
         bow = bow + x.grown * p.growth * plane.unit(u.theta + p.growth_phase)
-        return Equations(
-            outputs={"force": p.stiffness * bow},
-            derivatives={"grown": (1 - x.grown) / p.time_constant},
-        )
+        return Equations(outputs={"force": p.stiffness * bow}, derivatives={"grown": (1 - x.grown) / p.time_constant})

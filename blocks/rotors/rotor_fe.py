@@ -127,10 +127,7 @@ class RotorFe(Block):
                 "velocity": self._by_node(free, v, 0),
                 "tilt_velocity": self._by_node(free, v, 1),
             },
-            derivatives={
-                "position": x.velocity,
-                "velocity": matrix(list(zip(*accelerations, strict=True))),
-            },
+            derivatives={"position": x.velocity, "velocity": matrix(list(zip(*accelerations, strict=True)))},
         )
 
     def _free_numbers(self) -> list[int | None]:

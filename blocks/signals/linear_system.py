@@ -26,6 +26,5 @@ class LinearSystem(Block):
 
     def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
         return Equations(
-            outputs={"output": p.C @ x.value + p.D @ u.input},
-            derivatives={"value": p.A @ x.value + p.B @ u.input},
+            outputs={"output": p.C @ x.value + p.D @ u.input}, derivatives={"value": p.A @ x.value + p.B @ u.input}
         )

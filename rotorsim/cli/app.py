@@ -256,7 +256,7 @@ def _unwritten(error: _UnwrittenError) -> int:
 def _open_streams() -> None:
     """Open what the caller has closed (``rotorsim ... >&-``) to nowhere: else a file would take its number, and get
     what a compiler or an FMU prints.
-    """  # fmt: skip
+    """
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)
     os.close(number)

@@ -183,14 +183,22 @@ def _markdown_block(cls: type[Block]) -> list[str]:
     if data["equation"]:
         lines += ["", "```text", *data["equation"].splitlines(), "```"]
     rows = [
-        (_singular(kind), name, "" if kind == "options" else item["shape"],
-         "" if kind == "options" else _unit(item), _words(item))
-        for kind in KINDS for name, item in data[kind].items()
-    ]  # fmt: skip
+        (
+            _singular(kind),
+            name,
+            "" if kind == "options" else item["shape"],
+            "" if kind == "options" else _unit(item),
+            _words(item),
+        )
+        for kind in KINDS
+        for name, item in data[kind].items()
+    ]
     if rows:
         lines += ["", "| | name | shape | unit | |", "|---|---|---|---|---|"]
-        lines += [f"| {kind} | `{name}` | {_cell(shape)} | {_cell(unit)} | {_cell(words)} |"
-                  for kind, name, shape, unit, words in rows]  # fmt: skip
+        lines += [
+            f"| {kind} | `{name}` | {_cell(shape)} | {_cell(unit)} | {_cell(words)} |"
+            for kind, name, shape, unit, words in rows
+        ]
     if data["source"]:
         lines += ["", f"Source: {_cell(data['source'])}"]
     return lines

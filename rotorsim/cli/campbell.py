@@ -25,9 +25,15 @@ __all__ = ["command"]
 @click.option("--plot", metavar="FILE", help="Draw the Campbell diagram: .png, .svg or .pdf.")
 @common.json_option
 def command(
-    diagram: str, settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, speeds: str, orders: str,
-    plot: str | None, as_json: bool,
-) -> None:  # fmt: skip
+    diagram: str,
+    settings: tuple[str, ...],
+    without: tuple[str, ...],
+    trust_blocks: bool,
+    speeds: str,
+    orders: str,
+    plot: str | None,
+    as_json: bool,
+) -> None:
     """Natural frequencies against speed, each mode followed by its shape, and the critical speeds.
 
     \b
@@ -58,10 +64,18 @@ def command(
         show_problems([Problem(what, loaded.name, hint=hint, severity="warning")])
     if as_json:
         every = [
-            {"order": c.order, "speed": c.speed, "speed_rpm": common.rpm(c.speed), "frequency_hz": c.frequency_hz,
-             "mode": c.mode, "whirl": c.whirl, "damping_ratio": c.damping_ratio, "stable": c.stable}
+            {
+                "order": c.order,
+                "speed": c.speed,
+                "speed_rpm": common.rpm(c.speed),
+                "frequency_hz": c.frequency_hz,
+                "mode": c.mode,
+                "whirl": c.whirl,
+                "damping_ratio": c.damping_ratio,
+                "stable": c.stable,
+            }
             for c in found.crossings
-        ]  # fmt: skip
+        ]
         common.echo_json(
             {
                 "diagram": loaded.name,
@@ -92,10 +106,16 @@ def command(
     crossings = [c for c in found.crossings if found.resonant[c.mode - 1]]
     if crossings:
         rows = [
-            (f"{c.order}X", f"{common.rpm(c.speed):.2f}", f"{c.frequency_hz:.4f}", f"{c.damping_ratio:.5f}", c.whirl,
-             *_machine(c.stable, shaky))
+            (
+                f"{c.order}X",
+                f"{common.rpm(c.speed):.2f}",
+                f"{c.frequency_hz:.4f}",
+                f"{c.damping_ratio:.5f}",
+                c.whirl,
+                *_machine(c.stable, shaky),
+            )
             for c in crossings
-        ]  # fmt: skip
+        ]
         click.echo()
         click.echo(
             common.table(("order", "critical speed [rpm]", "frequency [Hz]", "damping ratio", "whirl", *last), rows)

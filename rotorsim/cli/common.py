@@ -51,16 +51,20 @@ progress_option = click.option(
 )
 diagram_argument = click.argument("diagram", metavar="DIAGRAM")
 set_option = click.option(
-    "--set", "settings", multiple=True, metavar="NAME=VALUE",
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="NAME=VALUE",
     help="Give a parameter another value: speed='3000 rpm' or controller.KP=14000; repeatable.",
-)  # fmt: skip
+)
 without_option = click.option(
     "--without", multiple=True, metavar="BLOCK", help="Cut the wires of this block (no crack, no AMB, ...); repeatable."
 )
 trust_option = click.option(
-    "--trust-blocks", is_flag=True,
+    "--trust-blocks",
+    is_flag=True,
     help="Run what the diagram brings along, block files in its folders and (cosim) FMUs: they are code.",
-)  # fmt: skip
+)
 
 
 def diagram_options(function: F) -> F:

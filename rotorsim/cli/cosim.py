@@ -25,22 +25,40 @@ __all__ = ["command"]
 @click.argument("diagram", metavar="DIAGRAM")
 @click.option("--step", required=True, metavar="TIME", help="Communication step, such as '0.1 ms'.")
 @click.option("--stop", metavar="TIME", help="Stop time (default: the diagram's).")
-@click.option("--master", type=click.Choice(["jacobi", "gauss_seidel", "iterative", "waveform"]),
-              default="gauss_seidel", show_default=True,
-              help="iterative repeats each step until all agree, waveform the whole run.")  # fmt: skip
 @click.option(
-    "--order", type=click.IntRange(0, 3),
+    "--master",
+    type=click.Choice(["jacobi", "gauss_seidel", "iterative", "waveform"]),
+    default="gauss_seidel",
+    show_default=True,
+    help="iterative repeats each step until all agree, waveform the whole run.",
+)
+@click.option(
+    "--order",
+    type=click.IntRange(0, 3),
     help="Inputs within a step: 0 held, 1 linear, 2 quadratic, 3 cubic.  [default: 0; 3 of master iterative]",
-)  # fmt: skip
+)
 @click.option("--part", "parts", multiple=True, metavar="BLOCK,...", help="Blocks that are a participant; repeatable.")
-@click.option("--rate", "rates", multiple=True, metavar="PARTICIPANT=N",
-              help="This participant (or the one of this block) takes N steps at once; repeatable.")  # fmt: skip
-@click.option("--adaptive", type=click.FloatRange(0.0, 1.0, min_open=True), metavar="ERROR",
-              help="Relative error allowed per step; the step then adapts.")  # fmt: skip
+@click.option(
+    "--rate",
+    "rates",
+    multiple=True,
+    metavar="PARTICIPANT=N",
+    help="This participant (or the one of this block) takes N steps at once; repeatable.",
+)
+@click.option(
+    "--adaptive",
+    type=click.FloatRange(0.0, 1.0, min_open=True),
+    metavar="ERROR",
+    help="Relative error allowed per step; the step then adapts.",
+)
 @click.option("--fast", is_flag=True, help="The plain loop in C, for FMUs for Co-Simulation.")
-@click.option("--solver", type=click.Choice(("rk4", "dop853", "rk45", "radau", "bdf", "lsoda"), case_sensitive=False),
-              default="rk4", show_default=True,
-              help="Of the states of FMUs for Model Exchange; radau, bdf and lsoda are implicit.")  # fmt: skip
+@click.option(
+    "--solver",
+    type=click.Choice(("rk4", "dop853", "rk45", "radau", "bdf", "lsoda"), case_sensitive=False),
+    default="rk4",
+    show_default=True,
+    help="Of the states of FMUs for Model Exchange; radau, bdf and lsoda are implicit.",
+)
 @click.option("--no-check", is_flag=True, help="Run even if the linearised coupled loop is unstable.")
 @click.option("--out", metavar="FILE", help="Write the signals: .csv, .h5 or .npz.")
 @click.option("--log", "log", metavar="FILE", help="Write all that the FMUs say, every category; - is the terminal.")
@@ -49,10 +67,24 @@ __all__ = ["command"]
 @common.progress_option
 @common.json_option
 def command(
-    diagram: str, step: str, stop: str | None, master: str, order: int | None, parts: tuple[str, ...],
-    rates: tuple[str, ...], adaptive: float | None, fast: bool, solver: str, no_check: bool, out: str | None,
-    log: str | None, settings: tuple[str, ...], trust_blocks: bool, progress: bool | None, as_json: bool,
-) -> None:  # fmt: skip
+    diagram: str,
+    step: str,
+    stop: str | None,
+    master: str,
+    order: int | None,
+    parts: tuple[str, ...],
+    rates: tuple[str, ...],
+    adaptive: float | None,
+    fast: bool,
+    solver: str,
+    no_check: bool,
+    out: str | None,
+    log: str | None,
+    settings: tuple[str, ...],
+    trust_blocks: bool,
+    progress: bool | None,
+    as_json: bool,
+) -> None:
     """Co-simulate DIAGRAM: its FMUs, the parts given, and the rest exchange signals at communication points.
 
     Coupling adds delay: the damping that it leaves and the largest stable step are computed and said, and a step that
@@ -78,9 +110,20 @@ def command(
     loaded = common.open_diagram(diagram, settings, (), trust_blocks)
     with common.progress_bar("cosim", progress) as show, printing_elsewhere(), _logging(log) as hear:
         result = cosimulate_diagram(
-            loaded, groups, step=width, stop=end, master=master, order=order, adaptive=adaptive, fast=fast,
-            check=not no_check, rates=every, solver=solver.lower(), progress=show, log=hear,
-        )  # fmt: skip
+            loaded,
+            groups,
+            step=width,
+            stop=end,
+            master=master,
+            order=order,
+            adaptive=adaptive,
+            fast=fast,
+            check=not no_check,
+            rates=every,
+            solver=solver.lower(),
+            progress=show,
+            log=hear,
+        )
     if out:
         from rotorsim.simulation.files import save
 
@@ -93,9 +136,17 @@ def command(
 
         peaks = {name: float(np.nanmax(np.abs(values))) for name, values in result.signals.items() if values.size}
         units = {name: result.units[name] for name in peaks}
-        common.echo_json({"status": result.status, "message": result.message, "coupling": made,
-                          "counters": dict(result.counters), "time": result.time[[0, -1]], "peak": peaks,
-                          "units": units})  # fmt: skip
+        common.echo_json(
+            {
+                "status": result.status,
+                "message": result.message,
+                "coupling": made,
+                "counters": dict(result.counters),
+                "time": result.time[[0, -1]],
+                "peak": peaks,
+                "units": units,
+            }
+        )
     else:
         click.echo(
             f"{result.status}: {result.counters['steps']} communication steps to {result.time[-1]:g} s, {master}"
@@ -104,8 +155,10 @@ def command(
             click.echo(line)
         for name, about in made.get("fmus", {}).items():
             if about["most_parts"] > 1:
-                click.echo(f"{name}: its inputs move within a step: taken in up to {about['most_parts']} parts, "
-                           f"{about['do_steps']} calls of doStep")  # fmt: skip
+                click.echo(
+                    f"{name}: its inputs move within a step: taken in up to {about['most_parts']} parts, "
+                    f"{about['do_steps']} calls of doStep"
+                )
             for text, said in about["texts"].items():
                 click.echo(f"{name}: {text} is '{visible(' '.join(said.split())[:100])}' at the end")
         if text := _peaks(loaded, result):

@@ -39,10 +39,20 @@ _EITHER = "--sensors rotor.displacement,controller.current asks what could be to
 @common.progress_option
 @common.json_option
 def command(
-    diagram: str, recording: str | None, out: str | None, hold_out: str | None, sensors: str | None,
-    speeds: str | None, physics: str | None, workers: int | None, scheduler: str | None, settings: tuple[str, ...],
-    trust_blocks: bool, progress: bool | None, as_json: bool,
-) -> None:  # fmt: skip
+    diagram: str,
+    recording: str | None,
+    out: str | None,
+    hold_out: str | None,
+    sensors: str | None,
+    speeds: str | None,
+    physics: str | None,
+    workers: int | None,
+    scheduler: str | None,
+    settings: tuple[str, ...],
+    trust_blocks: bool,
+    progress: bool | None,
+    as_json: bool,
+) -> None:
     """Say where DIAGRAM and RECORDING differ, what physics is missing, and repair the diagram.
 
     The free parameters are refitted first. If noise does not explain the rest, every row of the catalogue (blocks
@@ -76,7 +86,7 @@ def command(
         plain = common.open_diagram(diagram, settings, (), trust_blocks)
         show_isolation(
             plain, sensors, speeds, physics=rows, trust_blocks=trust_blocks, progress=progress, as_json=as_json
-        )  # fmt: skip
+        )
         return
     assert recording is not None
     common.check_folder("--out", out)
@@ -94,9 +104,15 @@ def command(
         _made(out)
     with common.progress_bar("diagnose", progress) as show:
         found = diagnose(
-            loaded, measured, hold_out=held, physics=rows, trust_blocks=trust_blocks, workers=workers,
-            scheduler=scheduler, progress=show,
-        )  # fmt: skip
+            loaded,
+            measured,
+            hold_out=held,
+            physics=rows,
+            trust_blocks=trust_blocks,
+            workers=workers,
+            scheduler=scheduler,
+            progress=show,
+        )
     show_problems(found.warnings)
     if out:
         from rotorsim.report.diagnosis.report import save_report

@@ -14,9 +14,13 @@ __all__ = ["command"]
 @click.option("-o", "--out", metavar="FILE.svg", help="Write the drawing here (default: to stdout).")
 @common.json_option
 def command(
-    diagram: str, settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, out: str | None,
+    diagram: str,
+    settings: tuple[str, ...],
+    without: tuple[str, ...],
+    trust_blocks: bool,
+    out: str | None,
     as_json: bool,
-) -> None:  # fmt: skip
+) -> None:
     """Draw a diagram as SVG: blocks where its layout puts them, with ports and wires.
 
     \b

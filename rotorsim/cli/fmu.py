@@ -53,23 +53,48 @@ def command(ctx: click.Context) -> None:
 @command.command("export")
 @common.diagram_options
 @click.option("--block", "blocks", multiple=True, metavar="NAME", help="Export only this block; repeatable.")
-@click.option("--input", "inputs", multiple=True, metavar="PORT",
-              help="Make this additive input port an input too, such as rotor.force; repeatable.")  # fmt: skip
-@click.option("--output", "outputs", multiple=True, metavar="SIGNAL",
-              help="Output this signal (default: what is recorded, or all ports of --block); repeatable.")  # fmt: skip
+@click.option(
+    "--input",
+    "inputs",
+    multiple=True,
+    metavar="PORT",
+    help="Make this additive input port an input too, such as rotor.force; repeatable.",
+)
+@click.option(
+    "--output",
+    "outputs",
+    multiple=True,
+    metavar="SIGNAL",
+    help="Output this signal (default: what is recorded, or all ports of --block); repeatable.",
+)
 @click.option("--fmi", "version", type=click.Choice(["2.0", "3.0"]), default="2.0", help="Version of FMI [2.0].")
-@click.option("--platform", "platforms", multiple=True, metavar="NAME",
-              help="linux64, aarch64-linux, win64, darwin64, aarch64-darwin, ... or source (no library); repeatable. "
-              "Default: this machine's. Others need ziglang.")  # fmt: skip
+@click.option(
+    "--platform",
+    "platforms",
+    multiple=True,
+    metavar="NAME",
+    help="linux64, aarch64-linux, win64, darwin64, aarch64-darwin, ... or source (no library); repeatable. "
+    "Default: this machine's. Others need ziglang.",
+)
 @click.option("--arrays", is_flag=True, help="Vectors and matrices as arrays instead of scalars (FMI 3.0).")
 @click.option("--fixed", is_flag=True, help="Parameters cannot change after initialisation.")
 @click.option("-o", "--out", required=True, metavar="FILE.fmu", help="Write the FMU here.")
 @common.json_option
 def export(
-    diagram: str, settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, blocks: tuple[str, ...],
-    inputs: tuple[str, ...], outputs: tuple[str, ...], version: str, platforms: tuple[str, ...], arrays: bool,
-    fixed: bool, out: str, as_json: bool,
-) -> None:  # fmt: skip
+    diagram: str,
+    settings: tuple[str, ...],
+    without: tuple[str, ...],
+    trust_blocks: bool,
+    blocks: tuple[str, ...],
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    version: str,
+    platforms: tuple[str, ...],
+    arrays: bool,
+    fixed: bool,
+    out: str,
+    as_json: bool,
+) -> None:
     """Write a diagram, or some of its blocks, as an FMU for model exchange and co-simulation.
 
     With --block, what comes from other blocks becomes an input. Co-simulation takes the diagram's own step.
@@ -84,19 +109,31 @@ def export(
 
     wanted = [name for name in platforms if name != SOURCE] if platforms else None
     done = export_fmu(
-        loaded, out, blocks=blocks or None, version=version, platforms=wanted, arrays=arrays, inputs=inputs,
-        outputs=outputs or None, fixed=fixed,
-    )  # fmt: skip
+        loaded,
+        out,
+        blocks=blocks or None,
+        version=version,
+        platforms=wanted,
+        arrays=arrays,
+        inputs=inputs,
+        outputs=outputs or None,
+        fixed=fixed,
+    )
     show_problems(done.warnings)
     counts = {role: done.interface.count(role) for role in ("parameter", "input", "output", "state", "event")}
     if as_json:
         common.echo_json(
             {
-                "file": out, "fmi": version, "model": done.interface.identifier, "token": done.token,
-                "blocks": list(done.interface.part.blocks), "step": loaded.solver.step, "variables": counts,
+                "file": out,
+                "fmi": version,
+                "model": done.interface.identifier,
+                "token": done.token,
+                "blocks": list(done.interface.part.blocks),
+                "step": loaded.solver.step,
+                "variables": counts,
                 "libraries": done.libraries,
             }
-        )  # fmt: skip
+        )
         return
     click.echo(f"{out}: FMI {version}, model exchange and co-simulation, step {loaded.solver.step:g} s")
     click.echo(", ".join(f"{n} {role}{'' if n == 1 else 's'}" for role, n in counts.items()))

@@ -21,25 +21,55 @@ __all__ = ["command"]
 @click.argument("diagram", metavar="DIAGRAM")
 @click.argument("recording", metavar="RECORDING")
 @click.option("--out", metavar="DIR", help="Write identification.json, diagram.json and figures into this folder.")
-@click.option("--method", type=click.Choice(["likelihood", "regression"]), default="likelihood", show_default=True,
-              help="Maximum likelihood, or the thesis' least squares.")  # fmt: skip
-@click.option("--measured-input", "given", multiple=True, metavar="PORT",
-              help="Take this port as it was measured; what makes it need not be right.")  # fmt: skip
+@click.option(
+    "--method",
+    type=click.Choice(["likelihood", "regression"]),
+    default="likelihood",
+    show_default=True,
+    help="Maximum likelihood, or the thesis' least squares.",
+)
+@click.option(
+    "--measured-input",
+    "given",
+    multiple=True,
+    metavar="PORT",
+    help="Take this port as it was measured; what makes it need not be right.",
+)
 @click.option("--hold-out", metavar="RECORDING", help="Further runs on which the fit is scored.")
-@click.option("--precision", metavar="SHARE", default="5 %", show_default=True,
-              help="Half width of the 90 % interval that counts as identified.")  # fmt: skip
+@click.option(
+    "--precision",
+    metavar="SHARE",
+    default="5 %",
+    show_default=True,
+    help="Half width of the 90 % interval that counts as identified.",
+)
 @click.option("--orders", metavar="LIST", help="Harmonics of the regression (default: 0,1,2,3,5,7,-1,-3,-5).")
-@click.option("--reduction", type=click.Choice(["exact", "central"]), default="exact", show_default=True,
-              help="Elimination of what was not measured, in the regression; central: as in the thesis.")  # fmt: skip
+@click.option(
+    "--reduction",
+    type=click.Choice(["exact", "central"]),
+    default="exact",
+    show_default=True,
+    help="Elimination of what was not measured, in the regression; central: as in the thesis.",
+)
 @common.set_option
 @common.without_option
 @common.trust_option
 @common.json_option
 def command(
-    diagram: str, recording: str, out: str | None, method: str, given: tuple[str, ...], hold_out: str | None,
-    precision: str, orders: str | None, reduction: str, settings: tuple[str, ...], without: tuple[str, ...],
-    trust_blocks: bool, as_json: bool,
-) -> None:  # fmt: skip
+    diagram: str,
+    recording: str,
+    out: str | None,
+    method: str,
+    given: tuple[str, ...],
+    hold_out: str | None,
+    precision: str,
+    orders: str | None,
+    reduction: str,
+    settings: tuple[str, ...],
+    without: tuple[str, ...],
+    trust_blocks: bool,
+    as_json: bool,
+) -> None:
     """Estimate the free parameters of DIAGRAM (its key "identify") from the measurements in RECORDING.
 
     RECORDING is a folder with recording.json. Every parameter comes with a 90 % interval and a verdict: identified,
@@ -64,9 +94,15 @@ def command(
     loaded = common.open_diagram(diagram, settings, without, trust_blocks)
     measured = load_recording(recording)
     found = identify(
-        loaded, measured, method=method, given=given, orders=wanted, reduction=reduction,
-        precision=share, hold_out=None if hold_out is None else load_recording(hold_out),
-    )  # fmt: skip
+        loaded,
+        measured,
+        method=method,
+        given=given,
+        orders=wanted,
+        reduction=reduction,
+        precision=share,
+        hold_out=None if hold_out is None else load_recording(hold_out),
+    )
     show_problems(found.warnings)
     if out:
         from rotorsim.report.identification.figures import save_figures
@@ -108,10 +144,13 @@ def _text(found: Identification) -> str:
     parts = [common.table(header, rows)]
     signals = list(found.noise_floor)
     fit_rows = [
-        (signal, *(f"{found.fit[use].get(signal, float('nan')) * 100:.3g} %" for use in found.fit),
-         f"{found.noise_floor[signal] * 100:.3g} %")
+        (
+            signal,
+            *(f"{found.fit[use].get(signal, float('nan')) * 100:.3g} %" for use in found.fit),
+            f"{found.noise_floor[signal] * 100:.3g} %",
+        )
         for signal in signals
-    ]  # fmt: skip
+    ]
     uses = [{"identify": "identified from", "hold_out": "held out"}[use] for use in found.fit]
     parts.append(common.table(("NRMSE of signal", *uses, "noise floor"), fit_rows))
     parts.append(found.statement)

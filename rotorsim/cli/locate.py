@@ -31,9 +31,17 @@ NOT_EXPLAINED = 1e-3  # probability of the misfit
 @common.trust_option
 @common.json_option
 def command(
-    diagram: str, recording: str, block: str, count: int, given: tuple[str, ...], out: str | None,
-    settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, as_json: bool,
-) -> None:  # fmt: skip
+    diagram: str,
+    recording: str,
+    block: str,
+    count: int,
+    given: tuple[str, ...],
+    out: str | None,
+    settings: tuple[str, ...],
+    without: tuple[str, ...],
+    trust_blocks: bool,
+    as_json: bool,
+) -> None:
     """Find the node at which a crack (or another force) acts: every node is tried and refitted.
 
     Exit code 1: the place is not sure, or the model does not explain the data even there.
@@ -106,8 +114,12 @@ def _statement(found: list[Location], single: Location | None, block: str) -> st
 def _data(found: list[Location], single: Location | None) -> dict[str, Any]:
     def one(item: Location) -> dict[str, Any]:
         return {
-            "nodes": item.nodes, "probability": item.probability, "misfit": item.misfit,
-            "freedom": item.estimate.freedom, "criterion": _criterion(item), "parameters": item.values,
-        }  # fmt: skip
+            "nodes": item.nodes,
+            "probability": item.probability,
+            "misfit": item.misfit,
+            "freedom": item.estimate.freedom,
+            "criterion": _criterion(item),
+            "parameters": item.values,
+        }
 
     return {"places": [one(item) for item in found], "one_alone": None if single is None else one(single)}

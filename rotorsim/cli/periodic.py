@@ -27,9 +27,17 @@ NOTICED = 0.01  # of the largest harmonic: a change of others by the orders that
 @click.option("--plot", metavar="FILE", help="Draw harmonics against speed: .png, .svg or .pdf.")
 @common.json_option
 def command(
-    diagram: str, settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, speeds: str | None,
-    harmonics: int | None, subharmonic: int, record: tuple[str, ...], plot: str | None, as_json: bool,
-) -> int:  # fmt: skip
+    diagram: str,
+    settings: tuple[str, ...],
+    without: tuple[str, ...],
+    trust_blocks: bool,
+    speeds: str | None,
+    harmonics: int | None,
+    subharmonic: int,
+    record: tuple[str, ...],
+    plot: str | None,
+    as_json: bool,
+) -> int:
     """The settled motion at one or many speeds: direct where the diagram is linear, else harmonic balance.
 
     Prints the harmonics of two-axis signals; --json gives those of every recorded signal, complex.

@@ -37,30 +37,61 @@ _NEXT = re.compile(r",(?=\s*[A-Za-z_][\w/.]*\s*=)")  # a comma before NAME=, not
     "--out", required=True, metavar="FOLDER", help="Folder of the recording: recording.json and a file a run."
 )
 @click.option("--speeds", metavar="SPEEDS", help="start:step:stop, a list, or one (default: the diagram's speed).")
-@click.option("--gains", "gains", multiple=True, metavar="NAME=VALUE,...",
-              help="Values that are known and stay with the runs, as 'controller.KP=9000, controller.KD=4.5'; one "
-                   "run a speed for each --gains.")  # fmt: skip
+@click.option(
+    "--gains",
+    "gains",
+    multiple=True,
+    metavar="NAME=VALUE,...",
+    help="Values that are known and stay with the runs, as 'controller.KP=9000, controller.KD=4.5'; one "
+    "run a speed for each --gains.",
+)
 @click.option("--hold-out", metavar="SPEEDS", help="Speeds whose runs are not fitted, only predicted.")
-@click.option("--signal", "signals", multiple=True, metavar="SIGNAL",
-              help="What is measured (default: the diagram's recorded two-axis signals); repeatable.")  # fmt: skip
+@click.option(
+    "--signal",
+    "signals",
+    multiple=True,
+    metavar="SIGNAL",
+    help="What is measured (default: the diagram's recorded two-axis signals); repeatable.",
+)
 @click.option("--window", metavar="START:STOP", help="Part that is kept, as '4 s:5 s' (default: the last fifth).")
 @click.option("--settle", is_flag=True, help="Begin in the settled motion: no transient.")
 @click.option("--rate", metavar="RATE", help="Samples, as '5000 Hz' (default: as the diagram records).")
 @click.option("--noise", metavar="LEVEL", help="Noise on every channel, as '5 %' of its rms about its mean.")
-@click.option("--noise-kind", type=click.Choice(common.NOISE_KINDS), default="white", show_default=True,
-              help="white: additive; thesis: eq. (2.67) with normal R; uniform: with R from 0 to 1.")  # fmt: skip
+@click.option(
+    "--noise-kind",
+    type=click.Choice(common.NOISE_KINDS),
+    default="white",
+    show_default=True,
+    help="white: additive; thesis: eq. (2.67) with normal R; uniform: with R from 0 to 1.",
+)
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the noise.")
-@click.option("--format", "form", type=click.Choice(("npz", "csv")), default="npz", show_default=True,
-              help="Of the data files.")  # fmt: skip
+@click.option(
+    "--format", "form", type=click.Choice(("npz", "csv")), default="npz", show_default=True, help="Of the data files."
+)
 @click.option("--overwrite", is_flag=True, help="Replace a recording that is in the folder.")
 @common.progress_option
 @common.json_option
 def command(
-    diagram: str, settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, out: str,
-    speeds: str | None, gains: tuple[str, ...], hold_out: str | None, signals: tuple[str, ...], window: str | None,
-    settle: bool, rate: str | None, noise: str | None, noise_kind: str, seed: int, form: str, overwrite: bool,
-    progress: bool | None, as_json: bool,
-) -> None:  # fmt: skip
+    diagram: str,
+    settings: tuple[str, ...],
+    without: tuple[str, ...],
+    trust_blocks: bool,
+    out: str,
+    speeds: str | None,
+    gains: tuple[str, ...],
+    hold_out: str | None,
+    signals: tuple[str, ...],
+    window: str | None,
+    settle: bool,
+    rate: str | None,
+    noise: str | None,
+    noise_kind: str,
+    seed: int,
+    form: str,
+    overwrite: bool,
+    progress: bool | None,
+    as_json: bool,
+) -> None:
     """Measure a diagram instead of a machine: simulate runs and save them as a recording.
 
     A recording is a folder that 'rotorsim identify', 'spectrum' and 'check' read. --gains are written into it, since
@@ -96,10 +127,17 @@ def command(
 
 
 def _simulate(
-    diagrams: Sequence[Diagram], known: Sequence[dict[str, Any]], speeds: Sequence[float | None], held: set[float],
-    signals: Sequence[str], span: tuple[float, float] | None, settle: bool, rate: float | None, noise: Noise | None,
+    diagrams: Sequence[Diagram],
+    known: Sequence[dict[str, Any]],
+    speeds: Sequence[float | None],
+    held: set[float],
+    signals: Sequence[str],
+    span: tuple[float, float] | None,
+    settle: bool,
+    rate: float | None,
+    noise: Noise | None,
     progress: bool | None,
-) -> list[NewRun]:  # fmt: skip
+) -> list[NewRun]:
     """Return one run per set of gains and speed, in this order."""
     from rotorsim.linear.eigenmodes import require_speed
     from rotorsim.linear.linearisation import speed_of
@@ -131,9 +169,15 @@ def _simulate(
                         show((done + fraction) / total)
 
                 result = measure(
-                    model, signals, f"{clock}.theta" if clock else None, window=window, rate=rate, speed=speed,
-                    settle=settle, progress=forward,
-                )  # fmt: skip
+                    model,
+                    signals,
+                    f"{clock}.theta" if clock else None,
+                    window=window,
+                    rate=rate,
+                    speed=speed,
+                    settle=settle,
+                    progress=forward,
+                )
                 if noise:
                     result = noisy(result, noise, done)
                 nominal = speed if speed is not None or rising else speed_of(model, model.p0)

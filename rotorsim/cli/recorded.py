@@ -83,9 +83,15 @@ def _count(n: int, word: str) -> str:
 
 
 def recording_spectrum(
-    source: str, wanted: Sequence[str], signals: Sequence[str], window: tuple[float, float] | None, method: str | None,
-    threshold: float, plot: str | None, as_json: bool,
-) -> None:  # fmt: skip
+    source: str,
+    wanted: Sequence[str],
+    signals: Sequence[str],
+    window: tuple[float, float] | None,
+    method: str | None,
+    threshold: float,
+    plot: str | None,
+    as_json: bool,
+) -> None:
     """Print the spectra of the runs of a recording; draw that of one."""
     from rotorsim.cli.app import show_problems
     from rotorsim.recordings.loading import load_recording
@@ -137,9 +143,14 @@ def _chosen(recording: Recording, wanted: Sequence[str]) -> list[Run]:
 
 
 def _run_spectrum(
-    recording: Recording, run: Run, signals: Sequence[str], window: tuple[float, float] | None, method: str | None,
-    threshold: float, plot: str | None,
-) -> tuple[dict[str, Any], str]:  # fmt: skip
+    recording: Recording,
+    run: Run,
+    signals: Sequence[str],
+    window: tuple[float, float] | None,
+    method: str | None,
+    threshold: float,
+    plot: str | None,
+) -> tuple[dict[str, Any], str]:
     """Return what is printed of one run, as data and as text."""
     from dataclasses import replace
 

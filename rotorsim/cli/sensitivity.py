@@ -27,19 +27,37 @@ SUFFIXES = (".csv", ".json")
 )
 @click.option("--list", "listing", is_flag=True, help="List the tables of the thesis.")
 @click.option("--speeds", metavar="SPEEDS", help="Speeds of the runs: start:step:stop, or a list.")
-@click.option("--gains", multiple=True, metavar="NAME=VALUE,...",
-              help="Repeat all speeds with these values: controller.KP=14000,controller.KD=4; repeatable.")  # fmt: skip
+@click.option(
+    "--gains",
+    multiple=True,
+    metavar="NAME=VALUE,...",
+    help="Repeat all speeds with these values: controller.KP=14000,controller.KD=4; repeatable.",
+)
 @click.option("--free", metavar="NAME,...", help="Parameters to identify (default: those of the table or the diagram).")
 @click.option("--noise", metavar="LEVELS", help="Noise in %, a list such as 0,1,2,5.")
-@click.option("--noise-kind", "kinds", multiple=True, type=click.Choice(common.NOISE_KINDS),
-              help="white: Gaussian, in % of each signal's rms (default); thesis: eq. (2.67) with normal R; uniform: "
-              "with R from 0 to 1, as the thesis' figures look; repeatable.")  # fmt: skip
-@click.option("--wrong", multiple=True, metavar="NAME,...",
-              help="Known parameters that one draw makes wrong: rotor.mass,unbalance.mass; repeatable.")  # fmt: skip
+@click.option(
+    "--noise-kind",
+    "kinds",
+    multiple=True,
+    type=click.Choice(common.NOISE_KINDS),
+    help="white: Gaussian, in % of each signal's rms (default); thesis: eq. (2.67) with normal R; uniform: "
+    "with R from 0 to 1, as the thesis' figures look; repeatable.",
+)
+@click.option(
+    "--wrong",
+    multiple=True,
+    metavar="NAME,...",
+    help="Known parameters that one draw makes wrong: rotor.mass,unbalance.mass; repeatable.",
+)
 @click.option("--bias", metavar="LEVELS", help="Standard deviation of their relative errors in %, a list.")
 @click.option("--seeds", type=click.IntRange(1, 1_000_000), default=100, show_default=True, help="Draws of each case.")
-@click.option("--method", type=click.Choice(["regression", "likelihood"]), default="regression", show_default=True,
-              help="The thesis' least squares, or maximum likelihood with intervals.")  # fmt: skip
+@click.option(
+    "--method",
+    type=click.Choice(["regression", "likelihood"]),
+    default="regression",
+    show_default=True,
+    help="The thesis' least squares, or maximum likelihood with intervals.",
+)
 @click.option("--reduction", type=click.Choice(["exact", "central"]), help="Elimination of what was not measured.")
 @click.option("--measured-input", "given", multiple=True, metavar="PORT", help="Take this port as it was measured.")
 @click.option(
@@ -64,9 +82,19 @@ SUFFIXES = (".csv", ".json")
 @common.progress_option
 @common.json_option
 def command(
-    diagram: str | None, table: str | None, listing: bool, smallest_crack: bool, controllers: bool, store: str | None,
-    scheduler: str | None, workers: int | None, out: str | None, progress: bool | None, as_json: bool, **options: Any,
-) -> None:  # fmt: skip
+    diagram: str | None,
+    table: str | None,
+    listing: bool,
+    smallest_crack: bool,
+    controllers: bool,
+    store: str | None,
+    scheduler: str | None,
+    workers: int | None,
+    out: str | None,
+    progress: bool | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
     """How noise and wrong known parameters move the identified parameters, over many seeds.
 
     Runs are simulated with DIAGRAM, noise is added, and the parameters that its key "identify" leaves free are
@@ -118,11 +146,26 @@ def command(
 
 
 def _study(
-    diagram: str | None, table: str | None, *, settings: Sequence[str], without: Sequence[str], trust_blocks: bool,
-    speeds: str | None, gains: Sequence[str], free: str | None, noise: str | None, kinds: tuple[str, ...],
-    wrong: Sequence[str], bias: str | None, seeds: int, method: str, reduction: str | None, given: tuple[str, ...],
-    window: str, settled: bool,
-) -> Study:  # fmt: skip
+    diagram: str | None,
+    table: str | None,
+    *,
+    settings: Sequence[str],
+    without: Sequence[str],
+    trust_blocks: bool,
+    speeds: str | None,
+    gains: Sequence[str],
+    free: str | None,
+    noise: str | None,
+    kinds: tuple[str, ...],
+    wrong: Sequence[str],
+    bias: str | None,
+    seeds: int,
+    method: str,
+    reduction: str | None,
+    given: tuple[str, ...],
+    window: str,
+    settled: bool,
+) -> Study:
     """Return the study that the options describe."""
     from pathlib import Path
 
@@ -139,10 +182,16 @@ def _study(
     name = diagram if diagram is not None else TABLES[table or ""].diagram
     loaded = common.open_diagram(name, settings, without, trust_blocks)
     changes: dict[str, Any] = {
-        "diagram": loaded.document, "seeds": seeds, "method": method, "given": given, "window": _window(window),
-        "settled": settled, "without": tuple(without), "trust_blocks": trust_blocks,
+        "diagram": loaded.document,
+        "seeds": seeds,
+        "method": method,
+        "given": given,
+        "window": _window(window),
+        "settled": settled,
+        "without": tuple(without),
+        "trust_blocks": trust_blocks,
         "folder": str(Path(name).resolve().parent) if Path(name).exists() else ".",
-    }  # fmt: skip
+    }
     if speeds is not None:
         changes["speeds"] = tuple(float(speed) for speed in common.speeds_of(speeds))
     if gains:
@@ -228,11 +277,20 @@ def _list(as_json: bool) -> None:
 
     tables = list(TABLES.values())
     if as_json:
-        common.echo_json([
-            {"table": t.number, "varied": t.kind, "diagram": t.diagram, "speeds_rpm": list(t.speeds_rpm),
-             "levels": list(LEVELS), "parameters": list(t.free), "reduction": t.reduction}
-            for t in tables
-        ])  # fmt: skip
+        common.echo_json(
+            [
+                {
+                    "table": t.number,
+                    "varied": t.kind,
+                    "diagram": t.diagram,
+                    "speeds_rpm": list(t.speeds_rpm),
+                    "levels": list(LEVELS),
+                    "parameters": list(t.free),
+                    "reduction": t.reduction,
+                }
+                for t in tables
+            ]
+        )
         return
     rows = [
         (t.number, t.kind, t.diagram, "{:g}:{:g}:{:g} rpm".format(*t.speeds_rpm), str(len(t.rows)), t.reduction)

@@ -41,14 +41,28 @@ METHODS = ("least-squares", "fft", "regression")  # those of rotorsim.signals.tw
     type=click.Choice(METHODS),
     help="Print harmonics of the shaft angle by this method (default for a recording: least-squares).",
 )
-@click.option("--threshold", type=click.FloatRange(0.0, 1.0), default=1e-3, show_default=True,
-              help="Smallest line shown, as a share of the largest.")  # fmt: skip
+@click.option(
+    "--threshold",
+    type=click.FloatRange(0.0, 1.0),
+    default=1e-3,
+    show_default=True,
+    help="Smallest line shown, as a share of the largest.",
+)
 @click.option("--plot", metavar="FILE", help="Draw the full spectrum of the first signal: .png, .svg or .pdf.")
 @common.json_option
 def command(
-    source: str, settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, signals: tuple[str, ...],
-    runs: tuple[str, ...], window: str | None, method: str | None, threshold: float, plot: str | None, as_json: bool,
-) -> None:  # fmt: skip
+    source: str,
+    settings: tuple[str, ...],
+    without: tuple[str, ...],
+    trust_blocks: bool,
+    signals: tuple[str, ...],
+    runs: tuple[str, ...],
+    window: str | None,
+    method: str | None,
+    threshold: float,
+    plot: str | None,
+    as_json: bool,
+) -> None:
     """Full spectrum and harmonics of two-axis signals: of a recording, a saved result, or a diagram that is run.
 
     RECORDING is a folder with recording.json, RESULT a file (.csv, .h5, .npz) of 'rotorsim run'. Positive
@@ -119,8 +133,11 @@ def command(
             elif angle:
                 fit = harmonics(result, item.signal, angle=angle, window=span)
                 data[item.signal]["harmonics"] = {
-                    "orders": fit.orders, "real": fit.values.real, "imag": fit.values.imag, "residual": fit.residual
-                }  # fmt: skip
+                    "orders": fit.orders,
+                    "real": fit.values.real,
+                    "imag": fit.values.imag,
+                    "residual": fit.residual,
+                }
         common.echo_json({"window": span, "running_hz": running, "signals": data})
     elif fits:
         click.echo("\n\n".join(recorded.harmonics_text(item, threshold) for item in fits.values()))
@@ -148,10 +165,14 @@ def spectrum_text(found: FullSpectrum, running: float | None, threshold: float) 
     peaks = np.flatnonzero((size > padded[:-2]) & (size >= padded[2:]) & (size >= threshold * size.max()))
     unit, scale = common.display_unit(found.unit)
     rows = [
-        (f"{found.frequency[k]:.4f}", f"{found.frequency[k] / running:.4g}" if running else "-",
-         f"{size[k] * scale:.6g}", f"{common.degrees(found.amplitude[k]):.2f}")
+        (
+            f"{found.frequency[k]:.4f}",
+            f"{found.frequency[k] / running:.4g}" if running else "-",
+            f"{size[k] * scale:.6g}",
+            f"{common.degrees(found.amplitude[k]):.2f}",
+        )
         for k in peaks
-    ]  # fmt: skip
+    ]
     header = ("frequency [Hz]", "order", f"amplitude [{unit}, 0-peak]", "phase [deg]")
     return found.signal + "\n" + common.table(header, rows)
 

@@ -24,18 +24,40 @@ def command(ctx: click.Context) -> None:
 
 @command.command("export")
 @common.diagram_options
-@click.option("--part", "parts", multiple=True, metavar="NAME=BLOCK,...",
-              help="Blocks that become an FMU of this name; repeatable. The blocks left over are 'rest'.")  # fmt: skip
-@click.option("--fmi", "version", type=click.Choice(["2.0", "3.0"]), default="2.0",
-              help="Version of FMI [2.0]; 3.0 makes it SSP 2.0.")  # fmt: skip
-@click.option("--platform", "platforms", multiple=True, metavar="NAME",
-              help="As for fmu export; repeatable. Default: this machine's.")  # fmt: skip
+@click.option(
+    "--part",
+    "parts",
+    multiple=True,
+    metavar="NAME=BLOCK,...",
+    help="Blocks that become an FMU of this name; repeatable. The blocks left over are 'rest'.",
+)
+@click.option(
+    "--fmi",
+    "version",
+    type=click.Choice(["2.0", "3.0"]),
+    default="2.0",
+    help="Version of FMI [2.0]; 3.0 makes it SSP 2.0.",
+)
+@click.option(
+    "--platform",
+    "platforms",
+    multiple=True,
+    metavar="NAME",
+    help="As for fmu export; repeatable. Default: this machine's.",
+)
 @click.option("-o", "--out", required=True, metavar="FILE.ssp", help="Write the system here.")
 @common.json_option
 def export(
-    diagram: str, settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, parts: tuple[str, ...],
-    version: str, platforms: tuple[str, ...], out: str, as_json: bool,
-) -> None:  # fmt: skip
+    diagram: str,
+    settings: tuple[str, ...],
+    without: tuple[str, ...],
+    trust_blocks: bool,
+    parts: tuple[str, ...],
+    version: str,
+    platforms: tuple[str, ...],
+    out: str,
+    as_json: bool,
+) -> None:
     """Write DIAGRAM as a system of FMUs with connections, units and values of parameters.
 
     Blocks of type fmu go as they are.
@@ -55,17 +77,23 @@ def export(
     if as_json:
         common.echo_json(
             {
-                "file": out, "ssp": done.structure.version, "connections": len(system.connections),
+                "file": out,
+                "ssp": done.structure.version,
+                "connections": len(system.connections),
                 "components": {name: list(blocks) for name, blocks in done.blocks.items()},
             }
-        )  # fmt: skip
+        )
         return
     click.echo(f"{out}: SSP {done.structure.version}, {len(system.connections)} connections")
     lines = [
-        [c.name, *(str(sum(x.kind == kind for x in c.connectors)) for kind in ("input", "output")),
-         str(len(c.settings)), ", ".join(done.blocks[c.name])]
+        [
+            c.name,
+            *(str(sum(x.kind == kind for x in c.connectors)) for kind in ("input", "output")),
+            str(len(c.settings)),
+            ", ".join(done.blocks[c.name]),
+        ]
         for c in system.components
-    ]  # fmt: skip
+    ]
     click.echo(common.table(["component", "inputs", "outputs", "parameters", "blocks"], lines))
 
 
@@ -109,8 +137,15 @@ def import_(file: str, out: str, as_json: bool) -> None:
     diagram = done.diagram
     if as_json:
         types = {name: node.block.type_name for name, node in diagram.nodes.items()}
-        common.echo_json({"diagram": str(done.file), "ssp": done.structure.version, "fmus": list(done.fmus),
-                          "blocks": types, "wires": len(diagram.wires)})  # fmt: skip
+        common.echo_json(
+            {
+                "diagram": str(done.file),
+                "ssp": done.structure.version,
+                "fmus": list(done.fmus),
+                "blocks": types,
+                "wires": len(diagram.wires),
+            }
+        )
         return
     click.echo(
         f"{done.file}: {len(diagram.nodes)} blocks, {len(diagram.wires)} wires, from SSP {done.structure.version}"

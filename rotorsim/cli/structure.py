@@ -26,9 +26,15 @@ FARTHEST = 10.0  # times the size from which a fault is seen: told apart only be
 
 
 def show_isolation(
-    diagram: Diagram, sensors: str, speeds: str | None, *, physics: Collection[str] | None = None,
-    trust_blocks: bool, progress: bool | None, as_json: bool,
-) -> None:  # fmt: skip
+    diagram: Diagram,
+    sensors: str,
+    speeds: str | None,
+    *,
+    physics: Collection[str] | None = None,
+    trust_blocks: bool,
+    progress: bool | None,
+    as_json: bool,
+) -> None:
     """Print which faults of a diagram can be told apart with sensors ("rotor.displacement[3],controller.current").
 
     physics: only these faults (default: all).
@@ -190,8 +196,12 @@ def _sizes(found: Isolation, laws: Laws) -> list[str]:
             continue
         more = "" if item.size_with_gains is None else format_quantity(item.size_with_gains, size.unit, 3)
         rows[names] = (
-            *names, size.parameter, format_quantity(seen, size.unit, 3), format_quantity(item.size, size.unit, 3), more,
-        )  # fmt: skip
+            *names,
+            size.parameter,
+            format_quantity(seen, size.unit, 3),
+            format_quantity(item.size, size.unit, 3),
+            more,
+        )
     if not rows:
         return []
     kept = list(rows.values())

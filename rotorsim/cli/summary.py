@@ -17,9 +17,18 @@ if TYPE_CHECKING:
     from rotorsim.simulation.result import Result
 
 __all__ = [
-    "constant_speed", "harmonics_of", "motion", "motion_line", "peaks", "peaks_table", "run_line", "run_up_table",
-    "run_ups", "settled_motion", "two_axis",
-]  # fmt: skip
+    "constant_speed",
+    "harmonics_of",
+    "motion",
+    "motion_line",
+    "peaks",
+    "peaks_table",
+    "run_line",
+    "run_up_table",
+    "run_ups",
+    "settled_motion",
+    "two_axis",
+]
 
 FEW = 1500  # samples that tell whether the motion has settled
 SETTLED = 0.01  # of the largest harmonic: what may still change
@@ -100,9 +109,7 @@ def settled_motion(model: Model, result: Result, angle: str, found: Sequence[Har
     return made if made.settled.all() else None
 
 
-def motion(
-    result: Result, angle: str, found: Sequence[Harmonics], settled: Periodic | None = None
-) -> dict[str, Any]:  # fmt: skip
+def motion(result: Result, angle: str, found: Sequence[Harmonics], settled: Periodic | None = None) -> dict[str, Any]:
     """Return speed, window of the harmonics, and whether the motion has settled; {} where nothing turns steadily.
 
     settled: what the machine settles on, where that is known. Else from harmonics R1, R2, R3 of three windows in a row:
@@ -201,11 +208,19 @@ def run_ups(result: Result, angle: str, shown: Collection[str]) -> list[dict[str
             entry = f"{name[:-1]},{axis}]" if name.endswith("]") else f"{name}[{axis}]"
             found = run_up(result, entry, speed=speed)
             rows.append(
-                {"signal": entry, "unit": result.units.get(name, found.unit), "resonance": found.resonance,
-                 "resonance_rpm": common.rpm(found.resonance), "peak": found.peak, "rises": found.rises,
-                 "orders": [{"order": one.order, "speed": one.speed, "speed_rpm": common.rpm(one.speed),
-                             "peak": one.peak} for one in found.resonances()]}
-            )  # fmt: skip
+                {
+                    "signal": entry,
+                    "unit": result.units.get(name, found.unit),
+                    "resonance": found.resonance,
+                    "resonance_rpm": common.rpm(found.resonance),
+                    "peak": found.peak,
+                    "rises": found.rises,
+                    "orders": [
+                        {"order": one.order, "speed": one.speed, "speed_rpm": common.rpm(one.speed), "peak": one.peak}
+                        for one in found.resonances()
+                    ],
+                }
+            )
     return rows
 
 

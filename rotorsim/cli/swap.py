@@ -22,17 +22,26 @@ WEIGHTS = {"current_weight": float, "noise_weight": float, "integral": bool, "st
 @click.argument("block", metavar="BLOCK")
 @click.argument("new_type", metavar="TYPE")
 @click.option(
-    "--set", "settings", multiple=True, metavar="NAME=VALUE",
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="NAME=VALUE",
     help="Parameter of the new block, or weight of the design; repeatable.",
-)  # fmt: skip
+)
 @click.option("-o", "--out", metavar="FILE", help="Write the new diagram here (default: to stdout).")
 @click.option("--in-place", is_flag=True, help="Write the new diagram over the old one.")
 @common.trust_option
 @common.json_option
 def command(
-    diagram: str, block: str, new_type: str, settings: tuple[str, ...], out: str | None, in_place: bool,
-    trust_blocks: bool, as_json: bool,
-) -> None:  # fmt: skip
+    diagram: str,
+    block: str,
+    new_type: str,
+    settings: tuple[str, ...],
+    out: str | None,
+    in_place: bool,
+    trust_blocks: bool,
+    as_json: bool,
+) -> None:
     """Replace a block by another type with the same ports; its wires and parameters of equal name stay.
 
     For type fmu, --set file=FILE names the FMU, from where you stand; it is written relative to the new diagram.

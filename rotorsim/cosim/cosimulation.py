@@ -33,10 +33,15 @@ EXPLODED = 1e3  # times larger in the last eighth than in the first, and still g
 
 
 def cosimulate_diagram(
-    diagram: Diagram, groups: Sequence[Iterable[str]] = (), *, step: float, stop: float | None = None,
-    parameters: Mapping[str, Any] | None = None, log: Callable[[str, float, str, str, str], None] | None = None,
+    diagram: Diagram,
+    groups: Sequence[Iterable[str]] = (),
+    *,
+    step: float,
+    stop: float | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    log: Callable[[str, float, str, str, str], None] | None = None,
     **settings: Any,
-) -> Result:  # fmt: skip
+) -> Result:
     """Open the FMUs of a diagram, co-simulate it, and close them; settings as for `cosimulate`.
 
     log: gets block, time [s], status, category and text of every message of an FMU.
@@ -49,11 +54,21 @@ def cosimulate_diagram(
 
 
 def cosimulate(
-    coupling: Coupling, diagram: Diagram, *, step: float, stop: float | None = None, master: str = "gauss_seidel",
-    order: int | None = None, tolerance: float = 1e-8, adaptive: float | None = None, check: bool = False,
-    fast: bool = False, rates: Mapping[str, int] | None = None, solver: str = "rk4",
+    coupling: Coupling,
+    diagram: Diagram,
+    *,
+    step: float,
+    stop: float | None = None,
+    master: str = "gauss_seidel",
+    order: int | None = None,
+    tolerance: float = 1e-8,
+    adaptive: float | None = None,
+    check: bool = False,
+    fast: bool = False,
+    rates: Mapping[str, int] | None = None,
+    solver: str = "rk4",
     progress: Callable[[float], None] | None = None,
-) -> Result:  # fmt: skip
+) -> Result:
     """Advance the participants from 0 to stop with communication steps; return the outputs at these points.
 
     The result also holds ``coupling.error``: per step, how far inputs were from what the outputs then asked for.
@@ -144,9 +159,14 @@ def _with_error(result: Result, errors: np.ndarray) -> Result:
 
 
 def _judged(
-    diagram: Diagram, exchanging: Sequence[ModelExchange], told: _Told, times: np.ndarray, rows: np.ndarray,
-    status: str, message: str,
-) -> tuple[str, str]:  # fmt: skip
+    diagram: Diagram,
+    exchanging: Sequence[ModelExchange],
+    told: _Told,
+    times: np.ndarray,
+    rows: np.ndarray,
+    status: str,
+    message: str,
+) -> tuple[str, str]:
     """Return status and message of a run that reached its end, or left the finite numbers. rows: (n, n_y)."""
     for integrator in exchanging:
         why = integrator.unstable_step()
@@ -213,9 +233,7 @@ def _stopped(error: RotorsimError) -> tuple[str, str]:
     return "stopped", message + (f"\n\nhint: {problem.hint}" if problem.hint else "")
 
 
-def _last_sample(
-    coupling: Coupling, worker: Master, error: RotorsimError, t: float
-) -> tuple[float, np.ndarray] | None:  # fmt: skip
+def _last_sample(coupling: Coupling, worker: Master, error: RotorsimError, t: float) -> tuple[float, np.ndarray] | None:
     """Return time and outputs where an FMU itself asks for the end; those of the others are as foreseen there."""
     problem = error.problems[0]
     if not isinstance(error, FmuError) or error.kind != "ended" or error.time is None or error.time < t:
@@ -299,9 +317,7 @@ def _refuse(
         raise RotorsimError(*problems)
 
 
-def _refuse_rigid(
-    coupling: Coupling, step: float, end: float, adaptive: float | None, rates: Sequence[int]
-) -> None:  # fmt: skip
+def _refuse_rigid(coupling: Coupling, step: float, end: float, adaptive: float | None, rates: Sequence[int]) -> None:
     """Refuse steps of several lengths where an FMU cannot vary its communication step."""
     problems = []
     for participant, rate in zip(coupling.participants, rates, strict=True):
@@ -319,9 +335,13 @@ def _refuse_rigid(
 
 
 def _by_waveform(
-    coupling: Coupling, diagram: Diagram, step: float, end: float, tolerance: float,
+    coupling: Coupling,
+    diagram: Diagram,
+    step: float,
+    end: float,
+    tolerance: float,
     progress: Callable[[float], None] | None,
-) -> Result:  # fmt: skip
+) -> Result:
     """Repeat the whole run until the waveforms agree; see `rotorsim.cosim.waveform`."""
     times, rows, counters = relaxed(coupling, step, end, tolerance, progress)
     worker = make_master("jacobi", coupling)
@@ -330,9 +350,16 @@ def _by_waveform(
 
 
 def _fast(
-    coupling: Coupling, diagram: Diagram, step: float, end: float, worker: Master, first: np.ndarray, told: _Told,
-    progress: Callable[[float], None] | None, sweeps: int = 0,
-) -> Result:  # fmt: skip
+    coupling: Coupling,
+    diagram: Diagram,
+    step: float,
+    end: float,
+    worker: Master,
+    first: np.ndarray,
+    told: _Told,
+    progress: Callable[[float], None] | None,
+    sweeps: int = 0,
+) -> Result:
     """Run the loop in C; see `rotorsim.cosim.loop`."""
     if told.master == "iterative" or worker.order > 0:
         hint = "take master jacobi or gauss_seidel with order 0, or leave out fast"
@@ -407,9 +434,15 @@ def _doubled(worker: Master, t: float, h: float, allowed: float, most: float) ->
 
 
 def _result(
-    coupling: Coupling, diagram: Diagram, times: np.ndarray, rows: np.ndarray, status: str, message: str,
-    worker: Master, told: _Told,
-) -> Result:  # fmt: skip
+    coupling: Coupling,
+    diagram: Diagram,
+    times: np.ndarray,
+    rows: np.ndarray,
+    status: str,
+    message: str,
+    worker: Master,
+    told: _Told,
+) -> Result:
     signals: dict[str, np.ndarray] = {}
     names = [name for p in coupling.participants for name in p.outputs]
     grouped: dict[str, list[int]] = {}

@@ -112,7 +112,7 @@ class Coupling:
 
     def consistent(
         self, t: float, u: np.ndarray, y: np.ndarray | None = None, due: Sequence[int] | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return u and y that agree at time t: u = L y(u) + u0, by sweeps, or by Newton's method in a loop.
 
         due: participants that are at time t, default all; the outputs of the others stay as they are in y.
@@ -189,7 +189,7 @@ class Coupling:
 
     def _outputs(
         self, t: float, u: np.ndarray, y: np.ndarray | None = None, due: Sequence[int] | None = None
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         if due is None or len(due) == len(self.participants):
             parts = zip(self.participants, self.u_parts, strict=True)
             return np.concatenate([p.output(t, u[part]) for p, part in parts])

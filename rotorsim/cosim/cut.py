@@ -19,9 +19,13 @@ __all__ = ["couple", "open_coupling", "sources_of"]
 
 
 def couple(
-    diagram: Diagram, groups: Sequence[Iterable[str]], *, parameters: Mapping[str, Any] | None = None,
-    participants: Mapping[str, Participant] | None = None, use_compiler: bool = True,
-) -> Coupling:  # fmt: skip
+    diagram: Diagram,
+    groups: Sequence[Iterable[str]],
+    *,
+    parameters: Mapping[str, Any] | None = None,
+    participants: Mapping[str, Participant] | None = None,
+    use_compiler: bool = True,
+) -> Coupling:
     """Return a diagram cut into participants: one compiled part for each group of blocks, and the participants given.
 
     participants: block -> a participant in its place (an FMU); its inputs and outputs are named as the block's ports,
@@ -81,9 +85,11 @@ def _refuse_doubles(diagram: Diagram, blocks: Sequence[str]) -> None:
 def _crossing(diagram: Diagram, parts: Sequence[Sequence[str]]) -> list[str]:
     """Return the output ports that feed another part."""
     home = {block: k for k, blocks in enumerate(parts) for block in blocks}
-    return list(dict.fromkeys(
-        f"{w.source.block}.{w.source.port}" for w in diagram.wires if home[w.source.block] != home[w.target.block]
-    ))  # fmt: skip
+    return list(
+        dict.fromkeys(
+            f"{w.source.block}.{w.source.port}" for w in diagram.wires if home[w.source.block] != home[w.target.block]
+        )
+    )
 
 
 def _wires(diagram: Diagram, participants: Sequence[Participant], foreign: set[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -140,10 +146,14 @@ def _refuse_foreign_code(diagram: Diagram) -> None:
 
 
 def open_coupling(
-    diagram: Diagram, groups: Sequence[Iterable[str]] = (), *, stop: float | None = None,
-    parameters: Mapping[str, Any] | None = None, use_compiler: bool = True,
+    diagram: Diagram,
+    groups: Sequence[Iterable[str]] = (),
+    *,
+    stop: float | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    use_compiler: bool = True,
     log: Callable[[str, float, str, str, str], None] | None = None,
-) -> Coupling:  # fmt: skip
+) -> Coupling:
     """Return the participants of a diagram: its FMUs, the groups of blocks given, and the rest; FMUs are opened.
 
     log: gets block, time, status, category and text of every message of an FMU.
@@ -159,9 +169,7 @@ def open_coupling(
             if node.block.opaque:
                 wired = {wire.target.port for wire in diagram.wires if wire.target.block == name}
                 told = diagram.solver.rtol if "rtol" in (diagram.document.get("solver") or {}) else None
-                opened[name] = fmu_participant(
-                    name, node, wired, end, diagram.solver.step, tolerance=told, log=log
-                )  # fmt: skip
+                opened[name] = fmu_participant(name, node, wired, end, diagram.solver.step, tolerance=told, log=log)
         if not opened and not groups:
             hint = "cut it with --part BLOCK,BLOCK, or `rotorsim run` it"
             raise RotorsimError(Problem("has no FMU: there is nothing to be coupled", diagram.name, hint=hint))

@@ -42,9 +42,17 @@ class FmuParticipant:
     """
 
     def __init__(
-        self, name: str, fmu: Fmu, slave: Slave, inputs: dict[str, FmuPort], outputs: dict[str, FmuPort],
-        parameters: dict[str, Any], stop: float, internal: float, tolerance: float | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        name: str,
+        fmu: Fmu,
+        slave: Slave,
+        inputs: dict[str, FmuPort],
+        outputs: dict[str, FmuPort],
+        parameters: dict[str, Any],
+        stop: float,
+        internal: float,
+        tolerance: float | None = None,
+    ) -> None:
         self.name, self.fmu, self.slave, self.parameters = name, fmu, slave, parameters
         self.stop: float | None = stop
         self.tolerance = tolerance
@@ -84,9 +92,14 @@ class FmuParticipant:
         self._begun, self._started = True, False
         self._width = 0.0
         self.slave.setup(
-            t, self.stop, self.tolerance, parameters=self.parameters, inputs=self._u_names, outputs=self._y_names,
+            t,
+            self.stop,
+            self.tolerance,
+            parameters=self.parameters,
+            inputs=self._u_names,
+            outputs=self._y_names,
             exit_initialisation=False,
-        )  # fmt: skip
+        )
 
     def start(self, t: float, u: np.ndarray) -> None:
         self.output(t, u)
@@ -165,9 +178,14 @@ class FmuParticipant:
             texts = {name: ", ".join(self.slave.get([name])) for name in names if self._started}
         said = list(dict.fromkeys(f"{status}: {text}" for status, _, text in lines if status != "OK" and text))
         return {
-            "interface": self.slave.kind, "do_steps": self.do_steps, "most_parts": self.most_parts,
-            "warnings": self.slave.warned, "messages": counts, "said": said[-SHOWN:], "texts": texts,
-        }  # fmt: skip
+            "interface": self.slave.kind,
+            "do_steps": self.do_steps,
+            "most_parts": self.most_parts,
+            "warnings": self.slave.warned,
+            "messages": counts,
+            "said": said[-SHOWN:],
+            "texts": texts,
+        }
 
     def final(self) -> np.ndarray:
         """Return the outputs (n_y,) as they are, whatever the FMU is at. Raises RotorsimError."""
@@ -229,13 +247,15 @@ class FmuParticipant:
         if self.integrator is not None and self.integrator.next_time < np.inf:
             return "has time events, which directional derivatives do not show"
         sampled = [
-            v.name for v in description.by_causality("local")
+            v.name
+            for v in description.by_causality("local")
             if v.variability == "discrete" and v.type in FLOATS  # whole numbers and flags are modes
-        ]  # fmt: skip
+        ]
         sampled += [
-            name for name, taken, moves in zip(self._y_names, used, self.moving, strict=True)
+            name
+            for name, taken, moves in zip(self._y_names, used, self.moving, strict=True)
             if taken and not moves and not _still(description, name)
-        ]  # fmt: skip
+        ]
         if sampled:
             return f"has values that change at events ({sampled[0]}), which directional derivatives do not show"
         if self.integrator is None and not description.states:
@@ -292,9 +312,15 @@ def _depends(description: ModelDescription, output: str, name: str) -> bool:
 
 
 def fmu_participant(
-    name: str, node: Node, wired: Collection[str], stop: float, internal: float, *, tolerance: float | None = None,
+    name: str,
+    node: Node,
+    wired: Collection[str],
+    stop: float,
+    internal: float,
+    *,
+    tolerance: float | None = None,
     log: Callable[[str, float, str, str, str], None] | None = None,
-) -> FmuParticipant:  # fmt: skip
+) -> FmuParticipant:
     """Open the FMU of a block and return it as a participant.
 
     wired: its input ports that something feeds; the others keep the values that the block gives them. tolerance: told
@@ -311,9 +337,11 @@ def fmu_participant(
             log(name, own[0].time if own else 0.0, status, category, text)
 
     fmu = open_fmu(
-        block.fmu_path, in_process=bool(option.in_process), log=hear if log is not None else None,
+        block.fmu_path,
+        in_process=bool(option.in_process),
+        log=hear if log is not None else None,
         sizes=block.fmu_description.sizes,
-    )  # fmt: skip
+    )
     kinds = fmu.description.kinds
     kind = option.interface if option.interface != "any" else "cs" if "cs" in kinds else "me"
     if kind not in kinds:
@@ -331,11 +359,14 @@ def fmu_participant(
         for key, port in given.items()
         if key in node.values
         for entry, value, raw, start in zip(
-            port.entries, np.ravel(node.values[key]), port.of_fmu(node.values[key]),
-            [None] * len(port.entries) if port.start is None else np.ravel(port.start), strict=True
+            port.entries,
+            np.ravel(node.values[key]),
+            port.of_fmu(node.values[key]),
+            [None] * len(port.entries) if port.start is None else np.ravel(port.start),
+            strict=True,
         )
         if value != start
-    }  # fmt: skip
+    }
     for key, chosen in block.fmu_options.items():
         value = getattr(option, key)
         settable = chosen.variable.causality != "structuralParameter" and key not in wired

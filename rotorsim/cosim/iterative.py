@@ -143,9 +143,16 @@ class Iterative(Master):
         raise RotorsimError(Problem(what, "iterative master", hint="a smaller communication step"), exit_code=1)
 
     def _interface(
-        self, t: float, h: float, end: np.ndarray, y: np.ndarray, past: Sequence[Point], held: np.ndarray,
-        saved: Sequence[object], floor: np.ndarray,
-    ) -> np.ndarray:  # fmt: skip
+        self,
+        t: float,
+        h: float,
+        end: np.ndarray,
+        y: np.ndarray,
+        past: Sequence[Point],
+        held: np.ndarray,
+        saved: Sequence[object],
+        floor: np.ndarray,
+    ) -> np.ndarray:
         """Return dy/du (outputs, inputs) at the end of the step; inputs of different participants move together."""
         coupling, m, n = self.coupling, len(self.coupling.u0), self.coupling.L.shape[1]
         J = np.zeros((len(y), len(end)))

@@ -134,7 +134,7 @@ class LinearCoupling(Coupling):
 
     def consistent(
         self, t: float, u: np.ndarray, y: np.ndarray | None = None, due: Sequence[int] | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return u and y that agree: (I - L D) u = L C x + u0."""
         turn = range(len(self.participants)) if due is None else due
         D = np.zeros((self.L.shape[1], self.L.shape[0]))

@@ -50,9 +50,13 @@ class FastLoop:
     """
 
     def __init__(
-        self, members: Sequence[Slave | PartMember], L: np.ndarray, u0: np.ndarray, order: Sequence[int] | None = None,
+        self,
+        members: Sequence[Slave | PartMember],
+        L: np.ndarray,
+        u0: np.ndarray,
+        order: Sequence[int] | None = None,
         sweeps: int = 0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         wrong = [f"{member.name} {why}" for member in members if (why := _unfit(member))]
         library = None if wrong else _library()
         if library is None:
@@ -92,9 +96,15 @@ class FastLoop:
         return not any(map(_unfit, members)) and _library() is not None
 
     def run(
-        self, t0: float, h: float, steps: int, *, every: int = 1, end: float = np.inf,
+        self,
+        t0: float,
+        h: float,
+        steps: int,
+        *,
+        every: int = 1,
+        end: float = np.inf,
         progress: Callable[[float], None] | None = None,
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """Take steps of length h from t0 on, to ``end`` at most; return y (rows, n_y) after each that every divides.
 
         The outputs of the members must be up to date (`exchange` without a step, `output`). The rows end early where
@@ -147,12 +157,27 @@ class FastLoop:
         for worker, made in apart:
             made.count = worker.count
         try:
-            return int(self._function(
-                ctypes.addressof(self._made), len(self.members), _at(self._order), self._sequential,
-                *map(_at, (self._first, self._start, self._column, self._gain, self._u0, self._u)), self.n_y,
-                _at(self._y), t0, h, end, first, last, every, self._sweeps, _at(rows), _at(self._failed),
-                _at(self._place),
-            ))  # fmt: skip
+            return int(
+                self._function(
+                    ctypes.addressof(self._made),
+                    len(self.members),
+                    _at(self._order),
+                    self._sequential,
+                    *map(_at, (self._first, self._start, self._column, self._gain, self._u0, self._u)),
+                    self.n_y,
+                    _at(self._y),
+                    t0,
+                    h,
+                    end,
+                    first,
+                    last,
+                    every,
+                    self._sweeps,
+                    _at(rows),
+                    _at(self._failed),
+                    _at(self._place),
+                )
+            )
         finally:  # Ctrl-C in C is raised when it returns
             for worker, made in apart:
                 worker.count = made.count
@@ -263,7 +288,28 @@ def _library() -> Any:
         return None
     i64, f64, ptr = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
     library.rs_cosimulate.argtypes = [
-        ptr, i64, ptr, i64, ptr, ptr, ptr, ptr, ptr, ptr, i64, ptr, f64, f64, f64, i64, i64, i64, i64, ptr, ptr, ptr,
-    ]  # fmt: skip
+        ptr,
+        i64,
+        ptr,
+        i64,
+        ptr,
+        ptr,
+        ptr,
+        ptr,
+        ptr,
+        ptr,
+        i64,
+        ptr,
+        f64,
+        f64,
+        f64,
+        i64,
+        i64,
+        i64,
+        i64,
+        ptr,
+        ptr,
+        ptr,
+    ]
     library.rs_cosimulate.restype = i64
     return library

@@ -348,9 +348,13 @@ class GaussSeidel(Master):
 
 
 def make_master(
-    name: str, coupling: Coupling, *, order: int | None = None, tolerance: float = 1e-8,
+    name: str,
+    coupling: Coupling,
+    *,
+    order: int | None = None,
+    tolerance: float = 1e-8,
     rates: Sequence[int] | None = None,
-) -> Master:  # fmt: skip
+) -> Master:
     """Return a master by name. Raises RotorsimError for unknown names, orders, and rates that it cannot keep."""
     from rotorsim.cosim.iterative import Iterative
 

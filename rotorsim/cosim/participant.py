@@ -93,7 +93,7 @@ class CompiledParticipant:
 
     def __init__(
         self, name: str, part: Part, record: Sequence[str], p: np.ndarray, step: float, *, use_compiler: bool = True
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.name, self.part, self.p, self.internal = name, part, p, step
         self.inputs = tuple(n for signal in part.inputs.values() for n in entry_names(signal.name, signal.shape))
         self.outputs = tuple(n for port in record for n in entry_names(port, part.shape_of(port)))

@@ -104,9 +104,14 @@ def why_not_linear(coupling: Coupling, step: float, rates: Sequence[int] | None 
 
 
 def coupling_stability(
-    coupling: Coupling, step: float, *, master: str, order: int | None = None, limit: bool = True,
+    coupling: Coupling,
+    step: float,
+    *,
+    master: str,
+    order: int | None = None,
+    limit: bool = True,
     rates: Sequence[int] | None = None,
-) -> CouplingStability | None:  # fmt: skip
+) -> CouplingStability | None:
     """Return how stable the coupled loop is with this communication step, or None when it cannot be told."""
     linear = linear_coupling(coupling)
     if linear is None:
@@ -140,8 +145,9 @@ def _count(step: float, periods: set[float], rates: Sequence[int] | None) -> int
     """Return after how many steps everything begins anew. Raises _NoPeriodError."""
     first = lcm(*(rates or [1]))
     for count in range(first, MOST_STEPS + 1, first):
-        if all(abs(count * step / T - round(count * step / T)) < WHOLE * count and count * step > 0.5 * T
-               for T in periods):  # fmt: skip
+        if all(
+            abs(count * step / T - round(count * step / T)) < WHOLE * count and count * step > 0.5 * T for T in periods
+        ):
             return count
     raise _NoPeriodError
 
@@ -234,7 +240,7 @@ class Period:
 
 def one_period(
     coupling: Coupling, step: float, master: str, order: int | None = None, rates: Sequence[int] | None = None
-) -> Period:  # fmt: skip
+) -> Period:
     """Return one period of the coupled loop.
 
     It acts on the states and on the signals at the points before that the master looks back to, and is found by
@@ -274,9 +280,14 @@ def _earlier(worker: Master, step: float, count: int) -> list[list[float]]:
 
 
 def _go(
-    worker: Master, coupling: Coupling, start: np.ndarray, feeding: Sequence[np.ndarray],
-    earlier: Sequence[Sequence[float]], step: float, count: int,
-) -> tuple[np.ndarray, list[np.ndarray]]:  # fmt: skip
+    worker: Master,
+    coupling: Coupling,
+    start: np.ndarray,
+    feeding: Sequence[np.ndarray],
+    earlier: Sequence[Sequence[float]],
+    step: float,
+    count: int,
+) -> tuple[np.ndarray, list[np.ndarray]]:
     """Return states and past signals, (size,) or (size, runs), after one period, and the states after every step."""
     parts, at = _parts(coupling), 0
     for part in parts:

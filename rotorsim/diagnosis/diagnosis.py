@@ -69,9 +69,16 @@ def diagnose(
     warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
     if is_in_time(diagram, recording):
         return diagnose_in_time(
-            diagram, recording, hold_out=hold_out, physics=physics, warnings=warnings, trust_blocks=trust_blocks,
-            workers=workers, scheduler=scheduler, progress=progress,
-        )  # fmt: skip
+            diagram,
+            recording,
+            hold_out=hold_out,
+            physics=physics,
+            warnings=warnings,
+            trust_blocks=trust_blocks,
+            workers=workers,
+            scheduler=scheduler,
+            progress=progress,
+        )
     folder = str(Path(diagram.file).parent) if diagram.file else None
     folders = diagram.document.get("block_folders", []) if trust_blocks and folder else []
     registry = Registry([Path(folder or ".") / name for name in folders])
@@ -112,8 +119,8 @@ def diagnose(
             base, refined = base_fit(data.source.load(converters[-1].document), data.source)
     source, held = replace(data.source, standing=base.nuisances, given=before.free), data.held
     named = name_missing(
-        base, source, registry=registry, physics=physics, workers=workers, scheduler=scheduler, progress=progress,
-    )  # fmt: skip
+        base, source, registry=registry, physics=physics, workers=workers, scheduler=scheduler, progress=progress
+    )
     scored = _Scores(source, held)
     named = material_effects(named, scored)
     effects = effects_of(named)
@@ -128,7 +135,7 @@ def diagnose(
         named, effects = without_effects(named), ()
     verdict = verdict_of(
         named, effects, alike=source.alike, disproved=disproved, converters=bool(converters), faint=faint
-    )  # fmt: skip
+    )
     unknown = unknown_of(named, effects, source) if verdict == "outside_catalogue" else None
     after = nearest(named, unknown, disproved=disproved)
     score_before = scored(base) if base is before else _Scores(given.source, given.held)(before)
@@ -136,12 +143,22 @@ def diagnose(
         explained = explanations(named, effects, source, held) if verdict == "missing_physics" else ()
         residual = residual_of(base, after, source) if verdict in ("missing_physics", "consistent") else None
     found = concluded(
-        named, effects, verdict, fits=(before, after), scores=(score_before, scored(after)), source=source, held=held,
-        unknown=unknown, converters=converters, readings=(given.source, given.held) if converters else None,
-        recordings=[recording, *([] if hold_out is None else [hold_out])], proof=proof, explained=explained,
+        named,
+        effects,
+        verdict,
+        fits=(before, after),
+        scores=(score_before, scored(after)),
+        source=source,
+        held=held,
+        unknown=unknown,
+        converters=converters,
+        readings=(given.source, given.held) if converters else None,
+        recordings=[recording, *([] if hold_out is None else [hold_out])],
+        proof=proof,
+        explained=explained,
         residual=residual,
         warnings=[*warnings, *data.warnings, *(Problem(note, severity="warning") for note in refined)],
-    )  # fmt: skip
+    )
     return in_words(found)
 
 
@@ -168,9 +185,13 @@ class _Data:
 
 
 def _prepared(
-    empty: Source, hold_out: Recording | None, steps: Mapping[str, Step], earlier: Sequence[Problem],
-    picked: Sequence[float] = (), drifts: Mapping[str, float] = MappingProxyType({}),
-) -> _Data:  # fmt: skip
+    empty: Source,
+    hold_out: Recording | None,
+    steps: Mapping[str, Step],
+    earlier: Sequence[Problem],
+    picked: Sequence[float] = (),
+    drifts: Mapping[str, float] = MappingProxyType({}),
+) -> _Data:
     """Return the harmonics of recordings whose signals went through converters of known steps.
 
     picked: frequencies [Hz] of lines that channels pick up, and that no part of the machine makes. drifts: of the
@@ -221,11 +242,15 @@ def _refuse_still(experiment: Experiment) -> None:
     """Refuse signals that stand still though the diagram moves them."""
     problems = [
         Problem(
-            "is constant: no diagram explains a shaft that turns and does not move it", f"run {item.run.id}: {name}",
-            item.run.place, "leave the channel out of recording.json if its sensor is dead",
+            "is constant: no diagram explains a shaft that turns and does not move it",
+            f"run {item.run.id}: {name}",
+            item.run.place,
+            "leave the channel out of recording.json if its sensor is dead",
         )
-        for item in experiment.runs for name in experiment.predicted if item.fit.rms[item.fit.names.index(name)] == 0
-    ]  # fmt: skip
+        for item in experiment.runs
+        for name in experiment.predicted
+        if item.fit.rms[item.fit.names.index(name)] == 0
+    ]
     if problems:
         raise RotorsimError(*problems, exit_code=1)
 
@@ -241,9 +266,13 @@ def _beside(
 
 
 def _held(
-    recording: Recording, hold_out: Recording | None, second: Second | None, picked: Sequence[float],
-    drifts: Mapping[str, float], warnings: list[Problem],
-) -> tuple[Held, ...]:  # fmt: skip
+    recording: Recording,
+    hold_out: Recording | None,
+    second: Second | None,
+    picked: Sequence[float],
+    drifts: Mapping[str, float],
+    warnings: list[Problem],
+) -> tuple[Held, ...]:
     """Return the runs that are only scored; those that do not follow the shaft are left out, with a warning."""
     found = []
     parts = [(recording, recording.select("hold_out")), *([] if hold_out is None else [(hold_out, hold_out.runs)])]

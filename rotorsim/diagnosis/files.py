@@ -114,12 +114,14 @@ def _taken(effect: Effect, found: Diagnosis) -> dict[str, Any]:
 def _parameters(fit: Fit) -> dict[str, Any]:
     return {
         name: {
-            "value": item.value, "std": _finite(item.std),
-            "interval90": [_finite(end) for end in item.interval], "unit": item.unit,
+            "value": item.value,
+            "std": _finite(item.std),
+            "interval90": [_finite(end) for end in item.interval],
+            "unit": item.unit,
             "at_bound": item.at_bound,
         }
         for name, item in estimates(fit).items()
-    }  # fmt: skip
+    }
 
 
 def _score(scored: Any, fit: Fit, found: Diagnosis) -> dict[str, Any]:
@@ -127,10 +129,13 @@ def _score(scored: Any, fit: Fit, found: Diagnosis) -> dict[str, Any]:
 
     independent = not isinstance(found.source, TimeSource)  # samples in time are not
     return {
-        "hold_out": scored.total, "ports": {k: _finite(v) for k, v in scored.ports.items() if k},
-        "excess_variance": _finite(fit.misfit / fit.freedom), "goodness": fit.goodness if independent else None,
-        "adequate": is_adequate(fit), "reason": getattr(scored, "reason", "") or None,
-    }  # fmt: skip
+        "hold_out": scored.total,
+        "ports": {k: _finite(v) for k, v in scored.ports.items() if k},
+        "excess_variance": _finite(fit.misfit / fit.freedom),
+        "goodness": fit.goodness if independent else None,
+        "adequate": is_adequate(fit),
+        "reason": getattr(scored, "reason", "") or None,
+    }
 
 
 def _finite(value: float) -> float | None:

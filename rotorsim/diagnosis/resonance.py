@@ -71,18 +71,30 @@ def diagnose_modes(
             raise RotorsimError(Problem(base.failure, diagram.name))
         kept, screened = _screened(base, source, registry, physics)
     named = name_missing(
-        base, cast(Source, source), registry=registry, physics=kept, workers=workers, scheduler=scheduler,
+        base,
+        cast(Source, source),
+        registry=registry,
+        physics=kept,
+        workers=workers,
+        scheduler=scheduler,
         progress=progress,
-    )  # fmt: skip
+    )
     effects = effects_of(named)
     after = named.fit
     with one_thread():
         scores = [modal_score(source, fit, [part for _, part in held]) for fit in (base, after)]
         words = [*_modes(source, base, after), *_driven(source, after)]
     found = concluded(
-        named, effects, verdict_of(named, effects), fits=(base, after), scores=scores, source=cast(Source, source),
-        held=tuple(Held(part, ()) for part, _ in held), warnings=of_what_rests(warnings), screened=screened,
-    )  # fmt: skip
+        named,
+        effects,
+        verdict_of(named, effects),
+        fits=(base, after),
+        scores=scores,
+        source=cast(Source, source),
+        held=tuple(Held(part, ()) for part, _ in held),
+        warnings=of_what_rests(warnings),
+        screened=screened,
+    )
     found = in_words(found)
     told = replace(found, next_experiment=_next(source, found.next_experiment))
     return in_terms(replace(told, statement=" ".join([found.statement, *words])), TERMS)
@@ -90,7 +102,7 @@ def diagnose_modes(
 
 def _held(
     diagram: Diagram, recording: Recording, hold_out: Recording | None, trust_blocks: bool
-) -> list[tuple[Recording, ModalSource]]:  # fmt: skip
+) -> list[tuple[Recording, ModalSource]]:
     parts = [(recording, recording.select("hold_out")), *([] if hold_out is None else [(hold_out, hold_out.runs)])]
     return [
         (part, open_modal_source(diagram, part, chosen=runs, trust_blocks=trust_blocks)) for part, runs in parts if runs
@@ -114,7 +126,7 @@ def _next(source: ModalSource, text: str) -> str:
 
 def _screened(
     base: Fit, source: ModalSource, registry: Registry, physics: Collection[str] | None
-) -> tuple[set[str], list[tuple[str, str]]]:  # fmt: skip
+) -> tuple[set[str], list[tuple[str, str]]]:
     """Return the rows of the catalogue that are worth trying everywhere, and of the others why not.
 
     Each is put at a few places where discs are; what counts is the misfit that one step from its start promises.
@@ -143,9 +155,10 @@ def _screened(
 def _few(items: Sequence[Insertion], document: Mapping[str, Any]) -> list[Insertion]:
     """Return the insertions at nodes with discs, where there are any, else the first ones."""
     discs = {
-        (name, node) for name, block in document["blocks"].items()
+        (name, node)
+        for name, block in document["blocks"].items()
         for node in block.get("parameters", {}).get("disc_nodes", ())
-    }  # fmt: skip
+    }
     at_discs = [item for item in items if (item.spot.block, item.spot.node) in discs]
     return (at_discs or list(items))[:PLACES]
 
@@ -180,10 +193,12 @@ def _driven(source: ModalSource, fit: Fit) -> list[str]:
         return []
     port = f"{target.block}.{target.port}"
     bearings = [
-        wire.target for wire in diagram.wires
-        if f"{wire.target.block}.{wire.target.port}" == port and wire.target.index
+        wire.target
+        for wire in diagram.wires
+        if f"{wire.target.block}.{wire.target.port}" == port
+        and wire.target.index
         and diagram.nodes[wire.source.block].block.category == "bearing"
-    ]  # fmt: skip
+    ]
     nodes = list(dict.fromkeys([target.index[0], *(end.index[0] for end in bearings)]))
     if len(nodes) < 2:
         return []

@@ -75,9 +75,17 @@ def diagnose_in_time(
         from rotorsim.diagnosis.resonance import diagnose_modes
 
         return diagnose_modes(
-            diagram, recording, hold_out=hold_out, registry=registry, physics=physics, warnings=warnings,
-            trust_blocks=trust_blocks, workers=workers, scheduler=scheduler, progress=progress,
-        )  # fmt: skip
+            diagram,
+            recording,
+            hold_out=hold_out,
+            registry=registry,
+            physics=physics,
+            warnings=warnings,
+            trust_blocks=trust_blocks,
+            workers=workers,
+            scheduler=scheduler,
+            progress=progress,
+        )
     with one_thread():
         source = open_time_source(diagram, recording, trust_blocks=trust_blocks)
         held = _held(diagram, source, recording, hold_out)
@@ -85,8 +93,12 @@ def diagnose_in_time(
     if base.failure:
         raise RotorsimError(Problem(base.failure, diagram.name))
     options: dict[str, Any] = {
-        "registry": registry, "physics": physics, "workers": workers, "scheduler": scheduler, "progress": progress,
-    }  # fmt: skip
+        "registry": registry,
+        "physics": physics,
+        "workers": workers,
+        "scheduler": scheduler,
+        "progress": progress,
+    }
     named = name_missing(base, cast(Source, source), **options)
     if named.chosen and _surpasses(named.fit):
         with one_thread():
@@ -109,15 +121,23 @@ def diagnose_in_time(
     if unknown is None:
         effects = tuple(replace(item, candidate=replace(item.candidate, fit=after)) for item in effects)
     found = concluded(
-        named, effects, verdict, fits=(before, after), scores=scores, source=cast(Source, source), unknown=unknown,
+        named,
+        effects,
+        verdict,
+        fits=(before, after),
+        scores=scores,
+        source=cast(Source, source),
+        unknown=unknown,
         held=tuple(Held(part, ()) for part in (recording, hold_out) if part is not None) if held else (),
         warnings=(*of_what_rests(warnings), *(Problem(note, severity="warning") for note in refined)),
-    )  # fmt: skip
+    )
     found = in_words(found)
     words = [
-        *what_is_left(found), *errors_in_words(source, found, held), *what_controllers_obey(source),
+        *what_is_left(found),
+        *errors_in_words(source, found, held),
+        *what_controllers_obey(source),
         *units_in_words(source, found),
-    ]  # fmt: skip
+    ]
     twice = " and ".join(effect.physics for effect in effects) if _is_twice(effects) else ""
     terms = {f"the nearest, {twice},": f"{twice}, which stand for a law that is neither,"} if twice else {}
     return in_terms(replace(found, statement=" ".join([found.statement, *words])), {**TERMS, **terms})
@@ -140,7 +160,7 @@ def _registry(diagram: Diagram, trust_blocks: bool) -> Registry:
 
 def _held(
     diagram: Diagram, source: TimeSource, recording: Recording, hold_out: Recording | None
-) -> tuple[TimeRun, ...]:  # fmt: skip
+) -> tuple[TimeRun, ...]:
     runs = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
     return tuple(read_run(diagram, run, source.channels) for run in runs)
 

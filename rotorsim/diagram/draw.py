@@ -15,9 +15,13 @@ __all__ = ["draw_svg"]
 LANE, MARGIN, HEAD, PORT = 7.0, 22.0, 38.0, 15.0  # px: wire spacing, free space, box title, one port
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8c5fa8", "#b8860b", "#56697a", "#a0522d", "#3b7a57")
 FILL = {
-    "rotor": "#dcebf7", "bearing": "#e2f2e6", "controller": "#fdeedb", "excitation": "#fbe4dd", "clock": "#efe7f5",
+    "rotor": "#dcebf7",
+    "bearing": "#e2f2e6",
+    "controller": "#fdeedb",
+    "excitation": "#fbe4dd",
+    "clock": "#efe7f5",
     "elementary": "#f4f4f2",
-}  # fmt: skip
+}
 SIGNS = {"+": "+", "-": "\N{MINUS SIGN}", "*": "\N{MULTIPLICATION SIGN}", "/": "\N{DIVISION SIGN}"}
 Key = tuple[str, str]
 
@@ -219,9 +223,16 @@ def _measure(
 
 
 def _points(
-    boxes: Mapping[str, _Box], signal: Key, steps: tuple[int, int, int], source: Endpoint, target: Endpoint,
-    channels: list[_Lanes], streets: list[_Lanes], left: list[float], top: list[float],
-) -> list[tuple[float, float]]:  # fmt: skip
+    boxes: Mapping[str, _Box],
+    signal: Key,
+    steps: tuple[int, int, int],
+    source: Endpoint,
+    target: Endpoint,
+    channels: list[_Lanes],
+    streets: list[_Lanes],
+    left: list[float],
+    top: list[float],
+) -> list[tuple[float, float]]:
     start, stop = boxes[source.block], boxes[target.block]
     x0, y0 = start.x + start.width, start.port_y(source.port, is_input=False)
     x1, y1 = stop.x, stop.port_y(target.port, is_input=True)

@@ -71,7 +71,7 @@ class FmuOption:
 
 def ports_of(
     description: ModelDescription, causalities: Sequence[str], prefix: str, types: Sequence[str] = NUMERIC
-) -> dict[str, FmuPort]:  # fmt: skip
+) -> dict[str, FmuPort]:
     """Return the variables of some causalities grouped to ports: numbers; flags as 0 and 1."""
     groups: dict[tuple[str, int], list[tuple[tuple[int, ...], str, FmuVariable, float | None]]] = {}
     for variable in description.by_causality(*causalities):
@@ -98,9 +98,11 @@ def ports_of(
 
 
 def _port(
-    description: ModelDescription, base: str, members: Sequence[tuple[tuple[int, ...], str, FmuVariable, float | None]],
+    description: ModelDescription,
+    base: str,
+    members: Sequence[tuple[tuple[int, ...], str, FmuVariable, float | None]],
     prefix: str,
-) -> FmuPort:  # fmt: skip
+) -> FmuPort:
     members = sorted(members, key=lambda member: member[0])
     indices = np.array([member[0] for member in members])
     shape: Shape = ()
@@ -114,9 +116,15 @@ def _port(
     scales = np.array([(unit.factor, unit.offset) if (unit := units[v.name]) else (1.0, 0.0) for _, _, v, _ in members])
     shown = {unit.si if unit else None for unit in units.values()}
     port = FmuPort(
-        port_name(base, prefix), shape, shown.pop() if len(shown) == 1 else None, tuple(m[1] for m in members), None,
-        variable.description, scales, variable.variability in ("discrete", "constant", "fixed"),
-    )  # fmt: skip
+        port_name(base, prefix),
+        shape,
+        shown.pop() if len(shown) == 1 else None,
+        tuple(m[1] for m in members),
+        None,
+        variable.description,
+        scales,
+        variable.variability in ("discrete", "constant", "fixed"),
+    )
     if not all(value is not None and math.isfinite(value) for value in starts):
         return port  # what is not finite cannot be given here: the FMU keeps it
     return replace(port, start=port.to_si(np.array(starts, float)).reshape(shape))
@@ -138,10 +146,12 @@ def unit_warnings(description: ModelDescription) -> list[Problem]:
     return [
         Problem(
             f"the unit '{unit[:80]}' is neither defined in the FMU nor known: it is taken as it is and fits all",
-            variable.name[:200], variable.place, severity="warning",
+            variable.name[:200],
+            variable.place,
+            severity="warning",
         )
         for unit, variable in names.items()
-    ]  # fmt: skip
+    ]
 
 
 def _silent(description: ModelDescription, outputs: Mapping[str, FmuPort], prefix: str) -> list[Problem]:
@@ -197,10 +207,7 @@ def _made(
 ) -> type[Block]:
     if sizes:  # given by the names of the block
         prefix = prefix_of(_made(path, _stamp).fmu_description)  # type: ignore[attr-defined]
-        known = {
-            port_name(v.name, prefix): v.name
-            for v in describe_fmu(path).by_causality("structuralParameter")
-        }  # fmt: skip
+        known = {port_name(v.name, prefix): v.name for v in describe_fmu(path).by_causality("structuralParameter")}
         description = describe_fmu(path, sizes={known[name]: size for name, size in sizes if name in known})
     else:
         description = describe_fmu(path)
@@ -219,18 +226,26 @@ def _made(
     }
     body: dict[str, Any] = {
         "__doc__": f"{description.description or description.name} (FMU).\n\nIts equations are inside the FMU.",
-        "type_name": "fmu", "category": "fmu", "opaque": True, "source": description.name,
-        "fmu_path": path, "fmu_description": description, "fmu_options": options,
+        "type_name": "fmu",
+        "category": "fmu",
+        "opaque": True,
+        "source": description.name,
+        "fmu_path": path,
+        "fmu_description": description,
+        "fmu_options": options,
         "fmu_warnings": [*description.warnings, *unit_warnings(description), *_silent(description, outputs, prefix)],
-        "fmu_inputs": inputs, "fmu_outputs": outputs, "fmu_parameters": parameters,
+        "fmu_inputs": inputs,
+        "fmu_outputs": outputs,
+        "fmu_parameters": parameters,
         "no_signals": {
             port_name(v.name, prefix): "a text, no signal: cosim tells its last value"
-            for v in description.by_causality("output") if v.type == "String" and not v.clocked
+            for v in description.by_causality("output")
+            if v.type == "String" and not v.clocked
         },
         "file": Option(str(path), kind=str, doc="file of the FMU"),
         "interface": Option("any", choices=("any", "cs", "me"), kind=str, doc="cs, me, or any: cs where it is offered"),
         "in_process": Option(False, kind=bool, doc="load its code into this process: faster, but a crash is ours"),
-    }  # fmt: skip
+    }
     for kind, ports in (("i", inputs), ("o", outputs)):
         for port in ports.values():
             declare = In if kind == "i" else Out
@@ -239,15 +254,19 @@ def _made(
                 name=port.name, shape=port.shape, unit=port.unit, doc=port.description, **extra
             )
     starts = {
-        name: port for name, port in inputs.items()
+        name: port
+        for name, port in inputs.items()
         if port.start is not None and name not in parameters and name not in options and name not in _TAKEN
-    }  # fmt: skip
+    }
     body |= {f"_s_{name}": _option(option) for name, option in options.items()}
     for name, port in {**parameters, **starts}.items():
         body[f"_p_{name}"] = Param(
             port.start.tolist() if port.start is not None and port.shape else port.start,
-            name=name, shape=port.shape, unit=port.unit, doc=port.description,
-        )  # fmt: skip
+            name=name,
+            shape=port.shape,
+            unit=port.unit,
+            doc=port.description,
+        )
     body["equations"] = _equations
     return type("Fmu", (Block,), body)
 
@@ -266,7 +285,7 @@ def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
 
 def block_class(
     path: str | Path, values: Mapping[str, Any] | None = None, signals: frozenset[str] = frozenset()
-) -> type[Block]:  # fmt: skip
+) -> type[Block]:
     """Return the block class of an FMU file. Raises RotorsimError for what cannot be read.
 
     values: those given to the block, of which sizes of arrays give its ports their shapes. signals: names of ports that
@@ -283,8 +302,11 @@ def block_class(
     sizes = tuple(
         (name, int(value))
         for name, value in (values or {}).items()
-        if name in options and options[name].variable.causality == "structuralParameter"
-        and type(value) is int and value >= 0 and value != options[name].default
-    )  # fmt: skip
+        if name in options
+        and options[name].variable.causality == "structuralParameter"
+        and type(value) is int
+        and value >= 0
+        and value != options[name].default
+    )
     own: Mapping[str, FmuPort] = made.fmu_outputs  # type: ignore[attr-defined]
     return _made(path, stamp, sizes, signals) if sizes or not signals <= own.keys() else made

@@ -134,11 +134,12 @@ def _other_gains(diagram: Diagram, base: Experiment, p: np.ndarray) -> Iterator[
             text = ", ".join(
                 f"{block}.{name} = "
                 + format_quantity(
-                    float(changed[0, base.model.parameters[f'{block}.{name}'].start]),
-                    node.block.parameters[name].unit, 4,
+                    float(changed[0, base.model.parameters[f"{block}.{name}"].start]),
+                    node.block.parameters[name].unit,
+                    4,
                 )
                 for name in plan
-            )  # fmt: skip
+            )
             yield text, changed
 
 

@@ -109,9 +109,10 @@ def amplitude_pairs(
     """
     plain = [item.prior_std is None for item in free]
     angles = [
-        j for j, item in enumerate(free)
+        j
+        for j, item in enumerate(free)
         if item.unit == ANGLE_UNIT and plain[j] and item.low == -np.inf and item.high == np.inf
-    ]  # fmt: skip
+    ]
     amplitudes = [j for j, item in enumerate(free) if plain[j] and item.low in (0.0, -np.inf) and item.high > 0]
     amplitudes = [j for j in amplitudes if free[j].unit != ANGLE_UNIT]
     if not angles or not amplitudes:
@@ -134,9 +135,12 @@ def amplitude_pairs(
                 continue
             unit = 3.0 * _scale(free[a])
             none, turned, cosine, sine, *probes = forces(
-                {a: 0.0}, {a: 0.0, b: 1.0}, {a: unit, b: 0.0}, {a: unit, b: np.pi / 2},
+                {a: 0.0},
+                {a: 0.0, b: 1.0},
+                {a: unit, b: 0.0},
+                {a: unit, b: np.pi / 2},
                 *({a: unit / 3, b: at} for at in PROBES),
-            )  # fmt: skip
+            )
             cosine, sine = cosine - none, sine - none
             size = np.abs(cosine).max()
             if not size > 0 or np.abs(turned - none).max() > 1e-9 * size:

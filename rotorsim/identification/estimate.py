@@ -166,9 +166,10 @@ class Search:
         start = self.likelihood.experiment.theta0
         paired = {j for pair in self.coordinates.pairs for j in pair}
         angles = [
-            j for j, item in enumerate(self.free)
+            j
+            for j, item in enumerate(self.free)
             if item.unit == ANGLE_UNIT and j not in paired and item.prior_std is None
-        ]  # fmt: skip
+        ]
         q0 = self.coordinates.inside(start)
         if not angles:
             return [q0]
@@ -298,6 +299,4 @@ def summary(search: Search, q: np.ndarray) -> Estimate:
     J = search.slopes(q)
     at_bound = coordinates.at_bound(q, AT_BOUND)
     freedom = evaluation.rows - len(free)
-    return Estimate(
-        free, theta, coordinates, evaluation, J.T @ J, at_bound, float(evaluation.misfit.sum()), freedom
-    )  # fmt: skip
+    return Estimate(free, theta, coordinates, evaluation, J.T @ J, at_bound, float(evaluation.misfit.sum()), freedom)

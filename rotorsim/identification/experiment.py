@@ -161,7 +161,7 @@ def open_experiment(
     use_mean = np.array([channels[name].coupling == "dc" for name in order])
     return Experiment(
         diagram, recording, model, kept, tuple(predicted), tuple(taken), found, columns, p, motion, use_mean, resolution
-    )  # fmt: skip
+    )
 
 
 def _names(model: Model, recording: Recording, problems: list[Problem]) -> list[str]:
@@ -218,9 +218,10 @@ def check_against(diagram: Diagram, recording: Recording) -> list[Problem]:
     problems: list[Problem] = []
     model = compile_diagram(diagram.before_converters())
     compared = {
-        column: channel for column, channel in recording.channels.items()
+        column: channel
+        for column, channel in recording.channels.items()
         if not (channel.signal.endswith(RATES) and channel.signal.rpartition(".")[0] + ".displacement" in model.signals)
-    }  # fmt: skip
+    }
     _names(model, replace(recording, channels=compared), problems)
     source = read_document(Path(recording.runs[0].place.file)) if problems and recording.runs else None
     if source is not None:

@@ -41,9 +41,12 @@ def identification_data(found: Identification, *, diagram_file: str = DIAGRAM) -
         if verdict.combination is not None:
             known = verdict.combination
             said["combination"] = {
-                "expression": known.expression, "factors": dict(known.factors), "value": known.value,
-                "std": known.std, "unit": known.unit,
-            }  # fmt: skip
+                "expression": known.expression,
+                "factors": dict(known.factors),
+                "value": known.value,
+                "std": known.std,
+                "unit": known.unit,
+            }
         identifiable[name] = said
     advice = [
         {

@@ -86,10 +86,17 @@ class Identification(Shown):
     def to_table(self) -> list[dict[str, Any]]:
         """Return one row per parameter (SI): value, std, ends of the 90 % interval, unit, whether identifiable."""
         return [
-            {"parameter": item.name, "value": item.value, "std": item.std, "low90": item.interval90[0],
-             "high90": item.interval90[1], "unit": item.unit, "identifiable": item.verdict.identifiable}
+            {
+                "parameter": item.name,
+                "value": item.value,
+                "std": item.std,
+                "low90": item.interval90[0],
+                "high90": item.interval90[1],
+                "unit": item.unit,
+                "identifiable": item.verdict.identifiable,
+            }
             for item in self.parameters.values()
-        ]  # fmt: skip
+        ]
 
     @property
     def values(self) -> dict[str, float]:
@@ -207,13 +214,17 @@ def identify(
     joint = result.theta[:, None] + joint_factor(correlation) * (intervals - result.theta[:, None])
     parameters = {
         item.name: Identified(
-            item.name, float(result.theta[j]), float(std[j]),
+            item.name,
+            float(result.theta[j]),
+            float(std[j]),
             (float(intervals[j, 0]), float(intervals[j, 1])),
-            (max(float(joint[j, 0]), item.low), min(float(joint[j, 1]), item.high)), item.unit, verdicts[j],
+            (max(float(joint[j, 0]), item.low), min(float(joint[j, 1]), item.high)),
+            item.unit,
+            verdicts[j],
             bool(result.at_bound[j]),
         )
         for j, item in enumerate(result.free)
-    }  # fmt: skip
+    }
     goodness = result.goodness if method == "likelihood" else None
     excess = result.excess if method == "likelihood" else None
     return Identification(

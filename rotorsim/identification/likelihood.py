@@ -62,13 +62,17 @@ class Likelihood:
         self.beside = len(experiment.beside_orders)
         self.orders = self.K + 1 + self.beside
         self.c, self.V = len(experiment.predicted), len(experiment.given)
-        self.data = np.array([
-            np.concatenate([
-                harmonics_of_time(item.fit.values[: self.K + 1, columns], item.fit.speed),
-                *([item.fit.beside.values[:, columns]] if self.beside and item.fit.beside is not None else []),
-            ])
-            for item, columns in zip(experiment.runs, experiment.columns, strict=True)
-        ])  # fmt: skip
+        self.data = np.array(
+            [
+                np.concatenate(
+                    [
+                        harmonics_of_time(item.fit.values[: self.K + 1, columns], item.fit.speed),
+                        *([item.fit.beside.values[:, columns]] if self.beside and item.fit.beside is not None else []),
+                    ]
+                )
+                for item, columns in zip(experiment.runs, experiment.columns, strict=True)
+            ]
+        )
         keep = np.ones((2 * self.orders - 1, self.c + self.V), bool)
         keep[0] = experiment.use_mean
         self.keep = np.flatnonzero(keep.ravel())
@@ -131,9 +135,13 @@ class Likelihood:
         return self.together(residuals, rows, spanned, Y, counted)
 
     def together(
-        self, residuals: Sequence[np.ndarray], slopes: Sequence[np.ndarray], spanned: Mapping[int, np.ndarray],
-        Y: np.ndarray, rows: int,
-    ) -> Evaluation:  # fmt: skip
+        self,
+        residuals: Sequence[np.ndarray],
+        slopes: Sequence[np.ndarray],
+        spanned: Mapping[int, np.ndarray],
+        Y: np.ndarray,
+        rows: int,
+    ) -> Evaluation:
         """Return the evaluation of runs that share the delay of their pulses.
 
         residuals, slopes: of each run, what its own nuisances explain, the columns of spanned (n_r, j), taken off. Y is
@@ -271,12 +279,7 @@ def fitted_columns(columns: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.n
 
 @lru_cache(maxsize=64)
 def _inverse_root(
-    fit: HarmonicFit,
-    columns: tuple[int, ...],
-    K: int,
-    keep: tuple[int, ...],
-    resolution: float,
-    beside: bool,
+    fit: HarmonicFit, columns: tuple[int, ...], K: int, keep: tuple[int, ...], resolution: float, beside: bool
 ) -> np.ndarray:
     """Return the inverse of the Cholesky factor of the covariance of kept rows, as harmonics of time have them."""
     kept = np.array(keep)

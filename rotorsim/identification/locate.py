@@ -46,9 +46,14 @@ class Location:
 
 
 def locate(
-    diagram: Diagram, recording: Recording, block: str, *, count: int = 1, given: Sequence[str] = (),
+    diagram: Diagram,
+    recording: Recording,
+    block: str,
+    *,
+    count: int = 1,
+    given: Sequence[str] = (),
     trust_blocks: bool = False,
-) -> list[Location]:  # fmt: skip
+) -> list[Location]:
     """Return the places at which a block explains a recording, the most probable first.
 
     block: its force enters one node of an additive input (``["crack.force", "rotor.force[4]"]``); it is tried at
@@ -110,7 +115,7 @@ def _nodes(diagram: Diagram, wires: Sequence[Wire]) -> list[int]:
 
 def _placed(
     document: Mapping[str, Any], diagram: Diagram, block: str, wires: Sequence[Wire], places: Sequence[int]
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Return the document with the block at the first place, and a copy of it at the second."""
     moved = copy.deepcopy(dict(document))
     ends = {(str(wire.source), str(wire.target)): wire for wire in wires}

@@ -107,9 +107,7 @@ def _polar(search: Search) -> Search:
     return other
 
 
-def _end(
-    search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, step: float, least: float, rise: float
-) -> float:  # fmt: skip
+def _end(search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, step: float, least: float, rise: float) -> float:
     """Return the value of parameter j at which the profile has risen so far."""
     low, high = search.coordinates.low[j], search.coordinates.high[j]
     share = 1.0

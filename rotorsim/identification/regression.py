@@ -40,9 +40,12 @@ class Regression:
     absolute = False  # the residual is not in units of the noise
 
     def __init__(
-        self, experiment: Experiment, forces: Sequence[tuple[str, str]], orders: Sequence[int] = THESIS_ORDERS,
+        self,
+        experiment: Experiment,
+        forces: Sequence[tuple[str, str]],
+        orders: Sequence[int] = THESIS_ORDERS,
         reduction: str = "exact",
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.experiment, self.reduction = experiment, reduction
         self.orders = [k for k in orders if abs(k) <= experiment.motion.K]
         if not self.orders:
@@ -74,10 +77,12 @@ class Regression:
         return other
 
     def _measured(self) -> np.ndarray:
-        return np.array([
-            harmonics_of_time(item.fit.values[: self.K + 1, columns], item.fit.speed)
-            for item, columns in zip(self.experiment.runs, self.experiment.columns, strict=True)
-        ])  # fmt: skip
+        return np.array(
+            [
+                harmonics_of_time(item.fit.values[: self.K + 1, columns], item.fit.speed)
+                for item, columns in zip(self.experiment.runs, self.experiment.columns, strict=True)
+            ]
+        )
 
     def evaluate(self, theta: np.ndarray) -> Evaluation:
         """Return the equivalent forces [N] and their slopes at theta (m,)."""
@@ -144,8 +149,11 @@ def open_regression(
     conjugates = _conjugates(diagram)
     angle = (ANGLE, TACHO)
     measured = [c.name for c in recording.channels.values() if c.signal in model.signals and c.signal not in angle]
-    places = [(name, name.replace(base, conjugates[base], 1)) for name in measured
-              if (base := name.partition("[")[0]) in conjugates]  # fmt: skip
+    places = [
+        (name, name.replace(base, conjugates[base], 1))
+        for name in measured
+        if (base := name.partition("[")[0]) in conjugates
+    ]
     places = [pair for pair in places if _moves(model, pair[0])]
     if not places:
         hint = "the thesis' method needs the displacement where forces act; --method likelihood needs not"

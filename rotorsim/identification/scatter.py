@@ -101,9 +101,14 @@ def with_covariance(result: Estimate, covariance: np.ndarray) -> Estimate:
     """Return an estimate whose information is the inverse of a covariance of theta."""
     slopes = result.coordinates.slopes(result.theta)
     changed = Estimate(
-        result.free, result.theta, result.coordinates, result.evaluation,
+        result.free,
+        result.theta,
+        result.coordinates,
+        result.evaluation,
         slopes.T @ np.linalg.pinv(covariance, hermitian=True) @ slopes,
-        np.zeros(len(result.theta), bool), result.misfit, result.freedom,
-    )  # fmt: skip
+        np.zeros(len(result.theta), bool),
+        result.misfit,
+        result.freedom,
+    )
     changed.__dict__["covariance"] = covariance
     return changed

@@ -86,7 +86,7 @@ def judge(found: Estimate, intervals: np.ndarray, *, precision: float = PRECISIO
 
 def _not_identified(
     found: Estimate, covariance: np.ndarray, correlation: np.ndarray, j: int, width: float, precision: float
-) -> Verdict:  # fmt: skip
+) -> Verdict:
     item = found.free[j]
     others = [k for k in np.argsort(-np.abs(correlation[j])) if k != j and abs(correlation[j, k]) > CORRELATED]
     others = [k for k in others if not found.at_bound[k]]

@@ -71,8 +71,9 @@ class Campbell(Shown):
             "whirl": (dims, self.whirl, {}),
         }
         coordinates = {
-            "speed": ("speed", self.speeds, {"units": "rad/s"}), "mode": np.arange(self.frequency_hz.shape[1]) + 1,
-        }  # fmt: skip
+            "speed": ("speed", self.speeds, {"units": "rad/s"}),
+            "mode": np.arange(self.frequency_hz.shape[1]) + 1,
+        }
         return xarray_module().Dataset(variables, coordinates, {k: str(v) for k, v in self.provenance.items()})
 
     @property

@@ -48,9 +48,10 @@ class FrequencyResponse(Shown):
         """Return an xarray.DataArray over frequency [Hz], output and input; needs the optional package xarray."""
         coordinates = {
             "frequency": ("frequency", self.frequencies, {"units": "Hz"}),
-            "output": list(self.outputs), "input": list(self.inputs),
+            "output": list(self.outputs),
+            "input": list(self.inputs),
             "unit": (("output", "input"), np.array(self.units, dtype=object)),
-        }  # fmt: skip
+        }
         attributes = {name: str(value) for name, value in self.provenance.items()}
         return xarray_module().DataArray(self.value, coordinates, ("frequency", "output", "input"), attrs=attributes)
 

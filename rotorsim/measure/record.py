@@ -63,9 +63,15 @@ def measure(
     initial = settled_state(model, given) if settle else None
     wanted = tuple(dict.fromkeys([*signals, *([angle] if angle else [])]))
     result = simulate(
-        model, parameters=given, stop=window[1], step=step, record=wanted, record_every=every, initial=initial,
+        model,
+        parameters=given,
+        stop=window[1],
+        step=step,
+        record=wanted,
+        record_every=every,
+        initial=initial,
         progress=progress,
-    )  # fmt: skip
+    )
     if result.status != "finished":
         where = model.diagram.name + (f" at {given['speed'] * 30 / math.pi:.6g} rpm" if "speed" in given else "")
         raise RotorsimError(Problem(result.message, where), exit_code=130 if result.status == "stopped" else 1)

@@ -24,22 +24,39 @@ __all__ = ["FILE", "KEYS", "Document", "RunEntry", "parse_recording", "read_reco
 FILE = "recording.json"
 KEYS: dict[str, Mapping[str, type]] = {
     "recording": {
-        "$schema": str, "name": str, "source": str, "description": str, "channels": dict, "time": str, "runs": list,
+        "$schema": str,
+        "name": str,
+        "source": str,
+        "description": str,
+        "channels": dict,
+        "time": str,
+        "runs": list,
     },
     "channel": {"signal": str, "axis": str, "node": int, "position": object, "unit": str, "coupling": str},
     "run": {
-        "id": str, "file": str, "sample_rate": object, "time": str, "speed": object, "tacho": list,
-        "tacho_resolution": object, "set": dict, "use": str, "description": str,
+        "id": str,
+        "file": str,
+        "sample_rate": object,
+        "time": str,
+        "speed": object,
+        "tacho": list,
+        "tacho_resolution": object,
+        "set": dict,
+        "use": str,
+        "description": str,
     },
-}  # fmt: skip
+}
 _REQUIRED = {"recording": ("name", "source", "channels", "runs"), "channel": ("signal", "unit"), "run": ("id", "file")}
 _EXAMPLES = {
-    "name": '"name": "test rig"', "source": '"source": "measured 2024-05-01 on ..."',
+    "name": '"name": "test rig"',
+    "source": '"source": "measured 2024-05-01 on ..."',
     "channels": '"channels": {"x": {"signal": "rotor.displacement", "axis": "x", "unit": "um"}}',
     "runs": '"runs": [{"id": "run1", "file": "run1.csv", "sample_rate": "5000 Hz"}]',
-    "signal": '"signal": "rotor.displacement"', "unit": '"unit": "um"', "id": '"id": "run1"',
+    "signal": '"signal": "rotor.displacement"',
+    "unit": '"unit": "um"',
+    "id": '"id": "run1"',
     "file": '"file": "run1.csv"',
-}  # fmt: skip
+}
 _WORDS = {str: "a text", int: "a whole number", dict: "an object {...}", list: "a list [...]"}
 _ID = re.compile(r"[^\x00-\x1f/\\]{1,200}")
 _SETTING = re.compile(r"[A-Za-z_]\w*((/[A-Za-z_]\w*)*\.[A-Za-z_]\w*)?", re.ASCII)

@@ -274,9 +274,16 @@ def _mf4(path: Path, wanted: Sequence[str], file: str) -> _Found:
 
 
 _READERS: dict[str, Callable[[Path, Sequence[str], str], _Found]] = {
-    ".csv": _csv, ".npz": _npz, ".mat": _mat, ".h5": _h5, ".hdf5": _h5, ".tdms": _tdms, ".uff": _uff, ".unv": _uff,
+    ".csv": _csv,
+    ".npz": _npz,
+    ".mat": _mat,
+    ".h5": _h5,
+    ".hdf5": _h5,
+    ".tdms": _tdms,
+    ".uff": _uff,
+    ".unv": _uff,
     ".mf4": _mf4,
-}  # fmt: skip
+}
 SUFFIXES = tuple(_READERS)
 
 

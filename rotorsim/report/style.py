@@ -13,9 +13,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 __all__ = [
-    "AXES", "BLUE", "GREEN", "GREY", "INK", "ORANGE", "PURPLE", "RED", "ROUNDING", "display", "figure", "order_axis",
-    "phase_line", "rpm", "styled",
-]  # fmt: skip
+    "AXES",
+    "BLUE",
+    "GREEN",
+    "GREY",
+    "INK",
+    "ORANGE",
+    "PURPLE",
+    "RED",
+    "ROUNDING",
+    "display",
+    "figure",
+    "order_axis",
+    "phase_line",
+    "rpm",
+    "styled",
+]
 
 # Okabe & Ito (2008), "Color universal design"
 BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#6b6b6b"

@@ -35,9 +35,7 @@ class NonlinearEquations:
     not constant, stand for.
     """
 
-    def __init__(
-        self, model: Model, outputs: Sequence[str], free: Sequence[Free], p: np.ndarray | None = None
-    ) -> None:  # fmt: skip
+    def __init__(self, model: Model, outputs: Sequence[str], free: Sequence[Free], p: np.ndarray | None = None) -> None:
         self.model, self.outputs, self.free = model, tuple(outputs), tuple(free)
         trace = model.trace
         self.slots = [slots_of(model, item) for item in free]

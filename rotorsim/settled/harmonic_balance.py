@@ -184,9 +184,9 @@ def _reach(
             W = W0 + length * (problem.base - W0)
             between = p0 + length * (problem.p - p0)
             last = length >= 1.0
-            trial = problem if last else _Problem(
-                problem.setup, W, between, problem.E, problem.S, np.zeros_like(problem.A)
-            )  # fmt: skip
+            trial = (
+                problem if last else _Problem(problem.setup, W, between, problem.E, problem.S, np.zeros_like(problem.A))
+            )
             found = _refined(trial, start.S, settings)
             steps += found.steps
             if found.failure:

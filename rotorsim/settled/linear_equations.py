@@ -47,7 +47,7 @@ def suit(known: Mapping[int, float], p: np.ndarray) -> bool:
 
 def with_values(
     model: Model, expressions: Sequence[Any], slots: Sequence[Sequence[int]], theta: Any, known: Mapping[int, float]
-) -> list[Any]:  # fmt: skip
+) -> list[Any]:
     """Return expressions with free parameters in their slots, numbers for what is known, and z as at the start."""
     trace = model.trace
     entries = ca.vertsplit(trace.p) if trace.p.numel() > 1 else [trace.p]
@@ -84,9 +84,7 @@ class Equations:
     other runs see `at`. Raises RotorsimError for diagrams that are not linear in their states.
     """
 
-    def __init__(
-        self, model: Model, outputs: Sequence[str], free: Sequence[Free], p: np.ndarray | None = None
-    ) -> None:  # fmt: skip
+    def __init__(self, model: Model, outputs: Sequence[str], free: Sequence[Free], p: np.ndarray | None = None) -> None:
         self.model, self.outputs, self.free = model, tuple(outputs), tuple(free)
         trace = model.trace
         self.slots = [slots_of(model, item) for item in free]

@@ -154,9 +154,15 @@ class Motion:
     """
 
     def __init__(
-        self, equations: Equations, p: np.ndarray, speeds: np.ndarray, K: int, windows: Sequence[float],
-        phase: np.ndarray, beside: Torus | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        equations: Equations,
+        p: np.ndarray,
+        speeds: np.ndarray,
+        K: int,
+        windows: Sequence[float],
+        phase: np.ndarray,
+        beside: Torus | None = None,
+    ) -> None:
         self.equations, self.p, self.speeds, self.K = equations.at(p), p, speeds, K
         self.windows, self.phase, self.beside = np.asarray(windows, float), phase, beside
         self.slow: list[np.ndarray] | None = None
@@ -180,10 +186,19 @@ class Motion:
         if self.slow is None:
             self.slow = [slow_states(A[r], self.windows[r], self.equations.means) for r in range(R)]
         return Response(
-            A=A, B=found["B"][0], C=found["C"][0], D=found["D"][0],
-            dA=found["A"][1], dB=found["B"][1], dC=found["C"][1], dD=found["D"][1],
-            F=F, dF=dF, resolvent=self._resolvent(A, K), slow=self.slow,
-        )  # fmt: skip
+            A=A,
+            B=found["B"][0],
+            C=found["C"][0],
+            D=found["D"][0],
+            dA=found["A"][1],
+            dB=found["B"][1],
+            dC=found["C"][1],
+            dD=found["D"][1],
+            F=F,
+            dF=dF,
+            resolvent=self._resolvent(A, K),
+            slow=self.slow,
+        )
 
     def grid(self, K: int) -> np.ndarray:
         """Return i k W at orders 0..K and, with all of them, at the combinations with a second frequency."""
@@ -249,10 +264,19 @@ class PortMotion:
         F, dF = motion.forcing(self.equations, many, motion.K)
         A = found["A"][0] - ports.within
         return Response(
-            A=A, B=found["B"][0], C=found["C"][0], D=found["D"][0],
-            dA=found["A"][1], dB=found["B"][1], dC=found["C"][1], dD=found["D"][1],
-            F=F, dF=dF, resolvent=PortResolvent(ports, A), slow=[np.arange(m.shape[1]) for m in ports.slow],
-        )  # fmt: skip
+            A=A,
+            B=found["B"][0],
+            C=found["C"][0],
+            D=found["D"][0],
+            dA=found["A"][1],
+            dB=found["B"][1],
+            dC=found["C"][1],
+            dD=found["D"][1],
+            F=F,
+            dF=dF,
+            resolvent=PortResolvent(ports, A),
+            slow=[np.arange(m.shape[1]) for m in ports.slow],
+        )
 
 
 def condensed(motion: Motion, theta: np.ndarray) -> Motion | PortMotion:

@@ -49,9 +49,14 @@ class NonlinearMotion:
     """
 
     def __init__(
-        self, equations: NonlinearEquations, p: np.ndarray, speeds: np.ndarray, K: int, windows: Sequence[float],
+        self,
+        equations: NonlinearEquations,
+        p: np.ndarray,
+        speeds: np.ndarray,
+        K: int,
+        windows: Sequence[float],
         phase: np.ndarray,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.equations, self.p, self.speeds, self.K = equations.at(p), p, speeds, K
         self.windows, self.phase = np.asarray(windows, float), phase
         self._resolve(EXTRA_ORDERS)
@@ -143,9 +148,11 @@ class NonlinearMotion:
             few = np.repeat(np.arange(R), PROBES)
             other = theta * (1 + WIDE * rng.uniform(-1, 1, (len(few), len(theta)))) + WIDE * (theta == 0)
             point = (
-                rng.choice(self.times.ravel(), len(few))[None], size * rng.standard_normal((n, len(few))),
-                self.p[few].T, other.T,
-            )  # fmt: skip
+                rng.choice(self.times.ravel(), len(few))[None],
+                size * rng.standard_normal((n, len(few))),
+                self.p[few].T,
+                other.T,
+            )
             with np.errstate(all="ignore"):
                 slopes = whole.J(*point)[:, :, changing] - A[few][:, :, changing]
                 by_theta = whole.f_theta(*point)
@@ -182,7 +189,7 @@ class NonlinearMotion:
 
     def _newton(
         self, at: _Point, C: np.ndarray, base: np.ndarray, share: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return C, the harmonics of the nonlinear rest, and whether each run has settled; share: of the rest."""
         residual, forces = self._residual(at, C, base, share)
         settled = _size(residual, C) <= CLOSE
@@ -208,7 +215,7 @@ class NonlinearMotion:
 
     def _residual(
         self, at: _Point, C: np.ndarray, base: np.ndarray, share: float = 1.0
-    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return C less what it causes, (R, H+1, S), and the harmonics of the nonlinear rest, (R, H+1, E)."""
         E, S = self.inner.E, self.inner.S
         with np.errstate(all="ignore"):

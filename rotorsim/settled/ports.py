@@ -53,9 +53,13 @@ class Ports:
 
 
 def open_ports(
-    A: np.ndarray, s: np.ndarray, slow: Sequence[np.ndarray], columns: np.ndarray, moved: Sequence[np.ndarray],
+    A: np.ndarray,
+    s: np.ndarray,
+    slow: Sequence[np.ndarray],
+    columns: np.ndarray,
+    moved: Sequence[np.ndarray],
     changed: Sequence[np.ndarray] = (),
-) -> Ports:  # fmt: skip
+) -> Ports:
     """Return the ports of x' = A x + U w at s (R, K+1), order 0 first, A (R, n, n).
 
     slow: of each run, the states that rest at order 0. columns: states that must be seen. moved: (n, N), samples of
@@ -182,7 +186,7 @@ def _some_modes_near_zero(A: np.ndarray, bound: float) -> tuple[np.ndarray, np.n
     for side in (0, 1):
         inverse = LinearOperator(
             (n, n), matvec=lambda b, side=side: scipy.linalg.lu_solve(factor, b, side, check_finite=False), dtype=float
-        )  # fmt: skip
+        )
         try:
             found, vectors = eigs(inverse, k=FEW, v0=np.ones(n))
         except ArpackError:

@@ -82,6 +82,8 @@ def _turned(angle: ShaftAngle, by: np.ndarray, time: np.ndarray) -> ShaftAngle:
     theta, span = angle.theta + by, time[-1] - time[0]
     change = np.gradient(by, time)
     return replace(
-        angle, theta=theta, speed=float((theta[-1] - theta[0]) / span),
+        angle,
+        theta=theta,
+        speed=float((theta[-1] - theta[0]) / span),
         drift=angle.drift + float(change[-1] - change[0]),
-    )  # fmt: skip
+    )

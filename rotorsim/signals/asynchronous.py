@@ -136,11 +136,14 @@ def spectra_of(recording: Recording, runs: Sequence[RunHarmonics]) -> list[Spect
     """Return the spectrum of what harmonics leave over of every run, by the colour of its noise."""
     return [
         spectrum_of(
-            item.run.time, _left(recording, item, item.angle.theta)[1], item.fit.speed, int(item.fit.orders[-1]),
+            item.run.time,
+            _left(recording, item, item.angle.theta)[1],
+            item.fit.speed,
+            int(item.fit.orders[-1]),
             item.fit.noise.colour,
         )
         for item in runs
-    ]  # fmt: skip
+    ]
 
 
 def _left(recording: Recording, item: RunHarmonics, theta: np.ndarray) -> tuple[Basis, np.ndarray]:
@@ -363,11 +366,20 @@ def with_second(
             at = second.at(item.fit.speed)
             theta, std = _even(item, at) if second.even else (item.angle.theta, item.angle.std)
             fit = fit_harmonics(
-                item.fit.run, item.run.time, theta, signals, dict(zip(item.fit.names, item.fit.units, strict=True)),
-                orders=int(item.fit.orders[-1]), angle_std=std, stamp=item.fit.stamp, second=(at, orders),
+                item.fit.run,
+                item.run.time,
+                theta,
+                signals,
+                dict(zip(item.fit.names, item.fit.units, strict=True)),
+                orders=int(item.fit.orders[-1]),
+                angle_std=std,
+                stamp=item.fit.stamp,
+                second=(at, orders),
                 weights={recording.channels[c].name: np.asarray(w) for c, w in item.run.weights.items()},
-                lost=item.lost / len(item.run.time), pickups=list(item.fit.pickups), hum=item.fit.hum,
-            )  # fmt: skip
+                lost=item.lost / len(item.run.time),
+                pickups=list(item.fit.pickups),
+                hum=item.fit.hum,
+            )
             assert fit.beside is not None
             if not fit.beside.told.all() or (second.swings and _twice(fit, float(np.ptp(item.run.time)))):
                 lost.append(item.fit.run)

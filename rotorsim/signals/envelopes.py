@@ -119,9 +119,17 @@ def run_up(result: Result, signal: str, *, speed: str = SPEED, orders: Sequence[
     best = begin + int(np.argmax(peaks[begin:]))
     tracked = {int(k): _order(about, theta, starts, int(k)) for k in orders}
     return RunUp(
-        signal, result.unit(signal), speeds, about, speeds[middles], peaks, tracked, float(speeds[middles[best]]),
-        float(peaks[best]), best >= turns - WINDOW,
-    )  # fmt: skip
+        signal,
+        result.unit(signal),
+        speeds,
+        about,
+        speeds[middles],
+        peaks,
+        tracked,
+        float(speeds[middles[best]]),
+        float(peaks[best]),
+        best >= turns - WINDOW,
+    )
 
 
 def _angle(result: Result, speed: str, speeds: np.ndarray) -> np.ndarray:

@@ -18,9 +18,19 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.signals.noise import Line, Noise, find_lines, noise_of
 
 __all__ = [
-    "Basis", "Beside", "HarmonicFit", "check_samples", "complex_values", "fit_harmonics", "harmonic_basis",
-    "line_columns", "real_columns", "real_vector", "scaled_cholesky", "with_lines",
-]  # fmt: skip
+    "Basis",
+    "Beside",
+    "HarmonicFit",
+    "check_samples",
+    "complex_values",
+    "fit_harmonics",
+    "harmonic_basis",
+    "line_columns",
+    "real_columns",
+    "real_vector",
+    "scaled_cholesky",
+    "with_lines",
+]
 
 TURN = 2 * np.pi
 MOST_ORDERS = 16
@@ -137,8 +147,10 @@ class HarmonicFit:
     @cached_property
     def _told(self) -> np.ndarray:
         """The harmonics (K+1, C) that noise alone does not make; zero for others."""
-        power = [2 * self.gram[max(2 * k - 1, 0), max(2 * k - 1, 0)] * np.diag(self.noise.at_order(k)).real
-                 for k in range(len(self.orders))]  # fmt: skip
+        power = [
+            2 * self.gram[max(2 * k - 1, 0), max(2 * k - 1, 0)] * np.diag(self.noise.at_order(k)).real
+            for k in range(len(self.orders))
+        ]
         return np.where(np.abs(self.values) ** 2 > -math.log(TURNS) * np.array(power), self.values, 0.0)
 
     @cached_property

@@ -71,10 +71,17 @@ def harmonics_of(
                 if lost:
                     run = replace(run, values={**run.values, **dict(zip(columns, y.T, strict=True))})
                 fit = fit_harmonics(
-                    run.id, run.time, angle.theta, {channels[c].name: y[:, k] for k, c in enumerate(columns)}, units,
-                    angle_std=angle.std, stamp=angle.stamp, basis=basis, lost=lost / len(y),
+                    run.id,
+                    run.time,
+                    angle.theta,
+                    {channels[c].name: y[:, k] for k, c in enumerate(columns)},
+                    units,
+                    angle_std=angle.std,
+                    stamp=angle.stamp,
+                    basis=basis,
+                    lost=lost / len(y),
                     weights={channels[c].name: np.asarray(w) for c, w in run.weights.items()},
-                )  # fmt: skip
+                )
                 found.append(RunHarmonics(run, angle, fit, lost))
             except RotorsimError as error:
                 problems += error.problems
@@ -89,8 +96,9 @@ def contradictions(runs: Sequence[RunHarmonics]) -> list[Problem]:
     hint = "do the pulses and the signals have one clock? is the speed steady?"
     return [
         Problem(what, f"run {item.run.id}", item.run.place, hint, severity="warning")
-        for item in runs if item.angle.contradicted
-    ]  # fmt: skip
+        for item in runs
+        if item.angle.contradicted
+    ]
 
 
 def with_one_noise(runs: Sequence[RunHarmonics]) -> list[RunHarmonics]:

@@ -74,9 +74,14 @@ def _at_orders(colour: np.ndarray, turns: float, K: int) -> np.ndarray:
 
 
 def find_lines(
-    time: np.ndarray, left: np.ndarray, speed: float, K: int, floor: np.ndarray, near: float = 1.5,
+    time: np.ndarray,
+    left: np.ndarray,
+    speed: float,
+    K: int,
+    floor: np.ndarray,
+    near: float = 1.5,
     kept: np.ndarray | None = None,
-) -> list[Line]:  # fmt: skip
+) -> list[Line]:
     """Return the lines that stand out of the residual (n, C) of a harmonic fit, largest first (of the residual's rms).
 
     Noise alone shows one in a thousand runs. floor: (C,) amplitudes below which nothing counts. near: so many lines of
@@ -243,9 +248,15 @@ def _is_together(transform: np.ndarray) -> bool:
 
 
 def noise_of(
-    left: np.ndarray, time: np.ndarray, speed: float, K: int, freedom: int, floor: np.ndarray, lines: Sequence[Line],
+    left: np.ndarray,
+    time: np.ndarray,
+    speed: float,
+    K: int,
+    freedom: int,
+    floor: np.ndarray,
+    lines: Sequence[Line],
     kept: np.ndarray | None = None,
-) -> Noise:  # fmt: skip
+) -> Noise:
     """Return the noise in a residual (n, C) with the given degrees of freedom, at orders 0..K of the speed.
 
     White noise is one covariance. Coloured noise is white and flicker noise in each channel, or an autoregression of

@@ -148,12 +148,19 @@ def _again(
             )  # of A/2 e^{i phi}, each part
             hum[order] = hum.get(order, 0.0) + variance
     new = fit_harmonics(
-        fit.run, item.run.time, item.angle.theta, signals_of(recording, item),
-        dict(zip(fit.names, fit.units, strict=True)), orders=int(fit.orders[-1]),
-        angle_std=fit.angle_std, stamp=fit.stamp,
+        fit.run,
+        item.run.time,
+        item.angle.theta,
+        signals_of(recording, item),
+        dict(zip(fit.names, fit.units, strict=True)),
+        orders=int(fit.orders[-1]),
+        angle_std=fit.angle_std,
+        stamp=fit.stamp,
         weights={recording.channels[c].name: np.asarray(w) for c, w in item.run.weights.items()},
-        lost=item.lost / len(item.run.time), pickups=frequencies, hum=hum,
-    )  # fmt: skip
+        lost=item.lost / len(item.run.time),
+        pickups=frequencies,
+        hum=hum,
+    )
     return replace(item, fit=new)
 
 

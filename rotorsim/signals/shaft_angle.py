@@ -11,9 +11,17 @@ from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.recordings.recording import Recording, Run
 
 __all__ = [
-    "ShaftAngle", "at_equal_angles", "pulse_edges", "pulse_resolution", "pulse_times", "refuse_run_up", "run_up",
-    "shaft_angle", "speed_change", "steady_limit",
-]  # fmt: skip
+    "ShaftAngle",
+    "at_equal_angles",
+    "pulse_edges",
+    "pulse_resolution",
+    "pulse_times",
+    "refuse_run_up",
+    "run_up",
+    "shaft_angle",
+    "speed_change",
+    "steady_limit",
+]
 
 TURN = 2 * np.pi
 MOST_COEFFICIENTS = 8  # of the polynomial through the pulses

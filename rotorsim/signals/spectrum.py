@@ -12,9 +12,22 @@ from rotorsim.signals.envelopes import Resonance, RunUp, envelope, resonance_pea
 from rotorsim.simulation.result import Result
 
 __all__ = [
-    "DEFAULT_ORDERS", "LEAST_SAMPLES", "FullSpectrum", "Harmonics", "Resonance", "RunUp", "angle_of", "envelope",
-    "few_samples", "full_spectrum", "harmonics", "last_turns", "reconstruction_error", "resonance_peaks", "run_up",
-]  # fmt: skip
+    "DEFAULT_ORDERS",
+    "LEAST_SAMPLES",
+    "FullSpectrum",
+    "Harmonics",
+    "Resonance",
+    "RunUp",
+    "angle_of",
+    "envelope",
+    "few_samples",
+    "full_spectrum",
+    "harmonics",
+    "last_turns",
+    "reconstruction_error",
+    "resonance_peaks",
+    "run_up",
+]
 
 DEFAULT_ORDERS = (0, 1, 2, 3, 5, 7, -1, -3, -5)  # thesis Table 2-2
 LEAST_SAMPLES = 2 * max(DEFAULT_ORDERS)  # a turn: with fewer the highest of them appears as a lower one

@@ -214,9 +214,16 @@ def _least_squares(
     phase = np.minimum(np.divide(turned, size, out=np.full(len(size), np.inf), where=size > 0), np.pi)
     error = reconstruction_error(result, found, angle=angle, window=span)
     return TwoAxis(
-        "least-squares", found, error, span, fit.turns, radial, phase, distance > chi2.isf(1e-3, 2),
+        "least-squares",
+        found,
+        error,
+        span,
+        fit.turns,
+        radial,
+        phase,
+        distance > chi2.isf(1e-3, 2),
         _lines(fit, time, left),
-    )  # fmt: skip
+    )
 
 
 def _covariance(fit: HarmonicFit, order: int) -> np.ndarray:

@@ -204,10 +204,14 @@ class Result(Shown):
 
     def _repr_html_(self) -> str:
         rows = [
-            {"signal": name, "shape": a.shape[1:], "unit": self.units.get(name, ""),
-             "peak": float(np.abs(a).max()) if a.size else 0.0}
+            {
+                "signal": name,
+                "shape": a.shape[1:],
+                "unit": self.units.get(name, ""),
+                "peak": float(np.abs(a).max()) if a.size else 0.0,
+            }
             for name, a in self.signals.items()
-        ]  # fmt: skip
+        ]
         return f"{super()._repr_html_()}{html_table(rows)}<p>{escape(self.message)}</p>"
 
 

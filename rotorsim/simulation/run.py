@@ -147,9 +147,14 @@ Outcome = tuple[np.ndarray, np.ndarray, str, str, dict[str, Any]]
 
 
 def _run_rk4(
-    model: Model, instance: Instance, n_steps: int, h: float, every: int, progress: Progress | None,
+    model: Model,
+    instance: Instance,
+    n_steps: int,
+    h: float,
+    every: int,
+    progress: Progress | None,
     stretches: list[Stretch],
-) -> Outcome:  # fmt: skip
+) -> Outcome:
     """Take the steps; ``stretches`` receives the states from which parts of them can be repeated."""
     ahead = stretches_of(n_steps)
     rows = np.empty((n_steps // every + 1, instance.n_y))

@@ -60,9 +60,15 @@ def stretches_of(n_steps: int) -> list[tuple[int, int]]:
 
 
 def judge(
-    model: Model, instance: Instance, names: tuple[str, ...], time: np.ndarray, rows: np.ndarray, end: float,
-    h: float | None, stretches: list[Stretch],
-) -> Verdict:  # fmt: skip
+    model: Model,
+    instance: Instance,
+    names: tuple[str, ...],
+    time: np.ndarray,
+    rows: np.ndarray,
+    end: float,
+    h: float | None,
+    stretches: list[Stretch],
+) -> Verdict:
     """Return what is to be said of a run to ``end`` [s]; h: step [s] of RK4, None for a method that controls its error.
 
     rows (n, n_y): what was recorded. The state of the instance is that of the end, and is lost.
@@ -95,9 +101,15 @@ def judge(
 
 
 def _told(
-    model: Model, instance: Instance, names: tuple[str, ...], rows: np.ndarray, h: float | None,
-    stretches: list[Stretch], error: float | None, worst: str,
-) -> Verdict:  # fmt: skip
+    model: Model,
+    instance: Instance,
+    names: tuple[str, ...],
+    rows: np.ndarray,
+    h: float | None,
+    stretches: list[Stretch],
+    error: float | None,
+    worst: str,
+) -> Verdict:
     """Return a finished run, with advice where the error of its step is too large."""
     if h is None or error is None or error <= LARGEST_ERROR:
         return Verdict(error=error)
@@ -205,9 +217,20 @@ def _returns(model: Model, p: np.ndarray, x: np.ndarray, end: float) -> bool:
 
 
 def _sampled(
-    model: Model, instance: Instance, saved: Any, x: np.ndarray, z: np.ndarray, end: float, h: float | None,
-    rate: float, error: float | None, worst: str, names: tuple[str, ...], rows: np.ndarray, stretches: list[Stretch],
-) -> Verdict:  # fmt: skip
+    model: Model,
+    instance: Instance,
+    saved: Any,
+    x: np.ndarray,
+    z: np.ndarray,
+    end: float,
+    h: float | None,
+    rate: float,
+    error: float | None,
+    worst: str,
+    names: tuple[str, ...],
+    rows: np.ndarray,
+    stretches: list[Stretch],
+) -> Verdict:
     """Judge a diagram with sampled blocks: by the transition over the period in which all its samplers return."""
     if rate > 0:
         step = h or end
@@ -303,10 +326,12 @@ def _errors(
         rms.append(float(np.linalg.norm(size[part])))
     units = [model.select(name)[0].unit for name in names]
     floor = [max(r for r, unit in zip(rms, units, strict=True) if unit == own) * WHOLE for own in units]
-    return np.array([
-        w / max(r, least) if max(r, least) > 0 and np.isfinite(w) and np.isfinite(r) else 0.0
-        for w, r, least in zip(wrong, rms, floor, strict=True)
-    ])  # fmt: skip
+    return np.array(
+        [
+            w / max(r, least) if max(r, least) > 0 and np.isfinite(w) and np.isfinite(r) else 0.0
+            for w, r, least in zip(wrong, rms, floor, strict=True)
+        ]
+    )
 
 
 def _repeated(instance: Instance, h: float, stretch: Stretch, parts: int) -> np.ndarray:

@@ -47,9 +47,13 @@ class ExportedSsp:
 
 
 def export_ssp(
-    diagram: Diagram, file: str | Path, parts: Mapping[str, Sequence[str]] | None = None, *, version: str = "2.0",
+    diagram: Diagram,
+    file: str | Path,
+    parts: Mapping[str, Sequence[str]] | None = None,
+    *,
+    version: str = "2.0",
     platforms: Sequence[str] | None = None,
-) -> ExportedSsp:  # fmt: skip
+) -> ExportedSsp:
     """Write a diagram as a system of FMUs.
 
     parts: name -> blocks; blocks that no part names make one more, "rest"; a block of type fmu goes as it is.
@@ -86,9 +90,13 @@ def export_ssp(
         words = diagram.document.get("description")
         system = System(diagram.name or "diagram", components=tuple(components), connections=tuple(connections))
         structure = Structure(
-            system.name, "2.0" if three else "1.0", system, 0.0, diagram.solver.stop,
+            system.name,
+            "2.0" if three else "1.0",
+            system,
+            0.0,
+            diagram.solver.stop,
             words if isinstance(words, str) else "",
-        )  # fmt: skip
+        )
         write_ssp(structure, files, file)
     held = {name: tuple(inside) for name, inside in cut.items()} | {name: (block,) for block, name in foreign.items()}
     return ExportedSsp(Path(file), structure, held, tuple(warnings.values()))
@@ -254,9 +262,7 @@ def _foreign_component(name: str, diagram: Diagram, block: str) -> Component:
         if key in node.values and port.start is not None:
             settings.update(_changed(description, port, np.ravel(node.values[key])))
     interface = "" if found.option.interface == "any" else str(found.option.interface)
-    return Component(
-        name, f"resources/{name}.fmu", tuple(connectors.values()), tuple(settings.values()), interface
-    )  # fmt: skip
+    return Component(name, f"resources/{name}.fmu", tuple(connectors.values()), tuple(settings.values()), interface)
 
 
 def _changed(description: ModelDescription, port: FmuPort, values: np.ndarray) -> Iterator[tuple[str, Setting]]:

@@ -16,17 +16,7 @@ from rotorsim.fmi.description.archive import Archive, check_name
 from rotorsim.fmi.description.attributes import Attributes, to_float
 from rotorsim.fmi.description.model import FLOATS, INTEGERS, FmuUnit, Value
 from rotorsim.fmi.description.xml_reader import Element, XmlLimits, read_xml
-from rotorsim.ssp.structure import (  # fmt: skip
-    MAIN,
-    NAMESPACES,
-    Component,
-    Connection,
-    Connector,
-    End,
-    Setting,
-    Structure,
-    System,
-)
+from rotorsim.ssp.structure import MAIN, NAMESPACES, Component, Connection, Connector, End, Setting, Structure, System
 
 __all__ = ["read_structure"]
 
@@ -40,9 +30,7 @@ _TYPES = {"Real": "Float64", "Integer": "Int32", "Binary": "Binary"} | {
 _FMU = "application/x-fmu-sharedlibrary"
 _SET = "application/x-ssp-parameter-set"
 _INTERFACES = {"any": "", "CoSimulation": "cs", "ModelExchange": "me"}
-_KINDS = (
-    "input", "output", "parameter", "calculatedParameter", "structuralParameter", "constant", "local", "inout",
-)  # fmt: skip
+_KINDS = ("input", "output", "parameter", "calculatedParameter", "structuralParameter", "constant", "local", "inout")
 _TRANSFORMATIONS = ("BooleanMappingTransformation", "IntegerMappingTransformation", "EnumerationMappingTransformation")
 
 
@@ -122,9 +110,7 @@ class _Reader:
         experiment = root.first("DefaultExperiment")
         times = self.read(experiment, "DefaultExperiment") if experiment else None
         start, stop = (times.number(name) if times else None for name in ("startTime", "stopTime"))
-        return Structure(
-            root.get("name"), version[:3], self.system(system), start, stop, root.get("description"),
-        )  # fmt: skip
+        return Structure(root.get("name"), version[:3], self.system(system), start, stop, root.get("description"))
 
     def read_units(self, root: Element) -> dict[str, FmuUnit]:
         units: dict[str, FmuUnit] = {}
@@ -137,8 +123,9 @@ class _Reader:
             read = self.read(base, f"unit {name[:80]}")
             powers: dict[str, int] = {
                 key: read.whole(key, 0, least=-99, most=99)
-                for key in ("kg", "m", "s", "A", "K", "mol", "cd", "rad") if key in base.attributes
-            }  # fmt: skip
+                for key in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+                if key in base.attributes
+            }
             units[name] = FmuUnit(name, read.number("factor", 1.0), read.number("offset", 0.0), powers)
             if not units[name].factor:
                 self.wrong(base, "the factor is zero", f"unit {name[:80]}")
@@ -161,11 +148,19 @@ class _Reader:
             else:
                 self.wrong(child, f"{child.tag} is not supported", own)
         return System(
-            name, self.connectors(element), self.settings(element), tuple(components), tuple(systems),
-            tuple(c for group in element.all("Connections") for child in group.all("Connection")
-                  for c in self.connection(child)),
+            name,
+            self.connectors(element),
+            self.settings(element),
+            tuple(components),
+            tuple(systems),
+            tuple(
+                c
+                for group in element.all("Connections")
+                for child in group.all("Connection")
+                for c in self.connection(child)
+            ),
             self.place(element),
-        )  # fmt: skip
+        )
 
     def component(self, element: Element) -> Component:
         name = element.get("name")
@@ -177,9 +172,13 @@ class _Reader:
         if implementation not in _INTERFACES:
             self.wrong(element, f'implementation="{implementation[:40]}" is not supported', name)
         return Component(
-            name, source, self.connectors(element), self.settings(element), _INTERFACES.get(implementation, ""),
+            name,
+            source,
+            self.connectors(element),
+            self.settings(element),
+            _INTERFACES.get(implementation, ""),
             self.place(element),
-        )  # fmt: skip
+        )
 
     def source(self, element: Element, subject: str) -> str:
         """Return the file in the archive that a relative URI names."""

@@ -8,17 +8,29 @@ from rotorsim.errors import Place
 from rotorsim.fmi.description.model import FmuUnit, Value
 
 __all__ = [
-    "MAIN", "NAMESPACES", "VERSIONS", "Component", "Connection", "Connector", "End", "Setting", "Structure", "System",
+    "MAIN",
+    "NAMESPACES",
+    "VERSIONS",
+    "Component",
+    "Connection",
+    "Connector",
+    "End",
+    "Setting",
+    "Structure",
+    "System",
     "same_unit",
-]  # fmt: skip
+]
 
 MAIN = "SystemStructure.ssd"
 VERSIONS = ("1.0", "2.0")
 _BASE = "http://ssp-standard.org/SSP1/SystemStructure"  # also in SSP 2.0
 NAMESPACES = {
-    "ssd": f"{_BASE}Description", "ssc": f"{_BASE}Common", "ssv": f"{_BASE}ParameterValues",
-    "ssm": f"{_BASE}ParameterMapping", "ssb": f"{_BASE}SignalDictionary",
-}  # fmt: skip
+    "ssd": f"{_BASE}Description",
+    "ssc": f"{_BASE}Common",
+    "ssv": f"{_BASE}ParameterValues",
+    "ssm": f"{_BASE}ParameterMapping",
+    "ssb": f"{_BASE}SignalDictionary",
+}
 
 
 @dataclass(frozen=True)

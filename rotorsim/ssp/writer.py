@@ -7,16 +7,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from rotorsim.fmi.description.model import FmuUnit, Value
-from rotorsim.ssp.structure import (  # fmt: skip
-    NAMESPACES,
-    Component,
-    Connection,
-    Connector,
-    End,
-    Structure,
-    System,
-    same_unit,
-)
+from rotorsim.ssp.structure import NAMESPACES, Component, Connection, Connector, End, Structure, System, same_unit
 
 __all__ = ["system_description", "values_description"]
 
@@ -117,7 +108,7 @@ def _connectors(parent: Element, connectors: Iterable[Connector], units: _Units)
 def _component(parent: Element, component: Component, units: _Units) -> None:
     element = SubElement(
         parent, "ssd:Component", name=component.name, type="application/x-fmu-sharedlibrary", source=component.source
-    )  # fmt: skip
+    )
     if component.interface:
         element.set("implementation", _INTERFACES[component.interface])
     _connectors(element, component.connectors, units)

@@ -77,13 +77,15 @@ class Prepared:
         arguments += [np.broadcast_to(inside[name], self.shapes[name]).ravel() for name in self.trace.randoms]
         shapes = {"outputs": self.shapes, "derivatives": self.state_shapes, "update": self.state_shapes, "events": {}}
         values = iter(self.function.call([*map(ca.DM, arguments), ca.DM(time)]))
-        return SimpleNamespace(**{
-            kind: {
-                name: next(values).toarray().ravel().reshape(shapes[kind].get(name, (-1,)))
-                for name in getattr(self.trace, kind)
+        return SimpleNamespace(
+            **{
+                kind: {
+                    name: next(values).toarray().ravel().reshape(shapes[kind].get(name, (-1,)))
+                    for name in getattr(self.trace, kind)
+                }
+                for kind in KINDS
             }
-            for kind in KINDS
-        })  # fmt: skip
+        )
 
 
 def prepare(
@@ -132,7 +134,7 @@ def prepare_class(
         port: words.shape(declared)
         for port, (declared, d) in declared_inputs.items()
         if port in wired or not d.optional
-    }  # fmt: skip
+    }
     out_shapes = {port: words.shape(declared) for port, declared in declared_outputs.items()}
     parameter_shapes = {n: words.shape(block.declared_shape(d)) for n, d in block.parameters.items()}
     state_shapes = {name: words.shape(block.declared_shape(d)) for name, d in block.active_states().items()}

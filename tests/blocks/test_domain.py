@@ -179,9 +179,14 @@ def test_gyroscopic_moments_raise_forward_whirl():
     """Eigenvalues of I_d a'' - i W I_p a' + k a = 0 in complex tilt, against the block's two planes."""
     ip, i_d, k, w = 0.0048, 0.0024, 2350.0, 300.0
     values = {
-        "coupling_stiffness": 0.0, "coupling_damping": 0.0, "tilt_damping": 0.0, "viscous_damping": 0.0,
-        "polar_inertia": ip, "diametral_inertia": i_d, "tilt_stiffness": k,
-    }  # fmt: skip
+        "coupling_stiffness": 0.0,
+        "coupling_damping": 0.0,
+        "tilt_damping": 0.0,
+        "viscous_damping": 0.0,
+        "polar_inertia": ip,
+        "diametral_inertia": i_d,
+        "tilt_stiffness": k,
+    }
     block = prepare("rotor_4dof", {"force": (2,), "moment": (2,), "speed": ()}, values)
     inputs = {"force": np.zeros(2), "moment": np.zeros(2), "speed": w}
     columns = []

@@ -12,26 +12,44 @@ SHAPES: dict[str, tuple[int, ...]] = {"acceleration": (), "theta": (), "speed": 
 
 # every amplitude of an effect: where they vanish, so does the effect
 AMPLITUDES = {
-    "residual_bow": ("amplitude",), "thermal_bow": ("amplitude", "growth"), "rub": ("stiffness",),
+    "residual_bow": ("amplitude",),
+    "thermal_bow": ("amplitude", "growth"),
+    "rub": ("stiffness",),
     "parallel_misalignment": ("amplitude0", "amplitude1", "amplitude2", "backward2"),
-    "angular_misalignment": ("amplitude1", "amplitude2"), "blade_pass": ("amplitude", "backward"),
-    "anisotropic_support": ("stiffness_difference", "damping_difference"), "asymmetric_shaft": ("asymmetry",),
-    "support_stiffness": ("stiffness", "damping"), "gyroscopic_error": ("inertia",), "moment_unbalance": ("skew",),
-    "unbalance": ("eccentricity",), "crack": ("stiffness", "tilt_stiffness"), "internal_damping": ("damping",),
-    "hysteretic_damping": ("loss_factor",), "mass_error": ("mass",), "magnetic_pull": ("stiffness",),
-    "seal_cross_coupling": ("cross_stiffness", "direct_stiffness", "direct_damping"), "clearance": ("stiffness",),
-    "cubic_stiffness": ("stiffness",), "coulomb_friction": ("friction", "offset"),
-    "base_excitation": ("acceleration",), "torsion_coupling": ("unbalance", "crack_coupling"),
-}  # fmt: skip
+    "angular_misalignment": ("amplitude1", "amplitude2"),
+    "blade_pass": ("amplitude", "backward"),
+    "anisotropic_support": ("stiffness_difference", "damping_difference"),
+    "asymmetric_shaft": ("asymmetry",),
+    "support_stiffness": ("stiffness", "damping"),
+    "gyroscopic_error": ("inertia",),
+    "moment_unbalance": ("skew",),
+    "unbalance": ("eccentricity",),
+    "crack": ("stiffness", "tilt_stiffness"),
+    "internal_damping": ("damping",),
+    "hysteretic_damping": ("loss_factor",),
+    "mass_error": ("mass",),
+    "magnetic_pull": ("stiffness",),
+    "seal_cross_coupling": ("cross_stiffness", "direct_stiffness", "direct_damping"),
+    "clearance": ("stiffness",),
+    "cubic_stiffness": ("stiffness",),
+    "coulomb_friction": ("friction", "offset"),
+    "base_excitation": ("acceleration",),
+    "torsion_coupling": ("unbalance", "crack_coupling"),
+}
 # amplitudes of what stands in a wire, and their value when it lets the signal through
 NEUTRAL: dict[str, dict[str, float]] = {
     "runout": dict.fromkeys([f"{n}{k}" for n in ("amplitude", "backward") for k in (1, 2, 3)], 0.0),
     "amb_cross_coupling": {"real_coupling": 0.0, "imaginary_coupling": 0.0},
-    "controller_gain_error": {"displacement_error": 0.0, "velocity_error": 0.0}, "current_gain": {"gain_error": 0.0},
-    "sensor_gain": {"gain_error": 0.0}, "sensor_gain_mismatch": {"mismatch": 0.0, "skew": 0.0},
-    "sensor_rotation": {"angle": 0.0}, "sensor_offset": {"offset_x": 0.0, "offset_y": 0.0},
-    "non_collocation": {"distance": 0.0}, "current_clipping": {"limit": 1e9}, "speed_fluctuation": {"amplitude": 0.0},
-}  # fmt: skip
+    "controller_gain_error": {"displacement_error": 0.0, "velocity_error": 0.0},
+    "current_gain": {"gain_error": 0.0},
+    "sensor_gain": {"gain_error": 0.0},
+    "sensor_gain_mismatch": {"mismatch": 0.0, "skew": 0.0},
+    "sensor_rotation": {"angle": 0.0},
+    "sensor_offset": {"offset_x": 0.0, "offset_y": 0.0},
+    "non_collocation": {"distance": 0.0},
+    "current_clipping": {"limit": 1e9},
+    "speed_fluctuation": {"amplitude": 0.0},
+}
 
 
 def test_the_tables_of_what_is_absent_are_complete() -> None:

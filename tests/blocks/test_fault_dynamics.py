@@ -236,9 +236,16 @@ def test_bending_and_torsion_exchange_energy_and_lose_none() -> None:
     m, k, J, w_t, me, kc, g = 2.0, 7.6e5, 0.0048, 2 * pi * 90, 5e-3, 3e3, 9.80665
     theta, beta, gamma, sag = 0.6, 0.9, -0.4, 2.6e-5
     torsion = {
-        "unbalance": me, "phase": beta, "inertia": J, "frequency": w_t, "damping_ratio": 0.0, "crack_coupling": kc,
-        "crack_phase": gamma, "sag": sag, "bandwidth": 2e5,
-    }  # fmt: skip
+        "unbalance": me,
+        "phase": beta,
+        "inertia": J,
+        "frequency": w_t,
+        "damping_ratio": 0.0,
+        "crack_coupling": kc,
+        "crack_phase": gamma,
+        "sag": sag,
+        "bandwidth": 2e5,
+    }
     rotor = {"mass": m, "stiffness": k, "viscous_damping": 0.0, "initial_displacement": [3e-4, -1e-4]}
     blocks = {
         "clock": {"type": "clock", "parameters": {"speed": 0.0, "phase": theta}},

@@ -39,10 +39,7 @@ def rub(p: Any, u: Any) -> complex:
 def runout(p: Any, u: Any, rate: bool) -> complex:
     total = u.velocity if rate else u.displacement
     for k in (1, 2, 3):
-        for order, size, phase in (
-            (k, f"amplitude{k}", f"phase{k}"),
-            (-k, f"backward{k}", f"backward_phase{k}"),
-        ):
+        for order, size, phase in ((k, f"amplitude{k}", f"phase{k}"), (-k, f"backward{k}", f"backward_phase{k}")):
             r = getattr(p, size) * e(getattr(p, phase))
             total += r * e(order * u.theta) * (1j * order * u.speed if rate else 1)
     return total
@@ -99,17 +96,9 @@ LAWS: list[tuple[str, dict[str, Any], dict[str, Law]]] = [
     (
         "moment_unbalance",
         {},
-        {
-            "moment": lambda p, u: (
-                (p.polar_inertia - p.diametral_inertia) * p.skew * u.speed**2 * e(u.theta + p.phase)
-            )
-        },
+        {"moment": lambda p, u: (p.polar_inertia - p.diametral_inertia) * p.skew * u.speed**2 * e(u.theta + p.phase)},
     ),
-    (
-        "internal_damping",
-        {},
-        {"force": lambda p, u: -p.damping * (u.velocity - 1j * u.speed * u.displacement)},
-    ),
+    ("internal_damping", {}, {"force": lambda p, u: -p.damping * (u.velocity - 1j * u.speed * u.displacement)}),
     (
         "seal_cross_coupling",
         {},
@@ -125,11 +114,7 @@ LAWS: list[tuple[str, dict[str, Any], dict[str, Law]]] = [
     (
         "clearance",
         {"law": "radial"},
-        {
-            "force": lambda p, u: (
-                -p.stiffness * plus(abs(u.displacement) - p.gap) * u.displacement / abs(u.displacement)
-            )
-        },
+        {"force": lambda p, u: -p.stiffness * plus(abs(u.displacement) - p.gap) * u.displacement / abs(u.displacement)},
     ),
     ("clearance", {"law": "bilinear"}, {"force": stop}),
     ("cubic_stiffness", {}, {"force": cubic}),
@@ -203,10 +188,7 @@ LAWS: list[tuple[str, dict[str, Any], dict[str, Law]]] = [
     (
         "runout",
         {},
-        {
-            "sensed_displacement": lambda p, u: runout(p, u, False),
-            "sensed_velocity": lambda p, u: runout(p, u, True),
-        },
+        {"sensed_displacement": lambda p, u: runout(p, u, False), "sensed_velocity": lambda p, u: runout(p, u, True)},
     ),
     (
         "quantisation",
@@ -221,7 +203,7 @@ LAWS: list[tuple[str, dict[str, Any], dict[str, Law]]] = [
         {"law": "limit"},
         {"limited": lambda p, u: complex(*np.clip([u.current.real, u.current.imag], -p.limit, p.limit))},
     ),
-]  # fmt: skip
+]
 
 
 def drawn(

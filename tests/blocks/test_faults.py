@@ -20,16 +20,52 @@ from rotorsim.simulation.run import simulate
 
 # every effect that a rotor model commonly leaves out and that can be named
 CATALOGUE = {
-    "breathing_crack", "open_crack", "asymmetric_shaft", "crack_location", "second_crack", "residual_bow",
-    "thermal_bow", "parallel_misalignment", "angular_misalignment", "anisotropic_support", "support_stiffness",
-    "foundation_mode", "gyroscopic_error", "moment_unbalance", "unbalance_elsewhere", "internal_damping",
-    "hysteretic_damping", "seal_cross_coupling", "rub", "clearance", "cubic_stiffness", "coulomb_friction",
-    "magnetic_nonlinearity", "magnetic_saturation", "eddy_current_lag", "amb_cross_coupling", "amplifier_bandwidth",
-    "control_delay", "controller_gain_error", "current_clipping", "current_sensor_gain", "sensor_gain",
-    "sensor_gain_mismatch", "sensor_rotation", "non_collocation", "runout", "sensor_offset", "quantisation",
-    "base_excitation", "speed_fluctuation", "torsion_coupling", "blade_pass", "magnetic_pull", "mass_error",
+    "breathing_crack",
+    "open_crack",
+    "asymmetric_shaft",
+    "crack_location",
+    "second_crack",
+    "residual_bow",
+    "thermal_bow",
+    "parallel_misalignment",
+    "angular_misalignment",
+    "anisotropic_support",
+    "support_stiffness",
+    "foundation_mode",
+    "gyroscopic_error",
+    "moment_unbalance",
+    "unbalance_elsewhere",
+    "internal_damping",
+    "hysteretic_damping",
+    "seal_cross_coupling",
+    "rub",
+    "clearance",
+    "cubic_stiffness",
+    "coulomb_friction",
+    "magnetic_nonlinearity",
+    "magnetic_saturation",
+    "eddy_current_lag",
+    "amb_cross_coupling",
+    "amplifier_bandwidth",
+    "control_delay",
+    "controller_gain_error",
+    "current_clipping",
+    "current_sensor_gain",
+    "sensor_gain",
+    "sensor_gain_mismatch",
+    "sensor_rotation",
+    "non_collocation",
+    "runout",
+    "sensor_offset",
+    "quantisation",
+    "base_excitation",
+    "speed_fluctuation",
+    "torsion_coupling",
+    "blade_pass",
+    "magnetic_pull",
+    "mass_error",
     "disc_rotary_inertia",
-}  # fmt: skip
+}
 # what reads like an effect without being one: parameters of the model, and noise
 OTHERS = {"viscous_damping", "force_displacement_factor", "force_current_factor", "sag", "noise"}
 FAULTS = [(cls, fault) for cls in all_types().values() for fault in cls.faults]
@@ -208,9 +244,17 @@ def test_a_fault_runs_in_a_diagram_and_changes_it(cls: type[Block], fault: Fault
 
 @pytest.mark.parametrize(
     "name",
-    ["clearance", "cubic_stiffness", "coulomb_friction", "support_stiffness", "hysteretic_damping", "foundation_mode",
-     "magnetic_pull", "mass_error"],
-)  # fmt: skip
+    [
+        "clearance",
+        "cubic_stiffness",
+        "coulomb_friction",
+        "support_stiffness",
+        "hysteretic_damping",
+        "foundation_mode",
+        "magnetic_pull",
+        "mass_error",
+    ],
+)
 def test_a_force_on_what_moves_in_a_line_runs(name: str) -> None:
     """An oscillator of gains and integrators, whose displacement is one number."""
     cls = all_types()[name]

@@ -69,9 +69,7 @@ def test_a_pinned_timoshenko_shaft_has_the_frequencies_of_the_timoshenko_beam():
     area, second = np.pi * d**2 / 4, np.pi * d**4 / 64
     kappa = 6 * (1 + nu) / (7 + 6 * nu)
     shear = E / (2 * (1 + nu))
-    values = {
-        "outer_diameter": d, "disc_mass": 0.0, "disc_polar_inertia": 0.0, "disc_diametral_inertia": 0.0,
-    }  # fmt: skip
+    values = {"outer_diameter": d, "disc_mass": 0.0, "disc_polar_inertia": 0.0, "disc_diametral_inertia": 0.0}
     exact = []
     for k in (1, 2, 3):
         b = k * np.pi / L
@@ -128,10 +126,20 @@ def test_rayleigh_damping_of_the_shaft_is_a0_m_plus_a1_k_of_its_elements():
 def assembled(elements, with_disc):
     """Return the mass matrix in the block's order: free dof by node, x and y planes interleaved (App. B)."""
     h = L / elements
-    one = RHO * AREA * h / 420 * np.array(
-        [[156, 22 * h, 54, -13 * h], [22 * h, 4 * h**2, 13 * h, -3 * h**2],
-         [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h**2, -22 * h, 4 * h**2]]
-    )  # fmt: skip
+    one = (
+        RHO
+        * AREA
+        * h
+        / 420
+        * np.array(
+            [
+                [156, 22 * h, 54, -13 * h],
+                [22 * h, 4 * h**2, 13 * h, -3 * h**2],
+                [54, 13 * h, 156, -22 * h],
+                [-13 * h, -3 * h**2, -22 * h, 4 * h**2],
+            ]
+        )
+    )
     size = 2 * (elements + 1)
     mass = np.zeros((size, size))
     for e in range(elements):
@@ -163,10 +171,18 @@ def test_element_matrices_know_rigid_bodies_and_constant_curvature(length, phi, 
 def test_element_matrices_without_shear_are_those_of_appendix_b():
     h = 0.37
     k = np.array(_beam.stiffness(2.0, h, 0.0))
-    printed = 2.0 / h**3 * np.array(
-        [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h**2, -6 * h, 2 * h**2],
-         [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h**2, -6 * h, 4 * h**2]]
-    )  # fmt: skip
+    printed = (
+        2.0
+        / h**3
+        * np.array(
+            [
+                [12, 6 * h, -12, 6 * h],
+                [6 * h, 4 * h**2, -6 * h, 2 * h**2],
+                [-12, -6 * h, 12, -6 * h],
+                [6 * h, 2 * h**2, -6 * h, 4 * h**2],
+            ]
+        )
+    )
     assert k == pytest.approx(printed, rel=1e-14)
 
 

@@ -30,9 +30,7 @@ def block_class(name: str) -> type[Block]:
 
 
 def declarations(cls: type[Block]) -> list[tuple[str, Any]]:
-    kinds: tuple[dict[str, Any], ...] = (
-        cls.inputs, cls.outputs, cls.parameters, cls.options, cls.states, cls.randoms,
-    )  # fmt: skip
+    kinds: tuple[dict[str, Any], ...] = (cls.inputs, cls.outputs, cls.parameters, cls.options, cls.states, cls.randoms)
     return [item for kind in kinds for item in kind.items()]
 
 

@@ -28,10 +28,17 @@ def forces(bend) -> np.ndarray:
 
 def test_the_forces_are_those_of_the_strain_energy():
     parameters = {
-        "element_length": list(LENGTHS), "outer_diameter": list(DIAMETERS), "inner_diameter": [0.0] * 4,
-        "amplitude1": 2e-6, "phase1": 0.4, "amplitude2": 3e-7, "phase2": -1.1, "amplitude3": 0.0, "amplitude4": 1e-8,
+        "element_length": list(LENGTHS),
+        "outer_diameter": list(DIAMETERS),
+        "inner_diameter": [0.0] * 4,
+        "amplitude1": 2e-6,
+        "phase1": 0.4,
+        "amplitude2": 3e-7,
+        "phase2": -1.1,
+        "amplitude3": 0.0,
+        "amplitude4": 1e-8,
         "phase4": 2.0,
-    }  # fmt: skip
+    }
     theta = 0.9
     out = prepare("shaft_bow", {"theta": ()}, parameters, {"elements": 4}).evaluate({"theta": theta}).outputs
     expected = np.zeros((5, 2), complex)

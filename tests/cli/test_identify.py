@@ -19,9 +19,14 @@ from tests.reference.recordings import LOWER, UPPER, write_recording
 from tests.report import undrawn
 
 NAMES = [
-    "viscous_damping", "crack_stiffness", "crack_phase", "eccentricity", "unbalance_phase",
-    "force_displacement_factor", "force_current_factor",
-]  # fmt: skip
+    "viscous_damping",
+    "crack_stiffness",
+    "crack_phase",
+    "eccentricity",
+    "unbalance_phase",
+    "force_displacement_factor",
+    "force_current_factor",
+]
 
 
 @pytest.fixture(scope="module")

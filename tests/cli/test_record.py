@@ -39,8 +39,18 @@ def test_a_run_per_speed_and_set_of_gains(run) -> None:
 
 def test_gains_are_in_force_in_their_runs(run) -> None:
     """i = KP u + KI int(u) + KD u', the integral being small in the first milliseconds."""
-    run("record", "jeffcott", "--out", "m", "--window", "0:0.02", "--gains", "controller.KP=9000, controller.KD=0",
-        "--gains", "controller.KP=7000, controller.KD=0")  # fmt: skip
+    run(
+        "record",
+        "jeffcott",
+        "--out",
+        "m",
+        "--window",
+        "0:0.02",
+        "--gains",
+        "controller.KP=9000, controller.KD=0",
+        "--gains",
+        "controller.KP=7000, controller.KD=0",
+    )
     for item, gain in zip(load_recording("m").runs, (9000.0, 7000.0), strict=True):
         x = item.values["x"]
         integral = 2000 * 0.02 * np.abs(x).max()  # KI times the largest integral there can be
@@ -91,8 +101,10 @@ def test_signals_rate_and_format(run) -> None:
     }
     found = load_recording("a/b")
     assert [channel.name for channel in found.channels.values()] == [
-        "rotor.displacement[3,1]", "rotor.displacement[3,2]", "controller.current[1]",
-    ]  # fmt: skip
+        "rotor.displacement[3,1]",
+        "rotor.displacement[3,2]",
+        "controller.current[1]",
+    ]
     assert found.runs[0].sample_rate == pytest.approx(2500.0)
     assert Path("a/b/run01.csv").exists()
 
@@ -171,35 +183,62 @@ def test_gains_as_text(text: str, expected) -> None:
 NOT_GAINS = "hint: for example --gains 'controller.KP=9000, controller.KD=4.5'"
 PROBLEMS = {
     "no folder": ((), "missing option '--out'", "hint: 'rotorsim record --help' shows how it is used"),
-    "same speed": (("--speeds", "1200 rpm, 1200 rpm"), "--speeds 1200 rpm, 1200 rpm: the same speed twice",
-                   "hint: runs at one speed need different --gains"),
+    "same speed": (
+        ("--speeds", "1200 rpm, 1200 rpm"),
+        "--speeds 1200 rpm, 1200 rpm: the same speed twice",
+        "hint: runs at one speed need different --gains",
+    ),
     "window": (("--window", "5 s"), "--window 5 s: not START:STOP", "hint: for example --window '4 s:5 s'"),
     "early window": (("--window=-1:5",), "--window -1:5: begins before the run", "hint: runs begin at t = 0"),
-    "short window": (("--window", "0:1e-5"), "jeffcott: window 0..1e-05 s holds 1 sample of 0.0001 s",
-                     "hint: a longer window, or a higher rate"),
+    "short window": (
+        ("--window", "0:1e-5"),
+        "jeffcott: window 0..1e-05 s holds 1 sample of 0.0001 s",
+        "hint: a longer window, or a higher rate",
+    ),
     "gains": (("--gains", "controller.KP"), "--gains controller.KP: 'controller.KP' is not NAME=VALUE", NOT_GAINS),
-    "gains twice": (("--gains", "a.b=1, a.b=2"), "--gains a.b=1, a.b=2: a.b is there twice",
-                    "hint: a --gains for each value"),
-    "gains and set": (("--gains", "controller.KP=3", "--set", "controller.KP=4"),
-                      "--gains controller.KP: is given by --set as well", "hint: give it once"),
+    "gains twice": (
+        ("--gains", "a.b=1, a.b=2"),
+        "--gains a.b=1, a.b=2: a.b is there twice",
+        "hint: a --gains for each value",
+    ),
+    "gains and set": (
+        ("--gains", "controller.KP=3", "--set", "controller.KP=4"),
+        "--gains controller.KP: is given by --set as well",
+        "hint: give it once",
+    ),
     "speed as gain": (("--gains", "speed=3"), "--gains speed: the speeds are given by --speeds", ""),
-    "unknown gain": (("--gains", "controller.KQ=3"), "--gains controller.KQ: no such parameter in jeffcott",
-                     "hint: did you mean 'controller.KP' or 'controller.KI' or 'controller.KD'?"),
+    "unknown gain": (
+        ("--gains", "controller.KQ=3"),
+        "--gains controller.KQ: no such parameter in jeffcott",
+        "hint: did you mean 'controller.KP' or 'controller.KI' or 'controller.KD'?",
+    ),
     "noise": (("--noise", "-5 %"), "--noise -5 %: not a share of the rms", "hint: for example --noise '5 %'"),
     "unit of noise": (("--noise", "5 m"), "--noise 5 m: unit 'm' does not fit '1'", "hint: give a pure number"),
     "rate": (("--rate", "5000 rpm"), "--rate 5000 rpm: not a sample rate", "hint: for example --rate '5000 Hz'"),
     "no rate": (("--rate", "often"), "--rate often: not a sample rate", "hint: for example --rate '5000 Hz'"),
     "zero rate": (("--rate", "0 Hz"), "--rate 0 Hz: not a sample rate", "hint: for example --rate '5000 Hz'"),
-    "lone hold-out": (("--hold-out", "1200 rpm"), "--hold-out needs --speeds",
-                      "hint: for example --speeds '1200 rpm, 1320 rpm' --hold-out '1260 rpm'"),
-    "all held out": (("--speeds", "1200 rpm", "--hold-out", "1200 rpm"),
-                     "--hold-out leaves no run to identify from", "hint: more --speeds"),
-    "signal": (("--signal", "rotor.displacment"), "rotor.displacment: no such signal",
-               "hint: did you mean 'rotor.displacement'?"),
-    "settled at rest": (("--speeds", "0 rpm", "--settle"),
-                        "jeffcott at 0 rpm: a settled start needs a speed above zero", ""),
+    "lone hold-out": (
+        ("--hold-out", "1200 rpm"),
+        "--hold-out needs --speeds",
+        "hint: for example --speeds '1200 rpm, 1320 rpm' --hold-out '1260 rpm'",
+    ),
+    "all held out": (
+        ("--speeds", "1200 rpm", "--hold-out", "1200 rpm"),
+        "--hold-out leaves no run to identify from",
+        "hint: more --speeds",
+    ),
+    "signal": (
+        ("--signal", "rotor.displacment"),
+        "rotor.displacment: no such signal",
+        "hint: did you mean 'rotor.displacement'?",
+    ),
+    "settled at rest": (
+        ("--speeds", "0 rpm", "--settle"),
+        "jeffcott at 0 rpm: a settled start needs a speed above zero",
+        "",
+    ),
     "too many runs": (("--speeds", "1 rpm:0.1 rpm:2000 rpm"), "19991 runs, at most 10000", "hint: fewer speeds"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", PROBLEMS)

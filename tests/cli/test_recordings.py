@@ -186,20 +186,34 @@ def complaint(text: str, hint: str = "") -> str:
 WRONG = {
     "run": (["measured", "--run", "on"], "--run on: no such run in made", "did you mean 'one'?"),
     "plot": (["measured", "--plot", "s.png"], "--plot draws one run, measured has 2", "--run one, for example"),
-    "signal": (["measured", "--run", "one", "--signal", "rotor.displacment"],
-               "one: rotor.displacment: not a two-axis signal that was measured", "did you mean 'rotor.displacement'?"),
+    "signal": (
+        ["measured", "--run", "one", "--signal", "rotor.displacment"],
+        "one: rotor.displacment: not a two-axis signal that was measured",
+        "did you mean 'rotor.displacement'?",
+    ),
     "set": (["measured", "--set", "speed=3"], "measured: --set and --without need a diagram, not a recording", ""),
-    "window": (["measured", "--run", "one", "--window", "5:6"], "one: window 5..6 s holds 0 samples",
-               "the run covers 0..0.9998 s"),
-    "short": (["measured", "--run", "one", "--window", "0:0.01"], "one: only 0.253 turns of the shaft in 0..0.0098 s",
-              "harmonics need at least one turn"),
-    "method": (["measured", "--harmonics", "dft"],
-               "invalid value for '--harmonics': 'dft' is not one of 'least-squares', 'fft', 'regression'",
-               "'rotorsim spectrum --help' shows how it is used"),
+    "window": (
+        ["measured", "--run", "one", "--window", "5:6"],
+        "one: window 5..6 s holds 0 samples",
+        "the run covers 0..0.9998 s",
+    ),
+    "short": (
+        ["measured", "--run", "one", "--window", "0:0.01"],
+        "one: only 0.253 turns of the shaft in 0..0.0098 s",
+        "harmonics need at least one turn",
+    ),
+    "method": (
+        ["measured", "--harmonics", "dft"],
+        "invalid value for '--harmonics': 'dft' is not one of 'least-squares', 'fft', 'regression'",
+        "'rotorsim spectrum --help' shows how it is used",
+    ),
     "not a recording": (["jeffcott", "--run", "one"], "jeffcott: --run needs a recording", ""),
-    "at rest": (["jeffcott", "--set", "speed=0", "--harmonics", "fft"],
-                "only 0 turns of the shaft in 0..4.9999 s", "harmonics need at least one turn"),
-}  # fmt: skip
+    "at rest": (
+        ["jeffcott", "--set", "speed=0", "--harmonics", "fft"],
+        "only 0 turns of the shaft in 0..4.9999 s",
+        "harmonics need at least one turn",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -256,10 +270,17 @@ def test_a_saved_run_that_diverged_has_no_spectrum(run, suffix: str) -> None:
 def test_check_sums_up_a_recording(run) -> None:
     gains = [{"controller.KP": 12200.0}, {"controller.KP": 9000.0, "controller.KD": 4.5}]
     runs = [
-        made.run(id=f"r{k}{g}", file=f"r{k}{g}.npz", speed=speed, tacho=made.pulses(speed), set=gains[g],
-                 use="hold_out" if k else None)
-        for k, speed in enumerate((2 * np.pi * 19, 2 * np.pi * 27)) for g in (0, 1)
-    ]  # fmt: skip
+        made.run(
+            id=f"r{k}{g}",
+            file=f"r{k}{g}.npz",
+            speed=speed,
+            tacho=made.pulses(speed),
+            set=gains[g],
+            use="hold_out" if k else None,
+        )
+        for k, speed in enumerate((2 * np.pi * 19, 2 * np.pi * 27))
+        for g in (0, 1)
+    ]
     made.write(Path("m"), made.document(*runs))
     result = run("check", "m", "jeffcott")
     assert result.stdout == (
@@ -270,10 +291,19 @@ def test_check_sums_up_a_recording(run) -> None:
     data = json.loads(run("check", "m", "jeffcott", "--json").stdout)
     assert [entry["diagram"] for entry in data["diagrams"]] == ["jeffcott"]
     assert data["recordings"] == [
-        {"recording": "m", "valid": True, "channels": 4, "runs": 4, "hold_out": 2,
-         "speed_low": pytest.approx(2 * np.pi * 19), "speed_high": pytest.approx(2 * np.pi * 27), "settings": 2,
-         "set": ["controller.KP", "controller.KD"], "problems": []}
-    ]  # fmt: skip
+        {
+            "recording": "m",
+            "valid": True,
+            "channels": 4,
+            "runs": 4,
+            "hold_out": 2,
+            "speed_low": pytest.approx(2 * np.pi * 19),
+            "speed_high": pytest.approx(2 * np.pi * 27),
+            "settings": 2,
+            "set": ["controller.KP", "controller.KD"],
+            "problems": [],
+        }
+    ]
 
 
 def test_check_of_one_run(run) -> None:

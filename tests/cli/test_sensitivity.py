@@ -33,10 +33,23 @@ def test_table_of_the_thesis(run: Run) -> None:
 @pytest.mark.slow
 def test_free_study_as_json(run: Run) -> None:
     arguments = (
-        "sensitivity", "jeffcott", "--speeds", "1140 rpm, 1620 rpm", "--noise", "2 %", "--method", "likelihood",
-        "--free", "crack_stiffness,eccentricity", "--gains", "controller.KP=12200",
-        "--gains", "controller.KP=14000 A/m,controller.KD=4", "--set", "crack_stiffness=2e5",
-    )  # fmt: skip
+        "sensitivity",
+        "jeffcott",
+        "--speeds",
+        "1140 rpm, 1620 rpm",
+        "--noise",
+        "2 %",
+        "--method",
+        "likelihood",
+        "--free",
+        "crack_stiffness,eccentricity",
+        "--gains",
+        "controller.KP=12200",
+        "--gains",
+        "controller.KP=14000 A/m,controller.KD=4",
+        "--set",
+        "crack_stiffness=2e5",
+    )
     found = run(*arguments, *FAST, "--json", "--out", "a.json")
     assert found.exit_code == 0
     data = json.loads(found.stdout)
@@ -48,9 +61,19 @@ def test_free_study_as_json(run: Run) -> None:
 
 def test_wrong_known_parameters(run: Run) -> None:
     found = run(
-        "sensitivity", "jeffcott", "--speeds", "1140 rpm,1620 rpm", "--wrong", "rotor.mass,unbalance.mass",
-        "--wrong", "crack.sag", "--bias", "5", "--json", *FAST,
-    )  # fmt: skip
+        "sensitivity",
+        "jeffcott",
+        "--speeds",
+        "1140 rpm,1620 rpm",
+        "--wrong",
+        "rotor.mass,unbalance.mass",
+        "--wrong",
+        "crack.sag",
+        "--bias",
+        "5",
+        "--json",
+        *FAST,
+    )
     assert found.exit_code == 0
     rows = {row["parameter"]: row for row in json.loads(found.stdout)["rows"]}
     assert rows["crack_stiffness"]["rms_error_percent"] > 0.1
@@ -80,7 +103,7 @@ def test_mistakes(run: Run) -> None:
         (("jeffcott", "--speeds", "100", "--controllers", "--smallest-crack"), "exclude each other"),
         (("jeffcott", "--speeds", "100", "--controllers", "--store", "x"), "--store keeps one study"),
         (("jeffcott", "--speeds", "100", "--out", "a.txt"), "unknown format"),
-    ):  # fmt: skip
+    ):
         found = run("sensitivity", *arguments)
         assert found.exit_code == 2, arguments
         assert words in found.stderr, (arguments, found.stderr)

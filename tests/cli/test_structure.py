@@ -39,8 +39,12 @@ def test_machine_readable(run: Run):
     assert data["sensors"] == ["rotor.displacement", "controller.current"]
     assert data["laws"]["second_gains"] == "controller.KP = 15.86 kA/m, controller.KD = 3.9 A s/m"
     assert "sensor_gain/0@rotor.displacement" in data["laws"]["unseen"]
-    assert [some for item in data["laws"]["add"] if item["sensor"] == "second rotor.displacement"
-            for some in item["detected"]] == ["sensor_gain/0@rotor.displacement"]  # fmt: skip
+    assert [
+        some
+        for item in data["laws"]["add"]
+        if item["sensor"] == "second rotor.displacement"
+        for some in item["detected"]
+    ] == ["sensor_gain/0@rotor.displacement"]
 
 
 def test_a_diagram_that_no_fault_fits_into(run: Run, oscillator):
@@ -79,8 +83,16 @@ Not seen: the free parameters imitate:
 @pytest.mark.slow
 def test_one_probe_cannot_tell_its_own_gain(run: Run):
     """A gain of the only probe scales eccentricity, crack and force factors; bow and runout differ in their laws."""
-    result = run("diagnose", "jeffcott", "--sensors", "rotor.displacement", "--speeds", "900 rpm, 1500 rpm, 2100 rpm",
-                 "--physics", "runout,residual_bow,sensor_gain")  # fmt: skip
+    result = run(
+        "diagnose",
+        "jeffcott",
+        "--sensors",
+        "rotor.displacement",
+        "--speeds",
+        "900 rpm, 1500 rpm, 2100 rpm",
+        "--physics",
+        "runout,residual_bow,sensor_gain",
+    )
     assert result.exit_code == 0
     assert result.stdout.startswith(ONE_PROBE)
     seen, told = (line.split() for line in result.stdout.splitlines() if line.startswith("residual_bow at"))
@@ -91,9 +103,15 @@ def test_one_probe_cannot_tell_its_own_gain(run: Run):
 @pytest.mark.slow
 def test_like_faults_of_several_nodes_stand_in_one_line(run: Run):
     result = run(
-        "diagnose", "fe_rigid", "--sensors", "rotor.displacement[2],rotor.displacement[4],controller.current",
-        "--speeds", "900 rpm, 2100 rpm", "--physics", "residual_bow,thermal_bow,moment_unbalance,current_sensor_gain",
-    )  # fmt: skip
+        "diagnose",
+        "fe_rigid",
+        "--sensors",
+        "rotor.displacement[2],rotor.displacement[4],controller.current",
+        "--speeds",
+        "900 rpm, 2100 rpm",
+        "--physics",
+        "residual_bow,thermal_bow,moment_unbalance,current_sensor_gain",
+    )
     assert result.exit_code == 0
     text = result.stdout
     lines = text.splitlines()
@@ -143,20 +161,35 @@ def test_options_that_do_not_go_together(run: Run):
 @pytest.mark.parametrize(
     ("sensors", "said"),
     [
-        ("", "error: jeffcott: no sensors\n\nhint: signals: rotor.displacement, rotor.velocity, controller.current, "
-             "amb.force, reference.signal, bus.output\n"),
-        ("displacement", "error: sensor displacement: is not a signal\n\n"
-                         "hint: write block.port, with [node] or [node,axis] counted from 1; signals: "
-                         "rotor.displacement\n"),
-        ("rotor", "error: sensor rotor: is not a signal\n\nhint: write block.port, with [node] or [node,axis] counted "
-                  "from 1; signals: rotor.displacement, rotor.velocity\n"),
-        ("rotor.displacement[0]", "error: sensor rotor.displacement[0]: is not a signal\n\nhint: write block.port, with"
-                                  " [node] or [node,axis] counted from 1; signals: rotor.displacement, "
-                                  "rotor.velocity\n"),
-        ("rotor.force", "error: sensor rotor.force: the diagram has no such output\n\n"
-                        "hint: did you mean 'crack.force' or 'amb.force'?\n"),
+        (
+            "",
+            "error: jeffcott: no sensors\n\nhint: signals: rotor.displacement, rotor.velocity, controller.current, "
+            "amb.force, reference.signal, bus.output\n",
+        ),
+        (
+            "displacement",
+            "error: sensor displacement: is not a signal\n\n"
+            "hint: write block.port, with [node] or [node,axis] counted from 1; signals: "
+            "rotor.displacement\n",
+        ),
+        (
+            "rotor",
+            "error: sensor rotor: is not a signal\n\nhint: write block.port, with [node] or [node,axis] counted "
+            "from 1; signals: rotor.displacement, rotor.velocity\n",
+        ),
+        (
+            "rotor.displacement[0]",
+            "error: sensor rotor.displacement[0]: is not a signal\n\nhint: write block.port, with"
+            " [node] or [node,axis] counted from 1; signals: rotor.displacement, "
+            "rotor.velocity\n",
+        ),
+        (
+            "rotor.force",
+            "error: sensor rotor.force: the diagram has no such output\n\n"
+            "hint: did you mean 'crack.force' or 'amb.force'?\n",
+        ),
     ],
-)  # fmt: skip
+)
 def test_sensors_that_are_none(run: Run, sensors: str, said: str):
     result = run("diagnose", "jeffcott", "--sensors", sensors)
     assert (result.exit_code, result.stdout, result.stderr) == (2, "", said)

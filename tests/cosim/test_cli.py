@@ -96,11 +96,16 @@ def test_a_rotor_that_passes_its_magnets_is_no_motion(run: Run, tmp_path: Path) 
     )
 
 
-@pytest.mark.parametrize(("more", "why"), [
-    (("--adaptive", "1e-3"), "the step adapts itself"),
-    (("--rate", "controller=500"), "steps and sample times (2e-05 s) and rates (500, 1) have no common period of 240 "
-                                   "steps or fewer"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        (("--adaptive", "1e-3"), "the step adapts itself"),
+        (
+            ("--rate", "controller=500"),
+            "steps and sample times (2e-05 s) and rates (500, 1) have no common period of 240 steps or fewer",
+        ),
+    ],
+)
 def test_it_says_where_the_stability_is_not_analysed(run: Run, more: tuple[str, ...], why: str) -> None:
     done = run("cosim", "jeffcott", *PART, "--step", "20 us", *more)
     assert done.exit_code == 0
@@ -122,8 +127,13 @@ def test_a_step_that_must_diverge(run: Run) -> None:
 def alone(folder: Path, parameters: dict[str, Any]) -> str:
     file = events_fmu(folder)
     block = {"type": "fmu", "file": file.name, "parameters": {"interface": "me", **parameters}}
-    document = {"name": "it", "blocks": {"it": block}, "wires": [], "solver": {"step": 0.01, "stop": 2.0},
-                "record": ["it.x"]}  # fmt: skip
+    document = {
+        "name": "it",
+        "blocks": {"it": block},
+        "wires": [],
+        "solver": {"step": 0.01, "stop": 2.0},
+        "record": ["it.x"],
+    }
     (folder / "it.json").write_text(json.dumps(document))
     return "it.json"
 
@@ -161,8 +171,9 @@ def test_what_was_computed_until_the_end_is_kept(run: Run, tmp_path: Path) -> No
     x = [float(line.split(",")[1]) for line in (tmp_path / "x.csv").read_text().splitlines()[1:]]
     rms = f"{(sum(value**2 for value in x) / len(x)) ** 0.5:.6g}"
     assert [line.split() for line in lines[3:]] == [
-        ["signal", "peak", "rms", "unit"], ["it.x", f"{max(x):.6g}", rms, "1"]
-    ]  # fmt: skip
+        ["signal", "peak", "rms", "unit"],
+        ["it.x", f"{max(x):.6g}", rms, "1"],
+    ]
     assert done.stderr == (
         "written: x.csv\nerror: it: asks for the end of the simulation (t = 0.75 s)\n\n"
         "hint: what was computed until then is in x.csv\n"
@@ -235,8 +246,9 @@ def test_states_that_cannot_be_taken_back(run: Run, tmp_path: Path) -> None:
     (tmp_path / name).write_text(json.dumps(document))
     done = run("cosim", name, *TRUST, "--step", "0.1 s", "--adaptive", "1e-3")
     assert (done.exit_code, done.stderr) == (
-        2, "error: adaptive steps: cannot take a step back: it\n\nhint: take fixed steps\n"
-    )  # fmt: skip
+        2,
+        "error: adaptive steps: cannot take a step back: it\n\nhint: take fixed steps\n",
+    )
 
 
 def test_an_fmu_that_nothing_is_coupled_to_has_no_largest_stable_step(run):

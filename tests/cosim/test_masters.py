@@ -38,10 +38,19 @@ def _error(whole: Result, master: str, order: int, step: float, groups: list[lis
     return float(np.abs(found["rotor.displacement"] - right).max() / np.abs(right).max())
 
 
-@pytest.mark.parametrize(("master", "order", "expected"), [
-    ("jacobi", 0, 1), ("jacobi", 1, 2), ("jacobi", 2, 3), ("gauss_seidel", 0, 1), ("gauss_seidel", 1, 2),
-    ("gauss_seidel", 2, 3), ("iterative", 1, 2), pytest.param("iterative", 2, 3, marks=pytest.mark.slow),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("master", "order", "expected"),
+    [
+        ("jacobi", 0, 1),
+        ("jacobi", 1, 2),
+        ("jacobi", 2, 3),
+        ("gauss_seidel", 0, 1),
+        ("gauss_seidel", 1, 2),
+        ("gauss_seidel", 2, 3),
+        ("iterative", 1, 2),
+        pytest.param("iterative", 2, 3, marks=pytest.mark.slow),
+    ],
+)
 def test_the_error_falls_with_the_order_of_the_inputs(whole: Result, master: str, order: int, expected: int) -> None:
     """Cut at the controller. Halving the step divides the error by 2^(order + 1)."""
     coarse, fine = (_error(whole, master, order, step, [["controller"]]) for step in (8e-5, 4e-5))
@@ -57,11 +66,19 @@ class Started(LinearParticipant):
         self.x = self.first.copy()
 
 
-@pytest.mark.parametrize(("master", "order", "expected"), [
-    ("jacobi", 0, 1), ("jacobi", 1, 2), ("jacobi", 2, 3), ("gauss_seidel", 0, 1), ("gauss_seidel", 1, 2),
-    ("gauss_seidel", 2, 3), ("iterative", 1, 2),
-    *(pytest.param("iterative", n, n + 1, marks=pytest.mark.slow) for n in (2, 3)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("master", "order", "expected"),
+    [
+        ("jacobi", 0, 1),
+        ("jacobi", 1, 2),
+        ("jacobi", 2, 3),
+        ("gauss_seidel", 0, 1),
+        ("gauss_seidel", 1, 2),
+        ("gauss_seidel", 2, 3),
+        ("iterative", 1, 2),
+        *(pytest.param("iterative", n, n + 1, marks=pytest.mark.slow) for n in (2, 3)),
+    ],
+)
 def test_orders_against_the_matrix_exponential(master: str, order: int, expected: int) -> None:
     """Three masses in a row, each a participant that is advanced exactly; y = position, u = those of the neighbours."""
     k, c, n = 900.0, 1.0, 3
@@ -104,8 +121,13 @@ def test_forces_on_one_input_are_added() -> None:
     coupling = couple(diagram, [["rotor"], ["crack", "unbalance", "clock"]])
     names = [name for p in coupling.participants for name in p.inputs]
     assert coupling.participants[0].inputs == (
-        "crack.force[1]", "crack.force[2]", "unbalance.force[1]", "unbalance.force[2]", "amb.force[1]", "amb.force[2]",
-    )  # fmt: skip
+        "crack.force[1]",
+        "crack.force[2]",
+        "unbalance.force[1]",
+        "unbalance.force[2]",
+        "amb.force[1]",
+        "amb.force[2]",
+    )
     assert coupling.L.sum() == len(names)
     assert not coupling.has_loop  # amb and controller are one participant
 

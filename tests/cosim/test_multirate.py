@@ -79,17 +79,23 @@ ALONE, BOTH = ({"controller": 3}, PARTS[:1]), ({"rotor": 2, "controller": 3}, PA
     [
         ("gauss_seidel", 2, *ALONE),
         *(
-            pytest.param(*each, marks=pytest.mark.slow) for each in (
-                ("jacobi", 0, *ALONE), ("jacobi", 0, *BOTH), ("jacobi", 1, *ALONE), ("jacobi", 1, *BOTH),
-                ("gauss_seidel", 1, *ALONE), ("gauss_seidel", 1, *BOTH), ("gauss_seidel", 2, *BOTH),
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in (
+                ("jacobi", 0, *ALONE),
+                ("jacobi", 0, *BOTH),
+                ("jacobi", 1, *ALONE),
+                ("jacobi", 1, *BOTH),
+                ("gauss_seidel", 1, *ALONE),
+                ("gauss_seidel", 1, *BOTH),
+                ("gauss_seidel", 2, *BOTH),
             )
         ),
     ],
-)  # fmt: skip
+)
 @pytest.mark.slow
 def test_the_growth_told_is_that_of_a_run(
     master: str, order: int, rates: dict[str, int], parts: list[list[str]]
-) -> None:  # fmt: skip
+) -> None:
     """A linear rotor is struck and left alone: 5 % below the limit it comes to rest, 5 % above it the motion grows.
 
     In the end a pair of modes that grow is left, and the slow one of the integral: x[n] obeys a recurrence of order 3,
@@ -141,16 +147,19 @@ def test_a_sampled_controller_at_its_own_rate() -> None:
     assert told.kept == pytest.approx(1, abs=1e-9)
 
 
-@pytest.mark.parametrize(("settings", "what"), [
-    ({"master": "iterative"}, "iterative master: takes all participants at one rate"),
-    ({"master": "waveform"}, "master waveform: takes all participants at one rate"),
-    ({"adaptive": 1e-3}, "adaptive steps: takes all participants at one rate"),
-    ({"fast": True}, "the fast loop: takes all participants at one rate"),
-    ({"rates": {"controler": 2}}, "controler: no such participant"),
-    ({"rates": {"controller": 0}}, "controller: rate 0: not a whole number of base steps"),
-    ({"rates": {"controller": 1.5}}, "controller: rate 1.5: not a whole number of base steps"),
-    ({"rates": {"amb": 2, "crack": 3}}, "crack: rates 2 and 3 for one participant"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        ({"master": "iterative"}, "iterative master: takes all participants at one rate"),
+        ({"master": "waveform"}, "master waveform: takes all participants at one rate"),
+        ({"adaptive": 1e-3}, "adaptive steps: takes all participants at one rate"),
+        ({"fast": True}, "the fast loop: takes all participants at one rate"),
+        ({"rates": {"controler": 2}}, "controler: no such participant"),
+        ({"rates": {"controller": 0}}, "controller: rate 0: not a whole number of base steps"),
+        ({"rates": {"controller": 1.5}}, "controller: rate 1.5: not a whole number of base steps"),
+        ({"rates": {"amb": 2, "crack": 3}}, "crack: rates 2 and 3 for one participant"),
+    ],
+)
 def test_what_is_refused(settings: dict[str, object], what: str) -> None:
     diagram = load("jeffcott")
     given = {"rates": {"controller": 2}, **settings}

@@ -127,9 +127,14 @@ def alone(folder: Path, fault: str, version: str, *, floats: bool = False, **mor
     ],
 )
 def test_failures_are_told_alike(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loops: list[int], version: str, floats: bool, here: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    loops: list[int],
+    version: str,
+    floats: bool,
+    here: bool,
     fault: str,
-) -> None:  # fmt: skip
+) -> None:
     """In C here, in C there, and in C here beside Python there, where not all are Float64."""
     if fault == "hang":
         monkeypatch.setitem(open_fmu.__kwdefaults__, "timeout", 0.5)  # s

@@ -69,13 +69,15 @@ def chain(*kinds: tuple[str, str, dict[str, Any]]) -> Diagram:
     names = ["source", *(name for name, _, _ in kinds), "end"]
     blocks: dict[str, Any] = {"source": {"type": "sine", "parameters": {"frequency": 5.0}}}
     blocks |= {name: {"type": kind, "parameters": values} for name, kind, values in kinds}
-    return load({
-        "name": "chain",
-        "blocks": {**blocks, "end": {"type": "integrator"}},
-        "wires": [[f"{a}.output", f"{b}.input"] for a, b in pairwise(names)],
-        "solver": {"step": 1e-3, "stop": 1.0},
-        "record": ["end.output"],
-    })  # fmt: skip
+    return load(
+        {
+            "name": "chain",
+            "blocks": {**blocks, "end": {"type": "integrator"}},
+            "wires": [[f"{a}.output", f"{b}.input"] for a, b in pairwise(names)],
+            "solver": {"step": 1e-3, "stop": 1.0},
+            "record": ["end.output"],
+        }
+    )
 
 
 def test_what_follows_held_signals_is_held_across_cuts() -> None:
@@ -202,9 +204,15 @@ def test_other_ways_to_run_it(how: dict[str, Any]) -> None:
 def test_the_first_hit_sees_the_signals_of_the_start() -> None:
     """A hit at t = 0 samples what the others then give, not zero."""
     diagram = chain(("hold", "sample_hold", {"sample_time": 0.3}), ("gain", "gain", {"gain": 2.0}))
-    shifted = load({**diagram.document, "blocks": {
-        **diagram.document["blocks"], "source": {"type": "sine", "parameters": {"frequency": 5.0, "phase": 1.0}},
-    }})  # fmt: skip
+    shifted = load(
+        {
+            **diagram.document,
+            "blocks": {
+                **diagram.document["blocks"],
+                "source": {"type": "sine", "parameters": {"frequency": 5.0, "phase": 1.0}},
+            },
+        }
+    )
     found = cosimulate_diagram(shifted, [["hold"]], step=0.1)
     assert found["hold.output"][:4] == pytest.approx(np.sin([1.0, 1.0, 1.0, 2.5]), rel=1e-12)
 
@@ -222,8 +230,15 @@ def test_a_held_and_a_moving_signal_on_one_input(tmp_path: Path, interface: str)
     document = {"name": "a", "blocks": blocks, "wires": wires, "solver": {"step": 0.01, "stop": 1.0}, "record": []}
     export_fmu(load(document), tmp_path / "end.fmu", blocks=["end"])
     options = {"interface": interface, "in_process": True}
-    cut = load({**document, "blocks": {**blocks, "end": {"type": "fmu", "file": "end.fmu", "parameters": options}},
-                "wires": [*wires, ["hold.output", "end.input"]]}, folder=tmp_path, trust_blocks=True)  # fmt: skip
+    cut = load(
+        {
+            **document,
+            "blocks": {**blocks, "end": {"type": "fmu", "file": "end.fmu", "parameters": options}},
+            "wires": [*wires, ["hold.output", "end.input"]],
+        },
+        folder=tmp_path,
+        trust_blocks=True,
+    )
     found = cosimulate_diagram(cut, [["hold"]], step=0.04, order=1)
     t, n = found.time, np.floor(found.time / 0.1 + 1e-9)
     assert found["end.output"] == pytest.approx(t**2 / 2 + 0.1 * n * t - 0.01 * n * (n + 1) / 2, abs=1e-12)
@@ -242,9 +257,10 @@ def decay(x: np.ndarray, period: float) -> complex:
     return complex(np.log(roots[np.argmax(roots.imag)]) / period)
 
 
-@pytest.mark.parametrize(("master", "order", "step"), [
-    ("gauss_seidel", 1, 2e-4), ("jacobi", 0, 2e-4), ("jacobi", 0, 1e-4), ("jacobi", 1, 2e-4),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("master", "order", "step"),
+    [("gauss_seidel", 1, 2e-4), ("jacobi", 0, 2e-4), ("jacobi", 0, 1e-4), ("jacobi", 1, 2e-4)],
+)
 def test_the_damping_told_is_that_of_a_run(master: str, order: int, step: float) -> None:
     """The sampled loop as a whole, and with the master in it, against free swings of both (a linear rotor)."""
     period = 2e-4

@@ -117,8 +117,16 @@ def test_the_files_are_what_others_read(tmp_path):
     assert data["residual"] is None
     assert {"cubic_stiffness"} <= {item["physics"] for item in data["open"]}  # nonlinear: not carried on from so far
     assert set(data) >= {
-        "verdict", "where", "missing", "rejected", "parameters", "fit", "next_experiment", "statement", "diagram",
-    }  # fmt: skip
+        "verdict",
+        "where",
+        "missing",
+        "rejected",
+        "parameters",
+        "fit",
+        "next_experiment",
+        "statement",
+        "diagram",
+    }
     assert set(data["parameters"]) == {"before", "after"}
     assert set(data["where"][0]) == {"block", "port", "node", "axis", "probability"}
     [missing] = data["missing"]
@@ -151,9 +159,11 @@ def test_what_is_unproved_and_what_is_left_are_said():
     freedom = found.after.freedom
     base, fit = (replace(found.after, misfit=freedom * times, goodness=1e-78) for times in (8.9e5, 1.87))
     residual = {
-        "share": 1e-6, "excess_variance": 1.87, "place": {"block": "rotor", "port": "force", "node": None},
+        "share": 1e-6,
+        "excess_variance": 1.87,
+        "place": {"block": "rotor", "port": "force", "node": None},
         "size": {"value": 2e-3, "unit": "N", "orders": {"1": 2e-3}},
-    }  # fmt: skip
+    }
     named = replace(found.named, base=base, fit=fit)
     text = statement(replace(found, named=named, residual=residual, proof=None))
     assert (

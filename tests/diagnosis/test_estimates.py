@@ -21,7 +21,7 @@ def fitted(*, misfit: float = 900.0, goodness: float = 0.5, ended: tuple[bool, .
         Free("bow.amplitude", "bow", 0, 1.0, "m", 0.0, np.inf),
         Free("bow.phase", "bow", 0, 1.0, "rad", -np.inf, np.inf),
         Free("share", "", 0, 1.0, "1", 0.0, 1.0),
-    )  # fmt: skip
+    )
     theta, std = np.array([1.5e-6, 0.5, 0.9]), np.array([1e-6, 0.1, 0.1])
     return Fit({}, free, theta, np.diag(std**2), np.array(ended), misfit, 903, 903, goodness=goodness)
 

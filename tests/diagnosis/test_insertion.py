@@ -46,9 +46,7 @@ def test_a_force_enters_every_node_that_moves():
     assert places == [2, 3, 4, 5, *4 * [None]]  # one at a node, or all at once in one to four shapes
     [only] = found("jeffcott", RECORDED, "residual_bow")
     assert (str(only.spot), only.values["stiffness"]) == ("rotor.force", 7.6e5)
-    assert set(only.wires) == {
-        ("clock.theta", "residual_bow.theta"), ("residual_bow.force", "rotor.force"),
-    }  # fmt: skip
+    assert set(only.wires) == {("clock.theta", "residual_bow.theta"), ("residual_bow.force", "rotor.force")}
 
 
 def test_a_sensor_stands_between_rotor_and_controller_and_in_front_of_the_recording():

@@ -30,9 +30,7 @@ USES = ("identify",) * 4 + ("hold_out",) * 2
 GAINS = np.array([(12200.0, 2000.0, 3.0), (9000.0, 2000.0, 5.0)] * 3)  # K_P, K_I, K_D of each run
 SHAKEN, SWINGING = TURN * 41.7, TURN * 11.3
 ACCELERATION, DIRECTION, SWING = 0.05, 0.6, 1.5e-3
-PHYSICS = (
-    "base_excitation", "speed_fluctuation", "torsion_coupling", "residual_bow", "runout", "anisotropic_support",
-)  # fmt: skip
+PHYSICS = ("base_excitation", "speed_fluctuation", "torsion_coupling", "residual_bow", "runout", "anisotropic_support")
 OTHERS = (*PHYSICS[:1], *PHYSICS[3:5])
 FAINT = 4e-3  # of a shaking that every run shows
 ODD = np.arange(1, 10, 2)

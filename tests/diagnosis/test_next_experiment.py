@@ -77,9 +77,7 @@ def test_speeds_are_round_and_between_below_and_above_those_on_record():
 
 
 def found_with(*speeds: float) -> Diagnosis:
-    return diagnose(
-        shipped("jeffcott"), recording(True, speeds, all_gains=(THESIS_GAINS,)), physics=BOWS, workers=1
-    )  # fmt: skip
+    return diagnose(shipped("jeffcott"), recording(True, speeds, all_gains=(THESIS_GAINS,)), physics=BOWS, workers=1)
 
 
 @pytest.mark.slow

@@ -29,9 +29,16 @@ NOTHING = {
 }
 # lags of at least 1 us, another law in the place of one that is there, a converter: none of them has a size of zero
 NO_ZERO = {
-    "amplifier_bandwidth", "control_delay", "breathing_crack", "open_crack", "crack_location", "magnetic_saturation",
-    "magnetic_nonlinearity", "quantisation", "disc_rotary_inertia",
-}  # fmt: skip
+    "amplifier_bandwidth",
+    "control_delay",
+    "breathing_crack",
+    "open_crack",
+    "crack_location",
+    "magnetic_saturation",
+    "magnetic_nonlinearity",
+    "quantisation",
+    "disc_rotary_inertia",
+}
 # the loss of eddy currents goes with the root of W time_constant: 1e-12 s leaves 1e-5 of it
 CLOSE = {"eddy_current_lag/0": 1e-3}
 NEXT_TO = 1e-18  # not zero: what is next to nothing must not be fitted by means that nothing bounds

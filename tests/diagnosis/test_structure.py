@@ -57,9 +57,19 @@ def test_sensor_sets_of_krysander_and_frisk() -> None:
 
 
 THREE_TANKS = {
-    "e1": "q1 p1 p2", "e2": "q2 p2 p3", "e3": "q3 p3", "e4": "d1 q0 q1", "e5": "d2 q1 q2", "e6": "d3 q2 q3",
-    "e7": "p1", "e8": "q2", "e9": "q0", "e10": "d1 p1", "e11": "d2 p2", "e12": "d3 p3",
-}  # fmt: skip
+    "e1": "q1 p1 p2",
+    "e2": "q2 p2 p3",
+    "e3": "q3 p3",
+    "e4": "d1 q0 q1",
+    "e5": "d2 q1 q2",
+    "e6": "d3 q2 q3",
+    "e7": "p1",
+    "e8": "q2",
+    "e9": "q0",
+    "e10": "d1 p1",
+    "e11": "d2 p2",
+    "e12": "d3 p3",
+}
 
 
 def test_three_tanks() -> None:
@@ -226,18 +236,27 @@ def test_the_same_machine_of_elementary_blocks() -> None:
 @pytest.mark.parametrize(
     ("sensor", "text"),
     [
-        ("rotor.displacment",
-         "error: sensor rotor.displacment: the diagram has no such output\n\n"
-         "hint: did you mean 'rotor.displacement'?"),
-        ("rotor", "error: sensor rotor: is not a signal\n\n"
-                  "hint: write block.port, with [node] or [node,axis] counted from 1; signals: "
-                  "rotor.displacement, rotor.velocity"),
-        ("rotor.displacement[3]", "error: sensor rotor.displacement[3]: no such entry: the signal is 2\n\n"
-                                  "hint: counted from 1"),
-        ("rotor.displacement[1,1]", "error: sensor rotor.displacement[1,1]: no such entry: the signal is 2\n\n"
-                                    "hint: counted from 1"),
+        (
+            "rotor.displacment",
+            "error: sensor rotor.displacment: the diagram has no such output\n\n"
+            "hint: did you mean 'rotor.displacement'?",
+        ),
+        (
+            "rotor",
+            "error: sensor rotor: is not a signal\n\n"
+            "hint: write block.port, with [node] or [node,axis] counted from 1; signals: "
+            "rotor.displacement, rotor.velocity",
+        ),
+        (
+            "rotor.displacement[3]",
+            "error: sensor rotor.displacement[3]: no such entry: the signal is 2\n\nhint: counted from 1",
+        ),
+        (
+            "rotor.displacement[1,1]",
+            "error: sensor rotor.displacement[1,1]: no such entry: the signal is 2\n\nhint: counted from 1",
+        ),
     ],
-)  # fmt: skip
+)
 def test_wrong_sensors(sensor: str, text: str) -> None:
     with pytest.raises(RotorsimError) as raised:
         entries_of(load("jeffcott"), [sensor])
@@ -266,9 +285,12 @@ def test_what_the_free_parameters_imitate() -> None:
     laws = _isolated().laws
     assert laws is not None
     assert set(laws.unseen) == {
-        "magnetic_pull/0@rotor.force", "support_stiffness/0@rotor.force", "support_stiffness/1@rotor.force",
-        "sensor_gain/0@rotor.displacement", "unbalance_elsewhere/0@rotor.force",
-    }  # fmt: skip
+        "magnetic_pull/0@rotor.force",
+        "support_stiffness/0@rotor.force",
+        "support_stiffness/1@rotor.force",
+        "sensor_gain/0@rotor.displacement",
+        "unbalance_elsewhere/0@rotor.force",
+    }
     seen, apart = laws.sensors["second rotor.displacement"]
     assert seen == {"sensor_gain/0@rotor.displacement"}
     bow, runout = "residual_bow/0@rotor.force", "runout/0@rotor.displacement"
@@ -343,13 +365,24 @@ def _starts(fault: Insertion) -> dict[str, float]:
 
 def _both(runs: Runs, diagram: Diagram) -> np.ndarray:
     """Return the harmonics of all runs, with the gains of each."""
-    model = [periodic(diagram, speeds=[one["speed"]], parameters={k: v for k, v in one.items() if k != "speed"},
-                      signals=CHANNELS, harmonics=24, stability=False) for one in runs.settings]  # fmt: skip
+    model = [
+        periodic(
+            diagram,
+            speeds=[one["speed"]],
+            parameters={k: v for k, v in one.items() if k != "speed"},
+            signals=CHANNELS,
+            harmonics=24,
+            stability=False,
+        )
+        for one in runs.settings
+    ]
     zero = [int(np.flatnonzero(found.orders == 0)[0]) for found in model]
-    return np.array([
-        np.stack([found.harmonics[name][0, at : at + 15] for name in CHANNELS], axis=1)
-        for found, at in zip(model, zero, strict=True)
-    ])  # fmt: skip
+    return np.array(
+        [
+            np.stack([found.harmonics[name][0, at : at + 15] for name in CHANNELS], axis=1)
+            for found, at in zip(model, zero, strict=True)
+        ]
+    )
 
 
 def test_a_gain_of_the_sensor_is_a_scale_of_other_parameters() -> None:

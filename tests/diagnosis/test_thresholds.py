@@ -148,9 +148,12 @@ def line(monkeypatch, shown: list[complex], mains: list[float], second: object =
     A force shows in both alike, (1, 1) / sqrt 2.
     """
     likelihood = SimpleNamespace(
-        K=1, c=2, data=np.array([[[0, 0], [0, 0], shown]], complex), experiment=SimpleNamespace(predicted=["x", "i"]),
+        K=1,
+        c=2,
+        data=np.array([[[0, 0], [0, 0], shown]], complex),
+        experiment=SimpleNamespace(predicted=["x", "i"]),
         white_at=lambda r, order, columns: np.concatenate([columns.real, columns.imag]),
-    )  # fmt: skip
+    )
     transfer = np.zeros((1, 3, 2, 1), complex)
     transfer[0, 2, :, 0] = np.sqrt(0.5)
     opened = SimpleNamespace(likelihood=likelihood, places={"rotor.force": 0}, transfer=transfer)
@@ -207,9 +210,13 @@ def drifting(monkeypatch, white: list[list[list[float]]], slow: list[list[float]
     noise = Noise(4.0 * np.eye(2)[None], True, 400.0)  # of 400 samples: 0.1 in the mean
     runs = [SimpleNamespace(fit=SimpleNamespace(drift=0.1 * np.array(w), noise=noise, samples=400)) for w in white]
     experiment = SimpleNamespace(
-        motion=object.__new__(Motion), predicted=["x", "y"], runs=runs, columns=[np.array([0, 1])] * len(runs),
-        use_mean=np.array([True, True]), theta0=np.zeros(0),
-    )  # fmt: skip
+        motion=object.__new__(Motion),
+        predicted=["x", "y"],
+        runs=runs,
+        columns=[np.array([0, 1])] * len(runs),
+        use_mean=np.array([True, True]),
+        theta0=np.zeros(0),
+    )
     monkeypatch.setattr(drifts, "Likelihood", Known)
     monkeypatch.setattr(drifts, "values_in", lambda document, values: document)
     return find_drifts(Fit({}), SimpleNamespace(load=lambda document: document, open=lambda diagram: experiment))

@@ -236,12 +236,12 @@ def test_effects_that_do_not_predict_are_outside_the_catalogue():
 
 def candidate(
     physics: str, misfit: float, extra: int, nuisances: int = 20, alike: tuple[str, ...] = ()
-) -> SimpleNamespace:  # fmt: skip
+) -> SimpleNamespace:
     free = tuple(Free(f"{physics}{k}", "", 0, 1.0, "", 0.0, np.inf) for k in range(extra))
     fit = Fit({}, free, misfit=misfit, rows=ROWS - nuisances, equations=ROWS, goodness=0.5)
     insertion = SimpleNamespace(
         physics=physics, variant=0, spot="rotor.force", key=physics, free=(), fault=SimpleNamespace(confused_with=alike)
-    )  # fmt: skip
+    )
     return SimpleNamespace(fit=fit, insertion=insertion, physical=True, unphysical="", parameters=(), final=True)
 
 
@@ -249,9 +249,13 @@ def chosen(*tried: SimpleNamespace) -> list[str]:
     base = Fit({}, misfit=1000.0, rows=ROWS - 20, equations=ROWS, goodness=0.5)
     order = tuple(sorted(tried, key=lambda item: item.fit.criterion))
     trials = SimpleNamespace(
-        round=lambda before: Round(before, order), has_mesh=lambda base: False, counts={}, nominal={}, slack=0.0,
+        round=lambda before: Round(before, order),
+        has_mesh=lambda base: False,
+        counts={},
+        nominal={},
+        slack=0.0,
         completed=lambda found, physics: found,
-    )  # fmt: skip
+    )
     return [item.insertion.physics for item in _named(trials, base, 3).chosen]
 
 
@@ -301,9 +305,13 @@ def test_meshes_may_be_wrong_by_a_tenth_of_the_equations():
     for gain, found in ((104.0, []), (105.0, ["rub"])):  # 98 and chi-squared of one unknown, 1 %: 6.6
         item = candidate("rub", 1000.0 - gain, 1)
         trials = SimpleNamespace(
-            round=lambda before, item=item: Round(before, (item,)), has_mesh=lambda base: True, counts={}, nominal={},
-            slack=0.0, completed=lambda found, physics: found,
-        )  # fmt: skip
+            round=lambda before, item=item: Round(before, (item,)),
+            has_mesh=lambda base: True,
+            counts={},
+            nominal={},
+            slack=0.0,
+            completed=lambda found, physics: found,
+        )
         assert [item.insertion.physics for item in _named(trials, base, 3).chosen] == found
         assert trials.slack == pytest.approx(98.0)
 
@@ -317,9 +325,14 @@ def test_another_effect_must_explain_nine_tenths_of_what_is_left(second, chosen)
     for item in (first, later):
         item.fit = replace(item.fit, rows=ROWS, goodness=0.0)
     trials = SimpleNamespace(
-        round=lambda before, only=None: rounds.get(before.misfit, Round(before, ())), has_mesh=lambda base: False,
-        counts={}, nominal={}, slack=0.0, completed=lambda found, physics: found, refitted=lambda *_: (),
-    )  # fmt: skip
+        round=lambda before, only=None: rounds.get(before.misfit, Round(before, ())),
+        has_mesh=lambda base: False,
+        counts={},
+        nominal={},
+        slack=0.0,
+        completed=lambda found, physics: found,
+        refitted=lambda *_: (),
+    )
     assert [item.insertion.physics for item in _named(trials, base, 2).chosen] == chosen
 
 
@@ -391,8 +404,9 @@ def test_a_look_alike_is_carried_on_from_where_it_is_at_its_best_place():
     found = Carried(None, None, None, 1, None, None).completed(Round(Fit({}), (far, near)), {"rub"})
     assert jobs == [(1, None)]
     assert [(item.insertion.spot, item.fit.misfit, item.final) for item in found.tried] == [
-        ("near", 1000.0, True), ("far", 9e5, False),
-    ]  # fmt: skip
+        ("near", 1000.0, True),
+        ("far", 9e5, False),
+    ]
 
 
 def test_what_was_not_fitted_to_the_end_is_not_rejected():
@@ -422,9 +436,14 @@ def law(sizes: dict[str, tuple[float, float]]) -> Fit:
 
 def test_parameters_that_the_data_do_not_tell_from_zero_are_dropped_with_their_angles():
     sizes = {
-        "law.amplitude1": (3.0, 0.1), "law.phase1": (0.3, 0.1), "law.amplitude2": (0.1, 0.2), "law.phase2": (1.0, 2.0),
-        "law.backward2": (0.39, 0.2), "law.backward_phase2": (1.0, 0.5), "law.amplitude0": (0.41, 0.2),
-    }  # fmt: skip
+        "law.amplitude1": (3.0, 0.1),
+        "law.phase1": (0.3, 0.1),
+        "law.amplitude2": (0.1, 0.2),
+        "law.phase2": (1.0, 2.0),
+        "law.backward2": (0.39, 0.2),
+        "law.backward_phase2": (1.0, 0.5),
+        "law.amplitude0": (0.41, 0.2),
+    }
     asked = []
 
     def refitted(document, starts):

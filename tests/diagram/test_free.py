@@ -19,9 +19,13 @@ BLOCKS = {
     "left": block("support", stiffness=["4e8 N/m", "9e8 N/m"]),
 }
 WIRES = [
-    ("clock.theta", "unbalance.theta"), ("clock.speed", "unbalance.speed"), ("unbalance.force", "rotor.force"),
-    ("rotor.displacement", "left.displacement"), ("rotor.velocity", "left.velocity"), ("left.force", "rotor.force"),
-]  # fmt: skip
+    ("clock.theta", "unbalance.theta"),
+    ("clock.speed", "unbalance.speed"),
+    ("unbalance.force", "rotor.force"),
+    ("rotor.displacement", "left.displacement"),
+    ("rotor.velocity", "left.velocity"),
+    ("left.force", "rotor.force"),
+]
 PARAMETERS = {"speed": "1500 rpm", "eccentricity": "24 um", "other": "3 N/m", "two": ["1 m", "2 m"]}
 
 
@@ -68,10 +72,13 @@ def test_one_entry_counted_from_one(name):
 
 
 def test_bounds_are_narrowed():
-    found = free({
-        "eccentricity": {"low": "1 um", "high": 1e-4}, "unbalance.phase": {"low": "-90 deg", "high": "90 deg"},
-        "left.stiffness": {"high": "1e9 N/m", "description": "of the pedestal"},
-    })  # fmt: skip
+    found = free(
+        {
+            "eccentricity": {"low": "1 um", "high": 1e-4},
+            "unbalance.phase": {"low": "-90 deg", "high": "90 deg"},
+            "left.stiffness": {"high": "1e9 N/m", "description": "of the pedestal"},
+        }
+    )
     assert (found["eccentricity"].low, found["eccentricity"].high) == (1e-6, 1e-4)
     assert found["unbalance.phase"].low == pytest.approx(-np.pi / 2)
     assert found["left.stiffness[2]"].high == 1e9
@@ -84,17 +91,25 @@ def test_a_bound_that_excludes_its_end():
 
 
 def test_values_come_from_what_was_set():
-    found = free({"rotor.mass": {}, "eccentricity": {"prior": {"std": "10 %"}}},
-                 set={"rotor.mass": "3 kg", "eccentricity": "40 um"})  # fmt: skip
+    found = free(
+        {"rotor.mass": {}, "eccentricity": {"prior": {"std": "10 %"}}},
+        set={"rotor.mass": "3 kg", "eccentricity": "40 um"},
+    )
     assert found["rotor.mass"].value == 3.0
     assert found["eccentricity"].value == 40e-6
     assert (found["eccentricity"].prior_mean, found["eccentricity"].prior_std) == (40e-6, pytest.approx(4e-6))
 
 
-@pytest.mark.parametrize(("prior", "mean", "std"), [
-    ({"std": "1 %"}, 2.0, 0.02), ({"std": "5%", "mean": "1900 g"}, 1.9, 0.095), ({"std": "20 g"}, 2.0, 0.02),
-    ({"std": 0.1, "mean": 2.1}, 2.1, 0.1), ({"std": "2.5e1 %"}, 2.0, 0.5),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("prior", "mean", "std"),
+    [
+        ({"std": "1 %"}, 2.0, 0.02),
+        ({"std": "5%", "mean": "1900 g"}, 1.9, 0.095),
+        ({"std": "20 g"}, 2.0, 0.02),
+        ({"std": 0.1, "mean": 2.1}, 2.1, 0.1),
+        ({"std": "2.5e1 %"}, 2.0, 0.5),
+    ],
+)
 def test_priors(prior, mean, std):
     (item,) = free({"rotor.mass": {"prior": prior}}).values()
     assert (item.prior_mean, item.prior_std) == (pytest.approx(mean), pytest.approx(std))
@@ -179,10 +194,22 @@ def test_entries_that_there_are_not(name):
     assert line.startswith(f"4:14: identify.{name}: no such entry; the parameter is ")
 
 
-@pytest.mark.parametrize("name", [
-    "", ".", "rotor", "rotor.", "[1]", "left.stiffness[]", "left.stiffness[a]", "rotor.mass\n", "clock.profile",
-    "left.stiffness[99999999999999999999]", "x" * 5000,
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        ".",
+        "rotor",
+        "rotor.",
+        "[1]",
+        "left.stiffness[]",
+        "left.stiffness[a]",
+        "rotor.mass\n",
+        "clock.profile",
+        "left.stiffness[99999999999999999999]",
+        "x" * 5000,
+    ],
+)
 def test_names_that_are_none(name):
     (line,) = said({name: {}})
     assert "no such parameter" in line
@@ -209,9 +236,9 @@ def test_mistakes_beside_a_wrong_wire():
 # --- what should be mistakes, too -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("identify", [
-    {"rotor.mass": {"low": -5}}, {"rotor.mass": {"low": 0}}, {"eccentricity": {"low": "-1 um"}},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "identify", [{"rotor.mass": {"low": -5}}, {"rotor.mass": {"low": 0}}, {"eccentricity": {"low": "-1 um"}}]
+)
 def test_bounds_cannot_be_wider_than_the_block_allows(identify):
     """FAULT: a mass may be identified as -5 kg: the declared bound is replaced, not narrowed."""
     try:
@@ -222,14 +249,17 @@ def test_bounds_cannot_be_wider_than_the_block_allows(identify):
     assert item.low > 0 or item.base != "rotor.mass"
 
 
-@pytest.mark.parametrize("identify", [
-    {"rotor.mass": {"prior": {"mean": "-3 kg", "std": "1 kg"}}},
-    {"rotor.mass": {"high": "3 kg", "prior": {"mean": "5 kg", "std": "1 %"}}},
-    {"rotor.mass": {"prior": {"std": "1e400 %"}}},
-    {"rotor.mass": {"prior": {"std": "1e308 %"}}},
-    {"rotor.mass": {"description": 3}},
-    {"speed": {}},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "identify",
+    [
+        {"rotor.mass": {"prior": {"mean": "-3 kg", "std": "1 kg"}}},
+        {"rotor.mass": {"high": "3 kg", "prior": {"mean": "5 kg", "std": "1 %"}}},
+        {"rotor.mass": {"prior": {"std": "1e400 %"}}},
+        {"rotor.mass": {"prior": {"std": "1e308 %"}}},
+        {"rotor.mass": {"description": 3}},
+        {"speed": {}},
+    ],
+)
 def test_what_makes_no_sense_is_refused(identify):
     """FAULT: a prior far outside the bounds, one of infinite width, a description that is no text, the speed (which
     is measured) are taken as they are.
@@ -238,12 +268,19 @@ def test_what_makes_no_sense_is_refused(identify):
 
 
 json_values = st.recursive(
-    st.none() | st.booleans() | st.integers(-10, 10) | st.floats(allow_nan=False, allow_infinity=False)
+    st.none()
+    | st.booleans()
+    | st.integers(-10, 10)
+    | st.floats(allow_nan=False, allow_infinity=False)
     | st.sampled_from(["1 kg", "5 %", "x", "", "-3 um", "1e3 N/m", "%", "1 %%"]),
-    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(
-        st.sampled_from(["low", "high", "prior", "std", "mean", "description", "x"]), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=2)
+        | st.dictionaries(
+            st.sampled_from(["low", "high", "prior", "std", "mean", "description", "x"]), inner, max_size=3
+        )
+    ),
     max_leaves=5,
-)  # fmt: skip
+)
 names = st.sampled_from(
     ["rotor.mass", "eccentricity", "left.stiffness", "left.stiffness[1]", "two[1]", "rotor.x", "speed"]
 )

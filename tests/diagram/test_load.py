@@ -106,8 +106,9 @@ def test_without_cuts_wires_and_what_needs_them_reads_zero() -> None:
 def test_an_optional_input_that_is_cut_is_as_if_never_wired() -> None:
     document = diagram(
         {"r": "rotor_2dof", "v": "rotor_2dof", "p": "pid"},
-        ("r.displacement", "p.displacement"), ("v.velocity", "p.velocity"),
-    )  # fmt: skip
+        ("r.displacement", "p.displacement"),
+        ("v.velocity", "p.velocity"),
+    )
     whole, cut = load(document), load(document, without=["v"])
     assert whole.nodes["p"].block.wired == {"velocity"}
     assert cut.nodes["p"].block.wired == frozenset()
@@ -155,9 +156,12 @@ def shape_of(loaded: Diagram, port: str) -> tuple[int, ...]:
 def test_a_shape_runs_along_wires_in_both_directions() -> None:
     document = diagram(
         {"a": "gain", "s": "sum", "i": "integrator", "b": "gain", "v": block("constant", value=[1, 2, 3])},
-        ("i.output", "a.input"), ("a.output", "s.input1"), ("b.output", "s.input2"), ("v.output", "b.input"),
+        ("i.output", "a.input"),
+        ("a.output", "s.input1"),
+        ("b.output", "s.input2"),
+        ("v.output", "b.input"),
         ("s.output", "i.input"),
-    )  # fmt: skip
+    )
     loaded = load(document)
     for port in ("a.input", "a.output", "s.input1", "s.output", "i.input", "i.output", "b.output"):
         assert shape_of(loaded, port) == (3,)
@@ -178,9 +182,12 @@ def test_what_nothing_determines_is_a_scalar() -> None:
 def test_rows_and_entries_of_wider_signals() -> None:
     document = diagram(
         {"c": "clock", "fe": block("rotor_fe"), "p": "pid", "g": "gain", "a": block("constant", value=[1, 2])},
-        ("c.speed", "fe.speed"), ("fe.displacement[3]", "p.displacement"), ("fe.displacement[3,2]", "g.input"),
-        ("a.output", "fe.force[2]"), ("g.output", "fe.force[6,1]"),
-    )  # fmt: skip
+        ("c.speed", "fe.speed"),
+        ("fe.displacement[3]", "p.displacement"),
+        ("fe.displacement[3,2]", "g.input"),
+        ("a.output", "fe.force[2]"),
+        ("g.output", "fe.force[6,1]"),
+    )
     loaded = load(document)
     assert shape_of(loaded, "g.input") == ()
     assert Endpoint("fe", "force", (5, 0)) in [wire.target for wire in loaded.wires]
@@ -190,17 +197,16 @@ def test_matrices_give_the_sizes_of_a_state_space_block() -> None:
     matrices = {"A": [[0, 1], [-1, 0]], "B": [[0], [1]], "C": [[1, 0], [0, 1], [1, 1]]}
     document = diagram(
         {"s": block("linear_system", **matrices), "g": "gain", "c": "constant"},
-        ("c.output", "s.input"), ("s.output", "g.input"),
-    )  # fmt: skip
+        ("c.output", "s.input"),
+        ("s.output", "g.input"),
+    )
     loaded = load(document)
     assert shape_of(loaded, "s.input") == (1,)  # one entry fits the scalar constant
     assert shape_of(loaded, "g.output") == (3,)
     assert loaded.nodes["s"].state_shapes == {"value": (2,)}
     assert loaded.nodes["s"].values["D"].shape == (3, 1)
     wrong = diagram({"c": "constant", "s": block("linear_system", **{**matrices, "B": [[0]]})}, ("c.output", "s.input"))
-    assert mistakes(wrong) == [
-        ": s.B: shape is (1, 1), expected (2, ?) | write a list of rows [[...], ...]",
-    ]
+    assert mistakes(wrong) == [": s.B: shape is (1, 1), expected (2, ?) | write a list of rows [[...], ...]"]
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

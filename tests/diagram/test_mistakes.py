@@ -75,16 +75,18 @@ def test_what_is_no_document_at_all() -> None:
 
 
 def test_parameters_of_blocks() -> None:
-    document = diagram({
-        "r": block("rotor_2dof", mas="1 kg", stiffness="5 N", viscous_damping=1.0),
-        "k": block("constant", value=[[1, "2"], [3]]),
-        "e": block("constant", value=[]),
-        "q": block("constant", value=None),
-        "b": block("constant", value=True),
-        "s": block("sum", signs=3),
-        "t": block("trigonometric", function="sine"),
-        "c": block("clock", speed="1500 rmp"),
-    })  # fmt: skip
+    document = diagram(
+        {
+            "r": block("rotor_2dof", mas="1 kg", stiffness="5 N", viscous_damping=1.0),
+            "k": block("constant", value=[[1, "2"], [3]]),
+            "e": block("constant", value=[]),
+            "q": block("constant", value=None),
+            "b": block("constant", value=True),
+            "s": block("sum", signs=3),
+            "t": block("trigonometric", function="sine"),
+            "c": block("clock", speed="1500 rmp"),
+        }
+    )
     found = [text for text in mistakes(document) if "not wired" not in text]
     assert found == [
         ": r: unknown parameter 'mas' | did you mean 'mass'?",
@@ -115,12 +117,15 @@ def test_missing_parameters_say_what_is_expected() -> None:
 def test_references_to_diagram_parameters() -> None:
     document = diagram(
         {
-            "c": "constant", "g": block("gain", gain="$k"), "crack": block("crack", stiffness="$kk"),
+            "c": "constant",
+            "g": block("gain", gain="$k"),
+            "crack": block("crack", stiffness="$kk"),
             "r": block("rotor_2dof", mass="$kk", stiffness="$kc"),
         },
-        ("c.output", "g.input"), ("c.output", "crack.theta"),
+        ("c.output", "g.input"),
+        ("c.output", "crack.theta"),
         parameters={"kk": "3 N/m", "kc": "5 N/mmm", "unused": 3, "chain": "$kk"},
-    )  # fmt: skip
+    )
     assert mistakes(document) == [
         ": g.gain: no diagram parameter 'k' | did you mean 'kk' or 'kc'?",
         ": kk: is used in N/m by crack.stiffness and in kg by r.mass | use two diagram parameters",
@@ -135,11 +140,18 @@ def test_ends_of_wires() -> None:
     text = written(
         diagram(
             {"a": "constant", "g": "gain", "h": "gain", "r": "rotor_2dof", "m": "gain"},
-            ("a.output", "g.input"), ("a.output", "g.input"), ("g.input", "a.output"), ("g.outptu", "h.input"),
-            ("q.output", "h.input"), ("a", "h.input"), ("a.output", "h.output"), ("r.force", "h.input"),
-            ("r.displacement[0]", "g.input"), ("a.output", "m.input[1]"),
+            ("a.output", "g.input"),
+            ("a.output", "g.input"),
+            ("g.input", "a.output"),
+            ("g.outptu", "h.input"),
+            ("q.output", "h.input"),
+            ("a", "h.input"),
+            ("a.output", "h.output"),
+            ("r.force", "h.input"),
+            ("r.displacement[0]", "g.input"),
+            ("a.output", "m.input[1]"),
         )
-    ).replace("], [", "],\n [")  # fmt: skip
+    ).replace("], [", "],\n [")
     assert mistakes(text) == [
         "3:2: g.input: input is wired twice: from a.output at d.json:2:11, and from a.output "
         "| add the signals with a sum block, or remove one wire",
@@ -168,8 +180,10 @@ def test_malformed_wires() -> None:
 def test_indices_of_wires() -> None:
     document = diagram(
         {"a": "constant", "r": "rotor_2dof", "g": "gain", "h": "gain"},
-        ("a.output", "r.force[3]"), ("r.displacement[1,1]", "g.input"), ("r.displacement[7]", "h.input"),
-    )  # fmt: skip
+        ("a.output", "r.force[3]"),
+        ("r.displacement[1,1]", "g.input"),
+        ("r.displacement[7]", "h.input"),
+    )
     assert mistakes(document) == [
         ": r.force[3]: index 3 is out of range | shape is (2,), counted from 1",
         ": r.displacement[1,1]: shape is (2,): too many indices | entries count from 1, one index a dimension",
@@ -180,13 +194,25 @@ def test_indices_of_wires() -> None:
 def test_shapes_that_differ_name_both_ends_and_the_cure() -> None:
     document = diagram(
         {
-            "v": block("constant", value=[1, 2, 3]), "r": "rotor_2dof", "fe": "rotor_fe", "p": "pid", "c": "clock",
-            "a": "amb", "t": "transfer_function", "crack": "crack",
+            "v": block("constant", value=[1, 2, 3]),
+            "r": "rotor_2dof",
+            "fe": "rotor_fe",
+            "p": "pid",
+            "c": "clock",
+            "a": "amb",
+            "t": "transfer_function",
+            "crack": "crack",
         },
-        ("v.output", "r.force"), ("c.speed", "fe.speed"), ("fe.displacement", "p.displacement"),
-        ("a.force", "fe.force"), ("r.displacement", "a.displacement"), ("p.current", "a.current"),
-        ("v.output", "t.input"), ("crack.opening", "r.force"), ("c.theta", "crack.theta"),
-    )  # fmt: skip
+        ("v.output", "r.force"),
+        ("c.speed", "fe.speed"),
+        ("fe.displacement", "p.displacement"),
+        ("a.force", "fe.force"),
+        ("r.displacement", "a.displacement"),
+        ("p.current", "a.current"),
+        ("v.output", "t.input"),
+        ("crack.opening", "r.force"),
+        ("c.theta", "crack.theta"),
+    )
     assert mistakes(document) == [
         ": v.output -> r.force: shapes differ: v.output: (3,), but r.force: (2,) [N] "
         "| take some entries with a selector block, or stack signals with a mux block",
@@ -205,9 +231,12 @@ def test_shapes_that_differ_name_both_ends_and_the_cure() -> None:
 def test_units_that_differ() -> None:
     document = diagram(
         {"r": "rotor_2dof", "a": "amb", "c": "clock", "u": "unbalance"},
-        ("r.displacement", "a.displacement"), ("r.velocity", "a.current"), ("c.speed", "u.theta"),
-        ("c.theta", "u.speed"), ("a.force", "r.force"),
-    )  # fmt: skip
+        ("r.displacement", "a.displacement"),
+        ("r.velocity", "a.current"),
+        ("c.speed", "u.theta"),
+        ("c.theta", "u.speed"),
+        ("a.force", "r.force"),
+    )
     assert mistakes(document) == [
         ": r.velocity -> a.current: units differ: r.velocity [m/s], but a.current [A] "
         "| wire a signal in A, or convert it with a gain block",
@@ -217,8 +246,12 @@ def test_units_that_differ() -> None:
 
 
 def test_an_angle_wired_to_a_number_is_a_warning() -> None:
-    document = diagram({"k": "crack", "c": "clock", "u": "unbalance"}, ("c.theta", "k.theta"), ("k.opening", "u.theta"),
-                       ("c.speed", "u.speed"))  # fmt: skip
+    document = diagram(
+        {"k": "crack", "c": "clock", "u": "unbalance"},
+        ("c.theta", "k.theta"),
+        ("k.opening", "u.theta"),
+        ("c.speed", "u.speed"),
+    )
     assert mistakes(document) == [
         ": warning: k.opening -> u.theta: units differ: k.opening [1], but u.theta [rad] | convert it with a gain block"
     ]
@@ -271,9 +304,14 @@ def test_names_of_ports_that_options_give() -> None:
 
 def test_settings_from_outside() -> None:
     settings = {
-        "speedd": "25 Hz", "rotorr.mass": 2, "rotor.mas": "3", "controller.KP": "3 V", "solver.stepp": 1,
-        "speed": "3 kg", "solver.step": "-1 s",
-    }  # fmt: skip
+        "speedd": "25 Hz",
+        "rotorr.mass": 2,
+        "rotor.mas": "3",
+        "controller.KP": "3 V",
+        "solver.stepp": 1,
+        "speed": "3 kg",
+        "solver.step": "-1 s",
+    }
     with pytest.raises(RotorsimError) as error:
         load("jeffcott", set=settings)
     assert [str(problem).replace("\n\nhint: ", " | ") for problem in error.value.problems] == [

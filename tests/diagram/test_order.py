@@ -18,20 +18,24 @@ def test_a_loop_is_printed_hop_by_hop() -> None:
     text = written(
         diagram(
             {"c": "constant", "s": block("sum", signs="+-"), "g": "gain", "after": "gain"},
-            ("c.output", "s.input1"), ("s.output", "g.input"), ("g.output", "s.input2"), ("g.output", "after.input"),
+            ("c.output", "s.input1"),
+            ("s.output", "g.input"),
+            ("g.output", "s.input2"),
+            ("g.output", "after.input"),
         )
-    )  # fmt: skip
-    assert mistakes(text) == [
-        f"1:40: s: algebraic loop: s.output -> g.input, g.output -> s.input2 | {CURE}",
-    ]
+    )
+    assert mistakes(text) == [f"1:40: s: algebraic loop: s.output -> g.input, g.output -> s.input2 | {CURE}"]
 
 
 def test_two_loops_are_both_reported_and_a_block_may_feed_itself() -> None:
     document = diagram(
         {"s": "sum", "t": "sum", "i": "integrator", "a": "constant"},
-        ("s.output", "s.input1"), ("i.output", "s.input2"), ("t.output", "t.input1"), ("a.output", "t.input2"),
+        ("s.output", "s.input1"),
+        ("i.output", "s.input2"),
+        ("t.output", "t.input1"),
+        ("a.output", "t.input2"),
         ("s.output", "i.input"),
-    )  # fmt: skip
+    )
     assert mistakes(document) == [
         f": s: algebraic loop: s.output -> s.input1 | {CURE}",
         f": t: algebraic loop: t.output -> t.input1 | {CURE}",
@@ -41,13 +45,18 @@ def test_two_loops_are_both_reported_and_a_block_may_feed_itself() -> None:
 def test_a_loop_may_be_solved_and_is_then_one_group() -> None:
     document = diagram(
         {"c": "constant", "s": "sum", "g": "gain", "after": "gain"},
-        ("c.output", "s.input1"), ("s.output", "g.input"), ("g.output", "s.input2"), ("g.output", "after.input"),
+        ("c.output", "s.input1"),
+        ("s.output", "g.input"),
+        ("g.output", "s.input2"),
+        ("g.output", "after.input"),
         algebraic_loops="solve",
-    )  # fmt: skip
+    )
     groups = evaluation_order(load(document))
     assert [set(group) for group in groups] == [
-        {("c", "output")}, {("s", "output"), ("g", "output")}, {("after", "output")},
-    ]  # fmt: skip
+        {("c", "output")},
+        {("s", "output"), ("g", "output")},
+        {("after", "output")},
+    ]
 
 
 def test_a_state_in_the_loop_is_a_cure() -> None:

@@ -15,11 +15,16 @@ from rotorsim.model.load import load
 
 SHIPPED = {name: json.loads(file.read_text()) for name, file in shipped_diagrams().items() if "runup" not in name}
 ODD = st.one_of(
-    st.none(), st.booleans(), st.integers(-3, 3), st.floats(), st.just(10**400), st.text(max_size=5),
+    st.none(),
+    st.booleans(),
+    st.integers(-3, 3),
+    st.floats(),
+    st.just(10**400),
+    st.text(max_size=5),
     st.sampled_from(["$speed", "$nothing", "1 m", "1500 rpm", "rotor.force", "a.b[0]", "rotor.tilt[9,9]", "x" * 500]),
     st.lists(st.one_of(st.integers(-1, 1), st.text(max_size=3), st.lists(st.floats(), max_size=2)), max_size=3),
     st.dictionaries(st.text(max_size=5), st.integers(), max_size=2),
-)  # fmt: skip
+)
 NAMES = st.sampled_from(["speed", "rotor.mass", "crack.terms", "crack.opening", "solver.step", "x.y", "rotor"])
 
 

@@ -44,7 +44,7 @@ from rotorsim.errors import Place, RotorsimError
         ('{"a": -Infinity}', "1:7: error: -Infinity is not allowed | numbers must be finite"),
         ('{"a": ' + "9" * 400 + "}", "1:7: error: number of 400 digits is too long | numbers must fit a float"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_json_is_refused_with_place_and_cure(text: str, message: str) -> None:
     with pytest.raises(RotorsimError) as error:
         parse_document(text, "d.json")

@@ -43,9 +43,11 @@ def parts(empty_folder: Path) -> Path:
 def test_blocks_of_sub_diagrams_get_the_name_of_their_path(parts: Path) -> None:
     document = diagram(
         {"c": "constant", "p": sub("parts/pair.json", gain="$outer"), "g": "gain"},
-        ("c.output", "p.u"), ("p.y", "g.input"),
-        parameters={"outer": 7.0}, record=["p.y", "p/one/g.output"],
-    )  # fmt: skip
+        ("c.output", "p.u"),
+        ("p.y", "g.input"),
+        parameters={"outer": 7.0},
+        record=["p.y", "p/one/g.output"],
+    )
     loaded = load(document, folder=parts.parent)
     assert list(loaded.nodes) == ["c", "p/one/g", "p/one/h", "p/two/g", "p/two/h", "g"]
     assert sorted(f"{w.source} -> {w.target}" for w in loaded.wires) == [
@@ -58,8 +60,11 @@ def test_blocks_of_sub_diagrams_get_the_name_of_their_path(parts: Path) -> None:
     assert loaded.record == (Endpoint("p/two/h", "output"), Endpoint("p/one/g", "output"))
     assert loaded.nodes["p/one/g"].references == {"gain": "outer"}
     assert {name: float(value) for name, value in loaded.parameters.items()} == {
-        "outer": 7.0, "p/one/more": 10.0, "p/two/k": 5.0, "p/two/more": 10.0,
-    }  # fmt: skip
+        "outer": 7.0,
+        "p/one/more": 10.0,
+        "p/two/k": 5.0,
+        "p/two/more": 10.0,
+    }
 
 
 def test_a_value_from_outside_beats_the_default_of_the_sub_diagram(parts: Path) -> None:
@@ -73,8 +78,10 @@ def test_a_value_from_outside_beats_the_default_of_the_sub_diagram(parts: Path) 
 def test_an_index_on_a_port_counts_inside_what_it_stands_for(parts: Path) -> None:
     document = diagram(
         {"v": block("constant", value=[1, 2]), "a": sub("parts/amplifier.json"), "g": "gain", "h": "gain"},
-        ("v.output", "a.u"), ("a.y[2]", "g.input"), ("a.first", "h.input"),
-    )  # fmt: skip
+        ("v.output", "a.u"),
+        ("a.y[2]", "g.input"),
+        ("a.first", "h.input"),
+    )
     loaded = load(document, folder=parts.parent)
     assert {str(w.source) for w in loaded.wires} >= {"a/h.output[2]", "a/h.output[1]"}
     assert loaded.nodes["g"].inputs["input"].shape == ()
@@ -94,11 +101,19 @@ def test_mistakes_inside_and_at_the_edge_of_sub_diagrams(parts: Path) -> None:
     Path("block.json").write_text('{"blocks":\n {"a": {"type": "gian"}}}')
     document = diagram(
         {
-            "c": "constant", "s": sub("parts/amplifier.json", kk=3.0), "t": sub("bad.json"), "w": sub("block.json"),
-            "v": sub("nothing.json"), "n": {"type": "diagram"},
+            "c": "constant",
+            "s": sub("parts/amplifier.json", kk=3.0),
+            "t": sub("bad.json"),
+            "w": sub("block.json"),
+            "v": sub("nothing.json"),
+            "n": {"type": "diagram"},
         },
-        ("c.output", "s.uu"), ("s.u", "s.u"), ("c.output", "s.y"), ("c.output", "s/g.input"), ("c.output", "t.u"),
-    )  # fmt: skip
+        ("c.output", "s.uu"),
+        ("s.u", "s.u"),
+        ("c.output", "s.y"),
+        ("c.output", "s/g.input"),
+        ("c.output", "t.u"),
+    )
     text = written(document).replace('}, "', '},\n "').replace("], [", "],\n [")
     assert mistakes(text) == [
         "bad.json:1:35: : not valid JSON: comma before '}' | remove the comma",
@@ -122,9 +137,8 @@ def test_a_parameter_that_the_outer_diagram_does_not_have(parts: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "file",
-    ["../x.json", "a/../../x.json", "/etc/passwd", "..\\x.json", "C:x.json", "C:\\x.json", "a\0b", "//server/x"],
-)  # fmt: skip
+    "file", ["../x.json", "a/../../x.json", "/etc/passwd", "..\\x.json", "C:x.json", "C:\\x.json", "a\0b", "//server/x"]
+)
 def test_paths_that_lead_out_are_refused(file: str) -> None:
     document = diagram({"s": sub(file)})
     what = f": s: file '{file}' is not inside the folder of the diagram"
@@ -179,11 +193,14 @@ def test_nesting_and_multiplying_are_limited() -> None:
 def test_one_file_may_be_used_many_times_with_shapes_of_its_own(parts: Path) -> None:
     document = diagram(
         {
-            "v": block("constant", value=[1, 2]), "c": block("constant", value=1), "a": sub("parts/amplifier.json"),
+            "v": block("constant", value=[1, 2]),
+            "c": block("constant", value=1),
+            "a": sub("parts/amplifier.json"),
             "b": sub("parts/amplifier.json", k=[[1]]),
         },
-        ("v.output", "a.u"), ("c.output", "b.u"),
-    )  # fmt: skip
+        ("v.output", "a.u"),
+        ("c.output", "b.u"),
+    )
     assert [m.split(" | ")[0] for m in mistakes(document, folder=parts.parent)] == [
         ": b/g.gain: shape is (1, 1), expected scalar"
     ]

@@ -31,8 +31,15 @@ def test_the_readme_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     assert 1e-6 < peak < 1e-4
 
 
-@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", *sorted(
-    str(file.relative_to(ROOT)) for file in (ROOT / "docs").glob("*.md"))])  # fmt: skip
+@pytest.mark.parametrize(
+    "page",
+    [
+        "README.md",
+        "CONTRIBUTING.md",
+        "CHANGELOG.md",
+        *sorted(str(file.relative_to(ROOT)) for file in (ROOT / "docs").glob("*.md")),
+    ],
+)
 def test_links_lead_somewhere(page: str) -> None:
     file = ROOT / page
     text = FENCE.sub("", file.read_text(encoding="utf-8"))

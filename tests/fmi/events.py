@@ -13,9 +13,16 @@ __all__ = ["MODELS", "alone", "events_fmu"]
 
 MODELS = ("ball", "relay", "clock", "chatter", "signal", "late", "stages", "two")
 PARAMETERS = {
-    9: ("gravity", 9.81), 10: ("restitution", 0.8), 11: ("low", 0.5), 12: ("high", 1.5), 13: ("time_constant", 1.0),
-    14: ("tick", 0.25), 15: ("stop_at", 1e9), 16: ("x0", 1.0), 17: ("v0", 0.0),
-}  # fmt: skip
+    9: ("gravity", 9.81),
+    10: ("restitution", 0.8),
+    11: ("low", 0.5),
+    12: ("high", 1.5),
+    13: ("time_constant", 1.0),
+    14: ("tick", 0.25),
+    15: ("stop_at", 1e9),
+    16: ("x0", 1.0),
+    17: ("v0", 0.0),
+}
 
 
 def events_fmu(folder: Path, version: str = "2.0", *, saves: bool = True, reports: bool = True) -> Path:
@@ -27,7 +34,7 @@ def events_fmu(folder: Path, version: str = "2.0", *, saves: bool = True, report
 
 def alone(
     file: Path, model: str, *, step: float, stop: float, wires: Any = (), blocks: Any = None, **values: Any
-) -> Diagram:  # fmt: skip
+) -> Diagram:
     """Return a diagram of the FMU alone (or of more blocks), with the solver's own step and stop time."""
     parameters = {"interface": "me", "in_process": True, "model": MODELS.index(model), **values}
     document = {
@@ -51,10 +58,12 @@ def _description2(saves: bool, reports: bool) -> str:
         (6, "level", 'causality="input" variability="discrete"', "Real", 'start="0"'),
         (7, "count", 'causality="output" variability="discrete"', "Real", ""),
         (8, "when", 'causality="output" variability="discrete"', "Real", ""),
-        *((r, name, 'causality="parameter" variability="fixed"', "Real", f'start="{start!r}"')
-          for r, (name, start) in PARAMETERS.items()),
+        *(
+            (r, name, 'causality="parameter" variability="fixed"', "Real", f'start="{start!r}"')
+            for r, (name, start) in PARAMETERS.items()
+        ),
         (20, "model", 'causality="parameter" variability="fixed"', "Integer", 'start="0"'),
-    ]  # fmt: skip
+    ]
     variables = "".join(
         f'<ScalarVariable name="{name}" valueReference="{r}" {how}><{kind} {more}/></ScalarVariable>'
         for r, name, how, kind, more in rows
@@ -80,11 +89,13 @@ def _description3(saves: bool, reports: bool) -> str:
         ("Float64", 6, "level", 'causality="input" variability="discrete" start="0"'),
         ("Float64", 7, "count", 'causality="output" variability="discrete"'),
         ("Float64", 8, "when", 'causality="output" variability="discrete"'),
-        *(("Float64", r, name, f'causality="parameter" variability="fixed" start="{start!r}"')
-          for r, (name, start) in PARAMETERS.items()),
+        *(
+            ("Float64", r, name, f'causality="parameter" variability="fixed" start="{start!r}"')
+            for r, (name, start) in PARAMETERS.items()
+        ),
         ("Int32", 20, "model", 'causality="parameter" variability="fixed" start="0"'),
         ("Float64", 30, "z", 'causality="local"'),
-    ]  # fmt: skip
+    ]
     variables = "".join(f'<{kind} name="{name}" valueReference="{r}" {how}/>' for kind, r, name, how in rows)
     flags = f'canGetAndSetFMUState="{str(saves).lower()}" needsCompletedIntegratorStep="{str(reports).lower()}"'
     outputs = "".join(f'<Output valueReference="{r}" dependencies=""/>' for r in (1, 7, 8))

@@ -21,9 +21,16 @@ _DISCRETE_IN, _DISCRETE_OUT = ('causality="input" variability="discrete"', 'caus
 
 
 def description(
-    units: str = "", u: str = "", y: str = "", scale: str = "", *, varies: str = "true", more: str = "",
-    real: bool = False, talks: bool = False,
-) -> str:  # fmt: skip
+    units: str = "",
+    u: str = "",
+    y: str = "",
+    scale: str = "",
+    *,
+    varies: str = "true",
+    more: str = "",
+    real: bool = False,
+    talks: bool = False,
+) -> str:
     """Return the model description. units: <Unit> elements; u, y, scale: attributes of these; real: Real alone
     (and talk, with talks)."""
     rows = [
@@ -55,8 +62,9 @@ def description(
     )
     outputs = "".join(
         f'<Unknown index="{k}" {"" if name == "y" else "dependencies=" + chr(34) * 2}/>'
-        for k, (_, name, how, *_) in enumerate(rows, 1) if "output" in how
-    )  # fmt: skip
+        for k, (_, name, how, *_) in enumerate(rows, 1)
+        if "output" in how
+    )
     items = '<Item name="slow" value="1"/><Item name="fast" value="4"/>'
     return (
         '<fmiModelDescription fmiVersion="2.0" modelName="gauge" guid="gauge">'
@@ -75,9 +83,17 @@ def gauge_fmu(folder: Path, text: str | bytes = "", name: str = "gauge.fmu") -> 
 
 
 def with_gauge(
-    file: Path, source: str = "constant", *, wires: Any = (["in.output", "it.u"],), record: Any = ("it.y",),
-    blocks: Any = None, step: float = 0.1, stop: float = 1.0, more: Any = None, **values: Any
-) -> Diagram:  # fmt: skip
+    file: Path,
+    source: str = "constant",
+    *,
+    wires: Any = (["in.output", "it.u"],),
+    record: Any = ("it.y",),
+    blocks: Any = None,
+    step: float = 0.1,
+    stop: float = 1.0,
+    more: Any = None,
+    **values: Any,
+) -> Diagram:
     """Return a diagram of the FMU "it" and a constant 1 "in" (or other blocks)."""
     document = {
         "name": "gauge",

@@ -26,13 +26,18 @@ class Opened:
         self.variables = {v.name: v for v in self.description.modelVariables}
         self.messages: list[Message] = []
         made: dict[tuple[bool, str], Callable[..., Any]] = {
-            (True, "cs"): FMU2Slave, (True, "me"): FMU2Model, (False, "cs"): FMU3Slave, (False, "me"): FMU3Model,
-        }  # fmt: skip
+            (True, "cs"): FMU2Slave,
+            (True, "me"): FMU2Model,
+            (False, "cs"): FMU3Slave,
+            (False, "me"): FMU3Model,
+        }
         interface = self.description.coSimulation if kind == "cs" else self.description.modelExchange
         self.fmu = made[self.two, kind](
-            guid=self.description.guid, modelIdentifier=interface.modelIdentifier, unzipDirectory=folder,
+            guid=self.description.guid,
+            modelIdentifier=interface.modelIdentifier,
+            unzipDirectory=folder,
             instanceName=name,
-        )  # fmt: skip
+        )
         self.kind = kind
         if self.two:
             self.callbacks = fmi2CallbackFunctions()

@@ -18,9 +18,22 @@ from rotorsim.model.emit.toolchain import find_compiler
 __all__ = ["FAULTS", "description2", "description3", "floats_only", "library", "make_fmu"]
 
 FAULTS = (
-    "ok", "segv", "hang", "fail", "nan", "discard", "hungry", "leave", "abort", "print", "fatal", "bad_free",
-    "terminate", "child", "below",
-)  # fmt: skip
+    "ok",
+    "segv",
+    "hang",
+    "fail",
+    "nan",
+    "discard",
+    "hungry",
+    "leave",
+    "abort",
+    "print",
+    "fatal",
+    "bad_free",
+    "terminate",
+    "child",
+    "below",
+)
 SOURCES = Path(__file__).parent / "c"
 _FLAGS = 'canGetAndSetFMU{s}="true" canSerializeFMU{s}="true" canBeInstantiatedOnlyOncePerProcess="{once}"'
 _UNITS = (
@@ -158,9 +171,14 @@ def library(version: str, name: str = "plant") -> bytes:
 
 
 def make_fmu(
-    file: Path, version: str = "2.0", *, once: bool = False, platform: str = "", description: str | bytes = "",
+    file: Path,
+    version: str = "2.0",
+    *,
+    once: bool = False,
+    platform: str = "",
+    description: str | bytes = "",
     library_bytes: bytes = b"",
-) -> Path:  # fmt: skip
+) -> Path:
     """Write a plant FMU; platform: another folder than that of this machine."""
     if not description:
         description = (description2 if version == "2.0" else description3)(once=once)

@@ -26,11 +26,20 @@ MAKERS: dict[str, Callable[..., RecordedRun]] = {
 }
 # other values than in the diagrams, and a crack that does not stand at the tacho mark
 TRUTH = Truth(
-    viscous_damping=91.0, crack_stiffness=2.4e5, crack_phase=0.9, force_displacement_factor=98e3,
-    force_current_factor=45.0, eccentricity=31e-6, unbalance_phase=-1.1, eccentricity1=31e-6, unbalance_phase1=-0.7,
-    eccentricity2=47e-6, unbalance_phase2=1.9, support_left_stiffness=(455e6, 1010e6),
+    viscous_damping=91.0,
+    crack_stiffness=2.4e5,
+    crack_phase=0.9,
+    force_displacement_factor=98e3,
+    force_current_factor=45.0,
+    eccentricity=31e-6,
+    unbalance_phase=-1.1,
+    eccentricity1=31e-6,
+    unbalance_phase1=-0.7,
+    eccentricity2=47e-6,
+    unbalance_phase2=1.9,
+    support_left_stiffness=(455e6, 1010e6),
     support_right_stiffness=(390e6, 760e6),
-)  # fmt: skip
+)
 
 
 @cache
@@ -75,11 +84,19 @@ def recorded(runs: Sequence[RecordedRun], uses: Sequence[str] | str = "identify"
     each = [uses] * len(runs) if isinstance(uses, str) else uses
     made_runs = tuple(
         Run(
-            f"run{k}", f"run{k}.npz", run.time - run.time[0], run.columns, run.speed, pulses(run), run.settings, use,
-            Place("recording.json", k + 10, 3), run.rate,
+            f"run{k}",
+            f"run{k}.npz",
+            run.time - run.time[0],
+            run.columns,
+            run.speed,
+            pulses(run),
+            run.settings,
+            use,
+            Place("recording.json", k + 10, 3),
+            run.rate,
         )
         for k, (run, use) in enumerate(zip(runs, each, strict=True))
-    )  # fmt: skip
+    )
     return Recording("made", "tests/reference", Path(), channels, made_runs)
 
 

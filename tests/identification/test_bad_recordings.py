@@ -30,9 +30,14 @@ BOTH = pytest.mark.parametrize("method", ["likelihood", "regression"])
 
 
 def on_disk(
-    folder: Path, edit: Edit | None = None, change: Change | None = None, *, runs: list[RecordedRun] = RUNS,
-    angle: str = "tacho", use: str = "identify",
-) -> Recording:  # fmt: skip
+    folder: Path,
+    edit: Edit | None = None,
+    change: Change | None = None,
+    *,
+    runs: list[RecordedRun] = RUNS,
+    angle: str = "tacho",
+    use: str = "identify",
+) -> Recording:
     """Write the runs, edit recording.json and the tables, and load them."""
     path = write_recording(folder, runs, "made", use, angle=angle)
     document = json.loads(path.read_text())
@@ -69,8 +74,11 @@ def refusal(folder: Path, edit: Edit | None = None, change: Change | None = None
 
 def nothing_wrong_is_sure(item: Identification, off: float = 0.1) -> None:
     """Adequate: then nothing identified is off by more than 10 %; or not adequate."""
-    wrong = {name: error for name, error in errors(item).items()
-             if error > off and item.parameters[name].verdict.identifiable}  # fmt: skip
+    wrong = {
+        name: error
+        for name, error in errors(item).items()
+        if error > off and item.parameters[name].verdict.identifiable
+    }
     assert not item.adequate or not wrong
 
 
@@ -95,52 +103,81 @@ def first_tacho(n: int) -> Edit:
         (each(lambda run: run.pop("tacho")), None, [f"run run00: {NO_PHASE}", f"run run01: {NO_PHASE}"]),
         (first_tacho(0), None, [f"run run00: {NO_PHASE}"]),
         (
-            each(lambda run: (run.pop("tacho"), run.pop("speed"))), None,
+            each(lambda run: (run.pop("tacho"), run.pop("speed"))),
+            None,
             ["run run00: no shaft angle: no tacho, no angle channel, no speed"],
         ),
         (
-            each(lambda run: run.update(tacho=[t + 1234.5 for t in run["tacho"]])), None,
+            each(lambda run: run.update(tacho=[t + 1234.5 for t in run["tacho"]])),
+            None,
             ["run00: tacho: 10 of 10 pulses are outside the run (0 to 0.4995 s)"],
         ),
         (
-            each(lambda run: run.update(sample_rate="4000 Hz")), None,
+            each(lambda run: run.update(sample_rate="4000 Hz")),
+            None,
             ["run00: tacho: 3 of 10 pulses are outside the run (0 to 0.24975 s)"],
         ),
         (
-            each(lambda run: run.update(tacho=sorted({t / 2 + s / 2 for t in run["tacho"] for s in run["tacho"]
-                                                      if abs(t - s) < 0.06}))),
-            None, ["run00: tacho: the tacho says 2280 rpm, the stated speed is 1140 rpm"],
+            each(
+                lambda run: run.update(
+                    tacho=sorted({t / 2 + s / 2 for t in run["tacho"] for s in run["tacho"] if abs(t - s) < 0.06})
+                )
+            ),
+            None,
+            ["run00: tacho: the tacho says 2280 rpm, the stated speed is 1140 rpm"],
         ),
+        (each(lambda run: run.update(tacho=run["tacho"][::-1])), None, ["run00: tacho: pulse 2 at 0.42"]),
         (
-            each(lambda run: run.update(tacho=run["tacho"][::-1])), None,
-            ["run00: tacho: pulse 2 at 0.42"],
-        ),
-        (
-            each(lambda run: run.update(tacho=run["tacho"][:4] + run["tacho"][5:])), None,
+            each(lambda run: run.update(tacho=run["tacho"][:4] + run["tacho"][5:])),
+            None,
             ["run00: tacho: 1 missing, the first after 0."],
         ),
-        (each(lambda run: run.update(speed=0)), None,
-         ["run00: tacho: the tacho says 1140 rpm, the stated speed is 0 rpm"]),
-        (each(lambda run: (run.update(speed=0), run.pop("tacho"))), None,
-         ["run run00: only 0 turns of the shaft were recorded"]),
+        (
+            each(lambda run: run.update(speed=0)),
+            None,
+            ["run00: tacho: the tacho says 1140 rpm, the stated speed is 0 rpm"],
+        ),
+        (
+            each(lambda run: (run.update(speed=0), run.pop("tacho"))),
+            None,
+            ["run run00: only 0 turns of the shaft were recorded"],
+        ),
         (each(lambda run: run["set"].update({"controller.Kp": 3})), None, ["run run00: set controller.Kp: no such"]),
         (each(lambda run: run["set"].update({"motor.KP": 3})), None, ["run run00: set motor.KP: no such parameter"]),
-        (each(lambda run: run["set"].update({"controller.KP": "3 kg"})), None,
-         ["run run00: set controller.KP: unit 'kg' does not fit 'A/m'"]),
-        (each(lambda run: run["set"].update({"controller.KP": [3, 4]})), None,
-         ["run run00: set controller.KP: 2 values given, 1 expected"]),
-        (each(lambda run: run["set"].update({"controller.KP": True})), None,
-         ["run run00: set controller.KP: must be a number, not true"]),
-        (lambda document: document["channels"]["x"].update(signal="shaft.displacement"), None,
-         ["channel x: the diagram has no signal 'shaft.displacement'"]),
-        (lambda document: document["channels"]["x"].pop("axis"), None,
-         ["channel x: 'rotor.displacement' is not one entry of 'rotor.displacement', which is 2"]),
-        (lambda document: document["channels"]["x"].update(axis="y"), None,
-         ["channel y: measures rotor.displacement[2], and so does 'x'"]),
+        (
+            each(lambda run: run["set"].update({"controller.KP": "3 kg"})),
+            None,
+            ["run run00: set controller.KP: unit 'kg' does not fit 'A/m'"],
+        ),
+        (
+            each(lambda run: run["set"].update({"controller.KP": [3, 4]})),
+            None,
+            ["run run00: set controller.KP: 2 values given, 1 expected"],
+        ),
+        (
+            each(lambda run: run["set"].update({"controller.KP": True})),
+            None,
+            ["run run00: set controller.KP: must be a number, not true"],
+        ),
+        (
+            lambda document: document["channels"]["x"].update(signal="shaft.displacement"),
+            None,
+            ["channel x: the diagram has no signal 'shaft.displacement'"],
+        ),
+        (
+            lambda document: document["channels"]["x"].pop("axis"),
+            None,
+            ["channel x: 'rotor.displacement' is not one entry of 'rotor.displacement', which is 2"],
+        ),
+        (
+            lambda document: document["channels"]["x"].update(axis="y"),
+            None,
+            ["channel y: measures rotor.displacement[2], and so does 'x'"],
+        ),
         (each(lambda run: run.update(use="hold_out")), None, ["made: no run to identify from"]),
         (each(lambda run: run.update(file="run00.npz")), None, [": two runs alike: the data of run00 and run01"]),
     ],
-)  # fmt: skip
+)
 def test_refused_with_the_reason(tmp_path, edit, change, expected):
     said = refusal(tmp_path, edit, change)
     for text in expected:
@@ -276,18 +313,25 @@ def exchange(document: dict[str, Any]) -> None:
     [
         (None, scaled(("x", "y"), 1e6), "wrong unit? rms 1."),
         (
-            lambda document: [document["channels"][c].update(unit="um") for c in ("x", "y")], None,
+            lambda document: [document["channels"][c].update(unit="um") for c in ("x", "y")],
+            None,
             "with unit 'um' is less than 1 nm",
         ),
         (exchange, None, "swapped axes? y follows iy and x follows ix in 4 of 4 runs"),
         (None, lambda table: {**table, "y": 0 * table["y"]}, "constant signal: all samples are 0 m"),
-        (None, lambda table: {**table, "ix": 0 * table["ix"] + 2.5, "iy": 0 * table["iy"] + 2.5},
-         "constant signal: all samples are 2.5 A"),
+        (
+            None,
+            lambda table: {**table, "ix": 0 * table["ix"] + 2.5, "iy": 0 * table["iy"] + 2.5},
+            "constant signal: all samples are 2.5 A",
+        ),
         (None, clip, "clipped signal: "),
-        (lambda document: document["channels"].pop("y"), None,
-         "missing channel: rotor.displacement[1] is measured, its y axis is not"),
+        (
+            lambda document: document["channels"].pop("y"),
+            None,
+            "missing channel: rotor.displacement[1] is measured, its y axis is not",
+        ),
     ],
-)  # fmt: skip
+)
 def test_warned_about_by_name(tmp_path, edit, change, warning):
     item = found(on_disk(tmp_path, edit, change), "regression")
     assert any(warning in problem.what for problem in item.warnings)
@@ -329,10 +373,18 @@ def backwards(document: dict[str, Any]) -> None:
         (None, lambda table: {**table, "y": table["x"]}),
     ],
     ids=[
-        "tacho of another clock", "tacho clock too fast", "half the rate", "gains not said", "turning back",
-        "y inverted", "current 5 % too large", "mA as A", "current late by two samples", "y is a copy of x",
+        "tacho of another clock",
+        "tacho clock too fast",
+        "half the rate",
+        "gains not said",
+        "turning back",
+        "y inverted",
+        "current 5 % too large",
+        "mA as A",
+        "current late by two samples",
+        "y is a copy of x",
     ],
-)  # fmt: skip
+)
 def test_not_adequate(tmp_path, edit, change):
     """The likelihood at its best is far below what noise leaves."""
     recording = on_disk(tmp_path, edit, change)

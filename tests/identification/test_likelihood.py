@@ -144,8 +144,10 @@ def test_channels_whose_mean_means_nothing(columns):
     ]
     found = identify(shipped("jeffcott"), recorded(runs, **dict.fromkeys(columns, "ac")), profile=False)
     assert found.adequate
-    z = [errors(found)[name] * (TRUTH[name] if item.unit != "rad" else 1) / item.std
-         for name, item in found.parameters.items()]  # fmt: skip
+    z = [
+        errors(found)[name] * (TRUTH[name] if item.unit != "rad" else 1) / item.std
+        for name, item in found.parameters.items()
+    ]
     assert max(z) < norm.isf(LEVEL / 2 / len(z))
 
 
@@ -329,7 +331,9 @@ def test_rates_and_windows_may_differ():
     runs = [
         MAKERS["jeffcott"](TRUTH, speed, rate=rate, duration=duration, gains=gains)
         for speed, rate, duration, gains in (
-            (150.0, RATE, 0.83, THESIS_GAINS), (137.0, 500.0, 1.7, OTHER_GAINS), (120.0, 7000.0, 0.31, THESIS_GAINS),
+            (150.0, RATE, 0.83, THESIS_GAINS),
+            (137.0, 500.0, 1.7, OTHER_GAINS),
+            (120.0, 7000.0, 0.31, THESIS_GAINS),
         )
-    ]  # fmt: skip
+    ]
     assert max(errors(identify(shipped("jeffcott"), recorded(runs), profile=False)).values()) < 1e-3

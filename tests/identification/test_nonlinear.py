@@ -22,19 +22,29 @@ from tests.reference.recordings import RecordedRun
 RPM = 2 * np.pi / 60
 BIAS, GAP = 0.4, 0.3e-3
 TRUTH = {
-    "viscous_damping": 91.0, "crack_stiffness": 2.4e5, "eccentricity": 31e-6, "unbalance_phase": -1.1,
+    "viscous_damping": 91.0,
+    "crack_stiffness": 2.4e5,
+    "eccentricity": 31e-6,
+    "unbalance_phase": -1.1,
     "force_current_factor": 45.0,
-}  # fmt: skip
+}
 K_S = TRUTH["force_current_factor"] * BIAS / GAP
 
 
 def rotor(speed: float, bias: float = BIAS, gap: float = GAP) -> Jeffcott:
     return replace(
         Jeffcott(),
-        damping=TRUTH["viscous_damping"], crack_stiffness=TRUTH["crack_stiffness"], ki=0.0,
-        eccentricity=TRUTH["eccentricity"], phase=TRUTH["unbalance_phase"], force_current=TRUTH["force_current_factor"],
-        force_displacement=K_S, bias_current=bias, gap=gap, speed=speed,
-    )  # fmt: skip
+        damping=TRUTH["viscous_damping"],
+        crack_stiffness=TRUTH["crack_stiffness"],
+        ki=0.0,
+        eccentricity=TRUTH["eccentricity"],
+        phase=TRUTH["unbalance_phase"],
+        force_current=TRUTH["force_current_factor"],
+        force_displacement=K_S,
+        bias_current=bias,
+        gap=gap,
+        speed=speed,
+    )
 
 
 @cache

@@ -27,8 +27,7 @@ def regression_of(model: str, recording: Recording, **named) -> Regression:
 
 
 @pytest.mark.parametrize(
-    ("model", "name"),
-    [each if each == SHORT else pytest.param(*each, marks=pytest.mark.slow) for each in RANGES],
+    ("model", "name"), [each if each == SHORT else pytest.param(*each, marks=pytest.mark.slow) for each in RANGES]
 )
 def test_clean_data_give_the_truth(model, name):
     speeds = speeds_of(model, name)[:: 2 if model.startswith("fe") else 1]
@@ -147,9 +146,13 @@ def by_hand(runs: list[RecordedRun], recording: Recording) -> dict[str, float]:
     size = np.linalg.norm(rows, axis=0)
     c, crack_stiffness, cosine, sine, k_s, k_i = np.linalg.lstsq(np.array(rows) / size, np.array(right))[0] / size
     return {
-        "viscous_damping": c, "crack_stiffness": crack_stiffness, "eccentricity": np.hypot(cosine, sine),
-        "unbalance_phase": np.arctan2(sine, cosine), "force_displacement_factor": k_s, "force_current_factor": k_i,
-    }  # fmt: skip
+        "viscous_damping": c,
+        "crack_stiffness": crack_stiffness,
+        "eccentricity": np.hypot(cosine, sine),
+        "unbalance_phase": np.arctan2(sine, cosine),
+        "force_displacement_factor": k_s,
+        "force_current_factor": k_i,
+    }
 
 
 @pytest.mark.slow
@@ -284,8 +287,9 @@ def test_fewer_equations_than_parameters(orders, runs):
 @pytest.mark.parametrize("orders", [(), (99,), (17, -20)])
 def test_orders_that_there_are_not(orders):
     with pytest.raises(RotorsimError):
-        identify(shipped("jeffcott"), recorded(made("jeffcott", LOWER["jeffcott"][:2])), method="regression",
-                 orders=orders)  # fmt: skip
+        identify(
+            shipped("jeffcott"), recorded(made("jeffcott", LOWER["jeffcott"][:2])), method="regression", orders=orders
+        )
 
 
 def test_words_that_are_not_known():

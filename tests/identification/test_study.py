@@ -27,14 +27,22 @@ from rotorsim.units import parse_quantity
 
 RPM = np.pi / 30
 FREE = (
-    "viscous_damping", "crack_stiffness", "eccentricity", "unbalance_phase", "force_displacement_factor",
+    "viscous_damping",
+    "crack_stiffness",
+    "eccentricity",
+    "unbalance_phase",
+    "force_displacement_factor",
     "force_current_factor",
-)  # fmt: skip
+)
 MISPRINTED = {
-    ("2-5", "Delta k_22", 0.02), ("2-7", "k_s", 0.05), ("4-2", "k_I", 0.01), ("5-4", "k_L^x", 0.0),
-    *(("5-3", "beta_2", level) for level in LEVELS), ("5-3", "beta_1", 0.0),
+    ("2-5", "Delta k_22", 0.02),
+    ("2-7", "k_s", 0.05),
+    ("4-2", "k_I", 0.01),
+    ("5-4", "k_L^x", 0.0),
+    *(("5-3", "beta_2", level) for level in LEVELS),
+    ("5-3", "beta_1", 0.0),
     *(("5-5", beta, level) for beta in ("beta_1", "beta_2") for level in LEVELS),
-}  # fmt: skip
+}
 
 
 def study(*rpm: float, **changes) -> Study:

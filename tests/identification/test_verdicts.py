@@ -186,10 +186,16 @@ def test_a_parameter_that_nothing_depends_on():
 # --- one parameter and all at once ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("value", "half", "unit", "width"), [
-    (2.0, 0.1, "m", 0.05), (-2.0, 0.1, "m", 0.05), (0.0, 0.1, "m", np.inf), (3.0, 0.1, "rad", 0.1),
-    (0.0, 0.1, "rad", 0.1),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("value", "half", "unit", "width"),
+    [
+        (2.0, 0.1, "m", 0.05),
+        (-2.0, 0.1, "m", 0.05),
+        (0.0, 0.1, "m", np.inf),
+        (3.0, 0.1, "rad", 0.1),
+        (0.0, 0.1, "rad", 0.1),
+    ],
+)
 def test_relative_width(value, half, unit, width):
     assert relative_width(value, half, unit) == pytest.approx(width)
 

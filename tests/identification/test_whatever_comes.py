@@ -94,13 +94,17 @@ EDITS: list[Edit] = [
     lambda document: document["runs"][3]["set"].update({"speed": 0}),
 ]
 CHANGES: list[Change] = [
-    cut(30), cut(150), scaled(("x",), 0.0), scaled(("x", "y", "ix", "iy"), 0.0), scaled(("ix",), -1.0),
+    cut(30),
+    cut(150),
+    scaled(("x",), 0.0),
+    scaled(("x", "y", "ix", "iy"), 0.0),
+    scaled(("ix",), -1.0),
     lambda table: {**table, "x": table["ix"]},
     lambda table: {**table, "x": np.sign(table["x"])},
     lambda table: {c: v[::7] for c, v in table.items()},
     lambda table: {c: v[::-1] for c, v in table.items()},
     lambda table: {c: np.round(v, 5) for c, v in table.items()},
-]  # fmt: skip
+]
 
 
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -131,11 +135,23 @@ def test_whatever_comes_is_refused_or_identified(tmp_path_factory, edits, change
 @settings(max_examples=5, deadline=None)
 @given(
     names=st.lists(
-        st.sampled_from(["viscous_damping", "eccentricity", "unbalance_phase", "crack_stiffness", "rotor.mass",
-                         "rotor.stiffness", "unbalance.mass", "crack.sag"]),
-        min_size=1, max_size=4, unique=True,
+        st.sampled_from(
+            [
+                "viscous_damping",
+                "eccentricity",
+                "unbalance_phase",
+                "crack_stiffness",
+                "rotor.mass",
+                "rotor.stiffness",
+                "unbalance.mass",
+                "crack.sag",
+            ]
+        ),
+        min_size=1,
+        max_size=4,
+        unique=True,
     )
-)  # fmt: skip
+)
 @pytest.mark.slow
 def test_any_free_parameters(names):
     """The others are fixed at wrong values: whatever is said to be sure and adequate is right.

@@ -63,8 +63,10 @@ def test_channels_are_stacked_as_a_simulation_records_them(tmp_path) -> None:
     assert two_axis_names(result) == ["rotor.displacement[1]", "rotor.displacement[3]"]
 
 
-@pytest.mark.parametrize(("unit", "si"), [("um", "m"), ("mil", "m"), ("mA", "A"), ("mm/s", "m/s"), ("%", "1"),
-                                          ("N s/m", "N s/m"), ("kN/A", "m kg/s^2/A")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("unit", "si"),
+    [("um", "m"), ("mil", "m"), ("mA", "A"), ("mm/s", "m/s"), ("%", "1"), ("N s/m", "N s/m"), ("kN/A", "m kg/s^2/A")],
+)
 def test_units_are_those_of_the_numbers(tmp_path, unit: str, si: str) -> None:
     result = one(tmp_path, {"u": channel(signal="drive.output", unit=unit)}, {"u": np.arange(9.0)})
     assert result.unit("drive.output") == si
@@ -231,18 +233,28 @@ def test_whole_turns_take_whole_samples() -> None:
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda r: two_axis_harmonics(r, "rotor.displacement", "dft"),
-         "rotor.displacement: unknown method 'dft' | one of least-squares, fft, regression"),
-        (lambda r: two_axis_harmonics(r, "rotor.displacement", window=(3.0, 4.0)),
-         ": window 3..4 s holds 0 samples | the run covers 0..0.9998 s"),
-        (lambda r: two_axis_harmonics(r, "rotor.displacement", "fft", window=(0.0, 0.01)),
-         ": only 0.253 turns of the shaft in 0..0.0098 s | harmonics need at least one turn"),
-        (lambda r: two_axis_harmonics(r, "rotor.displacement", window=(0.0, 0.01)),
-         "run : only 0.248 turns of the shaft were recorded | harmonics need at least one turn"),
-        (lambda r: two_axis_harmonics(r, "clock.theta"),
-         "clock.theta: not a two-axis signal | its last dimension must be [x, y]"),
+        (
+            lambda r: two_axis_harmonics(r, "rotor.displacement", "dft"),
+            "rotor.displacement: unknown method 'dft' | one of least-squares, fft, regression",
+        ),
+        (
+            lambda r: two_axis_harmonics(r, "rotor.displacement", window=(3.0, 4.0)),
+            ": window 3..4 s holds 0 samples | the run covers 0..0.9998 s",
+        ),
+        (
+            lambda r: two_axis_harmonics(r, "rotor.displacement", "fft", window=(0.0, 0.01)),
+            ": only 0.253 turns of the shaft in 0..0.0098 s | harmonics need at least one turn",
+        ),
+        (
+            lambda r: two_axis_harmonics(r, "rotor.displacement", window=(0.0, 0.01)),
+            "run : only 0.248 turns of the shaft were recorded | harmonics need at least one turn",
+        ),
+        (
+            lambda r: two_axis_harmonics(r, "clock.theta"),
+            "clock.theta: not a two-axis signal | its last dimension must be [x, y]",
+        ),
     ],
-)  # fmt: skip
+)
 def test_mistakes(call, text: str) -> None:
     assert complaint(lambda: call(whirl())) == text
 
@@ -305,10 +317,15 @@ def test_other_parameters_are_those_of_a_diagram_that_has_them(settle: bool) -> 
     gains = {"controller.KP": 14000.0, "controller.KD": 4.0}
     options = {"window": (0.0, 0.05), "speed": 40 * np.pi, "settle": settle}
     results = [
-        measuring.measure(compile_diagram(load_diagram("jeffcott", set=given)), ["controller.current"], "clock.theta",
-                          parameters=known, **options)
+        measuring.measure(
+            compile_diagram(load_diagram("jeffcott", set=given)),
+            ["controller.current"],
+            "clock.theta",
+            parameters=known,
+            **options,
+        )
         for given, known in ((gains, None), ({}, gains), ({}, None))
-    ]  # fmt: skip
+    ]
     has, told, other = (result["controller.current"] for result in results)
     np.testing.assert_array_equal(told, has)
     assert np.abs(other - has).max() > 0.01 * np.abs(has).max()
@@ -349,11 +366,14 @@ def test_noise_depends_on_seed_and_run_alone() -> None:
 @pytest.mark.parametrize(
     ("changes", "text", "code"),
     [
-        ({"window": (0.0, 1e-5)}, "jeffcott: window 0..1e-05 s holds 1 sample of 0.0001 s | "
-                                  "a longer window, or a higher rate", 2),
+        (
+            {"window": (0.0, 1e-5)},
+            "jeffcott: window 0..1e-05 s holds 1 sample of 0.0001 s | a longer window, or a higher rate",
+            2,
+        ),
         ({"settle": True, "speed": 0.0}, "jeffcott at 0 rpm: a settled start needs a speed above zero | ", 2),
     ],
-)  # fmt: skip
+)
 def test_measurements_that_cannot_be(jeffcott, changes, text: str, code: int) -> None:
     options = {"window": (0.0, 0.1)} | changes
     with pytest.raises(RotorsimError) as error:

@@ -23,9 +23,17 @@ CHANNELS = {
 }
 TIME = np.arange(5000) / RATE
 GOOD = Run(
-    "run1", "run1.csv", TIME, samples(), SPEED, np.array(pulses()), {"controller.KP": 12200.0}, "identify",
-    Place("recording.json", 20, 3), RATE,
-)  # fmt: skip
+    "run1",
+    "run1.csv",
+    TIME,
+    samples(),
+    SPEED,
+    np.array(pulses()),
+    {"controller.KP": 12200.0},
+    "identify",
+    Place("recording.json", 20, 3),
+    RATE,
+)
 
 
 def recording(*runs: Run, channels: dict[str, Channel] | None = None) -> Recording:

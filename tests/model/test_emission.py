@@ -68,11 +68,7 @@ def test_axes_of_one_form_are_neighbours():
 def test_a_finite_element_rotor_keeps_its_banded_solution():
     cost = {}
     for n in (10, 20, 40):
-        changes = {
-            "rotor.elements": n,
-            "rotor.element_length": 0.5 / n,
-            "rotor.pinned_nodes": [1, n + 1],
-        }
+        changes = {"rotor.elements": n, "rotor.element_length": 0.5 / n, "rotor.pinned_nodes": [1, n + 1]}
         kernel = compile_diagram(load("fe_rigid", set=changes)).kernel(())
         cost[n] = state_operations(kernel.program, kernel.xdot)
     assert cost[40] - cost[20] == pytest.approx(2 * (cost[20] - cost[10]), rel=0.02)

@@ -58,9 +58,12 @@ def networks(draw: Any) -> tuple[int, list[tuple[str, float, int, list[int]]], l
         sources = [draw(st.integers(0, states + k)) for _ in range(KINDS[kind][0])]
         blocks.append((kind, draw(st.sampled_from(CONSTANTS)), draw(st.integers(-4, 4)), sources))
     last = states + len(blocks)
-    return states, blocks, [draw(st.integers(0, last)) for _ in range(states)], [
-        draw(st.floats(-1, 1)) for _ in range(states)
-    ]  # fmt: skip
+    return (
+        states,
+        blocks,
+        [draw(st.integers(0, last)) for _ in range(states)],
+        [draw(st.floats(-1, 1)) for _ in range(states)],
+    )
 
 
 def document(network: Any) -> dict[str, Any]:
@@ -73,10 +76,7 @@ def document(network: Any) -> dict[str, Any]:
         made[f"b{k}"] = {"type": kind, "parameters": KINDS[kind][1](a, n)}
         ports = ["input"] if len(sources) == 1 else ["input1", "input2"]
         wires += [[names[source], f"b{k}.{port}"] for source, port in zip(sources, ports, strict=True)]
-    return {
-        "blocks": made, "wires": wires, "record": names,
-        "solver": {"step": STEP, "stop": STEP * STEPS},
-    }  # fmt: skip
+    return {"blocks": made, "wires": wires, "record": names, "solver": {"step": STEP, "stop": STEP * STEPS}}
 
 
 def values(network: Any, t: float, x: np.ndarray) -> list[float]:

@@ -42,9 +42,13 @@ def pulses(speed: float = SPEED, n: int = 5000) -> list[float]:
 def run(**changes: Any) -> dict[str, Any]:
     """Return the entry of a run; None removes a key."""
     entry = {
-        "id": "run1", "file": "run1.npz", "sample_rate": "5000 Hz", "speed": SPEED, "tacho": pulses(),
+        "id": "run1",
+        "file": "run1.npz",
+        "sample_rate": "5000 Hz",
+        "speed": SPEED,
+        "tacho": pulses(),
         "set": {"controller.KP": 12200.0},
-    }  # fmt: skip
+    }
     return {key: value for key, value in (entry | changes).items() if value is not None}
 
 

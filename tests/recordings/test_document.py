@@ -48,17 +48,25 @@ def test_a_recording_says_what_was_measured(tmp_path):
         tmp_path,
         document(
             run(
-                sample_rate="5 kHz", speed="1500 rpm", tacho=["2 ms", 0.004], use="hold_out",
+                sample_rate="5 kHz",
+                speed="1500 rpm",
+                tacho=["2 ms", 0.004],
+                use="hold_out",
                 set={"controller.KP": "12 kA/m", "speed": 3, "rotor.gains": [[1, 2]], "crack.opening": "switching"},
             ),
             channels=channels,
         ),
         {"run1.npz": table},
-    )  # fmt: skip
+    )
     assert [channel.name for channel in found.channels.values()] == [
-        "rotor.displacement[3,2]", "rotor.acceleration[0.05 m,1]", "clock.theta", "tacho", "drive.output",
-        "plant.state[4]", "sub/rotor.displacement[1]",
-    ]  # fmt: skip
+        "rotor.displacement[3,2]",
+        "rotor.acceleration[0.05 m,1]",
+        "clock.theta",
+        "tacho",
+        "drive.output",
+        "plant.state[4]",
+        "sub/rotor.displacement[1]",
+    ]
     assert found.channels["s2"].position == 0.05
     assert [found.channels[c].coupling for c in ("s1", "s2")] == ["dc", "ac"]
     one = found.runs[0]
@@ -69,8 +77,11 @@ def test_a_recording_says_what_was_measured(tmp_path):
     assert one.speed == pytest.approx(50 * np.pi, rel=1e-15)
     assert one.tacho.tolist() == [0.002, 0.004]
     assert one.settings == {
-        "controller.KP": "12 kA/m", "speed": 3, "rotor.gains": [[1, 2]], "crack.opening": "switching",
-    }  # fmt: skip
+        "controller.KP": "12 kA/m",
+        "speed": 3,
+        "rotor.gains": [[1, 2]],
+        "crack.opening": "switching",
+    }
     assert (one.id, one.use, one.sample_rate, one.file) == ("run1", "hold_out", 5000.0, str(tmp_path / "run1.npz"))
     lines = (tmp_path / "recording.json").read_text().splitlines()
     assert (one.place.line, one.place.column) == (lines.index("  {") + 1, 3)
@@ -287,9 +298,20 @@ OUTSIDE = "is not inside the folder of recording.json | name a file below that f
 
 @pytest.mark.parametrize(
     "file",
-    ["../run1.npz", "a/../../run1.npz", "/etc/passwd", "C:\\run1.npz", "C:/run1.npz", "..\\run1.npz", "a//b.npz", "",
-     "//server/run1.npz", "..", "sub/.."],
-)  # fmt: skip
+    [
+        "../run1.npz",
+        "a/../../run1.npz",
+        "/etc/passwd",
+        "C:\\run1.npz",
+        "C:/run1.npz",
+        "..\\run1.npz",
+        "a//b.npz",
+        "",
+        "//server/run1.npz",
+        "..",
+        "sub/..",
+    ],
+)
 def test_files_outside_the_folder_are_refused(tmp_path, file):
     folder = tmp_path / "recording"
     np.savez(tmp_path / "run1.npz", **samples())

@@ -180,8 +180,7 @@ def npy_header(shape: tuple[int, ...]) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("suffix", "package"),
-    [(".tdms", "npTDMS"), (".uff", "pyuff"), (".unv", "pyuff"), (".mf4", "asammdf")],
+    ("suffix", "package"), [(".tdms", "npTDMS"), (".uff", "pyuff"), (".unv", "pyuff"), (".mf4", "asammdf")]
 )
 def test_a_package_that_is_missing_is_named(tmp_path, monkeypatch, suffix, package):
     def missing(module):
@@ -256,18 +255,27 @@ UNITS = "hint: units go into recording.json, remarks behind '#'"
         ("1,2\n3,4\n", [f"data:1:1: error: no line with the names of the columns\n\n{HEADER}"]),
         ("\n\n", [f"data:2:1: error: no line with the names of the columns\n\n{HEADER}"]),
         ("# only remarks\n", [f"data:1:1: error: no line with the names of the columns\n\n{HEADER}"]),
-        ("x,y\nm,m\n1,2\n", [f"data:2:1: error: column x: 'm' is not a number\n\n{UNITS}",
-                             f"data:2:3: error: column y: 'm' is not a number\n\n{UNITS}"]),
+        (
+            "x,y\nm,m\n1,2\n",
+            [
+                f"data:2:1: error: column x: 'm' is not a number\n\n{UNITS}",
+                f"data:2:3: error: column y: 'm' is not a number\n\n{UNITS}",
+            ],
+        ),
         ("# r\nx,y\n1,2\n\n3,four\n", [f"data:5:3: error: column y: 'four' is not a number\n\n{UNITS}"]),
-        ("x,y\n1,2\n3,\n", ["data:3:3: error: column y: the cell is empty\n\n"
-                            "hint: write nan for a sample that is missing"]),
-        ("x,y\n1,2\n3\n1,2,3\n", ["data:3:1: error: 1 cells, but the header names 2",
-                                  "data:4:1: error: 3 cells, but the header names 2"]),
+        (
+            "x,y\n1,2\n3,\n",
+            ["data:3:3: error: column y: the cell is empty\n\nhint: write nan for a sample that is missing"],
+        ),
+        (
+            "x,y\n1,2\n3\n1,2,3\n",
+            ["data:3:1: error: 1 cells, but the header names 2", "data:4:1: error: 3 cells, but the header names 2"],
+        ),
         ("x;y\n1.000,5;2\n", [f"data:2:1: error: column x: '1.000,5' is not a number\n\n{UNITS}"]),
         ("x,y,x\n1,2,3\n", ["data:1:1: error: column 'x' is there 2 times\n\nhint: rename one of them"]),
         ("x,y\n1_0,2\n", [f"data:2:1: error: column x: '1_0' is not a number\n\n{UNITS}"]),
     ],
-)  # fmt: skip
+)
 def test_mistakes_in_csv_have_line_and_column(tmp_path, text, expected):
     (tmp_path / "a.csv").write_text(text)
     assert refused(tmp_path / "a.csv", ["x", "y"]) == expected
@@ -441,12 +449,24 @@ def test_universal_files(tmp_path, suffix):
     for node, name in enumerate("xy", start=1):
         pyuff.UFF(str(path)).write_sets(
             pyuff.prepare_58(
-                binary=1, func_type=1, rsp_node=node, rsp_dir=3, ref_dir=1, ref_node=1, data=TABLE[name], x=TABLE["t"],
-                id1=name if node == 1 else "NONE", rsp_ent_name="NONE", ref_ent_name="NONE", abscissa_spacing=1,
-                abscissa_spec_data_type=17, ordinate_spec_data_type=8, orddenom_spec_data_type=0,
+                binary=1,
+                func_type=1,
+                rsp_node=node,
+                rsp_dir=3,
+                ref_dir=1,
+                ref_node=1,
+                data=TABLE[name],
+                x=TABLE["t"],
+                id1=name if node == 1 else "NONE",
+                rsp_ent_name="NONE",
+                ref_ent_name="NONE",
+                abscissa_spacing=1,
+                abscissa_spec_data_type=17,
+                ordinate_spec_data_type=8,
+                orddenom_spec_data_type=0,
             ),
             mode="add",
-        )  # fmt: skip
+        )
     found = read_columns(path, ["x", "2/3"], "time")
     np.testing.assert_array_equal(found["x"], TABLE["x"])
     np.testing.assert_array_equal(found["2/3"], TABLE["y"])

@@ -131,9 +131,12 @@ def test_a_simulated_run_is_a_good_recording(tmp_path):
 
 def test_parts_of_signals_and_shapes_are_named_as_the_diagram_does(tmp_path):
     signals = {
-        "rotor.displacement[4]": np.ones((3, 2)), "rotor.velocity[4,1]": np.ones(3), "sub/amb.force": np.ones((3, 2)),
-        "a.matrix": np.ones((3, 2, 3)), "b.tensor": np.ones((3, 1, 2, 2)),
-    }  # fmt: skip
+        "rotor.displacement[4]": np.ones((3, 2)),
+        "rotor.velocity[4,1]": np.ones(3),
+        "sub/amb.force": np.ones((3, 2)),
+        "a.matrix": np.ones((3, 2, 3)),
+        "b.tensor": np.ones((3, 1, 2, 2)),
+    }
     made = Result(np.arange(3.0), signals, {})
     found = load_recording(save(tmp_path, NewRun("r", made)))
     assert [channel.name for channel in found.channels.values()] == made.flat_names()

@@ -42,11 +42,7 @@ LOWER = {
     "fe_rigid": _speeds(900, 1380),
     "fe_flexible": _speeds(1560, 2040),
 }
-UPPER = {
-    "jeffcott": _speeds(5520, 6000),
-    "offset_disc": _speeds(5580, 6060),
-    "fe_flexible": _speeds(6240, 6720),
-}
+UPPER = {"jeffcott": _speeds(5520, 6000), "offset_disc": _speeds(5580, 6060), "fe_flexible": _speeds(6240, 6720)}
 
 _CRACK_AND_AMB = ("crack_stiffness", "crack_phase", "force_displacement_factor", "force_current_factor")
 _ONE_DISC = ("eccentricity", "unbalance_phase")

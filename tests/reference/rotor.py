@@ -200,11 +200,7 @@ def offset_disc(diametral_inertia: float = 0.0024, **changes: float) -> Rotor:
 
 
 def beam(
-    elements: int = 5,
-    length: float = 0.5,
-    diameter: float = 0.016,
-    density: float = 7850.0,
-    elasticity: float = 2.1e11,
+    elements: int = 5, length: float = 0.5, diameter: float = 0.016, density: float = 7850.0, elasticity: float = 2.1e11
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mass and stiffness of one plane of an Euler-Bernoulli beam, (2 (elements + 1))^2; order [u, phi] per node.
 

@@ -46,10 +46,11 @@ def with_converter(document: dict, interval: str, **parameters: str) -> dict:
     """Return the diagram with a converter in front of the recording of its displacement."""
     block = {"type": "quantisation", "parameters": {"interval": interval, **parameters}}
     return {
-        **document, "blocks": {**document["blocks"], "converter": block},
+        **document,
+        "blocks": {**document["blocks"], "converter": block},
         "wires": [*document["wires"], ["rotor.displacement", "converter.displacement"]],
         "measured": {"rotor.displacement": "converter.sensed_displacement"},
-    }  # fmt: skip
+    }
 
 
 def test_a_stated_step_is_believed_only_where_readings_show_it(tmp_path):
@@ -62,7 +63,7 @@ def test_a_stated_step_is_believed_only_where_readings_show_it(tmp_path):
     hint = "hint: state the step of the converter that made this recording, or leave it out"
     assert [str(problem) for problem in problems] == [
         f"warning: converter.interval: {what.format(k)}\n\n{hint}" for k in (1, 2)
-    ]  # fmt: skip
+    ]
 
 
 @pytest.mark.slow

@@ -261,22 +261,69 @@ def test_a_plan_mixes_kinds_and_does_not_depend_on_its_length() -> None:
 
 
 TRUTHS: list[dict[str, Any]] = [
-    {"case": "a", "kind": "nothing", "machine": "jeffcott", "missing": [], "effect": {}, "class": {}, "nodes": {},
-     "blocks": {}, "parameters": {"ki": 42.0, "beta": 3.1}, "detectability": 0.0, "noise_floor": 0.01},
-    {"case": "b", "kind": "one", "machine": "jeffcott", "missing": ["rub"],
-     "effect": {"gap": 1e-5, "k": 1e5, "mu": 0.1},
-     "class": {"rub": ["rub"]}, "nodes": {}, "blocks": {"rub": ["rotor"]}, "parameters": {},
-     "detectability": 500.0},
-    {"case": "c", "kind": "one", "machine": "fe_rigid", "missing": ["residual_bow"],
-     "effect": {"bow": 1e-6, "bow_phase": 1.0},
-     "class": {"residual_bow": ["residual_bow"]}, "nodes": {"residual_bow": 4}, "blocks": {"residual_bow": ["rotor"]},
-     "parameters": {}, "detectability": 50.0},
-    {"case": "d", "kind": "outside", "machine": "jeffcott", "missing": ["outside_catalogue"], "law": "dahl",
-     "effect": {}, "class": {}, "nodes": {}, "blocks": {}, "parameters": {}, "detectability": 5000.0},
-    {"case": "e", "kind": "alias", "machine": "jeffcott", "missing": ["mass_error"], "effect": {"dm": 0.1},
-     "class": {"mass_error": ["mass_error", "sensor_gain"]}, "nodes": {}, "blocks": {}, "parameters": {},
-     "detectability": 0.1},
-]  # fmt: skip
+    {
+        "case": "a",
+        "kind": "nothing",
+        "machine": "jeffcott",
+        "missing": [],
+        "effect": {},
+        "class": {},
+        "nodes": {},
+        "blocks": {},
+        "parameters": {"ki": 42.0, "beta": 3.1},
+        "detectability": 0.0,
+        "noise_floor": 0.01,
+    },
+    {
+        "case": "b",
+        "kind": "one",
+        "machine": "jeffcott",
+        "missing": ["rub"],
+        "effect": {"gap": 1e-5, "k": 1e5, "mu": 0.1},
+        "class": {"rub": ["rub"]},
+        "nodes": {},
+        "blocks": {"rub": ["rotor"]},
+        "parameters": {},
+        "detectability": 500.0,
+    },
+    {
+        "case": "c",
+        "kind": "one",
+        "machine": "fe_rigid",
+        "missing": ["residual_bow"],
+        "effect": {"bow": 1e-6, "bow_phase": 1.0},
+        "class": {"residual_bow": ["residual_bow"]},
+        "nodes": {"residual_bow": 4},
+        "blocks": {"residual_bow": ["rotor"]},
+        "parameters": {},
+        "detectability": 50.0,
+    },
+    {
+        "case": "d",
+        "kind": "outside",
+        "machine": "jeffcott",
+        "missing": ["outside_catalogue"],
+        "law": "dahl",
+        "effect": {},
+        "class": {},
+        "nodes": {},
+        "blocks": {},
+        "parameters": {},
+        "detectability": 5000.0,
+    },
+    {
+        "case": "e",
+        "kind": "alias",
+        "machine": "jeffcott",
+        "missing": ["mass_error"],
+        "effect": {"dm": 0.1},
+        "class": {"mass_error": ["mass_error", "sensor_gain"]},
+        "nodes": {},
+        "blocks": {},
+        "parameters": {},
+        "detectability": 0.1,
+    },
+]
 
 
 def _diagnosis(verdict: str, missing: list[dict[str, Any]] | None = None, **more: Any) -> dict[str, Any]:
@@ -298,7 +345,7 @@ def test_scores_of_known_answers() -> None:
         _diagnosis("missing_physics", [{"physics": "runout", "class": ["runout"]}], where=elsewhere),
         _diagnosis("outside_catalogue", [{"physics": "outside_catalogue", "class": []}]),
         _diagnosis("consistent"),
-    ]  # fmt: skip
+    ]
     judged = [score.judge(truth, answer) for truth, answer in zip(TRUTHS, answers, strict=True)]
     result = tables.summary([*judged, score.judge(TRUTHS[1] | {"case": "f"}, None)])
     assert (result["cases"], result["diagnosed"]) == (6, 5)
@@ -310,8 +357,11 @@ def test_scores_of_known_answers() -> None:
     assert (result["alias_said"]["hits"], result["alias_absorbed"]["hits"]) == (0, 1)
     assert result["held_out_gain"]["of_one_and_two"]["median"] == pytest.approx(math.log(10) / math.log(20))
     assert result["free_parameters"]["coverage90"] == {
-        "hits": 1, "of": 2, "share": 0.5, "interval95": pytest.approx((0.01258, 0.98742), abs=1e-5),
-    }  # fmt: skip
+        "hits": 1,
+        "of": 2,
+        "share": 0.5,
+        "interval95": pytest.approx((0.01258, 0.98742), abs=1e-5),
+    }
     assert result["free_parameters"]["each"]["unbalance_phase"]["error"]["median"] == pytest.approx(2 * math.pi - 6.2)
     assert result["named_by_detectability"]["D 100 to 1000"]["hits"] == 1
     page = tables.markdown(result, "title")

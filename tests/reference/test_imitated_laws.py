@@ -22,9 +22,12 @@ def test_runs_that_took_no_part_tell_a_law_from_its_imitation(tmp_path, kind, la
     """With a clearance both leave noise in the fitted runs; it predicts the others only where there is one."""
     write_case(make_case("case", kind, "jeffcott", SEED, 0, (law,)), tmp_path, SEED)
     found = diagnose(
-        load("jeffcott"), load_recording(tmp_path / "case"), workers=1, physics=["clearance"],
+        load("jeffcott"),
+        load_recording(tmp_path / "case"),
+        workers=1,
+        physics=["clearance"],
         hold_out=load_recording(tmp_path / "hold_out" / "case"),
-    )  # fmt: skip
+    )
     assert found.named.explained
     assert found.verdict == verdict
     assert found.proof.status == ("proved" if verdict == "missing_physics" else "disproved")

@@ -195,12 +195,11 @@ def test_what_is_left_over_is_noise_after_and_not_before() -> None:
     assert pair.before is not None
     assert pair.after is not None
     squares = {
-        name: np.concatenate([
-            excess_of(compared, r, signal) ** 2
-            for signal in pair.every for r in range(len(compared.experiment.runs))
-        ])
+        name: np.concatenate(
+            [excess_of(compared, r, signal) ** 2 for signal in pair.every for r in range(len(compared.experiment.runs))]
+        )
         for name, compared in pair.models
-    }  # fmt: skip
+    }
     count = len(squares["after"])
     assert count > 150
     assert abs(squares["after"].mean() - 1) < 4 / np.sqrt(count)
@@ -372,8 +371,11 @@ def test_blocks_are_framed_by_probability() -> None:
     svg = block_diagram(shipped("jeffcott"), spots, ["bus"])
     frames = dict(re.findall(r'stroke="(#[0-9a-f]+)" stroke-width="3.0"/>\n<text[^>]*>(\w+)<', svg, re.IGNORECASE))
     assert {name: colour for colour, name in frames.items()} == {
-        "rotor": SHADES[0][1], "amb": SHADES[1][1], "clock": SHADES[2][1], "bus": NEW
-    }  # fmt: skip
+        "rotor": SHADES[0][1],
+        "amb": SHADES[1][1],
+        "clock": SHADES[2][1],
+        "bus": NEW,
+    }
 
 
 # -- in time -----------------------------------------------------------------------------------------------------------
@@ -441,9 +443,11 @@ def test_a_curve_of_another_motion_is_not_drawn(monkeypatch):
 
 def test_what_is_left_and_what_is_open_stand_in_the_report(tmp_path):
     left = {
-        "share": 0.0057, "excess_variance": 24.5, "place": {"block": "rotor", "port": "force", "node": 3},
+        "share": 0.0057,
+        "excess_variance": 24.5,
+        "place": {"block": "rotor", "port": "force", "node": 3},
         "size": {"value": 0.0234, "unit": "N", "orders": {"1": 0.02, "3": 0.012}},
-    }  # fmt: skip
+    }
     found = replace(bowed(), residual=left, open=(("rub", "was not fitted to the end"),))
     with undrawn():
         save_report(found, tmp_path)

@@ -67,8 +67,9 @@ def test_a_run_up_figure_names_resonances_and_peaks(tmp_path):
     assert made.axes[0].get_xlabel() == "speed [rpm]"
     page = overview(result)
     assert [axes.get_title("left") for axes in page.axes] == [
-        "run-up: rotor.displacement[1], about its mean", "run-up: controller.current[1], about its mean"
-    ]  # fmt: skip
+        "run-up: rotor.displacement[1], about its mean",
+        "run-up: controller.current[1], about its mean",
+    ]
     assert page.get_suptitle() == f"jeffcott_runup, 0 to {result['clock.speed'][-1] * 30 / np.pi:.0f} rpm"
 
 

@@ -104,10 +104,16 @@ def bars(container) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.slow
 def test_the_command_writes_them(recording, tmp_path):
     runs = [
-        written.run(id=run.id, file=f"{run.id}.npz", sample_rate=f"{RATE} Hz", speed=run.speed,
-                    tacho=run.tacho.tolist(), set=dict(run.settings))
+        written.run(
+            id=run.id,
+            file=f"{run.id}.npz",
+            sample_rate=f"{RATE} Hz",
+            speed=run.speed,
+            tacho=run.tacho.tolist(),
+            set=dict(run.settings),
+        )
         for run in recording.runs
-    ]  # fmt: skip
+    ]
     tables = {f"{run.id}.npz": dict(run.values) for run in recording.runs}
     folder = written.write(tmp_path / "bench", written.document(*runs), tables)
     result = CliRunner().invoke(rotorsim, ["identify", "jeffcott", str(folder), "--out", str(tmp_path / "out")])
@@ -125,8 +131,10 @@ def test_parameters_have_names_intervals_numbers_and_start_values(found, recordi
     assert [text.get_text() for text in axes.get_yticklabels()] == list(found.parameters)
     assert axes.get_xlabel().startswith("difference from the identified value [%]")
     assert [text.get_text() for text in axes.get_legend().get_texts()] == [
-        "identified, 90 % interval", "start value in the diagram", "wanted: \u00b15 %"
-    ]  # fmt: skip
+        "identified, 90 % interval",
+        "start value in the diagram",
+        "wanted: \u00b15 %",
+    ]
     lines = [line for line in axes.lines if len(line.get_xdata()) == 2 and line.get_color() == BLUE]
     starts = {item.name: item.value for item in found.free}
     marks = [line for line in axes.lines if line.get_color() == RED and len(line.get_xdata()) == 1]
@@ -254,9 +262,11 @@ def test_curves_over_speed_are_those_of_the_true_rotor(compared, which):
     made = speed_curve_figure(compared, signal)
     count = len(made.axes) // 2
     assert legend(made) == [
-        f"model, {LABEL}", "model, KP = 9000 A/m, KD = 4.5 A s/m",
-        f"measured, 90 %, {LABEL}", "measured, 90 %, KP = 9000 A/m, KD = 4.5 A s/m",
-    ]  # fmt: skip
+        f"model, {LABEL}",
+        "model, KP = 9000 A/m, KD = 4.5 A s/m",
+        f"measured, 90 %, {LABEL}",
+        "measured, 90 %, KP = 9000 A/m, KD = 4.5 A s/m",
+    ]
     titles = [axes.get_title(loc="left") for axes in made.axes[:count]]
     assert titles[:2] == ["1X (forward)", "2X (forward)"]
     assert made.axes[0].get_ylabel() == f"{signal.title}\n[{('um', 'A')[which]}, 0-peak]"

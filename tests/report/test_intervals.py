@@ -13,9 +13,12 @@ from tests.report.test_identification_figures import bars
 SIGNAL = SimpleNamespace(unit="m", title="rotor.displacement", y="")
 STD, PHASE_STD = np.array([1e-7, 2e-7]), np.array([0.1, 0.05])
 MEASURED = SimpleNamespace(
-    orders=np.array([1, 2]), value=np.array([3e-6, 2e-6j]), amplitude_std=STD, phase_std=PHASE_STD,
+    orders=np.array([1, 2]),
+    value=np.array([3e-6, 2e-6j]),
+    amplitude_std=STD,
+    phase_std=PHASE_STD,
     noise=np.full(2, 1e-7),
-)  # fmt: skip
+)
 
 
 class Run:

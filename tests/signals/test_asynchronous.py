@@ -55,9 +55,15 @@ def recording(signals: Sequence[np.ndarray], speeds: Sequence[float], tacho: Seq
 
 
 def made(
-    lines: Lines, *, seed: int, speeds: Sequence[float] = SPEEDS, nu: float = NU, follows: bool = False,
-    only: Sequence[int] | None = None, noise: float = NOISE,
-) -> tuple[Recording, np.ndarray]:  # fmt: skip
+    lines: Lines,
+    *,
+    seed: int,
+    speeds: Sequence[float] = SPEEDS,
+    nu: float = NU,
+    follows: bool = False,
+    only: Sequence[int] | None = None,
+    noise: float = NOISE,
+) -> tuple[Recording, np.ndarray]:
     """Return runs with lines at k W + nu, and the phase of nu in each; only: the runs that have lines."""
     random = np.random.default_rng(seed)
     time = np.arange(N) / RATE
@@ -278,8 +284,7 @@ def noise(kind: str, random: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("kind", "draws"),
-    [pytest.param(k, 100, marks=pytest.mark.slow) for k in ("white", "across", "late", "coloured")],
+    ("kind", "draws"), [pytest.param(k, 100, marks=pytest.mark.slow) for k in ("white", "across", "late", "coloured")]
 )
 def test_amplitudes_scatter_as_their_covariance_says(kind, draws):
     """Draws of the noise at a known frequency; every line on its own, as `covariance_beside` has them."""

@@ -20,7 +20,7 @@ FAINT = 0.0007 * np.array([1.0, 1.0j])  # with noise of 0.01: each of 2000 sampl
         pytest.param((0,), RATIO, True, 12, marks=pytest.mark.slow),
         pytest.param((-1, 1), NU, False, 12, marks=pytest.mark.slow),
     ],
-)  # fmt: skip
+)
 def test_a_line_too_faint_for_one_run_is_found_in_all(orders, nu, follows, draws):
     off, hidden = [], 0
     for seed in range(draws):

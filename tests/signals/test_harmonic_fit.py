@@ -159,8 +159,7 @@ def test_a_factor_of_a_covariance_of_small_and_large_numbers():
 
 
 @pytest.mark.parametrize(
-    ("n", "hertz", "draws"),
-    [(2000, 23.37, 60), pytest.param(1500, 41.9, 300, marks=pytest.mark.slow)],
+    ("n", "hertz", "draws"), [(2000, 23.37, 60), pytest.param(1500, 41.9, 300, marks=pytest.mark.slow)]
 )
 @pytest.mark.parametrize(
     "kind",
@@ -307,8 +306,9 @@ def test_too_few_samples():
     assert refused(11, 3)[0][1] == "11 samples over 3.3 turns cannot carry a harmonic"
     assert refused(100, 90)[0][1] == "100 samples over 90.9 turns cannot carry a harmonic"
     assert refused(200, 20, orders=5)[0][1:] == (
-        "order 5 cannot be told from 200 samples over 20.1 turns; at most 4", "fewer orders, or sample more often",
-    )  # fmt: skip
+        "order 5 cannot be told from 200 samples over 20.1 turns; at most 4",
+        "fewer orders, or sample more often",
+    )
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 3])

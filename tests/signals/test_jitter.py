@@ -59,10 +59,20 @@ def one_harmonic(c: complex, std: float, k: int = 1) -> HarmonicFit:
     values = np.zeros((k + 1, 1), complex)
     values[k] = c
     return HarmonicFit(
-        run="a", speed=9.0, names=("x",), units=("m",), orders=np.arange(k + 1), values=values, rms=np.ones(1),
-        residual=np.ones(1), noise=Noise(np.array([[[0.2]]]), True, 9.0), gram=5e-4 * np.eye(2 * k + 1), angle_std=std,
-        turns=9.0, samples=100,
-    )  # fmt: skip
+        run="a",
+        speed=9.0,
+        names=("x",),
+        units=("m",),
+        orders=np.arange(k + 1),
+        values=values,
+        rms=np.ones(1),
+        residual=np.ones(1),
+        noise=Noise(np.array([[[0.2]]]), True, 9.0),
+        gram=5e-4 * np.eye(2 * k + 1),
+        angle_std=std,
+        turns=9.0,
+        samples=100,
+    )
 
 
 @pytest.mark.parametrize(("std", "k"), [(0.05, 1), (0.05, 3), (0.3, 1)])

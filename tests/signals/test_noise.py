@@ -40,10 +40,21 @@ def test_covariances_have_the_sign_of_a_channel_that_is_late():
     spectrum = np.array([np.eye(2), [[1.0, 0.99j], [-0.99j, 1.0]]])
     beside = Beside(SPEED / 2, np.array([1]), np.zeros((1, 2), complex), np.array([0.5]), np.ones(1, bool))
     found = HarmonicFit(
-        run="a", speed=SPEED, names=("x", "y"), units=("m", "m"), orders=np.arange(2), values=np.zeros((2, 2), complex),
-        rms=np.ones(2), residual=np.ones(2), noise=Noise(spectrum, False, 100.0), gram=0.5 * np.eye(3), angle_std=0.0,
-        turns=9.0, samples=100, beside=beside,
-    )  # fmt: skip
+        run="a",
+        speed=SPEED,
+        names=("x", "y"),
+        units=("m", "m"),
+        orders=np.arange(2),
+        values=np.zeros((2, 2), complex),
+        rms=np.ones(2),
+        residual=np.ones(2),
+        noise=Noise(spectrum, False, 100.0),
+        gram=0.5 * np.eye(3),
+        angle_std=0.0,
+        turns=9.0,
+        samples=100,
+        beside=beside,
+    )
     rows = np.array([[1, 0, 0, -0.99], [0, 1, 0.99, 0], [0, 0.99, 1, 0], [-0.99, 0, 0, 1]])  # Re x, Re y, Im x, Im y
     np.testing.assert_allclose(found.covariance[2:, 2:], 0.5 * rows, atol=1e-12)
     np.testing.assert_allclose(found.covariance_beside(np.arange(2), 0.0), 0.5 * rows, atol=1e-12)

@@ -100,9 +100,11 @@ def test_where_an_edge_can_be():
     """Shares of a period: both samples on a level: anywhere; one on the edge: from the straight line to its end."""
     time = np.array([0.0, 1.0, 2.0, 3.0])
     for edge, first, last in (
-        ([0, 0, 5, 5], 1.0, 2.0), ([0, 0, 4, 5], 1 + 2.5 / 4, 2.0), ([0, 1, 5, 5], 1.0, 1 + 1.5 / 4),
+        ([0, 0, 5, 5], 1.0, 2.0),
+        ([0, 0, 4, 5], 1 + 2.5 / 4, 2.0),
+        ([0, 1, 5, 5], 1.0, 1 + 1.5 / 4),
         ([0, 1, 4, 5], 1.5, 1.5),
-    ):  # fmt: skip
+    ):
         (at,), (std,) = pulse_edges(time, np.array(edge, float))
         assert at == pytest.approx((first + last) / 2, abs=5e-3)  # levels are percentiles
         assert std == pytest.approx((last - first) / np.sqrt(12), abs=5e-3)
@@ -135,9 +137,13 @@ def test_pulses_on_samples_are_sampled_unless_chance_puts_them_there_once_in_a_m
 
 
 def test_check_says_that_pulses_are_sampled():
-    for kind, words in (("0", "sample the pulse so fast that its edge shows, or time the edges and give them as tacho"),
-                        ("nearest", 'sample the pulse so fast that its edge shows, or time the edges; '
-                                    '"tacho_resolution": 0 says they were')):  # fmt: skip
+    for kind, words in (
+        ("0", "sample the pulse so fast that its edge shows, or time the edges and give them as tacho"),
+        (
+            "nearest",
+            'sample the pulse so fast that its edge shows, or time the edges; "tacho_resolution": 0 says they were',
+        ),
+    ):
         (problem,) = check_signals(recorded(kind, 2400 * RPM, 1.0))
         size = {"0": "0.83", "nearest": "1.4"}[kind]
         assert problem.severity == "warning"
@@ -217,20 +223,31 @@ def test_a_healthy_rotor_with_sampled_pulses_is_identified(kind):
 
     random = np.random.default_rng(5)
     truth = {
-        "viscous_damping": 57.0, "crack_stiffness": 1.5e5, "crack_phase": 0.0, "eccentricity": 25e-6,
-        "unbalance_phase": -2.4, "force_displacement_factor": 103940.0, "force_current_factor": 40.86,
-    }  # fmt: skip
+        "viscous_damping": 57.0,
+        "crack_stiffness": 1.5e5,
+        "crack_phase": 0.0,
+        "eccentricity": 25e-6,
+        "unbalance_phase": -2.4,
+        "force_displacement_factor": 103940.0,
+        "force_current_factor": 40.86,
+    }
     machine = {
-        "damping": 57.0, "crack_stiffness": 1.5e5, "eccentricity": 25e-6, "phase": -2.4,
-        "force_displacement": 103940.0, "force_current": 40.86,
-    }  # fmt: skip
+        "damping": 57.0,
+        "crack_stiffness": 1.5e5,
+        "eccentricity": 25e-6,
+        "phase": -2.4,
+        "force_displacement": 103940.0,
+        "force_current": 40.86,
+    }
     channels = {
         name: Channel(name, signal, axis, None, None, unit)
         for name, signal, axis, unit in (
-            ("x", "rotor.displacement", "x", "m"), ("y", "rotor.displacement", "y", "m"),
-            ("ix", "controller.current", "x", "A"), ("iy", "controller.current", "y", "A"),
+            ("x", "rotor.displacement", "x", "m"),
+            ("y", "rotor.displacement", "y", "m"),
+            ("ix", "controller.current", "x", "A"),
+            ("iy", "controller.current", "y", "A"),
         )
-    }  # fmt: skip
+    }
     runs = []
     for kp, kd in ((12200.0, 3.0), (9500.0, 4.2)):
         for rpm in (600, 1500, 2400):
@@ -247,10 +264,17 @@ def test_a_healthy_rotor_with_sampled_pulses_is_identified(kind):
             channels |= one.channels
             runs.append(
                 Run(
-                    f"run{len(runs)}", f"{len(runs)}.npz", TIME, {**values, **one.runs[0].values}, rpm * RPM,
-                    one.runs[0].tacho, {"controller.KP": kp, "controller.KD": kd}, "identify", Place(),
+                    f"run{len(runs)}",
+                    f"{len(runs)}.npz",
+                    TIME,
+                    {**values, **one.runs[0].values},
+                    rpm * RPM,
+                    one.runs[0].tacho,
+                    {"controller.KP": kp, "controller.KD": kd},
+                    "identify",
+                    Place(),
                 )
-            )  # fmt: skip
+            )
     found = identify(load("jeffcott"), Recording("made", "made", Path(), channels, tuple(runs)), profile=False)
     assert found.adequate
     for name, item in found.parameters.items():

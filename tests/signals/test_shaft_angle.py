@@ -45,17 +45,24 @@ def _cubic(time: np.ndarray, theta: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def found(
-    tacho: np.ndarray | None = None, speed: float | None = SPEED, channel: np.ndarray | None = None,
-    voltage: np.ndarray | None = None, time: np.ndarray = TIME,
-) -> ShaftAngle:  # fmt: skip
+    tacho: np.ndarray | None = None,
+    speed: float | None = SPEED,
+    channel: np.ndarray | None = None,
+    voltage: np.ndarray | None = None,
+    time: np.ndarray = TIME,
+) -> ShaftAngle:
     recording = recorded(tacho, speed, channel, voltage, time)
     return shaft_angle(recording, recording.runs[0])
 
 
 def recorded(
-    tacho: np.ndarray | None = None, speed: float | None = SPEED, channel: np.ndarray | None = None,
-    voltage: np.ndarray | None = None, time: np.ndarray = TIME, **signals: np.ndarray,
-) -> Recording:  # fmt: skip
+    tacho: np.ndarray | None = None,
+    speed: float | None = SPEED,
+    channel: np.ndarray | None = None,
+    voltage: np.ndarray | None = None,
+    time: np.ndarray = TIME,
+    **signals: np.ndarray,
+) -> Recording:
     channels = {name: Channel(name, f"rotor.{name}", None, None, None, "m") for name in signals}
     values = dict(signals)
     if channel is not None:

@@ -200,10 +200,7 @@ def test_what_cannot_be_analysed_is_refused():
             lambda: harmonics(result, "clock.theta"),
             "clock.theta: not a two-axis signal\n\nhint: its last dimension must be [x, y]",
         ),
-        (
-            lambda: harmonics(result, "f.d"),
-            "f.d: has several nodes\n\nhint: name one of its 3 rows: 'f.d[1]'",
-        ),
+        (lambda: harmonics(result, "f.d"), "f.d: has several nodes\n\nhint: name one of its 3 rows: 'f.d[1]'"),
         (lambda: full_spectrum(result, "f.lost"), "f.lost: not finite from t = 0.5 s on\n\nhint: advice"),
         (
             lambda: harmonics(result, "r.d", (1, 1)),
@@ -232,10 +229,7 @@ def test_what_cannot_be_analysed_is_refused():
             lambda: full_spectrum(result, "r.d", reference="f.d[1]"),
             "f.d[1]: has no forward harmonic\n\nhint: it needs harmonic 1, and a window of at least one turn",
         ),
-        (
-            lambda: harmonics(result, "r.d", (1,))[2],
-            "r.d: no harmonic of order 2\n\nhint: there are 1",
-        ),
+        (lambda: harmonics(result, "r.d", (1,))[2], "r.d: no harmonic of order 2\n\nhint: there are 1"),
     ):
         with pytest.raises(RotorsimError) as caught:
             call()

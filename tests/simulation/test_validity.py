@@ -29,9 +29,12 @@ def machine(acceleration, *, stop: float, step: float = 1e-3, start: float = 1e-
         return {"xdot": {"body.q": rate, "body.v": acceleration(t, q, rate)}, "signals": {"body.displacement": q}}
 
     model = handmade(
-        {"body.q": 1, "body.v": 1}, {"speed": speed} if speed else {"body.unused": 0.0}, build,
-        initial={"body.q": start}, record=("body.displacement",),
-    )  # fmt: skip
+        {"body.q": 1, "body.v": 1},
+        {"speed": speed} if speed else {"body.unused": 0.0},
+        build,
+        initial={"body.q": start},
+        record=("body.displacement",),
+    )
     model.diagram.solver = SimpleNamespace(step=step, stop=stop, record_every=1, method="rk4", rtol=1e-9, atol=1e-12)
     model.diagram.sha256, model.diagram.document = "", {}
     return model

@@ -13,19 +13,34 @@ from rotorsim.errors import RotorsimError
 from rotorsim.ssp.to_diagram import ImportedSsp, import_ssp
 
 __all__ = [
-    "MM", "component", "connectors", "document", "fmu_bytes", "fmu_text", "imported", "refusal", "system", "values",
-    "wire", "written",
-]  # fmt: skip
+    "MM",
+    "component",
+    "connectors",
+    "document",
+    "fmu_bytes",
+    "fmu_text",
+    "imported",
+    "refusal",
+    "system",
+    "values",
+    "wire",
+    "written",
+]
 
 
 def fmu_text(name: str, unit: str = "m", factor: float = 1.0) -> str:
     """Return a model description: u[1], u[2] and s in, y[1], y[2] and q out, parameters k[1], k[2] and c."""
     rows = [
-        ("u[1]", "input", f'start="0" unit="{unit}"'), ("u[2]", "input", f'start="0" unit="{unit}"'),
-        ("s", "input", 'start="0"'), ("y[1]", "output", f'unit="{unit}"'), ("y[2]", "output", f'unit="{unit}"'),
-        ("q", "output", ""), ("k[1]", "parameter", f'start="1" unit="{unit}"'),
-        ("k[2]", "parameter", f'start="2" unit="{unit}"'), ("c", "parameter", 'start="5"'),
-    ]  # fmt: skip
+        ("u[1]", "input", f'start="0" unit="{unit}"'),
+        ("u[2]", "input", f'start="0" unit="{unit}"'),
+        ("s", "input", 'start="0"'),
+        ("y[1]", "output", f'unit="{unit}"'),
+        ("y[2]", "output", f'unit="{unit}"'),
+        ("q", "output", ""),
+        ("k[1]", "parameter", f'start="1" unit="{unit}"'),
+        ("k[2]", "parameter", f'start="2" unit="{unit}"'),
+        ("c", "parameter", 'start="5"'),
+    ]
     variables = "".join(
         f'<ScalarVariable name="{n}" valueReference="{k}" causality="{c}"'
         f"{' variability=' + chr(34) + 'fixed' + chr(34) if c == 'parameter' else ''}><Real {more}/></ScalarVariable>"

@@ -78,8 +78,10 @@ def test_every_input_has_one_connection(tmp_path: Path) -> None:
     assert inputs == set(ends)
     found = import_ssp(done.file, tmp_path / "out").diagram
     assert {str(w.target) for w in found.wires if w.target.block == "rotor"} == {
-        "rotor.crack_force", "rotor.unbalance_force", "rotor.amb_force"
-    }  # fmt: skip
+        "rotor.crack_force",
+        "rotor.unbalance_force",
+        "rotor.amb_force",
+    }
 
 
 @needs_compiler
@@ -134,8 +136,10 @@ def test_there_and_back(jeffcott: ExportedSsp, right: np.ndarray, tmp_path: Path
     done = import_ssp(jeffcott.file, tmp_path / "back")
     assert done.warnings == ()
     assert [str(w.source) for w in done.diagram.wires] == [
-        "rest.rotor_displacement", "rest.rotor_velocity", "controller.controller_current"
-    ]  # fmt: skip
+        "rest.rotor_displacement",
+        "rest.rotor_velocity",
+        "controller.controller_current",
+    ]
     assert done.diagram.solver.stop == load("jeffcott").solver.stop
     (tmp_path / "usual").mkdir()
     (tmp_path / "usual" / "file").touch()
@@ -162,8 +166,9 @@ def test_a_diagram_of_fmus_goes_as_it_is(jeffcott: ExportedSsp, right: np.ndarra
     diagram = load(first.file, set={"controller.controller_KP": 15000.0})
     again = export_ssp(diagram, tmp_path / "again.ssp")
     assert {c.name: [s.name for s in c.settings] for c in again.structure.system.components} == {
-        "controller": ["controller.KP"], "rest": []
-    }  # fmt: skip
+        "controller": ["controller.KP"],
+        "rest": [],
+    }
     assert again.structure.version == "1.0"
     ends = {(c.start, c.end) for c in jeffcott.structure.system.connections}
     assert {(c.start, c.end) for c in again.structure.system.connections} == ends
@@ -183,13 +188,13 @@ def test_fmus_beside_blocks(jeffcott: ExportedSsp, tmp_path: Path) -> None:
     import_ssp(jeffcott.file, tmp_path / "back")
     text = json.loads((tmp_path / "back" / "diagram.json").read_text())
     text["blocks"]["half"] = {"type": "gain", "parameters": {"gain": 0.5}}
-    text["wires"][2:] = [
-        ["controller.controller_current", "half.input"], ["half.output", "rest.controller_current"]
-    ]  # fmt: skip
+    text["wires"][2:] = [["controller.controller_current", "half.input"], ["half.output", "rest.controller_current"]]
     done = export_ssp(load(text, folder=tmp_path / "back"), tmp_path / "mixed.ssp", {"half": ["half"]})
     assert done.blocks == {"half": ("half",), "controller": ("controller",), "rest": ("rest",)}
-    joined = {(f"{c.start.element}.{c.start.connector}", f"{c.end.element}.{c.end.connector}")
-              for c in done.structure.system.connections}  # fmt: skip
+    joined = {
+        (f"{c.start.element}.{c.start.connector}", f"{c.end.element}.{c.end.connector}")
+        for c in done.structure.system.connections
+    }
     assert ("controller.controller.current[1]", "half.controller.controller_current[1]") in joined
     assert ("half.half.output[2]", "rest.controller.current[2]") in joined
     text["wires"].append(["controller.controller_current", "rest.controller_current"])

@@ -162,7 +162,7 @@ def test_arrays_of_ssp_2(tmp_path: Path) -> None:
         (component("a").replace('name="q" kind="output"', 'name="q" kind="input"'), "", "is of kind input"),
         (component("a").replace('name="q"', 'name="zz"'), "", "the FMU has no variable of this name"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_or_not_supported_is_named(tmp_path: Path, elements: str, joined: str, what: str) -> None:
     assert what in refusal(tmp_path, system(elements, joined))
 

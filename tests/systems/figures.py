@@ -89,10 +89,14 @@ def power_of_time(power: int) -> Any:
     wires.append([source, "integral.input"])
     return load_document(
         {
-            "schema_version": 1, "name": f"power_{power}", "blocks": blocks, "wires": wires,
-            "solver": {"method": "rk4", "step": 0.25, "stop": 2.0}, "record": ["integral.output"],
+            "schema_version": 1,
+            "name": f"power_{power}",
+            "blocks": blocks,
+            "wires": wires,
+            "solver": {"method": "rk4", "step": 0.25, "stop": 2.0},
+            "record": ["integral.output"],
         }
-    )  # fmt: skip
+    )
 
 
 def polynomial_error(power: int, step: float = 0.25) -> float:

@@ -15,8 +15,7 @@ from tests.systems.shipped import document, load_document, shipped
 
 
 @pytest.mark.parametrize(
-    "controller",
-    [c if c == "pid" else pytest.param(c, marks=pytest.mark.slow) for c in CONTROLLERS],
+    "controller", [c if c == "pid" else pytest.param(c, marks=pytest.mark.slow) for c in CONTROLLERS]
 )
 def test_swapped_controller_levitates(controller: str, tmp_path: Path) -> None:
     row = judge(swapped("jeffcott", controller, tmp_path), controller)

@@ -43,9 +43,13 @@ class _Finder:
     def find(self, kind: type[Block], fault: Fault, variant: int) -> Iterator[Insertion]:
         """Yield the insertions of one declaration."""
         how = {
-            "force": self._forces, "shaft": self._shafts, "wire": self._wires, "reading": self._readings,
-            "replace": self._replaced, "move": self._moved,
-        }[fault.enters]  # fmt: skip
+            "force": self._forces,
+            "shaft": self._shafts,
+            "wire": self._wires,
+            "reading": self._readings,
+            "replace": self._replaced,
+            "move": self._moved,
+        }[fault.enters]
         yield from how(kind, fault, variant)
 
     def _new_name(self, physics: str) -> str:
@@ -72,9 +76,15 @@ class _Finder:
                     yield made
 
     def _force(
-        self, kind: type[Block], fault: Fault, variant: int, block: str, node: Node,
-        pairs: list[tuple[Port, str]], place: int | None,
-    ) -> Insertion | None:  # fmt: skip
+        self,
+        kind: type[Block],
+        fault: Fault,
+        variant: int,
+        block: str,
+        node: Node,
+        pairs: list[tuple[Port, str]],
+        place: int | None,
+    ) -> Insertion | None:
         name = self._new_name(fault.physics)
         index = "" if place is None else f"[{place}]"
         feeds: dict[str, str] = {}
@@ -108,9 +118,10 @@ class _Finder:
             shape = node.outputs[key].shape
             return f"{block}.{key}{index}" if not index or len(shape) > 1 else f"{block}.{key}"
         holders = [
-            (other.block.category, name) for name, other in self.diagram.nodes.items()
+            (other.block.category, name)
+            for name, other in self.diagram.nodes.items()
             if key in other.outputs and name != block
-        ]  # fmt: skip
+        ]
         first = [name for category, name in holders if category in ("clock", "controller")] or [n for _, n in holders]
         return str(self.chains.end(Endpoint(first[0], key))) if len(first) == 1 else None
 
@@ -160,7 +171,7 @@ class _Finder:
 
     def _in_wire(
         self, kind: type[Block], fault: Fault, variant: int, block: str, node: Node, index: tuple[int, ...]
-    ) -> Insertion | None:  # fmt: skip
+    ) -> Insertion | None:
         name = self._new_name(fault.physics)
         suffix = f"[{','.join(str(i + 1) for i in index)}]" if index else ""
         wires: list[tuple[str, str]] = []
@@ -217,10 +228,11 @@ class _Finder:
     def _beside(self, block: str) -> int | None:
         """Return the only node that a block is wired to."""
         nodes = {
-            end.index[0] + 1 for wire in self.diagram.wires for end, other in
-            ((wire.source, wire.target), (wire.target, wire.source))
+            end.index[0] + 1
+            for wire in self.diagram.wires
+            for end, other in ((wire.source, wire.target), (wire.target, wire.source))
             if other.block == block and end.index and len(self._port(end).shape) > 1
-        }  # fmt: skip
+        }
         return nodes.pop() if len(nodes) == 1 else None
 
     def _port(self, end: Endpoint) -> Port:
@@ -229,7 +241,7 @@ class _Finder:
 
     def _offered(
         self, kind: type[Block], fault: Fault, name: str, wires: list[tuple[str, str]]
-    ) -> list[tuple[str, str]]:  # fmt: skip
+    ) -> list[tuple[str, str]]:
         """Return wires of further outputs to optional inputs of that name, of blocks that the new block feeds."""
         fed = dict.fromkeys(target.partition(".")[0] for source, target in wires if source.startswith(f"{name}."))
         more = [output.name for key, output in kind.outputs.items() if key not in fault.through.values()]
@@ -256,9 +268,17 @@ class _Finder:
                 read = str(self.diagram.measured.get(start, start))
                 spot = self._spot(fault, self.chains.of(start, fault.between[1]), index)
                 yield Insertion(
-                    kind, fault, spot, name, ((read, f"{name}.{key}"),), (), {str(start): f"{name}.{output}"},
-                    {**dict(fault.options), **self._inherited(fault, node)}, {key: str(start)}, variant,
-                )  # fmt: skip
+                    kind,
+                    fault,
+                    spot,
+                    name,
+                    ((read, f"{name}.{key}"),),
+                    (),
+                    {str(start): f"{name}.{output}"},
+                    {**dict(fault.options), **self._inherited(fault, node)},
+                    {key: str(start)},
+                    variant,
+                )
 
     # -- changes of a block ------------------------------------------------------------------------------------------
 
@@ -279,10 +299,12 @@ class _Finder:
             if node.block.type_name != kind.type_name:
                 continue
             out = [
-                wire for wire in self.diagram.wires
-                if wire.source.block == block and wire.target.index
+                wire
+                for wire in self.diagram.wires
+                if wire.source.block == block
+                and wire.target.index
                 and _is_additive(self.diagram.nodes[wire.target.block].inputs[wire.target.port])
-            ]  # fmt: skip
+            ]
             if len({(w.target.block, w.target.index[0]) for w in out}) != 1:
                 continue
             target = self.diagram.nodes[out[0].target.block]
@@ -297,9 +319,17 @@ class _Finder:
                 ]
                 cut = tuple((str(w.source), str(w.target)) for w in out)
                 yield Insertion(
-                    kind, fault, Spot(target.name, port.name, place), block, tuple(wires), cut, {},
-                    dict(fault.options), {}, variant,
-                )  # fmt: skip
+                    kind,
+                    fault,
+                    Spot(target.name, port.name, place),
+                    block,
+                    tuple(wires),
+                    cut,
+                    {},
+                    dict(fault.options),
+                    {},
+                    variant,
+                )
 
 
 def _is_additive(port: Port) -> bool:

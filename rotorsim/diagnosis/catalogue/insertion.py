@@ -80,9 +80,11 @@ class Insertion:
         return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Steps))
 
     def document(
-        self, document: Mapping[str, Any], start: Mapping[str, float] | None = None,
+        self,
+        document: Mapping[str, Any],
+        start: Mapping[str, float] | None = None,
         limits: Mapping[str, tuple[float, float]] | None = None,
-    ) -> dict[str, Any]:  # fmt: skip
+    ) -> dict[str, Any]:
         """Return the document with the fault in it and its parameters free, from starts {parameter: SI value}.
 
         limits: (low, high) of its free parameters, where they are narrower than what the block allows.
@@ -92,16 +94,15 @@ class Insertion:
         if entered in ("replace", "move"):
             block = new["blocks"][self.name]
             kept = {
-                key: value for key, value in block.get("parameters", {}).items()
+                key: value
+                for key, value in block.get("parameters", {}).items()
                 if key in self.kind.parameters or key in self.kind.options
-            }  # fmt: skip
+            }
             new["blocks"][self.name] = {"type": self.kind.type_name, "parameters": {**kept, **self.values}}
             followed = {v[1:] for v in kept.values() if isinstance(v, str) and v.startswith("$")}
             if block["type"] != self.kind.type_name:
                 for name in followed & set(new.get("identify", {})):  # other bounds may hold for the new type
-                    new["identify"][name] = {
-                        k: v for k, v in new["identify"][name].items() if k not in ("low", "high")
-                    }  # fmt: skip
+                    new["identify"][name] = {k: v for k, v in new["identify"][name].items() if k not in ("low", "high")}
         else:
             new["blocks"][self.name] = {"type": self.kind.type_name, "parameters": dict(self.values)}
         parameters = new["blocks"][self.name]["parameters"]

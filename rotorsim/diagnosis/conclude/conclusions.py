@@ -24,9 +24,20 @@ from rotorsim.identification.profile import Z90
 from rotorsim.recordings.recording import Recording
 
 __all__ = [
-    "VERDICTS", "Diagnosis", "Effect", "Estimated", "concluded", "conventions", "effects_of", "estimates", "in_words",
-    "interval", "nearest", "unknown_of", "verdict_of",
-]  # fmt: skip
+    "VERDICTS",
+    "Diagnosis",
+    "Effect",
+    "Estimated",
+    "concluded",
+    "conventions",
+    "effects_of",
+    "estimates",
+    "in_words",
+    "interval",
+    "nearest",
+    "unknown_of",
+    "verdict_of",
+]
 
 VERDICTS = ("consistent", "missing_physics", "outside_catalogue", "not_identifiable")
 LIKELY = 0.01  # probability from which a place or a member of a class is listed
@@ -159,9 +170,14 @@ def _as_tried(candidate: Candidate, found: Round) -> Candidate:
 
 
 def verdict_of(
-    named: Named, effects: Sequence[Effect], *, alike: bool = False, disproved: bool = False, converters: bool = False,
+    named: Named,
+    effects: Sequence[Effect],
+    *,
+    alike: bool = False,
+    disproved: bool = False,
+    converters: bool = False,
     faint: bool = False,
-) -> str:  # fmt: skip
+) -> str:
     """Return one of VERDICTS.
 
     alike: all runs have one speed and the same settings, which anything explains. disproved: with the effects the
@@ -280,12 +296,24 @@ def nearest(named: Named, unknown: Unknown | None, *, disproved: bool = False) -
 
 
 def concluded(
-    named: Named, effects: tuple[Effect, ...], verdict: str, *, fits: tuple[Fit, Fit], scores: Sequence[Score],
-    source: Source, held: tuple[Held, ...], unknown: Unknown | None = None, warnings: Sequence[Problem] = (),
-    screened: Sequence[tuple[str, str]] = (), converters: Sequence[Converter] = (),
-    readings: tuple[Source, tuple[Held, ...]] | None = None, recordings: Sequence[Recording] = (),
-    proof: Proof | None = None, explained: Sequence[Explained] = (), residual: Mapping[str, Any] | None = None,
-) -> Diagnosis:  # fmt: skip
+    named: Named,
+    effects: tuple[Effect, ...],
+    verdict: str,
+    *,
+    fits: tuple[Fit, Fit],
+    scores: Sequence[Score],
+    source: Source,
+    held: tuple[Held, ...],
+    unknown: Unknown | None = None,
+    warnings: Sequence[Problem] = (),
+    screened: Sequence[tuple[str, str]] = (),
+    converters: Sequence[Converter] = (),
+    readings: tuple[Source, tuple[Held, ...]] | None = None,
+    recordings: Sequence[Recording] = (),
+    proof: Proof | None = None,
+    explained: Sequence[Explained] = (),
+    residual: Mapping[str, Any] | None = None,
+) -> Diagnosis:
     """Return the diagnosis without its words. fits, scores: before and after; screened: further rivals and why.
 
     converters: that the readings show, beside the effects that were found; readings, recordings: see `Diagnosis`.
@@ -293,15 +321,31 @@ def concluded(
     before, after = fits
     every = (*effects, *(_as_effect(converter, named.fit) for converter in converters))
     return Diagnosis(
-        verdict=verdict, effects=every, places=() if verdict == "consistent" else _places(named, every),
-        rejected=(*_rejected(named, effects), *(screened if effects else ())), open=_open(named, effects),
-        before=before, after=after, document=values_in(after.document, after.values),
-        score_before=scores[0], score_after=scores[1], next_experiment="", statement="", named=named,
-        warnings=(*warnings, *conventions(every)), detectable=_detectable(named) if verdict == "consistent" else {},
+        verdict=verdict,
+        effects=every,
+        places=() if verdict == "consistent" else _places(named, every),
+        rejected=(*_rejected(named, effects), *(screened if effects else ())),
+        open=_open(named, effects),
+        before=before,
+        after=after,
+        document=values_in(after.document, after.values),
+        score_before=scores[0],
+        score_after=scores[1],
+        next_experiment="",
+        statement="",
+        named=named,
+        warnings=(*warnings, *conventions(every)),
+        detectable=_detectable(named) if verdict == "consistent" else {},
         outside={} if unknown is None else {**unknown.data, "description": unknown.description},
-        source=source, held=held, proof=proof, explained=tuple(explained), residual=residual,
-        converters=tuple(converters), readings=readings, recordings=tuple(recordings),
-    )  # fmt: skip
+        source=source,
+        held=held,
+        proof=proof,
+        explained=tuple(explained),
+        residual=residual,
+        converters=tuple(converters),
+        readings=readings,
+        recordings=tuple(recordings),
+    )
 
 
 def _as_effect(converter: Converter, fit: Fit) -> Effect:
@@ -315,8 +359,9 @@ def conventions(effects: Sequence[Effect]) -> list[Problem]:
     laws = [item.candidate.insertion for item in effects]
     return [
         Problem(item.fault.convention, f"{item.physics} at {item.spot}", severity="warning")
-        for item in laws if item.fault.convention
-    ]  # fmt: skip
+        for item in laws
+        if item.fault.convention
+    ]
 
 
 def in_words(found: Diagnosis) -> Diagnosis:

@@ -83,9 +83,7 @@ def _runs(fit: Fit, source: Source, held: Sequence[Held]) -> HeldScore | None:
     return None if runs is None else HeldScore({}, {}, None, 0, runs)
 
 
-def _least(
-    item: Candidate, without: Fit, source: Source, held: Sequence[Held]
-) -> list[tuple[float, float]] | None:  # fmt: skip
+def _least(item: Candidate, without: Fit, source: Source, held: Sequence[Held]) -> list[tuple[float, float]] | None:
     found: list[tuple[float, float]] = []
     for part in held or (None,):
         places = open_places(without, source, part)
@@ -131,9 +129,11 @@ def residual_of(base: Fit, after: Fit, source: Source) -> Mapping[str, Any] | No
         return None
     share = (after.misfit - after.freedom) / max(base.misfit - base.freedom, 1e-300)
     data: dict[str, Any] = {
-        "share": 1.0 if after is base else float(min(share, 1.0)), "excess_variance": after.misfit / after.freedom,
-        "place": None, "size": None,
-    }  # fmt: skip
+        "share": 1.0 if after is base else float(min(share, 1.0)),
+        "excess_variance": after.misfit / after.freedom,
+        "place": None,
+        "size": None,
+    }
     try:
         best = _best_place(base, after, source)
     except FAILURES:
@@ -145,9 +145,11 @@ def _best_place(base: Fit, after: Fit, source: Source) -> dict[str, Any] | None:
     known = {name: value for name, value in after.values.items() if name in base.values}
     diagram = source.load(values_in(base.document, {**base.values, **known}))
     targets = [
-        f"{block}.{port.name}" for block, node in diagram.nodes.items() for port in node.inputs.values()
+        f"{block}.{port.name}"
+        for block, node in diagram.nodes.items()
+        for port in node.inputs.values()
         if isinstance(port.declaration, In) and port.declaration.additive
-    ]  # fmt: skip
+    ]
     experiment = source.open(diagram, inject=targets)
     if not isinstance(experiment.motion, Motion):
         return None
@@ -174,7 +176,7 @@ def _best_place(base: Fit, after: Fit, source: Source) -> dict[str, Any] | None:
 
 def _places(
     diagram: Diagram, targets: Sequence[str], transfer: np.ndarray, predicted: Sequence[str]
-) -> list[tuple[dict[str, Any], np.ndarray]]:  # fmt: skip
+) -> list[tuple[dict[str, Any], np.ndarray]]:
     """Return places with what unit harmonics there change in the predicted channels, (R, orders, c, axes)."""
     found: list[tuple[dict[str, Any], np.ndarray]] = []
     at = 0

@@ -144,10 +144,12 @@ def _lines(force: _Force, second: Second | None, words: list[str]) -> dict[str, 
     words.append(f"lines beside the harmonics at {value:.4g} {unit} ({', '.join(sizes)})")
     return {
         "lines": {
-            "value": value, "std": second.std / factor, "unit": "orders" if second.follows else "Hz",
+            "value": value,
+            "std": second.std / factor,
+            "unit": "orders" if second.follows else "Hz",
             "orders": {str(k): size for k, size in shown.items()},
         }
-    }  # fmt: skip
+    }
 
 
 def _law(force: _Force, words: list[str]) -> dict[str, Any]:
@@ -186,9 +188,7 @@ def _law(force: _Force, words: list[str]) -> dict[str, Any]:
     return data
 
 
-def _mapped(
-    base: Fit, document: Mapping[str, Any], source: Source, spot: Spot
-) -> tuple[Fit, list[str]] | None:  # fmt: skip
+def _mapped(base: Fit, document: Mapping[str, Any], source: Source, spot: Spot) -> tuple[Fit, list[str]] | None:
     """Return the diagram with a force map whose terms were chosen one by one, refitted in the loop."""
     diagram = source.load(document)
     node = diagram.nodes.get(spot.block)
@@ -242,6 +242,13 @@ def _scales(source: Source, spot: Spot) -> dict[str, float]:
     turned = q * max((abs(item.fit.speed) for item in getattr(source, "harmonics", ())), default=100.0)
     v = max((v for name, v in largest.items() if name.startswith(f"{spot.block}.velocity")), default=turned)
     return {
-        "quadratic": 1 / q**2, "cubic": 1 / q**3, "quintic": 1 / q**5, "drag": 1 / v**2, "friction": 1.0,
-        "damping_growth": 1 / (q**2 * v), "cross": 1 / q, "cross_cubic": 1 / q**3, "width": 0.05 * v,
-    }  # fmt: skip
+        "quadratic": 1 / q**2,
+        "cubic": 1 / q**3,
+        "quintic": 1 / q**5,
+        "drag": 1 / v**2,
+        "friction": 1.0,
+        "damping_growth": 1 / (q**2 * v),
+        "cross": 1 / q,
+        "cross_cubic": 1 / q**3,
+        "width": 0.05 * v,
+    }

@@ -44,9 +44,17 @@ SAME_SPEED = 0.02  # relative
 MESH_ACCURACY = 1e-5  # of a signal's rms: how well one mesh stands for another at best
 ROUNDED = 1e6  # parts of a radian in which angles are compared
 NUMBERS = (
-    "misfit", "rows", "equations", "goodness", "failure", "nonlinear", "seconds", "standing",
-    "line_misfit", "line_rows",
-)  # fmt: skip
+    "misfit",
+    "rows",
+    "equations",
+    "goodness",
+    "failure",
+    "nonlinear",
+    "seconds",
+    "standing",
+    "line_misfit",
+    "line_rows",
+)
 ARRAYS = ("theta", "covariance", "at_bound", "run_misfit", "left_out", "ends", "alone")
 
 
@@ -81,10 +89,15 @@ class Source:
         """Return a diagram beside the harmonics; see `rotorsim.identification.experiment.open_experiment`."""
         has_mesh = any(node.block.refinement for node in diagram.nodes.values())
         return open_experiment(
-            diagram, self.recording, runs=[item.run for item in self.harmonics], given=given, inject=inject,
-            harmonics=self.harmonics, resolution=MESH_ACCURACY if has_mesh else RESOLUTION,
+            diagram,
+            self.recording,
+            runs=[item.run for item in self.harmonics],
+            given=given,
+            inject=inject,
+            harmonics=self.harmonics,
+            resolution=MESH_ACCURACY if has_mesh else RESOLUTION,
             free=[self._as_given(item) for item in diagram.free],
-        )  # fmt: skip
+        )
 
     def _as_given(self, item: Free) -> Free:
         """Return a free parameter with size and prior of the diagram as given, not of the fit that it starts from."""
@@ -101,9 +114,13 @@ class Source:
         return [item.name for key, item in channels if not runs or any(key in run and run[key].any() for run in runs)]
 
     def fit(
-        self, document: Mapping[str, Any], starts: Sequence[Sequence[Mapping[str, float]]], *, most: int | None = None,
+        self,
+        document: Mapping[str, Any],
+        starts: Sequence[Sequence[Mapping[str, float]]],
+        *,
+        most: int | None = None,
         linear_only: bool = False,
-    ) -> Fit:  # fmt: skip
+    ) -> Fit:
         """Return the best fit of a diagram; see `fit_document`."""
         return fit_document(document, self, starts, most=most, linear_only=linear_only)
 
@@ -289,12 +306,22 @@ def _fit_of(document: Mapping[str, Any], search: Search, best: Estimate) -> Fit:
     covariance[best.undetermined, best.undetermined] = np.inf
     loo = left_out(evaluation.residual, search.slopes(q)[: len(evaluation.residual)], sizes)
     return Fit(
-        document=document, free=best.free, theta=best.theta, covariance=covariance, at_bound=best.at_bound,
-        misfit=best.misfit, rows=evaluation.rows, equations=sum(sizes), run_misfit=evaluation.misfit,
-        left_out=loo, goodness=best.goodness, ends=linear_intervals(search, best), alone=_alone(best),
+        document=document,
+        free=best.free,
+        theta=best.theta,
+        covariance=covariance,
+        at_bound=best.at_bound,
+        misfit=best.misfit,
+        rows=evaluation.rows,
+        equations=sum(sizes),
+        run_misfit=evaluation.misfit,
+        left_out=loo,
+        goodness=best.goodness,
+        ends=linear_intervals(search, best),
+        alone=_alone(best),
         line_rows=int(lines.sum()),
         line_misfit=float((evaluation.residual[: len(lines)][lines] ** 2).sum()),
-    )  # fmt: skip
+    )
 
 
 def _alone(found: Estimate) -> np.ndarray:
@@ -320,7 +347,7 @@ def _alone(found: Estimate) -> np.ndarray:
 
 def _best(
     search: Search, experiment: Experiment, starts: Sequence[Sequence[Mapping[str, float]]], most: int | None
-) -> Estimate:  # fmt: skip
+) -> Estimate:
     nonlinear = isinstance(experiment.motion, NonlinearMotion)
     chosen: list[np.ndarray] = []
     assert isinstance(search.likelihood, Likelihood)
@@ -375,9 +402,10 @@ def _trials(search: Search, theta0: np.ndarray, start: Mapping[str, float]) -> l
             theta[names.index(name)] = np.clip(value, item.low, item.high)
     paired = {j for pair in search.coordinates.pairs for j in pair}
     angles = [
-        j for j, item in enumerate(search.free)
+        j
+        for j, item in enumerate(search.free)
         if item.unit == ANGLE_UNIT and j not in paired and item.name in start and item.low == -np.inf
-    ][:2]  # fmt: skip
+    ][:2]
     found = []
     for turns in itertools.product(range(ANGLES), repeat=len(angles)):
         trial = theta.copy()
@@ -405,11 +433,7 @@ def _different(trials: Sequence[np.ndarray], search: Search) -> list[np.ndarray]
 def fit_to_plain(found: Fit) -> dict[str, Any]:
     """Return a fit as plain data, without its document."""
     plain = {name: getattr(found, name).tolist() for name in ARRAYS}
-    return {
-        **plain,
-        **{name: getattr(found, name) for name in NUMBERS},
-        "free": [asdict(item) for item in found.free],
-    }
+    return {**plain, **{name: getattr(found, name) for name in NUMBERS}, "free": [asdict(item) for item in found.free]}
 
 
 def fit_from_plain(document: Mapping[str, Any], plain: Mapping[str, Any]) -> Fit:

@@ -132,9 +132,14 @@ def isolate(
 
 
 def _laws(
-    diagram: Diagram, recorded: Sequence[str], structure: Structure, faults: Sequence[Insertion],
-    speeds: Sequence[float], trust_blocks: bool, progress: Callable[[float], None] | None,
-) -> Laws:  # fmt: skip
+    diagram: Diagram,
+    recorded: Sequence[str],
+    structure: Structure,
+    faults: Sequence[Insertion],
+    speeds: Sequence[float],
+    trust_blocks: bool,
+    progress: Callable[[float], None] | None,
+) -> Laws:
     runs = runs_of(diagram, speeds)
     entries = {name: _entries(diagram, name) for name in structure.extra}
     signals = list(dict.fromkeys([*recorded, *(entry for some in entries.values() for entry in some)]))
@@ -194,9 +199,7 @@ def isolation_data(found: Isolation) -> dict[str, Any]:
 
 
 def _gain(item: Gain) -> dict[str, Any]:
-    return {
-        "sensors": list(item.sensors), "detected": sorted(item.detected), "pairs_told_apart": item.pairs,
-    }  # fmt: skip
+    return {"sensors": list(item.sensors), "detected": sorted(item.detected), "pairs_told_apart": item.pairs}
 
 
 def _lists(found: Mapping[str, Iterable[str]]) -> dict[str, list[str]]:

@@ -49,9 +49,13 @@ class LinearMotion:
     """The settled motion of a diagram in all runs, as a function of some free parameters theta (m,)."""
 
     def __init__(
-        self, diagram: Diagram, signals: Sequence[str], runs: Runs, free: Sequence[Free],
+        self,
+        diagram: Diagram,
+        signals: Sequence[str],
+        runs: Runs,
+        free: Sequence[Free],
         responses: dict[bytes, np.ndarray],
-    ) -> None:  # fmt: skip
+    ) -> None:
         ports = {name.partition("[")[0].removeprefix(SECOND) for name in signals if name.startswith(SECOND)}
         ends = [Endpoint(block, port) for block, _, port in (name.rpartition(".") for name in ports)]
         said = {Endpoint(SECOND + end.block, end.port): end for end in ends}

@@ -253,9 +253,16 @@ def signatures_of(
                 progress((k + 1) / len(groups))
     columns = {item.key: columns[item.key] for item in faults if item.key in columns}
     return Signatures(
-        runs, tuple(signals), maker.free, columns, sizes, skipped, maker.row_set, maker.row_signal,
+        runs,
+        tuple(signals),
+        maker.free,
+        columns,
+        sizes,
+        skipped,
+        maker.row_set,
+        maker.row_signal,
         tuple(item.name for item in base.free),
-    )  # fmt: skip
+    )
 
 
 def _alike(faults: Sequence[Insertion]) -> list[list[Insertion]]:

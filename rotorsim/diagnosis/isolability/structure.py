@@ -84,9 +84,7 @@ class Structure:
     def detectable(self) -> frozenset[str]:
         """The faults that contradict the model in some equation that can be tested."""
         part = self._seen[0]
-        return frozenset(
-            name for signals, names in self.kinds.items() if _touches(signals, part) for name in names
-        )  # fmt: skip
+        return frozenset(name for signals, names in self.kinds.items() if _touches(signals, part) for name in names)
 
     @cached_property
     def taken_for(self) -> dict[str, frozenset[str]]:

@@ -38,7 +38,7 @@ class Converter:
 
 def find_converters(
     document: Mapping[str, Any], source: Source, registry: Registry, physics: Collection[str] | None
-) -> list[Converter]:  # fmt: skip
+) -> list[Converter]:
     """Return the converters whose steps change the recorded harmonics, one put in after another."""
     seen = find_steps(source.recording, source.harmonics)
     found: list[Converter] = []

@@ -146,7 +146,7 @@ def _named(trials: Trials, base: Fit, most: int) -> Named:
 
 def _completed(
     trials: Trials, chosen: tuple[Candidate, ...], rounds: list[Round]
-) -> tuple[tuple[Candidate, ...], list[Round]]:  # fmt: skip
+) -> tuple[tuple[Candidate, ...], list[Round]]:
     """Return the choice with its known look-alikes fitted to the end beside the others; the last may give way to one.
 
     Look-alikes: what a declaration names as ``confused_with``, one way or the other.
@@ -205,7 +205,7 @@ def _with_angle(name: str, names: Collection[str]) -> set[str]:
 
 def _reconsidered(
     trials: Trials, base: Fit, chosen: tuple[Candidate, ...], rounds: list[Round]
-) -> tuple[tuple[Candidate, ...], list[Round]]:  # fmt: skip
+) -> tuple[tuple[Candidate, ...], list[Round]]:
     """Return the choice without effects that others make superfluous, each tried again beside the others.
 
     Effects are found one by one, so that an early one may stand for what a later one explains better.
@@ -259,9 +259,10 @@ def _share(after: Fit, before: Fit) -> float:
 def _noticed(tried: Sequence[Candidate], base: Fit, level: float, slack: float) -> list[Candidate]:
     """Return the candidates that explain more than noise and meshes would have them explain."""
     return [
-        item for item in tried
+        item
+        for item in tried
         if not item.fit.failure and base.misfit - item.fit.misfit > least_gain(item, base, level) + slack
-    ]  # fmt: skip
+    ]
 
 
 def _distinct(tried: Sequence[Candidate], before: Fit) -> list[Candidate]:

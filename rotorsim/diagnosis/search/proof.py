@@ -130,9 +130,7 @@ def is_faint(found: Fit, scored: Score) -> bool:
     return found.misfit <= FAINT * found.freedom and is_noise(replace(found, goodness=1.0))
 
 
-def share_explained(
-    before: Score, after: Score, least: Sequence[tuple[float, float]] | None = None
-) -> Share | None:  # fmt: skip
+def share_explained(before: Score, after: Score, least: Sequence[tuple[float, float]] | None = None) -> Share | None:
     """Return the share of what is to be explained in runs that took no part that a repair explains.
 
     sum_r (b_r - a_r) / sum_r (b_r - f_r), of each run r the misfit less the number of equations: before b, after a,

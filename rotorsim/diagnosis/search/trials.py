@@ -125,9 +125,14 @@ class Trials:
     """Insertions into fitted diagrams, each refitted; ``slack``: of the misfit, what says nothing."""
 
     def __init__(
-        self, source: Source, registry: Registry | None, physics: Collection[str] | None, workers: int | None,
-        scheduler: str | None, progress: Callable[[float], None] | None,
-    ) -> None:  # fmt: skip
+        self,
+        source: Source,
+        registry: Registry | None,
+        physics: Collection[str] | None,
+        workers: int | None,
+        scheduler: str | None,
+        progress: Callable[[float], None] | None,
+    ) -> None:
         self.source, self.registry, self.physics = source, registry, physics
         self.workers, self.scheduler, self.progress = workers, scheduler, progress
         self.counts = {"fits": 0, "rounds": 0}
@@ -267,9 +272,13 @@ class Trials:
         count = min(len(jobs), BATCHES * (self.workers or 2))
         batches = [list(jobs[k::count]) for k in range(count)]
         results = run_jobs(
-            _promise_batch, [(batch, self.source) for batch in batches], workers=self.workers,
-            scheduler=self.scheduler, progress=self.progress, on_error="return",
-        )  # fmt: skip
+            _promise_batch,
+            [(batch, self.source) for batch in batches],
+            workers=self.workers,
+            scheduler=self.scheduler,
+            progress=self.progress,
+            on_error="return",
+        )
         out = [float("inf")] * len(jobs)
         for k, result in enumerate(results):
             if not isinstance(result, Failure):
@@ -278,7 +287,7 @@ class Trials:
 
     def _refined(
         self, before: Fit, jobs: Sequence[_Job], fits: list[Fit], laws: Sequence[tuple[str, int]]
-    ) -> tuple[list[Fit], set[int]]:  # fmt: skip
+    ) -> tuple[list[Fit], set[int]]:
         """Return the fits, and which of them were carried to the end: those that promise most.
 
         laws: physics and variant of each. Where one of all explains the data, only those near it matter any more.
@@ -319,9 +328,13 @@ class Trials:
         count = min(len(jobs), BATCHES * (self.workers or 2))
         batches = [list(jobs[k::count]) for k in range(count)]
         results = run_jobs(
-            _fit_batch, [(batch, self.source, most, linear_only) for batch in batches], workers=self.workers,
-            scheduler=self.scheduler, progress=self.progress, on_error="return",
-        )  # fmt: skip
+            _fit_batch,
+            [(batch, self.source, most, linear_only) for batch in batches],
+            workers=self.workers,
+            scheduler=self.scheduler,
+            progress=self.progress,
+            on_error="return",
+        )
         fits: list[Fit] = [Fit(document, failure="was not fitted") for document, _ in jobs]
         for k, result in enumerate(results):
             if isinstance(result, Failure):

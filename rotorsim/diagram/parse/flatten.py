@@ -141,11 +141,14 @@ class _Flattener:
             source = read_document(path)
         except RotorsimError as error:
             place = raw.place("file")
-            raise RotorsimError(*[
-                replace(p, place=replace(p.place, file=shown)) if p.place.line
-                else Problem(f"{shown}: {p.what}", raw.name, place, p.hint or hint)
-                for p in error.problems
-            ]) from None  # fmt: skip
+            raise RotorsimError(
+                *[
+                    replace(p, place=replace(p.place, file=shown))
+                    if p.place.line
+                    else Problem(f"{shown}: {p.what}", raw.name, place, p.hint or hint)
+                    for p in error.problems
+                ]
+            ) from None
         source.file = shown
         if not isinstance(source.data, dict):
             raise RotorsimError(Problem("a diagram is a JSON object {...}", raw.name, source.locate()))

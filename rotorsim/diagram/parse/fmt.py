@@ -11,9 +11,22 @@ from rotorsim.errors import Problem, RotorsimError
 __all__ = ["format_document"]
 
 _KEYS = (
-    "$schema", "schema_version", "name", "description", "parameters", "blocks", "wires", "solver", "record",
-    "measured", "algebraic_loops", "block_folders", "ports", "identify", "layout",
-)  # fmt: skip
+    "$schema",
+    "schema_version",
+    "name",
+    "description",
+    "parameters",
+    "blocks",
+    "wires",
+    "solver",
+    "record",
+    "measured",
+    "algebraic_loops",
+    "block_folders",
+    "ports",
+    "identify",
+    "layout",
+)
 _BLOCK_KEYS = ("type", "file", "description", "parameters")
 WIDTH = 120
 

@@ -12,10 +12,22 @@ __all__ = ["BLOCK_KEYS", "KEYS", "RESERVED", "checked_form", "is_block"]
 
 RESERVED = ("solver",)
 KEYS: dict[str, type] = {
-    "$schema": str, "schema_version": int, "name": str, "description": str, "parameters": dict, "blocks": dict,
-    "wires": list, "solver": dict, "record": list, "algebraic_loops": str, "block_folders": list, "ports": dict,
-    "layout": dict, "identify": dict, "measured": dict,
-}  # fmt: skip
+    "$schema": str,
+    "schema_version": int,
+    "name": str,
+    "description": str,
+    "parameters": dict,
+    "blocks": dict,
+    "wires": list,
+    "solver": dict,
+    "record": list,
+    "algebraic_loops": str,
+    "block_folders": list,
+    "ports": dict,
+    "layout": dict,
+    "identify": dict,
+    "measured": dict,
+}
 BLOCK_KEYS: dict[str, type] = {"type": str, "parameters": dict, "file": str, "description": str}
 MAX_HINTS = 1000  # a near miss takes a look at every known word
 _WORDS = {str: "a text", int: "a whole number", dict: "an object {...}", list: "a list [...]"}

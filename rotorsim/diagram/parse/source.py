@@ -17,8 +17,15 @@ from typing import Any
 from rotorsim.errors import CONTROL, Place, Problem, RotorsimError
 
 __all__ = [
-    "MAX_BYTES", "MAX_DEPTH", "JsonPath", "LazyPlace", "Source", "is_too_deep", "parse_document", "read_document",
-]  # fmt: skip
+    "MAX_BYTES",
+    "MAX_DEPTH",
+    "JsonPath",
+    "LazyPlace",
+    "Source",
+    "is_too_deep",
+    "parse_document",
+    "read_document",
+]
 
 MAX_BYTES = 20_000_000
 MAX_DEPTH = 64
@@ -190,8 +197,9 @@ def parse_document(text: str, file: str = "", path: Path | None = None) -> Sourc
     if suspects or _SURROGATE.search(text) or _ESCAPED.search(text):
         problems = _scan(text)[1]
         if problems:
-            raise RotorsimError(*[Problem(what, place=Place(file, *source._line_column(at)), hint=hint)
-                                  for at, what, hint in problems])  # fmt: skip
+            raise RotorsimError(
+                *[Problem(what, place=Place(file, *source._line_column(at)), hint=hint) for at, what, hint in problems]
+            )
     return source
 
 
@@ -211,9 +219,11 @@ def is_too_deep(value: Any) -> bool:
     level = [value]
     for _ in range(MAX_DEPTH + 1):
         level = [
-            item for part in level if isinstance(part, dict | list | tuple)
+            item
+            for part in level
+            if isinstance(part, dict | list | tuple)
             for item in (part.values() if isinstance(part, dict) else part)
-        ]  # fmt: skip
+        ]
         if not level:
             return False
     return True

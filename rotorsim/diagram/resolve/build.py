@@ -360,13 +360,16 @@ class Builder:
                 values[key] = self.default(work, key, self.shape(work, declared))
         ports: list[dict[str, Port]] = []
         for declarations, shapes in (
-            (template.inputs, template.input_shapes), (template.outputs, template.output_shapes),
-        ):  # fmt: skip
+            (template.inputs, template.input_shapes),
+            (template.outputs, template.output_shapes),
+        ):
             group: Mapping[str, Declaration] = declarations
-            ports.append({
-                n: Port(name, n, shapes[n] if fixed else self.shape(work, shapes[n]), d.unit, d)  # type: ignore[arg-type]
-                for n, d in group.items()
-            })  # fmt: skip
+            ports.append(
+                {
+                    n: Port(name, n, shapes[n] if fixed else self.shape(work, shapes[n]), d.unit, d)  # type: ignore[arg-type]
+                    for n, d in group.items()
+                }
+            )
         states, randoms = template.state_shapes, template.random_shapes
         if not fixed:
             states = {n: self.shape(work, s) for n, s in states.items()}

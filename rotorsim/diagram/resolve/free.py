@@ -193,7 +193,7 @@ def _lowest(declared: _Param, value: float) -> float | None:
 
 def unknown_names(
     source: Source, given: Mapping[str, Any], parameters: Collection[str], blocks: Mapping[str, Collection[str]]
-) -> list[Problem]:  # fmt: skip
+) -> list[Problem]:
     """Return the names under ``identify`` that cannot be right, before blocks have values.
 
     blocks: block -> names of its parameters; blocks that are not in it (broken, removed) are passed over.
@@ -213,9 +213,13 @@ def unknown_names(
 
 
 def free_parameters(
-    source: Source, given: Mapping[str, Any], parameters: Mapping[str, np.ndarray], units: Mapping[str, str],
-    nodes: Mapping[str, Node], removed: Collection[str] = (),
-) -> tuple[tuple[Free, ...], list[Problem]]:  # fmt: skip
+    source: Source,
+    given: Mapping[str, Any],
+    parameters: Mapping[str, np.ndarray],
+    units: Mapping[str, str],
+    nodes: Mapping[str, Node],
+    removed: Collection[str] = (),
+) -> tuple[tuple[Free, ...], list[Problem]]:
     """Return the free parameters that ``identify`` of a document names, and what is wrong with them.
 
     A name is a diagram parameter, ``block.parameter``, or an entry of one (``support.stiffness[2]``); a name

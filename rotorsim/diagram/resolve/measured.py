@@ -17,7 +17,7 @@ _FORM = '"measured": {"rotor.displacement": "sensor.sensed_displacement"}'
 
 def measured_signals(
     flat: FlatDocument, wiring: Wiring, nodes: Mapping[str, Node], removed: frozenset[str]
-) -> dict[Endpoint, Endpoint]:  # fmt: skip
+) -> dict[Endpoint, Endpoint]:
     """Return what ``measured`` of a document says, recorded signal -> signal of the diagram; add its mistakes."""
     given = flat.data.get("measured")
     found: dict[Endpoint, Endpoint] = {}

@@ -191,9 +191,18 @@ class Archive:
         try:
             yield
         except (
-            zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError,
-            OverflowError, IndexError, KeyError, OSError,
-        ) as error:  # fmt: skip
+            zipfile.BadZipFile,
+            zlib.error,
+            struct.error,
+            EOFError,
+            NotImplementedError,
+            RuntimeError,
+            ValueError,
+            OverflowError,
+            IndexError,
+            KeyError,
+            OSError,
+        ) as error:
             if isinstance(error, OSError) and error.filename is not None:
                 raise
             why = " ".join(str(error).split())[:200] or type(error).__name__

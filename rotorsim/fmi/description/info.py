@@ -12,9 +12,12 @@ __all__ = ["information", "information_text"]
 
 _KINDS = {"cs": "Co-Simulation", "me": "Model Exchange", "se": "Scheduled Execution"}
 _GROUPS = (
-    ("inputs", ("input",)), ("outputs", ("output",)), ("parameters", ("parameter", "structuralParameter")),
-    ("calculated parameters", ("calculatedParameter",)), ("local variables", ("local", "independent")),
-)  # fmt: skip
+    ("inputs", ("input",)),
+    ("outputs", ("output",)),
+    ("parameters", ("parameter", "structuralParameter")),
+    ("calculated parameters", ("calculatedParameter",)),
+    ("local variables", ("local", "independent")),
+)
 _USUAL = 3  # groups shown unless all are wanted
 _MOST = 40  # variables of a group shown as text unless all are wanted
 
@@ -24,14 +27,22 @@ def information(description: ModelDescription, *, every: bool = False) -> dict[s
     groups = _GROUPS if every else _GROUPS[:_USUAL]
     here = [folder for folder in folders(description.version) if folder in description.platforms]
     return {
-        "name": description.name, "fmi": description.version, "description": description.description,
-        "tool": description.tool, "date": description.date, "platforms": list(description.platforms),
-        "this_platform": this_platform(), "runs_here": bool(here),
+        "name": description.name,
+        "fmi": description.version,
+        "description": description.description,
+        "tool": description.tool,
+        "date": description.date,
+        "platforms": list(description.platforms),
+        "this_platform": this_platform(),
+        "runs_here": bool(here),
         "kinds": {name: _kind(kind) for name, kind in description.kinds.items()},
-        "states": len(description.states), "event_indicators": description.n_events,
+        "states": len(description.states),
+        "event_indicators": description.n_events,
         "experiment": {
-            "start": description.experiment.start, "stop": description.experiment.stop,
-            "tolerance": description.experiment.tolerance, "step": description.experiment.step,
+            "start": description.experiment.start,
+            "stop": description.experiment.stop,
+            "tolerance": description.experiment.tolerance,
+            "step": description.experiment.step,
         },
         "counts": {name: len(description.by_causality(*which)) for name, which in _GROUPS},
         "variables": {
@@ -39,33 +50,45 @@ def information(description: ModelDescription, *, every: bool = False) -> dict[s
         },
         "units": {name: unit.unit.si if unit.unit else None for name, unit in description.units.items()},
         "not_supported": _not_supported(description),
-    }  # fmt: skip
+    }
 
 
 def _kind(kind: Kind) -> dict[str, Any]:
     common: dict[str, Any] = {
-        "identifier": kind.identifier, "get_set_state": kind.can_get_set_state,
-        "serialise_state": kind.can_serialise_state, "directional_derivatives": kind.directional_derivatives,
-        "once_per_process": kind.once_per_process, "needs_tool": kind.needs_tool,
-    }  # fmt: skip
+        "identifier": kind.identifier,
+        "get_set_state": kind.can_get_set_state,
+        "serialise_state": kind.can_serialise_state,
+        "directional_derivatives": kind.directional_derivatives,
+        "once_per_process": kind.once_per_process,
+        "needs_tool": kind.needs_tool,
+    }
     if kind.name != "cs":
         return common
     return common | {
-        "variable_step": kind.can_vary_step, "interpolates_inputs": kind.can_interpolate_inputs,
-        "output_derivatives": kind.max_output_derivative_order, "internal_step": kind.fixed_step,
-    }  # fmt: skip
+        "variable_step": kind.can_vary_step,
+        "interpolates_inputs": kind.can_interpolate_inputs,
+        "output_derivatives": kind.max_output_derivative_order,
+        "internal_step": kind.fixed_step,
+    }
 
 
 def _variable(variable: FmuVariable, description: ModelDescription) -> dict[str, Any]:
     unit = description.unit_of(variable)
     start = list(variable.start) if isinstance(variable.start, tuple) else variable.start
     return {
-        "name": variable.name, "type": variable.type, "shape": list(variable.dimensions), "unit": variable.unit,
-        "start": start, "causality": variable.causality, "variability": variable.variability,
-        "description": variable.description, "si_unit": unit.si if unit else None,
-        "si_factor": unit.factor if unit else None, "si_offset": unit.offset if unit else None,
+        "name": variable.name,
+        "type": variable.type,
+        "shape": list(variable.dimensions),
+        "unit": variable.unit,
+        "start": start,
+        "causality": variable.causality,
+        "variability": variable.variability,
+        "description": variable.description,
+        "si_unit": unit.si if unit else None,
+        "si_factor": unit.factor if unit else None,
+        "si_offset": unit.offset if unit else None,
         "display": _display(variable, unit),
-    }  # fmt: skip
+    }
 
 
 def _display(variable: FmuVariable, unit: FmuUnit | None) -> str:
@@ -116,9 +139,11 @@ def information_text(data: dict[str, Any], *, every: bool = False) -> str:
         lines.append("experiment  " + ", ".join(told))
     for name, kind in data["kinds"].items():
         yes = [key.replace("_", " ") for key, value in kind.items() if value is True]
-        more = [f"{key.replace('_', ' ')} {value:g}" + (" s" if key == "internal_step" else "")
-                for key, value in kind.items()
-                if isinstance(value, int | float) and not isinstance(value, bool) and value]  # fmt: skip
+        more = [
+            f"{key.replace('_', ' ')} {value:g}" + (" s" if key == "internal_step" else "")
+            for key, value in kind.items()
+            if isinstance(value, int | float) and not isinstance(value, bool) and value
+        ]
         lines.append(f"{name:<11} " + (", ".join(yes + more) or "no extras"))
     for name, variables in data["variables"].items():
         lines += _group(name, variables, every)

@@ -12,19 +12,33 @@ from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.fmi.description.model import ModelDescription
 
 __all__ = [
-    "SUFFIXES", "binary_kind", "find_library", "folders", "library_names", "platform_of", "platforms_inside",
+    "SUFFIXES",
+    "binary_kind",
+    "find_library",
+    "folders",
+    "library_names",
+    "platform_of",
+    "platforms_inside",
     "this_platform",
-]  # fmt: skip
+]
 
 _PROCESSORS = {
-    "x86_64": "x86_64", "amd64": "x86_64", "i386": "x86", "i686": "x86", "x86": "x86", "aarch64": "aarch64",
+    "x86_64": "x86_64",
+    "amd64": "x86_64",
+    "i386": "x86",
+    "i686": "x86",
+    "x86": "x86",
+    "aarch64": "aarch64",
     "arm64": "aarch64",
-}  # fmt: skip
+}
 _SYSTEMS = {"linux": "linux", "win32": "windows", "darwin": "darwin"}
 _OLD = {
-    "x86_64-linux": "linux64", "x86-linux": "linux32", "x86_64-windows": "win64", "x86-windows": "win32",
+    "x86_64-linux": "linux64",
+    "x86-linux": "linux32",
+    "x86_64-windows": "win64",
+    "x86-windows": "win32",
     "x86_64-darwin": "darwin64",
-}  # fmt: skip
+}
 SUFFIXES = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
 
 

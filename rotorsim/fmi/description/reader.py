@@ -22,19 +22,30 @@ _SHOWN = 20  # mistakes
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,199}")
 _TYPES2 = {"Real": "Float64", "Integer": "Int32"} | {name: name for name in ("Boolean", "String", "Enumeration")}
 _TYPES3 = (
-    "Float32", "Float64", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean", "String",
-    "Binary", "Enumeration", "Clock",
-)  # fmt: skip
-_CAUSALITIES = (
-    "parameter", "calculatedParameter", "structuralParameter", "input", "output", "local", "independent",
-)  # fmt: skip
+    "Float32",
+    "Float64",
+    "Int8",
+    "UInt8",
+    "Int16",
+    "UInt16",
+    "Int32",
+    "UInt32",
+    "Int64",
+    "UInt64",
+    "Boolean",
+    "String",
+    "Binary",
+    "Enumeration",
+    "Clock",
+)
+_CAUSALITIES = ("parameter", "calculatedParameter", "structuralParameter", "input", "output", "local", "independent")
 _VARIABILITIES = ("constant", "fixed", "tunable", "discrete", "continuous")
 _SKIP = frozenset({"Annotations", "VendorAnnotations", "Tool"})
 
 
 def read_description(
     data: bytes, file: str, *, limits: XmlLimits | None = None, sizes: Mapping[str, int] | None = None
-) -> ModelDescription:  # fmt: skip
+) -> ModelDescription:
     """Return the model description. file: the name to be shown; sizes: values of structural parameters (FMI 3.0).
 
     Raises RotorsimError with every mistake.
@@ -85,13 +96,26 @@ class _Reader:
                 shown.append(Problem(f"... and {len(self.problems) - _SHOWN} more mistakes", place=Place(self.file)))
             raise RotorsimError(*shown)
         return ModelDescription(
-            version=self.version, name=name, token=token, variables=self.variables, kinds=kinds, units=units,
-            n_events=structure.pop("events") + n_events, experiment=experiment, description=root.get("description"),
-            author=root.get("author"), tool=root.get("generationTool"), date=root.get("generationDateAndTime"),
-            naming=root.get("variableNamingConvention", "flat"), place=Place(self.file),
+            version=self.version,
+            name=name,
+            token=token,
+            variables=self.variables,
+            kinds=kinds,
+            units=units,
+            n_events=structure.pop("events") + n_events,
+            experiment=experiment,
+            description=root.get("description"),
+            author=root.get("author"),
+            tool=root.get("generationTool"),
+            date=root.get("generationDateAndTime"),
+            naming=root.get("variableNamingConvention", "flat"),
+            place=Place(self.file),
             log_categories=tuple(c.get("name") for c in log.all("Category")) if log else (),
-            warnings=tuple(self.warnings[:_SHOWN]), items=items, sizes=sizes, **structure,
-        )  # fmt: skip
+            warnings=tuple(self.warnings[:_SHOWN]),
+            items=items,
+            sizes=sizes,
+            **structure,
+        )
 
     def _check_version(self) -> None:
         root = self.root
@@ -124,11 +148,12 @@ class _Reader:
             self.wrong(element, f"modelIdentifier '{identifier[:80]}' is not an identifier", element.tag, hint)
         two = self.version == "2.0"
         state = "FMUstate" if two else "FMUState"
-        needed = read.flag("completedIntegratorStepNotNeeded") is False if two else read.flag(
-            "needsCompletedIntegratorStep"
-        )  # fmt: skip
+        needed = (
+            read.flag("completedIntegratorStepNotNeeded") is False if two else read.flag("needsCompletedIntegratorStep")
+        )
         return Kind(
-            name, identifier,
+            name,
+            identifier,
             can_get_set_state=read.flag(f"canGetAndSet{state}"),
             can_serialise_state=read.flag(f"canSerialize{state}"),
             directional_derivatives=read.flag(
@@ -141,7 +166,7 @@ class _Reader:
             max_output_derivative_order=read.whole("maxOutputDerivativeOrder", 0, most=100),
             fixed_step=None if two else read.number("fixedInternalStepSize"),
             completed_step_needed=needed,
-        )  # fmt: skip
+        )
 
     def _experiment(self) -> Experiment:
         element = self.root.first("DefaultExperiment")
@@ -170,8 +195,9 @@ class _Reader:
                 self.wrong(element, "is defined twice", f"unit {name[:80]}")
             powers: dict[str, int] = {
                 key: read.whole(key, 0, least=-99, most=99)
-                for key in ("kg", "m", "s", "A", "K", "mol", "cd", "rad") if base and key in base.attributes
-            }  # fmt: skip
+                for key in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+                if base and key in base.attributes
+            }
             factor, offset = (read.number(key, default) for key, default in (("factor", 1.0), ("offset", 0.0)))
             if not 0.0 < abs(factor) < math.inf:
                 read.wrong("factor", "is no factor")
@@ -229,10 +255,17 @@ class _Reader:
             self._add(element, variable)
             for alias in element.all("Alias") if self.version == "3.0" else ():
                 shown = alias.get("displayUnit", variable.display_unit)
-                self._add(alias, replace(
-                    variable, name=alias.get("name"), description=alias.get("description"), alias=True,
-                    display_unit=shown, place=self.place(alias),
-                ))  # fmt: skip
+                self._add(
+                    alias,
+                    replace(
+                        variable,
+                        name=alias.get("name"),
+                        description=alias.get("description"),
+                        alias=True,
+                        display_unit=shown,
+                        place=self.place(alias),
+                    ),
+                )
         self._dimensions(elements)
         for variable, inner, state in derivatives:
             of = self._at(state)
@@ -259,11 +292,26 @@ class _Reader:
         variability = read.choice("variability", _VARIABILITIES, "fixed" if causality.endswith("arameter") else usual)
         initial = read.choice("initial", ("exact", "approx", "calculated"), _initial(causality, variability))
         variable = FmuVariable(
-            name, read.whole("valueReference", None, most=2**32 - 1), kind, causality, variability, initial,
-            values.start(element), values.text("unit"), values.text("displayUnit"), element.get("description"),
-            values.number("min"), values.number("max"), values.number("nominal"), (), "", declared,
-            clocked=bool(element.get("clocks")), relative=values.flag("relativeQuantity"), place=self.place(element),
-        )  # fmt: skip
+            name,
+            read.whole("valueReference", None, most=2**32 - 1),
+            kind,
+            causality,
+            variability,
+            initial,
+            values.start(element),
+            values.text("unit"),
+            values.text("displayUnit"),
+            element.get("description"),
+            values.number("min"),
+            values.number("max"),
+            values.number("nominal"),
+            (),
+            "",
+            declared,
+            clocked=bool(element.get("clocks")),
+            relative=values.flag("relativeQuantity"),
+            place=self.place(element),
+        )
         state = Attributes(inner, name, self.wrong).whole("derivative", -1, most=2**32 - 1)
         return variable, None if state < 0 else state
 
@@ -350,16 +398,22 @@ class _Reader:
 
     def _structure(self) -> dict[str, Any]:
         found: dict[str, Any] = {
-            "outputs": (), "derivatives": (), "states": (), "initial_unknowns": (), "events": 0, "dependencies": {},
-        }  # fmt: skip
+            "outputs": (),
+            "derivatives": (),
+            "states": (),
+            "initial_unknowns": (),
+            "events": 0,
+            "dependencies": {},
+        }
         group = self.root.first("ModelStructure")
         if group is None:
             self.wrong(self.root, "<ModelStructure> is missing")
             return found
         tags = {
-            "outputs": ("Outputs", "Output"), "derivatives": ("Derivatives", "ContinuousStateDerivative"),
+            "outputs": ("Outputs", "Output"),
+            "derivatives": ("Derivatives", "ContinuousStateDerivative"),
             "initial_unknowns": ("InitialUnknowns", "InitialUnknown"),
-        }  # fmt: skip
+        }
         for key, (old, new) in tags.items():
             lists = group.all(old)
             unknowns = [u for e in lists for u in e.all("Unknown")] if self.version == "2.0" else list(group.all(new))

@@ -61,9 +61,7 @@ def read_xml(data: bytes, file: str, *, skip: frozenset[str] = frozenset(), limi
     return _Reader(file, skip, limits or XmlLimits()).read(data)
 
 
-_STARTS = {
-    b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be", b"<\0": "utf-16-le", b"\0<": "utf-16-be",
-}  # fmt: skip
+_STARTS = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be", b"<\0": "utf-16-le", b"\0<": "utf-16-be"}
 _DECLARED = re.compile(r"""<\?xml\s[^>]*?encoding\s*=\s*["']([^"']*)["']""")
 
 

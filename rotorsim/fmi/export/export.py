@@ -86,10 +86,7 @@ def export_fmu(
     files["documentation/index.html"] = _documentation(interface, main, optimise).encode()
     path = Path(file)
     size = sum(map(len, files.values()))
-    with (
-        atomic_target(path, size=size) as temporary,
-        zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive,
-    ):
+    with atomic_target(path, size=size) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in files.items():
             entry = zipfile.ZipInfo(name, _DATE)
             entry.compress_type = zipfile.ZIP_DEFLATED

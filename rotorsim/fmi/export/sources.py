@@ -91,14 +91,20 @@ def _extra_functions(interface: Interface) -> tuple[str, dict[str, int]]:
         _written(program, {}, "rf_initial", "const double *p, double *x, double *z", "p, x, z", first),
         _written(program, {}, "rf_constants", "const double *p, double *e", "p, e", _targets("e", constants)),
         _written(program, given, "rf_event", f"{state}, double *o", "t, x, z, p, e, o", _targets("o", events)),
-    ]  # fmt: skip
+    ]
     for k, name in enumerate(("tangent", "adjoint", "tangent_p", "adjoint_p", "start_tangent", "start_adjoint")):
         start, vector = name.startswith("start"), names[4 + k]
         inputs, call = ("const double *p", "p") if start else (state, "t, x, z, p, e")
         written.append(
-            _written(program, {} if start else given, f"rf_{name}", f"{inputs}, const double *{vector}, double *o",
-                     f"{call}, {vector}, o", _targets("o", swept[k]))
-        )  # fmt: skip
+            _written(
+                program,
+                {} if start else given,
+                f"rf_{name}",
+                f"{inputs}, const double *{vector}, double *o",
+                f"{call}, {vector}, o",
+                _targets("o", swept[k]),
+            )
+        )
     sizes = {
         "RF_NC": len(constants),
         "RF_WORK": max(size for _, size in written),

@@ -278,14 +278,7 @@ class _Collector:
         return found
 
     def _add_parameter(
-        self,
-        name: str,
-        owners: list[str],
-        value: np.ndarray,
-        unit: str | None,
-        doc: str,
-        fixed: bool,
-        stuck: set[int],
+        self, name: str, owners: list[str], value: np.ndarray, unit: str | None, doc: str, fixed: bool, stuck: set[int]
     ) -> list[Parameter]:
         low, high, is_open = -np.inf, np.inf, False
         follow: list[list[int]] = [[] for _ in range(value.size)]
@@ -350,9 +343,14 @@ class _Collector:
             rate = None if state.unit is None else _rate_unit(state.unit)
             text = f"rate of {state.name}"
             self.add(
-                f"der({state.name})", DERIVATIVE, state.shape, rate, initial="calculated", description=text,
+                f"der({state.name})",
+                DERIVATIVE,
+                state.shape,
+                rate,
+                initial="calculated",
+                description=text,
                 of=state.reference,
-            )  # fmt: skip
+            )
 
     def add_events(self) -> None:
         """Add the zero crossings that blocks declare."""

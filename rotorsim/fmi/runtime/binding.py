@@ -22,44 +22,89 @@ KEPT, LONGEST = 1000, 2000  # messages kept until they are taken, characters of 
 # Our type -> the word in the names of the functions, the type of C.
 TYPES: dict[str, dict[str, tuple[str, Any]]] = {
     "2.0": {
-        "Float64": ("Real", c_double), "Int32": ("Integer", c_int), "Enumeration": ("Integer", c_int),
-        "Boolean": ("Boolean", c_int), "String": ("String", c_char_p),
+        "Float64": ("Real", c_double),
+        "Int32": ("Integer", c_int),
+        "Enumeration": ("Integer", c_int),
+        "Boolean": ("Boolean", c_int),
+        "String": ("String", c_char_p),
     },
     "3.0": {
-        "Float64": ("Float64", c_double), "Float32": ("Float32", ctypes.c_float), "Int8": ("Int8", ctypes.c_int8),
-        "UInt8": ("UInt8", ctypes.c_uint8), "Int16": ("Int16", ctypes.c_int16), "UInt16": ("UInt16", ctypes.c_uint16),
-        "Int32": ("Int32", ctypes.c_int32), "UInt32": ("UInt32", ctypes.c_uint32), "Int64": ("Int64", ctypes.c_int64),
-        "UInt64": ("UInt64", ctypes.c_uint64), "Enumeration": ("Int64", ctypes.c_int64),
-        "Boolean": ("Boolean", c_bool), "String": ("String", c_char_p),
+        "Float64": ("Float64", c_double),
+        "Float32": ("Float32", ctypes.c_float),
+        "Int8": ("Int8", ctypes.c_int8),
+        "UInt8": ("UInt8", ctypes.c_uint8),
+        "Int16": ("Int16", ctypes.c_int16),
+        "UInt16": ("UInt16", ctypes.c_uint16),
+        "Int32": ("Int32", ctypes.c_int32),
+        "UInt32": ("UInt32", ctypes.c_uint32),
+        "Int64": ("Int64", ctypes.c_int64),
+        "UInt64": ("UInt64", ctypes.c_uint64),
+        "Enumeration": ("Int64", ctypes.c_int64),
+        "Boolean": ("Boolean", c_bool),
+        "String": ("String", c_char_p),
     },
-}  # fmt: skip
+}
 
 # Arguments: c instance, p pointer, s text, n size_t, d double, i int, b boolean.
 _BOTH = {
-    "ExitInitializationMode": "c", "Terminate": "c", "Reset": "c", "EnterEventMode": "c",
-    "EnterContinuousTimeMode": "c", "SetTime": "cd", "SetContinuousStates": "cpn", "GetContinuousStates": "cpn",
+    "ExitInitializationMode": "c",
+    "Terminate": "c",
+    "Reset": "c",
+    "EnterEventMode": "c",
+    "EnterContinuousTimeMode": "c",
+    "SetTime": "cd",
+    "SetContinuousStates": "cpn",
+    "GetContinuousStates": "cpn",
     "GetEventIndicators": "cpn",
-    "GetNominalsOfContinuousStates": "cpn", "CompletedIntegratorStep": "cbpp", "SetDebugLogging": "cbnp",
-}  # fmt: skip
+    "GetNominalsOfContinuousStates": "cpn",
+    "CompletedIntegratorStep": "cbpp",
+    "SetDebugLogging": "cbnp",
+}
 _SIGNATURES = {
-    "2.0": _BOTH | {
-        "Instantiate": "sisspbb", "SetupExperiment": "cbddbd", "EnterInitializationMode": "c",
-        "NewDiscreteStates": "cp", "GetDerivatives": "cpn", "DoStep": "cddb", "GetDirectionalDerivative": "cpnpnpp",
-        "SetRealInputDerivatives": "cpnpp", "GetRealOutputDerivatives": "cpnpp", "GetRealStatus": "cip",
-        "GetBooleanStatus": "cip", "GetFMUstate": "cp", "SetFMUstate": "cc", "FreeFMUstate": "cp",
-        "SerializedFMUstateSize": "ccp", "SerializeFMUstate": "ccpn", "DeSerializeFMUstate": "cpnp",
+    "2.0": _BOTH
+    | {
+        "Instantiate": "sisspbb",
+        "SetupExperiment": "cbddbd",
+        "EnterInitializationMode": "c",
+        "NewDiscreteStates": "cp",
+        "GetDerivatives": "cpn",
+        "DoStep": "cddb",
+        "GetDirectionalDerivative": "cpnpnpp",
+        "SetRealInputDerivatives": "cpnpp",
+        "GetRealOutputDerivatives": "cpnpp",
+        "GetRealStatus": "cip",
+        "GetBooleanStatus": "cip",
+        "GetFMUstate": "cp",
+        "SetFMUstate": "cc",
+        "FreeFMUstate": "cp",
+        "SerializedFMUstateSize": "ccp",
+        "SerializeFMUstate": "ccpn",
+        "DeSerializeFMUstate": "cpnp",
         **{f"{verb}{word}": "cpnp" for verb in ("Get", "Set") for word, _ in TYPES["2.0"].values()},
     },
-    "3.0": _BOTH | {
-        "InstantiateModelExchange": "sssbbcp", "InstantiateCoSimulation": "sssbbbbpncpp",
-        "EnterInitializationMode": "cbddbd", "UpdateDiscreteStates": "cpppppp", "GetContinuousStateDerivatives": "cpn",
-        "DoStep": "cddbpppp", "GetDirectionalDerivative": "cpnpnpnpn", "GetOutputDerivatives": "cpnppn",
-        "GetNumberOfEventIndicators": "cp", "GetNumberOfContinuousStates": "cp", "GetFMUState": "cp",
-        "SetFMUState": "cc", "FreeFMUState": "cp", "SerializedFMUStateSize": "ccp", "SerializeFMUState": "ccpn",
-        "DeserializeFMUState": "cpnp", "EnterConfigurationMode": "c", "ExitConfigurationMode": "c",
+    "3.0": _BOTH
+    | {
+        "InstantiateModelExchange": "sssbbcp",
+        "InstantiateCoSimulation": "sssbbbbpncpp",
+        "EnterInitializationMode": "cbddbd",
+        "UpdateDiscreteStates": "cpppppp",
+        "GetContinuousStateDerivatives": "cpn",
+        "DoStep": "cddbpppp",
+        "GetDirectionalDerivative": "cpnpnpnpn",
+        "GetOutputDerivatives": "cpnppn",
+        "GetNumberOfEventIndicators": "cp",
+        "GetNumberOfContinuousStates": "cp",
+        "GetFMUState": "cp",
+        "SetFMUState": "cc",
+        "FreeFMUState": "cp",
+        "SerializedFMUStateSize": "ccp",
+        "SerializeFMUState": "ccpn",
+        "DeserializeFMUState": "cpnp",
+        "EnterConfigurationMode": "c",
+        "ExitConfigurationMode": "c",
         **{f"{verb}{word}": "cpnpn" for verb in ("Get", "Set") for word, _ in TYPES["3.0"].values()},
     },
-}  # fmt: skip
+}
 _CTYPES = {"c": c_void_p, "p": c_void_p, "s": c_char_p, "n": c_size_t, "d": c_double, "i": c_int}
 
 

@@ -12,13 +12,39 @@ from rotorsim.fmi.runtime.memory import Block, Head
 __all__ = ["FUNCTIONS", "NUMBER", "Call", "Calls", "address", "references", "whole"]
 
 FUNCTIONS = (
-    "-", "load", "Instantiate", "SetupExperiment", "EnterInitializationMode", "ExitInitializationMode", "Set", "Get",
-    "DoStep", "SetTime", "SetContinuousStates", "GetDerivatives", "GetContinuousStates", "GetEventIndicators",
-    "GetNominalsOfContinuousStates", "CompletedIntegratorStep", "EnterEventMode", "NewDiscreteStates",
-    "EnterContinuousTimeMode", "SetInputDerivatives", "GetOutputDerivatives", "GetDirectionalDerivative", "GetFMUState",
-    "SetFMUState", "FreeFMUState", "SerializeFMUState", "DeserializeFMUState", "Terminate", "Reset", "FreeInstance",
-    "EnterConfigurationMode", "ExitConfigurationMode",
-)  # fmt: skip
+    "-",
+    "load",
+    "Instantiate",
+    "SetupExperiment",
+    "EnterInitializationMode",
+    "ExitInitializationMode",
+    "Set",
+    "Get",
+    "DoStep",
+    "SetTime",
+    "SetContinuousStates",
+    "GetDerivatives",
+    "GetContinuousStates",
+    "GetEventIndicators",
+    "GetNominalsOfContinuousStates",
+    "CompletedIntegratorStep",
+    "EnterEventMode",
+    "NewDiscreteStates",
+    "EnterContinuousTimeMode",
+    "SetInputDerivatives",
+    "GetOutputDerivatives",
+    "GetDirectionalDerivative",
+    "GetFMUState",
+    "SetFMUState",
+    "FreeFMUState",
+    "SerializeFMUState",
+    "DeserializeFMUState",
+    "Terminate",
+    "Reset",
+    "FreeInstance",
+    "EnterConfigurationMode",
+    "ExitConfigurationMode",
+)
 NUMBER = {name: k for k, name in enumerate(FUNCTIONS)}
 Call = tuple[int, Any, tuple[Any, ...]]  # number in FUNCTIONS, function, arguments
 

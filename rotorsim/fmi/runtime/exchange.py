@@ -36,7 +36,7 @@ class Slave(Instance):
 
     def exchange(
         self, u: np.ndarray | None, t: float, h: float | None = None, derivatives: np.ndarray | None = None
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """Set the inputs u (n_u,), step from t to t + h, and return the outputs (n_y,) there.
 
         u: None leaves the inputs as they are. h: None makes no step. derivatives: (order, n_u) of the inputs at t,
@@ -47,7 +47,7 @@ class Slave(Instance):
 
     def begin_exchange(
         self, u: np.ndarray | None, t: float, h: float | None = None, derivatives: np.ndarray | None = None
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Begin what `exchange` does; FMUs in processes of their own then work at the same time."""
         op = Op.Y
         if u is not None:

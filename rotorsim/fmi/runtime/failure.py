@@ -24,10 +24,19 @@ class FmuError(RotorsimError):
     exit_code = 1
 
     def __init__(
-        self, what: str, *, kind: str, name: str, place: Place, function: str = "", time: float | None = None,
-        last: float | None = None, log: Sequence[tuple[str, str, str]] = (), printed: Sequence[str] = (),
+        self,
+        what: str,
+        *,
+        kind: str,
+        name: str,
+        place: Place,
+        function: str = "",
+        time: float | None = None,
+        last: float | None = None,
+        log: Sequence[tuple[str, str, str]] = (),
+        printed: Sequence[str] = (),
         hint: str = "",
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.kind, self.function, self.time, self.last, self.log = kind, function, time, last, tuple(log)
         text = what + (f" (t = {time:.9g} s)" if time is not None else "")
         said = [f"{status}: {message}" for status, _, message in self.log if message and status != "OK"]

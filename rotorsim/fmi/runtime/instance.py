@@ -27,9 +27,15 @@ class Instance:
     """What `Slave` can do for both kinds: begin, end, values of variables, saved states."""
 
     def __init__(
-        self, description: ModelDescription, worker: Worker, kind: str, name: str, file: str, log: Log | None,
+        self,
+        description: ModelDescription,
+        worker: Worker,
+        kind: str,
+        name: str,
+        file: str,
+        log: Log | None,
         released: Callable[[], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.description, self.worker, self.kind, self.name = description, worker, kind, name
         self.file, self.log = file, log
         self._released = released
@@ -61,10 +67,16 @@ class Instance:
     # -- begin and end -------------------------------------------------------------------------------------------------
 
     def setup(
-        self, start: float = 0.0, stop: float | None = None, tolerance: float | None = None,
-        parameters: Mapping[str, Any] | None = None, inputs: Sequence[str] = (), outputs: Sequence[str] = (), *,
+        self,
+        start: float = 0.0,
+        stop: float | None = None,
+        tolerance: float | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        inputs: Sequence[str] = (),
+        outputs: Sequence[str] = (),
+        *,
         exit_initialisation: bool = True,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Set start values, choose inputs and outputs once, and initialise.
 
         inputs, outputs: scalars, entries of arrays, or arrays (all entries). parameters: values of any variables that
@@ -78,10 +90,16 @@ class Instance:
         given = dict(parameters or {})
         values = _all_runs(self.description, given)
         self.command(
-            "begin", start=float(start), stop=stop, tolerance=tolerance, values=values, inputs=input_runs,
-            outputs=output_runs, about=[*self.description.sizes, *given],
+            "begin",
+            start=float(start),
+            stop=stop,
+            tolerance=tolerance,
+            values=values,
+            inputs=input_runs,
+            outputs=output_runs,
+            about=[*self.description.sizes, *given],
             sizes=[make_run(self.description, *size, sizes=True) for size in self.description.sizes.items()],
-        )  # fmt: skip
+        )
         self.input_names, self.output_names = tuple(e.name for e in written), tuple(e.name for e in read)
         self._views(self._all, len(self.input_names), len(self.output_names))
         self._phase = "initialising"
@@ -245,9 +263,12 @@ class Instance:
     def _expect(self, *phases: str) -> None:
         if self._phase not in phases:
             words = {
-                "new": "is not set up", "initialising": "is initialising", "running": "is set up already",
-                "ended": "is terminated", "freed": "is freed",
-            }  # fmt: skip
+                "new": "is not set up",
+                "initialising": "is initialising",
+                "running": "is set up already",
+                "ended": "is terminated",
+                "freed": "is freed",
+            }
             raise self._refused(f"the instance {words[self._phase]}")
 
     @property
@@ -296,9 +317,15 @@ class Instance:
         printed = str(more.get("printed", "")).splitlines()
         last = more.get("last")
         return self._error(
-            what, kind=failure.kind, function=function, time=time, log=log, printed=printed,
-            last=float(last) if isinstance(last, int | float) else None, hint=str(more.get("hint", "")),
-        )  # fmt: skip
+            what,
+            kind=failure.kind,
+            function=function,
+            time=time,
+            log=log,
+            printed=printed,
+            last=float(last) if isinstance(last, int | float) else None,
+            hint=str(more.get("hint", "")),
+        )
 
 
 def _all_runs(description: ModelDescription, values: Mapping[str, Any]) -> list[Any]:

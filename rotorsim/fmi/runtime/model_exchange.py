@@ -185,7 +185,7 @@ class ModelExchange:
 
     def _locate(
         self, t: float, width: float, end: np.ndarray, u: Inputs, since: float, h: float
-    ) -> tuple[float, np.ndarray, np.ndarray]:  # fmt: skip
+    ) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the width of the step that ends right behind the first crossing, the states there, what crossed."""
         tolerance = max(LOCATED * h, 2 * EPS * abs(t))
 

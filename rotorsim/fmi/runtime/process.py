@@ -122,17 +122,27 @@ class RemoteWorker(Worker):
         end, self._lifeline = os.pipe()
         scratch = tempfile.mkdtemp(prefix="scratch-", dir=folder)
         given = {
-            "memory": memory, "lifeline": end, "folder": str(folder), "block": descriptor,
-            "bytes": max(sizes.bytes, mmap.PAGESIZE), "ordered": self.ordered,
+            "memory": memory,
+            "lifeline": end,
+            "folder": str(folder),
+            "block": descriptor,
+            "bytes": max(sizes.bytes, mmap.PAGESIZE),
+            "ordered": self.ordered,
             "sizes": {"n": sizes.n, "n_x": sizes.n_x, "n_z": sizes.n_z, "order": sizes.order},
-        }  # fmt: skip
+        }
         root = str(Path(rotorsim.__file__).resolve().parent.parent)
         try:
             self.process = subprocess.Popen(
-                [sys.executable, "-P", "-c", _CODE, root, json.dumps(given)], stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE, stderr=subprocess.PIPE, pass_fds=(end, descriptor), cwd=scratch, bufsize=0,
-                env=_environment(library.parent), start_new_session=True,
-            )  # fmt: skip
+                [sys.executable, "-P", "-c", _CODE, root, json.dumps(given)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                pass_fds=(end, descriptor),
+                cwd=scratch,
+                bufsize=0,
+                env=_environment(library.parent),
+                start_new_session=True,
+            )
         except BaseException:
             os.close(self._lifeline)
             raise

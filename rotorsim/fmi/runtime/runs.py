@@ -45,7 +45,7 @@ def make_runs(entries: Sequence[Entry], use: str) -> list[dict[str, Any]]:
 
 def make_run(
     description: ModelDescription, name: str, value: Any, *, sizes: bool = False
-) -> tuple[dict[str, Any], list[Any]]:  # fmt: skip
+) -> tuple[dict[str, Any], list[Any]]:
     """Return the run of one variable and its values, converted to its type; sizes: structural parameters too.
 
     Raises RotorsimError.
@@ -78,9 +78,13 @@ def _run(entries: Sequence[Entry], offset: int) -> dict[str, Any]:
     index = [first[id(entry.variable)] + entry.index for entry in entries]
     variable = variables[0]
     return {
-        "type": variable.type, "refs": [v.reference for v in variables], "n": at, "offset": offset,
-        "index": None if index == list(range(at)) else index, "discrete": variable.variability != "continuous",
-    }  # fmt: skip
+        "type": variable.type,
+        "refs": [v.reference for v in variables],
+        "n": at,
+        "offset": offset,
+        "index": None if index == list(range(at)) else index,
+        "discrete": variable.variability != "continuous",
+    }
 
 
 def _group(entry: Entry, use: str) -> tuple[str, bool]:

@@ -59,9 +59,17 @@ class Session:
     # -- from instance to steps ----------------------------------------------------------------------------------------
 
     def _do_instantiate(
-        self, path: str, version: str, kind: str, name: str, token: str, resources: str | None, n_x: int, n_z: int,
+        self,
+        path: str,
+        version: str,
+        kind: str,
+        name: str,
+        token: str,
+        resources: str | None,
+        n_x: int,
+        n_z: int,
         categories: Sequence[str],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.n_x, self.n_z = n_x, n_z
         self.calls = calls = Calls(self.block, path, version, kind)
         calls.instantiate(name, token, resources)
@@ -70,9 +78,15 @@ class Session:
             calls.call("-", "SetDebugLogging", 1, len(categories), address(wanted))
 
     def _do_begin(
-        self, start: float, stop: float | None, tolerance: float | None, values: Sequence[Any],
-        inputs: Sequence[Any], outputs: Sequence[Any], sizes: Sequence[Any] = (),
-    ) -> None:  # fmt: skip
+        self,
+        start: float,
+        stop: float | None,
+        tolerance: float | None,
+        values: Sequence[Any],
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        sizes: Sequence[Any] = (),
+    ) -> None:
         calls = self._calls()
         self.block.head[Head.SAID] = 0
         if sizes:

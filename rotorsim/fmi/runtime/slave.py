@@ -51,16 +51,22 @@ _INPUT_ORDER = 2  # highest derivative of inputs that is handed over
 
 def describe_fmu(
     path: str | Path, *, limits: Limits | None = None, sizes: Mapping[str, int] | None = None
-) -> ModelDescription:  # fmt: skip
+) -> ModelDescription:
     """Return the model description of an FMU; nothing is unpacked. Raises RotorsimError with every mistake."""
     with Archive(path, limits) as archive:
         return describe(archive, str(path), sizes)
 
 
 def open_fmu(
-    path: str | Path, *, in_process: bool = False, timeout: float = TIMEOUT, memory: int | None = MEMORY,
-    log: Log | None = None, limits: Limits | None = None, sizes: Mapping[str, int] | None = None,
-) -> Fmu:  # fmt: skip
+    path: str | Path,
+    *,
+    in_process: bool = False,
+    timeout: float = TIMEOUT,
+    memory: int | None = MEMORY,
+    log: Log | None = None,
+    limits: Limits | None = None,
+    sizes: Mapping[str, int] | None = None,
+) -> Fmu:
     """Return an FMU, to be used in a with statement.
 
     in_process: load its library into this process: faster, but a crash of it is one of ours, and there are no limits
@@ -86,9 +92,15 @@ class Fmu:
     """An FMU file: its description, and its instances. Unpacked when first instantiated; a context manager."""
 
     def __init__(
-        self, path: Path, description: ModelDescription, in_process: bool, timeout: float, memory: int | None,
-        log: Log | None, limits: Limits | None,
-    ) -> None:  # fmt: skip
+        self,
+        path: Path,
+        description: ModelDescription,
+        in_process: bool,
+        timeout: float,
+        memory: int | None,
+        log: Log | None,
+        limits: Limits | None,
+    ) -> None:
         self.path, self.description = path, description
         self.in_process, self.timeout, self.memory, self.log, self.limits = in_process, timeout, memory, log, limits
         self.folder: Path | None = None
@@ -141,9 +153,11 @@ class Fmu:
         folder = self._unpacked()
         library = find_library(description, kind, folder)
         sizes = Sizes(
-            sum(v.size for v in description.variables.values()), len(description.states), description.n_events,
+            sum(v.size for v in description.variables.values()),
+            len(description.states),
+            description.n_events,
             _INPUT_ORDER if description.kinds[kind].can_interpolate_inputs else 0,
-        )  # fmt: skip
+        )
         worker: Worker
         if self.in_process:
             worker = LocalWorker(sizes)
@@ -158,9 +172,17 @@ class Fmu:
         slave.owner = self
         try:
             slave.command(
-                "instantiate", path=str(library), version=description.version, kind=kind, name=instance,
-                token=description.token, resources=where, n_x=sizes.n_x, n_z=sizes.n_z, categories=wanted,
-            )  # fmt: skip
+                "instantiate",
+                path=str(library),
+                version=description.version,
+                kind=kind,
+                name=instance,
+                token=description.token,
+                resources=where,
+                n_x=sizes.n_x,
+                n_z=sizes.n_z,
+                categories=wanted,
+            )
         except BaseException:
             slave.free()
             raise

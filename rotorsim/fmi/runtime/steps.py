@@ -31,18 +31,30 @@ class State:
 
 PART, PROCESS = 0, 1  # kinds of members, beside the versions of FMUs in this process
 _DEFINED = {
-    "T": Block.T, "H": Block.H, "LAST": Block.LAST, "OP_U": Op.U, "OP_STEP": Op.STEP, "OP_Y": Op.Y,
-    "TERMINATE": Said.TERMINATE, "DO_STEP": NUMBER["DoStep"], "PART": PART, "PROCESS": PROCESS,
+    "T": Block.T,
+    "H": Block.H,
+    "LAST": Block.LAST,
+    "OP_U": Op.U,
+    "OP_STEP": Op.STEP,
+    "OP_Y": Op.Y,
+    "TERMINATE": Said.TERMINATE,
+    "DO_STEP": NUMBER["DoStep"],
+    "PART": PART,
+    "PROCESS": PROCESS,
     **{name: n for of in (Head, Failed, State) for name, n in vars(of).items() if name.isupper()},
-}  # fmt: skip
+}
 DEFINES = "".join(f"#define RS_{name} {number}\n" for name, number in _DEFINED.items())  # that c/loop.c begins with
 
 
 class _Call(ctypes.Structure):
     _fields_ = [
-        ("number", ctypes.c_int64), ("function", ctypes.c_void_p), ("references", ctypes.c_void_p),
-        ("n_references", ctypes.c_size_t), ("values", ctypes.c_void_p), ("n", ctypes.c_size_t),
-    ]  # fmt: skip
+        ("number", ctypes.c_int64),
+        ("function", ctypes.c_void_p),
+        ("references", ctypes.c_void_p),
+        ("n_references", ctypes.c_size_t),
+        ("values", ctypes.c_void_p),
+        ("n", ctypes.c_size_t),
+    ]
 
 
 class Member(ctypes.Structure):
@@ -50,12 +62,14 @@ class Member(ctypes.Structure):
 
     _fields_ = [
         *((name, ctypes.c_int64) for name in ("kind", "state", "n_set", "n_get", "unbound")),
-        *((name, ctypes.c_void_p) for name in (
-            "instance", "do_step", "set", "get", "run", "record", "p", "m", "x", "z", "y", "row",
-        )),
-        ("step", ctypes.c_double), ("head", ctypes.c_void_p),
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("instance", "do_step", "set", "get", "run", "record", "p", "m", "x", "z", "y", "row")
+        ),
+        ("step", ctypes.c_double),
+        ("head", ctypes.c_void_p),
         *((name, ctypes.c_int64) for name in ("count", "looks", "bell")),
-    ]  # fmt: skip
+    ]
 
 
 class Steps:
@@ -178,10 +192,16 @@ class Steps:
         setters, getters = (_in_c(found, calls.two) for found in (self._held, self._outputs))
         self._keep += [setters, getters]
         return Member(
-            kind=2 if calls.two else 3, n_set=len(setters), n_get=len(getters), unbound=self.unbound,
-            instance=calls.instance, do_step=ctypes.cast(self._do_step, ctypes.c_void_p), set=address(setters),
-            get=address(getters), head=self.block.at(0),
-        )  # fmt: skip
+            kind=2 if calls.two else 3,
+            n_set=len(setters),
+            n_get=len(getters),
+            unbound=self.unbound,
+            instance=calls.instance,
+            do_step=ctypes.cast(self._do_step, ctypes.c_void_p),
+            set=address(setters),
+            get=address(getters),
+            head=self.block.at(0),
+        )
 
     def fail(self, what: int) -> None:
         """Raise what c/loop.c returned, as `run` does. Raises CallError, but for an end that is asked for."""

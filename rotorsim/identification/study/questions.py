@@ -106,7 +106,7 @@ def smallest_size(
         left_out = tuple(name for name in names if name not in kept)
         found.append(
             Smallest(case, parameter, known[parameter].unit, own, expected, size, share, study.seeds, left_out)
-        )  # fmt: skip
+        )
     return found
 
 
@@ -114,12 +114,19 @@ def smallest_rows(sizes: Sequence[Smallest]) -> list[dict[str, Any]]:
     """Return smallest sizes as plain data, for a table."""
     return [
         {
-            "parameter": size.parameter, "unit": size.unit, "kind": size.case.kind, "noise": size.case.noise,
-            "std_at_zero": size.std, "expected": size.expected, "size": size.size, "share": size.share,
-            "seeds": size.seeds, "taken_as_known": " ".join(size.left_out),
+            "parameter": size.parameter,
+            "unit": size.unit,
+            "kind": size.case.kind,
+            "noise": size.case.noise,
+            "std_at_zero": size.std,
+            "expected": size.expected,
+            "size": size.size,
+            "share": size.share,
+            "seeds": size.seeds,
+            "taken_as_known": " ".join(size.left_out),
         }
         for size in sizes
-    ]  # fmt: skip
+    ]
 
 
 @dataclass(frozen=True, eq=False)

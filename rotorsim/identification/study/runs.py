@@ -142,10 +142,14 @@ def _one_run(
     wave = np.exp(1j * speed * np.outer(time, motion.orders))
     flat = {name: (wave @ np.nan_to_num(motion.harmonics[name][0])).real for name in names}
     shapes = {name: model.signals[name].shape for name in signals}
-    return time, theta, {
-        name: np.column_stack([flat[entry] for entry in flat_names(model, name)]).reshape(len(time), *shapes[name])
-        for name in signals
-    }  # fmt: skip
+    return (
+        time,
+        theta,
+        {
+            name: np.column_stack([flat[entry] for entry in flat_names(model, name)]).reshape(len(time), *shapes[name])
+            for name in signals
+        },
+    )
 
 
 class Bench:
@@ -209,9 +213,7 @@ class Bench:
                 found.append(RunHarmonics(item.run, item.angle, fit))
                 continue
             signals = dict(zip(self.names, values.T, strict=True))
-            fit = fit_harmonics(
-                item.run.id, item.run.time, item.angle.theta, signals, self.units, basis=item.basis
-            )  # fmt: skip
+            fit = fit_harmonics(item.run.id, item.run.time, item.angle.theta, signals, self.units, basis=item.basis)
             found.append(RunHarmonics(item.run, item.angle, fit))
         return found
 
@@ -312,10 +314,15 @@ def _free(diagram: Diagram, names: Sequence[str]) -> tuple[Free, ...]:
     """Return the free parameters of these names, in this order. Raises RotorsimError for others."""
     known = {item.name: item for item in diagram.free}
     problems = [
-        Problem(f"'{name}' is not among the parameters to identify", diagram.name, Place(diagram.file),
-                near_miss(name, known) or f"they are {', '.join(known)}")
-        for name in names if name not in known
-    ]  # fmt: skip
+        Problem(
+            f"'{name}' is not among the parameters to identify",
+            diagram.name,
+            Place(diagram.file),
+            near_miss(name, known) or f"they are {', '.join(known)}",
+        )
+        for name in names
+        if name not in known
+    ]
     if problems:
         raise RotorsimError(*problems)
     return tuple(known[name] for name in names) if names else diagram.free

@@ -32,8 +32,16 @@ from rotorsim.measure.record import KINDS
 from rotorsim.model.load import load
 
 __all__ = [
-    "Case", "Study", "StudyResult", "StudyRow", "run_study", "study_data", "study_of_table", "study_rows", "write_rows",
-]  # fmt: skip
+    "Case",
+    "Study",
+    "StudyResult",
+    "StudyRow",
+    "run_study",
+    "study_data",
+    "study_of_table",
+    "study_rows",
+    "write_rows",
+]
 
 CHUNK = 20  # estimates handed over at a time
 
@@ -217,9 +225,13 @@ def study_of_table(number: str, **changes: Any) -> Study:
     if table.kind == "bias":
         varied = {"bias": levels, "groups": table.groups}
     fields = {
-        "diagram": load(table.diagram).document, "speeds": table.speeds, "free": table.free,
-        "reduction": table.reduction, "table": number, **varied,
-    }  # fmt: skip
+        "diagram": load(table.diagram).document,
+        "speeds": table.speeds,
+        "free": table.free,
+        "reduction": table.reduction,
+        "table": number,
+        **varied,
+    }
     return Study(**{**fields, **changes})
 
 
@@ -251,18 +263,18 @@ def run_study(
     Raises RotorsimError for what does not fit together, and when no seed of a case gives an estimate.
     """
     bench = study.bench()  # mistakes come before any worker starts
-    jobs = [
-        (case, seed)
-        for seed in range(study.seeds)
-        for case in study.cases
-        if case.disturbed or seed == 0
-    ]  # fmt: skip
+    jobs = [(case, seed) for seed in range(study.seeds) for case in study.cases if case.disturbed or seed == 0]
     found = run_jobs(
         partial(_job, study.text),
         [[case.kind, case.noise, case.bias, seed] for case, seed in jobs],
-        store=store, key=hashlib.sha256(study.text.encode()).hexdigest(), scheduler=scheduler, workers=workers,
-        progress=progress, chunk=CHUNK, on_error="return",
-    )  # fmt: skip
+        store=store,
+        key=hashlib.sha256(study.text.encode()).hexdigest(),
+        scheduler=scheduler,
+        workers=workers,
+        progress=progress,
+        chunk=CHUNK,
+        on_error="return",
+    )
     failed = [
         f"{case}, seed {seed}: {item.type}: {item.text}"
         for (case, seed), item in zip(jobs, found, strict=True)
@@ -303,12 +315,18 @@ def _rows(
         level = case.noise if table is not None and table.kind == "noise" else case.bias
         rows.append(
             StudyRow(
-                parameter=item.name, unit=item.unit, true=true, case=case,
-                mean_error=float(error.mean()), rms_error=float(np.sqrt(np.mean(error**2))),
-                coverage=covered, identified=None if called is None else float(called[:, j].mean()),
-                published=None if table is None else table.error(item.name, level), seeds=len(values),
+                parameter=item.name,
+                unit=item.unit,
+                true=true,
+                case=case,
+                mean_error=float(error.mean()),
+                rms_error=float(np.sqrt(np.mean(error**2))),
+                coverage=covered,
+                identified=None if called is None else float(called[:, j].mean()),
+                published=None if table is None else table.error(item.name, level),
+                seeds=len(values),
             )
-        )  # fmt: skip
+        )
     return rows
 
 
@@ -323,14 +341,23 @@ def study_rows(found: StudyResult) -> list[dict[str, Any]]:
     """Return the rows of a study as plain data, for a table."""
     return [
         {
-            "parameter": row.parameter, "unit": row.unit, "true": row.true, "kind": row.case.kind,
-            "noise": row.case.noise, "bias": row.case.bias, "mean_error": row.mean_error,
-            "mean_error_percent": row.mean_percent, "rms_error": row.rms_error, "rms_error_percent": row.rms_percent,
-            "thesis_error_percent": row.published, "coverage90": row.coverage, "identified": row.identified,
+            "parameter": row.parameter,
+            "unit": row.unit,
+            "true": row.true,
+            "kind": row.case.kind,
+            "noise": row.case.noise,
+            "bias": row.case.bias,
+            "mean_error": row.mean_error,
+            "mean_error_percent": row.mean_percent,
+            "rms_error": row.rms_error,
+            "rms_error_percent": row.rms_percent,
+            "thesis_error_percent": row.published,
+            "coverage90": row.coverage,
+            "identified": row.identified,
             "seeds": row.seeds,
         }
         for row in found.rows
-    ]  # fmt: skip
+    ]
 
 
 def write_rows(rows: Sequence[Mapping[str, Any]], data: Any, file: str | Path) -> None:

@@ -92,13 +92,7 @@ def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
         update=tuple(nodes[n + m :]),
         trace=trace,
         order=tuple(state for group in groups for state in group),
-        sizes={
-            "RS_NX": n,
-            "RS_NZ": len(update),
-            "RS_NY": m,
-            "RS_NS": len(trace.samplers),
-            "RS_NW": trace.w.numel(),
-        },
+        sizes={"RS_NX": n, "RS_NZ": len(update), "RS_NY": m, "RS_NS": len(trace.samplers), "RS_NW": trace.w.numel()},
     )
 
 

@@ -24,11 +24,36 @@ SQ, TWICE, INV, SIN, COS = ca.OP_SQ, ca.OP_TWICE, ca.OP_INV, ca.OP_SIN, ca.OP_CO
 _COMMUTATIVE = frozenset({ADD, MUL, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_FMIN, ca.OP_FMAX, ca.OP_HYPOT})
 _UNARY = frozenset(
     {
-        NEG, ca.OP_EXP, ca.OP_LOG, ca.OP_SQRT, SQ, TWICE, SIN, COS, ca.OP_TAN, ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATAN,
-        ca.OP_NOT, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FABS, ca.OP_SIGN, ca.OP_ERF, INV, ca.OP_SINH, ca.OP_COSH,
-        ca.OP_TANH, ca.OP_ASINH, ca.OP_ACOSH, ca.OP_ATANH, ca.OP_LOG1P, ca.OP_EXPM1, ca.OP_ASSIGN,
+        NEG,
+        ca.OP_EXP,
+        ca.OP_LOG,
+        ca.OP_SQRT,
+        SQ,
+        TWICE,
+        SIN,
+        COS,
+        ca.OP_TAN,
+        ca.OP_ASIN,
+        ca.OP_ACOS,
+        ca.OP_ATAN,
+        ca.OP_NOT,
+        ca.OP_FLOOR,
+        ca.OP_CEIL,
+        ca.OP_FABS,
+        ca.OP_SIGN,
+        ca.OP_ERF,
+        INV,
+        ca.OP_SINH,
+        ca.OP_COSH,
+        ca.OP_TANH,
+        ca.OP_ASINH,
+        ca.OP_ACOSH,
+        ca.OP_ATANH,
+        ca.OP_LOG1P,
+        ca.OP_EXPM1,
+        ca.OP_ASSIGN,
     }
-)  # fmt: skip
+)
 _FOLD: dict[int, Callable[[float, float], float]] = {
     ADD: lambda a, b: a + b,
     SUB: lambda a, b: a - b,

@@ -173,13 +173,7 @@ class _Tracer:
         own = self.arguments[name]
         given = [inputs[port] if port in inputs else ca.SX(*symbol.shape) for port, symbol in trace.inputs.items()]
         state = [(states or {}).get(key, own[key]) for key in trace.states]
-        return [
-            *given,
-            *(own[key] for key in trace.parameters),
-            *state,
-            *(own[key] for key in trace.randoms),
-            self.t,
-        ]
+        return [*given, *(own[key] for key in trace.parameters), *state, *(own[key] for key in trace.randoms), self.t]
 
     def input_value(self, block: str, port: str, signals: Mapping[Key, Any]) -> Any:
         """Return the value of an input port: its wire, the sum of its wires, or zero when it is cut."""

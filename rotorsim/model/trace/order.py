@@ -76,7 +76,7 @@ class _Like:
 @lru_cache(maxsize=KEPT)
 def _traced(
     like: _Like, inputs: Shapes, outputs: Shapes, parameters: Shapes, states: Shapes, randoms: Shapes
-) -> BlockTrace:  # fmt: skip
+) -> BlockTrace:
     return trace_block(like.block, *(dict(shapes) for shapes in (inputs, outputs, parameters, states, randoms)))
 
 

@@ -201,11 +201,18 @@ def traces(found: Diagnosis) -> list[Trace]:
     names = source.channels.outputs
     return [
         Trace(
-            run.id, name, units.get(name, ""), run.start + run.dt * np.arange(run.size), run.values[name],
-            None if before is None else before[r][:, c], None if after is None else after[r][:, c], held,
+            run.id,
+            name,
+            units.get(name, ""),
+            run.start + run.dt * np.arange(run.size),
+            run.values[name],
+            None if before is None else before[r][:, c],
+            None if after is None else after[r][:, c],
+            held,
         )
-        for r, run in enumerate(runs) for c, name in enumerate(names)
-    ]  # fmt: skip
+        for r, run in enumerate(runs)
+        for c, name in enumerate(names)
+    ]
 
 
 def _simulated(document: Mapping[str, Any], source: Any, runs: Sequence[Any]) -> list[np.ndarray] | None:

@@ -131,9 +131,13 @@ def _ends(item: Mapping[str, Any]) -> bool:
 
 
 def _draw_moves(
-    axes: Axes, names: Sequence[str], before: Mapping[str, Mapping[str, Any]], after: Mapping[str, Mapping[str, Any]],
-    labels: Mapping[str, str], unit: str,
-) -> None:  # fmt: skip
+    axes: Axes,
+    names: Sequence[str],
+    before: Mapping[str, Mapping[str, Any]],
+    after: Mapping[str, Mapping[str, Any]],
+    labels: Mapping[str, str],
+    unit: str,
+) -> None:
     drawn = []
     for row, name in enumerate(names):
         base = before[name] if _ends(after[name]) or not after[name]["value"] else after[name]
@@ -152,12 +156,20 @@ def _draw_moves(
         if abs(centre) > limit:
             side = float(np.sign(centre))
             marker, low, high = ("<" if side < 0 else ">"), 0.97 * side * limit, 0.97 * side * limit
-            axes.annotate(f"{centre:+.3g} {unit} ", (low, height), (-8 * side, 0), textcoords="offset points",
-                          ha="right" if side > 0 else "left", va="center", fontsize=8)  # fmt: skip
+            axes.annotate(
+                f"{centre:+.3g} {unit} ",
+                (low, height),
+                (-8 * side, 0),
+                textcoords="offset points",
+                ha="right" if side > 0 else "left",
+                va="center",
+                fontsize=8,
+            )
             centre = low
         label = labels[look] + (", at its bound" if _ends(item) else "")
-        axes.errorbar(centre, height, xerr=[[max(centre - low, 0)], [max(high - centre, 0)]], fmt=marker, label=label,
-                      **form)  # fmt: skip
+        axes.errorbar(
+            centre, height, xerr=[[max(centre - low, 0)], [max(high - centre, 0)]], fmt=marker, label=label, **form
+        )
     axes.axvline(0.0, color=GREY, lw=0.8, zorder=0)
     axes.set_yticks(range(len(names)), list(names))
     axes.set_ylim(-0.6, len(names) - 0.4)

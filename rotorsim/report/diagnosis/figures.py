@@ -21,15 +21,7 @@ from rotorsim.report.identification.comparison import Comparison, Signal
 from rotorsim.report.identification.figures import PHASE_STEPS
 from rotorsim.report.style import BLUE, INK, RED, display, figure, order_axis, rpm, styled
 
-__all__ = [
-    "LOOK",
-    "STANDS_OUT",
-    "legend",
-    "orbits_figure",
-    "spectra_figure",
-    "speed_curves_figure",
-    "wide_sheet",
-]
+__all__ = ["LOOK", "STANDS_OUT", "legend", "orbits_figure", "spectra_figure", "speed_curves_figure", "wide_sheet"]
 
 LOOK: dict[str, dict[str, Any]] = {
     "before": {"color": RED, "marker": "s", "ls": "--", "ms": 8.5},
@@ -108,20 +100,46 @@ def _draw_spectrum(axes: Axes, pair: Pair, r: int, signal: Signal) -> None:
         display(part, signal.unit)[0] for part in (np.abs(measured.value), measured.amplitude_std, measured.noise)
     )
     axes.set_yscale("log")
-    axes.stairs(noise, np.append(orders - 0.5, orders[-1] + 0.5), baseline=1e-300, fill=True, color=NOISE_COLOUR,
-                label="noise alone (95 %)", zorder=0)  # fmt: skip
+    axes.stairs(
+        noise,
+        np.append(orders - 0.5, orders[-1] + 0.5),
+        baseline=1e-300,
+        fill=True,
+        color=NOISE_COLOUR,
+        label="noise alone (95 %)",
+        zorder=0,
+    )
     clear = size > noise
     bars = np.array([np.minimum(Z90 * std, size * (1 - 1e-6)), Z90 * std])
     axes.vlines(orders[clear], 1e-300, size[clear], color="#bdbdbd", lw=1.0, zorder=1)
     axes.plot(orders[~clear], size[~clear], ".", ms=4, color="#a0a0a0", zorder=2)
-    axes.errorbar(orders[clear], size[clear], bars[:, clear], fmt="D", ms=3.2, color=INK, elinewidth=1.0, capsize=2.0,
-                  label="measured, 90 % interval", zorder=5)  # fmt: skip
+    axes.errorbar(
+        orders[clear],
+        size[clear],
+        bars[:, clear],
+        fmt="D",
+        ms=3.2,
+        color=INK,
+        elinewidth=1.0,
+        capsize=2.0,
+        label="measured, 90 % interval",
+        zorder=5,
+    )
     for name, compared in pair.models:
         look, predicted = LOOK[name], compared.model(r, signal)
         own = compared.measured(r, signal).value - predicted  # readings, or what went into their converter
         value, left = (display(np.abs(part), signal.unit)[0] for part in (predicted, own))
-        axes.plot(orders, value, look["marker"], ms=look["ms"], mfc="none", mec=look["color"], mew=1.3,
-                  label=pair.labels[name], zorder=4)  # fmt: skip
+        axes.plot(
+            orders,
+            value,
+            look["marker"],
+            ms=look["ms"],
+            mfc="none",
+            mec=look["color"],
+            mew=1.3,
+            label=pair.labels[name],
+            zorder=4,
+        )
         axes.plot(
             orders, left, "x", ms=4.5, color=look["color"], mew=1.1, label=f"left over, {pair.labels[name]}", zorder=3
         )
@@ -140,14 +158,21 @@ def _draw_lines(axes: Axes, pair: Pair, r: int, signal: Signal) -> None:
         at, look = measured.orders[clear], LOOK[name]
         size, std, value, left = (
             display(part[clear], signal.unit)[0]
-            for part in (
-                np.abs(measured.value), measured.amplitude_std, np.abs(model), np.abs(measured.value - model)
-            )
-        )  # fmt: skip
+            for part in (np.abs(measured.value), measured.amplitude_std, np.abs(model), np.abs(measured.value - model))
+        )
         if compared is pair.any:
             axes.vlines(at, 1e-300, size, color="#d8d8d8", lw=0.8, zorder=1)
-            axes.errorbar(at, size, np.array([np.minimum(Z90 * std, size * (1 - 1e-6)), Z90 * std]), fmt="d", ms=2.6,
-                          color=INK, elinewidth=0.8, label="measured at kX + nu", zorder=5)  # fmt: skip
+            axes.errorbar(
+                at,
+                size,
+                np.array([np.minimum(Z90 * std, size * (1 - 1e-6)), Z90 * std]),
+                fmt="d",
+                ms=2.6,
+                color=INK,
+                elinewidth=0.8,
+                label="measured at kX + nu",
+                zorder=5,
+            )
         axes.plot(at, value, look["marker"], ms=0.65 * look["ms"], mfc="none", mec=look["color"], mew=0.9, zorder=4)
         axes.plot(at, left, "x", ms=0.65 * look["ms"], color=look["color"], mew=0.8, zorder=3)
 
@@ -197,8 +222,15 @@ def _draw_orbit(axes: Axes, pair: Pair, r: int, signal: Signal) -> None:
     for name, compared in pair.models:
         look = LOOK[name]
         orbit = display(compared.orbit(r, signal, theta)[1], signal.unit)[0]
-        axes.plot(orbit.real, orbit.imag, ls=(0, (5, 2)) if name == "before" else "-", color=look["color"], lw=1.4,
-                  label=pair.labels[name], zorder=3)  # fmt: skip
+        axes.plot(
+            orbit.real,
+            orbit.imag,
+            ls=(0, (5, 2)) if name == "before" else "-",
+            color=look["color"],
+            lw=1.4,
+            label=pair.labels[name],
+            zorder=3,
+        )
         axes.plot(orbit[0].real, orbit[0].imag, look["marker"], ms=7, mfc="white", mec=look["color"], zorder=4)
     axes.plot(measured[0].real, measured[0].imag, "D", ms=4.5, color=INK, label="shaft angle zero", zorder=5)
     tail, head = (measured[int(part * len(measured))] for part in ARROW)
@@ -226,8 +258,9 @@ def speed_curves_figure(pair: Pair, fitted: Pair | None = None) -> Figure | None
     with styled():
         title = f"Main harmonics of {signal.title} over speed, {pair.runs}, amplitude 0-peak"
         made = wide_sheet(0.8 + 3.2 * max(len(orders), 2), 1.2 + 4.2 * len(groups), title)
-        grid = made.subplots(2 * len(groups), len(orders), squeeze=False, sharex=True,
-                             height_ratios=(1.5, 1.0) * len(groups))  # fmt: skip
+        grid = made.subplots(
+            2 * len(groups), len(orders), squeeze=False, sharex=True, height_ratios=(1.5, 1.0) * len(groups)
+        )
         for g, group in enumerate(groups):
             panels = grid[2 * g : 2 * g + 2]
             middle = _draw_group(panels, pair, signal, orders, group)
@@ -284,8 +317,13 @@ def _draw_group(grid: np.ndarray, pair: Pair, signal: Signal, orders: np.ndarray
             look = LOOK[name]
             alone = {"ls": "none", "marker": look["marker"], "mfc": "none"}
             form = {"ls": look["ls"]} if len(speeds) > len(runs) else alone
-            upper.plot(rpm(speeds), display(np.abs(curve[:, k]), signal.unit)[0], color=look["color"],
-                       label=pair.labels[name], **form)  # fmt: skip
+            upper.plot(
+                rpm(speeds),
+                display(np.abs(curve[:, k]), signal.unit)[0],
+                color=look["color"],
+                label=pair.labels[name],
+                **form,
+            )
             angle = _continuous(curve[:, k])
             if np.isfinite(angle).any():
                 place = float(np.nanmedian(angle))
@@ -301,9 +339,18 @@ def _draw_group(grid: np.ndarray, pair: Pair, signal: Signal, orders: np.ndarray
 
 
 def _points(
-    upper: Axes, lower: Axes, compared: Comparison, runs: Sequence[int], signal: Signal, column: int, at: np.ndarray,
-    curve: tuple[np.ndarray, np.ndarray], middle: float, label: str, small: bool = False,
-) -> None:  # fmt: skip
+    upper: Axes,
+    lower: Axes,
+    compared: Comparison,
+    runs: Sequence[int],
+    signal: Signal,
+    column: int,
+    at: np.ndarray,
+    curve: tuple[np.ndarray, np.ndarray],
+    middle: float,
+    label: str,
+    small: bool = False,
+) -> None:
     """Draw measured amplitudes and phases with intervals, phases on the branch of a curve (speeds, angle)."""
     measured = [compared.measured(r, signal) for r in runs]
     value = np.array([one.value[column] for one in measured])
@@ -364,9 +411,14 @@ def _draw_fitted(
 
 
 def _curve(
-    pair: Pair, compared: Comparison, group: str, signal: Signal, orders: np.ndarray, runs: Sequence[int],
+    pair: Pair,
+    compared: Comparison,
+    group: str,
+    signal: Signal,
+    orders: np.ndarray,
+    runs: Sequence[int],
     columns: Sequence[int],
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:
     """Return speeds and harmonics of a diagram over speed, or at the runs alone where it has no curve."""
     label = group if group in compared.groups else compared.group_of(runs[0])
     speeds, values = pair.curve(compared, label, signal, orders)

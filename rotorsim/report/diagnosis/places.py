@@ -56,8 +56,12 @@ def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], record
             _draw_others(made.add_subplot(), there, "")
             return made
         made = wide_sheet(10.5, 4.4 if here else 3.0, _title(places))
-        grid = made.add_gridspec(2 if here else 1, 2 if there else 1, height_ratios=(1.0, 1.5) if here else (1.0,),
-                                 width_ratios=(2.6, 1.0) if there else (1.0,))  # fmt: skip
+        grid = made.add_gridspec(
+            2 if here else 1,
+            2 if there else 1,
+            height_ratios=(1.0, 1.5) if here else (1.0,),
+            width_ratios=(2.6, 1.0) if there else (1.0),
+        )
         machine = made.add_subplot(grid[-1, 0])
         _draw_machine(machine, diagram, shaft, recorded)
         if here:
@@ -154,8 +158,18 @@ def _magnet(axes: Axes, z: float, span: float, name: str, node: Node) -> None:
     if "current" in node.inputs:
         for sign in (-1, 1):
             low = 0.135 * span if sign > 0 else -0.185 * span
-            axes.add_patch(FancyBboxPatch((z - 0.03 * span, low), 0.06 * span, 0.05 * span, fc=MAGNET, ec=INK, lw=0.9,
-                                          boxstyle=f"round,pad=0,rounding_size={0.008 * span}", zorder=4))  # fmt: skip
+            axes.add_patch(
+                FancyBboxPatch(
+                    (z - 0.03 * span, low),
+                    0.06 * span,
+                    0.05 * span,
+                    fc=MAGNET,
+                    ec=INK,
+                    lw=0.9,
+                    boxstyle=f"round,pad=0,rounding_size={0.008 * span}",
+                    zorder=4,
+                )
+            )
         axes.annotate(name, (z + 0.04 * span, 0.16 * span), ha="left", va="center", fontsize=8)
         return
     y = np.linspace(-0.02 * span, -0.15 * span, 9)
@@ -231,6 +245,7 @@ def block_diagram(diagram: Diagram, places: Sequence[tuple[Spot, float]], new: I
         probability[spot.block] = max(probability.get(spot.block, 0.0), p)
     frames: Mapping[str, Any] = {
         block: next(colour for least, colour in SHADES if p >= least)
-        for block, p in probability.items() if block in diagram.nodes
-    }  # fmt: skip
+        for block, p in probability.items()
+        if block in diagram.nodes
+    }
     return draw_svg(diagram, {**frames, **{name: NEW for name in new if name in diagram.nodes}})

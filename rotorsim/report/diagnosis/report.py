@@ -290,15 +290,24 @@ class _Page:
         if not found.held:
             parts.append("<p>There were no held-out runs: the figures show runs that were fitted.</p>")
         figures: list[tuple[str, Callable[[], Figure | None], str]] = [
-            ("spectra", lambda: spectra_figure(shown),
-             "Full spectra: what noise alone would give is grey; crosses below it are explained. Small marks, where "
-             "there are any: lines beside the harmonics, at kX + nu."),
-            ("orbits", lambda: orbits_figure(shown),
-             "Motion that is synchronous with the shaft, over one turn; the arrow shows its direction."),
-            ("speed_curves", lambda: speed_curves_figure(shown, fitted),
-             "Amplitude and phase against shaft angle zero over speed, for each set of settings; "
-             "thin lines: beyond the held-out speeds."),
-        ]  # fmt: skip
+            (
+                "spectra",
+                lambda: spectra_figure(shown),
+                "Full spectra: what noise alone would give is grey; crosses below it are explained. Small marks, where "
+                "there are any: lines beside the harmonics, at kX + nu.",
+            ),
+            (
+                "orbits",
+                lambda: orbits_figure(shown),
+                "Motion that is synchronous with the shaft, over one turn; the arrow shows its direction.",
+            ),
+            (
+                "speed_curves",
+                lambda: speed_curves_figure(shown, fitted),
+                "Amplitude and phase against shaft angle zero over speed, for each set of settings; "
+                "thin lines: beyond the held-out speeds.",
+            ),
+        ]
         for name, make, caption in figures:
             made_one = make()
             if made_one is not None:
@@ -359,9 +368,11 @@ class _Page:
                 )
                 continue
             numbers = (
-                str(len(candidate.parameters)), f"{fit.misfit / fit.freedom:.3g}", f"{fit.left_out.sum():.4g}",
+                str(len(candidate.parameters)),
+                f"{fit.misfit / fit.freedom:.3g}",
+                f"{fit.left_out.sum():.4g}",
                 f"{fit.criterion - base:+.4g}",
-            )  # fmt: skip
+            )
             rows.append([plain_words(name), str(candidate.insertion.spot), *map(Right, numbers), why])
         if not rows:
             return ""
@@ -369,9 +380,14 @@ class _Page:
         beside = f", beside {', '.join(map(plain_words, others))}" if len(effects) > 1 else ""
         against = "the one kept" if kept is not None else "the diagram as given"
         header = [
-            "effect, at its best place", "at", "parameters", "variance left / noise", "misfit, runs left out",
-            f"criterion against {against}", "why it lost",
-        ]  # fmt: skip
+            "effect, at its best place",
+            "at",
+            "parameters",
+            "variance left / noise",
+            "misfit, runs left out",
+            f"criterion against {against}",
+            "why it lost",
+        ]
         if not any(row[-1] for row in rows):
             header, rows = header[:-1], [row[:-1] for row in rows]
         tried = len({(c.insertion.physics, c.insertion.spot) for c in item.tried})

@@ -23,9 +23,21 @@ from rotorsim.errors import escape
 from rotorsim.units import format_quantity
 
 __all__ = [
-    "CRITERION", "EVIDENCE", "STYLE", "VERDICTS", "Right", "estimate", "flat", "own_parameters", "percent",
-    "plain_words", "provenance", "quantity", "table", "why_lost",
-]  # fmt: skip
+    "CRITERION",
+    "EVIDENCE",
+    "STYLE",
+    "VERDICTS",
+    "Right",
+    "estimate",
+    "flat",
+    "own_parameters",
+    "percent",
+    "plain_words",
+    "provenance",
+    "quantity",
+    "table",
+    "why_lost",
+]
 
 
 VERDICTS = {
@@ -116,8 +128,9 @@ def own_parameters(candidate: Candidate, fit: Fit) -> str:
     known = estimates(fit)
     return ", ".join(
         f"{name.rpartition('.')[2]} {quantity(known[name].value, known[name].unit)}"
-        for name in candidate.insertion.free if name in known
-    )  # fmt: skip
+        for name in candidate.insertion.free
+        if name in known
+    )
 
 
 def flat(data: Mapping[str, Any], prefix: str = "", *, speeds: Sequence[float] = ()) -> list[tuple[str, str]]:

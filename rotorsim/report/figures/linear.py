@@ -174,9 +174,12 @@ def sensitivity_figure(found: Sensitivity, title: str = "") -> Figure:
 
 
 def periodic_figure(
-    found: Periodic, signals: Sequence[str] | str | None = None, title: str = "",
-    *, orders: Sequence[float] = (1, 2, 3, -1),
-) -> Figure:  # fmt: skip
+    found: Periodic,
+    signals: Sequence[str] | str | None = None,
+    title: str = "",
+    *,
+    orders: Sequence[float] = (1, 2, 3, -1),
+) -> Figure:
     """Return amplitude and phase of harmonics over speed, one row of panels per signal.
 
     signals: default those of two axes, else all. Speeds without a solution are gaps, unstable motions crosses; what is

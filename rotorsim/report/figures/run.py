@@ -69,8 +69,14 @@ def _last(result: Result, turns: float) -> slice:
 
 def _key(axes: Axes, columns: int = 1) -> None:
     """Put the legend above the axes, at the right, where it hides no curve."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.0, handlelength=1.4,
-                columnspacing=1.0)  # fmt: skip
+    axes.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=columns,
+        borderaxespad=0.0,
+        handlelength=1.4,
+        columnspacing=1.0,
+    )
 
 
 def _draw_time(axes: Axes, result: Result, signal: str, part: slice) -> None:

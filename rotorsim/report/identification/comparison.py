@@ -278,7 +278,7 @@ class Comparison:
 
     def _passes(
         self, runs: Sequence[int], signal: Signal, orders: np.ndarray, speeds: np.ndarray, values: np.ndarray
-    ) -> bool:  # fmt: skip
+    ) -> bool:
         """Return whether a curve over speed goes through the motion that the model has in some runs."""
         every = self.orders(signal).tolist()
         for r in runs:
@@ -337,9 +337,13 @@ class Comparison:
 def compare(found: Identification, recording: Recording) -> Comparison:
     """Return an identification beside the recording that it was made from."""
     experiment = open_experiment(
-        found.diagram, recording, runs=[item.run for item in found.runs], given=found.settings.get("given", ()),
-        free=found.free, harmonics=found.runs,
-    )  # fmt: skip
+        found.diagram,
+        recording,
+        runs=[item.run for item in found.runs],
+        given=found.settings.get("given", ()),
+        free=found.free,
+        harmonics=found.runs,
+    )
     theta = np.array([found.parameters[item.name].value for item in experiment.free])
     with one_thread():
         Y = Likelihood(experiment).evaluate(theta).Y

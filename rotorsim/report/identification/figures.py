@@ -23,9 +23,14 @@ from rotorsim.report.identification.parameters import correlation_figure, parame
 from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, display, order_axis, rpm, styled
 
 __all__ = [
-    "correlation_figure", "identification_figures", "orbits_figure", "parameters_figure", "save_figures",
-    "spectrum_figure", "speed_curve_figure",
-]  # fmt: skip
+    "correlation_figure",
+    "identification_figures",
+    "orbits_figure",
+    "parameters_figure",
+    "save_figures",
+    "spectrum_figure",
+    "speed_curve_figure",
+]
 
 RUNS = 4  # shown in spectra and orbits
 HARMONICS = 4  # shown over speed
@@ -83,8 +88,15 @@ def spectrum_figure(compared: Comparison, count: int = RUNS) -> Figure | None:
                 order_axis(axes, low, high)
             _spectrum_heights(list(grid[:, column]), compared, signal, runs, (low, high))
             grid[-1, column].set_xlabel("order of running speed" + (" (negative: backward)" if signal.y else ""))
-            grid[0, column].annotate(signal.title, (0.0, 1.0), xycoords="axes fraction", xytext=(0, 20),
-                                     textcoords="offset points", fontsize=10, fontweight="bold")  # fmt: skip
+            grid[0, column].annotate(
+                signal.title,
+                (0.0, 1.0),
+                xycoords="axes fraction",
+                xytext=(0, 20),
+                textcoords="offset points",
+                fontsize=10,
+                fontweight="bold",
+            )
         handles, labels = grid[0, 0].get_legend_handles_labels()
         made.legend(handles[::-1], labels[::-1], loc="outside lower center", ncols=len(labels))
     return made
@@ -119,8 +131,19 @@ def _draw_spectrum(axes: Axes, compared: Comparison, r: int, signal: Signal) -> 
         axes.vlines(orders[side & clear], 1e-300, size[side & clear], color=colour, lw=1.2, alpha=0.6)
     bars = np.array([np.minimum(Z90 * std, size * (1 - 1e-6)), Z90 * std])[:, clear]
     axes.plot(orders[~clear], size[~clear], "o", ms=3.0, color="#a9a9a9", zorder=2)
-    axes.errorbar(orders[clear], size[clear], bars, fmt="o", ms=3.6, color=INK, elinewidth=1.0, capsize=2.0,
-                  capthick=1.0, label="measured, 90 % interval", zorder=3)  # fmt: skip
+    axes.errorbar(
+        orders[clear],
+        size[clear],
+        bars,
+        fmt="o",
+        ms=3.6,
+        color=INK,
+        elinewidth=1.0,
+        capsize=2.0,
+        capthick=1.0,
+        label="measured, 90 % interval",
+        zorder=3,
+    )
     axes.plot(orders, model, "o", ms=8, mfc="none", mec=RED, mew=1.2, label="model", zorder=4)
     axes.grid(axis="x", visible=False)
 
@@ -202,9 +225,14 @@ def _logarithmic_ticks(axes: Axes) -> None:
 
 
 def _draw_group(
-    grid: np.ndarray, compared: Comparison, signal: Signal, orders: np.ndarray, group: str, style: tuple[str, str, str],
+    grid: np.ndarray,
+    compared: Comparison,
+    signal: Signal,
+    orders: np.ndarray,
+    group: str,
+    style: tuple[str, str, str],
     middle: np.ndarray,
-) -> None:  # fmt: skip
+) -> None:
     """Draw the runs of one group, and the model: as a line, or at their speeds where it takes measured inputs."""
     colour, mark, line = style
     runs = sorted(compared.groups[group], key=lambda r: compared.experiment.fits[r].speed)
@@ -228,8 +256,9 @@ def _draw_group(
             display(part, signal.unit)[0]
             for part in (np.abs(value), Z90 * np.array([one.amplitude_std[column] for one in measured]))
         )
-        grid[0, k].errorbar(rpm(at), size, [np.minimum(bar, size * (1 - 1e-6)), bar], label=f"measured, 90 %{behind}",
-                            **kept)  # fmt: skip
+        grid[0, k].errorbar(
+            rpm(at), size, [np.minimum(bar, size * (1 - 1e-6)), bar], label=f"measured, 90 %{behind}", **kept
+        )
         std = np.array([one.phase_std[column] for one in measured])
         near = np.interp(at, speeds, np.nan_to_num(angle))
         phase = np.degrees(np.angle(value))
@@ -284,7 +313,12 @@ def _draw_orbit(axes: Axes, compared: Comparison, r: int, signal: Signal) -> Non
     step = np.diff(measured) * np.sign(compared.experiment.fits[r].speed)
     at = 90 + int(np.argmax(np.abs(step[90:-90])))  # where it is fastest, away from shaft angle zero
     tail, tip = measured[at] - step[at] / 2, measured[at] + step[at] / 2
-    axes.annotate("", (tip.real, tip.imag), (tail.real, tail.imag), zorder=5, arrowprops={
-        "arrowstyle": "-|>", "color": INK, "lw": 0, "mutation_scale": 24, "shrinkA": 0, "shrinkB": 0})  # fmt: skip
+    axes.annotate(
+        "",
+        (tip.real, tip.imag),
+        (tail.real, tail.imag),
+        zorder=5,
+        arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 0, "mutation_scale": 24, "shrinkA": 0, "shrinkB": 0},
+    )
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)

@@ -106,9 +106,12 @@ def parameters_figure(found: Identification, recording: Recording | None = None)
                 at = math.copysign(0.97 * reach, start) if outside else start
                 axes.plot(at, k, mark, ms=6 if outside else 11, mew=1.8, color=RED, zorder=4)
         _key_of_parameters(axes, items, precision)
-        axes.set(xlabel="difference from the identified value [%], angles: of one radian; "
-                 f"logarithmic beyond \u00b1{linear:g} %", xlim=(-reach, reach),
-                 ylim=(len(items) - 0.5, -0.5))  # fmt: skip
+        axes.set(
+            xlabel="difference from the identified value [%], angles: of one radian; "
+            f"logarithmic beyond \u00b1{linear:g} %",
+            xlim=(-reach, reach),
+            ylim=(len(items) - 0.5, -0.5),
+        )
         _symlog_ticks(axes, linear, reach)
         axes.set_yticks(range(len(items)), [item.name for item in items])
         axes.grid(axis="y", visible=False)
@@ -129,8 +132,15 @@ def _key_of_parameters(axes: Axes, items: Sequence[Identified], precision: float
         axes.plot([], [], "o-", ms=5, lw=2.0, color=GREY, label="not identified")
     axes.plot([], [], "|", ms=11, mew=1.8, color=RED, label="start value in the diagram")
     handles = [*axes.get_legend_handles_labels()[0], Patch(color=WANTED, label=f"wanted: \u00b1{precision:g} %")]
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2,
-                columnspacing=1.2, handlelength=1.4)  # fmt: skip
+    axes.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=4,
+        borderaxespad=0.2,
+        columnspacing=1.2,
+        handlelength=1.4,
+    )
 
 
 def _symlog_ticks(axes: Axes, linear: float, reach: float) -> None:

@@ -30,7 +30,7 @@ def multisine(seed: int, rate: float = RATE, size: float = 40.0):
 @cache
 def oscillator(
     seed: int, law: float | Callable[[float, float], float], samples: int = 900, noise: float = NOISE
-) -> dict[str, np.ndarray]:  # fmt: skip
+) -> dict[str, np.ndarray]:
     """Return samples of m q'' + c q' + k q + f = u from a start of its own; f: k3 q^3, or any law of q and q'."""
     force = multisine(seed)
     more = law if callable(law) else lambda q, v: law * q**3
@@ -69,7 +69,7 @@ def carriage(friction: float, samples: int = 2400, noise: float = 5e-4, seed: in
 
 def recording(
     runs: Sequence[tuple[Mapping[str, np.ndarray], str]], signals: Mapping[str, tuple[str, str]], rate: float
-) -> Recording:  # fmt: skip
+) -> Recording:
     """Return a recording of (samples, use); signals: column -> (signal, unit)."""
     channels = {c: Channel(c, signal, None, None, None, unit) for c, (signal, unit) in signals.items()}
     made = []
@@ -82,7 +82,7 @@ def recording(
 
 def oscillator_recording(
     law: float | Callable[[float, float], float], noise: float = NOISE, units: tuple[str, str] = ("N", "m")
-) -> Recording:  # fmt: skip
+) -> Recording:
     """Return a run to identify from and one held out."""
     runs = [(oscillator(1, law, noise=noise), "identify"), (oscillator(2, law, noise=noise), "hold_out")]
     return recording(runs, {"u": ("drive.output", units[0]), "y": ("oscillator.displacement", units[1])}, RATE)

@@ -11,13 +11,16 @@ from tests.diagnosis.evidence.machines import OSCILLATOR, POSITIONER
 
 def test_a_recorded_signal_is_its_value_and_offset_without_a_recording():
     document = {
-        "name": "drive", "schema_version": 1, "solver": {"step": "1 ms", "stop": "2 ms"}, "record": ["drive.output"],
+        "name": "drive",
+        "schema_version": 1,
+        "solver": {"step": "1 ms", "stop": "2 ms"},
+        "record": ["drive.output"],
         "blocks": {
             "drive": {"type": "recorded", "parameters": {"value": [1.0, 2.0], "offset": 0.5}},
             "scope": {"type": "norm"},
         },
         "wires": [["drive.output", "scope.input"]],
-    }  # fmt: skip
+    }
     assert simulate(load(document))["drive.output"].tolist() == [[1.5, 2.5]] * 3
 
 

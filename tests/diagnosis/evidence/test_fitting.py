@@ -120,9 +120,11 @@ def test_a_law_that_needs_a_parameter_beyond_all_reason_is_told_so():
     trials = Trials(None, None, None, None, None, None)
     trials.nominal = {"e": 24e-6, "c": 0.0}
     free = (
-        Free("e", "e", 0, 25e-6, "m", 0.0, np.inf, scale=24e-6), Free("c", "c", 0, 0.0, "N s/m", 0.0, 90.0, scale=3.0),
-        Free("phi", "phi", 0, 0.1, "rad", -np.inf, np.inf), Free("bow.b", "bow.b", 0, 1e-6, "m", 0.0, np.inf),
-    )  # fmt: skip
+        Free("e", "e", 0, 25e-6, "m", 0.0, np.inf, scale=24e-6),
+        Free("c", "c", 0, 0.0, "N s/m", 0.0, 90.0, scale=3.0),
+        Free("phi", "phi", 0, 0.1, "rad", -np.inf, np.inf),
+        Free("bow.b", "bow.b", 0, 1e-6, "m", 0.0, np.inf),
+    )
 
     def fit(*theta: float) -> Fit:
         return Fit({}, free, np.array(theta), np.eye(4), np.zeros(4, bool), 1.0, 9, 9)
@@ -139,9 +141,11 @@ def test_parameters_of_the_diagram_begin_again_off_their_bounds():
     trials = Trials(None, None, None, None, None, None)
     trials.nominal = {"k": 1e5, "c": 0.0, "s": 0.5}
     free = (
-        Free("k", "k", 0, 1e-13, "N/m", 0.0, np.inf, scale=1e5), Free("c", "c", 0, 0.0, "1", 0.0, np.inf, scale=3.0),
-        Free("s", "s", 0, 1.0, "1", 0.0, 1.0, scale=0.5), Free("bow.b", "bow.b", 0, 0.0, "m", 0.0, np.inf),
-    )  # fmt: skip
+        Free("k", "k", 0, 1e-13, "N/m", 0.0, np.inf, scale=1e5),
+        Free("c", "c", 0, 0.0, "1", 0.0, np.inf, scale=3.0),
+        Free("s", "s", 0, 1.0, "1", 0.0, 1.0, scale=0.5),
+        Free("bow.b", "bow.b", 0, 0.0, "m", 0.0, np.inf),
+    )
     fit = Fit({}, free, np.array([1e-13, 0.0, 1.0, 0.0]), np.eye(4), np.array([True, True, False, True]), 1.0, 9, 9)
     assert trials._off_bounds(fit) == {"k": 1e5, "c": pytest.approx(0.3)}
 
@@ -163,9 +167,10 @@ def test_a_later_fit_has_the_sizes_and_priors_of_the_diagram_as_given():
 
 def test_an_interval_of_a_fit_stays_within_the_bounds():
     free = (
-        Free("tau", "tau", 0, 10.0, "s", 0.0, np.inf), Free("k", "k", 0, 1.0, "N/m", 0.0, np.inf),
+        Free("tau", "tau", 0, 10.0, "s", 0.0, np.inf),
+        Free("k", "k", 0, 1.0, "N/m", 0.0, np.inf),
         Free("e", "e", 0, 1.0, "m", -np.inf, np.inf),
-    )  # fmt: skip
+    )
     theta, ends = np.array([10.0, 0.0, 2.0]), np.array([[0.0, 720.0], [0.0, 6.0], [-np.inf, np.inf]])
     at_bound = np.array([False, True, False])
     fit = Fit({}, free, theta, np.diag([4e4, 0.0, np.inf]), at_bound, 4000.0, 1003, 1003, ends=ends)
@@ -190,9 +195,12 @@ def test_the_largest_signal_and_rate_are_those_of_a_sine_of_the_same_rms():
         x, rate = (signal[:, 1:].real.sum(axis=1) for signal in (waves, 1j * speed * np.arange(4) * waves))
         sizes.append([0.5 + np.sqrt(2 * np.mean(x**2)), np.sqrt(2 * np.mean(rate**2))])
         fit = SimpleNamespace(
-            names=("rotor.displacement[2]",), orders=np.arange(4), speed=speed, values=values,
+            names=("rotor.displacement[2]",),
+            orders=np.arange(4),
+            speed=speed,
+            values=values,
             rms=np.array([np.sqrt(np.mean(x**2))]),
-        )  # fmt: skip
+        )
         return SimpleNamespace(fit=fit, run=SimpleNamespace(time=time))
 
     sizes: list[list[float]] = []

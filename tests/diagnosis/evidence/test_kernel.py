@@ -17,10 +17,12 @@ DUFFING = {
     **OSCILLATOR,
     "blocks": {**OSCILLATOR["blocks"], "spring": {"type": "cubic_stiffness", "parameters": {"stiffness": 2e4}}},
     "wires": [
-        *OSCILLATOR["wires"], ["oscillator.displacement", "spring.displacement"], ["spring.force", "oscillator.force"]
+        *OSCILLATOR["wires"],
+        ["oscillator.displacement", "spring.displacement"],
+        ["spring.force", "oscillator.force"],
     ],
     "identify": {**OSCILLATOR["identify"], "spring.stiffness": {}},
-}  # fmt: skip
+}
 START = np.array([0.02, -0.3])
 
 

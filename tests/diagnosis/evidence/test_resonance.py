@@ -90,8 +90,14 @@ def document(driven: int = 9) -> dict:
             "rotor": {
                 "type": "rotor_fe",
                 "parameters": {
-                    "elements": COUNT, "element_length": LENGTH, "outer_diameter": DIAMETER, "young_modulus": E,
-                    "density": DENSITY, "stiffness_damping": 1e-6, "point_discs": True, "disc_nodes": nodes,
+                    "elements": COUNT,
+                    "element_length": LENGTH,
+                    "outer_diameter": DIAMETER,
+                    "young_modulus": E,
+                    "density": DENSITY,
+                    "stiffness_damping": 1e-6,
+                    "point_discs": True,
+                    "disc_nodes": nodes,
                     "disc_mass": [DISCS[k][0] for k in nodes],
                     "disc_diametral_inertia": [DISCS[k][1] for k in nodes],
                 },
@@ -100,19 +106,23 @@ def document(driven: int = 9) -> dict:
             "right": {**bearing, "parameters": {**bearing["parameters"], "stiffness": "$right"}},
         },
         "wires": [
-            ["drive.output", "coil.input"], ["coil.output", f"rotor.force[{driven},1]"],
+            ["drive.output", "coil.input"],
+            ["coil.output", f"rotor.force[{driven},1]"],
             ["at_rest.output", "rotor.speed"],
             *(
-                wire for name, node in (("left", 2), ("right", 9)) for wire in (
+                wire
+                for name, node in (("left", 2), ("right", 9))
+                for wire in (
                     [f"rotor.displacement[{node}]", f"{name}.displacement"],
-                    [f"rotor.velocity[{node}]", f"{name}.velocity"], [f"{name}.force", f"rotor.force[{node}]"],
+                    [f"rotor.velocity[{node}]", f"{name}.velocity"],
+                    [f"{name}.force", f"rotor.force[{node}]"],
                 )
             ),
         ],
         "identify": {"left": {}, "right": {}},
         "solver": {"step": "1e-6 s", "stop": "1 ms"},
         "record": ["rotor.displacement[4]"],
-    }  # fmt: skip
+    }
 
 
 PHYSICS = ("disc_rotary_inertia", "support_stiffness", "foundation_mode", "seal_cross_coupling")

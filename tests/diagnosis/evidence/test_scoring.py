@@ -111,12 +111,14 @@ def test_the_error_is_that_of_the_signal_in_time():
     rms = np.sqrt(np.mean((measured - measured.mean()) ** 2))
     found = SimpleNamespace(
         experiment=SimpleNamespace(
-            predicted=("rotor.displacement[1]",), use_mean=np.array([True]), columns=np.array([[0]]),
+            predicted=("rotor.displacement[1]",),
+            use_mean=np.array([True]),
+            columns=np.array([[0]]),
             runs=[SimpleNamespace(fit=SimpleNamespace(residual=np.array([0.07]), rms=np.array([rms])))],
         ),
         evaluation=SimpleNamespace(Y=model[None, :, None]),
         likelihood=SimpleNamespace(data=data[None, :, None]),
-    )  # fmt: skip
+    )
     sums: dict[str, np.ndarray] = {}
     _add(sums, found)
     errors, floor = _errors(sums)
@@ -153,11 +155,16 @@ def test_the_growth_of_a_periodic_system_is_not_that_of_its_eigenvalues():
         A = np.array([[-1 + 1.5 * c * c, 1 - 1.5 * s * c], [-1 - 1.5 * s * c, -1 + 1.5 * s * s]]).transpose(2, 0, 1)
         assert np.linalg.eigvals(A).real == pytest.approx(-0.25)
         motion = SimpleNamespace(
-            p=np.zeros((1, 0)), last=np.zeros((1, 3, 2)), count=count, times=t[None], speeds=np.ones(1),
-            ports=SimpleNamespace(columns=np.arange(2)), inner=SimpleNamespace(S=np.arange(2)),
+            p=np.zeros((1, 0)),
+            last=np.zeros((1, 3, 2)),
+            count=count,
+            times=t[None],
+            speeds=np.ones(1),
+            ports=SimpleNamespace(columns=np.arange(2)),
+            inner=SimpleNamespace(S=np.arange(2)),
             _samples=lambda _, count=count: np.zeros((1, count, 2)),
             equations=SimpleNamespace(n=2, whole=SimpleNamespace(J=lambda *_, A=A: A)),
-        )  # fmt: skip
+        )
         rates.append(float(growth(SimpleNamespace(motion=motion), np.zeros(0))[0]))
     assert (rates[0] - 0.5) / (rates[1] - 0.5) == pytest.approx(4, rel=0.05)
     assert (4 * rates[1] - rates[0]) / 3 == pytest.approx(0.5, abs=1e-4)  # extrapolated: of order 4

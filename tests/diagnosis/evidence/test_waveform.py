@@ -58,10 +58,7 @@ def test_a_linear_oscillator_lacks_nothing(noise):
     assert found.score_before.total == pytest.approx(noise, rel=0.1, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("noise", "physics"),
-    [(machines.NOISE, ()), (machines.NOISE, PHYSICS), (0.0, PHYSICS)],
-)
+@pytest.mark.parametrize(("noise", "physics"), [(machines.NOISE, ()), (machines.NOISE, PHYSICS), (0.0, PHYSICS)])
 @pytest.mark.slow
 def test_the_cubic_spring_of_a_duffing_oscillator_is_named_and_measured(noise, physics):
     found = diagnosed(machines.CUBIC, noise, *physics)
@@ -162,10 +159,14 @@ def test_dry_friction_is_named_at_the_carriage_and_the_controller_is_cleared():
     assert [str(spot) for spot, _ in found.places] == ["carriage.force"]
     name = effect.candidate.insertion.name
     truth = {
-        f"{name}.friction": machines.COULOMB, f"{name}.offset": machines.OFFSET, "carriage.mass": machines.CARRIAGE,
-        "carriage.viscous_friction": machines.VISCOUS, "controller.position_gain": machines.POSITION_GAIN,
-        "controller.velocity_gain": machines.VELOCITY_GAIN, "controller.velocity_lag": machines.LAG,
-    }  # fmt: skip
+        f"{name}.friction": machines.COULOMB,
+        f"{name}.offset": machines.OFFSET,
+        "carriage.mass": machines.CARRIAGE,
+        "carriage.viscous_friction": machines.VISCOUS,
+        "controller.position_gain": machines.POSITION_GAIN,
+        "controller.velocity_gain": machines.VELOCITY_GAIN,
+        "controller.velocity_lag": machines.LAG,
+    }
     for key, value in truth.items():
         assert abs(found.after.values[key] - value) < 4 * std_of(found, key) + 1e-3 * abs(value), key
         assert std_of(found, key) < 0.05 * abs(value), key
@@ -203,9 +204,11 @@ def test_without_free_parameters_an_effect_is_found_all_the_same():
     right = {"mass": machines.MASS, "damping": machines.DAMPING, "stiffness": machines.STIFFNESS}
     document = values_in(OSCILLATOR, {f"oscillator.{key}": value for key, value in right.items()})
     found = diagnose(
-        load({**document, "identify": {}}), oscillator_recording(machines.CUBIC), workers=1,
+        load({**document, "identify": {}}),
+        oscillator_recording(machines.CUBIC),
+        workers=1,
         physics={"cubic_stiffness", "clearance"},
-    )  # fmt: skip
+    )
     assert [effect.physics for effect in found.effects] == ["cubic_stiffness"]
 
 
@@ -305,9 +308,11 @@ def test_emps(tmp_path):
     assert [p["block"] for p in found["where"]] == ["carriage"]
     after = found["parameters"]["after"]
     published = {
-        "carriage.mass": 95.1, "carriage.viscous_friction": 203.5, "coulomb_friction.friction": 20.4,
+        "carriage.mass": 95.1,
+        "carriage.viscous_friction": 203.5,
+        "coulomb_friction.friction": 20.4,
         "coulomb_friction.offset": -3.2,
-    }  # fmt: skip
+    }
     for name, value in published.items():
         assert abs(after[name]["value"] - value) < 3 * after[name]["std"]
         assert after[name]["std"] < 0.12 * abs(value)

@@ -27,9 +27,13 @@ def mach(processor: int) -> bytes:
 
 
 FORMATS = {
-    "x86_64-linux": elf(0x3E), "aarch64-linux": elf(0xB7), "x86_64-windows": pe(0x8664), "aarch64-windows": pe(0xAA64),
-    "x86_64-darwin": mach(7), "aarch64-darwin": mach(12),
-}  # fmt: skip
+    "x86_64-linux": elf(0x3E),
+    "aarch64-linux": elf(0xB7),
+    "x86_64-windows": pe(0x8664),
+    "aarch64-windows": pe(0xAA64),
+    "x86_64-darwin": mach(7),
+    "aarch64-darwin": mach(12),
+}
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -90,8 +90,11 @@ def test_casadi_gets_derivatives_by_parameters(fmu, tmp_path, version):
         assert column == pytest.approx(slope, rel=1e-5, abs=1e-6 * np.abs(slope).max())
     if version == "3.0":  # acceleration by mass and stiffness, not the rate of position; current by its gains
         listed = found["jac_y_p"].sparsity()
-        outputs = [o.name for o in fmpy.read_model_description(str(fmu("jeffcott", version))).modelVariables
-                   if o.causality == "output"]  # fmt: skip
+        outputs = [
+            o.name
+            for o in fmpy.read_model_description(str(fmu("jeffcott", version))).modelVariables
+            if o.causality == "output"
+        ]
         assert listed.has_nz(outputs.index("controller.current[1]"), dae.p().index("controller.KP"))
         assert not listed.has_nz(outputs.index("rotor.displacement[1]"), dae.p().index("rotor.mass"))
 

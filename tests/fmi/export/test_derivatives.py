@@ -133,9 +133,14 @@ def by_differences(model, names, sizes, unknowns):
 
 
 SIZES = {
-    "rotor.mass": 1e-4, "rotor.stiffness": 1.0, "speed": 1e-4, "eccentricity": 1e-8, "controller.KP": 1e-1,
-    "crack_stiffness": 1.0, "force_displacement_factor": 1.0,
-}  # fmt: skip
+    "rotor.mass": 1e-4,
+    "rotor.stiffness": 1.0,
+    "speed": 1e-4,
+    "eccentricity": 1e-8,
+    "controller.KP": 1e-1,
+    "crack_stiffness": 1.0,
+    "force_displacement_factor": 1.0,
+}
 
 
 def test_directional_derivatives_by_parameters_agree_with_differences(fmu, version):

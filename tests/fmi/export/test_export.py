@@ -65,8 +65,9 @@ def test_every_kind_of_diagram_passes_the_validator(fmu, version, arrays):
 
 
 def _stateless():
-    return document({"wave": ("sine", {}), "twice": ("gain", {"gain": 2.0})}, [["wave.output", "twice.input"]],
-                    ["twice.output"])  # fmt: skip
+    return document(
+        {"wave": ("sine", {}), "twice": ("gain", {"gain": 2.0})}, [["wave.output", "twice.input"]], ["twice.output"]
+    )
 
 
 def test_a_diagram_without_states_runs(fmu):

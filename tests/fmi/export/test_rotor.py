@@ -56,11 +56,20 @@ def rotor_alone(name: str, held: bool) -> Diagram:
         wires.append([f"{port}.output", f"rotor.{port}"])
     text = json.dumps(blocks)
     used = {key: value for key, value in diagram.document.get("parameters", {}).items() if f'"${key}"' in text}
-    return load({
-        "schema_version": 1, "name": name, "parameters": used, "blocks": blocks, "wires": wires,
-        "solver": {"step": step, "stop": N * step},
-        "record": [*(f"rotor.{port}" for port in node.outputs), *(w[0] for w in wires if w[1].startswith("rotor."))],
-    })  # fmt: skip
+    return load(
+        {
+            "schema_version": 1,
+            "name": name,
+            "parameters": used,
+            "blocks": blocks,
+            "wires": wires,
+            "solver": {"step": step, "stop": N * step},
+            "record": [
+                *(f"rotor.{port}" for port in node.outputs),
+                *(w[0] for w in wires if w[1].startswith("rotor.")),
+            ],
+        }
+    )
 
 
 def source_of(entry: str) -> str:
@@ -120,13 +129,16 @@ def test_its_model_exchange_is_the_rotor_of_a_run(fmu, name: str, version: str) 
     errors = []
     for tolerance in (1e-5, 1e-9):
         solved = fmpy.simulate_fmu(
-            str(file), fmi_type="ModelExchange", relative_tolerance=tolerance, stop_time=N * h, output_interval=h,
-            start_values=start, output=outputs,
-        )  # fmt: skip
+            str(file),
+            fmi_type="ModelExchange",
+            relative_tolerance=tolerance,
+            stop_time=N * h,
+            output_interval=h,
+            start_values=start,
+            output=outputs,
+        )
         moving = [entry for entry in outputs if whole[entry].any()]
         assert len(moving) >= 0.8 * len(outputs)  # pinned nodes stay
-        errors.append(max(
-            np.abs(solved[entry] - whole[entry]).max() / np.abs(whole[entry]).max() for entry in moving
-        ))  # fmt: skip
+        errors.append(max(np.abs(solved[entry] - whole[entry]).max() / np.abs(whole[entry]).max() for entry in moving))
     assert errors[1] < 1e-2 * errors[0]
     assert errors[1] < 1e-5

@@ -221,8 +221,11 @@ def test_unknown_references_and_types_are_refused(fmu, version):
         assert slave.messages[-1][2].endswith("there is no variable with value reference 9999")
         with pytest.raises(FMICallException):
             (slave.fmu.getInteger if slave.two else slave.fmu.getInt32)([1])
-        assert slave.messages[-1][2].endswith("all variables of this FMU are Real" + ("" if slave.two else "64")
-                                              if slave.two else "all variables of this FMU are Float64")  # fmt: skip
+        assert slave.messages[-1][2].endswith(
+            "all variables of this FMU are Real" + ("" if slave.two else "64")
+            if slave.two
+            else "all variables of this FMU are Float64"
+        )
 
 
 def test_logging_says_events_only_when_it_is_on(fmu, version):

@@ -122,12 +122,21 @@ def test_what_cannot_be_read(run: Run, tmp_path: Path) -> None:
 
 def test_platforms_of_folders_and_libraries() -> None:
     assert [platform_of(name) for name in ("linux64", "win32", "aarch64-darwin", "amiga", "x86_64-beos")] == [
-        "x86_64-linux", "x86-windows", "aarch64-darwin", "", "",
-    ]  # fmt: skip
+        "x86_64-linux",
+        "x86-windows",
+        "aarch64-darwin",
+        "",
+        "",
+    ]
     elf = b"\x7fELF" + bytes(14) + (183).to_bytes(2, "little")
     pe = b"MZ" + bytes(58) + (64).to_bytes(4, "little") + b"PE\0\0" + (0x8664).to_bytes(2, "little")
     macho = b"\xcf\xfa\xed\xfe" + (0x0100000C).to_bytes(4, "little")
     fat = b"\xca\xfe\xba\xbe" + (2).to_bytes(4, "big") + (0x01000007).to_bytes(4, "big")
     assert [binary_kind(start) for start in (elf, pe, macho, fat, b"", b"#!/bin/sh")] == [
-        "aarch64-linux", "x86_64-windows", "aarch64-darwin", "x86_64-darwin", "", "",
-    ]  # fmt: skip
+        "aarch64-linux",
+        "x86_64-windows",
+        "aarch64-darwin",
+        "x86_64-darwin",
+        "",
+        "",
+    ]

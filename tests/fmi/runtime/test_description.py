@@ -132,7 +132,7 @@ def test_a_model_identifier_is_never_a_path(identifier: str) -> None:
             "x.xml:1:1: error: FMI 1.0 is not supported\n\nhint: FMI 2.0 and 3.0 are",
         ),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_model_description(text: str, what: str) -> None:
     assert mistakes(text) == [what]
 
@@ -153,7 +153,7 @@ def test_document_types_are_refused_before_any_entity_grows() -> None:
         (f"<a>{'x' * 200}</a>", {"characters": 100}, "more than 100 characters of text"),
         (f"<a>{' ' * 200}</a>", {"bytes": 100}, "207 bytes of XML; 100 are allowed"),
     ],
-)  # fmt: skip
+)
 def test_limits_of_xml(text: str, limits: dict[str, int], what: str) -> None:
     assert what in mistakes(text, **limits)[0]
 

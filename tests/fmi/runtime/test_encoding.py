@@ -51,22 +51,36 @@ def test_entities_and_document_types_are_refused(encoding: str, codec: str, text
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b'<?xml version="1.0" encoding="windows-1252"?>\n<a b="\x81"/>',
-         "x:2:7: error: not windows-1252: it does not know this character"),
-        (b'<?xml version="1.0" encoding="UTF-7"?><a/>',
-         "x:1:1: error: the encoding is UTF-7; read are UTF-8, UTF-16, ISO-8859-1 to 16 and windows-1250 to 1258"),
-        (b'<?xml version="1.0" encoding="rot13"?><a/>',
-         "x:1:1: error: the encoding is rot13; read are UTF-8, UTF-16, ISO-8859-1 to 16 and windows-1250 to 1258"),
-        (b'<?xml version="1.0" encoding="UTF-16"?><a/>',
-         "x:1:1: error: the encoding is said to be UTF-16, but its first bytes are not"),
-        ('<?xml version="1.0" encoding="UTF-8"?><a/>'.encode("utf-16-le"),
-         "x:1:1: error: the encoding is said to be UTF-8, but its first bytes are utf-16-le"),
-        ('<?xml version="1.0" encoding="UTF-16"?><a/>'.encode("utf-16-le")[:-1],
-         "x:1:43: error: not UTF-16: it does not know this character"),
-        (b'<?xml version="1.0" encoding="UTF-8"?><a b="\xff"/>',
-         "x:1:45: error: not XML: not well-formed (invalid token)"),
+        (
+            b'<?xml version="1.0" encoding="windows-1252"?>\n<a b="\x81"/>',
+            "x:2:7: error: not windows-1252: it does not know this character",
+        ),
+        (
+            b'<?xml version="1.0" encoding="UTF-7"?><a/>',
+            "x:1:1: error: the encoding is UTF-7; read are UTF-8, UTF-16, ISO-8859-1 to 16 and windows-1250 to 1258",
+        ),
+        (
+            b'<?xml version="1.0" encoding="rot13"?><a/>',
+            "x:1:1: error: the encoding is rot13; read are UTF-8, UTF-16, ISO-8859-1 to 16 and windows-1250 to 1258",
+        ),
+        (
+            b'<?xml version="1.0" encoding="UTF-16"?><a/>',
+            "x:1:1: error: the encoding is said to be UTF-16, but its first bytes are not",
+        ),
+        (
+            '<?xml version="1.0" encoding="UTF-8"?><a/>'.encode("utf-16-le"),
+            "x:1:1: error: the encoding is said to be UTF-8, but its first bytes are utf-16-le",
+        ),
+        (
+            '<?xml version="1.0" encoding="UTF-16"?><a/>'.encode("utf-16-le")[:-1],
+            "x:1:43: error: not UTF-16: it does not know this character",
+        ),
+        (
+            b'<?xml version="1.0" encoding="UTF-8"?><a b="\xff"/>',
+            "x:1:45: error: not XML: not well-formed (invalid token)",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_decoded(data: bytes, message: str) -> None:
     with pytest.raises(RotorsimError) as caught:
         read_xml(data, "x")

@@ -166,9 +166,10 @@ def test_discrete_inputs_are_set_by_events(fmu: Path) -> None:
     assert found["it.x"][-1] == pytest.approx(2.0 * 0.5, abs=1e-12)
 
 
-@pytest.mark.parametrize(("model", "values", "time"), [
-    ("clock", {"stop_at": 3.0}, 0.75), ("ball", {"stop_at": 2.0}, bounces(2)[1]), ("late", {"stop_at": 0.355}, 0.36),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("model", "values", "time"),
+    [("clock", {"stop_at": 3.0}, 0.75), ("ball", {"stop_at": 2.0}, bounces(2)[1]), ("late", {"stop_at": 0.355}, 0.36)],
+)
 def test_the_end_that_an_fmu_asks_for(fmu: Path, model: str, values: dict[str, float], time: float) -> None:
     """In an event of time or state, or at a completed step: the run ends there, with a message, and is kept."""
     found = run(fmu, model, 3.0, **values)

@@ -69,9 +69,7 @@ def run_faulty(path: Path, fault: str, *, timeout: float = 20.0, memory: int = 1
         ("nan", "value", "gives y"),
     ],
 )
-def test_faults_of_a_step(
-    clean: Path, plants: dict[str, Path], version: str, fault: str, kind: str, what: str
-) -> None:  # fmt: skip
+def test_faults_of_a_step(clean: Path, plants: dict[str, Path], version: str, fault: str, kind: str, what: str) -> None:
     with pytest.raises(FmuError) as caught:
         run_faulty(plants[version], fault)
     error = caught.value
@@ -115,9 +113,7 @@ def test_memory_is_limited(clean: Path, plants: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("fault", ["ok", "print", "bad_free", "child"])
-def test_what_does_no_harm(
-    clean: Path, plants: dict[str, Path], fault: str, capfd: pytest.CaptureFixture[str]
-) -> None:  # fmt: skip
+def test_what_does_no_harm(clean: Path, plants: dict[str, Path], fault: str, capfd: pytest.CaptureFixture[str]) -> None:
     """Printing a lot, crashing when freed, and leaving a child behind."""
     run_faulty(plants["2.0"], fault)
     assert capfd.readouterr() == ("", "")

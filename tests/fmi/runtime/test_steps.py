@@ -49,16 +49,23 @@ def test_steps_in_parts_are_said(tmp_path: Path, run: Run) -> None:
 @pytest.mark.parametrize(
     ("step", "options", "what", "hint"),
     [
-        (0.3, {}, "cannot vary its communication step: its steps of 0.3 s do not divide the stop time 1 s",
-         "such as --step '0.333333333333333 s'"),
-        (0.1, {"rates": {"it": 3}},
-         "cannot vary its communication step: its steps of 0.3 s do not divide the stop time 1 s",
-         "such as --step '0.111111111111111 s'"),
+        (
+            0.3,
+            {},
+            "cannot vary its communication step: its steps of 0.3 s do not divide the stop time 1 s",
+            "such as --step '0.333333333333333 s'",
+        ),
+        (
+            0.1,
+            {"rates": {"it": 3}},
+            "cannot vary its communication step: its steps of 0.3 s do not divide the stop time 1 s",
+            "such as --step '0.111111111111111 s'",
+        ),
     ],
-)  # fmt: skip
+)
 def test_steps_that_do_not_divide_the_run(
     tmp_path: Path, step: float, options: dict[str, Any], what: str, hint: str
-) -> None:  # fmt: skip
+) -> None:
     with pytest.raises(RotorsimError) as caught:
         cosimulate_diagram(ramped(tmp_path, "false"), step=step, **options)
     problem = caught.value.problems[0]

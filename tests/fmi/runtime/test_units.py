@@ -76,8 +76,10 @@ def two(folder: Path, y: str, u: str, units: str = MYUM) -> dict[str, object]:
     blocks = {n: {"type": "fmu", "file": f"{n}.fmu", "parameters": {"in_process": True}} for n in "ab"}
     return {
         "blocks": {**blocks, "in": {"type": "constant", "parameters": {"value": 5.0}}},
-        "wires": [["in.output", "a.u"], ["a.y", "b.u"]], "solver": {"step": 0.1, "stop": 1.0}, "record": ["b.y"],
-    }  # fmt: skip
+        "wires": [["in.output", "a.u"], ["a.y", "b.u"]],
+        "solver": {"step": 0.1, "stop": 1.0},
+        "record": ["b.y"],
+    }
 
 
 @pytest.mark.parametrize("fast", [False, True])
@@ -107,9 +109,13 @@ def test_other_dimensions_are_refused(tmp_path: Path) -> None:
 def test_units_that_nobody_knows_are_said(tmp_path: Path) -> None:
     diagram = with_gauge(gauge_fmu(tmp_path, description(y='unit="furlong"')))
     assert [(problem.severity, problem.subject, problem.what) for problem in diagram.warnings] == [
-        ("warning", "it", "gauge.fmu: y: the unit 'furlong' is neither defined in the FMU nor known: it is taken as it "
-         "is and fits all"),
-    ]  # fmt: skip
+        (
+            "warning",
+            "it",
+            "gauge.fmu: y: the unit 'furlong' is neither defined in the FMU nor known: it is taken as it "
+            "is and fits all",
+        )
+    ]
     assert not with_gauge(gauge_fmu(tmp_path, description(MYUM, y='unit="myum"'))).warnings
 
 
@@ -122,8 +128,10 @@ def test_derivatives_are_in_si_units(tmp_path: Path) -> None:
             "it": {"type": "fmu", "file": "plant.fmu", "parameters": {"interface": "me", "in_process": True}},
             "in": {"type": "constant"},
         },
-        "wires": [["in.output", "it.u"]], "solver": {"step": 0.01, "stop": 0.1}, "record": ["it.y"],
-    }  # fmt: skip
+        "wires": [["in.output", "it.u"]],
+        "solver": {"step": 0.01, "stop": 0.1},
+        "record": ["it.y"],
+    }
     coupling = open_coupling(load(document, folder=tmp_path, trust_blocks=True))
     it = next(p for p in coupling.participants if p.name == "it")
     for participant, part in zip(coupling.participants, coupling.u_parts, strict=True):

@@ -160,8 +160,12 @@ def test_sizes_give_arrays_their_shapes() -> None:
 
 
 def sized(folder: Path) -> Path:
-    return make_fmu(folder / "sized.fmu", "3.0", description=THREE.replace('"n"/>', '"plant"/>', 1),
-                    library_bytes=library("3.0", "sized"))  # fmt: skip
+    return make_fmu(
+        folder / "sized.fmu",
+        "3.0",
+        description=THREE.replace('"n"/>', '"plant"/>', 1),
+        library_bytes=library("3.0", "sized"),
+    )
 
 
 def test_an_fmu_of_another_size_at_work(tmp_path: Path) -> None:
@@ -172,8 +176,10 @@ def test_an_fmu_of_another_size_at_work(tmp_path: Path) -> None:
             "it": {"type": "fmu", "file": "sized.fmu", "parameters": {"in_process": True, "n": "$count"}},
             "in": {"type": "constant", "parameters": {"value": [1.0, 2.0, 3.0, 4.0]}},
         },
-        "wires": [["in.output", "it.u"]], "solver": {"step": 0.1, "stop": 0.2}, "record": ["it.y"],
-    }  # fmt: skip
+        "wires": [["in.output", "it.u"]],
+        "solver": {"step": 0.1, "stop": 0.2},
+        "record": ["it.y"],
+    }
     found = cosimulate_diagram(load(document, folder=tmp_path, trust_blocks=True), step=0.1)
     assert found["it.y"].tolist() == [[5.0, 10.0, 15.0, 20.0]] * 3
     own = document["blocks"]["it"]["parameters"]
@@ -248,7 +254,7 @@ def test_messages_that_are_lost_are_counted(file: Path) -> None:
 
 def test_what_it_prints_does_not_break_json(
     tmp_path: Path, run: Run, file: Path, capfd: pytest.CaptureFixture[str]
-) -> None:  # fmt: skip
+) -> None:
     """In this process it prints past Python, to the descriptor itself."""
     done = run("cosim", "--trust-blocks", written(tmp_path, file, talk=1), "--step", "0.1 s", "--json")
     assert json.loads(done.stdout)["status"] == "finished"

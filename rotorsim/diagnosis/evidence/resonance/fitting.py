@@ -120,9 +120,13 @@ class ModalSource(OfRuns):
         return out
 
     def fit(
-        self, document: Mapping[str, Any], starts: Sequence[Sequence[Mapping[str, float]]], *, most: int | None = None,
+        self,
+        document: Mapping[str, Any],
+        starts: Sequence[Sequence[Mapping[str, float]]],
+        *,
+        most: int | None = None,
         linear_only: bool = False,
-    ) -> Fit:  # fmt: skip
+    ) -> Fit:
         """Return the best fit of a diagram from the best of all starts {free parameter: SI value}."""
         began = process_time()
         try:
@@ -132,18 +136,20 @@ class ModalSource(OfRuns):
             return Fit(document, failure=what, seconds=process_time() - began)
         return replace(found, seconds=process_time() - began)
 
-    def _fit(
-        self, document: Mapping[str, Any], starts: Sequence[Sequence[Mapping[str, float]]], most: int
-    ) -> Fit:  # fmt: skip
+    def _fit(self, document: Mapping[str, Any], starts: Sequence[Sequence[Mapping[str, float]]], most: int) -> Fit:
         _, free, residual = self._problem(document)
         low, high = np.array([item.low for item in free]), np.array([item.high for item in free])
         theta = self._first(free, starts, residual)
         if len(free) and most > 1:
             scale = np.maximum(np.abs(theta), 1e-12)
             ends = least_squares(
-                lambda q: residual(q * scale), theta / scale, bounds=(low / scale, high / scale), x_scale="jac",
-                diff_step=STEP, max_nfev=most,
-            )  # fmt: skip
+                lambda q: residual(q * scale),
+                theta / scale,
+                bounds=(low / scale, high / scale),
+                x_scale="jac",
+                diff_step=STEP,
+                max_nfev=most,
+            )
             theta = ends.x * scale
         r = residual(theta)
         J = _slopes(residual, theta, low, high)
@@ -158,9 +164,17 @@ class ModalSource(OfRuns):
         energies = (r.reshape(-1, 2) ** 2).sum(axis=1)
         sizes = [2] * len(self.found)
         return Fit(
-            document=document, free=tuple(free), theta=theta, covariance=inverse, at_bound=at_bound, misfit=misfit,
-            rows=count, run_misfit=energies, left_out=left_out(r, J, sizes), goodness=goodness,
-        )  # fmt: skip
+            document=document,
+            free=tuple(free),
+            theta=theta,
+            covariance=inverse,
+            at_bound=at_bound,
+            misfit=misfit,
+            rows=count,
+            run_misfit=energies,
+            left_out=left_out(r, J, sizes),
+            goodness=goodness,
+        )
 
     def _problem(self, document: Mapping[str, Any]) -> tuple[Modes, list[Free], Any]:
         diagram = self.load(document)

@@ -89,9 +89,15 @@ class TimeEquations:
     """
 
     def __init__(
-        self, diagram: Diagram, outputs: Sequence[str], inputs: Sequence[str], free: Sequence[Free],
-        *, cut: Mapping[str, Sequence[str]] | None = None, force: ForceMap | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        diagram: Diagram,
+        outputs: Sequence[str],
+        inputs: Sequence[str],
+        free: Sequence[Free],
+        *,
+        cut: Mapping[str, Sequence[str]] | None = None,
+        force: ForceMap | None = None,
+    ) -> None:
         cut = cut or {}
         model = compile_diagram(diagram, inject=[force.port] if force else [], replace=list(cut))
         linear.refuse_sampled(model, "a diagnosis in time")

@@ -153,9 +153,17 @@ class TimeKernel:
         return y, dy
 
     def _interpreted(
-        self, count: int, sub: int, t0: float, dt: float, v: np.ndarray, p: np.ndarray, state: np.ndarray,
-        y: np.ndarray, dy: np.ndarray,
-    ) -> int:  # fmt: skip
+        self,
+        count: int,
+        sub: int,
+        t0: float,
+        dt: float,
+        v: np.ndarray,
+        p: np.ndarray,
+        state: np.ndarray,
+        y: np.ndarray,
+        dy: np.ndarray,
+    ) -> int:
         eq, K = self.equations, dy.shape[2]
         step, read = self._step(sub, BLOCK, K > 0)
         for first in range(0, count, BLOCK):
@@ -224,17 +232,18 @@ def _source(eq: TimeEquations) -> tuple[str, int]:
     every = [*f, *f_slopes, *g, *g_slopes]
     level = ir.LEVEL_PARAMETER
     constants = [
-        k for k in program.boundary(every, level)
-        if program.levels[k] == level and program.nodes[k][0] != ir.INPUT
-    ]  # fmt: skip
+        k for k in program.boundary(every, level) if program.levels[k] == level and program.nodes[k][0] != ir.INPUT
+    ]
     given = {node: f"c[{k}]" for k, node in enumerate(constants)}
     state = "double t, const double *x, const double *v, const double *p, const double *c"
     parts = [
         Writer(program, {}, array_leaf).text(
-            "rs_constants", "const double *p, double *c, double *work", "p, c, work",
+            "rs_constants",
+            "const double *p, double *c, double *work",
+            "p, c, work",
             [(f"c[{k}]", node) for k, node in enumerate(constants)],
         )
-    ]  # fmt: skip
+    ]
     for name, nodes, slopes in (("rs_f", f, f_slopes), ("rs_g", g, g_slopes)):
         plain = [(f"out[{k}]", node) for k, node in enumerate(nodes)]
         more = [(f"jac[{k}]", node) for k, node in enumerate(slopes)]
@@ -242,16 +251,27 @@ def _source(eq: TimeEquations) -> tuple[str, int]:
         parts.append(writer.text(name, f"{state}, double *out, double *work", "t, x, v, p, c, out, work", plain))
         parts.append(
             writer.text(
-                f"{name}_slopes", f"{state}, double *out, double *jac, double *work", "t, x, v, p, c, out, jac, work",
+                f"{name}_slopes",
+                f"{state}, double *out, double *jac, double *work",
+                "t, x, v, p, c, out, jac, work",
                 [*plain, *more],
             )
-        )  # fmt: skip
+        )
     work = max(size for _, size in parts)
     jac = max(len(f_slopes), len(g_slopes))
     sizes = {
-        "RS_N": eq.n, "RS_K": eq.m + eq.n, "RS_C": eq.c, "RS_NV": eq.n_v, "RS_NC": len(constants), "RS_WORK": work,
-        "RS_JAC": jac, "RS_F_COUNT": len(f_slopes), "RS_G_COUNT": len(g_slopes), "RS_LARGE": LARGE, "RS_SMALL": SMALL,
-    }  # fmt: skip
+        "RS_N": eq.n,
+        "RS_K": eq.m + eq.n,
+        "RS_C": eq.c,
+        "RS_NV": eq.n_v,
+        "RS_NC": len(constants),
+        "RS_WORK": work,
+        "RS_JAC": jac,
+        "RS_F_COUNT": len(f_slopes),
+        "RS_G_COUNT": len(g_slopes),
+        "RS_LARGE": LARGE,
+        "RS_SMALL": SMALL,
+    }
     head = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
     head += [f"#define {name} {value}" for name, value in sizes.items()]
     head += ["#if defined(_WIN32)", "#define RS_EXPORT __declspec(dllexport)", "#else"]

@@ -67,13 +67,21 @@ def open_time_source(diagram: Diagram, recording: Recording, *, trust_blocks: bo
         starts.update(starts_by_name(view, point.starts[k]))
     variance, noise = _variances(search, found), _noise_in(search, found)
     source = TimeSource(
-        recording=recording, runs=runs, channels=channels, views=tuple(view.name for view in views),
+        recording=recording,
+        runs=runs,
+        channels=channels,
+        views=tuple(view.name for view in views),
         variance={name: value * noise for name, value in variance.items()},
         rows=_independent(block_misfit(search, found, stretches), stretches),
-        stretches=stretches, allowed=np.zeros(0), least=search.least, starts=starts, sizes=sizes,
+        stretches=stretches,
+        allowed=np.zeros(0),
+        least=search.least,
+        starts=starts,
+        sizes=sizes,
         old=frozenset(item.name for item in diagram.free),
-        folder=str(Path(diagram.file).parent) if diagram.file else None, trust_blocks=trust_blocks,
-    )  # fmt: skip
+        folder=str(Path(diagram.file).parent) if diagram.file else None,
+        trust_blocks=trust_blocks,
+    )
     flexible, given = (_left_out(source, *pair) for pair in ((search, found), (base, found_base)))
     return replace(source, allowed=_allowed(flexible, given, noise))
 
@@ -193,9 +201,9 @@ def _is_fine(search: TimeSearch, point: Point) -> bool:
 def _sizes(diagram: Diagram, channels: Channels, search: TimeSearch, point: Point) -> dict[str, float]:
     """Return the largest magnitude of every signal of the diagram, simulated, and of every recorded one."""
     model = search.views[0].equations.model
-    names = [
-        name for port, signal in model.signals.items() for name in linear.entry_names(port, signal.shape)
-    ][:SIGNALS]  # fmt: skip
+    names = [name for port, signal in model.signals.items() for name in linear.entry_names(port, signal.shape)][
+        :SIGNALS
+    ]
     equations = TimeEquations(diagram, names, channels.inputs, diagram.free)
     kernel = TimeKernel(equations)
     known = starts_by_name(search.views[0], point.starts[0])

@@ -81,7 +81,7 @@ def _without(weights: np.ndarray, part: slice) -> np.ndarray:
 
 def _simulated(
     document: Mapping[str, Any], source: TimeSource, runs: Sequence[TimeRun]
-) -> tuple[TimeSearch, Evaluation] | None:  # fmt: skip
+) -> tuple[TimeSearch, Evaluation] | None:
     view = views_of(source.load(document), source.channels)[0]
     weights = np.array([1 / source.variance[WHOLE, name] for name in view.outputs])
     search = TimeSearch([view], runs, [[weights] * len(runs)], least=source.least, hold="theta")
@@ -101,9 +101,7 @@ def _add(sums: Sums, search: TimeSearch, found: Evaluation, parts: Sequence[slic
 
 def _score(sums: Sums, source: TimeSource) -> TimeScore:
     ports = {name: float(np.sqrt(s[0] / s[1])) for name, s in sums.items() if s[1] > 0}
-    floor = {
-        name: float(np.sqrt(source.variance[WHOLE, name] * s[2] / s[1])) for name, s in sums.items() if s[1] > 0
-    }  # fmt: skip
+    floor = {name: float(np.sqrt(source.variance[WHOLE, name] * s[2] / s[1])) for name, s in sums.items() if s[1] > 0}
     return TimeScore(ports, floor, {name: float(np.sqrt(s[0] / s[2])) for name, s in sums.items()})
 
 

@@ -58,9 +58,14 @@ class TimeSearch:
     """
 
     def __init__(
-        self, views: Sequence[View], runs: Sequence[TimeRun], weights: Sequence[Sequence[np.ndarray]], *,
-        least: int = 1, hold: str = "",
-    ) -> None:  # fmt: skip
+        self,
+        views: Sequence[View],
+        runs: Sequence[TimeRun],
+        weights: Sequence[Sequence[np.ndarray]],
+        *,
+        least: int = 1,
+        hold: str = "",
+    ) -> None:
         self.views, self.runs = tuple(views), tuple(runs)
         self.weights = [list(each) for each in weights]
         self.measured = [[run.measured(view.outputs) for run in runs] for view in views]

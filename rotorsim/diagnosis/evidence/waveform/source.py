@@ -87,9 +87,13 @@ class TimeSource(OfRuns):
         ]
 
     def fit(
-        self, document: Mapping[str, Any], starts: Sequence[Sequence[Mapping[str, float]]], *, most: int | None = None,
+        self,
+        document: Mapping[str, Any],
+        starts: Sequence[Sequence[Mapping[str, float]]],
+        *,
+        most: int | None = None,
         linear_only: bool = False,
-    ) -> Fit:  # fmt: skip
+    ) -> Fit:
         """Return the best fit of a diagram from the best of each group of starts {free parameter: SI value}.
 
         What a start does not name begins as written. most: a limit of evaluations, times LINEAR_EVALUATIONS.
@@ -135,7 +139,7 @@ class TimeSource(OfRuns):
 
     def _best(
         self, search: TimeSearch, groups: Sequence[Sequence[Mapping[str, float]]], most: int
-    ) -> tuple[Point, Evaluation] | None:  # fmt: skip
+    ) -> tuple[Point, Evaluation] | None:
         short = search.shortened(SHORT)
         ends = []
         for group in groups or [[{}]]:
@@ -149,7 +153,7 @@ class TimeSource(OfRuns):
 
     def _followed(
         self, search: TimeSearch, short: TimeSearch, groups: Sequence[Sequence[Mapping[str, float]]]
-    ) -> list[tuple[Point, Evaluation]]:  # fmt: skip
+    ) -> list[tuple[Point, Evaluation]]:
         """Return where a few steps lead from each start on the beginning of the runs."""
         first = search.first(self.starts)
         tried: list[tuple[Point, Evaluation]] = []
@@ -166,7 +170,7 @@ class TimeSource(OfRuns):
 
     def summary(
         self, document: Mapping[str, Any], search: TimeSearch, point: Point, found: Evaluation, seconds: float
-    ) -> Fit:  # fmt: skip
+    ) -> Fit:
         """Return a fit from the end of a search."""
         if not np.isfinite(found.cost):
             return Fit(document, failure="the simulation diverges", seconds=seconds)
@@ -192,7 +196,7 @@ class TimeSource(OfRuns):
 
     def _covariance(
         self, found: Evaluation, rows: np.ndarray, J: np.ndarray, sizes: Sequence[int], held: np.ndarray
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """Return H^-1 (sum_b g_b g_b^T) H^-1 B / (B - 1) of all unknowns, g_b = J_b^T r_b; held parameters are known.
 
         Where a model leaves less than the resolution, H^-1 of what is missing to that is added.

@@ -74,8 +74,9 @@ def views_of(
     views = [View(WHOLE, TimeEquations(diagram, channels.outputs, channels.inputs, diagram.free, force=force))]
     controllers = {
         name: [o for o in channels.outputs if _source(diagram, o) == name]
-        for name, node in diagram.nodes.items() if node.block.category == CONTROLLER
-    }  # fmt: skip
+        for name, node in diagram.nodes.items()
+        if node.block.category == CONTROLLER
+    }
     if any(controllers.values()):
         plain = compile_diagram(diagram)
         for name, outputs in controllers.items():
