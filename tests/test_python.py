@@ -73,7 +73,7 @@ def test_analyses_are_called_alike(name: str) -> None:
 def test_results_have_a_short_text_a_table_and_a_figure(jeffcott) -> None:
     speeds = np.array([100.0, 200.0])
     beam = load("fe_rigid", without=["crack"])
-    response = rotorsim.frequency_response(jeffcott, "amb.force", "rotor.displacement", frequencies=[1.0, 9.0])
+    one = rotorsim.frequency_response(jeffcott, "amb.force", "rotor.displacement", frequencies=[1.0, 9.0])
     found = {
         "Result(jeffcott: finished, 0..0.5 s, rotor.displacement, controller.current, clock.theta)": rotorsim.simulate(
             jeffcott, stop=0.5
@@ -85,7 +85,7 @@ def test_results_have_a_short_text_a_table_and_a_figure(jeffcott) -> None:
         "Campbell(fe_rigid: 20 modes, 954.93..1909.86 rpm, no critical speed)": rotorsim.campbell(
             beam, speeds=speeds, orders=(1,)
         ),
-        "FrequencyResponse(rotor.displacement[1], rotor.displacement[2] / amb.force[1], amb.force[2]: 1..9 Hz)": response,
+        "FrequencyResponse(rotor.displacement[1], rotor.displacement[2] / amb.force[1], amb.force[2]: 1..9 Hz)": one,
     }
     for text, result in found.items():
         assert repr(result) == text
@@ -103,5 +103,5 @@ def test_results_over_speed_are_datasets(jeffcott) -> None:
     assert settled["rotor.displacement"].attrs == {"units": "m"}
     modes = rotorsim.campbell(load("fe_rigid"), speeds=speeds).to_xarray()
     assert dict(modes["frequency_hz"].sizes) == {"speed": 2, "mode": 20}
-    response = rotorsim.frequency_response(jeffcott, "amb.force", "rotor.displacement", frequencies=[5.0])
+    one = rotorsim.frequency_response(jeffcott, "amb.force", "rotor.displacement", frequencies=[5.0])
     assert response.to_xarray().sel(output="rotor.displacement[1]", input="amb.force[2]").shape == (1,)
