@@ -103,5 +103,5 @@ def test_results_over_speed_are_datasets(jeffcott) -> None:
     assert settled["rotor.displacement"].attrs == {"units": "m"}
     modes = rotorsim.campbell(load("fe_rigid"), speeds=speeds).to_xarray()
     assert dict(modes["frequency_hz"].sizes) == {"speed": 2, "mode": 20}
-    one = rotorsim.frequency_response(jeffcott, "amb.force", "rotor.displacement", frequencies=[5.0])
+    response = rotorsim.frequency_response(jeffcott, "amb.force", "rotor.displacement", frequencies=[5.0])
     assert response.to_xarray().sel(output="rotor.displacement[1]", input="amb.force[2]").shape == (1,)
