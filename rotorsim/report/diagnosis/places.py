@@ -60,7 +60,7 @@ def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], record
             2 if here else 1,
             2 if there else 1,
             height_ratios=(1.0, 1.5) if here else (1.0,),
-            width_ratios=(2.6, 1.0) if there else (1.0),
+            width_ratios=(2.6, 1.0) if there else (1.0,),
         )
         machine = made.add_subplot(grid[-1, 0])
         _draw_machine(machine, diagram, shaft, recorded)
