@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.markers import expect, fill, table_text
 from rotorsim.cosim.cosimulation import cosimulate_diagram, couple
 from rotorsim.cosim.stability import coupling_stability
 from rotorsim.fmi.export.export import export_fmu
@@ -71,25 +72,14 @@ def rows() -> list[list[str]]:
 def main() -> None:
     """Print the table, or put it between its markers in a document."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", help="document with the markers <!-- coupling --> and <!-- end -->")
+    parser.add_argument("--out", type=Path, help="document with the markers <!-- coupling --> and <!-- end -->")
     given = parser.parse_args()
-    head = [
-        "master",
-        "error at 0.1 ms",
-        "order",
-        *(f"kept at {s * 1e3:g} ms" for s in STEPS),
-        "stable below",
-        "CPU a step",
-    ]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    lines += ["| " + " | ".join(row) + " |" for row in rows()]
-    text = "\n".join(lines)
+    expect(given.out, "coupling")
+    kept = (f"kept at {step * 1e3:g} ms" for step in STEPS)
+    text = table_text(["master", "error at 0.1 ms", "order", *kept, "stable below", "CPU a step"], rows())
     print(text)
     if given.out:
-        path = Path(given.out)
-        before, _, rest = path.read_text().partition("<!-- coupling -->\n")
-        after = rest.partition("<!-- end -->")[2]
-        path.write_text(f"{before}<!-- coupling -->\n{text}\n<!-- end -->{after}")
+        fill(given.out, "coupling", text)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,121 @@
+"""The pictures of the documents: python -m benchmarks.pictures [NAME ...] [--out docs/images].
+
+Drawings of how data flow, and figures that verbs of rotorsim draw: the commands here are those that the pages show.
+The result figures of the thesis: python -m benchmarks.thesis figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import tempfile
+from collections.abc import Callable
+from contextlib import chdir
+from dataclasses import dataclass
+from pathlib import Path
+
+from click.testing import CliRunner
+from matplotlib.figure import Figure
+
+from benchmarks.flows import diagnosis_flow, engine_flow
+from benchmarks.fmi.delay import delay_figure
+from benchmarks.harness import ROOT
+from benchmarks.images import save_png, shrink_png
+from rotorsim.cli.app import rotorsim
+
+__all__ = ["DRAWN", "PICTURES", "write"]
+
+SETTLED = (
+    'record jeffcott --set "controller.KD=3.3 A s/m" --speeds "900 rpm:300 rpm:3000 rpm" --settle '
+    '--hold-out "3600 rpm, 4200 rpm" --noise "0.5 %" --out bench'
+)
+
+TWO_SETS = (
+    'record jeffcott --speeds "5520 rpm:120 rpm:6000 rpm" --noise "5 %" --seed 2 --out two_sets '
+    '--gains "controller.KP=12200" --gains "controller.KP=9000, controller.KD=4.5"'
+)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Commands of rotorsim in an empty folder, and the file among what they leave that is the picture."""
+
+    commands: tuple[str, ...]
+    file: str
+
+
+DRAWN: dict[str, Callable[[], Figure]] = {
+    "engine.png": engine_flow,
+    "diagnosis.png": diagnosis_flow,
+    "cosimulation.png": delay_figure,
+}
+PICTURES = {
+    "jeffcott.png": Picture(("run jeffcott --plot jeffcott.png",), "jeffcott.png"),
+    "diagram.svg": Picture(("draw jeffcott -o diagram.svg",), "diagram.svg"),
+    "campbell.png": Picture(
+        ('campbell fe_rigid --without amb --speeds "0 rpm:500 rpm:9000 rpm" --plot campbell.png',), "campbell.png"
+    ),
+    "run_up.png": Picture(("run jeffcott_runup --plot run_up.png",), "run_up.png"),
+    "harmonics.png": Picture(
+        ('periodic jeffcott --speeds "900 rpm:100 rpm:8000 rpm" --plot harmonics.png',), "harmonics.png"
+    ),
+    "spectrum.png": Picture(
+        (
+            'record jeffcott --speeds "1200 rpm, 1500 rpm" --noise "1 %" --out measured',
+            "spectrum measured --run run02 --plot spectrum.png",
+        ),
+        "spectrum.png",
+    ),
+    "identified.png": Picture((TWO_SETS, "identify jeffcott two_sets --out result"), "result/parameters.png"),
+    "identified_curve.png": Picture((TWO_SETS, "identify jeffcott two_sets --out result"), "result/speed_curve.png"),
+    "diagnosed_spectra.png": Picture((SETTLED, "diagnose jeffcott bench --out diagnosis"), "diagnosis/spectra.png"),
+    "diagnosed_diagram.svg": Picture((SETTLED, "diagnose jeffcott bench --out diagnosis"), "diagnosis/diagram.svg"),
+    "diagnosed_parameters.png": Picture(
+        (SETTLED, "diagnose jeffcott bench --out diagnosis"), "diagnosis/parameters.png"
+    ),
+}
+
+
+def write(names: list[str], out: Path) -> list[Path]:
+    """Draw pictures into a folder; commands that several need are run once."""
+    out = out.resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        if name in DRAWN:
+            save_png(DRAWN[name](), out / name, dots=110)
+    done: set[str] = set()
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        for name in names:
+            picture = PICTURES.get(name)
+            if picture is None:
+                continue
+            for command in picture.commands:
+                if command not in done:
+                    ended = CliRunner().invoke(rotorsim, shlex.split(command))
+                    if ended.exit_code not in (0, 1):
+                        raise SystemExit(f"rotorsim {command}: {ended.output}")
+                done.add(command)
+            if name.endswith(".png"):
+                shrink_png(Path(picture.file), out / name)
+            else:
+                (out / name).write_bytes(Path(picture.file).read_bytes())
+    return [out / name for name in names]
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Draw all pictures, or those named."""
+    every = [*DRAWN, *PICTURES]
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.pictures", description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", default=every, metavar="NAME", help=f"of {', '.join(every)}")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images")
+    given = parser.parse_args(arguments)
+    wrong = sorted(set(given.names) - set(every))
+    if wrong:
+        parser.error(f"no picture {', '.join(wrong)}; hint: {', '.join(every)}")
+    for file in write(given.names, given.out):
+        print(f"{os.path.relpath(file)}  {file.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
