@@ -238,7 +238,7 @@ class Stepper:
         return self._newton(base, table, nodes, f)
 
     def _newton(self, base: Array, table: Table, nodes: Nodes, f: Array) -> tuple[Array, Array, Array]:
-        """Solve by Newton's method with numerical slopes of the forces, which are local in time."""
+        """Solve by Newton's method with numerical derivatives of the forces, which are local in time."""
         forces = self.forces
         assert forces is not None
         lanes, m, s = f.shape
@@ -256,14 +256,14 @@ class Stepper:
             turned = np.zeros((lanes, size, size), complex)
             for j in range(y.shape[1]):
                 small = 1e-7 * np.abs(y[:, j]).max() + 1e-16
-                slopes = []
+                derivatives = []
                 for way in (1.0, 1j):
                     moved = y.copy()
                     moved[:, j] += small * way
-                    slopes.append((forces(nodes, moved) - here) / small)
+                    derivatives.append((forces(nodes, moved) - here) / small)
                 block = reply.reshape(lanes, y.shape[1], s, size)[:, j]  # (L, s, size)
-                alike = (slopes[0] - 1j * slopes[1]) / 2
-                other = (slopes[0] + 1j * slopes[1]) / 2
+                alike = (derivatives[0] - 1j * derivatives[1]) / 2
+                other = (derivatives[0] + 1j * derivatives[1]) / 2
                 straight += (alike[..., None] * block[:, None]).reshape(lanes, size, size)
                 turned += (other[..., None] * block.conj()[:, None]).reshape(lanes, size, size)
             J = np.empty((lanes, 2 * size, 2 * size))

@@ -158,7 +158,7 @@ def markdown(result: dict[str, Any], title: str) -> str:
     gain = result["held_out_gain"]
     lines.append(f"| log(before/after) over log(before/noise floor), held-out | {_spread(gain['of_one_and_two'])} |")
     lines.append(f"| ... at least 90 % | {_share(gain['at_least_90_%'])} |")
-    lines.append(f"| error left over noise floor, held-out | {_spread(gain['after_over_floor'], percent=False)} |")
+    lines.append(f"| error after over noise floor, held-out | {_spread(gain['after_over_floor'], percent=False)} |")
     lines.append(
         f"| noise floor claimed over the true one | {_spread(gain['noise_floor_claimed_over_true'], percent=False)} |"
     )

@@ -55,7 +55,7 @@ class Diagnosed:
         ]
 
     def error(self, when: str, signal: str) -> float:
-        """Return the error of a signal that took no part in fitting, before or after, of its scatter."""
+        """Return the error of a hold-out signal, before or after, of its scatter."""
         return float(self.data["fit"][when]["ports"][signal])
 
 

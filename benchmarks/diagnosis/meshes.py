@@ -1,7 +1,7 @@
-"""What meshes leave over where another mesh is the truth: python -m benchmarks.diagnosis.meshes FOLDER.
+"""The residual variance of meshes where another mesh is the truth: python -m benchmarks.diagnosis.meshes FOLDER.
 
 FOLDER: cases of `python -m benchmarks.concealed make FOLDER --kind nothing --machine fe_rigid`: beams of 15 elements,
-fitted with 5, 10 and 20. Printed is the variance left over in variances of the noise, with harmonics trusted to 1e-6
+fitted with 5, 10 and 20. Printed is the residual variance over that of the noise, with harmonics trusted to 1e-6
 and to 1e-5 of a signal's rms: what `MESH_ACCURACY` and `MESH_ERROR` of rotorsim.diagnose stand on.
 """
 
@@ -26,7 +26,7 @@ TRUSTED = (1e-6, 1e-5)
 
 
 def left(folder: Path) -> np.ndarray:
-    """Return what every mesh leaves over, (meshes, resolutions), in variances of the noise."""
+    """Return the residual variance of every mesh, (meshes, resolutions), over that of the noise."""
     recording = load_recording(folder)
     runs = recording.select("identify")
     harmonics = harmonics_of(recording, runs)
@@ -44,7 +44,7 @@ def left(folder: Path) -> np.ndarray:
 
 
 def main() -> int:
-    """Print the variance left over of every case, and of all."""
+    """Print the residual variance of every case, and of all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     cases = sorted(file.parent for file in parser.parse_args().folder.glob("*/recording.json"))

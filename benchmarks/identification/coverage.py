@@ -64,7 +64,7 @@ def one_seed(argument: dict[str, int]) -> dict[str, Any]:
 
 
 def cramer_rao(sets: int) -> np.ndarray:
-    """Return the standard deviations that no unbiased estimate can undercut, from the slopes at the truth."""
+    """Return the standard deviations that no unbiased estimate can undercut, from the sensitivities at the truth."""
     from rotorsim.identification.experiment import open_experiment
     from rotorsim.identification.likelihood import Likelihood
     from rotorsim.model.load import load
