@@ -17,12 +17,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from benchmarks.harness import ROOT, run_process
 from rotorsim.errors import RotorsimError
 from rotorsim.linear.frequency import frequency_response, sensitivity, zone_of
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.load import load
+from rotorsim.report.style import GREY, figure, styled
 from rotorsim.simulation.run import simulate
 from tests.systems.shipped import load_document
 
@@ -37,6 +39,8 @@ CONTROLLERS = (
     "notch_pid",
     "cross_coupled_pid",
 )
+DRAWN = ("pid", "pd", "lead_lag", "state_feedback", "notch_pid")  # cross_coupled_pid is pid, state_space state_feedback
+HZ = np.geomspace(5.0, 2000.0, 1200)
 WINDOW = (4.0, 5.0)  # s
 TOUCH_DOWN = 1e-3  # m; a rotor that moves further does not levitate
 
@@ -140,6 +144,24 @@ def measure() -> dict[str, list[Row]]:
     return found
 
 
+def sensitivity_picture() -> Figure:
+    """Return |S| of the loop of the Jeffcott rotor with each continuous controller, and the zones of ISO 14839-3."""
+    with styled(), tempfile.TemporaryDirectory() as folder:
+        made = figure(8.0, 3.8, "jeffcott: sensitivity with each controller, zones after ISO 14839-3")
+        axes = made.add_subplot()
+        for k, controller in enumerate(DRAWN):  # those that lie behind are wider
+            found = sensitivity(compile_diagram(load(swapped("jeffcott", controller, Path(folder)))), frequencies=HZ)
+            axes.semilogx(HZ, found.axes.max(axis=1), lw=4.5 - 0.8 * k, label=f"{controller}, peak {found.peak:.2f}")
+        for limit, name in ((3, "A"), (4, "B"), (5, "C")):
+            axes.axhline(limit, color=GREY, lw=0.8, ls="--")
+            axes.annotate(
+                f"zone {name} below {limit}", (HZ[0], limit), (3, -3), textcoords="offset points", va="top", fontsize=8
+            )
+        axes.set(xlabel="frequency [Hz]", ylabel="|S|, largest of both axes", ylim=(0, 6.4), xlim=(HZ[0], HZ[-1]))
+        axes.legend(loc="upper center", ncols=3, fontsize=8)
+    return made
+
+
 def table(rows: list[Row]) -> str:
     """Return a Markdown table of rows."""
     text = [
@@ -170,6 +192,8 @@ def page(found: dict[str, list[Row]]) -> str:
         "```sh",
         "python -m benchmarks.engine.controllers",
         "```",
+        "",
+        "![Sensitivity over frequency with each controller](images/controllers.png)",
     ]
     for model, rows in found.items():
         text += ["", f"## `{model}`", "", table(rows)]
