@@ -24,7 +24,6 @@ class MagneticSaturation(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 4 (saturation)"
-    category = "bearing"
     faults = (
         Fault(
             physics="magnetic_saturation",
@@ -59,7 +58,7 @@ class MagneticSaturation(Block):
     saturation_flux = Param(3.0, low=0.2, doc="flux density of saturation B_s over that of the bias")
     saturation_current = Param(1.0, unit="A", above=0.0, doc="control current of saturation i_s (law control)")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         if self.option.law == "control":
             limited = _saturated(u.current, p.saturation_current)
             return Equations(

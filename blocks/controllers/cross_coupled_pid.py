@@ -1,7 +1,5 @@
 """PID controller with cross coupling of the two axes."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
 
 from rotorsim.block import Block, Equations, Param, State, vec
@@ -19,7 +17,6 @@ class CrossCoupledPid(Block):
     """
 
     source = "Ahrens, Kucera and Larsonneur, IEEE Trans. Control Syst. Technol. 4 (1996) 494-502; thesis eq. (2.24)"
-    category = "controller"
 
     displacement = control.DISPLACEMENT
     velocity = control.VELOCITY
@@ -35,7 +32,7 @@ class CrossCoupledPid(Block):
     integral = State(shape=2, unit="m s", doc="integral of e")
     filtered = control.FILTERED
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         direct, error, velocity, derivatives = control.pid_of(p, u, x)
         cross = p.KPC * error + p.KDC * velocity
         return Equations(outputs={"current": direct + vec(cross[1], -cross[0])}, derivatives=derivatives)

@@ -21,7 +21,6 @@ class DiscretePid(Block):
     """
 
     source = "Astrom and Wittenmark, Computer-Controlled Systems, section 8.5; thesis, after eq. (2.30) (delay)"
-    category = "controller"
 
     displacement = control.DISPLACEMENT
     velocity = In(shape=2, unit="m/s", optional=True, doc="rotor velocity [x, y]; unwired: filtered difference")
@@ -43,7 +42,7 @@ class DiscretePid(Block):
     difference = DiscreteState(shape=2, unit="m/s", unless_wired="velocity", doc="v, filtered difference")
     line = DiscreteState(shape=lambda o: (o.delay_samples + 1, 2), unit="A", doc="computed currents, newest first")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         error = control.error_of(u)
         update = {}
         velocity = u.velocity

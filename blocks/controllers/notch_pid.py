@@ -1,7 +1,5 @@
 """PID controller with a notch filter."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
 
 from rotorsim.block import Block, Equations, Param, State
@@ -20,7 +18,6 @@ class NotchPid(Block):
     """
 
     source = "thesis eq. (2.24); Schweitzer and Maslen, Magnetic Bearings (2009), section 8.3 (notch filters)"
-    category = "controller"
 
     displacement = control.DISPLACEMENT
     velocity = control.VELOCITY
@@ -39,7 +36,7 @@ class NotchPid(Block):
     notch_position = State(shape=2, unit="A", doc="first state of the notch; the current, when at rest")
     notch_rate = State(shape=2, unit="A", doc="second state of the notch; zero when at rest")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         demand, _, _, derivatives = control.pid_of(p, u, x)
         derivatives["notch_position"] = p.notch_frequency * x.notch_rate
         derivatives["notch_rate"] = p.notch_frequency * (demand - p.notch_width * x.notch_rate - x.notch_position)

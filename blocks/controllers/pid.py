@@ -1,7 +1,5 @@
 """PID controller of a magnetic bearing."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
 
 from rotorsim.block import Block, Equations, Param, State
@@ -18,7 +16,6 @@ class Pid(Block):
     """
 
     source = "thesis eq. (2.24), Table 2-1"
-    category = "controller"
 
     displacement = control.DISPLACEMENT
     velocity = control.VELOCITY
@@ -32,6 +29,6 @@ class Pid(Block):
     integral = State(shape=2, unit="m s", doc="integral of e")
     filtered = control.FILTERED
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         current, _, _, derivatives = control.pid_of(p, u, x)
         return Equations(outputs={"current": current}, derivatives=derivatives)

@@ -1,10 +1,8 @@
 """Observer-based state-feedback controller."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
 
-from rotorsim.block import Block, Equations, Param, State
+from rotorsim.block import Block, Param, State
 
 
 class StateFeedback(Block):
@@ -19,7 +17,6 @@ class StateFeedback(Block):
     """
 
     source = "Anderson and Moore, Optimal Control: Linear Quadratic Methods (1990), chapter 8"
-    category = "controller"
 
     displacement = control.DISPLACEMENT
     velocity = control.UNUSED_VELOCITY
@@ -32,5 +29,5 @@ class StateFeedback(Block):
     initial = Param(0.0, shape=("n",), unit=None, doc="state at the start, shape (n,)")
     value = State(shape=("n",), unit=None, init="initial", doc="state of the controller")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return control.state_space_of(p, u, x)

@@ -1,10 +1,8 @@
 """Linear controller given by its matrices."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
 
-from rotorsim.block import Block, Equations, Param, State
+from rotorsim.block import Block, Param, State
 
 
 class StateSpace(Block):
@@ -17,7 +15,6 @@ class StateSpace(Block):
     """
 
     source = "Simulink: State-Space; Franklin et al., Feedback Control of Dynamic Systems, chapter 7"
-    category = "controller"
 
     displacement = control.DISPLACEMENT
     velocity = control.UNUSED_VELOCITY
@@ -30,5 +27,5 @@ class StateSpace(Block):
     initial = Param(0.0, shape=("n",), unit=None, doc="state at the start, shape (n,)")
     value = State(shape=("n",), unit=None, init="initial", doc="state of the controller")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return control.state_space_of(p, u, x)

@@ -1,7 +1,5 @@
 """Angular misalignment of a coupling."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
@@ -18,7 +16,6 @@ class AngularMisalignment(Block):
     """
 
     source = "Sekhar & Prabhu, J. Sound Vib. 185 (1995) 655-671"
-    category = "fault"
     faults = (
         Fault(
             physics="angular_misalignment",
@@ -47,6 +44,6 @@ class AngularMisalignment(Block):
     amplitude2 = Param(0.05, unit="N m", low=0.0, doc="|M_2|")
     phase2 = Param(0.0, unit="rad", doc="angle of M_2")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         first = p.amplitude1 * plane.unit(u.theta + p.phase1)
         return Equations(outputs={"moment": first + p.amplitude2 * plane.unit(2 * u.theta + p.phase2)})

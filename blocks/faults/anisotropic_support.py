@@ -1,7 +1,5 @@
 """Support that is stiffer in one axis than in the other."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
@@ -18,7 +16,6 @@ class AnisotropicSupport(Block):
     """
 
     source = "Friswell et al. (2010), ch. 5 (anisotropic bearings); thesis eq. (5.1)"
-    category = "fault"
     faults = (
         Fault(
             physics="anisotropic_support",
@@ -46,6 +43,6 @@ class AnisotropicSupport(Block):
     stiffness_difference = Param(5e4, unit="N/m", doc="k_x - k_y = 2 dk")
     damping_difference = Param(0.0, unit="N s/m", doc="c_x - c_y = 2 dc")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         dk, dc = p.stiffness_difference / 2, p.damping_difference / 2
         return Equations(outputs={"force": -dk * plane.conjugate(u.displacement) - dc * plane.conjugate(u.velocity)})

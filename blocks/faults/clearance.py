@@ -1,7 +1,5 @@
 """Clearance in a bearing."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, cos, maximum, sum_of, where
@@ -22,7 +20,6 @@ class Clearance(Block):
     """
 
     source = "Ehrich, Handbook of Rotordynamics (1992); Shaw & Holmes, J. Sound Vib. 90 (1983) 129-155 (bilinear)"
-    category = "fault"
     faults = (
         Fault(
             physics="clearance",
@@ -58,7 +55,7 @@ class Clearance(Block):
     stiffness = Param(1e5, unit="N/m", low=0.0, doc="stiffness k beyond the clearance")
     direction = Param(0.0, unit="rad", doc="angle of the stop from the first axis (law bilinear)")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         q = u.displacement
         if self.option.law == "radial":
             depth = plane.length(q) - p.gap

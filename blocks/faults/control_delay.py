@@ -1,7 +1,5 @@
 """Delay of the control current."""
 
-from typing import Any
-
 from rotorsim.blocks.common import pade
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, State
@@ -18,7 +16,6 @@ class ControlDelay(Block):
     """
 
     source = "thesis, after eq. (2.30) (delay); Golub and Van Loan (2013), 9.3.1 (Pade approximation)"
-    category = "fault"
     faults = tuple(
         Fault(
             physics="control_delay",
@@ -43,7 +40,7 @@ class ControlDelay(Block):
     value3 = State(shape="signal", unit="A", when=lambda o: o.order >= 3, doc="third state of the ladder")
     value4 = State(shape="signal", unit="A", when=lambda o: o.order >= 4, doc="fourth state of the ladder")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         states = [getattr(x, f"value{k}") for k in range(1, self.option.order + 1)]
         delayed, rates = pade.delayed(u.current, states, p.delay)
         derivatives = {f"value{k}": rate for k, rate in enumerate(rates, start=1)}

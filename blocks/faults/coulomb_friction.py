@@ -1,7 +1,5 @@
 """Dry friction."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, tanh
@@ -24,7 +22,6 @@ class CoulombFriction(Block):
     """
 
     source = "C. A. Coulomb (1785); Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138"
-    category = "fault"
     faults = (
         Fault(
             physics="coulomb_friction",
@@ -68,7 +65,7 @@ class CoulombFriction(Block):
     width = Param(1e-5, unit="m/s", above=0.0, doc="velocity over which the force changes its sign")
     offset = Param(0.0, unit="N", doc="constant part, against each positive axis")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         if self.option.law == "axes":
             friction = p.friction * tanh(u.velocity / p.width)
         else:

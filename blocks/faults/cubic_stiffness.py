@@ -1,7 +1,5 @@
 """Stiffness that grows with the square of the displacement."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param, sum_of, vec
 from rotorsim.fault import Fault, Of
 
@@ -22,7 +20,6 @@ class CubicStiffness(Block):
     """
 
     source = "G. Duffing, Erzwungene Schwingungen, Vieweg 1918; Ehrich, Handbook of Rotordynamics (1992)"
-    category = "fault"
     faults = (
         Fault(
             physics="cubic_stiffness",
@@ -47,7 +44,7 @@ class CubicStiffness(Block):
     stiffness = Param(1e13, unit="N/m^3", doc="cubic stiffness k_3; negative: softening")
     offset = Param(0.0, unit="m", doc="displacement of the rest position from the neutral point, first axis")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         neutral = vec(p.offset, *[0] * (u.displacement.shape[0] - 1))
         r = u.displacement + neutral
         return Equations(outputs={"force": -p.stiffness * (sum_of(r**2) * r - p.offset**2 * neutral)})

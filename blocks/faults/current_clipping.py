@@ -17,7 +17,6 @@ class CurrentClipping(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 3 (power amplifiers: maximal current, force slew rate)"
-    category = "fault"
     faults = tuple(
         Fault(
             physics="current_clipping",
@@ -46,7 +45,7 @@ class CurrentClipping(Block):
     lag = Param(1e-4, unit="s", above=0.0, doc="time over which the rate of the demand is seen (law slew)")
     followed = State(shape="signal", unit="A", when=lambda o: o.law == "slew", doc="v, demand behind the lag")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         if self.option.law == "limit":
             return Equations(
                 outputs={"limited": _between(u.current, p.limit)},

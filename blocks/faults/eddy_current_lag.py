@@ -30,7 +30,6 @@ class EddyCurrentLag(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 4 (eddy currents); Zhu, Knospe & Maslen, IEEE Trans. Magn. 41 (2005)"
-    category = "fault"
     faults = (
         Fault(
             physics="eddy_current_lag",
@@ -76,7 +75,7 @@ class EddyCurrentLag(Block):
     element7 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 7 of those that make up the square root")
     lagging = State(shape="signal", unit="A", when=lambda o: o.law == "first_order", doc="current that lags")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         if self.option.law == "first_order":
             return Equations(
                 outputs={"effective_current": (1 - p.share) * u.current + p.share * x.lagging},

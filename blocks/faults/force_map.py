@@ -15,7 +15,6 @@ class ForceMap(Block):
     """
 
     source = "Worden and Tomlinson, Nonlinearity in Structural Dynamics (2001), ch. 7 (restoring force surface)"
-    category = "fault"
 
     displacement = In(shape="signal", unit="m", doc="displacement q")
     velocity = In(shape="signal", unit="m/s", doc="velocity v")
@@ -30,7 +29,7 @@ class ForceMap(Block):
     cross = Param(0.0, unit="N/m", doc="kc")
     cross_cubic = Param(0.0, unit="N/m^3", doc="kc3")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         q, v = u.displacement, u.velocity
         size = sqrt(sum_of_squares(q) + 1e-30)
         rate = sqrt(sum_of_squares(v) + 1e-30)

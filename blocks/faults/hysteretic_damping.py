@@ -1,10 +1,7 @@
 """Hysteretic (structural) damping: loss that does not depend on frequency."""
 
-from collections.abc import Mapping
 from math import pi
 from typing import Any
-
-import numpy as np
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, State, absolute, rows, vec
 from rotorsim.fault import Fault
@@ -52,7 +49,6 @@ class HystereticDamping(Block):
     """
 
     source = "Bishop, J. R. Aeronaut. Soc. 59 (1955) 738-742; Crandall, J. Sound Vib. 11 (1970) 3-18 (causality)"
-    category = "fault"
     faults = (
         Fault(
             physics="hysteretic_damping",
@@ -98,12 +94,12 @@ class HystereticDamping(Block):
     element6 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 6")
     element7 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 7")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse orders of a shaft whose speed is not known."""
         unknown = self.option.law == "harmonics" and "speed" not in self.wired
         return ['law "harmonics" needs the input speed (without a shaft: law "band")'] if unknown else []
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return self._harmonics(p, u, x) if self.option.law == "harmonics" else self._band(p, u, x)
 
     def _harmonics(self, p: Any, u: Any, x: Any) -> Equations:

@@ -1,7 +1,5 @@
 """Parallel misalignment of a coupling."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
@@ -20,7 +18,6 @@ class ParallelMisalignment(Block):
     """
 
     source = "Sekhar & Prabhu, J. Sound Vib. 185 (1995) 655-671; Lal & Tiwari, Mech. Mach. Theory 54 (2012)"
-    category = "fault"
     faults = (
         Fault(
             physics="parallel_misalignment",
@@ -71,7 +68,7 @@ class ParallelMisalignment(Block):
     amplitude0 = Param(0.0, unit="N", low=0.0, doc="|F_0|")
     phase0 = Param(0.0, unit="rad", doc="angle of F_0 from the x axis")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         force = p.amplitude1 * plane.unit(u.theta + p.phase1)
         force = force + p.amplitude2 * plane.unit(2 * u.theta + p.phase2)
         force = force + p.backward2 * plane.unit(-2 * u.theta + p.backward_phase2)

@@ -1,10 +1,8 @@
 """Runout of the surface that a displacement sensor sees."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane, sensor
 
-from rotorsim.block import Block, Equations, In, Param
+from rotorsim.block import Block, In, Param
 from rotorsim.fault import Fault, Of
 
 _LAW = "constant amplitude at every speed, at slow roll too; the controller follows it, so that it drives a force"
@@ -43,7 +41,6 @@ class Runout(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 3 (sensors); API 670 (runout of the probe track)"
-    category = "fault"
     faults = tuple(_fault(*orders) for orders in ((1, 0), (2, 0), (3, 0), (2, 2), (3, 3)))
 
     displacement = sensor.DISPLACEMENT
@@ -65,7 +62,7 @@ class Runout(Block):
     backward3 = Param(0.0, unit="m", low=0.0, doc="|r_-3|")
     backward_phase3 = Param(0.0, unit="rad", doc="angle of r_-3")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         displacement, velocity = u.displacement, sensor.velocity_of(u)
         terms = [(k, getattr(p, f"amplitude{k}"), getattr(p, f"phase{k}")) for k in (1, 2, 3)]
         terms += [(-k, getattr(p, f"backward{k}"), getattr(p, f"backward_phase{k}")) for k in (1, 2, 3)]

@@ -1,7 +1,5 @@
 """Force of a seal or an impeller."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
@@ -21,7 +19,6 @@ class SealCrossCoupling(Block):
     """
 
     source = "Childs, Turbomachinery Rotordynamics (1993), ch. 4, 5; H. Black, J. Appl. Mech. 36 (1969) 244-254"
-    category = "fault"
     faults = (
         Fault(
             physics="seal_cross_coupling",
@@ -50,6 +47,6 @@ class SealCrossCoupling(Block):
     direct_stiffness = Param(0.0, unit="N/m", doc="k_d")
     direct_damping = Param(0.0, unit="N s/m", doc="c_d")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         force = p.cross_stiffness * plane.times_i(u.displacement)
         return Equations(outputs={"force": force - p.direct_stiffness * u.displacement - p.direct_damping * u.velocity})

@@ -4,7 +4,7 @@ from typing import Any
 
 from rotorsim.blocks.common import plane, sensor
 
-from rotorsim.block import Block, Equations, Param
+from rotorsim.block import Block, Param
 from rotorsim.fault import Fault
 
 _TOLD = "slow roll and law of speed: the factor is the same at every order and speed"
@@ -24,7 +24,6 @@ class SensorGainMismatch(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 3 (displacement sensors)"
-    category = "fault"
     faults = (
         Fault(
             physics="sensor_gain_mismatch",
@@ -57,7 +56,7 @@ class SensorGainMismatch(Block):
     mismatch = Param(0.02, doc="real part of eps, half of the difference of the gains")
     skew = Param(0.0, unit="rad", doc="imaginary part of eps, half of the error of the right angle")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         velocity = sensor.velocity_of(u)
         return sensor.sensed(_seen(p, u.displacement), _seen(p, velocity))
 

@@ -45,7 +45,6 @@ class ShaftBow(Block):
     """
 
     source = "Nicholas, Gunter & Allaire, J. Eng. Power 98 (1976) 171-181; Friswell et al. (2010), ch. 6"
-    category = "fault"
     faults = tuple(_fault(shapes) for shapes in range(1, _SHAPES + 1))
 
     theta = In(unit="rad", doc="shaft angle")
@@ -65,7 +64,7 @@ class ShaftBow(Block):
     amplitude4 = Param(0.0, unit="m", low=0.0, doc="size of the fourth shape")
     phase4 = Param(0.0, unit="rad", doc="its angle")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         count = self.option.elements
         lengths = [beam.entry(p.element_length, e) for e in range(count)]
         places: list[Any] = [0.0]

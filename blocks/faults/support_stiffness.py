@@ -1,7 +1,5 @@
 """Stiffness and damping that a model leaves out."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param
 from rotorsim.fault import Fault
 
@@ -16,7 +14,6 @@ class SupportStiffness(Block):
     """
 
     source = "Friswell et al. (2010), ch. 5 (bearings)"
-    category = "fault"
     faults = (
         Fault(
             physics="support_stiffness",
@@ -44,5 +41,5 @@ class SupportStiffness(Block):
     stiffness = Param(5e4, unit="N/m", doc="dk; negative: the support is softer than stated")
     damping = Param(0.0, unit="N s/m", doc="dc")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"force": -p.stiffness * u.displacement - p.damping * u.velocity})

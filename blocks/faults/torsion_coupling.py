@@ -1,7 +1,6 @@
 """Torsion of a shaft, coupled to its bending by the unbalance and by a crack."""
 
 from math import pi
-from typing import Any
 
 from rotorsim.blocks.common import observer, plane
 
@@ -28,7 +27,6 @@ class TorsionCoupling(Block):
     """
 
     source = "Darpe, Gupta & Chawla, J. Sound Vib. 269 (2004) 33-60; Tondl (1965), ch. 6 (unbalance and torsion)"
-    category = "fault"
     faults = (
         Fault(
             physics="torsion_coupling",
@@ -76,7 +74,7 @@ class TorsionCoupling(Block):
     estimate = State(shape=2, unit="m/s", doc="velocity as observed")
     trend = State(shape=2, unit="m/s^2", doc="acceleration as observed")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         acceleration, derivatives = observer.acceleration(u.velocity, x.estimate, x.trend, p.bandwidth)
         heavy = plane.unit(u.theta + x.angle + p.phase)
         normal = plane.unit(u.theta + p.crack_phase)

@@ -1,10 +1,8 @@
 """Rotor of beam elements with discs."""
 
-from collections.abc import Mapping
 from math import pi
 from typing import Any
 
-import numpy as np
 from rotorsim.blocks.common import beam
 from rotorsim.blocks.common.beam import Banded, solve_factored
 
@@ -35,7 +33,6 @@ class RotorFe(Block):
 
     type_name = "rotor_fe"
     source = "thesis eq. (4.9)-(4.16), (5.4), App. B, C; Friswell et al. (2010), ch. 5"
-    category = "rotor"
     refinement = "subdivisions"
     faults = (
         Fault(
@@ -84,7 +81,7 @@ class RotorFe(Block):
     position = State(shape=_free, unit=None, doc="free displacements and slopes [dof, plane], node by node")
     velocity = State(shape=_free, unit=None, doc="their rates")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse nodes that do not exist, doubled pins and walls of no thickness."""
         nodes = self.option.elements + 1
         problems = [
@@ -99,7 +96,7 @@ class RotorFe(Block):
             problems.append("inner_diameter must be smaller than outer_diameter")
         return problems
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         free = self._free_numbers()
         mass, gyroscopic, stiffness, disc = self._matrices(p, free)
         lower, inverse_d = mass.factor()

@@ -1,7 +1,5 @@
 """Transport delay."""
 
-from typing import Any
-
 from rotorsim.blocks.common import pade
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, State
@@ -43,7 +41,7 @@ class Delay(Block):
     value7 = State(shape="signal", unit=None, when=lambda o: o.order >= 7, doc="seventh state of the ladder")
     value8 = State(shape="signal", unit=None, when=lambda o: o.order >= 8, doc="eighth state of the ladder")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         states = [getattr(x, f"value{k}") for k in range(1, self.option.order + 1)]
         output, rates = pade.delayed(u.input, states, p.delay)
         derivatives = {f"value{k}": rate for k, rate in enumerate(rates, start=1)}

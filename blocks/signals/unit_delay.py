@@ -1,7 +1,5 @@
 """Discrete delay of whole samples."""
 
-from typing import Any
-
 from rotorsim.block import Block, DiscreteState, Equations, In, Option, Out, Param
 
 
@@ -31,7 +29,7 @@ class UnitDelay(Block):
     value7 = DiscreteState(shape="signal", unit=None, init="initial", when=lambda o: o.samples >= 7, doc="7 before")
     value8 = DiscreteState(shape="signal", unit=None, init="initial", when=lambda o: o.samples >= 8, doc="8 before")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         line = [getattr(x, f"value{k}") for k in range(self.option.samples + 1)]
         update = {f"value{k}": value for k, value in enumerate([u.input, *line[:-1]])}
         return Equations(outputs={"output": line[-1]}, update=update)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from rotorsim.block import Block, _Option, _Param
+from rotorsim.block import Block, Option, Param
 from rotorsim.diagram.resolve.registry import all_types
 from rotorsim.diagram.resolve.resolution import METHODS
 
@@ -137,7 +137,7 @@ def _block(kind: type[Block]) -> dict[str, Any]:
     }
 
 
-def _parameter(parameter: _Param) -> dict[str, Any]:
+def _parameter(parameter: Param) -> dict[str, Any]:
     unit = "" if parameter.unit in (None, "1") else f" [{parameter.unit}]"
     number: dict[str, Any] = {"type": "number"}
     for key, bound in (("minimum", parameter.low), ("maximum", parameter.high), ("exclusiveMinimum", parameter.above)):
@@ -152,7 +152,7 @@ def _parameter(parameter: _Param) -> dict[str, Any]:
     return found
 
 
-def _option(option: _Option) -> dict[str, Any]:
+def _option(option: Option) -> dict[str, Any]:
     found: dict[str, Any] = {"description": option.doc, "default": option.default}
     if option.choices is not None and not isinstance(option.default, list):
         return {**found, "anyOf": [{"enum": list(option.choices)}, _REFERENCE]}

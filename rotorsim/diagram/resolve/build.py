@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.block import Block, Declaration, Shape, _Option, _Param
+from rotorsim.block import Block, Declaration, Option, Param, Shape
 from rotorsim.diagram.diagram import Node, Port
 from rotorsim.diagram.parse.document import FlatDocument, Parameter, RawBlock
 from rotorsim.diagram.parse.source import LazyPlace
@@ -159,7 +159,7 @@ class Builder:
         hint = near_miss(name, known) or f"type '{cls.type_name}' has no parameters"
         self.error(f"unknown parameter '{name}'", raw.name, raw.place_of(name, key=True), hint)
 
-    def option(self, raw: RawBlock, name: str, declared: _Option, options: dict[str, Any]) -> None:
+    def option(self, raw: RawBlock, name: str, declared: Option, options: dict[str, Any]) -> None:
         if name not in options:
             if declared.default is None and declared.kind is not None:
                 self.error(f"parameter '{name}' is missing", raw.name, raw.place(key=True), declared.doc)
@@ -190,7 +190,7 @@ class Builder:
         self.error(problem.what, f"{raw.name}.{name}", place, problem.hint)
 
     def parameter(
-        self, raw: RawBlock, name: str, value: Any, declared: _Param, references: dict[str, str]
+        self, raw: RawBlock, name: str, value: Any, declared: Param, references: dict[str, str]
     ) -> np.ndarray | None:
         try:
             if isinstance(value, str) and value.startswith("$"):
@@ -209,7 +209,7 @@ class Builder:
             return None
         return array
 
-    def follow(self, parameter: Parameter, declared: _Param, user: tuple[str, str]) -> np.ndarray:
+    def follow(self, parameter: Parameter, declared: Param, user: tuple[str, str]) -> np.ndarray:
         """Return the value of a diagram parameter in the unit of the block parameter that follows it."""
         key = (id(parameter), declared.unit)
         if key not in self.converted:
@@ -387,7 +387,7 @@ class Builder:
         return filled(value, shape)
 
 
-def _expected(declared: _Param) -> str:
+def _expected(declared: Param) -> str:
     rank = len(declared.shape) if isinstance(declared.shape, tuple) else int(isinstance(declared.shape, int))
     kind = ("a number", "a list [...]", "a list of rows [[...], ...]")[min(rank, 2)]
     return kind if declared.unit in (None, "1") else f"{kind} in {declared.unit}"

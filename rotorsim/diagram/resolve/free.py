@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.block import _Param
+from rotorsim.block import Param
 from rotorsim.diagram.diagram import Free, Node
 from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
@@ -33,7 +33,7 @@ class _Found:
 
     value: np.ndarray
     unit: str
-    declared: list[_Param] = field(default_factory=list)
+    declared: list[Param] = field(default_factory=list)
     usual: list[float] = field(default_factory=list)
 
 
@@ -184,7 +184,7 @@ def _usual(node: Node, key: str) -> list[float]:
     return [abs(float(size)) for size in found if isinstance(size, int | float)]
 
 
-def _lowest(declared: _Param, value: float) -> float | None:
+def _lowest(declared: Param, value: float) -> float | None:
     """Return the closed lower bound; an open one is left by a thousandth of the way to the value."""
     if declared.above is not None:
         return declared.above + 1e-3 * max(value - declared.above, 0.0)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.block import Block, In, Out, Shape, _Param
+from rotorsim.block import Block, In, Out, Param, Shape
 from rotorsim.diagram.parse.document import NAME, RawBlock
 from rotorsim.diagram.resolve.shapes import ShapeTerm, Unifier
 from rotorsim.diagram.resolve.values import numeric
@@ -25,7 +25,7 @@ class Template:
         self.inputs: dict[str, In] = {n: d for d in cls.inputs.values() for n in block.port_names(d)}
         self.outputs: dict[str, Out] = {n: d for d in cls.outputs.values() for n in block.port_names(d)}
         self.bad_names = _bad_names(block)
-        self.parameters: dict[str, _Param] = cls.parameters
+        self.parameters: dict[str, Param] = cls.parameters
         shape = block.declared_shape
         self.input_shapes = {name: block.port_shape(d, name) for name, d in self.inputs.items()}
         self.output_shapes = {name: block.port_shape(d, name) for name, d in self.outputs.items()}

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.block import _Option, _Param
+from rotorsim.block import Option, Param
 from rotorsim.errors import near_miss
 from rotorsim.units import UnitError, format_quantity, parse_quantity
 
@@ -66,7 +66,7 @@ def _finite(value: float, path: tuple[int, ...]) -> np.ndarray:
     return np.array(number)
 
 
-def bounds_problem(value: np.ndarray, declared: _Param) -> ValueProblem | None:
+def bounds_problem(value: np.ndarray, declared: Param) -> ValueProblem | None:
     """Return what is wrong if an entry is outside the declared bounds."""
     smallest, largest = float(value.min()), float(value.max())
     unit = declared.unit
@@ -93,7 +93,7 @@ _KIND_WORDS = {
 }
 
 
-def option_value(value: Any, declared: _Option) -> Any:
+def option_value(value: Any, declared: Option) -> Any:
     """Return an option value of the declared kind, choices and bounds; raise ValueProblem."""
     is_list = isinstance(declared.default, list | tuple)
     kinds = declared.kind
@@ -108,7 +108,7 @@ def option_value(value: Any, declared: _Option) -> Any:
     return _entry(value, kinds, declared, ())
 
 
-def _entry(value: Any, kinds: tuple[type, ...], declared: _Option, path: tuple[int, ...]) -> Any:
+def _entry(value: Any, kinds: tuple[type, ...], declared: Option, path: tuple[int, ...]) -> Any:
     if (
         kinds
         and float in kinds
