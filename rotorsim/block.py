@@ -256,6 +256,7 @@ _CATEGORIES = {  # folder of built-in block files -> category of its blocks, unl
 class Block:
     """Base of all blocks: subclasses declare ports, parameters and states and define ``equations``.
 
+    An attribute may also be a tuple of declarations, each with its ``name``: what several blocks share, or a series.
     ``type_name`` (default: the class name in snake_case) is the ``"type"`` of diagram JSON.
     ``sample_time`` names the parameter that holds the sample period [s] of a discrete block; a parameter
     declared as ``sample_time`` is that one.
@@ -285,8 +286,12 @@ class Block:
             cls.type_name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
         if "category" not in cls.__dict__:
             cls.category = _CATEGORIES.get(cls.__module__.rpartition(".")[0], cls.category)
-        own = {name: value for name, value in vars(cls).items() if isinstance(value, Declaration)}
-        declared = [value if value.name else replace(value, name=name) for name, value in own.items()]
+        declared = [
+            item if item.name else replace(item, name=name)
+            for name, value in vars(cls).items()
+            for item in (value if isinstance(value, tuple) else (value,))
+            if isinstance(item, Declaration)
+        ]
         for kind, type_ in _KINDS.items():
             setattr(cls, kind, {**getattr(cls, kind), **{d.name: d for d in declared if isinstance(d, type_)}})
         if "sample_time" in cls.parameters and not isinstance(cls.sample_time, str):

@@ -18,19 +18,12 @@ class CrossCoupledPid(Block):
 
     source = "Ahrens, Kucera and Larsonneur, IEEE Trans. Control Syst. Technol. 4 (1996) 494-502; thesis eq. (2.24)"
 
-    displacement = control.DISPLACEMENT
-    velocity = control.VELOCITY
-    reference = control.REFERENCE
-    current = control.CURRENT
-    KP = Param(12200.0, unit="A/m", doc="proportional gain")
-    KI = Param(2000.0, unit="A/(m s)", doc="integral gain")
-    KD = Param(3.0, unit="A s/m", doc="derivative gain")
+    ports = control.PORTS
+    gains = control.GAINS
     KPC = Param(0.0, unit="A/m", doc="proportional cross gain")
     KDC = Param(0.0, unit="A s/m", doc="derivative cross gain")
-    derivative_time_constant = control.FILTER
-    initial_displacement = control.START
     integral = State(shape=2, unit="m s", doc="integral of e")
-    filtered = control.FILTERED
+    filter = control.FILTER
 
     def equations(self, p, u, x, t):
         direct, error, velocity, derivatives = control.pid_of(p, u, x)

@@ -26,9 +26,7 @@ class DiscretePid(Block):
     velocity = In(shape=2, unit="m/s", optional=True, doc="rotor velocity [x, y]; unwired: filtered difference")
     reference = control.REFERENCE
     current = Out(shape=2, unit="A", doc="control current [x, y], held between hits")
-    KP = Param(12200.0, unit="A/m", doc="proportional gain")
-    KI = Param(2000.0, unit="A/(m s)", doc="integral gain")
-    KD = Param(3.0, unit="A s/m", doc="derivative gain")
+    gains = control.GAINS
     sample_time = Param(1e-4, unit="s", above=0.0, doc="time between hits")
     derivative_time_constant = Param(0.0, unit="s", low=0.0, doc="filter of the difference; 0: plain difference")
     current_limit = Param(10.0, unit="A", above=0.0, doc='largest current, with anti_windup "clamp"')

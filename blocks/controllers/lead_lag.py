@@ -17,10 +17,7 @@ class LeadLag(Block):
 
     source = "Schweitzer and Maslen, Magnetic Bearings (2009), chapter 8; Franklin et al., Feedback Control, 6.7"
 
-    displacement = control.DISPLACEMENT
-    velocity = control.UNUSED_VELOCITY
-    reference = control.REFERENCE
-    current = control.CURRENT
+    ports = control.PORTS_WITHOUT_VELOCITY
     gain = Param(12200.0, unit="A/m", doc="gain at rest")
     lead_time_constant = Param(2.5e-4, unit="s", low=0.0, doc="time constant of the numerator")
     lag_time_constant = Param(5e-5, unit="s", above=0.0, doc="time constant of the denominator")

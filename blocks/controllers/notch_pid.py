@@ -19,14 +19,9 @@ class NotchPid(Block):
 
     source = "thesis eq. (2.24); Schweitzer and Maslen, Magnetic Bearings (2009), section 8.3 (notch filters)"
 
-    displacement = control.DISPLACEMENT
-    velocity = control.VELOCITY
-    reference = control.REFERENCE
-    current = control.CURRENT
-    KP = Param(12200.0, unit="A/m", doc="proportional gain")
-    KI = Param(2000.0, unit="A/(m s)", doc="integral gain")
-    KD = Param(3.0, unit="A s/m", doc="derivative gain")
-    derivative_time_constant = control.FILTER
+    ports = control.PORTS
+    gains = control.GAINS
+    derivative_time_constant = control.TIME_CONSTANT
     notch_frequency = Param(2513.2741228718346, unit="rad/s", above=0.0, doc='centre of the notch (default "400 Hz")')
     notch_width = Param(0.1, above=0.0, doc="bandwidth of the notch divided by its frequency")
     notch_depth = Param(0.1, low=0.0, high=1.0, doc="gain at the centre: 0 blocks, 1 is no notch")

@@ -1,7 +1,6 @@
 """Lag of a magnetic force behind its current, by eddy currents."""
 
 from math import pi
-from typing import Any
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, State, sqrt
 from rotorsim.fault import Fault, Longest
@@ -13,10 +12,6 @@ _WEIGHTS = (1.42029, 1.74144, 3.46769, 6.46071, 11.8151, 25.7511, 187.721)
 _LAW = "phase lag between the measured current and the force, like negative damping"
 _CONFUSED = ("viscous_damping", "amplifier_bandwidth", "control_delay")
 _TOLD = "another set of gains; the lag acts after the measured current, that of the controller before it"
-
-
-def _of_sqrt(option: Any) -> bool:
-    return bool(option.law == "sqrt")
 
 
 class EddyCurrentLag(Block):
@@ -66,13 +61,16 @@ class EddyCurrentLag(Block):
     law = Option("sqrt", choices=("sqrt", "first_order"), kind=str, doc="law of the lag")
     time_constant = Param(1e-5, unit="s", low=1e-12, doc="time constant tau")
     share = Param(0.3, low=0.0, high=1.0, doc="part of the force that lags (law first_order)")
-    element1 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 1 of those that make up the square root")
-    element2 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 2 of those that make up the square root")
-    element3 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 3 of those that make up the square root")
-    element4 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 4 of those that make up the square root")
-    element5 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 5 of those that make up the square root")
-    element6 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 6 of those that make up the square root")
-    element7 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 7 of those that make up the square root")
+    elements = tuple(
+        State(
+            name=f"element{k}",
+            shape="signal",
+            unit="A",
+            when=lambda o: o.law == "sqrt",
+            doc=f"lag {k} of those that make up the square root",
+        )
+        for k in range(1, len(_POLES) + 1)
+    )
     lagging = State(shape="signal", unit="A", when=lambda o: o.law == "first_order", doc="current that lags")
 
     def equations(self, p, u, x, t):

@@ -86,13 +86,10 @@ class HystereticDamping(Block):
     mean = State(shape=2, unit="m", when=_of_orders, doc="mean m of the displacement")
     cosine = State(shape=_orders, unit="m", when=_of_orders, doc="parts c_k of the displacement [order, axis]")
     sine = State(shape=_orders, unit="m", when=_of_orders, doc="the same a quarter later, s_k [order, axis]")
-    element1 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 1")
-    element2 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 2")
-    element3 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 3")
-    element4 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 4")
-    element5 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 5")
-    element6 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 6")
-    element7 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 7")
+    elements = tuple(
+        State(name=f"element{k}", shape=_axes, unit="m", when=_of_band, doc=f"damper end of Maxwell element {k}")
+        for k in range(1, len(_POLES) + 1)
+    )
 
     def check(self, values):
         """Refuse orders of a shaft whose speed is not known."""

@@ -26,12 +26,9 @@ class NonCollocation(Block):
         ),
     )
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
+    ports = sensor.PORTS
     tilt = In(shape=2, unit="rad", doc="tilt in the planes of x and y")
     tilt_velocity = In(shape=2, unit="rad/s", doc="rate of tilt")
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
     distance = Param(0.02, unit="m", doc="position of the sensor beyond the bearing, along the shaft")
 
     def equations(self, p, u, x, t):

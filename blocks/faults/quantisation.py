@@ -45,10 +45,7 @@ class Quantisation(Block):
         ),
     )
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
+    ports = sensor.PORTS
     law = Option("exact", choices=("exact", "smooth"), kind=str, doc="steps that jump, or rise steeply")
     interval = Param(1e-6, unit="m", above=0.0, doc="step LSB of the converter")
     width = Param(0.2, above=0.0, doc="part of the step over which it rises (law smooth)")

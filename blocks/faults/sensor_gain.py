@@ -28,10 +28,7 @@ class SensorGain(Block):
         ),
     )
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
+    ports = sensor.PORTS
     gain_error = Param(0.05, doc="relative error eps, the same in each axis")
 
     def equations(self, p, u, x, t):

@@ -49,10 +49,7 @@ class SensorGainMismatch(Block):
         ),
     )
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
+    ports = sensor.PORTS
     mismatch = Param(0.02, doc="real part of eps, half of the difference of the gains")
     skew = Param(0.0, unit="rad", doc="imaginary part of eps, half of the error of the right angle")
 

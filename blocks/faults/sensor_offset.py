@@ -27,10 +27,7 @@ class SensorOffset(Block):
         ),
     )
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
+    ports = sensor.PORTS
     offset_x = Param(5e-6, unit="m", doc="offset of the sensor of x")
     offset_y = Param(0.0, unit="m", doc="offset of the sensor of y")
 

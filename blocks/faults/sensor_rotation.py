@@ -28,10 +28,7 @@ class SensorRotation(Block):
         ),
     )
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
+    ports = sensor.PORTS
     angle = Param(0.05, unit="rad", doc="angle by which the sensed motion is turned forward")
 
     def equations(self, p, u, x, t):

@@ -2,6 +2,8 @@
 
 from math import prod
 
+from rotorsim.blocks.common import names as naming
+
 from rotorsim.block import Block, Equations, In, Option, Out, concatenate
 
 
@@ -19,10 +21,7 @@ class Bus(Block):
 
     def check(self, values):
         """Refuse missing and repeated names."""
-        names = self.option.names
-        if not names:
-            return ["names is empty: a bus needs at least one input"]
-        return [f"name '{name}' is given twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+        return naming.mistakes(self.option.names, "a bus")
 
     def output_shapes(self, inputs):
         """Add up the entries of the inputs."""

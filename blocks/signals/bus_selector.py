@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+from rotorsim.blocks.common import names as naming
 
 from rotorsim.block import Block, Equations, In, Option, Out
 
@@ -25,7 +26,7 @@ class BusSelector(Block):
         names, widths = self.option.names, self.option.widths
         if len(names) != len(widths):
             return [f"{len(names)} names and {len(widths)} widths; one width is needed for each name"]
-        return [f"name '{name}' is given twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+        return naming.mistakes(names, "a bus selector") if names else []
 
     def output_shapes(self, inputs):
         """Give every output its width."""

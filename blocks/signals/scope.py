@@ -1,5 +1,7 @@
 """Scope: signals to record and plot."""
 
+from rotorsim.blocks.common import names as naming
+
 from rotorsim.block import Block, Equations, In, Option
 
 
@@ -16,10 +18,7 @@ class Scope(Block):
 
     def check(self, values):
         """Refuse missing and repeated names."""
-        names = self.option.names
-        if not names:
-            return ["names is empty: a scope needs at least one input"]
-        return [f"name '{name}' is given twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+        return naming.mistakes(self.option.names, "a scope")
 
     def equations(self, p, u, x, t):
         return Equations()

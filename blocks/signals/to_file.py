@@ -2,6 +2,8 @@
 
 from pathlib import PurePosixPath
 
+from rotorsim.blocks.common import names as naming
+
 from rotorsim.block import Block, Equations, In, Option
 
 _ENDINGS = (".csv", ".h5", ".npz")
@@ -21,9 +23,8 @@ class ToFile(Block):
 
     def check(self, values):
         """Refuse missing and repeated names, other formats, and files outside the folder of the diagram."""
-        names, file = self.option.names, self.option.file
-        messages = [] if names else ["names is empty: a file needs at least one input"]
-        messages += [f"name '{name}' is given twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+        file = self.option.file
+        messages = naming.mistakes(self.option.names, "a file")
         if not file.endswith(_ENDINGS) or file in _ENDINGS:
             messages.append(f"file '{file}' must end in one of {', '.join(_ENDINGS)}")
         path = PurePosixPath(file)
