@@ -24,27 +24,21 @@ class MagneticSaturation(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 4 (saturation)"
-    faults = (
-        Fault(
-            physics="magnetic_saturation",
-            enters="replace",
-            of=("amb", "amb_nonlinear"),
-            options={"driving": "bipolar"},
-            free={"saturation_flux": (1.5, 3.0), "bias_current": (0.3, 1.0, 3.0)},
-            law="3X of the force at high current",
-            confused_with=("current_clipping", "magnetic_nonlinearity"),
-            told_apart_by="the current: clipping shows in it, saturation only in the force",
-        ),
-        Fault(
-            physics="magnetic_saturation",
-            enters="replace",
-            of=("amb", "amb_nonlinear"),
-            options={"law": "control"},
-            free={"saturation_current": (Of("current", 2.0), Of("current", 8.0))},
-            law="3X of the force at high current",
-            confused_with=("current_clipping", "cubic_stiffness"),
-            told_apart_by="the current: clipping shows in it, saturation only in the force",
-        ),
+    faults = Fault(
+        physics="magnetic_saturation",
+        enters="replace",
+        of=("amb", "amb_nonlinear"),
+        options={"driving": "bipolar"},
+        free={"saturation_flux": (1.5, 3.0), "bias_current": (0.3, 1.0, 3.0)},
+        law="3X of the force at high current",
+        confused_with=("current_clipping", "magnetic_nonlinearity"),
+        told_apart_by="the current: clipping shows in it, saturation only in the force",
+    ).variants(
+        {
+            "options": {"law": "control"},
+            "free": {"saturation_current": (Of("current", 2.0), Of("current", 8.0))},
+            "confused_with": ("current_clipping", "cubic_stiffness"),
+        }
     )
 
     displacement = In(shape=2, unit="m", doc="rotor displacement [x, y] in the bearing")

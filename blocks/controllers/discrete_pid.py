@@ -1,10 +1,9 @@
 """Sampled PID controller with computational delay."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
+from rotorsim.blocks.common import plane
 
-from rotorsim.block import Block, DiscreteState, Equations, In, Option, Out, Param, maximum, minimum, rows, vec, where
+from rotorsim.block import Block, DiscreteState, Equations, In, Option, Out, Param, rows, vec, where
 
 
 class DiscretePid(Block):
@@ -51,14 +50,10 @@ class DiscretePid(Block):
         integral = x.integral + p.sample_time * error
         computed = p.KP * error + p.KI * integral + p.KD * velocity
         if self.option.anti_windup == "clamp":
-            excess = computed - _limited(computed, p.current_limit)
+            excess = computed - plane.within(computed, p.current_limit)
             integral = where(excess * p.KI * error > 0, x.integral, integral)
-            computed = _limited(p.KP * error + p.KI * integral + p.KD * velocity, p.current_limit)
+            computed = plane.within(p.KP * error + p.KI * integral + p.KD * velocity, p.current_limit)
         update["integral"] = integral
         line = rows(x.line)
         update["line"] = vec(computed.T, *line[:-1])
         return Equations(outputs={"current": line[-1].T}, update=update)
-
-
-def _limited(value: Any, limit: Any) -> Any:
-    return minimum(maximum(value, -limit), limit)

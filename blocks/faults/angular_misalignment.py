@@ -5,9 +5,6 @@ from rotorsim.blocks.common import plane
 from rotorsim.block import Block, Equations, In, Out, Param
 from rotorsim.fault import Fault
 
-_CONFUSED = ("parallel_misalignment", "moment_unbalance", "breathing_crack")
-_TOLD = "the ratio of tilt to displacement: two probes along the shaft"
-
 
 class AngularMisalignment(Block):
     """Give the moment of a coupling whose shafts meet at an angle.
@@ -16,25 +13,20 @@ class AngularMisalignment(Block):
     """
 
     source = "Sekhar & Prabhu, J. Sound Vib. 185 (1995) 655-671"
-    faults = (
-        Fault(
-            physics="angular_misalignment",
-            enters="force",
-            free={"amplitude2": (0.02,), "phase2": plane.ANGLES},
-            sizes=("amplitude2",),
-            law="2X forward on the tilt, moment constant in speed",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="angular_misalignment",
-            enters="force",
-            free={"amplitude1": (0.02,), "phase1": plane.ANGLES, "amplitude2": (0.02,), "phase2": plane.ANGLES},
-            sizes=("amplitude1", "amplitude2"),
-            law="1X and 2X forward on the tilt, moments constant in speed",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
+    faults = Fault(
+        physics="angular_misalignment",
+        enters="force",
+        free={"amplitude2": (0.02,), "phase2": plane.ANGLES},
+        sizes=("amplitude2",),
+        law="2X forward on the tilt, moment constant in speed",
+        confused_with=("parallel_misalignment", "moment_unbalance", "breathing_crack"),
+        told_apart_by="the ratio of tilt to displacement: two probes along the shaft",
+    ).variants(
+        {
+            "free": {"amplitude1": (0.02,), "phase1": plane.ANGLES, "amplitude2": (0.02,), "phase2": plane.ANGLES},
+            "sizes": ("amplitude1", "amplitude2"),
+            "law": "1X and 2X forward on the tilt, moments constant in speed",
+        }
     )
 
     theta = In(unit="rad", doc="shaft angle")

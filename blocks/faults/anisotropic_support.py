@@ -16,25 +16,19 @@ class AnisotropicSupport(Block):
     """
 
     source = "Friswell et al. (2010), ch. 5 (anisotropic bearings); thesis eq. (5.1)"
-    faults = (
-        Fault(
-            physics="anisotropic_support",
-            enters="force",
-            free={"stiffness_difference": (1e4,)},
-            sizes=("stiffness_difference",),
-            law="-1X from the conjugate of 1X, and -k from k at every order; the critical speed splits in two",
-            confused_with=("breathing_crack", "sensor_gain_mismatch", "amb_cross_coupling", "cubic_stiffness"),
-            told_apart_by="its law of speed: it follows the conjugate of the motion, a crack does not",
-        ),
-        Fault(
-            physics="anisotropic_support",
-            enters="force",
-            free={"stiffness_difference": (1e4,), "damping_difference": (1.0,)},
-            sizes=("stiffness_difference", "damping_difference"),
-            law="-1X from the conjugate of 1X, and -k from k at every order; the critical speed splits in two",
-            confused_with=("breathing_crack", "sensor_gain_mismatch", "amb_cross_coupling", "cubic_stiffness"),
-            told_apart_by="its law of speed: it follows the conjugate of the motion, a crack does not",
-        ),
+    faults = Fault(
+        physics="anisotropic_support",
+        enters="force",
+        free={"stiffness_difference": (1e4,)},
+        sizes=("stiffness_difference",),
+        law="-1X from the conjugate of 1X, and -k from k at every order; the critical speed splits in two",
+        confused_with=("breathing_crack", "sensor_gain_mismatch", "amb_cross_coupling", "cubic_stiffness"),
+        told_apart_by="its law of speed: it follows the conjugate of the motion, a crack does not",
+    ).variants(
+        {
+            "free": {"stiffness_difference": (1e4,), "damping_difference": (1.0,)},
+            "sizes": ("stiffness_difference", "damping_difference"),
+        }
     )
 
     displacement = In(shape=2, unit="m", doc="displacement [x, y] at the support")

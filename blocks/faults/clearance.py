@@ -6,8 +6,6 @@ from rotorsim.block import Block, Equations, In, Option, Out, Param, cos, maximu
 from rotorsim.fault import Fault, Of
 
 _LAW = "none below a threshold in amplitude; sub- and superharmonics above it; the critical speed falls"
-_CONFUSED = ("rub", "cubic_stiffness")
-_TOLD = "amplitude: change the unbalance or the gains at one speed"
 
 
 class Clearance(Block):
@@ -20,32 +18,27 @@ class Clearance(Block):
     """
 
     source = "Ehrich, Handbook of Rotordynamics (1992); Shaw & Holmes, J. Sound Vib. 90 (1983) 129-155 (bilinear)"
-    faults = (
-        Fault(
-            physics="clearance",
-            enters="force",
-            options={"law": "radial"},
-            free={
-                "gap": (Of("displacement", 0.9), Of("displacement", 0.7), Of("displacement", 0.4)),
-                "stiffness": (1e4, 1e5),
-            },
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="clearance",
-            enters="force",
-            options={"law": "bilinear"},
-            free={
+    faults = Fault(
+        physics="clearance",
+        enters="force",
+        options={"law": "radial"},
+        free={
+            "gap": (Of("displacement", 0.9), Of("displacement", 0.7), Of("displacement", 0.4)),
+            "stiffness": (1e4, 1e5),
+        },
+        law=_LAW,
+        confused_with=("rub", "cubic_stiffness"),
+        told_apart_by="amplitude: change the unbalance or the gains at one speed",
+    ).variants(
+        {
+            "options": {"law": "bilinear"},
+            "free": {
                 "gap": (Of("displacement", 0.4), Of("displacement", 0.05)),
                 "stiffness": (1e5,),
                 "direction": plane.ANGLES,
             },
-            law=f"{_LAW}; even orders and a mean force",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
+            "law": f"{_LAW}; even orders and a mean force",
+        }
     )
 
     displacement = In(shape="signal", unit="m", doc="displacement")

@@ -1,8 +1,8 @@
 """Limits of a power amplifier."""
 
-from typing import Any
+from rotorsim.blocks.common import plane
 
-from rotorsim.block import Block, Equations, In, Option, Out, Param, State, maximum, minimum
+from rotorsim.block import Block, Equations, In, Option, Out, Param, State
 from rotorsim.fault import Fault, Of
 
 
@@ -48,17 +48,13 @@ class CurrentClipping(Block):
     def equations(self, p, u, x, t):
         if self.option.law == "limit":
             return Equations(
-                outputs={"limited": _between(u.current, p.limit)},
+                outputs={"limited": plane.within(u.current, p.limit)},
                 events={"lower": u.current + p.limit, "upper": u.current - p.limit},
             )
         behind, most = u.current - x.followed, p.lag * p.slew
-        step = _between(behind, most)
+        step = plane.within(behind, most)
         return Equations(
             outputs={"limited": x.followed + step},
             derivatives={"followed": step / p.lag},
             events={"lower": behind + most, "upper": behind - most},
         )
-
-
-def _between(value: Any, limit: Any) -> Any:
-    return minimum(maximum(value, -limit), limit)

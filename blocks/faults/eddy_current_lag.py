@@ -10,8 +10,6 @@ _POLES = [2 * pi * f for f in (0.225103, 1.90529, 8.70976, 35.8635, 133.342, 505
 _WEIGHTS = (1.42029, 1.74144, 3.46769, 6.46071, 11.8151, 25.7511, 187.721)
 
 _LAW = "phase lag between the measured current and the force, like negative damping"
-_CONFUSED = ("viscous_damping", "amplifier_bandwidth", "control_delay")
-_TOLD = "another set of gains; the lag acts after the measured current, that of the controller before it"
 
 
 class EddyCurrentLag(Block):
@@ -25,35 +23,26 @@ class EddyCurrentLag(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 4 (eddy currents); Zhu, Knospe & Maslen, IEEE Trans. Magn. 41 (2005)"
-    faults = (
-        Fault(
-            physics="eddy_current_lag",
-            enters="wire",
-            between=("controller", "bearing"),
-            through={"current": "effective_current"},
-            recorded="before",
-            options={"law": "sqrt"},
-            free={"time_constant": (1e-6, 1e-4)},
-            most={"time_constant": Longest(30.0)},
-            sizes=("time_constant",),
-            law=f"{_LAW}; with the square root of frequency",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="eddy_current_lag",
-            enters="wire",
-            between=("controller", "bearing"),
-            through={"current": "effective_current"},
-            recorded="before",
-            options={"law": "first_order"},
-            free={"time_constant": (1e-3, 2e-4), "share": (0.2,)},
-            most={"time_constant": Longest(30.0)},
-            sizes=("share",),
-            law=f"{_LAW}; of part of the force, strongest near 1 / time_constant",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
+    faults = Fault(
+        physics="eddy_current_lag",
+        enters="wire",
+        between=("controller", "bearing"),
+        through={"current": "effective_current"},
+        recorded="before",
+        options={"law": "sqrt"},
+        free={"time_constant": (1e-6, 1e-4)},
+        most={"time_constant": Longest(30.0)},
+        sizes=("time_constant",),
+        law=f"{_LAW}; with the square root of frequency",
+        confused_with=("viscous_damping", "amplifier_bandwidth", "control_delay"),
+        told_apart_by="another set of gains; the lag acts after the measured current, that of the controller before it",
+    ).variants(
+        {
+            "options": {"law": "first_order"},
+            "free": {"time_constant": (1e-3, 2e-4), "share": (0.2,)},
+            "sizes": ("share",),
+            "law": f"{_LAW}; of part of the force, strongest near 1 / time_constant",
+        }
     )
 
     current = In(shape="signal", unit="A", doc="current in the coils")

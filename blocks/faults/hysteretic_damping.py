@@ -13,8 +13,6 @@ _WEIGHTS = (1.1927, 0.7775, 0.8087, 0.8014, 0.8072, 0.7971, 0.8706)
 _DAMPER = 0.3658 / (2 * pi * 1000)
 
 _LAW = "loss of each order proportional to its amplitude alone, not to frequency; forward and backward alike"
-_CONFUSED = ("viscous_damping", "coulomb_friction")
-_TOLD = "loss over a wide range of speeds: viscous loss grows with speed; amplitude: friction falls with it"
 
 
 def _of_band(option: Any) -> bool:
@@ -49,30 +47,18 @@ class HystereticDamping(Block):
     """
 
     source = "Bishop, J. R. Aeronaut. Soc. 59 (1955) 738-742; Crandall, J. Sound Vib. 11 (1970) 3-18 (causality)"
-    faults = (
-        Fault(
-            physics="hysteretic_damping",
-            enters="force",
-            options={"law": "harmonics"},
-            free={"loss_factor": (0.005,)},
-            sizes=("loss_factor",),
-            inherits=("stiffness",),
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="hysteretic_damping",
-            enters="force",
-            options={"law": "band"},
-            free={"loss_factor": (0.005,)},
-            sizes=("loss_factor",),
-            inherits=("stiffness",),
-            law=f"{_LAW}; the stiffness rises with the logarithm of frequency",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-    )
+    faults = Fault(
+        physics="hysteretic_damping",
+        enters="force",
+        options={"law": "harmonics"},
+        free={"loss_factor": (0.005,)},
+        sizes=("loss_factor",),
+        inherits=("stiffness",),
+        law=_LAW,
+        confused_with=("viscous_damping", "coulomb_friction"),
+        told_apart_by="loss over a wide range of speeds: viscous loss grows with speed; "
+        "amplitude: friction falls with it",
+    ).variants({"options": {"law": "band"}, "law": f"{_LAW}; the stiffness rises with the logarithm of frequency"})
 
     displacement = In(shape=_axes, unit="m", doc="displacement")
     velocity = In(shape=_axes, unit="m/s", doc="velocity")

@@ -5,10 +5,6 @@ from rotorsim.blocks.common import plane
 from rotorsim.block import Block, Equations, In, Out, Param
 from rotorsim.fault import Fault
 
-_LAW = "orders 1 and 2 and a mean force, constant in speed"
-_CONFUSED = ("breathing_crack", "open_crack", "asymmetric_shaft", "residual_bow", "angular_misalignment")
-_TOLD = "change the sag (another set-point): a crack and a keyway scale with it, a misaligned coupling does not"
-
 
 class ParallelMisalignment(Block):
     """Give the force of a coupling whose shafts are parallel but not in line.
@@ -18,29 +14,28 @@ class ParallelMisalignment(Block):
     """
 
     source = "Sekhar & Prabhu, J. Sound Vib. 185 (1995) 655-671; Lal & Tiwari, Mech. Mach. Theory 54 (2012)"
-    faults = (
-        Fault(
-            physics="parallel_misalignment",
-            enters="force",
-            free={"amplitude2": (0.5,), "phase2": plane.ANGLES},
-            sizes=("amplitude2",),
-            law="2X forward, force constant in speed",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="parallel_misalignment",
-            enters="force",
-            free={"amplitude2": (0.5,), "phase2": plane.ANGLES, "backward2": (0.2,), "backward_phase2": plane.ANGLES},
-            sizes=("amplitude2", "backward2"),
-            law="2X forward and backward, forces constant in speed",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="parallel_misalignment",
-            enters="force",
-            free={
+    faults = Fault(
+        physics="parallel_misalignment",
+        enters="force",
+        free={"amplitude2": (0.5,), "phase2": plane.ANGLES},
+        sizes=("amplitude2",),
+        law="2X forward, force constant in speed",
+        confused_with=("breathing_crack", "open_crack", "asymmetric_shaft", "residual_bow", "angular_misalignment"),
+        told_apart_by="change the sag (another set-point): a crack and a keyway scale with it, "
+        "a misaligned coupling does not",
+    ).variants(
+        {
+            "free": {
+                "amplitude2": (0.5,),
+                "phase2": plane.ANGLES,
+                "backward2": (0.2,),
+                "backward_phase2": plane.ANGLES,
+            },
+            "sizes": ("amplitude2", "backward2"),
+            "law": "2X forward and backward, forces constant in speed",
+        },
+        {
+            "free": {
                 "amplitude1": (0.5,),
                 "phase1": plane.ANGLES,
                 "amplitude2": (0.5,),
@@ -50,11 +45,9 @@ class ParallelMisalignment(Block):
                 "amplitude0": (0.2,),
                 "phase0": (0.0,),
             },
-            sizes=("amplitude1", "amplitude2", "backward2", "amplitude0"),
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
+            "sizes": ("amplitude1", "amplitude2", "backward2", "amplitude0"),
+            "law": "orders 1 and 2 and a mean force, constant in speed",
+        },
     )
 
     theta = In(unit="rad", doc="shaft angle")

@@ -5,10 +5,6 @@ from rotorsim.blocks.common import plane
 from rotorsim.block import Block, Equations, In, Out, Param
 from rotorsim.fault import Fault
 
-_LAW = "damping of forward whirl falls, that of backward whirl rises, or the reverse"
-_CONFUSED = ("internal_damping", "sensor_rotation")
-_TOLD = "change of flow or pressure; the residual of the control law, which a rotated sensor changes"
-
 
 class SealCrossCoupling(Block):
     """Give the force of a fluid that turns between rotor and stator.
@@ -19,25 +15,20 @@ class SealCrossCoupling(Block):
     """
 
     source = "Childs, Turbomachinery Rotordynamics (1993), ch. 4, 5; H. Black, J. Appl. Mech. 36 (1969) 244-254"
-    faults = (
-        Fault(
-            physics="seal_cross_coupling",
-            enters="force",
-            free={"cross_stiffness": (1e3,)},
-            sizes=("cross_stiffness",),
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="seal_cross_coupling",
-            enters="force",
-            free={"cross_stiffness": (1e3,), "direct_stiffness": (1e3,), "direct_damping": (1.0,)},
-            sizes=("cross_stiffness", "direct_stiffness", "direct_damping"),
-            law=_LAW,
-            confused_with=(*_CONFUSED, "support_stiffness"),
-            told_apart_by=_TOLD,
-        ),
+    faults = Fault(
+        physics="seal_cross_coupling",
+        enters="force",
+        free={"cross_stiffness": (1e3,)},
+        sizes=("cross_stiffness",),
+        law="damping of forward whirl falls, that of backward whirl rises, or the reverse",
+        confused_with=("internal_damping", "sensor_rotation"),
+        told_apart_by="change of flow or pressure; the residual of the control law, which a rotated sensor changes",
+    ).variants(
+        {
+            "free": {"cross_stiffness": (1e3,), "direct_stiffness": (1e3,), "direct_damping": (1.0,)},
+            "sizes": ("cross_stiffness", "direct_stiffness", "direct_damping"),
+            "confused_with": ("internal_damping", "sensor_rotation", "support_stiffness"),
+        }
     )
 
     displacement = In(shape=2, unit="m", doc="displacement [x, y] at the seal")

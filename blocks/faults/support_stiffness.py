@@ -3,9 +3,6 @@
 from rotorsim.block import Block, Equations, In, Out, Param
 from rotorsim.fault import Fault
 
-_CONFUSED = ("force_displacement_factor", "force_current_factor", "sensor_gain", "magnetic_pull", "mass_error")
-_TOLD = "another set of gains; a known mass added to the rotor"
-
 
 class SupportStiffness(Block):
     """Give the force of a spring and a damper, the same in each axis.
@@ -14,25 +11,34 @@ class SupportStiffness(Block):
     """
 
     source = "Friswell et al. (2010), ch. 5 (bearings)"
-    faults = (
-        Fault(
-            physics="support_stiffness",
-            enters="force",
-            free={"stiffness": (1e3,)},
-            sizes=("stiffness",),
-            law="shifts the critical speed; no order of its own",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
+    faults = Fault(
+        physics="support_stiffness",
+        enters="force",
+        free={"stiffness": (1e3,)},
+        sizes=("stiffness",),
+        law="shifts the critical speed; no order of its own",
+        confused_with=(
+            "force_displacement_factor",
+            "force_current_factor",
+            "sensor_gain",
+            "magnetic_pull",
+            "mass_error",
         ),
-        Fault(
-            physics="support_stiffness",
-            enters="force",
-            free={"stiffness": (1e3,), "damping": (1.0,)},
-            sizes=("stiffness", "damping"),
-            law="shifts and damps the critical speed; no order of its own",
-            confused_with=(*_CONFUSED, "viscous_damping"),
-            told_apart_by=_TOLD,
-        ),
+        told_apart_by="another set of gains; a known mass added to the rotor",
+    ).variants(
+        {
+            "free": {"stiffness": (1e3,), "damping": (1.0,)},
+            "sizes": ("stiffness", "damping"),
+            "law": "shifts and damps the critical speed; no order of its own",
+            "confused_with": (
+                "force_displacement_factor",
+                "force_current_factor",
+                "sensor_gain",
+                "magnetic_pull",
+                "mass_error",
+                "viscous_damping",
+            ),
+        }
     )
 
     displacement = In(shape="signal", unit="m", doc="displacement at the support")
