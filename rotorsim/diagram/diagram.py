@@ -33,6 +33,11 @@ class Port:
     def __str__(self) -> str:
         return f"{self.block}.{self.name}"
 
+    @property
+    def additive(self) -> bool:
+        """Whether it is an input that adds up any number of wires."""
+        return isinstance(self.declaration, In) and self.declaration.additive
+
 
 @dataclass(frozen=True)
 class Endpoint:

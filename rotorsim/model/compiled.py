@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.diagram.resolve.values import ValueProblem, bounds_problem, numeric
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.model.emit.emit import Kernel, build_kernel, emit_c
 from rotorsim.model.emit.toolchain import Compiler, CompilerError, compile_c, compiler_error, find_compiler
 from rotorsim.model.trace.diagram import Signal, Trace, flat_indices, trace_diagram
@@ -105,8 +104,7 @@ class Model:
             parts = self._parts_of(name)
             if not parts:
                 known = [*self.diagram.parameters, *self.parameters]
-                near = difflib.get_close_matches(name, known, 1)
-                hint = f"did you mean '{near[0]}'?" if near else "`rotorsim blocks TYPE` lists parameters"
+                hint = near_miss(name, known, list_all=False) or "`rotorsim blocks TYPE` lists parameters"
                 problems.append(Problem(what="no such parameter", subject=name, hint=hint))
                 continue
             for target, part in parts.items():
@@ -180,12 +178,12 @@ class Model:
     @cached_property
     def rhs(self) -> ca.Function:
         """dx/dt as a CasADi function of (t, x, z, p)."""
-        return ca.Function("rhs", self._arguments, [ca.densify(self._closed(self.trace.xdot))])
+        return ca.Function("rhs", self._arguments, [ca.densify(self.closed(self.trace.xdot))])
 
     @cached_property
     def jacobian_expression(self) -> Any:
         """Sparse d(dx/dt)/dx as an expression of the trace's symbols."""
-        return ca.jacobian(self._closed(self.trace.xdot), self.trace.x)
+        return ca.jacobian(self.closed(self.trace.xdot), self.trace.x)
 
     @cached_property
     def jacobian(self) -> ca.Function:
@@ -197,7 +195,7 @@ class Model:
         """Whether dx/dt is linear in x with constant coefficients (its Jacobian has neither x nor t)."""
         return not ca.depends_on(self.jacobian_expression, ca.vertcat(self.trace.x, self.trace.t))
 
-    def _closed(self, expression: Any) -> Any:
+    def closed(self, expression: Any) -> Any:
         """Return an expression with the external inputs (if any were asked for) at zero."""
         v = self.trace.v
         return ca.substitute(expression, v, ca.SX.zeros(*v.shape)) if v.numel() else expression
@@ -210,7 +208,7 @@ class Model:
         key = tuple(names)
         if key not in self._outputs:
             column = ca.vertcat(*[self.expression(name) for name in key]) if key else ca.SX(0, 1)
-            self._outputs[key] = ca.Function("output", self._arguments, [ca.densify(self._closed(column))])
+            self._outputs[key] = ca.Function("output", self._arguments, [ca.densify(self.closed(column))])
         return self._outputs[key]
 
     def expression(self, name: str) -> Any:
@@ -229,9 +227,7 @@ class Model:
         base, bracket, inside = name.partition("[")
         signal = self.signals.get(base)
         if signal is None:
-            near = difflib.get_close_matches(base, list(self.signals), 1)
-            hint = f"did you mean '{near[0]}'?" if near else f"signals: {', '.join(list(self.signals)[:8])}"
-            raise RotorsimError(Problem(what="no such signal", subject=name, hint=hint))
+            raise RotorsimError(Problem("no such signal", name, hint=near_miss(base, self.signals)))
         try:
             index = tuple(int(part) - 1 for part in inside.rstrip("]").split(",")) if bracket else ()
             if any(i < 0 for i in index):

@@ -113,17 +113,15 @@ class InterpretedInstance:
         self.samplers = trace.samplers
         self.x, self.z = model.initial(self.p)
         self.counts = np.zeros(len(self.samplers))
-        columns = [model._closed(model.expression(name)) for name in record]
+        columns = [model.closed(model.expression(name)) for name in record]
         y = ca.densify(ca.vertcat(*columns, trace.loop_residuals)) if columns else ca.SX(0, 1)
         self.n_y = y.numel()
         arguments = [trace.x, trace.t, trace.z, trace.p]
-        self._f = ca.Function("f", arguments, [ca.densify(model._closed(trace.xdot)), y], {"cse": True})
+        self._f = ca.Function("f", arguments, [ca.densify(model.closed(trace.xdot)), y], {"cse": True})
         self._prepare_step(model.kernel(record), trace)
         self._many: dict[int, ca.Function] = {}
         self._repeated: dict[int, list[ca.DM]] = {}
-        self._update = ca.Function(
-            "update", [*arguments, trace.w, trace.hit], [ca.densify(model._closed(trace.z_next))]
-        )
+        self._update = ca.Function("update", [*arguments, trace.w, trace.hit], [ca.densify(model.closed(trace.z_next))])
 
     def _prepare_step(self, kernel: Kernel, trace: Any) -> None:
         """Make functions of the constants of the run, the forcing of an instant, and the step, as the C code has."""

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from rotorsim.block import Block, Shape, flatten, matrix_shape, size_of, unflatten
 
@@ -44,15 +43,14 @@ class BlockTrace:
         return {name: self._dependencies(value) for name, value in self.outputs.items()}
 
     @cached_property
-    def update_feedthrough(self) -> dict[str, tuple[str, ...]]:
-        """Output port -> the input ports it depends on when the block's own sample hit occurs."""
-        if not self.update:
-            return self.feedthrough
-        new = list(self.update.values())
-        old = [self.states[name] for name in self.update]
-        names = list(self.outputs)
-        values = ca.substitute([self.outputs[name] for name in names], old, new) if names else []
-        return {name: self._dependencies(value) for name, value in zip(names, values, strict=True)}
+    def hit_feedthrough(self) -> dict[str, tuple[str, ...]]:
+        """Output port -> the input ports it depends on when the block's own sample hit occurs, or at any instant."""
+        new, old = list(self.update.values()), [self.states[name] for name in self.update]
+        values = ca.substitute(list(self.outputs.values()), old, new) if new and self.outputs else []
+        updated = {name: self._dependencies(value) for name, value in zip(self.outputs, values, strict=False)}
+        return {
+            name: tuple(dict.fromkeys((*updated.get(name, ()), *feeding))) for name, feeding in self.feedthrough.items()
+        }
 
     def _dependencies(self, value: Any) -> tuple[str, ...]:
         names = list(self.inputs)
@@ -158,8 +156,3 @@ def _refuse_unknown(kind: str, given: Mapping[str, Any], declared: Any) -> None:
     for name in given:
         if name not in declared:
             raise TraceError(f"equations give {kind} '{name}', which is not declared")
-
-
-def shapes_of(values: Mapping[str, np.ndarray]) -> dict[str, Shape]:
-    """Return the shapes of arrays by name."""
-    return {name: np.shape(value) for name, value in values.items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -15,9 +15,10 @@ from rotorsim.diagram.diagram import Diagram, Node
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.trace.block import BlockTrace, TraceError, trace_block
 
-__all__ = ["block_traces", "evaluation_order", "feedthrough_graph", "trace_blocks"]
+__all__ = ["Key", "block_traces", "evaluation_groups", "evaluation_order", "feedthrough_graph", "trace_blocks"]
 
-Key = tuple[str, str]
+Key = tuple[str, str]  # (block, port)
+Feedthrough = Mapping[str, Mapping[str, Iterable[str]]]
 Shapes = tuple[tuple[str, Any], ...]
 KEPT = 256  # traces of blocks; a diagnosis loads hundreds of diagrams that differ in one block
 SHOWN_HOPS = 20  # at the start and at the end of a loop
@@ -45,9 +46,7 @@ def trace_blocks(diagram: Diagram) -> tuple[dict[str, BlockTrace], list[Problem]
         inputs = {
             port: declared.shape
             for port, declared in node.inputs.items()
-            if port in wired.get(name, ())
-            or getattr(declared.declaration, "additive", False)
-            or (name, port) in diagram.cut
+            if port in wired.get(name, ()) or declared.additive or (name, port) in diagram.cut
         }
         shapes = {key: np.shape(value) for key, value in node.values.items()}
         outputs = {port: declared.shape for port, declared in node.outputs.items()}
@@ -89,22 +88,33 @@ def _failed(node: Node, error: Exception) -> Problem:
     return Problem(what, node.name, node.place, "check options and shapes, or the block file")
 
 
-def feedthrough_graph(diagram: Diagram, traces: Mapping[str, BlockTrace]) -> nx.DiGraph:
+def feedthrough_graph(diagram: Diagram, feedthrough: Feedthrough) -> nx.DiGraph:
     """Return the graph of (block, output port): an edge where one is needed to compute the other at once.
 
-    Every edge carries ``via``: the input port through which it acts.
+    feedthrough: block -> output port -> the input ports that act on it. Every edge carries ``via``: the input port
+    through which it acts.
     """
     into: dict[Key, list[Key]] = {}
     for wire in diagram.wires:
         into.setdefault((wire.target.block, wire.target.port), []).append((wire.source.block, wire.source.port))
     graph = nx.DiGraph()
-    for name, trace in traces.items():
-        for port, feeding in trace.feedthrough.items():
+    for name, ports in feedthrough.items():
+        for port, feeding in ports.items():
             graph.add_node((name, port))
             for fed in feeding:
-                for source in into.get((name, fed), ()):
-                    graph.add_edge(source, (name, port), via=fed)
+                graph.add_edges_from(((source, (name, port)) for source in into.get((name, fed), ())), via=fed)
     return graph
+
+
+def evaluation_groups(graph: nx.DiGraph) -> tuple[tuple[Key, ...], ...]:
+    """Return the nodes of a graph in evaluation order; those of one loop are one group."""
+    try:
+        return tuple((key,) for key in nx.topological_sort(graph))
+    except nx.NetworkXUnfeasible:
+        condensed = nx.condensation(graph)
+    position = {key: k for k, key in enumerate(graph)}
+    members = (condensed.nodes[k]["members"] for k in nx.topological_sort(condensed))
+    return tuple(tuple(sorted(group, key=position.__getitem__)) for group in members)
 
 
 def evaluation_order(diagram: Diagram) -> tuple[tuple[Key, ...], ...]:
@@ -113,16 +123,8 @@ def evaluation_order(diagram: Diagram) -> tuple[tuple[Key, ...], ...]:
 
     Raises RotorsimError that prints every loop hop by hop unless the diagram solves its loops.
     """
-    graph = feedthrough_graph(diagram, block_traces(diagram))
-    try:
-        return tuple((key,) for key in nx.topological_sort(graph))
-    except nx.NetworkXUnfeasible:
-        pass
-    condensed = nx.condensation(graph)
-    position = {key: k for k, key in enumerate(graph)}
-    groups = tuple(
-        tuple(sorted(condensed.nodes[k]["members"], key=position.__getitem__)) for k in nx.topological_sort(condensed)
-    )
+    graph = feedthrough_graph(diagram, {name: trace.feedthrough for name, trace in block_traces(diagram).items()})
+    groups = evaluation_groups(graph)
     loops = [group for group in groups if len(group) > 1 or graph.has_edge(group[0], group[0])]
     if loops and not diagram.solve_loops:
         raise RotorsimError(*[_loop_problem(diagram, graph, loop) for loop in loops])
