@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -19,12 +20,6 @@ from rotorsim.model.trace.diagram import Signal, Trace, flat_indices, trace_diag
 __all__ = ["Library", "Model", "compile_diagram"]
 
 
-def _pointer(array: np.ndarray) -> Any:
-    import ctypes
-
-    return ctypes.c_void_p(array.ctypes.data)
-
-
 class Library:
     """The C functions of one diagram (see runtime.c), and how they came about."""
 
@@ -38,8 +33,6 @@ class Library:
     run: Any
 
     def __init__(self, kernel: Kernel, compiler: Compiler) -> None:
-        import ctypes
-
         self.kernel = kernel
         self.source = emit_c(kernel)
         self.compiler = compiler.name
@@ -142,12 +135,11 @@ class Model:
 
     @cached_property
     def _followers(self) -> dict[str, dict[str, slice]]:
-        found: dict[str, dict[str, slice]] = {}
+        followers: dict[str, dict[str, slice]] = {}
         for block, node in self.diagram.nodes.items():
             for key, reference in node.references.items():
-                target = f"{block}.{key}"
-                found.setdefault(reference, {})[target] = self.parameters[target]
-        return found
+                followers.setdefault(reference, {})[f"{block}.{key}"] = self.parameters[f"{block}.{key}"]
+        return followers
 
     @cached_property
     def references(self) -> dict[str, list[slice]]:
@@ -280,8 +272,8 @@ class Model:
             return np.array(columns).T
         out = np.empty((len(t), self.n_x))
         m = library.memory()
-        addresses = [_pointer(a) for a in (t, x, z, p)]
-        library.derivatives(len(t), *addresses, self.n_p, _pointer(m), _pointer(out))
+        addresses = [a.ctypes.data for a in (t, x, z, p)]
+        library.derivatives(len(t), *addresses, self.n_p, m.ctypes.data, out.ctypes.data)
         return out
 
     def block_of_state(self, position: int) -> str:

@@ -37,16 +37,12 @@ def block_traces(diagram: Diagram) -> Mapping[str, BlockTrace]:
 
 def trace_blocks(diagram: Diagram) -> tuple[dict[str, BlockTrace], list[Problem]]:
     """Return the trace of every block (like blocks share one, of other diagrams too) and what went wrong."""
-    wired: dict[str, set[str]] = {}
-    for wire in diagram.wires:
-        wired.setdefault(wire.target.block, set()).add(wire.target.port)
+    wired = {(wire.target.block, wire.target.port) for wire in diagram.wires} | diagram.cut
     traces: dict[str, BlockTrace] = {}
     problems: list[Problem] = []
     for name, node in diagram.nodes.items():
         inputs = {
-            port: declared.shape
-            for port, declared in node.inputs.items()
-            if port in wired.get(name, ()) or declared.additive or (name, port) in diagram.cut
+            port: declared.shape for port, declared in node.inputs.items() if (name, port) in wired or declared.additive
         }
         shapes = {key: np.shape(value) for key, value in node.values.items()}
         outputs = {port: declared.shape for port, declared in node.outputs.items()}
