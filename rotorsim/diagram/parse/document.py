@@ -12,7 +12,7 @@ from typing import Any
 
 from rotorsim.diagram.diagram import Endpoint
 from rotorsim.diagram.parse.source import JsonPath, LazyPlace, Source
-from rotorsim.errors import Place, Problem
+from rotorsim.errors import Place, Problems
 
 __all__ = ["NAME", "FlatDocument", "Parameter", "RawBlock", "RawWire", "Scope", "SubPorts", "endpoint"]
 
@@ -24,12 +24,12 @@ _END = re.compile(
 
 @dataclass
 class Parameter:
-    """A diagram parameter: its JSON value, where it is, and (block, parameter) that follow it."""
+    """A diagram parameter: its JSON value, where it is, and the block parameters that follow it."""
 
     name: str
     value: Any
     place: Place
-    users: list[tuple[str, str]] = field(default_factory=list)
+    users: list[str] = field(default_factory=list)
     used: bool = False
 
 
@@ -97,7 +97,7 @@ class FlatDocument:
     sub_diagrams: set[str] = field(default_factory=set)
     broken: set[str] = field(default_factory=set)
     sub_ports: dict[str, SubPorts] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
+    problems: Problems = field(default_factory=Problems)
 
 
 @dataclass

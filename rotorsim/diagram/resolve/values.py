@@ -68,19 +68,15 @@ def _finite(value: float, path: tuple[int, ...]) -> np.ndarray:
 
 def bounds_problem(value: np.ndarray, declared: Param) -> ValueProblem | None:
     """Return what is wrong if an entry is outside the declared bounds."""
-    smallest, largest = float(value.min()), float(value.max())
-    unit = declared.unit
-    if declared.above is not None and smallest <= declared.above:
-        return ValueProblem(f"{_show(smallest, unit)} must be greater than {_show(declared.above, unit)}")
-    if declared.low is not None and smallest < declared.low:
-        return ValueProblem(f"{_show(smallest, unit)} must be at least {_show(declared.low, unit)}")
-    if declared.high is not None and largest > declared.high:
-        return ValueProblem(f"{_show(largest, unit)} must be at most {_show(declared.high, unit)}")
+    for bound, is_outside, extreme, words in (
+        (declared.above, np.less_equal, np.min, "greater than"),
+        (declared.low, np.less, np.min, "at least"),
+        (declared.high, np.greater, np.max, "at most"),
+    ):
+        if bound is not None and is_outside(value, bound).any():
+            given, limit = (format_quantity(float(v), declared.unit) for v in (extreme(value), bound))
+            return ValueProblem(f"{given} must be {words} {limit}")
     return None
-
-
-def _show(value: float, unit: str | None) -> str:
-    return format_quantity(value, unit)
 
 
 _KIND_WORDS = {
@@ -109,13 +105,8 @@ def option_value(value: Any, declared: Option) -> Any:
 
 
 def _entry(value: Any, kinds: tuple[type, ...], declared: Option, path: tuple[int, ...]) -> Any:
-    if (
-        kinds
-        and float in kinds
-        and isinstance(value, int | float | str)
-        and not isinstance(value, bool)
-        and str not in kinds
-    ):
+    is_number = isinstance(value, int | float | str) and not isinstance(value, bool)
+    if float in kinds and str not in kinds and is_number:
         value = float(numeric(value, declared.unit, path=path))
     fits = not kinds or (type(value) in kinds) or (isinstance(value, tuple) and list in kinds)
     if not fits:
