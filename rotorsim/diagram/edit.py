@@ -42,8 +42,13 @@ def swap(
     }
     for name in parameters or {}:
         if name not in kind.parameters and name not in kind.options:
-            hint = near_miss(name, [*kind.parameters, *kind.options])
-            raise RotorsimError(Problem(f"type '{new_type}' has no parameter '{name}'", f"{block}.{name}", hint=hint))
+            raise RotorsimError(
+                Problem(
+                    f"type '{new_type}' has no parameter '{name}'",
+                    f"{block}.{name}",
+                    hint=near_miss(name, [*kind.parameters, *kind.options]),
+                )
+            )
     values = {**kept, **(parameters or {})}
     problems = _misfits(data, block, kind, values)
     if problems:
@@ -76,13 +81,17 @@ def _misfits(data: Mapping[str, Any], block: str, kind: type[Block], values: Map
             if end is not None and end.block == block:
                 used.add(end.port)
                 if end.port not in known:
-                    what = f"type '{kind.type_name}' has no {word} '{end.port}', which is wired"
-                    problems.append(Problem(what, f"{block}.{end.port}"))
+                    problems.append(
+                        Problem(
+                            f"type '{kind.type_name}' has no {word} '{end.port}', which is wired", f"{block}.{end.port}"
+                        )
+                    )
     for text in data.get("record", []):
         end = endpoint(text)
         if end is not None and end.block == block and end.port not in outputs and end.port not in used:
-            what = f"type '{kind.type_name}' has no output '{end.port}', which is recorded"
-            problems.append(Problem(what, f"{block}.{end.port}"))
+            problems.append(
+                Problem(f"type '{kind.type_name}' has no output '{end.port}', which is recorded", f"{block}.{end.port}")
+            )
     for name, declared in inputs.items():
         if not declared.optional and not declared.additive and name not in used:
             problems.append(

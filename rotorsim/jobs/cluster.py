@@ -89,8 +89,10 @@ def _spread(
 
 
 def _lost(what: str) -> RotorsimError:
-    hint = "start the cluster again and run again: with a store, only the jobs that are left are run"
-    return RotorsimError(Problem(what, hint=hint), exit_code=1)
+    return RotorsimError(
+        Problem(what, hint="start the cluster again and run again: with a store, only the jobs that are left are run"),
+        exit_code=1,
+    )
 
 
 @contextmanager
@@ -102,14 +104,18 @@ def _connected(distributed: Any, scheduler: str) -> Iterator[Any]:
             client: Any = distributed.Client(scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False)
     except Exception as error:
         why = (str(error).splitlines() or [""])[0][:200] or type(error).__name__
-        what = f"the scheduler {scheduler} cannot be reached: {why}"
-        hint = "is it running (`dask scheduler`), and is the address the one it prints?"
-        raise RotorsimError(Problem(what, hint=hint)) from None
+        raise RotorsimError(
+            Problem(
+                f"the scheduler {scheduler} cannot be reached: {why}",
+                hint="is it running (`dask scheduler`), and is the address the one it prints?",
+            )
+        ) from None
     with client, client.as_current():
         versions = client.get_versions(packages=list(_SAME_VERSION[1:]))
         if not versions["workers"]:
-            hint = f"start some: `dask worker {scheduler}`"
-            raise RotorsimError(Problem(f"the cluster {scheduler} has no workers", hint=hint))
+            raise RotorsimError(
+                Problem(f"the cluster {scheduler} has no workers", hint=f"start some: `dask worker {scheduler}`")
+            )
         problems = list(islice(_mismatches(versions), SHOWN))
         if problems:
             raise RotorsimError(*problems)
@@ -125,8 +131,11 @@ def _mismatches(versions: Mapping[str, Any]) -> Iterator[Problem]:
         for package in packages:
             mine, other = (_version(package, found) for found in (here, seen["packages"]))
             if mine != other:
-                what = f"has {package} {other}, this process has {mine}" if other else f"has no {package}"
-                yield Problem(what, name, hint=f"install {package} {mine} there")
+                yield Problem(
+                    f"has {package} {other}, this process has {mine}" if other else f"has no {package}",
+                    name,
+                    hint=f"install {package} {mine} there",
+                )
 
 
 def _version(package: str, versions: Mapping[str, Any]) -> str | None:

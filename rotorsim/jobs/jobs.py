@@ -52,8 +52,13 @@ class Jobs:
         problems = []
         named = self.scheduler
         if named not in (None, "synchronous") and not re.fullmatch(r"(tcp|tls)://[^/]+:\d+", str(named)):
-            hint = "tcp://host:port of a Dask scheduler, or synchronous"
-            problems.append(Problem(f"'{named}' is not the address of a scheduler", "scheduler", hint=hint))
+            problems.append(
+                Problem(
+                    f"'{named}' is not the address of a scheduler",
+                    "scheduler",
+                    hint="tcp://host:port of a Dask scheduler, or synchronous",
+                )
+            )
         if self.workers is not None and self.workers < 1:
             problems.append(Problem(f"{self.workers} workers: at least one is needed", "workers"))
         if problems:
@@ -121,8 +126,11 @@ def _failed(failures: list[Failure], arguments: Sequence[Any], store: str | Path
         problems.append(Problem(f"{failure.type}: {text}", f"job {failure.index} ({argument})"))
     what = f"{len(failures)} of {len(arguments)} jobs failed"
     what += f", the first {SHOWN} are above" if len(failures) > SHOWN else ""
-    hint = "run again with the same store: only the failed jobs are run" if store else ""
-    return RotorsimError(*problems, Problem(what, hint=hint), exit_code=1)
+    return RotorsimError(
+        *problems,
+        Problem(what, hint="run again with the same store: only the failed jobs are run" if store else ""),
+        exit_code=1,
+    )
 
 
 def _finished(

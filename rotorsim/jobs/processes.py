@@ -191,8 +191,13 @@ def _end_with_parent() -> None:
 def _not_started(why: object) -> RotorsimError:
     if isinstance(why, RuntimeError):  # what multiprocessing says to a script that has no such line
         why = "the script that starts them is itself being read by one"
-    hint = 'in a script, call it under `if __name__ == "__main__":`; or use the scheduler "synchronous"'
-    return RotorsimError(Problem(f"the worker processes do not start: {why}", hint=hint), exit_code=1)
+    return RotorsimError(
+        Problem(
+            f"the worker processes do not start: {why}",
+            hint='in a script, call it under `if __name__ == "__main__":`; or use the scheduler "synchronous"',
+        ),
+        exit_code=1,
+    )
 
 
 @contextmanager

@@ -59,9 +59,13 @@ def pack(function: Function, task: Task) -> bytes:
     try:
         return bytes(import_module("cloudpickle").dumps((function, task)))
     except Exception as error:
-        what = f"cannot be sent to another process: {type(error).__name__}: {error}"
-        hint = "a function of a module and arguments of plain data can"
-        raise RotorsimError(Problem(what, f"job {task[0][0]}", hint=hint)) from None
+        raise RotorsimError(
+            Problem(
+                f"cannot be sent to another process: {type(error).__name__}: {error}",
+                f"job {task[0][0]}",
+                hint="a function of a module and arguments of plain data can",
+            )
+        ) from None
 
 
 def perform(payload: bytes) -> list[tuple[int, Outcome]]:

@@ -97,8 +97,13 @@ class Model:
             parts = self._parts_of(name)
             if not parts:
                 known = [*self.diagram.parameters, *self.parameters]
-                hint = near_miss(name, known, list_all=False) or "`rotorsim blocks TYPE` lists parameters"
-                problems.append(Problem(what="no such parameter", subject=name, hint=hint))
+                problems.append(
+                    Problem(
+                        what="no such parameter",
+                        subject=name,
+                        hint=near_miss(name, known, list_all=False) or "`rotorsim blocks TYPE` lists parameters",
+                    )
+                )
                 continue
             for target, part in parts.items():
                 try:
@@ -107,8 +112,9 @@ class Model:
                     problems.append(Problem(what=problem.what, subject=name, hint=problem.hint))
                     break
                 if given.size not in (1, part.stop - part.start):
-                    what = f"{given.size} values given, {part.stop - part.start} expected"
-                    problems.append(Problem(what=what, subject=name))
+                    problems.append(
+                        Problem(what=f"{given.size} values given, {part.stop - part.start} expected", subject=name)
+                    )
                 else:
                     p[part] = given.ravel()
         if problems:
@@ -227,8 +233,9 @@ class Model:
             return signal, flat_indices(signal.shape, index)
         except (ValueError, IndexError):
             shape = " x ".join(map(str, signal.shape)) or "scalar"
-            what = f"no such entry; '{base}' has shape {shape}, counted from 1"
-            raise RotorsimError(Problem(what=what, subject=name)) from None
+            raise RotorsimError(
+                Problem(what=f"no such entry; '{base}' has shape {shape}, counted from 1", subject=name)
+            ) from None
 
     def record_names(self, record: Iterable[str | Endpoint] | None = None) -> tuple[str, ...]:
         """Return what a run records, by name: what is asked for, else what the diagram says."""

@@ -41,6 +41,10 @@ class Scope:
     source: Source
     parameters: dict[str, Parameter]
 
+    def referred(self, value: Any) -> Parameter | None:
+        """Return the parameter that ``"$name"`` means here, None for any other value."""
+        return self.parameters.get(value[1:]) if isinstance(value, str) and value.startswith("$") else None
+
 
 @dataclass
 class RawBlock:
@@ -114,7 +118,5 @@ def endpoint(text: Any, prefix: str = "") -> Endpoint | None:
     if match is None:
         return None
     block, port, inside = match.groups()
-    if inside is None:
-        return Endpoint(prefix + block, port)
-    index = tuple(int(part) - 1 for part in inside.split(","))
-    return None if min(index) < 0 else Endpoint(prefix + block, port, index)
+    index = tuple(int(part) - 1 for part in inside.split(",")) if inside else ()
+    return None if -1 in index else Endpoint(prefix + block, port, index)

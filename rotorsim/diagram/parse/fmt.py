@@ -58,8 +58,9 @@ def _text(value: Any) -> str:
     try:
         return json.dumps(value, ensure_ascii=False, allow_nan=False)
     except (TypeError, ValueError) as error:
-        hint = "use finite numbers, texts, lists and mappings"
-        raise RotorsimError(Problem(f"cannot be written as JSON: {error}", hint=hint)) from None
+        raise RotorsimError(
+            Problem(f"cannot be written as JSON: {error}", hint="use finite numbers, texts, lists and mappings")
+        ) from None
 
 
 def _value(value: Any, indent: str, used: int, by_line: bool = False) -> str:

@@ -48,8 +48,12 @@ class _Form:
         for key, value in self.source.data.items():
             if key not in KEYS:
                 unknown += 1
-                hint = near_miss(str(key), KEYS) if unknown <= MAX_HINTS else "see docs/diagrams.md"
-                self.error(f"unknown key '{key}'", (key,), hint=hint, key=True)
+                self.error(
+                    f"unknown key '{key}'",
+                    (key,),
+                    hint=near_miss(str(key), KEYS) if unknown <= MAX_HINTS else "see docs/diagrams.md",
+                    key=True,
+                )
             elif not isinstance(value, KEYS[key]) or isinstance(value, bool):
                 self.error(f"must be {_WORDS[KEYS[key]]}", (key,), key)
             else:
@@ -61,8 +65,11 @@ class _Form:
             self.error("key 'blocks' is missing", (), hint='"blocks": {"name": {"type": "..."}}')
         version = data.get("schema_version", 1)
         if version != 1:
-            hint = "this version of rotorsim reads schema_version 1"
-            self.error(f"schema_version {version} is not known", ("schema_version",), hint=hint)
+            self.error(
+                f"schema_version {version} is not known",
+                ("schema_version",),
+                hint="this version of rotorsim reads schema_version 1",
+            )
         loops = data.get("algebraic_loops", "refuse")
         if loops not in ("refuse", "solve"):
             self.error(f"algebraic_loops is '{loops}'", ("algebraic_loops",), hint="it is 'refuse' or 'solve'")
@@ -78,8 +85,13 @@ class _Form:
                 self.error(f"'{name}' is not a name", (key, name), key, _NAMES, key=True)
         for name in RESERVED:
             if name in data["blocks"]:
-                hint = f"'{name}' would not be told from the settings in --set {name}.step=..."
-                self.error(f"'{name}' is reserved", ("blocks", name), name, hint, key=True)
+                self.error(
+                    f"'{name}' is reserved",
+                    ("blocks", name),
+                    name,
+                    f"'{name}' would not be told from the settings in --set {name}.step=...",
+                    key=True,
+                )
 
     def layout(self, data: dict[str, Any]) -> None:
         for name, at in data["layout"].items():

@@ -58,25 +58,40 @@ class Drafter:
         references: dict[str, str] = {}
         for name, value in raw.parameters.items():
             if name == "file" and raw.type_name in FROM_FILE:
-                hint = f"it has the block's ports: rotorsim swap DIAGRAM {raw.name} {raw.type_name} --set file=FILE"
-                what = "the file is a key of the block, no parameter"
-                self.problems.error(what, raw.name, raw.place_of(name, key=True), hint)
+                self.problems.error(
+                    "the file is a key of the block, no parameter",
+                    raw.name,
+                    raw.place_of(name, key=True),
+                    f"it has the block's ports: rotorsim swap DIAGRAM {raw.name} {raw.type_name} --set file=FILE",
+                )
             elif name in cls.parameters:
                 array = self._value(raw, name, value, cls.parameters[name], references)
                 if array is not None:
                     given[name] = array
             elif name not in cls.options:
-                hint = near_miss(name, [*cls.parameters, *cls.options]) or f"type '{cls.type_name}' has no parameters"
-                self.problems.error(f"unknown parameter '{name}'", raw.name, raw.place_of(name, key=True), hint)
+                self.problems.error(
+                    f"unknown parameter '{name}'",
+                    raw.name,
+                    raw.place_of(name, key=True),
+                    near_miss(name, [*cls.parameters, *cls.options]) or f"type '{cls.type_name}' has no parameters",
+                )
         for name, declared in cls.parameters.items():
             if declared.default is None and name not in raw.parameters:
-                hint = f'write "{name}": {_expected(declared)}'
-                self.problems.error(f"parameter '{name}' is missing", raw.name, raw.place(key=True), hint)
+                self.problems.error(
+                    f"parameter '{name}' is missing",
+                    raw.name,
+                    raw.place(key=True),
+                    f'write "{name}": {_expected(declared)}',
+                )
         if raw.file is not None and "file" in cls.options:
             options.setdefault("file", raw.file)
         elif raw.file is not None:
-            hint = "only sub-diagrams and blocks that read a file have it"
-            self.problems.error("unknown key 'file'", raw.name, raw.place("file", key=True), hint)
+            self.problems.error(
+                "unknown key 'file'",
+                raw.name,
+                raw.place("file", key=True),
+                "only sub-diagrams and blocks that read a file have it",
+            )
         before = len(self.problems)
         for name, option in cls.options.items():
             self._check_option(raw, name, option, options)
@@ -85,12 +100,20 @@ class Drafter:
         try:
             template = self.templates.of(cls, options)
         except Exception as error:  # the code of the block is foreign
-            what = f"block type '{cls.type_name}' fails with these options: {type(error).__name__}: {error}"
-            self.problems.error(what, raw.name, raw.place(), f"see `rotorsim blocks {cls.type_name}`")
+            self.problems.error(
+                f"block type '{cls.type_name}' fails with these options: {type(error).__name__}: {error}",
+                raw.name,
+                raw.place(),
+                f"see `rotorsim blocks {cls.type_name}`",
+            )
             return None
         for name in template.bad_names:
-            hint = "each name once; letters, digits and _, not a digit first"
-            self.problems.error(f"'{name}' cannot be the name of a port", raw.name, raw.place("parameters"), hint)
+            self.problems.error(
+                f"'{name}' cannot be the name of a port",
+                raw.name,
+                raw.place("parameters"),
+                "each name once; letters, digits and _, not a digit first",
+            )
         return Draft(raw, cls, options, template, given, references)
 
     def _registered(self, raw: RawBlock) -> type[Block] | None:
@@ -105,8 +128,9 @@ class Drafter:
     def _from_file(self, raw: RawBlock) -> type[Block] | None:
         """Return the class that a block's file describes (an FMU), or None when its mistakes have been said."""
         if raw.file is None:
-            hint = '"type": "fmu", "file": "plant.fmu"'
-            self.problems.error("key 'file' is missing", raw.name, raw.place(key=True), hint)
+            self.problems.error(
+                "key 'file' is missing", raw.name, raw.place(key=True), '"type": "fmu", "file": "plant.fmu"'
+            )
             return None
         base = raw.scope.source.path
         folder = base.parent if base is not None else self.folder
@@ -118,8 +142,12 @@ class Drafter:
             cls: type[Block] = module.block_class((folder or Path()) / raw.file, given, wanted)
         except RotorsimError as error:
             for problem in error.problems:
-                what = problem.what if raw.file in problem.what else f"{raw.file}: {problem.what}"
-                self.problems.error(what, raw.name, raw.place("file"), problem.hint)
+                self.problems.error(
+                    problem.what if raw.file in problem.what else f"{raw.file}: {problem.what}",
+                    raw.name,
+                    raw.place("file"),
+                    problem.hint,
+                )
             return None
         said = {(problem.what, problem.subject) for problem in self.problems}
         for warning in cls.fmu_warnings:  # type: ignore[attr-defined]

@@ -58,9 +58,15 @@ class Fitting:
         wanted = text_of(term, self.unifier)
         fits = value.ndim == len(term) if isinstance(term, tuple) else True
         if not fits or not self.unifier.unify(term, value.shape):
-            hint = "write one number" if wanted == "scalar" else _list_hint(wanted)
-            what = f"{origin}shape is {text_of(value.shape)}, expected {wanted}"
-            report_value(self.problems, draft.raw, name, ValueProblem(what, hint))
+            report_value(
+                self.problems,
+                draft.raw,
+                name,
+                ValueProblem(
+                    f"{origin}shape is {text_of(value.shape)}, expected {wanted}",
+                    "write one number" if wanted == "scalar" else _list_hint(wanted),
+                ),
+            )
             draft.given[name] = np.array(value.flat[0])
 
     def _parameter_term(self, draft: Draft, name: str) -> ShapeTerm:
@@ -68,10 +74,10 @@ class Fitting:
 
     def _bind_defaults(self, draft: Draft) -> None:
         """Let default lists fix what wires and given values left open."""
-        for name, value in draft.template.defaults.items() if draft.template.words else ():
-            if value.ndim and name not in draft.given:
-                if self.unifier.resolved(self._parameter_term(draft, name)) is None:
-                    self._bind(draft, name, value, "default ")
+        defaults = draft.template.defaults if draft.template.words else {}
+        for name in [name for name in defaults if name not in draft.given]:
+            if self.unifier.resolved(self._parameter_term(draft, name)) is None:
+                self._bind(draft, name, defaults[name], "default ")
 
     def _bind_rest(self, draft: Draft) -> None:
         """Take whole shapes that are still unknown as scalars, and dimensions of given scalars as 1."""
@@ -92,9 +98,12 @@ class Fitting:
                 if valued:  # else a parameter that is missing or wrong would tell the size
                     shapes = {**template.input_shapes, **template.output_shapes, **template.parameter_shapes}
                     of = [n for n, s in shapes.items() if isinstance(s, tuple) and key[1:] in s]
-                    what = f"size '{key[1:]}' of {', '.join(of)} is not known"
-                    hint = "wire it, or give a parameter that has this size"
-                    self.problems.error(what, draft.raw.name, draft.raw.place(key=True), hint)
+                    self.problems.error(
+                        f"size '{key[1:]}' of {', '.join(of)} is not known",
+                        draft.raw.name,
+                        draft.raw.place(key=True),
+                        "wire it, or give a parameter that has this size",
+                    )
 
     # --- shapes and units along wires ---------------------------------------------------------------
 
@@ -118,21 +127,27 @@ class Fitting:
         if not self.unifier.unify(terms[0], terms[1]):
             source = self._described(wire.source, False, before[0])
             target = self._described(wire.target, True, before[1])
-            what = f"shapes differ: {source}, but {target}"
-            self.problems.error(what, f"{wire.source} -> {wire.target}", wire.place, self._shape_cure(wire))
+            self.problems.error(
+                f"shapes differ: {source}, but {target}",
+                f"{wire.source} -> {wire.target}",
+                wire.place,
+                self._shape_cure(wire),
+            )
         self._compare_units(wire)
         return True
 
     def _is_inside(self, end: Endpoint, term: tuple[int, ...], place: Place) -> bool:
         shape = text_of(term, self.unifier)
         if len(end.index) > len(term):
-            hint = "entries count from 1, one index a dimension"
-            self.problems.error(f"shape is {shape}: too many indices", str(end), place, hint)
+            self.problems.error(
+                f"shape is {shape}: too many indices", str(end), place, "entries count from 1, one index a dimension"
+            )
             return False
         for i, dimension in zip(end.index, term, strict=False):
             if 0 <= self.unifier.dimension(dimension) <= i:
-                hint = f"shape is {shape}, counted from 1"
-                self.problems.error(f"index {i + 1} is out of range", str(end), place, hint)
+                self.problems.error(
+                    f"index {i + 1} is out of range", str(end), place, f"shape is {shape}, counted from 1"
+                )
                 return False
         return True
 
@@ -194,8 +209,12 @@ class Fitting:
         try:
             derived = dict(template.block.output_shapes(inputs))
         except Exception as error:  # the code of the block is foreign
-            what = f"block type '{draft.cls.type_name}' cannot tell its shapes: {type(error).__name__}: {error}"
-            self.problems.error(what, draft.raw.name, place, f"see `rotorsim blocks {draft.cls.type_name}`")
+            self.problems.error(
+                f"block type '{draft.cls.type_name}' cannot tell its shapes: {type(error).__name__}: {error}",
+                draft.raw.name,
+                place,
+                f"see `rotorsim blocks {draft.cls.type_name}`",
+            )
             return True
         for name, shape in derived.items():
             if name not in template.output_shapes:
@@ -203,8 +222,12 @@ class Fitting:
             term = draft.term(template.output_shapes[name], self.unifier)
             before = text_of(term, self.unifier)
             if not self.unifier.unify(term, shape):
-                what = f"shapes differ: the block gives {text_of(shape)}, but what is wired to it takes {before}"
-                self.problems.error(what, f"{draft.raw.name}.{name}", place, "change its options or the wire")
+                self.problems.error(
+                    f"shapes differ: the block gives {text_of(shape)}, but what is wired to it takes {before}",
+                    f"{draft.raw.name}.{name}",
+                    place,
+                    "change its options or the wire",
+                )
         return True
 
     def is_signal(self, end: Endpoint, place: Place) -> bool:
@@ -252,8 +275,12 @@ class Fitting:
     def _default(self, draft: Draft, name: str, shape: Shape) -> np.ndarray:
         value = draft.template.defaults[name]
         if value.ndim and value.shape != shape:
-            what = f"default of '{name}' has shape {text_of(value.shape)}, but {text_of(shape)} is needed here"
-            self.problems.error(what, draft.raw.name, draft.raw.place(key=True), f'give "{name}"')
+            self.problems.error(
+                f"default of '{name}' has shape {text_of(value.shape)}, but {text_of(shape)} is needed here",
+                draft.raw.name,
+                draft.raw.place(key=True),
+                f'give "{name}"',
+            )
             self.misfits.add(draft.raw.name)
             return np.zeros(shape)
         return filled(value, shape)

@@ -73,8 +73,9 @@ class _Reader:
         found = self.find(match[1]) if match else None
         if match is None or found is None:
             blocks = (f"{block}.{key}" for block, node in self.nodes.items() for key in node.values)
-            hint = near_miss(name, [*self.parameters, *blocks], list_all=False)
-            self.error("no such parameter", path, hint, key=True)
+            self.error(
+                "no such parameter", path, near_miss(name, [*self.parameters, *blocks], list_all=False), key=True
+            )
             return []
         if match[1] == SPEED:
             self.error("is measured, so that it cannot be free", path, key=True)
@@ -116,9 +117,11 @@ class _Reader:
         high = self.number(given, "high", found.unit, path, high)
         if low < declared[0] or high > declared[1]:
             end = "low" if low < declared[0] else "high"
-            hint = f"bounds can only be narrowed: leave '{end}' out of identify, for the block has its own"
-            what = f"the block allows {declared[0]:g} .. {declared[1]:g} {found.unit}"
-            self.error(what, (*path, end), hint)
+            self.error(
+                f"the block allows {declared[0]:g} .. {declared[1]:g} {found.unit}",
+                (*path, end),
+                f"bounds can only be narrowed: leave '{end}' out of identify, for the block has its own",
+            )
         if not isinstance(given.get("description", ""), str):
             self.error("must be a text", (*path, "description"))
         mean = std = None
@@ -207,8 +210,9 @@ def unknown_names(
         if base in parameters or (dot and (block not in blocks or key in blocks[block])):
             continue
         place = source.place(("identify", name), key=True)
-        hint = near_miss(str(name), known, list_all=False)
-        problems.append(Problem("no such parameter", f"identify.{name}", place, hint))
+        problems.append(
+            Problem("no such parameter", f"identify.{name}", place, near_miss(str(name), known, list_all=False))
+        )
     return problems
 
 

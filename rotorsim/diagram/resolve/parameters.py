@@ -52,11 +52,14 @@ class DiagramParameters:
         try:
             known = self.units.get(parameter.name)
             if compatible(known, unit) not in ("same", "angle"):
-                what = f"is used in {known} by {parameter.users[0]} and in {unit} by {user}"
-                raise ValueProblem(what, "use two diagram parameters")
+                raise ValueProblem(
+                    f"is used in {known} by {parameter.users[0]} and in {unit} by {user}", "use two diagram parameters"
+                )
             if referred_name(parameter.value):
-                hint = "a value for a sub-diagram may name a parameter of the outer diagram"
-                raise ValueProblem(f"'{parameter.value}' is no diagram parameter", hint)
+                raise ValueProblem(
+                    f"'{parameter.value}' is no diagram parameter",
+                    "a value for a sub-diagram may name a parameter of the outer diagram",
+                )
             value = numeric(parameter.value, unit, bare=parameter.place.file == "--set")
         except ValueProblem as problem:
             place = parameter.place
@@ -76,8 +79,12 @@ class DiagramParameters:
             followed.setdefault(key, []).append(value)
         for name, parameter in parameters.items():
             if not parameter.used:
-                hint = f'refer to it as "${name.rpartition("/")[2]}"'
-                self.problems.warning("diagram parameter is not used", name, parameter.place, hint)
+                self.problems.warning(
+                    "diagram parameter is not used",
+                    name,
+                    parameter.place,
+                    f'refer to it as "${name.rpartition("/")[2]}"',
+                )
             if id(parameter) not in followed:
                 try:
                     value = numeric(parameter.value, self.units.get(name), bare=parameter.place.file == "--set")
@@ -90,8 +97,12 @@ class DiagramParameters:
             if values:
                 result[name] = values[0]
             if any(not np.array_equal(value, values[0]) for value in values[1:]):  # one in rad/s, one in Hz
-                what = "is used by blocks that take it in different units"
-                self.problems.error(what, name, parameter.place, "use two diagram parameters")
+                self.problems.error(
+                    "is used by blocks that take it in different units",
+                    name,
+                    parameter.place,
+                    "use two diagram parameters",
+                )
             self.units.setdefault(name, _unit_of(parameter.value))
         return result
 

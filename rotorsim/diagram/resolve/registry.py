@@ -110,8 +110,9 @@ class Registry:
         for block in _classes(found):
             other = self._known.setdefault(block.type_name, block)
             if other is not block:
-                what = f"type '{block.type_name}' is defined again; the one in {other.__module__} is used"
-                self._report(subject, what, place)
+                self._report(
+                    subject, f"type '{block.type_name}' is defined again; the one in {other.__module__} is used", place
+                )
 
     def _report(self, subject: str, what: str, place: Place | None) -> None:
         self.problems.append(Problem(what, subject=subject, place=place or Place(), severity="warning"))

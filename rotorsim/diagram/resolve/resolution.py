@@ -52,12 +52,20 @@ def find_diagram(name: str | Path) -> tuple[Path, list[Problem]]:
     if str(name) in shipped:
         if not exists or os.path.isdir(path):
             return shipped[str(name)], []
-        what = "this is the file of the current folder, not the diagram that comes with rotorsim"
-        hint = f"write ./{name} to mean the file; rename it to mean the other"
-        return path, [Problem(what, place=Place(str(name)), hint=hint, severity="warning")]
+        return path, [
+            Problem(
+                "this is the file of the current folder, not the diagram that comes with rotorsim",
+                place=Place(str(name)),
+                hint=f"write ./{name} to mean the file; rename it to mean the other",
+                severity="warning",
+            )
+        ]
     if not path.suffix and not exists:
-        hint = near_miss(str(name), shipped)
-        raise RotorsimError(Problem("no such file and no diagram of this name", place=Place(str(name)), hint=hint))
+        raise RotorsimError(
+            Problem(
+                "no such file and no diagram of this name", place=Place(str(name)), hint=near_miss(str(name), shipped)
+            )
+        )
     return path, []
 
 
@@ -169,8 +177,12 @@ class _Settings:
         settings = _Settings()
         for name, value in given.items():
             block, dot, parameter = str(name).rpartition(".")
-            of_block = settings.solver if block == "solver" else settings.blocks.setdefault(block, {}) if dot else None
-            (settings.parameters if of_block is None else of_block)[parameter] = value
+            if not dot:
+                settings.parameters[parameter] = value
+            elif block == "solver":
+                settings.solver[parameter] = value
+            else:
+                settings.blocks.setdefault(block, {})[parameter] = value
         return settings
 
     def check(self, flat: FlatDocument) -> None:
@@ -210,12 +222,19 @@ def _source(
     """Return the document, its folder, and what to say of its name."""
     if isinstance(source, Mapping):
         if is_too_deep(dict(source)):
-            what = f"the document is nested deeper than {MAX_DEPTH} levels"
-            raise RotorsimError(Problem(what, hint="a diagram needs no more than ten; use sub-diagrams"))
+            raise RotorsimError(
+                Problem(
+                    f"the document is nested deeper than {MAX_DEPTH} levels",
+                    hint="a diagram needs no more than ten; use sub-diagrams",
+                )
+            )
         return Source(dict(source)), Path(folder) if folder is not None else None, []
     if not isinstance(source, str | Path):
-        what = f"a diagram is a file, a name or a mapping, not {type(source).__name__}"
-        raise RotorsimError(Problem(what, hint='load("diagram.json")'))
+        raise RotorsimError(
+            Problem(
+                f"a diagram is a file, a name or a mapping, not {type(source).__name__}", hint='load("diagram.json")'
+            )
+        )
     path, said = find_diagram(source)
     try:
         found = read_document(path)
@@ -231,8 +250,9 @@ def _removed(flat: FlatDocument, without: Iterable[str]) -> frozenset[str]:
     for name in [without] if isinstance(without, str) else map(str, without):
         inside = [block for block in flat.blocks if block == name or block.startswith(f"{name}/")]
         if not inside:
-            hint = near_miss(name, [*flat.blocks, *flat.sub_diagrams])
-            flat.problems.error(f"no block '{name}'", name, Place("--without"), hint)
+            flat.problems.error(
+                f"no block '{name}'", name, Place("--without"), near_miss(name, [*flat.blocks, *flat.sub_diagrams])
+            )
         removed += inside
     return frozenset(removed)
 
@@ -284,15 +304,15 @@ def _solver(flat: FlatDocument, overrides: Mapping[str, Any]) -> Solver:
     solver = Solver(**values)
     place = flat.source.place(("solver",))
     if solver.step > solver.stop:
-        what = f"step {solver.step:g} s is longer than stop {solver.stop:g} s"
-        flat.problems.error(what, "solver", place, "choose a smaller step")
+        flat.problems.error(
+            f"step {solver.step:g} s is longer than stop {solver.stop:g} s", "solver", place, "choose a smaller step"
+        )
     if solver.rtol > MOST_RTOL:
         hint = f"errors of steps add up; the default is {Solver.rtol:g}"
         place = flat.source.place(("solver", "rtol"))
         flat.problems.error(f"must be at most {MOST_RTOL:g}", "solver.rtol", place, hint)
     if solver.stop / solver.step > 1e10:
-        what = f"{solver.stop / solver.step:.0e} steps"
-        flat.problems.error(what, "solver", place, "at most 1e10: a larger step")
+        flat.problems.error(f"{solver.stop / solver.step:.0e} steps", "solver", place, "at most 1e10: a larger step")
     return solver
 
 
@@ -300,8 +320,10 @@ def _solver_setting(key: str, value: Any, bare: bool) -> Any:
     """Return a setting of the solver in SI; raise ValueProblem."""
     if key == "method":
         if not isinstance(value, str) or value.lower() not in METHODS:
-            what = "must be a text" if isinstance(value, dict | list) else f"unknown method {value!r}"
-            raise ValueProblem(what, near_miss(str(value)[:50], METHODS))
+            raise ValueProblem(
+                "must be a text" if isinstance(value, dict | list) else f"unknown method {value!r}",
+                near_miss(str(value)[:50], METHODS),
+            )
         return value.lower()
     if key not in _SOLVER:
         raise ValueProblem(f"unknown key '{key}'", near_miss(str(key), ["method", *_SOLVER]))

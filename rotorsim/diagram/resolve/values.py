@@ -111,12 +111,18 @@ def _entry(value: Any, kinds: tuple[type, ...], declared: Option, path: tuple[in
     fits = not kinds or (type(value) in kinds) or (isinstance(value, tuple) and list in kinds)
     if not fits:
         words = " or ".join(_KIND_WORDS.get(kind, kind.__name__) for kind in kinds)
-        hint = f"write {int(value)}" if isinstance(value, float) and int in kinds and value.is_integer() else ""
-        raise ValueProblem(f"must be {words}, not {_kind_of(value)}", hint, path)
+        raise ValueProblem(
+            f"must be {words}, not {_kind_of(value)}",
+            f"write {int(value)}" if isinstance(value, float) and int in kinds and value.is_integer() else "",
+            path,
+        )
     if declared.choices is not None and value not in declared.choices:
         shown = ", ".join(str(choice) for choice in declared.choices)
-        hint = near_miss(str(value), [str(c) for c in declared.choices], list_all=False) or f"one of: {shown}"
-        raise ValueProblem(f"'{value}' is not a choice", hint, path)
+        raise ValueProblem(
+            f"'{value}' is not a choice",
+            near_miss(str(value), [str(c) for c in declared.choices], list_all=False) or f"one of: {shown}",
+            path,
+        )
     if isinstance(value, int | float) and not isinstance(value, bool):
         if declared.low is not None and value < declared.low:
             raise ValueProblem(f"{value} must be at least {declared.low}", path=path)

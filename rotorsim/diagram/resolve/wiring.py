@@ -73,9 +73,12 @@ class Wiring:
             return False
         if raw.source.port not in source.template.inputs or raw.target.port not in target.template.outputs:
             return False
-        what = f"the wire runs backwards: '{raw.source.port}' is an input and '{raw.target.port}' an output"
-        hint = f'write ["{raw.target}", "{raw.source}"]'
-        self.flat.problems.error(what, f"{raw.source} -> {raw.target}", raw.place, hint)
+        self.flat.problems.error(
+            f"the wire runs backwards: '{raw.source.port}' is an input and '{raw.target.port}' an output",
+            f"{raw.source} -> {raw.target}",
+            raw.place,
+            f'write ["{raw.target}", "{raw.source}"]',
+        )
         source.wired.add(raw.source.port)
         return True
 
@@ -118,16 +121,22 @@ class Wiring:
         if draft.template.inputs[end.port].additive:
             return True
         if end.index:
-            what = "an input that takes one wire cannot be wired by parts"
-            hint = "put the parts together with a mux block"
-            self.flat.problems.error(what, str(end), raw.end_place(1), hint)
+            self.flat.problems.error(
+                "an input that takes one wire cannot be wired by parts",
+                str(end),
+                raw.end_place(1),
+                "put the parts together with a mux block",
+            )
             return False
         before = first.get((end.block, end.port))
         if before is not None:
             where = f" at {before.place}" if before.place.line else ""
-            what = f"input is wired twice: from {before.source}{where}, and from {raw.source}"
-            hint = "add the signals with a sum block, or remove one wire"
-            self.flat.problems.error(what, str(end), raw.place, hint)
+            self.flat.problems.error(
+                f"input is wired twice: from {before.source}{where}, and from {raw.source}",
+                str(end),
+                raw.place,
+                "add the signals with a sum block, or remove one wire",
+            )
             return False
         if counts:
             first[end.block, end.port] = raw
@@ -138,9 +147,13 @@ class Wiring:
             if port in draft.wired or declared.optional or declared.additive:
                 continue
             if (name, port) in self.flat.exposed:
-                what = "input reads zero unless this diagram is a part of another"
                 hint = "a diagram that runs by itself wires all its inputs"
-                self.flat.problems.warning(what, f"{name}.{port}", self.flat.exposed[name, port], hint)
+                self.flat.problems.warning(
+                    "input reads zero unless this diagram is a part of another",
+                    f"{name}.{port}",
+                    self.flat.exposed[name, port],
+                    hint,
+                )
                 self.cut.add((name, port))
             elif (name, port) not in self.cut:
                 candidate = self._candidate(name, port, declared.unit)

@@ -140,8 +140,11 @@ def _trusted_folder() -> Path | None:
 @cache
 def _distrust(folder: Path, why: str, cure: str) -> None:
     """Say once why a cache is not used."""
-    text = f"the cache {folder} {why}: it is not used, and every model is compiled anew ({cure})"
-    warnings.warn(text, RuntimeWarning, stacklevel=4)
+    warnings.warn(
+        f"the cache {folder} {why}: it is not used, and every model is compiled anew ({cure})",
+        RuntimeWarning,
+        stacklevel=4,
+    )
 
 
 def cached(key: str, suffix: str) -> Path | None:
@@ -258,5 +261,10 @@ def run_compiler(command: Sequence[str], subject: str) -> None:
 
 def compiler_error(subject: str, why: str) -> CompilerError:
     """Return the error of a compiler: why it made nothing that can be used."""
-    hint = "run with --no-compiler (slower, needs no compiler), or name another one in ROTORSIM_CC"
-    return CompilerError(Problem(f"the C compiler {why}", subject, hint=hint))
+    return CompilerError(
+        Problem(
+            f"the C compiler {why}",
+            subject,
+            hint="run with --no-compiler (slower, needs no compiler), or name another one in ROTORSIM_CC",
+        )
+    )

@@ -80,8 +80,12 @@ def _failed(node: Node, error: Exception) -> Problem:
     if isinstance(error, TraceError):
         return Problem(f"block type '{kind.type_name}': {error}", node.name, node.place, "correct the block file")
     text = str(error).strip().split("\n")[-1][:200]
-    what = f"equations of block type '{kind.type_name}' fail: {type(error).__name__}: {text}"
-    return Problem(what, node.name, node.place, "check options and shapes, or the block file")
+    return Problem(
+        f"equations of block type '{kind.type_name}' fail: {type(error).__name__}: {text}",
+        node.name,
+        node.place,
+        "check options and shapes, or the block file",
+    )
 
 
 def feedthrough_graph(diagram: Diagram, feedthrough: Feedthrough) -> nx.DiGraph:
@@ -136,6 +140,9 @@ def _loop_problem(diagram: Diagram, graph: nx.DiGraph, loop: tuple[Key, ...]) ->
     if len(hops) > 2 * SHOWN_HOPS:
         hops[SHOWN_HOPS:-SHOWN_HOPS] = [f"... {len(hops) - 2 * SHOWN_HOPS} more hops ..."]
     more = f" (and {len(loop) - len(cycle)} more outputs in the same loop)" if len(loop) > len(cycle) else ""
-    what = "algebraic loop: " + ", ".join(hops) + more
-    hint = 'put a state into it (integrator, derivative filter, delay), or write "algebraic_loops": "solve"'
-    return Problem(what, cycle[0][0][0], diagram.nodes[cycle[0][0][0]].place, hint)
+    return Problem(
+        "algebraic loop: " + ", ".join(hops) + more,
+        cycle[0][0][0],
+        diagram.nodes[cycle[0][0][0]].place,
+        'put a state into it (integrator, derivative filter, delay), or write "algebraic_loops": "solve"',
+    )
