@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from rotorsim.diagram.diagram import Solver
 from rotorsim.diagram.resolve.registry import find
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
+from rotorsim.diagram.solver import Solver
 from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
 
 __all__ = ["Change", "diff"]

@@ -7,7 +7,7 @@ from typing import Any
 
 from rotorsim.block import Block, Option, Param
 from rotorsim.diagram.resolve.registry import all_types
-from rotorsim.diagram.resolve.resolution import METHODS
+from rotorsim.diagram.solver import METHODS
 
 __all__ = ["json_schema", "schema_text"]
 

@@ -12,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Solver
+from rotorsim.diagram.diagram import Diagram, Endpoint, Node
 from rotorsim.diagram.parse.document import FlatDocument
 from rotorsim.diagram.parse.flatten import flatten_document
 from rotorsim.diagram.parse.source import MAX_DEPTH, Source, is_too_deep, read_document
@@ -24,11 +24,11 @@ from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.diagram.resolve.template import Templates
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.diagram.resolve.wiring import Wiring
+from rotorsim.diagram.solver import METHODS, Solver
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
-__all__ = ["METHODS", "find_diagram", "raise_errors", "resolve", "shipped_diagrams"]
+__all__ = ["find_diagram", "raise_errors", "resolve", "shipped_diagrams"]
 
-METHODS = ("rk4", "dop853", "rk45", "radau", "bdf", "lsoda")
 _SOLVER = {"step": "s", "stop": "s", "record_every": "1", "rtol": "1", "atol": "1"}
 MOST_RTOL = 1e-3  # relative error of one step: in ten steps of the same sign one percent
 MAX_PROBLEMS = 1000  # that one error carries
