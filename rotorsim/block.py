@@ -299,9 +299,8 @@ class Block:
 
     def __init__(self, option_values: Mapping[str, Any] | None = None, wired: frozenset[str] = frozenset()) -> None:
         """Hold option values (complete, already validated) and the names of the wired inputs."""
-        values = {name: option.default for name, option in self.options.items()}
-        values.update(option_values or {})
-        self.option = SimpleNamespace(**values)
+        defaults = {name: option.default for name, option in self.options.items()}
+        self.option = SimpleNamespace(**{**defaults, **(option_values or {})})
         self.wired = wired
 
     def equations(self, p: Any, u: Any, x: Any, t: Symbol) -> Equations:
@@ -327,10 +326,9 @@ class Block:
         if declaration.many is None:
             return [declaration.name]
         count = getattr(self.option, declaration.many)
-        if isinstance(count, int | str):
-            number = count if isinstance(count, int) else len(count)
-            return [f"{declaration.name}{k}" for k in range(1, number + 1)]
-        return [str(name) for name in count]
+        if isinstance(count, list | tuple):
+            return [str(name) for name in count]
+        return [f"{declaration.name}{k}" for k in range(1, (len(count) if isinstance(count, str) else count) + 1)]
 
     def active_states(self) -> dict[str, State]:
         """Return the states that exist under the current options and wiring."""
@@ -341,32 +339,22 @@ class Block:
             and (state.when is None or state.when(self.option))
         }
 
-    def declared_shape(self, declaration: Declaration) -> Any:
-        """Return the shape with options filled in: a tuple of whole numbers and words, or one word."""
-        shape = declaration.shape
-        if callable(shape):
-            shape = shape(self.option)
+    def declared_shape(self, declaration: Declaration, port: str = "") -> Any:
+        """Return the shape with options filled in: a tuple of whole numbers and words, or one word.
+
+        port: of a declaration of many: words that end in "*" are made its own.
+        """
+        shape = declaration.shape(self.option) if callable(declaration.shape) else declaration.shape
         if isinstance(shape, str):
-            return shape
-        if isinstance(shape, int):
-            shape = (shape,)
-        return tuple(self._dimension(entry) for entry in shape)
-
-    def port_shape(self, declaration: In | Out, port: str) -> Any:
-        """Return `declared_shape` for one port of a declaration: words that end in "*" are made its own."""
-
-        def own(entry: Any) -> Any:
-            return f"{entry}{port}" if isinstance(entry, str) and entry.endswith("*") else entry
-
-        shape = self.declared_shape(declaration)
-        return own(shape) if isinstance(shape, str) else tuple(own(entry) for entry in shape)
+            return f"{shape}{port}" if shape.endswith("*") else shape
+        return tuple(self._dimension(entry, port) for entry in (shape if isinstance(shape, tuple) else (shape,)))
 
     def output_shapes(self, inputs: Mapping[str, Shape]) -> dict[str, Shape]:
         """Return shapes of outputs that follow from those of the wired inputs as no word can say (default: none)."""
         return {}
 
-    def _dimension(self, entry: Any) -> int | str:
-        if isinstance(entry, str) and hasattr(self.option, entry):
-            value = getattr(self.option, entry)
-            return int(value) if isinstance(value, int) else len(value)
-        return int(entry) if isinstance(entry, int | np.integer) else str(entry)
+    def _dimension(self, entry: Any, port: str) -> int | str:
+        value = getattr(self.option, entry, None) if isinstance(entry, str) else entry
+        if value is None:
+            return f"{entry}{port}" if entry.endswith("*") else str(entry)
+        return int(value) if isinstance(value, int | np.integer) else len(value)

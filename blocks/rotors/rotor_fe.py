@@ -1,5 +1,6 @@
 """Rotor of beam elements with discs."""
 
+from itertools import accumulate
 from math import pi
 from typing import Any
 
@@ -129,15 +130,10 @@ class RotorFe(Block):
 
     def _free_numbers(self) -> list[int | None]:
         """Return the number of every degree of freedom among the free ones (None: pinned)."""
-        numbers: list[int | None] = []
-        count = 0
         pinned = {self._place(node) for node in self.option.pinned_nodes}
-        for place in range(self.option.elements * self.option.subdivisions + 1):
-            for is_slope in (False, True):
-                held = place in pinned and not is_slope
-                numbers.append(None if held else count)
-                count += not held
-        return numbers
+        places = range(self.option.elements * self.option.subdivisions + 1)
+        held = [place in pinned and not is_slope for place in places for is_slope in (False, True)]
+        return [None if h else n - 1 for h, n in zip(held, accumulate(not h for h in held), strict=True)]
 
     def _place(self, node: int) -> int:
         """Return the place (from 0) of a node among the ends of all beams."""

@@ -27,8 +27,8 @@ class Template:
         self.block = block = cls(options, wired)
         self.inputs: dict[str, In] = {n: d for d in cls.inputs.values() for n in block.port_names(d)}
         self.outputs: dict[str, Out] = {n: d for d in cls.outputs.values() for n in block.port_names(d)}
-        self.input_shapes = {name: block.port_shape(d, name) for name, d in self.inputs.items()}
-        self.output_shapes = {name: block.port_shape(d, name) for name, d in self.outputs.items()}
+        self.input_shapes = {name: block.declared_shape(d, name) for name, d in self.inputs.items()}
+        self.output_shapes = {name: block.declared_shape(d, name) for name, d in self.outputs.items()}
         self.parameter_shapes = {name: block.declared_shape(d) for name, d in cls.parameters.items()}
         self.state_shapes = {name: block.declared_shape(d) for name, d in block.active_states().items()}
         self.random_shapes = {name: block.declared_shape(d) for name, d in cls.randoms.items()}

@@ -208,21 +208,14 @@ class Program:
         return None
 
     def _regrouped_sum(self, op: int, inner: int, c: int, d: int, r: int, level: int, swapped: bool) -> int | None:
-        sign_c, sign_d, sign_r = 1, (1 if inner == ADD else -1), 1
-        if op == SUB:
-            if swapped:
-                sign_c, sign_d = -sign_c, -sign_d
-            else:
-                sign_r = -1
+        sign, sign_r = (-1 if op == SUB and swapped else 1), (-1 if op == SUB and not swapped else 1)
+        sign_c, sign_d = sign, (sign if inner == ADD else -sign)
         for s, sign_s, q, sign_q in ((c, sign_c, d, sign_d), (d, sign_d, c, sign_c)):
             if self.levels[q] < level:
-                low = self._signed_sum(q, sign_q, r, sign_r)
-                if low is None:
-                    return None
-                return self._signed_sum(s, sign_s, low, 1)
+                return self._signed_sum(s, sign_s, self._signed_sum(q, sign_q, r, sign_r), 1)
         return None
 
-    def _signed_sum(self, a: int, sign_a: int, b: int, sign_b: int) -> int | None:
+    def _signed_sum(self, a: int, sign_a: int, b: int, sign_b: int) -> int:
         if sign_a > 0:
             return self.apply(ADD if sign_b > 0 else SUB, a, b)
         if sign_b > 0:
