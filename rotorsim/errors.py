@@ -34,9 +34,11 @@ class Place:
     column: int = 0
 
     def __str__(self) -> str:
-        if not self.file:
-            return ""
-        return f"{self.file}:{self.line}:{self.column}" if self.line else self.file
+        return f"{self.file}:{self.line}:{self.column}" if self.file and self.line else self.file
+
+    def part(self, *steps: str | int) -> Place:
+        """Return the place of a part of what is here, as far as it is known."""
+        return self
 
 
 @dataclass(frozen=True)

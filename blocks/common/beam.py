@@ -5,8 +5,6 @@ Source: Friswell, Penny, Garvey & Lees, Dynamics of Rotating Machines (2010), se
 thesis Appendix B is the case without shear and rotary inertia.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What all controllers of magnetic bearings share: ports, control error, velocity, and laws used twice."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rotorsim.block import Equations, In, Out, Param, State

@@ -1,7 +1,5 @@
 """Names of ports that an option lists."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 

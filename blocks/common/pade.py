@@ -3,8 +3,6 @@
 Source: Golub & Van Loan, Matrix Computations (2013), 9.3.1; DLMF 4.39.1 (ladder).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from rotorsim.block import State

@@ -1,7 +1,5 @@
 """Vectors [x, y] read as complex numbers z = x + i y, and lengths that have a derivative at zero."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rotorsim.block import cos, maximum, minimum, sin, sqrt, sum_of, vec

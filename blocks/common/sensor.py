@@ -4,8 +4,6 @@ A sensor stands in the wires of displacement and velocity from the rotor to the 
 sensed displacement; where the controller makes its own, neither `velocity` nor `sensed_velocity` is wired.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from rotorsim.block import Equations, In, Out

@@ -30,6 +30,8 @@ def json_schema() -> dict[str, Any]:
         "required": ["type", "file"],
         "additionalProperties": False,
     }
+    # of types that are not built in: user files, entry points
+    foreign = {"properties": {"type": {"type": "string", "not": {"enum": [*all_types(), "diagram"]}}}}
     quantity = {"$ref": "#/$defs/quantity"}
     top: dict[str, Any] = {
         "$schema": {"type": "string"},
@@ -40,7 +42,7 @@ def json_schema() -> dict[str, Any]:
         "blocks": {
             "type": "object",
             "propertyNames": {"pattern": _NAME},
-            "additionalProperties": {"type": "object", "required": ["type"], "anyOf": [*blocks, sub, _foreign()]},
+            "additionalProperties": {"type": "object", "required": ["type"], "anyOf": [*blocks, sub, foreign]},
         },
         "wires": {
             "type": "array",
@@ -110,11 +112,6 @@ def json_schema() -> dict[str, Any]:
 def schema_text() -> str:
     """Return the schema as the text of diagrams/diagram.schema.json."""
     return json.dumps(json_schema(), indent=1, ensure_ascii=False) + "\n"
-
-
-def _foreign() -> dict[str, Any]:
-    """Return the schema of block types that are not built in (user files, entry points)."""
-    return {"properties": {"type": {"type": "string", "not": {"enum": [*all_types(), "diagram"]}}}}
 
 
 def _block(kind: type[Block]) -> dict[str, Any]:

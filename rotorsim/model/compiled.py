@@ -21,16 +21,7 @@ __all__ = ["Library", "Model", "compile_diagram"]
 
 
 class Library:
-    """The C functions of one diagram (see runtime.c), and how they came about."""
-
-    size: Any
-    prepare: Any
-    start: Any
-    sample: Any
-    derivative: Any
-    derivatives: Any
-    record: Any
-    run: Any
+    """The C functions of one diagram (``handle.rs_run`` and others, see runtime.c), and how they came about."""
 
     def __init__(self, kernel: Kernel, compiler: Compiler) -> None:
         self.kernel = kernel
@@ -47,14 +38,12 @@ class Library:
             ("rs_record", [f64, ptr, ptr, ptr, ptr, ptr], None),
             ("rs_derivatives", [i64, ptr, ptr, ptr, ptr, i64, ptr, ptr], None),
             ("rs_run", [ptr, ptr, i64, i64, f64, f64, i64, ptr], i64),
+            *([("rs_next", [ptr, ptr], f64)] if kernel.trace.samplers else []),
         ):
             function = getattr(self.handle, name, None)
             if function is None:
                 raise compiler_error(compiler.command[0], f"wrote a library without {name}")
             function.argtypes, function.restype = arguments, result
-            setattr(self, name[3:], function)
-        if kernel.trace.samplers:
-            self.handle.rs_next.argtypes, self.handle.rs_next.restype = [ptr, ptr], f64
 
     def memory(self) -> np.ndarray:
         """Return zeroed memory of one instance."""
@@ -80,10 +69,8 @@ class Model:
         self._selected: dict[str, tuple[Signal, np.ndarray]] = {}
         self._libraries: dict[tuple[str, ...], Library | None] = {}
         self.without = "no C compiler"  # why a run is without one, if it is
-        self.p0 = np.zeros(self.n_p)
-        for name, node in diagram.nodes.items():
-            for key, value in node.values.items():
-                self.p0[self.parameters[f"{name}.{key}"]] = np.ravel(value)
+        values = (value for node in diagram.nodes.values() for value in node.values.values())
+        self.p0 = np.concatenate([np.zeros(0), *map(np.ravel, values)])
 
     def parameter_vector(self, overrides: Mapping[str, Any] | None = None) -> np.ndarray:
         """Return p with some values replaced; diagram parameters by name set all that refer to them.
@@ -280,7 +267,7 @@ class Model:
         out = np.empty((len(t), self.n_x))
         m = library.memory()
         addresses = [a.ctypes.data for a in (t, x, z, p)]
-        library.derivatives(len(t), *addresses, self.n_p, m.ctypes.data, out.ctypes.data)
+        library.handle.rs_derivatives(len(t), *addresses, self.n_p, m.ctypes.data, out.ctypes.data)
         return out
 
     def block_of_state(self, position: int) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rotorsim.diagram.diagram import Endpoint
-from rotorsim.diagram.parse.source import JsonPath, LazyPlace, Source
+from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.errors import Place, Problems
 
 __all__ = ["NAME", "FlatDocument", "Parameter", "RawBlock", "RawWire", "Scope", "SubPorts", "endpoint"]
@@ -77,7 +77,7 @@ class RawWire:
 
     def end_place(self, k: int) -> Place:
         """Return where the source (0) or the target (1) is written."""
-        return self.place.part(k) if isinstance(self.place, LazyPlace) else self.place
+        return self.place.part(k)
 
 
 @dataclass

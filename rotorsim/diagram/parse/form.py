@@ -11,7 +11,7 @@ from rotorsim.errors import CONTROL, Problems, near_miss
 __all__ = ["BLOCK_KEYS", "KEYS", "RESERVED", "checked_form", "is_block"]
 
 RESERVED = ("solver",)
-KEYS: dict[str, type] = {
+KEYS: dict[str, type] = {  # in the order of the canonical form
     "$schema": str,
     "schema_version": int,
     "name": str,
@@ -21,14 +21,14 @@ KEYS: dict[str, type] = {
     "wires": list,
     "solver": dict,
     "record": list,
+    "measured": dict,
     "algebraic_loops": str,
     "block_folders": list,
     "ports": dict,
-    "layout": dict,
     "identify": dict,
-    "measured": dict,
+    "layout": dict,
 }
-BLOCK_KEYS: dict[str, type] = {"type": str, "parameters": dict, "file": str, "description": str}
+BLOCK_KEYS: dict[str, type] = {"type": str, "file": str, "description": str, "parameters": dict}
 MAX_HINTS = 1000  # a near miss takes a look at every known word
 _WORDS = {str: "a text", int: "a whole number", dict: "an object {...}", list: "a list [...]"}
 _NAMES = "names are letters, digits and _, and do not start with a digit"

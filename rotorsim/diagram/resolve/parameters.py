@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagram.parse.document import Parameter, RawBlock
-from rotorsim.diagram.parse.source import LazyPlace
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Problems, near_miss
 from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
@@ -62,9 +61,7 @@ class DiagramParameters:
                 )
             value = numeric(parameter.value, unit, bare=parameter.place.file == "--set")
         except ValueProblem as problem:
-            place = parameter.place
-            if problem.path and isinstance(place, LazyPlace):
-                place = place.part(*problem.path)
+            place = parameter.place.part(*problem.path)
             self.problems.error(problem.what, parameter.name, place, problem.hint or f"it is used by {user}")
             return None
         if unit is not None:

@@ -142,11 +142,5 @@ def _import_file(file: Path) -> ModuleType:
 _BUILT_IN = Registry()
 
 
-def find(type_name: str) -> type[Block] | None:
-    """Return the class of a built-in or installed block type, or None."""
-    return _BUILT_IN.find(type_name)
-
-
-def all_types() -> dict[str, type[Block]]:
-    """Return every built-in and installed block class by type name, sorted."""
-    return _BUILT_IN.all_types()
+find = _BUILT_IN.find  # of built-in and installed types
+all_types = _BUILT_IN.all_types

@@ -187,15 +187,12 @@ class _Settings:
 
     def check(self, flat: FlatDocument) -> None:
         """Report names that the document does not have."""
-        parameters = [*flat.parameters, *(f"{b}.{p}" for b, raw in flat.blocks.items() for p in raw.parameters)]
-        blocks = [*flat.blocks, *flat.sub_diagrams]
-        for names, known, near, word in (
-            (self.parameters, flat.parameters, parameters, "diagram parameter"),
-            (self.blocks, {*blocks}, blocks, "block"),
-        ):
-            for name in names:
-                if name not in known:
-                    flat.problems.error(f"no {word} '{name}'", name, Place("--set"), near_miss(name, near))
+        for name in [name for name in self.parameters if name not in flat.parameters]:
+            known = [*flat.parameters, *(f"{b}.{p}" for b, raw in flat.blocks.items() for p in raw.parameters)]
+            flat.problems.error(f"no diagram parameter '{name}'", name, Place("--set"), near_miss(name, known))
+        for name in [name for name in self.blocks if name not in flat.blocks and name not in flat.sub_diagrams]:
+            known = [*flat.blocks, *flat.sub_diagrams]
+            flat.problems.error(f"no block '{name}'", name, Place("--set"), near_miss(name, known))
 
     def written_in(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """Return a document with the settings in it; those inside sub-diagrams are kept under the key "set"."""

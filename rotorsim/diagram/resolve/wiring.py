@@ -29,6 +29,7 @@ class Wiring:
     removed: frozenset[str]
     wires: list[Wire] = field(default_factory=list)
     cut: set[tuple[str, str]] = field(default_factory=set)
+    _hints: dict[str, str] = field(default_factory=dict)
 
     @cached_property
     def broken(self) -> set[str]:
@@ -109,10 +110,6 @@ class Wiring:
             few = len(self._hints) < MAX_HINTS
             self._hints[name] = near_miss(name, known) if few and known else 'declare it under "blocks"'
         return self._hints[name]
-
-    @cached_property
-    def _hints(self) -> dict[str, str]:
-        return {}
 
     def _take(self, raw: RawWire, first: dict[tuple[str, str], RawWire], counts: bool) -> bool:
         """Note that an input is wired; return whether it may be (a wire from nowhere does not count)."""

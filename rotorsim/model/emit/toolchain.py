@@ -101,8 +101,8 @@ def cache_folder() -> Path:
     given = os.environ.get("ROTORSIM_CACHE")
     if given:
         if not Path(given).is_absolute():
-            what, hint = f"ROTORSIM_CACHE={given}: is not an absolute path", f"ROTORSIM_CACHE={Path(given).absolute()}"
-            raise RotorsimError(Problem(what, hint=hint))
+            hint = f"ROTORSIM_CACHE={Path(given).absolute()}"
+            raise RotorsimError(Problem(f"ROTORSIM_CACHE={given}: is not an absolute path", hint=hint))
         return Path(given)
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
@@ -152,16 +152,12 @@ def cached(key: str, suffix: str) -> Path | None:
     folder = _trusted_folder()
     if folder is None:
         return None
-    for file in [folder / name for name in sorted(os.listdir(folder)) if _is_of(name, key, suffix)]:
+    for file in sorted(folder.glob(f"{key}-*{suffix}")):
         if _is_intact(file, file.name.removeprefix(f"{key}-").removesuffix(suffix)):
             return file
         with suppress(OSError):
             file.unlink()
     return None
-
-
-def _is_of(name: str, key: str, suffix: str) -> bool:
-    return name.startswith(f"{key}-") and name.endswith(suffix)
 
 
 def keep(content: bytes, key: str, suffix: str) -> Path | None:

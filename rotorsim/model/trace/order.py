@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -15,7 +16,7 @@ from rotorsim.diagram.diagram import Diagram, Node
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.trace.block import BlockTrace, TraceError, trace_block
 
-__all__ = ["Key", "block_traces", "evaluation_groups", "evaluation_order", "feedthrough_graph", "trace_blocks"]
+__all__ = ["Key", "block_traces", "evaluation_groups", "evaluation_order", "feedthrough_graph"]
 
 Key = tuple[str, str]  # (block, port)
 Feedthrough = Mapping[str, Mapping[str, Iterable[str]]]
@@ -26,17 +27,12 @@ _TRACES: WeakKeyDictionary[Diagram, dict[str, BlockTrace]] = WeakKeyDictionary()
 
 
 def block_traces(diagram: Diagram) -> Mapping[str, BlockTrace]:
-    """Return the trace of every block, kept for as long as the diagram. Raises RotorsimError where equations fail."""
-    if diagram not in _TRACES:
-        traces, problems = trace_blocks(diagram)
-        if problems:
-            raise RotorsimError(*problems)
-        _TRACES[diagram] = traces
-    return _TRACES[diagram]
+    """Return the trace of every block (like blocks share one, of other diagrams too), kept as long as the diagram.
 
-
-def trace_blocks(diagram: Diagram) -> tuple[dict[str, BlockTrace], list[Problem]]:
-    """Return the trace of every block (like blocks share one, of other diagrams too) and what went wrong."""
+    Raises RotorsimError with all blocks whose equations fail.
+    """
+    if diagram in _TRACES:
+        return _TRACES[diagram]
     wired = {(wire.target.block, wire.target.port) for wire in diagram.wires} | diagram.cut
     traces: dict[str, BlockTrace] = {}
     problems: list[Problem] = []
@@ -48,24 +44,24 @@ def trace_blocks(diagram: Diagram) -> tuple[dict[str, BlockTrace], list[Problem]
         outputs = {port: declared.shape for port, declared in node.outputs.items()}
         each = [tuple(s.items()) for s in (inputs, outputs, shapes, node.state_shapes, node.random_shapes)]
         try:
-            traces[name] = _traced(_Like(node.block), *each)
+            options = repr(sorted(vars(node.block.option).items()))
+            traces[name] = _traced(_Like(node.block, type(node.block), options, node.block.wired), *each)
         except Exception as error:  # the equations are foreign code
             problems.append(_failed(node, error))
-    return traces, problems
+    if problems:
+        raise RotorsimError(*problems)
+    _TRACES[diagram] = traces
+    return traces
 
 
+@dataclass(frozen=True)
 class _Like:
     """A block that equals every other one with the same equations: of its class, with its options and wired inputs."""
 
-    def __init__(self, block: Block) -> None:
-        self.block = block
-        self._key = (type(block), repr(sorted(vars(block.option).items())), block.wired)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Like) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
+    block: Block = field(compare=False)
+    kind: type[Block]
+    options: str
+    wired: frozenset[str]
 
 
 @lru_cache(maxsize=KEPT)
