@@ -87,17 +87,19 @@ class LazyPlace(Place):
     """A `Place` that looks up its line and column on first use (a large valid diagram needs none)."""
 
     def __init__(self, source: Source, path: JsonPath, key: bool = False) -> None:
-        self._source, self._path, self._key = source, path, key
+        self._at = source, path, key
 
     def part(self, *steps: str | int) -> LazyPlace:
         """Return the place of a part of the value at this place."""
-        return LazyPlace(self._source, (*self._path, *steps))
+        source, path, _ = self._at
+        return LazyPlace(source, (*path, *steps))
 
     @cached_property
     def _real(self) -> Place:
-        return self._source.locate(self._path, key=self._key)
+        source, path, key = self._at
+        return source.locate(path, key=key)
 
-    file = property(lambda self: self._source.file)
+    file = property(lambda self: self._at[0].file)
     line = property(lambda self: self._real.line)
     column = property(lambda self: self._real.column)
 

@@ -30,15 +30,13 @@ class _Variables(Generic[Term]):
 
     def find(self, term: Term) -> Term:
         """Return the value of a term, or the variable that stands for it."""
-        passed: list[int] = []
         while isinstance(term, int) and term < 0:
             after = self._joined[-term - 1]
             if after is None:
                 break
-            passed.append(-term - 1)
+            if isinstance(after, int) and after < 0:  # halves the way
+                self._joined[-term - 1] = self._joined[-after - 1] or after
             term = after
-        for k in passed:  # shortens the way
-            self._joined[k] = term
         return term
 
     def join(self, a: Term, b: Term) -> bool:
@@ -61,11 +59,11 @@ class Unifier:
 
     def resolved(self, term: ShapeTerm) -> Shape | None:
         """Return the shape as numbers, or None if a part is still unknown."""
-        found = self.shape(term)
-        if isinstance(found, int):
+        shape = self.shape(term)
+        if isinstance(shape, int):
             return None
-        numbers = tuple(self.dimension(d) for d in found)
-        return None if any(d < 0 for d in numbers) else numbers
+        numbers = tuple(map(self.dimension, shape))
+        return None if numbers and min(numbers) < 0 else numbers
 
     def unify(self, a: ShapeTerm, b: ShapeTerm) -> bool:
         """Make two shapes equal; return False (and change nothing that matters) if they cannot be."""
