@@ -51,5 +51,6 @@ def xarray_module() -> Any:
     try:
         return import_module("xarray")
     except ImportError:
-        hint = "pip install 'rotorsim[xarray]'"
-        raise RotorsimError(Problem(what="xarray is not installed", subject="to_xarray", hint=hint)) from None
+        raise RotorsimError(
+            Problem(what="xarray is not installed", subject="to_xarray", hint="pip install 'rotorsim[xarray]'")
+        ) from None

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -169,40 +169,36 @@ class Out(Declaration):
     many: str | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Param(Declaration):
+@dataclass(frozen=True)
+class Param(Declaration):
+    """Declare a numeric parameter: a run-time argument, changed without compiling again.
+
+    default None: must be given. low, high: closed bounds; above: open lower bound. tolerance: standard uncertainty of
+    a stated value that nobody measured (damping, as a rule): a diagnosis leaves it free within that.
+    """
+
     default: Any = None
+    _: KW_ONLY
     low: float | None = None
     high: float | None = None
     above: float | None = None
     tolerance: float | None = None
 
 
-def Param(default: Any = None, /, **kwargs: Any) -> Any:  # noqa: N802 - reads as a declaration beside In and Out
-    """Declare a numeric parameter: a run-time argument, changed without compiling again.
-
-    default None: must be given. low, high: closed bounds; above: open lower bound. tolerance: standard uncertainty of
-    a stated value that nobody measured (damping, as a rule): a diagnosis leaves it free within that.
-    """
-    return _Param(default=default, **kwargs)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Option(Declaration):
-    default: Any = None
-    choices: tuple[Any, ...] | None = None
-    kind: type | tuple[type, ...] | None = None
-    low: int | None = None
-    high: int | None = None
-
-
-def Option(default: Any = None, /, **kwargs: Any) -> Any:  # noqa: N802
+@dataclass(frozen=True)
+class Option(Declaration):
     """Declare an option that fixes structure (a count, a list of nodes, a law by name); it is compiled in.
 
     kind: type of the value, or of the entries when the default is a list; choices: allowed values;
     low, high: bounds of integers (or of each entry of a list of integers).
     """
-    return _Option(default=default, **kwargs)
+
+    default: Any = None
+    _: KW_ONLY
+    choices: tuple[Any, ...] | None = None
+    kind: type | tuple[type, ...] | None = None
+    low: int | None = None
+    high: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,27 +243,29 @@ class Equations:
     events: Mapping[str, Symbol] = field(default_factory=dict)
 
 
-_KINDS: dict[str, tuple[type, ...]] = {
-    "inputs": (In,),
-    "outputs": (Out,),
-    "parameters": (_Param,),
-    "options": (_Option,),
-    "states": (State,),
-    "randoms": (Random,),
+_KINDS = {"inputs": In, "outputs": Out, "parameters": Param, "options": Option, "states": State, "randoms": Random}
+_CATEGORIES = {  # folder of built-in block files -> category of its blocks, unless a block says another
+    "rotorsim.blocks.rotors": "rotor",
+    "rotorsim.blocks.bearings": "bearing",
+    "rotorsim.blocks.controllers": "controller",
+    "rotorsim.blocks.excitations": "excitation",
+    "rotorsim.blocks.faults": "fault",
 }
 
 
 class Block:
     """Base of all blocks: subclasses declare ports, parameters and states and define ``equations``.
 
+    An attribute may also be a tuple of declarations, each with its ``name``: what several blocks share, or a series.
     ``type_name`` (default: the class name in snake_case) is the ``"type"`` of diagram JSON.
     ``sample_time`` names the parameter that holds the sample period [s] of a discrete block; a parameter
     declared as ``sample_time`` is that one.
+    ``category`` is that of the folder of a built-in block, "elementary" elsewhere, unless the block says it.
     ``source`` cites where the equations are from. Subclasses are final: reuse by functions.
     """
 
     type_name: ClassVar[str] = ""
-    sample_time: ClassVar[str | None] = None
+    sample_time: ClassVar[Any] = None
     source: ClassVar[str] = ""
     category: ClassVar[str] = "elementary"
     faults: ClassVar[tuple[Any, ...]] = ()  # rotorsim.fault.Fault: physics that a diagnosis may add by this block
@@ -277,8 +275,8 @@ class Block:
 
     inputs: ClassVar[dict[str, In]] = {}
     outputs: ClassVar[dict[str, Out]] = {}
-    parameters: ClassVar[dict[str, _Param]] = {}
-    options: ClassVar[dict[str, _Option]] = {}
+    parameters: ClassVar[dict[str, Param]] = {}
+    options: ClassVar[dict[str, Option]] = {}
     states: ClassVar[dict[str, State]] = {}
     randoms: ClassVar[dict[str, Random]] = {}
 
@@ -286,23 +284,23 @@ class Block:
         super().__init_subclass__(**kwargs)
         if "type_name" not in cls.__dict__:
             cls.type_name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
-        base: Any = cls.__mro__[1]
-        found: dict[str, dict[str, Any]] = {kind: dict(getattr(base, kind)) for kind in _KINDS}
-        for name, value in list(cls.__dict__.items()):
-            for kind, types in _KINDS.items():
-                if isinstance(value, types) and isinstance(value, Declaration):
-                    declared = value if value.name else _named(value, name)
-                    found[kind][declared.name] = declared
-        for kind, declarations in found.items():
-            setattr(cls, kind, declarations)
-        if "sample_time" in cls.__dict__.get("parameters", {}) and not isinstance(cls.sample_time, str):
+        if "category" not in cls.__dict__:
+            cls.category = _CATEGORIES.get(cls.__module__.rpartition(".")[0], cls.category)
+        declared = [
+            item if item.name else replace(item, name=name)
+            for name, value in vars(cls).items()
+            for item in (value if isinstance(value, tuple) else (value,))
+            if isinstance(item, Declaration)
+        ]
+        for kind, type_ in _KINDS.items():
+            setattr(cls, kind, {**getattr(cls, kind), **{d.name: d for d in declared if isinstance(d, type_)}})
+        if "sample_time" in cls.parameters and not isinstance(cls.sample_time, str):
             cls.sample_time = "sample_time"  # the parameter took the name of this class attribute
 
     def __init__(self, option_values: Mapping[str, Any] | None = None, wired: frozenset[str] = frozenset()) -> None:
         """Hold option values (complete, already validated) and the names of the wired inputs."""
-        values = {name: option.default for name, option in self.options.items()}
-        values.update(option_values or {})
-        self.option = SimpleNamespace(**values)
+        defaults = {name: option.default for name, option in self.options.items()}
+        self.option = SimpleNamespace(**{**defaults, **(option_values or {})})
         self.wired = wired
 
     def equations(self, p: Any, u: Any, x: Any, t: Symbol) -> Equations:
@@ -328,10 +326,9 @@ class Block:
         if declaration.many is None:
             return [declaration.name]
         count = getattr(self.option, declaration.many)
-        if isinstance(count, int | str):
-            number = count if isinstance(count, int) else len(count)
-            return [f"{declaration.name}{k}" for k in range(1, number + 1)]
-        return [str(name) for name in count]
+        if isinstance(count, list | tuple):
+            return [str(name) for name in count]
+        return [f"{declaration.name}{k}" for k in range(1, (len(count) if isinstance(count, str) else count) + 1)]
 
     def active_states(self) -> dict[str, State]:
         """Return the states that exist under the current options and wiring."""
@@ -342,38 +339,22 @@ class Block:
             and (state.when is None or state.when(self.option))
         }
 
-    def declared_shape(self, declaration: Declaration) -> Any:
-        """Return the shape with options filled in: a tuple of whole numbers and words, or one word."""
-        shape = declaration.shape
-        if callable(shape):
-            shape = shape(self.option)
+    def declared_shape(self, declaration: Declaration, port: str = "") -> Any:
+        """Return the shape with options filled in: a tuple of whole numbers and words, or one word.
+
+        port: of a declaration of many: words that end in "*" are made its own.
+        """
+        shape = declaration.shape(self.option) if callable(declaration.shape) else declaration.shape
         if isinstance(shape, str):
-            return shape
-        if isinstance(shape, int):
-            shape = (shape,)
-        return tuple(self._dimension(entry) for entry in shape)
-
-    def port_shape(self, declaration: In | Out, port: str) -> Any:
-        """Return `declared_shape` for one port of a declaration: words that end in "*" are made its own."""
-
-        def own(entry: Any) -> Any:
-            return f"{entry}{port}" if isinstance(entry, str) and entry.endswith("*") else entry
-
-        shape = self.declared_shape(declaration)
-        return own(shape) if isinstance(shape, str) else tuple(own(entry) for entry in shape)
+            return f"{shape}{port}" if shape.endswith("*") else shape
+        return tuple(self._dimension(entry, port) for entry in (shape if isinstance(shape, tuple) else (shape,)))
 
     def output_shapes(self, inputs: Mapping[str, Shape]) -> dict[str, Shape]:
         """Return shapes of outputs that follow from those of the wired inputs as no word can say (default: none)."""
         return {}
 
-    def _dimension(self, entry: Any) -> int | str:
-        if isinstance(entry, str) and hasattr(self.option, entry):
-            value = getattr(self.option, entry)
-            return int(value) if isinstance(value, int) else len(value)
-        return int(entry) if isinstance(entry, int | np.integer) else str(entry)
-
-
-def _named(declaration: Declaration, name: str) -> Declaration:
-    from dataclasses import replace
-
-    return replace(declaration, name=name)
+    def _dimension(self, entry: Any, port: str) -> int | str:
+        value = getattr(self.option, entry, None) if isinstance(entry, str) else entry
+        if value is None:
+            return f"{entry}{port}" if entry.endswith("*") else str(entry)
+        return int(value) if isinstance(value, int | np.integer) else len(value)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-__all__ = ["CONTROL", "Place", "Problem", "RotorsimError", "escape", "near_miss", "visible"]
+__all__ = ["CONTROL", "Place", "Problem", "Problems", "RotorsimError", "escape", "near_miss", "visible"]
 
 # What steers a terminal or turns the direction of writing, and what XML cannot hold: C0 (but tab and line feed),
 # C1, overrides of direction, halves of characters, and the two that are none.
@@ -34,9 +34,11 @@ class Place:
     column: int = 0
 
     def __str__(self) -> str:
-        if not self.file:
-            return ""
-        return f"{self.file}:{self.line}:{self.column}" if self.line else self.file
+        return f"{self.file}:{self.line}:{self.column}" if self.file and self.line else self.file
+
+    def part(self, *steps: str | int) -> Place:
+        """Return the place of a part of what is here, as far as it is known."""
+        return self
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,18 @@ class Problem:
         head = ": ".join(part for part in (str(self.place), self.severity, self.subject) if part)
         text = f"{head}: {self.what}"
         return visible(f"{text}\n\nhint: {self.hint}" if self.hint else text)
+
+
+class Problems(list[Problem]):
+    """The mistakes and oddities found so far, in the order in which they were found."""
+
+    def error(self, what: str, subject: str = "", place: Place | None = None, hint: str = "") -> None:
+        """Add a mistake."""
+        self.append(Problem(what, subject, place or Place(), hint))
+
+    def warning(self, what: str, subject: str = "", place: Place | None = None, hint: str = "") -> None:
+        """Add what is odd but no mistake."""
+        self.append(Problem(what, subject, place or Place(), hint, "warning"))
 
 
 class RotorsimError(Exception):

@@ -6,7 +6,7 @@ This module imports nothing else of rotorsim, so that a block file needs only it
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 __all__ = ["ENTRIES", "Fault", "Lines", "Longest", "Of", "Steps"]
@@ -100,3 +100,7 @@ class Fault:
             raise ValueError(f"enters must be one of {', '.join(ENTRIES)}, not '{self.enters}'")
         if self.recorded not in ("before", "after"):
             raise ValueError(f"recorded must be 'before' or 'after', not '{self.recorded}'")
+
+    def variants(self, *changes: Mapping[str, Any]) -> tuple[Fault, ...]:
+        """Return this declaration and others that differ from it by some of its fields."""
+        return (self, *(replace(self, **change) for change in changes))

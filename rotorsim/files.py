@@ -81,9 +81,14 @@ def _no_room(path: Path, number: int | None, size: int | None, done: int) -> Rot
     free = shutil.disk_usage(path.parent).free
     takes = f"it takes about {_shown(size)}, " if size else f"it takes more than {_shown(done)}, " if done else ""
     kept = "the file that was there is kept" if path.exists() else "nothing of it is left there"
-    what = f"{os.strerror(number or 0).lower()}: {takes}{_shown(free)} are free; {kept}"
-    hint = "make room there, or write to another disk"
-    return RotorsimError(Problem(what, place=Place(str(path)), hint=hint), exit_code=1)
+    return RotorsimError(
+        Problem(
+            f"{os.strerror(number or 0).lower()}: {takes}{_shown(free)} are free; {kept}",
+            place=Place(str(path)),
+            hint="make room there, or write to another disk",
+        ),
+        exit_code=1,
+    )
 
 
 def _shown(size: int) -> str:

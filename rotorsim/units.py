@@ -70,7 +70,6 @@ _KNOWN: dict[str, tuple[float, Dimension]] = {
     "mol": (1.0, (0, 0, 0, 0, 0, 0, 1)),
     "cd": (1.0, (0, 0, 0, 0, 0, 0, 0, 1)),
 }
-_SYMBOLS = {name: (factor, (*powers, *_NONE)[: len(BASES)]) for name, (factor, powers) in _KNOWN.items()}
 _PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}
 _PREFIXED = {
     "m",
@@ -115,6 +114,14 @@ class Unit:
     factor: float
     dimension: Dimension
 
+    def times(self, other: Unit, n: int = 1) -> Unit:
+        """Return the product with another unit to the power n."""
+        try:
+            factor = self.factor * other.factor**n
+        except OverflowError:
+            factor = math.inf
+        return Unit(factor, tuple(a + n * b for a, b in zip(self.dimension, other.dimension, strict=True)))
+
     @property
     def si(self) -> str:
         """The SI unit of this dimension in base units, e.g. ``"kg m^2/s^2"``; ``"1"`` for a pure number."""
@@ -128,6 +135,10 @@ def _power(base: str, n: int) -> str:
     return base if n == 1 else f"{base}^{n}"
 
 
+_ONE = Unit(1.0, _NONE)
+_SYMBOLS = {name: Unit(factor, (*powers, *_NONE)[: len(BASES)]) for name, (factor, powers) in _KNOWN.items()}
+
+
 @lru_cache(maxsize=4096)
 def parse_unit(text: str) -> Unit:
     """Return the unit that a text such as ``"N s/m"`` stands for; raise UnitError with a near miss."""
@@ -136,66 +147,48 @@ def parse_unit(text: str) -> Unit:
         plain = plain.replace(alias, standard)
     if len(plain) > 100:
         raise UnitError(f"unit of {len(plain)} characters is too long")
-    tokens = [match.groups() for match in _TOKEN.finditer(plain)]
-    if not tokens:
-        return Unit(1.0, _NONE)
-    stack: list[tuple[float, list[int], int]] = []  # outer products, with the sign that the bracket gets
-    factor, dimension, sign = 1.0, [0] * len(BASES), 1
-    last: tuple[float, Dimension, int] | None = None  # the factor that a power would apply to
-    for caret, exponent, slash, opening, closing, _star, symbol, other in tokens:
+    stack: list[tuple[Unit, int]] = []  # outer products, with the sign that the bracket gets
+    product, sign = _ONE, 1
+    last: tuple[Unit, int] | None = None  # the factor that a power would apply to
+    for caret, exponent, slash, opening, closing, _star, symbol, other in _TOKEN.findall(plain):
         if other:
             raise UnitError(f"'{text}' is not a unit: unexpected '{other}'", "write units like 'N s/m' or 'kg m^2'")
         if symbol:
-            value, powers = _symbol(symbol, text)
-            last = (value, powers, sign)
-            factor, dimension, sign = _times(factor, value, sign), _sum(dimension, powers, sign), 1
+            last = (_symbol(symbol, text), sign)
+            product, sign = product.times(*last), 1
         elif caret:
             n = int(exponent)
             if last is None or abs(n) > 99:
                 raise UnitError(f"'{text}' is not a unit: power {n} has no base or is too large")
-            value, powers, how = last
-            factor = _times(factor, value, how * (n - 1))
-            dimension, last = _sum(dimension, powers, how * (n - 1)), None
+            product, last = product.times(last[0], last[1] * (n - 1)), None
         elif slash:
             if sign < 0:
                 raise UnitError(f"'{text}' is not a unit: '/' twice in a row")
             sign, last = -1, None
         elif opening:
-            stack.append((factor, dimension, sign))
-            factor, dimension, sign, last = 1.0, [0] * len(BASES), 1, None
+            stack.append((product, sign))
+            product, sign, last = _ONE, 1, None
         elif closing:
             if not stack or sign < 0:
                 raise UnitError(f"'{text}' is not a unit: a bracket is not opened, or empty after '/'")
-            value, powers = factor, tuple(dimension)
-            factor, dimension, how = stack.pop()
-            last = (value, powers, how)
-            factor, dimension = _times(factor, value, how), _sum(dimension, powers, how)
+            outer, outer_sign = stack.pop()
+            last = (product, outer_sign)
+            product = outer.times(*last)
         else:
             last = None
     if stack or sign < 0:
         raise UnitError(f"'{text}' is not a unit: " + ("a bracket is not closed" if stack else "nothing follows '/'"))
-    if not 0.0 < factor < math.inf:
+    if not 0.0 < product.factor < math.inf:
         raise UnitError(f"'{text}' is not a unit: its factor is out of range")
-    return Unit(factor, tuple(dimension))
+    return product
 
 
-def _times(factor: float, value: float, n: int) -> float:
-    try:
-        return factor * value**n
-    except OverflowError:
-        return math.inf
-
-
-def _sum(dimension: list[int], powers: Dimension, n: int) -> list[int]:
-    return [a + n * b for a, b in zip(dimension, powers, strict=True)]
-
-
-def _symbol(symbol: str, text: str) -> tuple[float, Dimension]:
+def _symbol(symbol: str, text: str) -> Unit:
     if symbol in _SYMBOLS:
         return _SYMBOLS[symbol]
     if symbol[0] in _PREFIXES and symbol[1:] in _PREFIXED:
-        factor, dimension = _SYMBOLS[symbol[1:]]
-        return _PREFIXES[symbol[0]] * factor, dimension
+        unit = _SYMBOLS[symbol[1:]]
+        return Unit(_PREFIXES[symbol[0]] * unit.factor, unit.dimension)
     where = "" if symbol == text else f" in '{text}'"
     raise UnitError(f"unknown unit '{symbol}'{where}", _near_unit(symbol))
 
@@ -232,12 +225,11 @@ def parse_foreign_unit(text: str) -> tuple[Unit, float, str]:
     name = _FOREIGN.get(text.strip(), text.strip())
     if name in _OFFSETS:
         factor, offset = _OFFSETS[name]
-        return Unit(factor, _SYMBOLS["K"][1]), offset, "K"
+        return Unit(factor, _SYMBOLS["K"].dimension), offset, "K"
     try:
         return parse_unit(name), 0.0, name
     except UnitError:
-        pass
-    spelled = _WORD.sub(_respelled, name)
+        spelled = _WORD.sub(_respelled, name)
     return parse_unit(spelled), 0.0, spelled
 
 
@@ -297,13 +289,12 @@ def conversion(given: str, expected: str | None) -> float:
 
 
 def _cure(expected: str, want: Unit) -> str:
-    if want.dimension == _SYMBOLS["rpm"][1]:
-        return "give an angular speed in rad/s, rpm or Hz (revolutions per second)"
-    if want.dimension == _SYMBOLS["rad"][1]:
-        return "give an angle in rad or deg"
-    if want.dimension == _NONE:
-        return "give a pure number"
-    return f"give it in {expected}"
+    cures = {
+        _SYMBOLS["rpm"].dimension: "give an angular speed in rad/s, rpm or Hz (revolutions per second)",
+        _SYMBOLS["rad"].dimension: "give an angle in rad or deg",
+        _NONE: "give a pure number",
+    }
+    return cures.get(want.dimension, f"give it in {expected}")
 
 
 def convert(value: float, given: str, expected: str | None = None) -> float:

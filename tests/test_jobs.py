@@ -13,16 +13,17 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.errors import RotorsimError
-from rotorsim.jobs import jobs, processes
-from rotorsim.jobs.jobs import Failure, local_workers, run_jobs
+from rotorsim.jobs import cluster, jobs, processes
+from rotorsim.jobs.jobs import Failure, Jobs, local_workers, run_jobs
 
 ROOT = Path(__file__).parents[1]
 
@@ -55,7 +56,7 @@ def versatile(argument: dict[str, Any]) -> Any:
         case "die":
             os._exit(3)
         case "nest":
-            return run_jobs(square, [1, 2, 3], workers=2)
+            return run_jobs(square, [1, 2, 3], jobs=Jobs(2))
         case "environment":
             return [os.getpid(), os.environ.get("OMP_NUM_THREADS"), os.environ.get("OPENBLAS_NUM_THREADS")]
     return argument["number"] ** 2
@@ -87,8 +88,8 @@ def waits(number: int) -> int:
     return number
 
 
-def sync(function: Any, arguments: Any, **options: Any) -> list[Any]:
-    return run_jobs(function, arguments, scheduler="synchronous", **options)
+def sync(function: Any, arguments: Any, progress: Any = None, **options: Any) -> list[Any]:
+    return run_jobs(function, arguments, jobs=Jobs(None, "synchronous", progress), **options)
 
 
 def logged(tmp_path: Path, count: int) -> list[dict[str, Any]]:
@@ -114,7 +115,7 @@ def test_in_this_process_in_order_with_progress():
     assert sync(square, [3, 1, 2], progress=fractions.append) == [9, 1, 4]
     np.testing.assert_allclose(fractions, [1 / 3, 2 / 3, 1], rtol=1e-15)
     assert run_jobs(square, [5]) == [25]  # one job: in this process
-    assert run_jobs(process_of, [1, 2], workers=1) == [os.getpid()] * 2
+    assert run_jobs(process_of, [1, 2], jobs=Jobs(1)) == [os.getpid()] * 2
     assert run_jobs(square, []) == []
 
 
@@ -252,10 +253,22 @@ def test_only_the_first_failures_are_listed():
     assert "30 of 30 jobs failed" in str(raised.value)
 
 
-def test_wrong_options_are_said_all_at_once():
+def test_a_wrong_scheduler_and_number_of_workers_are_refused_before_any_work():
     with pytest.raises(RotorsimError) as raised:
-        run_jobs(square, [1, 2], scheduler="cluster", workers=0, chunk=0, on_error="ignore")
-    assert len(raised.value.problems) == 4
+        Jobs(workers=0, scheduler="cluster")
+    assert len(raised.value.problems) == 2
+    assert "'cluster' is not the address of a scheduler" in str(raised.value)
+
+
+def test_diagnose_refuses_a_wrong_scheduler_before_it_looks_at_anything():
+    with pytest.raises(RotorsimError, match="'home' is not the address of a scheduler"):
+        diagnose(None, None, scheduler="home")
+
+
+@pytest.mark.parametrize(("options", "said"), [({"chunk": 0}, "at least one"), ({"on_error": "ignore"}, "is unknown")])
+def test_wrong_options_are_said(options, said):
+    with pytest.raises(RotorsimError, match=said):
+        sync(square, [1, 2], **options)
 
 
 def sockets() -> set[Any]:
@@ -271,18 +284,18 @@ def sockets() -> set[Any]:
 
 
 def test_local_workers_are_kept_for_several_lists():
-    with local_workers(2) as name:
-        seen = {run_jobs(process_of, [1, 2, 3], scheduler=name)[0] for _ in range(3)}
+    with local_workers(Jobs(2)) as kept:
+        seen = {run_jobs(process_of, [1, 2, 3], jobs=kept)[0] for _ in range(3)}
         assert len(seen) <= 2
         assert os.getpid() not in seen
         with pytest.raises(KeyboardInterrupt):
-            run_jobs(square, [1, 2, 3], scheduler=name, progress=interrupt)
-        assert run_jobs(square, [1, 2, 3], scheduler=name) == [1, 4, 9]
+            run_jobs(square, [1, 2, 3], jobs=replace(kept, progress=interrupt))
+        assert run_jobs(square, [1, 2, 3], jobs=kept) == [1, 4, 9]
     assert multiprocessing.active_children() == []
-    with pytest.raises(RotorsimError, match="is not the address of a scheduler"):
-        run_jobs(square, [1, 2], scheduler=name)
-    with local_workers(1) as name:
-        assert name == "synchronous"
+    with pytest.raises(RotorsimError, match="the worker processes have ended"):
+        run_jobs(square, [1, 2], jobs=kept)
+    with local_workers(Jobs(1)) as kept:
+        assert kept.scheduler == "synchronous"
 
 
 def interrupt(_: float) -> None:
@@ -293,7 +306,7 @@ def interrupt(_: float) -> None:
 def test_a_script_that_does_not_guard_its_start_is_told_so(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
-        "import math\nfrom rotorsim.jobs.jobs import run_jobs\nrun_jobs(math.sqrt, [1.0, 4.0], workers=2)\n"
+        "import math\nfrom rotorsim.jobs.jobs import Jobs, run_jobs\nrun_jobs(math.sqrt, [1.0, 4.0], jobs=Jobs(2))\n"
     )
     done = subprocess.run(
         [sys.executable, str(script)],
@@ -330,7 +343,7 @@ def test_local_processes(tmp_path, monkeypatch):
 
     store = tmp_path / "s.jsonl"
     before = sockets()
-    options: dict[str, Any] = {"workers": 2, "chunk": 3, "on_error": "return", "progress": look}
+    options: dict[str, Any] = {"jobs": Jobs(2, progress=look), "chunk": 3, "on_error": "return"}
     found = run_jobs(versatile, arguments, store=store, **options)
     assert reachable <= before  # another user of this machine finds no port and no socket to speak to
     assert [found[k] for k in (0, 1, 3, 5, 6, 8, 10, 11)] == [0, 1, 9, 25, 36, 64, 100, 121]
@@ -354,9 +367,9 @@ def test_ctrl_c_and_a_kill_keep_results_and_leave_no_process(tmp_path, how):
     store = tmp_path / "s.jsonl"
     script = tmp_path / "script.py"
     script.write_text(
-        "import signal\nfrom rotorsim.jobs.jobs import run_jobs\nfrom tests.test_jobs import waits\n"
+        "import signal\nfrom rotorsim.jobs.jobs import Jobs, run_jobs\nfrom tests.test_jobs import waits\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # shells have what runs behind them ignore it
-        f"if __name__ == '__main__':\n    run_jobs(waits, range(6), store={str(store)!r}, workers=2)\n"
+        f"if __name__ == '__main__':\n    run_jobs(waits, range(6), store={str(store)!r}, jobs=Jobs(2))\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     main = subprocess.Popen(
@@ -388,12 +401,12 @@ def test_ctrl_c_and_a_kill_keep_results_and_leave_no_process(tmp_path, how):
 
 
 def test_scheduler_out_of_reach_is_said(monkeypatch):
-    monkeypatch.setattr(jobs, "CONNECT_TIMEOUT", 0.2)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT", 0.2)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # not listening
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(RotorsimError, match="is it running") as raised:
-            run_jobs(square, [1, 2], scheduler=address)
+            run_jobs(square, [1, 2], jobs=Jobs(scheduler=address))
     assert f"the scheduler {address} cannot be reached" in str(raised.value)
 
 
@@ -407,16 +420,16 @@ def test_cluster_elsewhere():
         protocol="tcp://",
         memory_limit=0,
         dashboard_address="127.0.0.1:0",
-    ) as cluster:
-        address = cluster.scheduler_address
+    ) as running:
+        address = running.scheduler_address
         with pytest.raises(RotorsimError, match="has no workers"):
-            run_jobs(square, [1, 2], scheduler=address)
-        cluster.scale(1)
-        cluster.wait_for_workers(1)
-        assert run_jobs(square, [3, 1, 2], scheduler=address, chunk=2) == [9, 1, 4]
-        assert run_jobs(returned, ["key"] * 2, scheduler=address, on_error="return")[1].type == "TypeError"
+            run_jobs(square, [1, 2], jobs=Jobs(scheduler=address))
+        running.scale(1)
+        running.wait_for_workers(1)
+        assert run_jobs(square, [3, 1, 2], jobs=Jobs(scheduler=address), chunk=2) == [9, 1, 4]
+        assert run_jobs(returned, ["key"] * 2, jobs=Jobs(scheduler=address), on_error="return")[1].type == "TypeError"
         with pytest.raises(RotorsimError, match="cannot be sent to another process"):
-            run_jobs(square, [threading.Lock(), 1], scheduler=address)
+            run_jobs(square, [threading.Lock(), 1], jobs=Jobs(scheduler=address))
 
 
 def test_other_versions_on_a_cluster_are_said():
@@ -427,5 +440,5 @@ def test_other_versions_on_a_cluster_are_said():
         "scheduler": {"packages": here},
         "workers": {"tcp://a:1": {"packages": {**there, "rotorsim": "0.2.0"}}, "tcp://b:1": {"packages": there}},
     }
-    (problem,) = jobs._mismatches(found)
+    (problem,) = cluster._mismatches(found)
     assert str(problem).startswith("error: worker tcp://a:1: has rotorsim 0.2.0, this process has 0.1.0")

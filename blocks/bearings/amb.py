@@ -1,7 +1,5 @@
 """Active magnetic bearing, linear about its set-point."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param
 
 
@@ -14,7 +12,6 @@ class Amb(Block):
     """
 
     source = "thesis eq. (2.25), (2.26), Table 2-1"
-    category = "bearing"
 
     displacement = In(shape=2, unit="m", doc="rotor displacement [x, y] in the bearing")
     current = In(shape=2, unit="A", doc="control current [x, y]")
@@ -22,7 +19,7 @@ class Amb(Block):
     force_displacement_factor = Param(105210.0, unit="N/m", doc="k_s")
     force_current_factor = Param(42.1, unit="N/A", doc="k_i")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(
             outputs={"force": p.force_displacement_factor * u.displacement - p.force_current_factor * u.current}
         )

@@ -1,6 +1,5 @@
 """Active magnetic bearing with the force law of its magnets."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, maximum
@@ -19,7 +18,6 @@ class AmbNonlinear(Block):
     """
 
     source = "Schweitzer & Maslen (2009), eq. (4.28) ff., with cos alpha in K"
-    category = "bearing"
     faults = (
         Fault(
             physics="magnetic_nonlinearity",
@@ -41,11 +39,11 @@ class AmbNonlinear(Block):
     force_current_factor = Param(42.1, unit="N/A", above=0.0, doc="k_i at the set-point")
     bias_current = Param(1.0, unit="A", above=0.0, doc="bias current i0")
 
-    def holds_below(self, p: Any) -> Mapping[str, float]:
+    def holds_below(self, p):
         """Return the air gap: there the rotor touches the magnets."""
         return {"displacement": _air_gap(p)}
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         gap = _air_gap(p)
         constant = p.force_current_factor * gap**2 / (4 * p.bias_current)
         upper, lower = p.bias_current - u.current, p.bias_current + u.current

@@ -24,28 +24,21 @@ class MagneticSaturation(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 4 (saturation)"
-    category = "bearing"
-    faults = (
-        Fault(
-            physics="magnetic_saturation",
-            enters="replace",
-            of=("amb", "amb_nonlinear"),
-            options={"driving": "bipolar"},
-            free={"saturation_flux": (1.5, 3.0), "bias_current": (0.3, 1.0, 3.0)},
-            law="3X of the force at high current",
-            confused_with=("current_clipping", "magnetic_nonlinearity"),
-            told_apart_by="the current: clipping shows in it, saturation only in the force",
-        ),
-        Fault(
-            physics="magnetic_saturation",
-            enters="replace",
-            of=("amb", "amb_nonlinear"),
-            options={"law": "control"},
-            free={"saturation_current": (Of("current", 2.0), Of("current", 8.0))},
-            law="3X of the force at high current",
-            confused_with=("current_clipping", "cubic_stiffness"),
-            told_apart_by="the current: clipping shows in it, saturation only in the force",
-        ),
+    faults = Fault(
+        physics="magnetic_saturation",
+        enters="replace",
+        of=("amb", "amb_nonlinear"),
+        options={"driving": "bipolar"},
+        free={"saturation_flux": (1.5, 3.0), "bias_current": (0.3, 1.0, 3.0)},
+        law="3X of the force at high current",
+        confused_with=("current_clipping", "magnetic_nonlinearity"),
+        told_apart_by="the current: clipping shows in it, saturation only in the force",
+    ).variants(
+        {
+            "options": {"law": "control"},
+            "free": {"saturation_current": (Of("current", 2.0), Of("current", 8.0))},
+            "confused_with": ("current_clipping", "cubic_stiffness"),
+        }
     )
 
     displacement = In(shape=2, unit="m", doc="rotor displacement [x, y] in the bearing")
@@ -59,7 +52,7 @@ class MagneticSaturation(Block):
     saturation_flux = Param(3.0, low=0.2, doc="flux density of saturation B_s over that of the bias")
     saturation_current = Param(1.0, unit="A", above=0.0, doc="control current of saturation i_s (law control)")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         if self.option.law == "control":
             limited = _saturated(u.current, p.saturation_current)
             return Equations(

@@ -1,7 +1,5 @@
 """Flexible support bearing."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param
 
 
@@ -12,7 +10,6 @@ class Support(Block):
     """
 
     source = "thesis eq. (5.1), Table 5-1"
-    category = "bearing"
 
     displacement = In(shape=2, unit="m", doc="rotor displacement [x, y] at the support")
     velocity = In(shape=2, unit="m/s", doc="rotor velocity [x, y] at the support")
@@ -20,5 +17,5 @@ class Support(Block):
     stiffness = Param([5e8, 5e8], shape=2, unit="N/m", doc="stiffness [x, y]")
     damping = Param([0.0, 0.0], shape=2, unit="N s/m", doc="viscous damping [x, y]")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"force": -(p.stiffness * u.displacement + p.damping * u.velocity)})

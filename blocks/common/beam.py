@@ -5,8 +5,6 @@ Source: Friswell, Penny, Garvey & Lees, Dynamics of Rotating Machines (2010), se
 thesis Appendix B is the case without shear and rotary inertia.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -69,15 +67,13 @@ class Banded:
 
     def times(self, v: Sequence[Any]) -> list[Any]:
         """Return the product with a vector."""
-        out = []
-        for i in range(self.size):
-            total = 0.0
-            for j in range(max(i - BAND, 0), min(i + BAND, self.size - 1) + 1):
-                entry = self.rows[max(i, j)][abs(i - j)]
-                if not _is_zero(entry):
-                    total = total + entry * v[j]
-            out.append(total)
-        return out
+
+        def entries(i: int) -> list[tuple[Any, int]]:
+            near = range(max(i - BAND, 0), min(i + BAND, self.size - 1) + 1)
+            row = [(self.rows[max(i, j)][abs(i - j)], j) for j in near]
+            return [(entry, j) for entry, j in row if not _is_zero(entry)]
+
+        return [sum((entry * v[j] for entry, j in entries(i)), 0.0) for i in range(self.size)]
 
     def factor(self) -> tuple[Table, list[Any]]:
         """Return L (unit lower, rows as here without the diagonal) and the reciprocals of D of L D L^T."""

@@ -1,20 +1,55 @@
 """What all controllers of magnetic bearings share: ports, control error, velocity, and laws used twice."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rotorsim.block import Equations, In, Out, Param, State
 
-DISPLACEMENT = In(shape=2, unit="m", doc="rotor displacement [x, y] at the bearing")
-VELOCITY = In(shape=2, unit="m/s", optional=True, doc="rotor velocity [x, y]; unwired: filtered derivative")
-UNUSED_VELOCITY = In(shape=2, unit="m/s", optional=True, doc="rotor velocity [x, y]; not used")
-REFERENCE = In(shape=2, unit="m", optional=True, doc="set-point of the displacement; unwired: zero")
-CURRENT = Out(shape=2, unit="A", doc="control current [x, y]")
-FILTER: Any = Param(1e-4, unit="s", above=0.0, doc="filter of the derivative if velocity is unwired")
-START: Any = Param([0.0, 0.0], shape=2, unit="m", doc="displacement before the start, for the filter of the derivative")
+DISPLACEMENT = In(name="displacement", shape=2, unit="m", doc="rotor displacement [x, y] at the bearing")
+REFERENCE = In(name="reference", shape=2, unit="m", optional=True, doc="set-point of the displacement; unwired: zero")
+CURRENT = Out(name="current", shape=2, unit="A", doc="control current [x, y]")
+PORTS = (
+    DISPLACEMENT,
+    In(name="velocity", shape=2, unit="m/s", optional=True, doc="rotor velocity [x, y]; unwired: filtered derivative"),
+    REFERENCE,
+    CURRENT,
+)
+PORTS_WITHOUT_VELOCITY = (
+    DISPLACEMENT,
+    In(name="velocity", shape=2, unit="m/s", optional=True, doc="rotor velocity [x, y]; not used"),
+    REFERENCE,
+    CURRENT,
+)
+GAINS = (
+    Param(12200.0, name="KP", unit="A/m", doc="proportional gain"),
+    Param(2000.0, name="KI", unit="A/(m s)", doc="integral gain"),
+    Param(3.0, name="KD", unit="A s/m", doc="derivative gain"),
+)
+TIME_CONSTANT = Param(
+    1e-4, name="derivative_time_constant", unit="s", above=0.0, doc="filter of the derivative if velocity is unwired"
+)
+START = Param(
+    [0.0, 0.0],
+    name="initial_displacement",
+    shape=2,
+    unit="m",
+    doc="displacement before the start, for the filter of the derivative",
+)
 FILTERED = State(
-    shape=2, unit="m", init="initial_displacement", unless_wired="velocity", doc="displacement behind the filter"
+    name="filtered",
+    shape=2,
+    unit="m",
+    init="initial_displacement",
+    unless_wired="velocity",
+    doc="displacement behind the filter",
+)
+FILTER = (TIME_CONSTANT, START, FILTERED)
+MATRICES = (
+    Param(name="A", shape=("n", "n"), unit="1/s", doc="state matrix, shape (n, n)"),
+    Param(name="B", shape=("n", 2), unit=None, doc="input matrix, shape (n, 2)"),
+    Param(name="C", shape=(2, "n"), unit=None, doc="output matrix, shape (2, n)"),
+    Param([[0.0, 0.0], [0.0, 0.0]], name="D", shape=(2, 2), unit="A/m", doc="feedthrough matrix, shape (2, 2)"),
+    Param(0.0, name="initial", shape=("n",), unit=None, doc="state at the start, shape (n,)"),
+    State(name="value", shape=("n",), unit=None, init="initial", doc="state of the controller"),
 )
 
 

@@ -5,8 +5,6 @@ D = 1 + sqrt(2) s / w + (s / w)^2. The error is 1 - G = (s / w)^2 / D: (f / f_w)
 with it, for frequencies f well below f_w = w / (2 pi).
 """
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import Any
 

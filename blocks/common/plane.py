@@ -1,10 +1,8 @@
 """Vectors [x, y] read as complex numbers z = x + i y, and lengths that have a derivative at zero."""
 
-from __future__ import annotations
-
 from typing import Any
 
-from rotorsim.block import cos, sin, sqrt, sum_of, vec
+from rotorsim.block import cos, maximum, minimum, sin, sqrt, sum_of, vec
 
 ANGLES = (0.0, 2.1, -2.1)  # starts of an unknown angle [rad]: one of them is within 60 degrees of the truth
 NEARLY_ZERO = 1e-30  # added to a square: far below what is resolved, but its root can be differentiated
@@ -39,3 +37,8 @@ def along(z: Any, direction: Any) -> Any:
 def length(q: Any) -> Any:
     """Return |q| of any number of entries."""
     return sqrt(sum_of(q**2) + NEARLY_ZERO)
+
+
+def within(value: Any, limit: Any) -> Any:
+    """Return a value limited to +- limit, entry by entry."""
+    return minimum(maximum(value, -limit), limit)

@@ -4,17 +4,17 @@ A sensor stands in the wires of displacement and velocity from the rotor to the 
 sensed displacement; where the controller makes its own, neither `velocity` nor `sensed_velocity` is wired.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from rotorsim.block import Equations, In, Out
 
 THROUGH = {"displacement": "sensed_displacement", "velocity": "sensed_velocity"}
-DISPLACEMENT = In(shape=2, unit="m", doc="displacement [x, y] at the sensor")
-VELOCITY = In(shape=2, unit="m/s", optional=True, doc="velocity [x, y] at the sensor; unwired: zero")
-SENSED_DISPLACEMENT = Out(shape=2, unit="m", doc="displacement [x, y] as sensed")
-SENSED_VELOCITY = Out(shape=2, unit="m/s", doc="velocity [x, y] as sensed")
+PORTS = (
+    In(name="displacement", shape=2, unit="m", doc="displacement [x, y] at the sensor"),
+    In(name="velocity", shape=2, unit="m/s", optional=True, doc="velocity [x, y] at the sensor; unwired: zero"),
+    Out(name="sensed_displacement", shape=2, unit="m", doc="displacement [x, y] as sensed"),
+    Out(name="sensed_velocity", shape=2, unit="m/s", doc="velocity [x, y] as sensed"),
+)
 
 
 def velocity_of(u: Any) -> Any:

@@ -1,7 +1,5 @@
 """Position controller of two loops."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param, State
 
 
@@ -15,7 +13,6 @@ class CascadeController(Block):
     """
 
     source = "Janot, Gautier & Brunot, EMPS, Workshop on Nonlinear System Identification Benchmarks (2019)"
-    category = "controller"
 
     reference = In(unit="m", doc="position that is wanted")
     displacement = In(unit="m", doc="position q that is measured")
@@ -26,7 +23,7 @@ class CascadeController(Block):
     velocity_lag = Param(1e-3, unit="s", above=0.0, doc="time constant of the velocity")
     observed = State(unit="m/s", doc="velocity v as the controller has it")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         wanted = p.position_gain * (u.reference - u.displacement)
         return Equations(
             outputs={"voltage": p.velocity_gain * (wanted - x.observed)},

@@ -1,7 +1,5 @@
 """PID controller with cross coupling of the two axes."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
 
 from rotorsim.block import Block, Equations, Param, State, vec
@@ -19,23 +17,15 @@ class CrossCoupledPid(Block):
     """
 
     source = "Ahrens, Kucera and Larsonneur, IEEE Trans. Control Syst. Technol. 4 (1996) 494-502; thesis eq. (2.24)"
-    category = "controller"
 
-    displacement = control.DISPLACEMENT
-    velocity = control.VELOCITY
-    reference = control.REFERENCE
-    current = control.CURRENT
-    KP = Param(12200.0, unit="A/m", doc="proportional gain")
-    KI = Param(2000.0, unit="A/(m s)", doc="integral gain")
-    KD = Param(3.0, unit="A s/m", doc="derivative gain")
+    ports = control.PORTS
+    gains = control.GAINS
     KPC = Param(0.0, unit="A/m", doc="proportional cross gain")
     KDC = Param(0.0, unit="A s/m", doc="derivative cross gain")
-    derivative_time_constant = control.FILTER
-    initial_displacement = control.START
     integral = State(shape=2, unit="m s", doc="integral of e")
-    filtered = control.FILTERED
+    filter = control.FILTER
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         direct, error, velocity, derivatives = control.pid_of(p, u, x)
         cross = p.KPC * error + p.KDC * velocity
         return Equations(outputs={"current": direct + vec(cross[1], -cross[0])}, derivatives=derivatives)

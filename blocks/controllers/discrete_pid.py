@@ -1,10 +1,9 @@
 """Sampled PID controller with computational delay."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
+from rotorsim.blocks.common import plane
 
-from rotorsim.block import Block, DiscreteState, Equations, In, Option, Out, Param, maximum, minimum, rows, vec, where
+from rotorsim.block import Block, DiscreteState, Equations, In, Option, Out, Param, rows, vec, where
 
 
 class DiscretePid(Block):
@@ -21,15 +20,12 @@ class DiscretePid(Block):
     """
 
     source = "Astrom and Wittenmark, Computer-Controlled Systems, section 8.5; thesis, after eq. (2.30) (delay)"
-    category = "controller"
 
     displacement = control.DISPLACEMENT
     velocity = In(shape=2, unit="m/s", optional=True, doc="rotor velocity [x, y]; unwired: filtered difference")
     reference = control.REFERENCE
     current = Out(shape=2, unit="A", doc="control current [x, y], held between hits")
-    KP = Param(12200.0, unit="A/m", doc="proportional gain")
-    KI = Param(2000.0, unit="A/(m s)", doc="integral gain")
-    KD = Param(3.0, unit="A s/m", doc="derivative gain")
+    gains = control.GAINS
     sample_time = Param(1e-4, unit="s", above=0.0, doc="time between hits")
     derivative_time_constant = Param(0.0, unit="s", low=0.0, doc="filter of the difference; 0: plain difference")
     current_limit = Param(10.0, unit="A", above=0.0, doc='largest current, with anti_windup "clamp"')
@@ -43,7 +39,7 @@ class DiscretePid(Block):
     difference = DiscreteState(shape=2, unit="m/s", unless_wired="velocity", doc="v, filtered difference")
     line = DiscreteState(shape=lambda o: (o.delay_samples + 1, 2), unit="A", doc="computed currents, newest first")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         error = control.error_of(u)
         update = {}
         velocity = u.velocity
@@ -54,14 +50,10 @@ class DiscretePid(Block):
         integral = x.integral + p.sample_time * error
         computed = p.KP * error + p.KI * integral + p.KD * velocity
         if self.option.anti_windup == "clamp":
-            excess = computed - _limited(computed, p.current_limit)
+            excess = computed - plane.within(computed, p.current_limit)
             integral = where(excess * p.KI * error > 0, x.integral, integral)
-            computed = _limited(p.KP * error + p.KI * integral + p.KD * velocity, p.current_limit)
+            computed = plane.within(p.KP * error + p.KI * integral + p.KD * velocity, p.current_limit)
         update["integral"] = integral
         line = rows(x.line)
         update["line"] = vec(computed.T, *line[:-1])
         return Equations(outputs={"current": line[-1].T}, update=update)
-
-
-def _limited(value: Any, limit: Any) -> Any:
-    return minimum(maximum(value, -limit), limit)

@@ -1,7 +1,5 @@
 """Lead-lag controller of a magnetic bearing."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
 
 from rotorsim.block import Block, Equations, Param, State
@@ -18,18 +16,14 @@ class LeadLag(Block):
     """
 
     source = "Schweitzer and Maslen, Magnetic Bearings (2009), chapter 8; Franklin et al., Feedback Control, 6.7"
-    category = "controller"
 
-    displacement = control.DISPLACEMENT
-    velocity = control.UNUSED_VELOCITY
-    reference = control.REFERENCE
-    current = control.CURRENT
+    ports = control.PORTS_WITHOUT_VELOCITY
     gain = Param(12200.0, unit="A/m", doc="gain at rest")
     lead_time_constant = Param(2.5e-4, unit="s", low=0.0, doc="time constant of the numerator")
     lag_time_constant = Param(5e-5, unit="s", above=0.0, doc="time constant of the denominator")
     filtered = State(shape=2, unit="m", doc="error behind the lag")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         error = control.error_of(u)
         rate = (error - x.filtered) / p.lag_time_constant
         current = p.gain * (x.filtered + p.lead_time_constant * rate)

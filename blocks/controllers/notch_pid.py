@@ -1,7 +1,5 @@
 """PID controller with a notch filter."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
 
 from rotorsim.block import Block, Equations, Param, State
@@ -20,16 +18,10 @@ class NotchPid(Block):
     """
 
     source = "thesis eq. (2.24); Schweitzer and Maslen, Magnetic Bearings (2009), section 8.3 (notch filters)"
-    category = "controller"
 
-    displacement = control.DISPLACEMENT
-    velocity = control.VELOCITY
-    reference = control.REFERENCE
-    current = control.CURRENT
-    KP = Param(12200.0, unit="A/m", doc="proportional gain")
-    KI = Param(2000.0, unit="A/(m s)", doc="integral gain")
-    KD = Param(3.0, unit="A s/m", doc="derivative gain")
-    derivative_time_constant = control.FILTER
+    ports = control.PORTS
+    gains = control.GAINS
+    derivative_time_constant = control.TIME_CONSTANT
     notch_frequency = Param(2513.2741228718346, unit="rad/s", above=0.0, doc='centre of the notch (default "400 Hz")')
     notch_width = Param(0.1, above=0.0, doc="bandwidth of the notch divided by its frequency")
     notch_depth = Param(0.1, low=0.0, high=1.0, doc="gain at the centre: 0 blocks, 1 is no notch")
@@ -39,7 +31,7 @@ class NotchPid(Block):
     notch_position = State(shape=2, unit="A", doc="first state of the notch; the current, when at rest")
     notch_rate = State(shape=2, unit="A", doc="second state of the notch; zero when at rest")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         demand, _, _, derivatives = control.pid_of(p, u, x)
         derivatives["notch_position"] = p.notch_frequency * x.notch_rate
         derivatives["notch_rate"] = p.notch_frequency * (demand - p.notch_width * x.notch_rate - x.notch_position)

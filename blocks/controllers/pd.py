@@ -1,7 +1,5 @@
 """PD controller of a magnetic bearing."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
 
 from rotorsim.block import Block, Equations, Param
@@ -17,18 +15,12 @@ class Pd(Block):
     """
 
     source = "thesis eq. (2.24) without its integral term; Schweitzer and Maslen, Magnetic Bearings (2009), section 2.1"
-    category = "controller"
 
-    displacement = control.DISPLACEMENT
-    velocity = control.VELOCITY
-    reference = control.REFERENCE
-    current = control.CURRENT
+    ports = control.PORTS
     KP = Param(12200.0, unit="A/m", doc="proportional gain")
     KD = Param(3.0, unit="A s/m", doc="derivative gain")
-    derivative_time_constant = control.FILTER
-    initial_displacement = control.START
-    filtered = control.FILTERED
+    filter = control.FILTER
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         velocity, derivatives = control.velocity_of(p, u, x)
         return Equations(outputs={"current": p.KP * control.error_of(u) + p.KD * velocity}, derivatives=derivatives)

@@ -1,10 +1,8 @@
 """PID controller of a magnetic bearing."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
 
-from rotorsim.block import Block, Equations, Param, State
+from rotorsim.block import Block, Equations, State
 
 
 class Pid(Block):
@@ -18,20 +16,12 @@ class Pid(Block):
     """
 
     source = "thesis eq. (2.24), Table 2-1"
-    category = "controller"
 
-    displacement = control.DISPLACEMENT
-    velocity = control.VELOCITY
-    reference = control.REFERENCE
-    current = control.CURRENT
-    KP = Param(12200.0, unit="A/m", doc="proportional gain")
-    KI = Param(2000.0, unit="A/(m s)", doc="integral gain")
-    KD = Param(3.0, unit="A s/m", doc="derivative gain")
-    derivative_time_constant = control.FILTER
-    initial_displacement = control.START
+    ports = control.PORTS
+    gains = control.GAINS
     integral = State(shape=2, unit="m s", doc="integral of e")
-    filtered = control.FILTERED
+    filter = control.FILTER
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         current, _, _, derivatives = control.pid_of(p, u, x)
         return Equations(outputs={"current": current}, derivatives=derivatives)

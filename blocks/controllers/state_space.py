@@ -1,10 +1,8 @@
 """Linear controller given by its matrices."""
 
-from typing import Any
-
 from rotorsim.blocks.common import controller as control
 
-from rotorsim.block import Block, Equations, Param, State
+from rotorsim.block import Block
 
 
 class StateSpace(Block):
@@ -17,18 +15,9 @@ class StateSpace(Block):
     """
 
     source = "Simulink: State-Space; Franklin et al., Feedback Control of Dynamic Systems, chapter 7"
-    category = "controller"
 
-    displacement = control.DISPLACEMENT
-    velocity = control.UNUSED_VELOCITY
-    reference = control.REFERENCE
-    current = control.CURRENT
-    A = Param(shape=("n", "n"), unit="1/s", doc="state matrix, shape (n, n)")
-    B = Param(shape=("n", 2), unit=None, doc="input matrix, shape (n, 2)")
-    C = Param(shape=(2, "n"), unit=None, doc="output matrix, shape (2, n)")
-    D = Param([[0.0, 0.0], [0.0, 0.0]], shape=(2, 2), unit="A/m", doc="feedthrough matrix, shape (2, 2)")
-    initial = Param(0.0, shape=("n",), unit=None, doc="state at the start, shape (n,)")
-    value = State(shape=("n",), unit=None, init="initial", doc="state of the controller")
+    ports = control.PORTS_WITHOUT_VELOCITY
+    matrices = control.MATRICES
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return control.state_space_of(p, u, x)

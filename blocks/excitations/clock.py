@@ -1,6 +1,5 @@
 """Clock: the angle and the speed of the shaft."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -35,7 +34,7 @@ class Clock(Block):
     times = Param([0.0, 1.0], shape="points", unit="s", doc="times of the table, rising")
     speeds = Param([0.0, 0.0], shape="points", unit="rad/s", doc="speeds of the table at these times")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse tables whose times do not rise and ramps that begin above their limit."""
         problems = []
         if self.option.profile == "table" and not (np.diff(values["times"]) > 0).all():
@@ -44,7 +43,7 @@ class Clock(Block):
             problems.append("speed_limit is below the speed at which the ramp begins")
         return problems
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         if self.option.profile == "constant":
             speed, turned = p.speed, p.speed * t
         elif self.option.profile == "ramp":

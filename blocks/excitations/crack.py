@@ -1,7 +1,5 @@
 """Crack force of a rotor whose weight opens and closes the crack."""
 
-from typing import Any
-
 import numpy as np
 from rotorsim.blocks.common import plane
 
@@ -25,7 +23,6 @@ class Crack(Block):
     """
 
     source = "thesis eq. (2.11), (2.12), (2.22), (3.18); Gasch (1993); Mayes & Davies (1984)"
-    category = "excitation"
     faults = (
         Fault(
             physics="breathing_crack",
@@ -83,7 +80,7 @@ class Crack(Block):
     cosines = Param([0.5], shape="orders", doc="cosine coefficients of s for opening harmonics")
     sines = Param([0.0], shape="orders", doc="sine coefficients of s for opening harmonics")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         a = u.theta + p.phase
         events = {}
         if self.option.opening == "switching":

@@ -17,7 +17,6 @@ class CrackBreathing(Block):
     """
 
     source = "thesis eq. (2.3), (2.20); Gasch (1993)"
-    category = "excitation"
 
     theta = In(unit="rad", doc="shaft angle")
     displacement = In(shape=2, unit="m", doc="vibration displacement [x, y] at the crack")
@@ -29,7 +28,7 @@ class CrackBreathing(Block):
     phase = Param(0.0, unit="rad", doc="angle of the crack against the phase reference")
     width = Param(2e-6, unit="m", above=0.0, doc="deflection over which the crack opens (law smooth)")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         a = u.theta + p.phase
         normal = vec(cos(a), sin(a))
         total = u.displacement + p.sag

@@ -1,7 +1,5 @@
 """Signal that a recording gives."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, Option, Out, Param
 
 
@@ -25,5 +23,5 @@ class Recorded(Block):
     value = Param(0.0, shape="signal", unit=None, doc="what stands for the recording without one")
     offset = Param(0.0, unit=None, doc="added to what was recorded")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": p.value + p.offset})

@@ -1,7 +1,5 @@
 """Multi-harmonic reference signals."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Option, Out, cos, matrix, sin
 
 
@@ -14,11 +12,12 @@ class Reference(Block):
     """
 
     source = "thesis eq. (2.48), Figure 2-6"
+    category = "elementary"
 
     theta = In(unit="rad", doc="shaft angle")
     signal = Out(shape=("harmonics", 2), unit="1", doc="[cos(i theta), sin(i theta)] for each harmonic")
     harmonics = Option([-5, -3, -1, 0, 1, 2, 3, 5, 7], kind=int, doc="harmonic numbers i, one row each")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         table = [[cos(i * u.theta), sin(i * u.theta)] for i in self.option.harmonics]
         return Equations(outputs={"signal": matrix(table)})

@@ -1,7 +1,5 @@
 """Unbalance force of a disc."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param, cos, sin, vec
@@ -18,7 +16,6 @@ class Unbalance(Block):
     """
 
     source = "thesis eq. (2.2), (4.6)"
-    category = "excitation"
     faults = (
         Fault(
             physics="unbalance_elsewhere",
@@ -43,7 +40,7 @@ class Unbalance(Block):
     eccentricity = Param(24e-6, unit="m", low=0.0, doc="distance of the centre of mass from the shaft centre")
     phase = Param(0.5235987755982988, unit="rad", doc="angle of the unbalance against the phase reference")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         angle = u.theta + p.phase
         force = u.speed**2 * vec(cos(angle), sin(angle))
         if u.acceleration is not None:

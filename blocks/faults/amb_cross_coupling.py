@@ -1,7 +1,5 @@
 """Coupling between the axes of a magnetic bearing."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
@@ -18,7 +16,6 @@ class AmbCrossCoupling(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 4 (magnetic coupling of the axes)"
-    category = "fault"
     faults = (
         Fault(
             physics="amb_cross_coupling",
@@ -39,7 +36,7 @@ class AmbCrossCoupling(Block):
     real_coupling = Param(0.05, doc="real part of eps")
     imaginary_coupling = Param(0.0, doc="imaginary part of eps")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         mirror = plane.conjugate(u.current)
         coupled = p.real_coupling * mirror + p.imaginary_coupling * plane.times_i(mirror)
         return Equations(outputs={"effective_current": u.current + coupled})

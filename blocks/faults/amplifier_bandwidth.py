@@ -1,7 +1,6 @@
 """Bandwidth of a power amplifier."""
 
 from math import pi
-from typing import Any
 
 from rotorsim.block import Block, Equations, In, Out, Param, State
 from rotorsim.fault import Fault
@@ -16,7 +15,6 @@ class AmplifierBandwidth(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 3 (power amplifiers)"
-    category = "fault"
     faults = tuple(
         Fault(
             physics="amplifier_bandwidth",
@@ -38,7 +36,7 @@ class AmplifierBandwidth(Block):
     bandwidth = Param(2 * pi * 1000, unit="rad/s", above=0.0, high=1e6, doc='bandwidth w_a (in JSON also "1 kHz")')
     flowing = State(shape="signal", unit="A", doc="current that flows")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(
             outputs={"amplified": x.flowing}, derivatives={"flowing": p.bandwidth * (u.current - x.flowing)}
         )

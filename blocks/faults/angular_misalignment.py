@@ -1,14 +1,9 @@
 """Angular misalignment of a coupling."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
 from rotorsim.fault import Fault
-
-_CONFUSED = ("parallel_misalignment", "moment_unbalance", "breathing_crack")
-_TOLD = "the ratio of tilt to displacement: two probes along the shaft"
 
 
 class AngularMisalignment(Block):
@@ -18,26 +13,20 @@ class AngularMisalignment(Block):
     """
 
     source = "Sekhar & Prabhu, J. Sound Vib. 185 (1995) 655-671"
-    category = "fault"
-    faults = (
-        Fault(
-            physics="angular_misalignment",
-            enters="force",
-            free={"amplitude2": (0.02,), "phase2": plane.ANGLES},
-            sizes=("amplitude2",),
-            law="2X forward on the tilt, moment constant in speed",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="angular_misalignment",
-            enters="force",
-            free={"amplitude1": (0.02,), "phase1": plane.ANGLES, "amplitude2": (0.02,), "phase2": plane.ANGLES},
-            sizes=("amplitude1", "amplitude2"),
-            law="1X and 2X forward on the tilt, moments constant in speed",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
+    faults = Fault(
+        physics="angular_misalignment",
+        enters="force",
+        free={"amplitude2": (0.02,), "phase2": plane.ANGLES},
+        sizes=("amplitude2",),
+        law="2X forward on the tilt, moment constant in speed",
+        confused_with=("parallel_misalignment", "moment_unbalance", "breathing_crack"),
+        told_apart_by="the ratio of tilt to displacement: two probes along the shaft",
+    ).variants(
+        {
+            "free": {"amplitude1": (0.02,), "phase1": plane.ANGLES, "amplitude2": (0.02,), "phase2": plane.ANGLES},
+            "sizes": ("amplitude1", "amplitude2"),
+            "law": "1X and 2X forward on the tilt, moments constant in speed",
+        }
     )
 
     theta = In(unit="rad", doc="shaft angle")
@@ -47,6 +36,6 @@ class AngularMisalignment(Block):
     amplitude2 = Param(0.05, unit="N m", low=0.0, doc="|M_2|")
     phase2 = Param(0.0, unit="rad", doc="angle of M_2")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         first = p.amplitude1 * plane.unit(u.theta + p.phase1)
         return Equations(outputs={"moment": first + p.amplitude2 * plane.unit(2 * u.theta + p.phase2)})

@@ -1,7 +1,5 @@
 """Support that is stiffer in one axis than in the other."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
@@ -18,26 +16,19 @@ class AnisotropicSupport(Block):
     """
 
     source = "Friswell et al. (2010), ch. 5 (anisotropic bearings); thesis eq. (5.1)"
-    category = "fault"
-    faults = (
-        Fault(
-            physics="anisotropic_support",
-            enters="force",
-            free={"stiffness_difference": (1e4,)},
-            sizes=("stiffness_difference",),
-            law="-1X from the conjugate of 1X, and -k from k at every order; the critical speed splits in two",
-            confused_with=("breathing_crack", "sensor_gain_mismatch", "amb_cross_coupling", "cubic_stiffness"),
-            told_apart_by="its law of speed: it follows the conjugate of the motion, a crack does not",
-        ),
-        Fault(
-            physics="anisotropic_support",
-            enters="force",
-            free={"stiffness_difference": (1e4,), "damping_difference": (1.0,)},
-            sizes=("stiffness_difference", "damping_difference"),
-            law="-1X from the conjugate of 1X, and -k from k at every order; the critical speed splits in two",
-            confused_with=("breathing_crack", "sensor_gain_mismatch", "amb_cross_coupling", "cubic_stiffness"),
-            told_apart_by="its law of speed: it follows the conjugate of the motion, a crack does not",
-        ),
+    faults = Fault(
+        physics="anisotropic_support",
+        enters="force",
+        free={"stiffness_difference": (1e4,)},
+        sizes=("stiffness_difference",),
+        law="-1X from the conjugate of 1X, and -k from k at every order; the critical speed splits in two",
+        confused_with=("breathing_crack", "sensor_gain_mismatch", "amb_cross_coupling", "cubic_stiffness"),
+        told_apart_by="its law of speed: it follows the conjugate of the motion, a crack does not",
+    ).variants(
+        {
+            "free": {"stiffness_difference": (1e4,), "damping_difference": (1.0,)},
+            "sizes": ("stiffness_difference", "damping_difference"),
+        }
     )
 
     displacement = In(shape=2, unit="m", doc="displacement [x, y] at the support")
@@ -46,6 +37,6 @@ class AnisotropicSupport(Block):
     stiffness_difference = Param(5e4, unit="N/m", doc="k_x - k_y = 2 dk")
     damping_difference = Param(0.0, unit="N s/m", doc="c_x - c_y = 2 dc")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         dk, dc = p.stiffness_difference / 2, p.damping_difference / 2
         return Equations(outputs={"force": -dk * plane.conjugate(u.displacement) - dc * plane.conjugate(u.velocity)})

@@ -1,7 +1,5 @@
 """Shaft with two different stiffnesses in bending."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param, vec
@@ -18,7 +16,6 @@ class AsymmetricShaft(Block):
     """
 
     source = "Friswell et al. (2010), ch. 7 (asymmetric rotors); Tondl, Some Problems of Rotor Dynamics (1965)"
-    category = "fault"
     faults = (
         Fault(
             physics="asymmetric_shaft",
@@ -39,7 +36,7 @@ class AsymmetricShaft(Block):
     phase = Param(0.0, unit="rad", doc="angle of the stiffer axis against the phase reference")
     sag = Param(2.6e-5, unit="m", doc="static deflection, along x")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         total = u.displacement + vec(p.sag, 0)
         return Equations(
             outputs={"force": -p.asymmetry * plane.turned(plane.conjugate(total), 2 * (u.theta + p.phase))}

@@ -1,7 +1,6 @@
 """Shaking of the ground."""
 
 from math import pi
-from typing import Any
 
 from rotorsim.blocks.common import plane
 
@@ -18,7 +17,6 @@ class BaseExcitation(Block):
     """
 
     source = "Friswell et al. (2010), ch. 6 (base movement)"
-    category = "fault"
     faults = (
         Fault(
             physics="base_excitation",
@@ -40,6 +38,6 @@ class BaseExcitation(Block):
     phase = Param(0.0, unit="rad", doc="phase at t = 0")
     direction = Param(0.0, unit="rad", doc="angle of the motion of the ground from the x axis")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         shaking = p.acceleration * cos(p.frequency * t + p.phase)
         return Equations(outputs={"force": -p.mass * shaking * plane.unit(p.direction)})

@@ -1,7 +1,5 @@
 """Force of blades that pass a stator."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param
@@ -15,7 +13,6 @@ class BladePass(Block):
     """
 
     source = "Brennen, Hydrodynamics of Pumps (1994), ch. 10; Childs, Turbomachinery Rotordynamics (1993)"
-    category = "fault"
     faults = tuple(
         Fault(
             physics="blade_pass",
@@ -38,7 +35,7 @@ class BladePass(Block):
     backward = Param(0.0, unit="N", low=0.0, doc="size of the backward force")
     backward_phase = Param(0.0, unit="rad", doc="angle of the backward force, counted backward")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         angle = self.option.blades * u.theta
         force = p.amplitude * plane.unit(angle + p.phase)
         return Equations(outputs={"force": force + p.backward * plane.unit(-(angle + p.backward_phase))})

@@ -1,15 +1,11 @@
 """Clearance in a bearing."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, cos, maximum, sum_of, where
 from rotorsim.fault import Fault, Of
 
 _LAW = "none below a threshold in amplitude; sub- and superharmonics above it; the critical speed falls"
-_CONFUSED = ("rub", "cubic_stiffness")
-_TOLD = "amplitude: change the unbalance or the gains at one speed"
 
 
 class Clearance(Block):
@@ -22,33 +18,27 @@ class Clearance(Block):
     """
 
     source = "Ehrich, Handbook of Rotordynamics (1992); Shaw & Holmes, J. Sound Vib. 90 (1983) 129-155 (bilinear)"
-    category = "fault"
-    faults = (
-        Fault(
-            physics="clearance",
-            enters="force",
-            options={"law": "radial"},
-            free={
-                "gap": (Of("displacement", 0.9), Of("displacement", 0.7), Of("displacement", 0.4)),
-                "stiffness": (1e4, 1e5),
-            },
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="clearance",
-            enters="force",
-            options={"law": "bilinear"},
-            free={
+    faults = Fault(
+        physics="clearance",
+        enters="force",
+        options={"law": "radial"},
+        free={
+            "gap": (Of("displacement", 0.9), Of("displacement", 0.7), Of("displacement", 0.4)),
+            "stiffness": (1e4, 1e5),
+        },
+        law=_LAW,
+        confused_with=("rub", "cubic_stiffness"),
+        told_apart_by="amplitude: change the unbalance or the gains at one speed",
+    ).variants(
+        {
+            "options": {"law": "bilinear"},
+            "free": {
                 "gap": (Of("displacement", 0.4), Of("displacement", 0.05)),
                 "stiffness": (1e5,),
                 "direction": plane.ANGLES,
             },
-            law=f"{_LAW}; even orders and a mean force",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
+            "law": f"{_LAW}; even orders and a mean force",
+        }
     )
 
     displacement = In(shape="signal", unit="m", doc="displacement")
@@ -58,7 +48,7 @@ class Clearance(Block):
     stiffness = Param(1e5, unit="N/m", low=0.0, doc="stiffness k beyond the clearance")
     direction = Param(0.0, unit="rad", doc="angle of the stop from the first axis (law bilinear)")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         q = u.displacement
         if self.option.law == "radial":
             depth = plane.length(q) - p.gap

@@ -1,10 +1,8 @@
 """Delay of the control current."""
 
-from typing import Any
-
 from rotorsim.blocks.common import pade
 
-from rotorsim.block import Block, Equations, In, Option, Out, Param, State
+from rotorsim.block import Block, Equations, In, Option, Out, Param
 from rotorsim.fault import Fault
 
 
@@ -18,7 +16,6 @@ class ControlDelay(Block):
     """
 
     source = "thesis, after eq. (2.30) (delay); Golub and Van Loan (2013), 9.3.1 (Pade approximation)"
-    category = "fault"
     faults = tuple(
         Fault(
             physics="control_delay",
@@ -38,13 +35,8 @@ class ControlDelay(Block):
     delayed = Out(shape="signal", unit="A", doc="current that flows")
     delay = Param(1e-4, unit="s", low=1e-6, high=0.02, doc="delay T")
     order = Option(2, kind=int, low=1, high=4, doc="order of the approximation")
-    value1 = State(shape="signal", unit="A", doc="first state of the ladder")
-    value2 = State(shape="signal", unit="A", when=lambda o: o.order >= 2, doc="second state of the ladder")
-    value3 = State(shape="signal", unit="A", when=lambda o: o.order >= 3, doc="third state of the ladder")
-    value4 = State(shape="signal", unit="A", when=lambda o: o.order >= 4, doc="fourth state of the ladder")
+    ladder = pade.ladder(4, "A")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
-        states = [getattr(x, f"value{k}") for k in range(1, self.option.order + 1)]
-        delayed, rates = pade.delayed(u.current, states, p.delay)
-        derivatives = {f"value{k}": rate for k, rate in enumerate(rates, start=1)}
+    def equations(self, p, u, x, t):
+        delayed, derivatives = pade.delayed(u.current, x, self.option.order, p.delay)
         return Equations(outputs={"delayed": delayed}, derivatives=derivatives)

@@ -1,7 +1,5 @@
 """Controller whose gains are not the stated ones."""
 
-from typing import Any
-
 from rotorsim.blocks.common import sensor
 
 from rotorsim.block import Block, Equations, In, Out, Param
@@ -20,7 +18,6 @@ class ControllerGainError(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 2 (PD control); thesis eq. (2.24)"
-    category = "fault"
     faults = (
         Fault(
             physics="controller_gain_error",
@@ -42,7 +39,7 @@ class ControllerGainError(Block):
     displacement_error = Param(0.05, doc="relative error of the gains of displacement")
     velocity_error = Param(0.0, doc="relative error of the gain of velocity")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(
             outputs={
                 "weighted_displacement": (1 + p.displacement_error) * u.displacement,

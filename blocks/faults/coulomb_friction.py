@@ -1,16 +1,11 @@
 """Dry friction."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, tanh
 from rotorsim.fault import Fault, Of
 
 _LAW = "odd orders; damping that falls with the reciprocal of the amplitude, at every frequency alike"
-_CONFUSED = ("hysteretic_damping", "viscous_damping")
-_TOLD = "amplitude: change it at one speed, by unbalance or gains"
-_WIDTH = {"width": Of("velocity", 0.05, least=True)}  # narrow beside the slowest motion
 
 
 class CoulombFriction(Block):
@@ -24,41 +19,24 @@ class CoulombFriction(Block):
     """
 
     source = "C. A. Coulomb (1785); Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138"
-    category = "fault"
-    faults = (
-        Fault(
-            physics="coulomb_friction",
-            enters="force",
-            options={"law": "resultant"},
-            free={"friction": (0.002, 0.05, 1.0)},
-            sizes=("friction",),
-            fixed=_WIDTH,
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="coulomb_friction",
-            enters="force",
-            options={"law": "axes"},
-            free={"friction": (0.002, 0.05, 1.0)},
-            sizes=("friction",),
-            fixed=_WIDTH,
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="coulomb_friction",
-            enters="force",
-            options={"law": "axes"},
-            free={"friction": (0.002, 0.05, 1.0), "offset": (0.01,)},
-            sizes=("friction", "offset"),
-            fixed=_WIDTH,
-            law=f"{_LAW}; another friction in each direction",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
+    faults = Fault(
+        physics="coulomb_friction",
+        enters="force",
+        options={"law": "resultant"},
+        free={"friction": (0.002, 0.05, 1.0)},
+        sizes=("friction",),
+        fixed={"width": Of("velocity", 0.05, least=True)},  # narrow beside the slowest motion
+        law=_LAW,
+        confused_with=("hysteretic_damping", "viscous_damping"),
+        told_apart_by="amplitude: change it at one speed, by unbalance or gains",
+    ).variants(
+        {"options": {"law": "axes"}},
+        {
+            "options": {"law": "axes"},
+            "free": {"friction": (0.002, 0.05, 1.0), "offset": (0.01,)},
+            "sizes": ("friction", "offset"),
+            "law": f"{_LAW}; another friction in each direction",
+        },
     )
 
     velocity = In(shape="signal", unit="m/s", doc="velocity at the contact")
@@ -68,7 +46,7 @@ class CoulombFriction(Block):
     width = Param(1e-5, unit="m/s", above=0.0, doc="velocity over which the force changes its sign")
     offset = Param(0.0, unit="N", doc="constant part, against each positive axis")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         if self.option.law == "axes":
             friction = p.friction * tanh(u.velocity / p.width)
         else:

@@ -1,8 +1,8 @@
 """Limits of a power amplifier."""
 
-from typing import Any
+from rotorsim.blocks.common import plane
 
-from rotorsim.block import Block, Equations, In, Option, Out, Param, State, maximum, minimum
+from rotorsim.block import Block, Equations, In, Option, Out, Param, State
 from rotorsim.fault import Fault, Of
 
 
@@ -17,7 +17,6 @@ class CurrentClipping(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 3 (power amplifiers: maximal current, force slew rate)"
-    category = "fault"
     faults = tuple(
         Fault(
             physics="current_clipping",
@@ -46,20 +45,16 @@ class CurrentClipping(Block):
     lag = Param(1e-4, unit="s", above=0.0, doc="time over which the rate of the demand is seen (law slew)")
     followed = State(shape="signal", unit="A", when=lambda o: o.law == "slew", doc="v, demand behind the lag")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         if self.option.law == "limit":
             return Equations(
-                outputs={"limited": _between(u.current, p.limit)},
+                outputs={"limited": plane.within(u.current, p.limit)},
                 events={"lower": u.current + p.limit, "upper": u.current - p.limit},
             )
         behind, most = u.current - x.followed, p.lag * p.slew
-        step = _between(behind, most)
+        step = plane.within(behind, most)
         return Equations(
             outputs={"limited": x.followed + step},
             derivatives={"followed": step / p.lag},
             events={"lower": behind + most, "upper": behind - most},
         )
-
-
-def _between(value: Any, limit: Any) -> Any:
-    return minimum(maximum(value, -limit), limit)

@@ -1,7 +1,5 @@
 """Gain error of a current, or of its measurement."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param
 from rotorsim.fault import Fault
 
@@ -16,7 +14,6 @@ class CurrentGain(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 3 (current sensors and amplifiers)"
-    category = "fault"
     faults = (
         Fault(
             physics="current_sensor_gain",
@@ -47,5 +44,5 @@ class CurrentGain(Block):
     scaled_current = Out(shape="signal", unit="A", doc="(1 + gain_error) i")
     gain_error = Param(0.05, doc="relative error eps")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"scaled_current": (1 + p.gain_error) * u.current})

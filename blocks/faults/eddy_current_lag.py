@@ -1,7 +1,6 @@
 """Lag of a magnetic force behind its current, by eddy currents."""
 
 from math import pi
-from typing import Any
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, State, sqrt
 from rotorsim.fault import Fault, Longest
@@ -11,12 +10,6 @@ _POLES = [2 * pi * f for f in (0.225103, 1.90529, 8.70976, 35.8635, 133.342, 505
 _WEIGHTS = (1.42029, 1.74144, 3.46769, 6.46071, 11.8151, 25.7511, 187.721)
 
 _LAW = "phase lag between the measured current and the force, like negative damping"
-_CONFUSED = ("viscous_damping", "amplifier_bandwidth", "control_delay")
-_TOLD = "another set of gains; the lag acts after the measured current, that of the controller before it"
-
-
-def _of_sqrt(option: Any) -> bool:
-    return bool(option.law == "sqrt")
 
 
 class EddyCurrentLag(Block):
@@ -30,36 +23,26 @@ class EddyCurrentLag(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 4 (eddy currents); Zhu, Knospe & Maslen, IEEE Trans. Magn. 41 (2005)"
-    category = "fault"
-    faults = (
-        Fault(
-            physics="eddy_current_lag",
-            enters="wire",
-            between=("controller", "bearing"),
-            through={"current": "effective_current"},
-            recorded="before",
-            options={"law": "sqrt"},
-            free={"time_constant": (1e-6, 1e-4)},
-            most={"time_constant": Longest(30.0)},
-            sizes=("time_constant",),
-            law=f"{_LAW}; with the square root of frequency",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="eddy_current_lag",
-            enters="wire",
-            between=("controller", "bearing"),
-            through={"current": "effective_current"},
-            recorded="before",
-            options={"law": "first_order"},
-            free={"time_constant": (1e-3, 2e-4), "share": (0.2,)},
-            most={"time_constant": Longest(30.0)},
-            sizes=("share",),
-            law=f"{_LAW}; of part of the force, strongest near 1 / time_constant",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
+    faults = Fault(
+        physics="eddy_current_lag",
+        enters="wire",
+        between=("controller", "bearing"),
+        through={"current": "effective_current"},
+        recorded="before",
+        options={"law": "sqrt"},
+        free={"time_constant": (1e-6, 1e-4)},
+        most={"time_constant": Longest(30.0)},
+        sizes=("time_constant",),
+        law=f"{_LAW}; with the square root of frequency",
+        confused_with=("viscous_damping", "amplifier_bandwidth", "control_delay"),
+        told_apart_by="another set of gains; the lag acts after the measured current, that of the controller before it",
+    ).variants(
+        {
+            "options": {"law": "first_order"},
+            "free": {"time_constant": (1e-3, 2e-4), "share": (0.2,)},
+            "sizes": ("share",),
+            "law": f"{_LAW}; of part of the force, strongest near 1 / time_constant",
+        }
     )
 
     current = In(shape="signal", unit="A", doc="current in the coils")
@@ -67,16 +50,19 @@ class EddyCurrentLag(Block):
     law = Option("sqrt", choices=("sqrt", "first_order"), kind=str, doc="law of the lag")
     time_constant = Param(1e-5, unit="s", low=1e-12, doc="time constant tau")
     share = Param(0.3, low=0.0, high=1.0, doc="part of the force that lags (law first_order)")
-    element1 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 1 of those that make up the square root")
-    element2 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 2 of those that make up the square root")
-    element3 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 3 of those that make up the square root")
-    element4 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 4 of those that make up the square root")
-    element5 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 5 of those that make up the square root")
-    element6 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 6 of those that make up the square root")
-    element7 = State(shape="signal", unit="A", when=_of_sqrt, doc="lag 7 of those that make up the square root")
+    elements = tuple(
+        State(
+            name=f"element{k}",
+            shape="signal",
+            unit="A",
+            when=lambda o: o.law == "sqrt",
+            doc=f"lag {k} of those that make up the square root",
+        )
+        for k in range(1, len(_POLES) + 1)
+    )
     lagging = State(shape="signal", unit="A", when=lambda o: o.law == "first_order", doc="current that lags")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         if self.option.law == "first_order":
             return Equations(
                 outputs={"effective_current": (1 - p.share) * u.current + p.share * x.lagging},

@@ -1,8 +1,8 @@
 """Force of unknown origin as a map of displacement and velocity."""
 
-from typing import Any
+from rotorsim.blocks.common import plane
 
-from rotorsim.block import Block, Equations, In, Out, Param, rows, sqrt, tanh, vec
+from rotorsim.block import Block, Equations, In, Out, Param, tanh
 
 
 class ForceMap(Block):
@@ -15,7 +15,6 @@ class ForceMap(Block):
     """
 
     source = "Worden and Tomlinson, Nonlinearity in Structural Dynamics (2001), ch. 7 (restoring force surface)"
-    category = "fault"
 
     displacement = In(shape="signal", unit="m", doc="displacement q")
     velocity = In(shape="signal", unit="m/s", doc="velocity v")
@@ -30,23 +29,12 @@ class ForceMap(Block):
     cross = Param(0.0, unit="N/m", doc="kc")
     cross_cubic = Param(0.0, unit="N/m^3", doc="kc3")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         q, v = u.displacement, u.velocity
-        size = sqrt(sum_of_squares(q) + 1e-30)
-        rate = sqrt(sum_of_squares(v) + 1e-30)
+        size = plane.length(q)
+        rate = plane.length(v)
         force = -(p.quadratic * size + p.cubic * size**2 + p.quintic * size**4) * q
         force -= (p.drag * rate + p.damping_growth * size**2 + p.friction * tanh(rate / p.width) / rate) * v
         if q.shape[0] == 2:
-            factor = p.cross + p.cross_cubic * size**2
-            force -= factor * turned(q)
+            force -= (p.cross + p.cross_cubic * size**2) * plane.times_i(q)
         return Equations(outputs={"force": force})
-
-
-def sum_of_squares(value: Any) -> Any:
-    """Return the sum of the squares of all entries."""
-    return sum(entry**2 for entry in rows(value))
-
-
-def turned(q: Any) -> Any:
-    """Return J q = [-q_y, q_x]."""
-    return vec(-q[1], q[0])

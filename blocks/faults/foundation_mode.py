@@ -1,7 +1,6 @@
 """Foundation that moves under a bearing."""
 
 from math import pi
-from typing import Any
 
 from rotorsim.block import Block, Equations, In, Out, Param, State
 from rotorsim.fault import Fault
@@ -19,7 +18,6 @@ class FoundationMode(Block):
     """
 
     source = "Friswell et al. (2010), ch. 6 (foundations); ISO 10814"
-    category = "fault"
     faults = (
         Fault(
             physics="foundation_mode",
@@ -44,7 +42,7 @@ class FoundationMode(Block):
     position = State(shape="signal", unit="m", doc="displacement w of the foundation")
     velocity = State(shape="signal", unit="m/s", doc="its rate")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         push = p.bearing_stiffness * (u.displacement - x.position)
         own = 2 * p.damping_ratio * p.frequency * x.velocity + p.frequency**2 * x.position
         return Equations(

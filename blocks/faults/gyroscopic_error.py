@@ -1,7 +1,5 @@
 """Error of the gyroscopic moment."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
@@ -15,7 +13,6 @@ class GyroscopicError(Block):
     """
 
     source = "Friswell et al. (2010), sec. 3.6 (sign: forward modes rise)"
-    category = "fault"
     faults = (
         Fault(
             physics="gyroscopic_error",
@@ -33,5 +30,5 @@ class GyroscopicError(Block):
     moment = Out(shape=2, unit="N m", doc="moment on the rotor, in the planes of x and y")
     inertia = Param(5e-4, unit="kg m^2", doc="dG, polar inertia beyond that of the model")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"moment": u.speed * p.inertia * plane.times_i(u.tilt_velocity)})

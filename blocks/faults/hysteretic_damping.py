@@ -1,10 +1,7 @@
 """Hysteretic (structural) damping: loss that does not depend on frequency."""
 
-from collections.abc import Mapping
 from math import pi
 from typing import Any
-
-import numpy as np
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, State, absolute, rows, vec
 from rotorsim.fault import Fault
@@ -16,8 +13,6 @@ _WEIGHTS = (1.1927, 0.7775, 0.8087, 0.8014, 0.8072, 0.7971, 0.8706)
 _DAMPER = 0.3658 / (2 * pi * 1000)
 
 _LAW = "loss of each order proportional to its amplitude alone, not to frequency; forward and backward alike"
-_CONFUSED = ("viscous_damping", "coulomb_friction")
-_TOLD = "loss over a wide range of speeds: viscous loss grows with speed; amplitude: friction falls with it"
 
 
 def _of_band(option: Any) -> bool:
@@ -52,31 +47,18 @@ class HystereticDamping(Block):
     """
 
     source = "Bishop, J. R. Aeronaut. Soc. 59 (1955) 738-742; Crandall, J. Sound Vib. 11 (1970) 3-18 (causality)"
-    category = "fault"
-    faults = (
-        Fault(
-            physics="hysteretic_damping",
-            enters="force",
-            options={"law": "harmonics"},
-            free={"loss_factor": (0.005,)},
-            sizes=("loss_factor",),
-            inherits=("stiffness",),
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="hysteretic_damping",
-            enters="force",
-            options={"law": "band"},
-            free={"loss_factor": (0.005,)},
-            sizes=("loss_factor",),
-            inherits=("stiffness",),
-            law=f"{_LAW}; the stiffness rises with the logarithm of frequency",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-    )
+    faults = Fault(
+        physics="hysteretic_damping",
+        enters="force",
+        options={"law": "harmonics"},
+        free={"loss_factor": (0.005,)},
+        sizes=("loss_factor",),
+        inherits=("stiffness",),
+        law=_LAW,
+        confused_with=("viscous_damping", "coulomb_friction"),
+        told_apart_by="loss over a wide range of speeds: viscous loss grows with speed; "
+        "amplitude: friction falls with it",
+    ).variants({"options": {"law": "band"}, "law": f"{_LAW}; the stiffness rises with the logarithm of frequency"})
 
     displacement = In(shape=_axes, unit="m", doc="displacement")
     velocity = In(shape=_axes, unit="m/s", doc="velocity")
@@ -90,20 +72,17 @@ class HystereticDamping(Block):
     mean = State(shape=2, unit="m", when=_of_orders, doc="mean m of the displacement")
     cosine = State(shape=_orders, unit="m", when=_of_orders, doc="parts c_k of the displacement [order, axis]")
     sine = State(shape=_orders, unit="m", when=_of_orders, doc="the same a quarter later, s_k [order, axis]")
-    element1 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 1")
-    element2 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 2")
-    element3 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 3")
-    element4 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 4")
-    element5 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 5")
-    element6 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 6")
-    element7 = State(shape=_axes, unit="m", when=_of_band, doc="damper end of Maxwell element 7")
+    elements = tuple(
+        State(name=f"element{k}", shape=_axes, unit="m", when=_of_band, doc=f"damper end of Maxwell element {k}")
+        for k in range(1, len(_POLES) + 1)
+    )
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse orders of a shaft whose speed is not known."""
         unknown = self.option.law == "harmonics" and "speed" not in self.wired
         return ['law "harmonics" needs the input speed (without a shaft: law "band")'] if unknown else []
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return self._harmonics(p, u, x) if self.option.law == "harmonics" else self._band(p, u, x)
 
     def _harmonics(self, p: Any, u: Any, x: Any) -> Equations:

@@ -1,7 +1,5 @@
 """Damping in the material and the joints of a turning shaft."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
@@ -18,7 +16,6 @@ class InternalDamping(Block):
     """
 
     source = "A. L. Kimball, Gen. Electr. Rev. 27 (1924) 244-251; Friswell et al. (2010), ch. 7 (rotating damping)"
-    category = "fault"
     faults = (
         Fault(
             physics="internal_damping",
@@ -37,6 +34,6 @@ class InternalDamping(Block):
     force = Out(shape=2, unit="N", doc="force on the rotor [x, y]")
     damping = Param(20.0, unit="N s/m", low=0.0, doc="damping C_i in the frame of the shaft")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         turning = u.velocity - u.speed * plane.times_i(u.displacement)
         return Equations(outputs={"force": -p.damping * turning})

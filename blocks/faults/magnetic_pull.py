@@ -1,7 +1,5 @@
 """Unbalanced magnetic pull of an electric motor."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param
 from rotorsim.fault import Fault
 
@@ -13,7 +11,6 @@ class MagneticPull(Block):
     """
 
     source = "Smith & Dorrell, IEE Proc. Electr. Power Appl. 143 (1996) 193-201; Friswell et al. (2010), ch. 7"
-    category = "fault"
     faults = (
         Fault(
             physics="magnetic_pull",
@@ -30,5 +27,5 @@ class MagneticPull(Block):
     force = Out(shape="signal", unit="N", doc="force on what moves")
     stiffness = Param(2e4, unit="N/m", low=0.0, doc="magnetic stiffness k_m; it pulls outwards")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"force": p.stiffness * u.displacement})

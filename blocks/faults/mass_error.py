@@ -1,7 +1,5 @@
 """Mass that a model leaves out."""
 
-from typing import Any
-
 from rotorsim.blocks.common import observer
 
 from rotorsim.block import Block, Equations, In, Out, Param, State
@@ -20,7 +18,6 @@ class MassError(Block):
     """
 
     source = "Newton's second law; Luenberger, IEEE Trans. Autom. Control 16 (1971) 596-602 (observer)"
-    category = "fault"
     faults = (
         Fault(
             physics="mass_error",
@@ -40,6 +37,6 @@ class MassError(Block):
     estimate = State(shape="signal", unit="m/s", doc="velocity as observed")
     trend = State(shape="signal", unit="m/s^2", doc="acceleration as observed")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         acceleration, derivatives = observer.acceleration(u.velocity, x.estimate, x.trend, p.bandwidth)
         return Equations(outputs={"force": -p.mass * acceleration}, derivatives=derivatives)

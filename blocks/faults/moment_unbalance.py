@@ -1,7 +1,5 @@
 """Moment unbalance of a disc."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
@@ -15,7 +13,6 @@ class MomentUnbalance(Block):
     """
 
     source = "Friswell et al. (2010), ch. 6 (moment unbalance); ISO 21940-11 (couple unbalance)"
-    category = "fault"
     faults = (
         Fault(
             physics="moment_unbalance",
@@ -37,6 +34,6 @@ class MomentUnbalance(Block):
     skew = Param(1e-4, unit="rad", low=0.0, doc="angle tau between the principal axis and the shaft")
     phase = Param(0.0, unit="rad", doc="angle of the skew axis against the phase reference")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         size = (p.polar_inertia - p.diametral_inertia) * p.skew * u.speed**2
         return Equations(outputs={"moment": size * plane.unit(u.theta + p.phase)})

@@ -1,10 +1,8 @@
 """Sensor beside the bearing."""
 
-from typing import Any
-
 from rotorsim.blocks.common import sensor
 
-from rotorsim.block import Block, Equations, In, Param
+from rotorsim.block import Block, In, Param
 from rotorsim.fault import Fault
 
 
@@ -15,7 +13,6 @@ class NonCollocation(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 10 (non-collocation)"
-    category = "fault"
     faults = (
         Fault(
             physics="non_collocation",
@@ -29,14 +26,11 @@ class NonCollocation(Block):
         ),
     )
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
+    ports = sensor.PORTS
     tilt = In(shape=2, unit="rad", doc="tilt in the planes of x and y")
     tilt_velocity = In(shape=2, unit="rad/s", doc="rate of tilt")
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
     distance = Param(0.02, unit="m", doc="position of the sensor beyond the bearing, along the shaft")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         displacement = u.displacement + p.distance * u.tilt
         return sensor.sensed(displacement, sensor.velocity_of(u) + p.distance * u.tilt_velocity)

@@ -1,15 +1,9 @@
 """Parallel misalignment of a coupling."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
 from rotorsim.fault import Fault
-
-_LAW = "orders 1 and 2 and a mean force, constant in speed"
-_CONFUSED = ("breathing_crack", "open_crack", "asymmetric_shaft", "residual_bow", "angular_misalignment")
-_TOLD = "change the sag (another set-point): a crack and a keyway scale with it, a misaligned coupling does not"
 
 
 class ParallelMisalignment(Block):
@@ -20,30 +14,28 @@ class ParallelMisalignment(Block):
     """
 
     source = "Sekhar & Prabhu, J. Sound Vib. 185 (1995) 655-671; Lal & Tiwari, Mech. Mach. Theory 54 (2012)"
-    category = "fault"
-    faults = (
-        Fault(
-            physics="parallel_misalignment",
-            enters="force",
-            free={"amplitude2": (0.5,), "phase2": plane.ANGLES},
-            sizes=("amplitude2",),
-            law="2X forward, force constant in speed",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="parallel_misalignment",
-            enters="force",
-            free={"amplitude2": (0.5,), "phase2": plane.ANGLES, "backward2": (0.2,), "backward_phase2": plane.ANGLES},
-            sizes=("amplitude2", "backward2"),
-            law="2X forward and backward, forces constant in speed",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="parallel_misalignment",
-            enters="force",
-            free={
+    faults = Fault(
+        physics="parallel_misalignment",
+        enters="force",
+        free={"amplitude2": (0.5,), "phase2": plane.ANGLES},
+        sizes=("amplitude2",),
+        law="2X forward, force constant in speed",
+        confused_with=("breathing_crack", "open_crack", "asymmetric_shaft", "residual_bow", "angular_misalignment"),
+        told_apart_by="change the sag (another set-point): a crack and a keyway scale with it, "
+        "a misaligned coupling does not",
+    ).variants(
+        {
+            "free": {
+                "amplitude2": (0.5,),
+                "phase2": plane.ANGLES,
+                "backward2": (0.2,),
+                "backward_phase2": plane.ANGLES,
+            },
+            "sizes": ("amplitude2", "backward2"),
+            "law": "2X forward and backward, forces constant in speed",
+        },
+        {
+            "free": {
                 "amplitude1": (0.5,),
                 "phase1": plane.ANGLES,
                 "amplitude2": (0.5,),
@@ -53,11 +45,9 @@ class ParallelMisalignment(Block):
                 "amplitude0": (0.2,),
                 "phase0": (0.0,),
             },
-            sizes=("amplitude1", "amplitude2", "backward2", "amplitude0"),
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
+            "sizes": ("amplitude1", "amplitude2", "backward2", "amplitude0"),
+            "law": "orders 1 and 2 and a mean force, constant in speed",
+        },
     )
 
     theta = In(unit="rad", doc="shaft angle")
@@ -71,7 +61,7 @@ class ParallelMisalignment(Block):
     amplitude0 = Param(0.0, unit="N", low=0.0, doc="|F_0|")
     phase0 = Param(0.0, unit="rad", doc="angle of F_0 from the x axis")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         force = p.amplitude1 * plane.unit(u.theta + p.phase1)
         force = force + p.amplitude2 * plane.unit(2 * u.theta + p.phase2)
         force = force + p.backward2 * plane.unit(-2 * u.theta + p.backward_phase2)

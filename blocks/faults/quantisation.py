@@ -1,11 +1,10 @@
 """Resolution of a converter."""
 
 from math import pi
-from typing import Any
 
 from rotorsim.blocks.common import sensor
 
-from rotorsim.block import Block, Equations, Option, Param, cos, floor, tanh
+from rotorsim.block import Block, Option, Param, cos, floor, tanh
 from rotorsim.fault import Fault, Of, Steps
 
 _LAW = "harmonics where the amplitude is below a few steps, noise above"
@@ -23,7 +22,6 @@ class Quantisation(Block):
     """
 
     source = "Widrow & Kollar, Quantization Noise (2008)"
-    category = "fault"
     faults = (
         Fault(
             physics="quantisation",
@@ -47,15 +45,12 @@ class Quantisation(Block):
         ),
     )
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
+    ports = sensor.PORTS
     law = Option("exact", choices=("exact", "smooth"), kind=str, doc="steps that jump, or rise steeply")
     interval = Param(1e-6, unit="m", above=0.0, doc="step LSB of the converter")
     width = Param(0.2, above=0.0, doc="part of the step over which it rises (law smooth)")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         ratio = u.displacement / p.interval
         velocity = sensor.velocity_of(u)
         if self.option.law == "exact":

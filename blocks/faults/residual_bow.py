@@ -1,7 +1,5 @@
 """Bow that a shaft has at rest."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
@@ -18,7 +16,6 @@ class ResidualBow(Block):
     """
 
     source = "Nicholas, Gunter & Allaire, J. Eng. Power 98 (1976) 171-181; Friswell et al. (2010), ch. 6"
-    category = "fault"
     faults = (
         Fault(
             physics="residual_bow",
@@ -39,5 +36,5 @@ class ResidualBow(Block):
     amplitude = Param(1e-6, unit="m", low=0.0, doc="size of the bow |b|")
     phase = Param(0.0, unit="rad", doc="angle of the bow against the phase reference")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"force": p.stiffness * p.amplitude * plane.unit(u.theta + p.phase)})

@@ -1,7 +1,5 @@
 """Rub of the rotor against the stator."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param, maximum, sign, vec
@@ -18,7 +16,6 @@ class Rub(Block):
     """
 
     source = "F. F. Ehrich, Handbook of Rotordynamics (1992); Muszynska, Rotordynamics (2005), ch. 5"
-    category = "fault"
     faults = (
         Fault(
             physics="rub",
@@ -45,7 +42,7 @@ class Rub(Block):
     centre_x = Param(0.0, unit="m", doc="centre of the stator ring, x")
     centre_y = Param(0.0, unit="m", doc="centre of the stator ring, y")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         q = u.displacement - vec(p.centre_x, p.centre_y)
         rho = plane.length(q)
         normal = q / rho

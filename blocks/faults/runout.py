@@ -1,25 +1,33 @@
 """Runout of the surface that a displacement sensor sees."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane, sensor
 
-from rotorsim.block import Block, Equations, In, Param
+from rotorsim.block import Block, In, Param
 from rotorsim.fault import Fault, Of
 
-_LAW = "constant amplitude at every speed, at slow roll too; the controller follows it, so that it drives a force"
-_CONFUSED = ("residual_bow", "blade_pass", "sensor_offset")
-_TOLD = "a probe at the disc, another set of gains"
+
+def _names(order: int) -> tuple[str, str]:
+    """Return the parameters that hold size and angle of an order."""
+    k = abs(order)
+    return (f"amplitude{k}", f"phase{k}") if order > 0 else (f"backward{k}", f"backward_phase{k}")
 
 
-def _fault(forward: int, backward: int) -> Fault:
-    """Return the declaration with orders 1 to forward and -1 to -backward."""
+def _order(order: int, size: float = 0.0) -> tuple[Param, Param]:
+    """Declare r_k of an order k."""
+    amplitude, phase = _names(order)
+    return (
+        Param(size, name=amplitude, unit="m", low=0.0, doc=f"|r_{order}|"),
+        Param(0.0, name=phase, unit="rad", doc=f"angle of r_{order}"),
+    )
+
+
+def _fault(*orders: int) -> Fault:
+    """Return the declaration with some orders."""
     free: dict[str, tuple[float, ...]] = {}
-    for k in range(1, forward + 1):
-        free |= {f"amplitude{k}": (1e-6 if k == 1 else 3e-7,), f"phase{k}": plane.ANGLES}
-    for k in range(1, backward + 1):
-        free |= {f"backward{k}": (3e-7,), f"backward_phase{k}": (0.0,)}
-    sizes = tuple(key for key in free if "phase" not in key)
+    for order in orders:
+        size, phase = _names(order)
+        free |= {size: (1e-6 if order == 1 else 3e-7,), phase: plane.ANGLES if order > 0 else (0.0,)}
+    sizes = tuple(_names(order)[0] for order in orders)
     return Fault(
         physics="runout",
         enters="wire",
@@ -27,9 +35,9 @@ def _fault(forward: int, backward: int) -> Fault:
         free=free,
         most={key: Of("displacement", 1e3) for key in sizes},
         sizes=sizes,
-        law=_LAW,
-        confused_with=_CONFUSED,
-        told_apart_by=_TOLD,
+        law="constant amplitude at every speed, at slow roll too; the controller follows it, so that it drives a force",
+        confused_with=("residual_bow", "blade_pass", "sensor_offset"),
+        told_apart_by="a probe at the disc, another set of gains",
     )
 
 
@@ -43,33 +51,18 @@ class Runout(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 3 (sensors); API 670 (runout of the probe track)"
-    category = "fault"
-    faults = tuple(_fault(*orders) for orders in ((1, 0), (2, 0), (3, 0), (2, 2), (3, 3)))
+    faults = (_fault(1), _fault(1, 2), _fault(1, 2, 3), _fault(1, 2, -1, -2), _fault(1, 2, 3, -1, -2, -3))
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
+    ports = sensor.PORTS
     theta = In(unit="rad", doc="shaft angle")
     speed = In(unit="rad/s", doc="shaft speed W")
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
-    amplitude1 = Param(1e-6, unit="m", low=0.0, doc="|r_1|")
-    phase1 = Param(0.0, unit="rad", doc="angle of r_1")
-    amplitude2 = Param(0.0, unit="m", low=0.0, doc="|r_2|")
-    phase2 = Param(0.0, unit="rad", doc="angle of r_2")
-    amplitude3 = Param(0.0, unit="m", low=0.0, doc="|r_3|")
-    phase3 = Param(0.0, unit="rad", doc="angle of r_3")
-    backward1 = Param(0.0, unit="m", low=0.0, doc="|r_-1|")
-    backward_phase1 = Param(0.0, unit="rad", doc="angle of r_-1")
-    backward2 = Param(0.0, unit="m", low=0.0, doc="|r_-2|")
-    backward_phase2 = Param(0.0, unit="rad", doc="angle of r_-2")
-    backward3 = Param(0.0, unit="m", low=0.0, doc="|r_-3|")
-    backward_phase3 = Param(0.0, unit="rad", doc="angle of r_-3")
+    forward = (*_order(1, 1e-6), *_order(2), *_order(3))
+    backward = (*_order(-1), *_order(-2), *_order(-3))
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         displacement, velocity = u.displacement, sensor.velocity_of(u)
-        terms = [(k, getattr(p, f"amplitude{k}"), getattr(p, f"phase{k}")) for k in (1, 2, 3)]
-        terms += [(-k, getattr(p, f"backward{k}"), getattr(p, f"backward_phase{k}")) for k in (1, 2, 3)]
-        for k, size, phase in terms:
+        for k in (1, 2, 3, -1, -2, -3):
+            size, phase = (getattr(p, name) for name in _names(k))
             r = size * plane.unit(k * u.theta + phase)
             displacement = displacement + r
             if u.velocity is not None:

@@ -1,15 +1,9 @@
 """Force of a seal or an impeller."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param
 from rotorsim.fault import Fault
-
-_LAW = "damping of forward whirl falls, that of backward whirl rises, or the reverse"
-_CONFUSED = ("internal_damping", "sensor_rotation")
-_TOLD = "change of flow or pressure; the residual of the control law, which a rotated sensor changes"
 
 
 class SealCrossCoupling(Block):
@@ -21,26 +15,20 @@ class SealCrossCoupling(Block):
     """
 
     source = "Childs, Turbomachinery Rotordynamics (1993), ch. 4, 5; H. Black, J. Appl. Mech. 36 (1969) 244-254"
-    category = "fault"
-    faults = (
-        Fault(
-            physics="seal_cross_coupling",
-            enters="force",
-            free={"cross_stiffness": (1e3,)},
-            sizes=("cross_stiffness",),
-            law=_LAW,
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="seal_cross_coupling",
-            enters="force",
-            free={"cross_stiffness": (1e3,), "direct_stiffness": (1e3,), "direct_damping": (1.0,)},
-            sizes=("cross_stiffness", "direct_stiffness", "direct_damping"),
-            law=_LAW,
-            confused_with=(*_CONFUSED, "support_stiffness"),
-            told_apart_by=_TOLD,
-        ),
+    faults = Fault(
+        physics="seal_cross_coupling",
+        enters="force",
+        free={"cross_stiffness": (1e3,)},
+        sizes=("cross_stiffness",),
+        law="damping of forward whirl falls, that of backward whirl rises, or the reverse",
+        confused_with=("internal_damping", "sensor_rotation"),
+        told_apart_by="change of flow or pressure; the residual of the control law, which a rotated sensor changes",
+    ).variants(
+        {
+            "free": {"cross_stiffness": (1e3,), "direct_stiffness": (1e3,), "direct_damping": (1.0,)},
+            "sizes": ("cross_stiffness", "direct_stiffness", "direct_damping"),
+            "confused_with": ("internal_damping", "sensor_rotation", "support_stiffness"),
+        }
     )
 
     displacement = In(shape=2, unit="m", doc="displacement [x, y] at the seal")
@@ -50,6 +38,6 @@ class SealCrossCoupling(Block):
     direct_stiffness = Param(0.0, unit="N/m", doc="k_d")
     direct_damping = Param(0.0, unit="N s/m", doc="c_d")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         force = p.cross_stiffness * plane.times_i(u.displacement)
         return Equations(outputs={"force": force - p.direct_stiffness * u.displacement - p.direct_damping * u.velocity})

@@ -1,10 +1,8 @@
 """Gain error of a displacement sensor."""
 
-from typing import Any
-
 from rotorsim.blocks.common import sensor
 
-from rotorsim.block import Block, Equations, Param
+from rotorsim.block import Block, Param
 from rotorsim.fault import Fault
 
 
@@ -17,7 +15,6 @@ class SensorGain(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 3 (displacement sensors)"
-    category = "fault"
     faults = (
         Fault(
             physics="sensor_gain",
@@ -31,12 +28,9 @@ class SensorGain(Block):
         ),
     )
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
+    ports = sensor.PORTS
     gain_error = Param(0.05, doc="relative error eps, the same in each axis")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         gain = 1 + p.gain_error
         return sensor.sensed(gain * u.displacement, gain * sensor.velocity_of(u))

@@ -4,14 +4,8 @@ from typing import Any
 
 from rotorsim.blocks.common import plane, sensor
 
-from rotorsim.block import Block, Equations, Param
+from rotorsim.block import Block, Param
 from rotorsim.fault import Fault
-
-_TOLD = "slow roll and law of speed: the factor is the same at every order and speed"
-_CONVENTION = (
-    "the mean of both gains is taken as right, for no run shows it: if one sensor alone is off, all values that scale "
-    "with the displacement are wrong by the mismatch"
-)
 
 
 class SensorGainMismatch(Block):
@@ -24,40 +18,24 @@ class SensorGainMismatch(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 3 (displacement sensors)"
-    category = "fault"
-    faults = (
-        Fault(
-            physics="sensor_gain_mismatch",
-            enters="wire",
-            through=sensor.THROUGH,
-            free={"mismatch": (0.01,)},
-            sizes=("mismatch",),
-            law="-k from the conjugate of k at every order, by the same factor",
-            confused_with=("anisotropic_support", "amb_cross_coupling"),
-            told_apart_by=_TOLD,
-            convention=_CONVENTION,
-        ),
-        Fault(
-            physics="sensor_gain_mismatch",
-            enters="wire",
-            through=sensor.THROUGH,
-            free={"mismatch": (0.01,), "skew": (0.01,)},
-            sizes=("mismatch", "skew"),
-            law="-k from the conjugate of k at every order, by the same factor",
-            confused_with=("anisotropic_support", "amb_cross_coupling"),
-            told_apart_by=_TOLD,
-            convention=_CONVENTION,
-        ),
-    )
+    faults = Fault(
+        physics="sensor_gain_mismatch",
+        enters="wire",
+        through=sensor.THROUGH,
+        free={"mismatch": (0.01,)},
+        sizes=("mismatch",),
+        law="-k from the conjugate of k at every order, by the same factor",
+        confused_with=("anisotropic_support", "amb_cross_coupling"),
+        told_apart_by="slow roll and law of speed: the factor is the same at every order and speed",
+        convention="the mean of both gains is taken as right, for no run shows it: if one sensor alone is off, "
+        "all values that scale with the displacement are wrong by the mismatch",
+    ).variants({"free": {"mismatch": (0.01,), "skew": (0.01,)}, "sizes": ("mismatch", "skew")})
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
+    ports = sensor.PORTS
     mismatch = Param(0.02, doc="real part of eps, half of the difference of the gains")
     skew = Param(0.0, unit="rad", doc="imaginary part of eps, half of the error of the right angle")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         velocity = sensor.velocity_of(u)
         return sensor.sensed(_seen(p, u.displacement), _seen(p, velocity))
 

@@ -1,10 +1,8 @@
 """Offset of a displacement sensor."""
 
-from typing import Any
-
 from rotorsim.blocks.common import sensor
 
-from rotorsim.block import Block, Equations, Param, vec
+from rotorsim.block import Block, Param, vec
 from rotorsim.fault import Fault, Of
 
 
@@ -15,7 +13,6 @@ class SensorOffset(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 3 (displacement sensors)"
-    category = "fault"
     faults = (
         Fault(
             physics="sensor_offset",
@@ -30,13 +27,10 @@ class SensorOffset(Block):
         ),
     )
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
+    ports = sensor.PORTS
     offset_x = Param(5e-6, unit="m", doc="offset of the sensor of x")
     offset_y = Param(0.0, unit="m", doc="offset of the sensor of y")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         displacement = u.displacement + vec(p.offset_x, p.offset_y)
         return sensor.sensed(displacement, sensor.velocity_of(u))

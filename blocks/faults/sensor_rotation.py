@@ -1,10 +1,8 @@
 """Sensors that are turned against the bearing."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane, sensor
 
-from rotorsim.block import Block, Equations, Param
+from rotorsim.block import Block, Param
 from rotorsim.fault import Fault
 
 
@@ -17,7 +15,6 @@ class SensorRotation(Block):
     """
 
     source = "Schweitzer & Maslen (2009), ch. 3 (displacement sensors)"
-    category = "fault"
     faults = (
         Fault(
             physics="sensor_rotation",
@@ -31,12 +28,9 @@ class SensorRotation(Block):
         ),
     )
 
-    displacement = sensor.DISPLACEMENT
-    velocity = sensor.VELOCITY
-    sensed_displacement = sensor.SENSED_DISPLACEMENT
-    sensed_velocity = sensor.SENSED_VELOCITY
+    ports = sensor.PORTS
     angle = Param(0.05, unit="rad", doc="angle by which the sensed motion is turned forward")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         velocity = sensor.velocity_of(u)
         return sensor.sensed(plane.turned(u.displacement, p.angle), plane.turned(velocity, p.angle))

@@ -45,7 +45,6 @@ class ShaftBow(Block):
     """
 
     source = "Nicholas, Gunter & Allaire, J. Eng. Power 98 (1976) 171-181; Friswell et al. (2010), ch. 6"
-    category = "fault"
     faults = tuple(_fault(shapes) for shapes in range(1, _SHAPES + 1))
 
     theta = In(unit="rad", doc="shaft angle")
@@ -56,16 +55,18 @@ class ShaftBow(Block):
     outer_diameter = Param(0.016, shape=("elements",), unit="m", above=0.0, doc="outer diameter of each element")
     inner_diameter = Param(0.0, shape=("elements",), unit="m", low=0.0, doc="inner diameter of each element")
     young_modulus = Param(2.1e11, unit="N/m^2", above=0.0, doc="modulus of elasticity")
-    amplitude1 = Param(1e-6, unit="m", low=0.0, doc="size of the first shape, one half wave")
-    phase1 = Param(0.0, unit="rad", doc="its angle against the phase reference")
-    amplitude2 = Param(0.0, unit="m", low=0.0, doc="size of the second shape")
-    phase2 = Param(0.0, unit="rad", doc="its angle")
-    amplitude3 = Param(0.0, unit="m", low=0.0, doc="size of the third shape")
-    phase3 = Param(0.0, unit="rad", doc="its angle")
-    amplitude4 = Param(0.0, unit="m", low=0.0, doc="size of the fourth shape")
-    phase4 = Param(0.0, unit="rad", doc="its angle")
+    shapes = (
+        Param(1e-6, name="amplitude1", unit="m", low=0.0, doc="size of the first shape, one half wave"),
+        Param(0.0, name="phase1", unit="rad", doc="its angle against the phase reference"),
+        Param(0.0, name="amplitude2", unit="m", low=0.0, doc="size of the second shape"),
+        Param(0.0, name="phase2", unit="rad", doc="its angle"),
+        Param(0.0, name="amplitude3", unit="m", low=0.0, doc="size of the third shape"),
+        Param(0.0, name="phase3", unit="rad", doc="its angle"),
+        Param(0.0, name="amplitude4", unit="m", low=0.0, doc="size of the fourth shape"),
+        Param(0.0, name="phase4", unit="rad", doc="its angle"),
+    )
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         count = self.option.elements
         lengths = [beam.entry(p.element_length, e) for e in range(count)]
         places: list[Any] = [0.0]

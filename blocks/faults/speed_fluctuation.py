@@ -31,7 +31,6 @@ class SpeedFluctuation(Block):
     """
 
     source = "Friswell et al. (2010), ch. 9 (torsion); Randall, Vibration-based Condition Monitoring (2011), ch. 2"
-    category = "fault"
     faults = (
         _fault(
             "speed_fluctuation",
@@ -58,7 +57,7 @@ class SpeedFluctuation(Block):
     frequency = Param(2 * pi * 10, unit="rad/s", above=0.0, doc="frequency nu of the swing")
     phase = Param(0.0, unit="rad", doc="phase at t = 0")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         inside = p.frequency * t + p.phase
         return Equations(
             outputs={

@@ -1,12 +1,7 @@
 """Stiffness and damping that a model leaves out."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param
 from rotorsim.fault import Fault
-
-_CONFUSED = ("force_displacement_factor", "force_current_factor", "sensor_gain", "magnetic_pull", "mass_error")
-_TOLD = "another set of gains; a known mass added to the rotor"
 
 
 class SupportStiffness(Block):
@@ -16,26 +11,34 @@ class SupportStiffness(Block):
     """
 
     source = "Friswell et al. (2010), ch. 5 (bearings)"
-    category = "fault"
-    faults = (
-        Fault(
-            physics="support_stiffness",
-            enters="force",
-            free={"stiffness": (1e3,)},
-            sizes=("stiffness",),
-            law="shifts the critical speed; no order of its own",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
+    faults = Fault(
+        physics="support_stiffness",
+        enters="force",
+        free={"stiffness": (1e3,)},
+        sizes=("stiffness",),
+        law="shifts the critical speed; no order of its own",
+        confused_with=(
+            "force_displacement_factor",
+            "force_current_factor",
+            "sensor_gain",
+            "magnetic_pull",
+            "mass_error",
         ),
-        Fault(
-            physics="support_stiffness",
-            enters="force",
-            free={"stiffness": (1e3,), "damping": (1.0,)},
-            sizes=("stiffness", "damping"),
-            law="shifts and damps the critical speed; no order of its own",
-            confused_with=(*_CONFUSED, "viscous_damping"),
-            told_apart_by=_TOLD,
-        ),
+        told_apart_by="another set of gains; a known mass added to the rotor",
+    ).variants(
+        {
+            "free": {"stiffness": (1e3,), "damping": (1.0,)},
+            "sizes": ("stiffness", "damping"),
+            "law": "shifts and damps the critical speed; no order of its own",
+            "confused_with": (
+                "force_displacement_factor",
+                "force_current_factor",
+                "sensor_gain",
+                "magnetic_pull",
+                "mass_error",
+                "viscous_damping",
+            ),
+        }
     )
 
     displacement = In(shape="signal", unit="m", doc="displacement at the support")
@@ -44,5 +47,5 @@ class SupportStiffness(Block):
     stiffness = Param(5e4, unit="N/m", doc="dk; negative: the support is softer than stated")
     damping = Param(0.0, unit="N s/m", doc="dc")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"force": -p.stiffness * u.displacement - p.damping * u.velocity})

@@ -1,7 +1,5 @@
 """Bow of a shaft that grows as it warms up."""
 
-from typing import Any
-
 from rotorsim.blocks.common import plane
 
 from rotorsim.block import Block, Equations, In, Out, Param, State
@@ -18,7 +16,6 @@ class ThermalBow(Block):
     """
 
     source = "Kellenberger, J. Mech. Des. 102 (1980) 177-184; Friswell et al. (2010), ch. 6 (bent rotors)"
-    category = "fault"
     faults = (
         Fault(
             physics="thermal_bow",
@@ -43,7 +40,7 @@ class ThermalBow(Block):
     time_constant = Param(30.0, unit="s", above=0.0, doc="time constant tau of warming")
     grown = State(fresh=True, doc="1 - e^{-t / tau}")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         bow = p.amplitude * plane.unit(u.theta + p.phase)
         bow = bow + x.grown * p.growth * plane.unit(u.theta + p.growth_phase)
         return Equations(outputs={"force": p.stiffness * bow}, derivatives={"grown": (1 - x.grown) / p.time_constant})

@@ -1,7 +1,6 @@
 """Torsion of a shaft, coupled to its bending by the unbalance and by a crack."""
 
 from math import pi
-from typing import Any
 
 from rotorsim.blocks.common import observer, plane
 
@@ -9,8 +8,6 @@ from rotorsim.block import Block, Equations, In, Out, Param, State, cos, vec
 from rotorsim.fault import Fault
 
 _GRAVITY = 9.80665  # m/s^2, along x, in which the sag is counted
-_CONFUSED = ("speed_fluctuation",)
-_TOLD = "an encoder: the twist has a resonance at the torsional frequency, a fluctuating drive has none"
 
 
 class TorsionCoupling(Block):
@@ -28,32 +25,25 @@ class TorsionCoupling(Block):
     """
 
     source = "Darpe, Gupta & Chawla, J. Sound Vib. 269 (2004) 33-60; Tondl (1965), ch. 6 (unbalance and torsion)"
-    category = "fault"
-    faults = (
-        Fault(
-            physics="torsion_coupling",
-            enters="force",
-            free={"unbalance": (5e-5,), "phase": plane.ANGLES, "frequency": (2 * pi * 60, 2 * pi * 200)},
-            inherits=("crack.sag",),
-            law="sidebands at the torsional frequency; orders 0 and 2 of the unbalance, strong where k W is torsional",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
-        Fault(
-            physics="torsion_coupling",
-            enters="force",
-            free={
+    faults = Fault(
+        physics="torsion_coupling",
+        enters="force",
+        free={"unbalance": (5e-5,), "phase": plane.ANGLES, "frequency": (2 * pi * 60, 2 * pi * 200)},
+        inherits=("crack.sag",),
+        law="sidebands at the torsional frequency; orders 0 and 2 of the unbalance, strong where k W is torsional",
+        confused_with=("speed_fluctuation",),
+        told_apart_by="an encoder: the twist has a resonance at the torsional frequency, a fluctuating drive has none",
+    ).variants(
+        {
+            "free": {
                 "unbalance": (5e-5,),
                 "phase": plane.ANGLES,
                 "frequency": (2 * pi * 60, 2 * pi * 200),
                 "crack_coupling": (1e3,),
                 "crack_phase": (0.0,),
             },
-            inherits=("crack.sag",),
-            law="sidebands at the torsional frequency of the orders of the crack",
-            confused_with=_CONFUSED,
-            told_apart_by=_TOLD,
-        ),
+            "law": "sidebands at the torsional frequency of the orders of the crack",
+        }
     )
 
     displacement = In(shape=2, unit="m", doc="displacement [x, y] of the disc")
@@ -76,7 +66,7 @@ class TorsionCoupling(Block):
     estimate = State(shape=2, unit="m/s", doc="velocity as observed")
     trend = State(shape=2, unit="m/s^2", doc="acceleration as observed")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         acceleration, derivatives = observer.acceleration(u.velocity, x.estimate, x.trend, p.bandwidth)
         heavy = plane.unit(u.theta + x.angle + p.phase)
         normal = plane.unit(u.theta + p.crack_phase)

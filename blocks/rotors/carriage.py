@@ -1,7 +1,5 @@
 """Carriage on a guide."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param, State
 
 
@@ -12,7 +10,6 @@ class Carriage(Block):
     """
 
     source = "Janot, Gautier & Brunot, EMPS, Workshop on Nonlinear System Identification Benchmarks (2019)"
-    category = "rotor"
 
     force = In(unit="N", additive=True, conjugate="displacement", doc="sum of the forces on the carriage")
     displacement = Out(unit="m", doc="position q of the carriage")
@@ -22,7 +19,7 @@ class Carriage(Block):
     position = State(unit="m", doc="position")
     velocity = State(unit="m/s", doc="velocity")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(
             outputs={"displacement": x.position, "velocity": x.velocity},
             derivatives={"position": x.velocity, "velocity": (u.force - p.viscous_friction * x.velocity) / p.mass},

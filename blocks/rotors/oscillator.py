@@ -1,7 +1,5 @@
 """Oscillator of one degree of freedom."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param, State
 
 
@@ -14,7 +12,6 @@ class Oscillator(Block):
     """
 
     source = "S. Timoshenko, Vibration Problems in Engineering (1928), art. 1-9"
-    category = "rotor"
 
     force = In(unit=None, additive=True, conjugate="displacement", doc="sum of the forces on the mass")
     displacement = Out(unit=None, doc="displacement q of the mass")
@@ -25,7 +22,7 @@ class Oscillator(Block):
     position = State(unit=None, doc="displacement")
     velocity = State(unit=None, doc="velocity")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         acceleration = (u.force - p.damping * x.velocity - p.stiffness * x.position) / p.mass
         return Equations(
             outputs={"displacement": x.position, "velocity": x.velocity},

@@ -1,7 +1,5 @@
 """Jeffcott rotor."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param, State
 
 
@@ -15,7 +13,6 @@ class Rotor2dof(Block):
 
     type_name = "rotor_2dof"
     source = "thesis eq. (2.21), (2.26)"
-    category = "rotor"
 
     force = In(shape=2, unit="N", additive=True, conjugate="displacement", doc="sum of the forces on the disc [x, y]")
     displacement = Out(shape=2, unit="m", doc="displacement [x, y]")
@@ -28,7 +25,7 @@ class Rotor2dof(Block):
     position = State(shape=2, unit="m", init="initial_displacement", doc="displacement")
     velocity = State(shape=2, unit="m/s", init="initial_velocity", doc="velocity")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         acceleration = (u.force - p.viscous_damping * x.velocity - p.stiffness * x.position) / p.mass
         return Equations(
             outputs={"displacement": x.position, "velocity": x.velocity},

@@ -1,7 +1,5 @@
 """Rotor with an offset disc: translation, tilt and gyroscopic moments."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param, State, vec
 
 
@@ -18,7 +16,6 @@ class Rotor4dof(Block):
 
     type_name = "rotor_4dof"
     source = "thesis eq. (3.19), Table 3-1; sign: Friswell et al. (2010), sec. 3.6"
-    category = "rotor"
 
     force = In(shape=2, unit="N", additive=True, conjugate="displacement", doc="sum of the forces on the disc [x, y]")
     moment = In(shape=2, unit="N m", additive=True, conjugate="tilt", doc="sum of the moments in the planes of x and y")
@@ -41,7 +38,7 @@ class Rotor4dof(Block):
     velocity = State(shape=2, unit="m/s", doc="velocity")
     tilt_velocity = State(shape=2, unit="rad/s", doc="rate of tilt")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         gyroscopic = u.speed * p.polar_inertia * vec(x.tilt_velocity[1], -x.tilt_velocity[0])
         elastic = p.stiffness * x.position + p.coupling_stiffness * x.tilt
         damping = p.viscous_damping * x.velocity + p.coupling_damping * x.tilt_velocity

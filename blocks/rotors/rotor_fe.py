@@ -1,10 +1,9 @@
 """Rotor of beam elements with discs."""
 
-from collections.abc import Mapping
+from itertools import accumulate
 from math import pi
 from typing import Any
 
-import numpy as np
 from rotorsim.blocks.common import beam
 from rotorsim.blocks.common.beam import Banded, solve_factored
 
@@ -35,7 +34,6 @@ class RotorFe(Block):
 
     type_name = "rotor_fe"
     source = "thesis eq. (4.9)-(4.16), (5.4), App. B, C; Friswell et al. (2010), ch. 5"
-    category = "rotor"
     refinement = "subdivisions"
     faults = (
         Fault(
@@ -84,7 +82,7 @@ class RotorFe(Block):
     position = State(shape=_free, unit=None, doc="free displacements and slopes [dof, plane], node by node")
     velocity = State(shape=_free, unit=None, doc="their rates")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse nodes that do not exist, doubled pins and walls of no thickness."""
         nodes = self.option.elements + 1
         problems = [
@@ -99,7 +97,7 @@ class RotorFe(Block):
             problems.append("inner_diameter must be smaller than outer_diameter")
         return problems
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         free = self._free_numbers()
         mass, gyroscopic, stiffness, disc = self._matrices(p, free)
         lower, inverse_d = mass.factor()
@@ -132,15 +130,10 @@ class RotorFe(Block):
 
     def _free_numbers(self) -> list[int | None]:
         """Return the number of every degree of freedom among the free ones (None: pinned)."""
-        numbers: list[int | None] = []
-        count = 0
         pinned = {self._place(node) for node in self.option.pinned_nodes}
-        for place in range(self.option.elements * self.option.subdivisions + 1):
-            for is_slope in (False, True):
-                held = place in pinned and not is_slope
-                numbers.append(None if held else count)
-                count += not held
-        return numbers
+        places = range(self.option.elements * self.option.subdivisions + 1)
+        held = [place in pinned and not is_slope for place in places for is_slope in (False, True)]
+        return [None if h else n - 1 for h, n in zip(held, accumulate(not h for h in held), strict=True)]
 
     def _place(self, node: int) -> int:
         """Return the place (from 0) of a node among the ends of all beams."""

@@ -1,7 +1,5 @@
 """Absolute value."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, absolute
 
 
@@ -16,5 +14,5 @@ class Absolute(Block):
     input = In(shape="signal", unit=None, doc="signal")
     output = Out(shape="signal", unit=None, doc="absolute value, shape of the input")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": absolute(u.input)}, events={"kink": u.input})

@@ -1,12 +1,10 @@
 """Bus: signals of any shape in one vector."""
 
-from collections.abc import Mapping
 from math import prod
-from typing import Any
 
-import numpy as np
+from rotorsim.blocks.common import names as naming
 
-from rotorsim.block import Block, Equations, In, Option, Out, Shape, concatenate
+from rotorsim.block import Block, Equations, In, Option, Out, concatenate
 
 
 class Bus(Block):
@@ -21,16 +19,13 @@ class Bus(Block):
     output = Out(shape=("total",), unit=None, doc="all entries, shape (total,)")
     names = Option(["input1", "input2"], kind=str, doc="names of the input ports, in the order of the output")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse missing and repeated names."""
-        names = self.option.names
-        if not names:
-            return ["names is empty: a bus needs at least one input"]
-        return [f"name '{name}' is given twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+        return naming.mistakes(self.option.names, "a bus")
 
-    def output_shapes(self, inputs: Mapping[str, Shape]) -> dict[str, Shape]:
+    def output_shapes(self, inputs):
         """Add up the entries of the inputs."""
         return {"output": (sum(prod(shape) for shape in inputs.values()),)}
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": concatenate(u.input)})

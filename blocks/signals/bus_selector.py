@@ -1,12 +1,11 @@
 """Bus selector: parts of a vector by name."""
 
-from collections.abc import Mapping
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
+from rotorsim.blocks.common import names as naming
 
-from rotorsim.block import Block, Equations, In, Option, Out, Shape
+from rotorsim.block import Block, Equations, In, Option, Out
 
 
 class BusSelector(Block):
@@ -22,18 +21,18 @@ class BusSelector(Block):
     names = Option(["signal"], kind=str, doc="names of the output ports")
     widths = Option([2], kind=int, low=1, high=10000, doc="number of entries of each output")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse names without a width and repeated names."""
         names, widths = self.option.names, self.option.widths
         if len(names) != len(widths):
             return [f"{len(names)} names and {len(widths)} widths; one width is needed for each name"]
-        return [f"name '{name}' is given twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+        return naming.mistakes(names, "a bus selector") if names else []
 
-    def output_shapes(self, inputs: Mapping[str, Shape]) -> dict[str, Shape]:
+    def output_shapes(self, inputs):
         """Give every output its width."""
         return {name: (width,) for name, width in zip(self.option.names, self.option.widths, strict=False)}
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         ends = np.cumsum([0, *self.option.widths])
         parts = [u.input[int(a) : int(b)] for a, b in pairwise(ends)]
         return Equations(outputs={"output": parts})

@@ -1,7 +1,5 @@
 """Constant source."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, Out, Param
 
 
@@ -16,5 +14,5 @@ class Constant(Block):
     output = Out(shape="signal", unit=None, doc="the value")
     value = Param(1.0, shape="signal", unit=None, doc="value of the output, of any shape")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": p.value})

@@ -1,7 +1,5 @@
 """Dead zone."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param, maximum, minimum
 
 
@@ -17,7 +15,7 @@ class DeadZone(Block):
     output = Out(shape="signal", unit=None, doc="excess over the zone, shape of the input")
     width = Param(1.0, unit=None, low=0.0, doc="full width of the zone (twice a clearance)")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         half = p.width / 2
         return Equations(
             outputs={"output": maximum(u.input - half, 0.0) + minimum(u.input + half, 0.0)},

@@ -1,10 +1,8 @@
 """Transport delay."""
 
-from typing import Any
-
 from rotorsim.blocks.common import pade
 
-from rotorsim.block import Block, Equations, In, Option, Out, Param, State
+from rotorsim.block import Block, Equations, In, Option, Out, Param
 
 
 class Delay(Block):
@@ -34,17 +32,8 @@ class Delay(Block):
     delay = Param(1e-3, unit="s", above=0.0, doc="delay T")
     initial = Param(0.0, shape="signal", unit=None, doc="input before the start")
     order = Option(4, kind=int, low=1, high=8, doc="order n of the approximation")
-    value1 = State(shape="signal", unit=None, init="initial", doc="first state of the ladder")
-    value2 = State(shape="signal", unit=None, when=lambda o: o.order >= 2, doc="second state of the ladder")
-    value3 = State(shape="signal", unit=None, when=lambda o: o.order >= 3, doc="third state of the ladder")
-    value4 = State(shape="signal", unit=None, when=lambda o: o.order >= 4, doc="fourth state of the ladder")
-    value5 = State(shape="signal", unit=None, when=lambda o: o.order >= 5, doc="fifth state of the ladder")
-    value6 = State(shape="signal", unit=None, when=lambda o: o.order >= 6, doc="sixth state of the ladder")
-    value7 = State(shape="signal", unit=None, when=lambda o: o.order >= 7, doc="seventh state of the ladder")
-    value8 = State(shape="signal", unit=None, when=lambda o: o.order >= 8, doc="eighth state of the ladder")
+    ladder = pade.ladder(8, None, init="initial")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
-        states = [getattr(x, f"value{k}") for k in range(1, self.option.order + 1)]
-        output, rates = pade.delayed(u.input, states, p.delay)
-        derivatives = {f"value{k}": rate for k, rate in enumerate(rates, start=1)}
+    def equations(self, p, u, x, t):
+        output, derivatives = pade.delayed(u.input, x, self.option.order, p.delay)
         return Equations(outputs={"output": output}, derivatives=derivatives)

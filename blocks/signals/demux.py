@@ -1,7 +1,5 @@
 """Vector to scalars."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Option, Out, rows
 
 
@@ -19,5 +17,5 @@ class Demux(Block):
     output = Out(unit=None, many="count", doc="scalars: output1, output2, ...")
     count = Option(2, kind=int, low=1, high=10000, doc="number of scalars")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": rows(u.input)})

@@ -1,7 +1,5 @@
 """Filtered derivative."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param, State
 
 
@@ -24,6 +22,6 @@ class Derivative(Block):
     initial = Param(0.0, shape="signal", unit=None, doc="input before the start")
     filtered = State(shape="signal", unit=None, init="initial", doc="input behind the filter")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         rate = (u.input - x.filtered) / p.time_constant
         return Equations(outputs={"output": rate}, derivatives={"filtered": rate})

@@ -1,7 +1,5 @@
 """Gain."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param
 
 
@@ -17,5 +15,5 @@ class Gain(Block):
     output = Out(shape="signal", unit=None, doc="scaled signal, shape of the input")
     gain = Param(1.0, unit=None, doc="factor")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": p.gain * u.input})

@@ -1,7 +1,5 @@
 """Integrator."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param, State
 
 
@@ -18,5 +16,5 @@ class Integrator(Block):
     initial = Param(0.0, shape="signal", unit=None, doc="value at the start")
     value = State(shape="signal", unit=None, init="initial", doc="integral")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": x.value}, derivatives={"value": u.input})

@@ -1,7 +1,5 @@
 """Linear state-space system."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param, State
 
 
@@ -24,7 +22,7 @@ class LinearSystem(Block):
     initial = Param(0.0, shape=("n",), unit=None, doc="state at the start, shape (n,)")
     value = State(shape=("n",), unit=None, init="initial", doc="state")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(
             outputs={"output": p.C @ x.value + p.D @ u.input}, derivatives={"value": p.A @ x.value + p.B @ u.input}
         )

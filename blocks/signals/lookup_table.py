@@ -1,8 +1,5 @@
 """One-dimensional lookup table."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, concatenate, maximum, minimum, rows, where
@@ -24,7 +21,7 @@ class LookupTable(Block):
     values = Param([0.0, 1.0], shape=("points",), unit=None, doc="y_k, as many as breakpoints")
     outside = Option("clamp", choices=("clamp", "extrapolate"), doc="what happens outside the table")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse tables that are too short or not increasing."""
         breakpoints = np.ravel(values["breakpoints"])
         if breakpoints.size < 2:
@@ -37,7 +34,7 @@ class LookupTable(Block):
             ]
         return []
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         xs, ys = rows(p.breakpoints), rows(p.values)
         inside = u.input if self.option.outside == "extrapolate" else minimum(maximum(u.input, xs[0]), xs[-1])
         segments = [ys[k] + (ys[k + 1] - ys[k]) * ((inside - xs[k]) / (xs[k + 1] - xs[k])) for k in range(len(xs) - 1)]

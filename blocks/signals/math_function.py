@@ -31,5 +31,5 @@ class MathFunction(Block):
     output = Out(shape="signal", unit=None, doc="function value, shape of the input")
     function = Option("square", choices=tuple(_FUNCTIONS), doc="function to apply")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": _FUNCTIONS[self.option.function](u.input)})

@@ -1,7 +1,5 @@
 """Matrix gain."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param
 
 
@@ -17,5 +15,5 @@ class MatrixGain(Block):
     output = Out(shape=("outputs",), unit=None, doc="vector, shape (outputs,)")
     gain = Param(shape=("outputs", "inputs"), unit=None, doc="matrix, shape (outputs, inputs)")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": p.gain @ u.input})

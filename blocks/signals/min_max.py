@@ -1,7 +1,5 @@
 """Minimum and maximum."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Option, Out, maximum, minimum
 
 
@@ -18,7 +16,7 @@ class MinMax(Block):
     function = Option("minimum", choices=("minimum", "maximum"), doc="which one to give out")
     count = Option(2, kind=int, low=1, high=1000, doc="number of inputs")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         choose = minimum if self.option.function == "minimum" else maximum
         result, *others = u.input
         events = {}

@@ -1,7 +1,5 @@
 """Scalars to vector."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Option, Out, vec
 
 
@@ -17,5 +15,5 @@ class Mux(Block):
     output = Out(shape=("count",), unit=None, doc="vector, shape (count,)")
     count = Option(2, kind=int, low=1, high=10000, doc="number of scalars")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": vec(*u.input)})

@@ -1,7 +1,5 @@
 """White noise."""
 
-from typing import Any
-
 from rotorsim.block import Block, DiscreteState, Equations, Out, Param, Random
 
 
@@ -24,5 +22,5 @@ class Noise(Block):
     draw = Random(shape="signal", seed="seed", doc="standard normal draws")
     value = DiscreteState(shape="signal", unit=None, init="mean", doc="held noise")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": x.value}, update={"value": p.mean + p.standard_deviation * x.draw})

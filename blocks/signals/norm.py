@@ -1,7 +1,5 @@
 """Euclidean norm."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, sqrt, sum_of
 
 
@@ -18,5 +16,5 @@ class Norm(Block):
     input = In(shape="signal", unit=None, doc="signal of any shape")
     output = Out(unit=None, doc="norm, scalar")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": sqrt(sum_of(u.input * u.input))})

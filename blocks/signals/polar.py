@@ -1,7 +1,5 @@
 """Polar form."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, arctan2, sqrt
 
 
@@ -19,6 +17,6 @@ class Polar(Block):
     amplitude = Out(unit=None, doc="amplitude")
     angle = Out(unit="rad", doc="angle from x towards y")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         a, b = u.input[0], u.input[1]
         return Equations(outputs={"amplitude": sqrt(a * a + b * b), "angle": arctan2(b, a)})

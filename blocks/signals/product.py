@@ -1,10 +1,5 @@
 """Product and quotient."""
 
-from collections.abc import Mapping
-from typing import Any
-
-import numpy as np
-
 from rotorsim.block import Block, Equations, In, Option, Out
 
 
@@ -20,14 +15,14 @@ class Product(Block):
     output = Out(shape="signal", unit=None, doc="product, shape of the inputs")
     operations = Option("**", kind=str, doc="one operation, * or /, for each input")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse operations other than * and /."""
         given = self.option.operations
         return (
             [] if given and set(given) <= set("*/") else [f"operations must be one or more of * and /, got '{given}'"]
         )
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         result = None
         for operation, factor in zip(self.option.operations, u.input, strict=True):
             if result is None:

@@ -1,7 +1,6 @@
 """Quantiser."""
 
 from math import pi
-from typing import Any
 
 from rotorsim.block import Block, Equations, In, Out, Param, cos, floor
 
@@ -18,7 +17,7 @@ class Quantiser(Block):
     output = Out(shape="signal", unit=None, doc="rounded signal, shape of the input")
     interval = Param(1.0, unit=None, above=0.0, doc="step between levels (of a converter: range / 2^bits)")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         ratio = u.input / p.interval
         # The output jumps where ratio + 1/2 is whole, which is where this cosine crosses zero.
         return Equations(outputs={"output": p.interval * floor(ratio + 0.5)}, events={"jump": cos(pi * ratio)})

@@ -1,7 +1,5 @@
 """Ramp source."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, Out, Param, maximum
 
 
@@ -18,6 +16,6 @@ class Ramp(Block):
     initial = Param(0.0, shape="signal", unit=None, doc="value before the ramp")
     slope = Param(1.0, shape="signal", unit=None, doc="change per second")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         rise = maximum(t - p.time, 0.0)
         return Equations(outputs={"output": p.initial + p.slope * rise}, events={"start": t - p.time})

@@ -1,10 +1,5 @@
 """Rate limiter."""
 
-from collections.abc import Mapping
-from typing import Any
-
-import numpy as np
-
 from rotorsim.block import Block, Equations, In, Out, Param, State, maximum, minimum
 
 
@@ -26,7 +21,7 @@ class RateLimiter(Block):
     initial = Param(0.0, shape="signal", unit=None, doc="output at the start")
     value = State(shape="signal", unit=None, init="initial", doc="output")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse a limiter that can never move."""
         return (
             ["rising and falling are both 0: the output could never move"]
@@ -34,7 +29,7 @@ class RateLimiter(Block):
             else []
         )
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         wanted = (u.input - x.value) / p.time_constant
         return Equations(
             outputs={"output": x.value},

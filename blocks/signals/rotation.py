@@ -1,7 +1,5 @@
 """Rotation in the plane."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Option, Out, cos, sin, vec
 
 
@@ -20,7 +18,7 @@ class Rotation(Block):
     output = Out(shape=2, unit=None, doc="turned vector")
     multiple = Option(1, kind=int, doc="whole number that multiplies the angle")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         c, s = cos(self.option.multiple * u.angle), sin(self.option.multiple * u.angle)
         a, b = u.input[0], u.input[1]
         return Equations(outputs={"output": vec(a * c - b * s, a * s + b * c)})

@@ -1,7 +1,5 @@
 """Sample and hold."""
 
-from typing import Any
-
 from rotorsim.block import Block, DiscreteState, Equations, In, Out, Param
 
 
@@ -19,5 +17,5 @@ class SampleHold(Block):
     initial = Param(0.0, shape="signal", unit=None, doc="output before the first hit")
     value = DiscreteState(shape="signal", unit=None, init="initial", doc="held sample")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": x.value}, update={"value": u.input})

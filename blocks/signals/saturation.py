@@ -1,10 +1,5 @@
 """Saturation."""
 
-from collections.abc import Mapping
-from typing import Any
-
-import numpy as np
-
 from rotorsim.block import Block, Equations, In, Out, Param, maximum, minimum
 
 
@@ -21,12 +16,12 @@ class Saturation(Block):
     lower = Param(-1.0, unit=None, doc="lower limit")
     upper = Param(1.0, unit=None, doc="upper limit")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse limits in the wrong order."""
         lower, upper = float(values["lower"]), float(values["upper"])
         return [] if lower <= upper else [f"lower = {lower:g} is above upper = {upper:g}"]
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(
             outputs={"output": minimum(maximum(u.input, p.lower), p.upper)},
             events={"lower": u.input - p.lower, "upper": u.input - p.upper},

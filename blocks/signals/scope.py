@@ -1,9 +1,6 @@
 """Scope: signals to record and plot."""
 
-from collections.abc import Mapping
-from typing import Any
-
-import numpy as np
+from rotorsim.blocks.common import names as naming
 
 from rotorsim.block import Block, Equations, In, Option
 
@@ -19,12 +16,9 @@ class Scope(Block):
     input = In(shape="signal*", unit=None, many="names", doc="one port for each name, of any shape")
     names = Option(["input"], kind=str, doc="names of the input ports; the legend of the plot")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse missing and repeated names."""
-        names = self.option.names
-        if not names:
-            return ["names is empty: a scope needs at least one input"]
-        return [f"name '{name}' is given twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+        return naming.mistakes(self.option.names, "a scope")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations()

@@ -1,7 +1,5 @@
 """Selector."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Option, Out, vec
 
 
@@ -17,7 +15,7 @@ class Selector(Block):
     output = Out(shape=("indices",), unit=None, doc="picked entries, as many as indices")
     indices = Option([1], kind=int, low=1, doc="which entries to pick, counted from 1")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         n = u.input.shape[0]
         outside = [k for k in self.option.indices if k > n]
         if outside:

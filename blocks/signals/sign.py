@@ -1,7 +1,5 @@
 """Sign."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, sign
 
 
@@ -16,5 +14,5 @@ class Sign(Block):
     input = In(shape="signal", unit=None, doc="signal")
     output = Out(shape="signal", unit="1", doc="sign, shape of the input")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": sign(u.input)}, events={"jump": u.input})

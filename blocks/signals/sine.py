@@ -1,7 +1,5 @@
 """Sine source."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, Out, Param, sin
 
 
@@ -21,5 +19,5 @@ class Sine(Block):
     phase = Param(0.0, shape="signal", unit="rad", doc="phase at t = 0")
     offset = Param(0.0, shape="signal", unit=None, doc="mean value")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": p.offset + p.amplitude * sin(p.frequency * t + p.phase)})

@@ -1,7 +1,5 @@
 """Step source."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, Out, Param, where
 
 
@@ -18,5 +16,5 @@ class Step(Block):
     initial = Param(0.0, shape="signal", unit=None, doc="value before the step")
     final = Param(1.0, shape="signal", unit=None, doc="value from the step on")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": where(t >= p.time, p.final, p.initial)}, events={"step": t - p.time})

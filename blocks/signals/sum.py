@@ -1,10 +1,5 @@
 """Signed sum."""
 
-from collections.abc import Mapping
-from typing import Any
-
-import numpy as np
-
 from rotorsim.block import Block, Equations, In, Option, Out
 
 
@@ -20,12 +15,12 @@ class Sum(Block):
     output = Out(shape="signal", unit=None, doc="sum, shape of the inputs")
     signs = Option("++", kind=str, doc="one sign, + or -, for each input")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse signs other than + and -."""
         signs = self.option.signs
         return [] if signs and set(signs) <= set("+-") else [f"signs must be one or more of + and -, got '{signs}'"]
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         total = None
         for sign, term in zip(self.option.signs, u.input, strict=True):
             signed = term if sign == "+" else -term

@@ -1,7 +1,5 @@
 """Switch."""
 
-from typing import Any
-
 from rotorsim.block import Block, Equations, In, Out, Param, where
 
 
@@ -19,7 +17,7 @@ class Switch(Block):
     output = Out(shape="signal", unit=None, doc="the chosen signal, shape of above and below")
     threshold = Param(0.0, unit=None, doc="value of control at which the switch changes over")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(
             outputs={"output": where(u.control >= p.threshold, u.above, u.below)},
             events={"switch": u.control - p.threshold},

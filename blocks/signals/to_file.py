@@ -1,10 +1,8 @@
 """To file: signals to record in a file of their own."""
 
-from collections.abc import Mapping
 from pathlib import PurePosixPath
-from typing import Any
 
-import numpy as np
+from rotorsim.blocks.common import names as naming
 
 from rotorsim.block import Block, Equations, In, Option
 
@@ -23,11 +21,10 @@ class ToFile(Block):
     names = Option(["input"], kind=str, doc="names of the input ports; the names of the columns")
     file = Option("signals.csv", kind=str, doc="file name ending in .csv, .h5 or .npz, relative to the diagram")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse missing and repeated names, other formats, and files outside the folder of the diagram."""
-        names, file = self.option.names, self.option.file
-        messages = [] if names else ["names is empty: a file needs at least one input"]
-        messages += [f"name '{name}' is given twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+        file = self.option.file
+        messages = naming.mistakes(self.option.names, "a file")
         if not file.endswith(_ENDINGS) or file in _ENDINGS:
             messages.append(f"file '{file}' must end in one of {', '.join(_ENDINGS)}")
         path = PurePosixPath(file)
@@ -35,5 +32,5 @@ class ToFile(Block):
             messages.append(f"file '{file}' must be a relative name inside the folder of the diagram")
         return messages
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations()

@@ -1,8 +1,5 @@
 """Transfer function."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, State, rows, vec
@@ -33,7 +30,7 @@ class TransferFunction(Block):
     )
     value = State(shape=("order",), unit=None, doc="states of the controllable canonical form")
 
-    def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
+    def check(self, values):
         """Refuse improper transfer functions and a leading zero in the denominator."""
         messages = []
         if np.size(values["numerator"]) > self.option.order + 1:
@@ -45,7 +42,7 @@ class TransferFunction(Block):
             messages.append("the first coefficient of the denominator must not be 0 (lower the order instead)")
         return messages
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         n = self.option.order
         leading, *below = rows(p.denominator)
         given = rows(p.numerator)

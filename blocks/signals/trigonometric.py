@@ -32,5 +32,5 @@ class Trigonometric(Block):
     function = Option("sin", choices=tuple(_FUNCTIONS), doc="function to apply")
     multiple = Option(1, kind=int, doc="harmonic number: the input is multiplied by it")
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         return Equations(outputs={"output": _FUNCTIONS[self.option.function](self.option.multiple * u.input)})

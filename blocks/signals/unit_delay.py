@@ -1,7 +1,5 @@
 """Discrete delay of whole samples."""
 
-from typing import Any
-
 from rotorsim.block import Block, DiscreteState, Equations, In, Option, Out, Param
 
 
@@ -21,17 +19,19 @@ class UnitDelay(Block):
     sample_time = Param(1e-3, unit="s", above=0.0, doc="time between hits")
     initial = Param(0.0, shape="signal", unit=None, doc="samples before the start")
     samples = Option(1, kind=int, low=1, high=8, doc="number of samples of the delay")
-    value0 = DiscreteState(shape="signal", unit=None, init="initial", doc="newest sample")
-    value1 = DiscreteState(shape="signal", unit=None, init="initial", doc="sample before")
-    value2 = DiscreteState(shape="signal", unit=None, init="initial", when=lambda o: o.samples >= 2, doc="2 before")
-    value3 = DiscreteState(shape="signal", unit=None, init="initial", when=lambda o: o.samples >= 3, doc="3 before")
-    value4 = DiscreteState(shape="signal", unit=None, init="initial", when=lambda o: o.samples >= 4, doc="4 before")
-    value5 = DiscreteState(shape="signal", unit=None, init="initial", when=lambda o: o.samples >= 5, doc="5 before")
-    value6 = DiscreteState(shape="signal", unit=None, init="initial", when=lambda o: o.samples >= 6, doc="6 before")
-    value7 = DiscreteState(shape="signal", unit=None, init="initial", when=lambda o: o.samples >= 7, doc="7 before")
-    value8 = DiscreteState(shape="signal", unit=None, init="initial", when=lambda o: o.samples >= 8, doc="8 before")
+    values = tuple(
+        DiscreteState(
+            name=f"value{k}",
+            shape="signal",
+            unit=None,
+            init="initial",
+            when=(lambda option, k=k: option.samples >= k) if k > 1 else None,
+            doc=("newest sample", "sample before")[k] if k < 2 else f"{k} before",
+        )
+        for k in range(9)
+    )
 
-    def equations(self, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    def equations(self, p, u, x, t):
         line = [getattr(x, f"value{k}") for k in range(self.option.samples + 1)]
         update = {f"value{k}": value for k, value in enumerate([u.input, *line[:-1]])}
         return Equations(outputs={"output": line[-1]}, update=update)

@@ -12,6 +12,7 @@ import click
 
 from rotorsim.cli import common
 from rotorsim.cli.app import show_problems
+from rotorsim.diagram.solver import METHODS
 from rotorsim.errors import Problem, RotorsimError, visible
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ __all__ = ["command"]
 @click.option("--fast", is_flag=True, help="The plain loop in C, for FMUs for Co-Simulation.")
 @click.option(
     "--solver",
-    type=click.Choice(("rk4", "dop853", "rk45", "radau", "bdf", "lsoda"), case_sensitive=False),
+    type=click.Choice(METHODS, case_sensitive=False),
     default="rk4",
     show_default=True,
     help="Of the states of FMUs for Model Exchange; radau, bdf and lsoda are implicit.",

@@ -9,6 +9,7 @@ import click
 
 from rotorsim.cli import common
 from rotorsim.cli.app import show_problems
+from rotorsim.diagram.solver import METHODS
 from rotorsim.errors import Problem
 
 if TYPE_CHECKING:
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     from rotorsim.simulation.result import Result
 
 __all__ = ["command"]
-
-METHODS = ("rk4", "dop853", "rk45", "radau", "bdf", "lsoda")
 
 
 @click.command("run")

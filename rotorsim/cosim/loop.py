@@ -217,9 +217,9 @@ class FastLoop:
         row = np.zeros(instance.n_y)
         self._rows[id(member)] = out = np.zeros(instance.n_y)
         self._keep += [row, out, instance, member]
-        library = instance.library
+        functions = instance.functions
         made = Member(kind=PART, step=member.internal)
-        made.run, made.record = (ctypes.cast(f, ctypes.c_void_p) for f in (library.run, library.record))
+        made.run, made.record = (ctypes.cast(f, ctypes.c_void_p) for f in (functions.rs_run, functions.rs_record))
         made.p, made.m, made.x, made.z = (_at(a) for a in (instance.p, instance.memory, instance.x, instance.z))
         made.y, made.row = _at(out), _at(row)
         return made

@@ -33,6 +33,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.experiment import Experiment
+from rotorsim.jobs.jobs import Jobs
 from rotorsim.jobs.threads import one_thread
 from rotorsim.measure.checks import check_signals
 from rotorsim.recordings.recording import Recording
@@ -66,6 +67,7 @@ def diagnose(
     fit.
     Raises RotorsimError for recordings with errors, and what `identification.experiment.open_experiment` raises.
     """
+    Jobs(workers, scheduler)  # what is wrong with them is said before any work
     warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
     if is_in_time(diagram, recording):
         return diagnose_in_time(

@@ -14,6 +14,7 @@ import networkx as nx
 import numpy as np
 
 from rotorsim.block import Block, In, Out, Shape
+from rotorsim.diagram.solver import Solver
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.fault import Fault, Steps
 
@@ -32,6 +33,11 @@ class Port:
 
     def __str__(self) -> str:
         return f"{self.block}.{self.name}"
+
+    @property
+    def additive(self) -> bool:
+        """Whether it is an input that adds up any number of wires."""
+        return isinstance(self.declaration, In) and self.declaration.additive
 
 
 @dataclass(frozen=True)
@@ -106,18 +112,6 @@ class Node:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", _fixed(self.values))
-
-
-@dataclass(frozen=True)
-class Solver:
-    """How to simulate: method ``rk4`` or an adaptive one, step [s], stop time [s], tolerances."""
-
-    method: str = "rk4"
-    step: float = 1e-4
-    stop: float = 1.0
-    record_every: int = 1
-    rtol: float = 1e-8
-    atol: float = 1e-12
 
 
 @dataclass(frozen=True)

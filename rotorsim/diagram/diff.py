@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from rotorsim.diagram.diagram import Solver
 from rotorsim.diagram.resolve.registry import find
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
+from rotorsim.diagram.solver import Solver
 from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
 
 __all__ = ["Change", "diff"]
 
 _MISSING = object()
-_DEFAULTS: Mapping[str, Any] = {"algebraic_loops": "refuse", "schema_version": 1}
+_DEFAULTS: Mapping[str, Any] = {"algebraic_loops": "refuse", "schema_version": 1, "solver": {}}
+_FOR_READERS = ("layout", "description", "$schema")
 
 
 @dataclass(frozen=True)
@@ -47,64 +48,54 @@ def diff(a: Mapping[str, Any], b: Mapping[str, Any], *, layout: bool = False) ->
     ($schema, description, layout) is compared only with ``layout``.
     """
     changes: list[Change] = []
-    readers = {"layout", "description", "$schema"}
-    keys = [key for key in dict.fromkeys([*a, *b]) if layout or key not in readers]
-    for key in keys:
-        old, new = a.get(key, _MISSING), b.get(key, _MISSING)
+    for key in [key for key in _keys(a, b) if layout or key not in _FOR_READERS]:
+        old, new = (document.get(key, _DEFAULTS.get(key, _MISSING)) for document in (a, b))
         if key == "blocks" and isinstance(old, Mapping) and isinstance(new, Mapping):
-            for name in dict.fromkeys([*old, *new]):
-                _block(f"blocks.{name}", old.get(name, _MISSING), new.get(name, _MISSING), changes)
+            for name in _keys(old, new):
+                changes += _block(f"blocks.{name}", old.get(name, _MISSING), new.get(name, _MISSING), layout)
         elif key == "wires" and isinstance(old, list) and isinstance(new, list):
-            _wires(old, new, changes)
-        elif key == "solver" and all(value is _MISSING or isinstance(value, Mapping) for value in (old, new)):
-            _solver({} if old is _MISSING else old, {} if new is _MISSING else new, changes)
+            before, after = (Counter(map(_wire, wires)) for wires in (old, new))
+            changes += [Change("-", "wires", old=wire) for wire in (before - after).elements()]
+            changes += [Change("+", "wires", new=wire) for wire in (after - before).elements()]
+        elif key == "solver" and isinstance(old, Mapping) and isinstance(new, Mapping):
+            changes += _entries("solver", old, new, asdict(Solver()))
         else:
-            fallback = _DEFAULTS.get(key, _MISSING)
-            _compare(key, a.get(key, fallback), b.get(key, fallback), changes, None)
-    if layout:
-        for name, (old, new) in _both(a.get("blocks"), b.get("blocks")).items():
-            if isinstance(old, Mapping) and isinstance(new, Mapping):
-                before, after = (block.get("description", _MISSING) for block in (old, new))
-                _compare(f"blocks.{name}.description", before, after, changes, None)
+            changes += _compared(key, old, new)
     return changes
 
 
-def _both(a: Any, b: Any) -> dict[str, tuple[Any, Any]]:
-    if not (isinstance(a, Mapping) and isinstance(b, Mapping)):
-        return {}
-    return {name: (a[name], b[name]) for name in a if name in b}
+def _keys(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
+    return list(dict.fromkeys([*a, *b]))
 
 
-def _solver(old: Mapping[str, Any], new: Mapping[str, Any], changes: list[Change]) -> None:
-    for key in dict.fromkeys([*old, *new]):
-        fallback = getattr(Solver, key, _MISSING)
-        values = old.get(key, fallback), new.get(key, fallback)
-        _compare(f"solver.{key}", *values, changes, None)
-
-
-def _block(where: str, old: Any, new: Any, changes: list[Change]) -> None:
+def _block(where: str, old: Any, new: Any, layout: bool) -> list[Change]:
     if not (isinstance(old, Mapping) and isinstance(new, Mapping)):
-        _compare(where, old, new, changes, None)
-        return
-    _compare(f"{where}.type", old.get("type", _MISSING), new.get("type", _MISSING), changes, None)
+        return _compared(where, old, new)
     kind = find(str(new.get("type"))) if old.get("type") == new.get("type") else None
+    declared: dict[str, Any] = {**kind.options, **kind.parameters} if kind else {}
+    defaults = {name: item.default for name, item in declared.items() if item.default is not None}
+    units = {name: item.unit for name, item in kind.parameters.items()} if kind else {}
+    hidden = ("parameters",) if layout else ("parameters", "description")
+    rest = ({key: value for key, value in block.items() if key not in hidden} for block in (old, new))
     before, after = old.get("parameters", {}), new.get("parameters", {})
-    if isinstance(before, Mapping) and isinstance(after, Mapping):
-        for name in dict.fromkeys([*before, *after]):
-            declared = (kind.parameters.get(name) or kind.options.get(name)) if kind else None
-            unit = declared.unit if declared and kind and name in kind.parameters else None
-            fallback = declared.default if declared and declared.default is not None else _MISSING
-            values = before.get(name, fallback), after.get(name, fallback)
-            _compare(f"{where}.parameters.{name}", *values, changes, unit)
-    rest = [key for key in dict.fromkeys([*old, *new]) if key not in ("type", "parameters", "description")]
-    for key in rest:
-        _compare(f"{where}.{key}", old.get(key, _MISSING), new.get(key, _MISSING), changes, None)
+    given = isinstance(before, Mapping) and isinstance(after, Mapping)
+    changes = _entries(where, *rest)
+    return [*changes, *(_entries(f"{where}.parameters", before, after, defaults, units) if given else ())]
 
 
-def _wires(old: list[Any], new: list[Any], changes: list[Change]) -> None:
-    before, after = (Counter(_wire(pair) for pair in wires) for wires in (old, new))
-    changes += [Change("-", "wires", old=wire) for wire in (before - after).elements()]
-    changes += [Change("+", "wires", new=wire) for wire in (after - before).elements()]
+def _entries(
+    where: str,
+    old: Mapping[str, Any],
+    new: Mapping[str, Any],
+    defaults: Mapping[str, Any] = {},
+    units: Mapping[str, str | None] = {},
+) -> list[Change]:
+    """Return the changes of an object's entries; what is not written has its default."""
+    changes: list[Change] = []
+    for key in _keys(old, new):
+        before, after = (entries.get(key, defaults.get(key, _MISSING)) for entries in (old, new))
+        changes += _compared(f"{where}.{key}", before, after, units.get(key))
+    return changes
 
 
 def _wire(pair: Any) -> str:
@@ -112,15 +103,16 @@ def _wire(pair: Any) -> str:
     return " -> ".join(ends)
 
 
-def _compare(where: str, old: Any, new: Any, changes: list[Change], unit: str | None) -> None:
-    if old is _MISSING or new is _MISSING:
-        if old is not new:
-            changes.append(Change("+", where, new=new) if old is _MISSING else Change("-", where, old=old))
-    elif isinstance(old, Mapping) and isinstance(new, Mapping):
-        for key in dict.fromkeys([*old, *new]):
-            _compare(f"{where}.{key}", old.get(key, _MISSING), new.get(key, _MISSING), changes, None)
-    elif not _equal(old, new, unit):
-        changes.append(Change("~", where, old, new))
+def _compared(where: str, old: Any, new: Any, unit: str | None = None) -> list[Change]:
+    if old is new:
+        return []
+    if old is _MISSING:
+        return [Change("+", where, new=new)]
+    if new is _MISSING:
+        return [Change("-", where, old=old)]
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        return _entries(where, old, new)
+    return [] if _equal(old, new, unit) else [Change("~", where, old, new)]
 
 
 def _equal(old: Any, new: Any, unit: str | None) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 import networkx as nx
 
@@ -127,15 +128,12 @@ def draw_svg(diagram: Diagram, highlight: Mapping[str, str] | None = None) -> st
 
 
 def _boxes(diagram: Diagram) -> dict[str, _Box]:
-    wired_in: dict[str, dict[str, None]] = {}
-    wired_out: dict[str, dict[str, None]] = {}
-    for wire in diagram.wires:
-        wired_out.setdefault(wire.source.block, {})[wire.source.port] = None
-        wired_in.setdefault(wire.target.block, {})[wire.target.port] = None
+    wired_in = {(wire.target.block, wire.target.port) for wire in diagram.wires}
+    wired_out = {(wire.source.block, wire.source.port) for wire in diagram.wires}
     boxes = {}
     for name, node in diagram.nodes.items():
-        inputs = [port for port in node.inputs if port in wired_in.get(name, ())]
-        outputs = [port for port in node.outputs if port in wired_out.get(name, ())]
+        inputs = [port for port in node.inputs if (name, port) in wired_in]
+        outputs = [port for port in node.outputs if (name, port) in wired_out]
         box = _Box(node, inputs, outputs)
         count = max(len(inputs), len(outputs), 1)
         ports = 0.0 if box.plain else 6.2 * (max(map(len, inputs), default=0) + max(map(len, outputs), default=0)) + 26
@@ -170,11 +168,8 @@ def _layered(diagram: Diagram) -> dict[str, tuple[float, float]]:
     for source, target in dict.fromkeys((w.source.block, w.target.block) for w in diagram.wires):
         if source != target and not nx.has_path(graph, target, source):
             graph.add_edge(source, target)
-    cells: dict[str, tuple[float, float]] = {}
-    for column, layer in enumerate(nx.topological_generations(graph)):
-        for row, name in enumerate(layer):
-            cells[name] = (float(column), float(row))
-    return cells
+    layers = enumerate(nx.topological_generations(graph))
+    return {name: (float(column), float(row)) for column, layer in layers for row, name in enumerate(layer)}
 
 
 def _route(
@@ -200,26 +195,18 @@ def _measure(
     """Place boxes in px; return the size of the sheet and where channels and streets begin."""
     wide = [max((b.width for b in boxes.values() if b.column == c), default=0.0) for c in range(columns)]
     high = [max((b.height for b in boxes.values() if b.row == r), default=0.0) for r in range(rows)]
-    left, x = [], 0.0
-    column_x = []
-    for c in range(columns + 1):
-        left.append(x)
-        x += channels[c].width
-        if c < columns:
-            column_x.append(x)
-            x += wide[c]
-    top, y = [], 34.0
-    row_y = []
-    for r in range(rows + 1):
-        top.append(y)
-        y += MARGIN + LANE * len(streets[r].taken)
-        if r < rows:
-            row_y.append(y)
-            y += high[r]
+    left, right = _gaps(0.0, [channel.width for channel in channels], wide)
+    top, bottom = _gaps(34.0, [street.width - MARGIN for street in streets], high)
     for box in boxes.values():
-        box.x = column_x[box.column] + (wide[box.column] - box.width) / 2
-        box.y = row_y[box.row] + (high[box.row] - box.height) / 2
-    return x, y + 8, left, top
+        box.x = right[box.column] + (wide[box.column] - box.width) / 2
+        box.y = bottom[box.row] + (high[box.row] - box.height) / 2
+    return right[-1], bottom[-1] + 8, left, top
+
+
+def _gaps(start: float, gaps: list[float], sizes: list[float]) -> tuple[list[float], list[float]]:
+    """Return where gaps begin and end, with boxes of these sizes between them."""
+    ends = list(accumulate((size for pair in zip(gaps, [*sizes, 0.0], strict=True) for size in pair), initial=start))
+    return ends[:-1:2], ends[1::2]
 
 
 def _points(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from rotorsim.block import Block
 from rotorsim.diagram.parse.document import endpoint
 from rotorsim.diagram.resolve.registry import Registry
-from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.errors import Problem, Problems, RotorsimError, near_miss
 
 __all__ = ["fitting_types", "swap"]
 
@@ -35,15 +35,12 @@ def swap(
     if kind is None:
         raise RotorsimError(Problem(f"unknown block type '{new_type}'", block, hint=registry.hint(new_type)))
     before = blocks[block]
-    kept = {
-        name: value
-        for name, value in before.get("parameters", {}).items()
-        if name in kind.parameters or name in kind.options
-    }
+    known = {**kind.parameters, **kind.options}
+    kept = {name: value for name, value in before.get("parameters", {}).items() if name in known}
     for name in parameters or {}:
-        if name not in kind.parameters and name not in kind.options:
-            hint = near_miss(name, [*kind.parameters, *kind.options])
-            raise RotorsimError(Problem(f"type '{new_type}' has no parameter '{name}'", f"{block}.{name}", hint=hint))
+        if name not in known:
+            what = f"type '{new_type}' has no parameter '{name}'"
+            raise RotorsimError(Problem(what, f"{block}.{name}", hint=near_miss(name, known)))
     values = {**kept, **(parameters or {})}
     problems = _misfits(data, block, kind, values)
     if problems:
@@ -68,24 +65,24 @@ def _misfits(data: Mapping[str, Any], block: str, kind: type[Block], values: Map
         outputs = {n for d in kind.outputs.values() for n in made.port_names(d)}
     except Exception as error:  # options of the wrong kind: the loader says it better
         return [Problem(f"type '{kind.type_name}' cannot be made: {error}", block)]
-    problems: list[Problem] = []
+    kind_name = f"type '{kind.type_name}'"
+    problems = Problems()
     used: set[str] = set()
-    for wire in data.get("wires", []):
-        ends = [endpoint(end) for end in wire] if isinstance(wire, list) and len(wire) == 2 else [None, None]
-        for end, known, word in ((ends[0], outputs, "output"), (ends[1], inputs, "input")):
-            if end is not None and end.block == block:
-                used.add(end.port)
-                if end.port not in known:
-                    what = f"type '{kind.type_name}' has no {word} '{end.port}', which is wired"
-                    problems.append(Problem(what, f"{block}.{end.port}"))
-    for text in data.get("record", []):
-        end = endpoint(text)
-        if end is not None and end.block == block and end.port not in outputs and end.port not in used:
-            what = f"type '{kind.type_name}' has no output '{end.port}', which is recorded"
-            problems.append(Problem(what, f"{block}.{end.port}"))
-    for name, declared in inputs.items():
-        if not declared.optional and not declared.additive and name not in used:
-            problems.append(
-                Problem(f"type '{kind.type_name}' needs input '{name}', which is not wired", f"{block}.{name}")
-            )
+    wires = [wire for wire in data.get("wires", []) if isinstance(wire, list) and len(wire) == 2]
+    for known, word, ends in ((outputs, "output", [w[0] for w in wires]), (inputs, "input", [w[1] for w in wires])):
+        for port in _ports_of(block, ends):
+            used.add(port)
+            if port not in known:
+                problems.error(f"{kind_name} has no {word} '{port}', which is wired", f"{block}.{port}")
+    for port in _ports_of(block, data.get("record", [])):
+        if port not in outputs and port not in used:
+            problems.error(f"{kind_name} has no output '{port}', which is recorded", f"{block}.{port}")
+    for port, declared in inputs.items():
+        if not declared.optional and not declared.additive and port not in used:
+            problems.error(f"{kind_name} needs input '{port}', which is not wired", f"{block}.{port}")
     return list(dict.fromkeys(problems))
+
+
+def _ports_of(block: str, texts: Iterable[Any]) -> list[str]:
+    """Return the ports of a block among wire ends or recorded signals."""
+    return [end.port for end in map(endpoint, texts) if end is not None and end.block == block]

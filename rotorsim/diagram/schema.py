@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from rotorsim.block import Block, _Option, _Param
+from rotorsim.block import Block, Option, Param
 from rotorsim.diagram.resolve.registry import all_types
-from rotorsim.diagram.resolve.resolution import METHODS
+from rotorsim.diagram.solver import METHODS
 
 __all__ = ["json_schema", "schema_text"]
 
@@ -30,6 +30,8 @@ def json_schema() -> dict[str, Any]:
         "required": ["type", "file"],
         "additionalProperties": False,
     }
+    # of types that are not built in: user files, entry points
+    foreign = {"properties": {"type": {"type": "string", "not": {"enum": [*all_types(), "diagram"]}}}}
     quantity = {"$ref": "#/$defs/quantity"}
     top: dict[str, Any] = {
         "$schema": {"type": "string"},
@@ -40,7 +42,7 @@ def json_schema() -> dict[str, Any]:
         "blocks": {
             "type": "object",
             "propertyNames": {"pattern": _NAME},
-            "additionalProperties": {"type": "object", "required": ["type"], "anyOf": [*blocks, sub, _foreign()]},
+            "additionalProperties": {"type": "object", "required": ["type"], "anyOf": [*blocks, sub, foreign]},
         },
         "wires": {
             "type": "array",
@@ -112,11 +114,6 @@ def schema_text() -> str:
     return json.dumps(json_schema(), indent=1, ensure_ascii=False) + "\n"
 
 
-def _foreign() -> dict[str, Any]:
-    """Return the schema of block types that are not built in (user files, entry points)."""
-    return {"properties": {"type": {"type": "string", "not": {"enum": [*all_types(), "diagram"]}}}}
-
-
 def _block(kind: type[Block]) -> dict[str, Any]:
     properties: dict[str, Any] = {name: _option(option) for name, option in kind.options.items()}
     properties.update({name: _parameter(parameter) for name, parameter in kind.parameters.items()})
@@ -137,7 +134,7 @@ def _block(kind: type[Block]) -> dict[str, Any]:
     }
 
 
-def _parameter(parameter: _Param) -> dict[str, Any]:
+def _parameter(parameter: Param) -> dict[str, Any]:
     unit = "" if parameter.unit in (None, "1") else f" [{parameter.unit}]"
     number: dict[str, Any] = {"type": "number"}
     for key, bound in (("minimum", parameter.low), ("maximum", parameter.high), ("exclusiveMinimum", parameter.above)):
@@ -152,7 +149,7 @@ def _parameter(parameter: _Param) -> dict[str, Any]:
     return found
 
 
-def _option(option: _Option) -> dict[str, Any]:
+def _option(option: Option) -> dict[str, Any]:
     found: dict[str, Any] = {"description": option.doc, "default": option.default}
     if option.choices is not None and not isinstance(option.default, list):
         return {**found, "anyOf": [{"enum": list(option.choices)}, _REFERENCE]}

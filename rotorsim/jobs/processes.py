@@ -9,8 +9,8 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from threading import Thread
@@ -18,6 +18,8 @@ from types import TracebackType
 from typing import Any
 
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.jobs.store import Outcome
+from rotorsim.jobs.tasks import KILLED, Function, Job, Task, outcomes_in, pack, reply, tasks_of
 
 __all__ = ["ENVIRONMENT", "Pool"]
 
@@ -30,26 +32,23 @@ ENVIRONMENT = {  # of the processes: one thread each, and sets in one order
 _PATIENCE = 5.0  # s, for a process that has nothing to do to end
 _TICK = 1.0  # s; on Windows, Ctrl-C waits for the end of a wait
 
-Task = Any
+RETRIES = 2  # of a job whose process died
 
 
 class Pool:
     """Worker processes, started by spawning; a context manager, which ends them.
 
-    serve: what performs a task there, a function of a module: bytes to bytes.
     Raises RotorsimError when they do not start.
     """
 
-    def __init__(self, workers: int, serve: Callable[[bytes], bytes]) -> None:
-        self._serve = serve
+    def __init__(self, workers: int) -> None:
         self._workers: list[_Worker] = []
         try:
-            with _uninterrupted(), _environment():
-                for _ in range(workers):
-                    self._workers.append(_Worker(serve))
-        except (RuntimeError, OSError) as error:
+            for _ in range(workers):
+                self._workers.append(_started())
+        except RotorsimError:
             self._end(at_once=True)
-            raise _not_started(error) from None
+            raise
 
     def __enter__(self) -> Pool:
         return self
@@ -61,50 +60,49 @@ class Pool:
 
     def _end(self, *, at_once: bool) -> None:
         for worker in self._workers:
-            worker.stop(at_once=at_once or worker.task is not None)
+            worker.stop(at_once=at_once or bool(worker.task))
         for worker in self._workers:
             worker.join()
+        self._workers.clear()
 
-    def perform(
-        self, tasks: deque[Task], packed: Callable[[Task], bytes], lost: Callable[[Task], list[Task]]
-    ) -> Iterator[tuple[Task, bytes | None]]:
-        """Yield each task with its reply, as they come.
+    def run(self, function: Function, jobs: Sequence[Job], chunk: int) -> Iterator[tuple[int, Outcome]]:
+        """Yield index and outcome of every job as the processes finish them, ``chunk`` jobs handed over at a time.
 
-        lost: gives the tasks to do instead of one whose process died (itself, parts of it); with none of them the
-        reply is None.
+        The jobs of a task that killed its process are run again one by one; one that kills it each time has failed.
+        Raises RotorsimError where the processes have ended, or a job cannot be sent to one.
         """
+        if not self._workers:
+            raise RotorsimError(Problem("the worker processes have ended", hint="use them inside `local_workers`"))
+        tasks = deque(tasks_of(jobs, chunk))
+        deaths: Counter[int] = Counter()
         try:
-            while tasks or any(worker.task is not None for worker in self._workers):
+            while tasks or any(worker.task for worker in self._workers):
                 for k, worker in enumerate(self._workers):
                     if worker.stopped and tasks:
-                        self._workers[k] = worker = self._new()
-                    if worker.ready and worker.task is None and tasks:
-                        worker.give(tasks[0], packed(tasks[0]))
+                        self._workers[k] = worker = _started()
+                    if worker.ready and not worker.task and tasks:
+                        worker.give(tasks[0], pack(function, tasks[0]))
                         tasks.popleft()
                 for worker in self._heard():
                     task, was_ready = worker.task, worker.ready
-                    reply = worker.reply()
-                    if reply is not None:
+                    answer = worker.answer()
+                    if answer is not None:
                         if was_ready:
-                            yield task, reply
-                        continue
-                    if not was_ready:
+                            yield from outcomes_in(answer, task)
+                    elif not was_ready:
                         raise _not_started("they end at once")
-                    again = lost(task) if task is not None else []
-                    tasks.extendleft(reversed(again))
-                    if task is not None and not again:
-                        yield task, None
+                    elif len(task) > 1:
+                        tasks.extendleft([job] for job in reversed(task))
+                    elif task:
+                        deaths[task[0][0]] += 1
+                        if deaths[task[0][0]] <= RETRIES:
+                            tasks.appendleft(task)
+                        else:
+                            yield task[0][0], KILLED
         finally:
             for worker in self._workers:
-                if worker.task is not None:  # nobody will want its answer
+                if worker.task:  # nobody will want its answer
                     worker.stop(at_once=True)
-
-    def _new(self) -> _Worker:
-        try:
-            with _uninterrupted(), _environment():
-                return _Worker(self._serve)
-        except (RuntimeError, OSError) as error:
-            raise _not_started(error) from None
 
     def _heard(self) -> list[_Worker]:
         """Wait for workers to say something, or to die."""
@@ -116,14 +114,14 @@ class Pool:
 
 
 class _Worker:
-    """One process. task: what it works on; ready: whether it has said that it runs."""
+    """One process. task: what it works on, empty while it waits; ready: whether it has said that it runs."""
 
-    def __init__(self, serve: Callable[[bytes], bytes]) -> None:
+    def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, there = context.Pipe()
-        self.task: Task | None = None
+        self.task: Task = ()
         self.ready = self.stopped = False
-        self.process = context.Process(target=_work, args=(there, serve), daemon=True)
+        self.process = context.Process(target=_work, args=(there,), daemon=True)
         try:
             self.process.start()
         except BaseException:
@@ -137,20 +135,20 @@ class _Worker:
         with suppress(OSError):  # it has died: seen when its reply is read
             self.pipe.send_bytes(payload)
 
-    def reply(self) -> bytes | None:
+    def answer(self) -> bytes | None:
         """Return what it says, None when it has died."""
         try:
             said = self.pipe.recv_bytes()
         except (EOFError, OSError):
             self.stop(at_once=True)
             return None
-        self.task, self.ready = None, True
+        self.task, self.ready = (), True
         return said
 
     def stop(self, *, at_once: bool) -> None:
         """End it: by closing its pipe, or by force."""
         if not self.stopped:
-            self.stopped, self.task = True, None
+            self.stopped, self.task = True, ()
             if at_once:
                 self.process.kill()
             self.pipe.close()
@@ -162,13 +160,22 @@ class _Worker:
             self.process.join()
 
 
-def _work(pipe: Any, serve: Callable[[bytes], bytes]) -> None:
+def _started() -> _Worker:
+    """Return a new worker. Raises RotorsimError when its process does not start."""
+    try:
+        with _uninterrupted(), _environment():
+            return _Worker()
+    except (RuntimeError, OSError) as error:
+        raise _not_started(error) from None
+
+
+def _work(pipe: Any) -> None:
     """Perform tasks until the other end of the pipe is closed, by whatever end of that process."""
     Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
         pipe.send_bytes(b"")
         while True:
-            pipe.send_bytes(serve(pipe.recv_bytes()))
+            pipe.send_bytes(reply(pipe.recv_bytes()))
 
 
 def _end_with_parent() -> None:
@@ -184,8 +191,13 @@ def _end_with_parent() -> None:
 def _not_started(why: object) -> RotorsimError:
     if isinstance(why, RuntimeError):  # what multiprocessing says to a script that has no such line
         why = "the script that starts them is itself being read by one"
-    hint = 'in a script, call it under `if __name__ == "__main__":`; or use the scheduler "synchronous"'
-    return RotorsimError(Problem(f"the worker processes do not start: {why}", hint=hint), exit_code=1)
+    return RotorsimError(
+        Problem(
+            f"the worker processes do not start: {why}",
+            hint='in a script, call it under `if __name__ == "__main__":`; or use the scheduler "synchronous"',
+        ),
+        exit_code=1,
+    )
 
 
 @contextmanager
@@ -196,11 +208,9 @@ def _environment() -> Iterator[None]:
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for name in before:
+            os.environ.pop(name, None)
+        os.environ.update({name: value for name, value in before.items() if value is not None})
 
 
 @contextmanager

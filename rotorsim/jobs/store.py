@@ -33,8 +33,9 @@ def open_store(
     try:
         stream = Path(store).open("a+b")  # noqa: SIM115
     except OSError as error:
-        what = f"file cannot be written: {error.strerror or error}"
-        raise RotorsimError(Problem(what, place=place, hint="choose another file")) from None
+        raise RotorsimError(
+            Problem(f"file cannot be written: {error.strerror or error}", place=place, hint="choose another file")
+        ) from None
 
     def append(index: int, outcome: Outcome) -> None:
         line = {"index": index, "argument": hashes[index], "key": key, **outcome}
@@ -42,14 +43,24 @@ def open_store(
             stream.write(json.dumps(line).encode() + b"\n")
             stream.flush()
         except OSError as error:
-            what = f"result cannot be written: {error.strerror or error}"
-            hint = "run again with the same store: the results so far are kept"
-            raise RotorsimError(Problem(what, place=place, hint=hint), exit_code=1) from None
+            raise RotorsimError(
+                Problem(
+                    f"result cannot be written: {error.strerror or error}",
+                    place=place,
+                    hint="run again with the same store: the results so far are kept",
+                ),
+                exit_code=1,
+            ) from None
 
     try:
         if not _lock(stream):
-            hint = "wait until it is done, or give another file"
-            raise RotorsimError(Problem("another process is writing this store", place=place, hint=hint))
+            raise RotorsimError(
+                Problem(
+                    "another process is writing this store",
+                    place=place,
+                    hint="wait until it is done, or give another file",
+                )
+            )
         yield _read(stream, place, key, hashes), append
     finally:
         with suppress(OSError):
@@ -114,8 +125,13 @@ def _hash_of(index: int, argument: Any) -> str:
     try:
         return _hash(argument)
     except (TypeError, ValueError, RecursionError) as error:
-        hint = "with a store, arguments are dicts, lists, numbers, text, NumPy arrays or dataclasses"
-        raise RotorsimError(Problem(f"the argument is no plain data: {error}", f"job {index}", hint=hint)) from None
+        raise RotorsimError(
+            Problem(
+                f"the argument is no plain data: {error}",
+                f"job {index}",
+                hint="with a store, arguments are dicts, lists, numbers, text, NumPy arrays or dataclasses",
+            )
+        ) from None
 
 
 def _described(value: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
+import ctypes
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.diagram.resolve.values import ValueProblem, bounds_problem, numeric
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.model.emit.emit import Kernel, build_kernel, emit_c
 from rotorsim.model.emit.toolchain import Compiler, CompilerError, compile_c, compiler_error, find_compiler
 from rotorsim.model.trace.diagram import Signal, Trace, flat_indices, trace_diagram
@@ -20,27 +20,10 @@ from rotorsim.model.trace.diagram import Signal, Trace, flat_indices, trace_diag
 __all__ = ["Library", "Model", "compile_diagram"]
 
 
-def _pointer(array: np.ndarray) -> Any:
-    import ctypes
-
-    return ctypes.c_void_p(array.ctypes.data)
-
-
 class Library:
-    """The C functions of one diagram (see runtime.c), and how they came about."""
-
-    size: Any
-    prepare: Any
-    start: Any
-    sample: Any
-    derivative: Any
-    derivatives: Any
-    record: Any
-    run: Any
+    """The C functions of one diagram (``handle.rs_run`` and others, see runtime.c), and how they came about."""
 
     def __init__(self, kernel: Kernel, compiler: Compiler) -> None:
-        import ctypes
-
         self.kernel = kernel
         self.source = emit_c(kernel)
         self.compiler = compiler.name
@@ -55,14 +38,12 @@ class Library:
             ("rs_record", [f64, ptr, ptr, ptr, ptr, ptr], None),
             ("rs_derivatives", [i64, ptr, ptr, ptr, ptr, i64, ptr, ptr], None),
             ("rs_run", [ptr, ptr, i64, i64, f64, f64, i64, ptr], i64),
+            *([("rs_next", [ptr, ptr], f64)] if kernel.trace.samplers else []),
         ):
             function = getattr(self.handle, name, None)
             if function is None:
                 raise compiler_error(compiler.command[0], f"wrote a library without {name}")
             function.argtypes, function.restype = arguments, result
-            setattr(self, name[3:], function)
-        if kernel.trace.samplers:
-            self.handle.rs_next.argtypes, self.handle.rs_next.restype = [ptr, ptr], f64
 
     def memory(self) -> np.ndarray:
         """Return zeroed memory of one instance."""
@@ -88,10 +69,8 @@ class Model:
         self._selected: dict[str, tuple[Signal, np.ndarray]] = {}
         self._libraries: dict[tuple[str, ...], Library | None] = {}
         self.without = "no C compiler"  # why a run is without one, if it is
-        self.p0 = np.zeros(self.n_p)
-        for name, node in diagram.nodes.items():
-            for key, value in node.values.items():
-                self.p0[self.parameters[f"{name}.{key}"]] = np.ravel(value)
+        values = (value for node in diagram.nodes.values() for value in node.values.values())
+        self.p0 = np.concatenate([np.zeros(0), *map(np.ravel, values)])
 
     def parameter_vector(self, overrides: Mapping[str, Any] | None = None) -> np.ndarray:
         """Return p with some values replaced; diagram parameters by name set all that refer to them.
@@ -105,9 +84,13 @@ class Model:
             parts = self._parts_of(name)
             if not parts:
                 known = [*self.diagram.parameters, *self.parameters]
-                near = difflib.get_close_matches(name, known, 1)
-                hint = f"did you mean '{near[0]}'?" if near else "`rotorsim blocks TYPE` lists parameters"
-                problems.append(Problem(what="no such parameter", subject=name, hint=hint))
+                problems.append(
+                    Problem(
+                        what="no such parameter",
+                        subject=name,
+                        hint=near_miss(name, known, list_all=False) or "`rotorsim blocks TYPE` lists parameters",
+                    )
+                )
                 continue
             for target, part in parts.items():
                 try:
@@ -116,8 +99,9 @@ class Model:
                     problems.append(Problem(what=problem.what, subject=name, hint=problem.hint))
                     break
                 if given.size not in (1, part.stop - part.start):
-                    what = f"{given.size} values given, {part.stop - part.start} expected"
-                    problems.append(Problem(what=what, subject=name))
+                    problems.append(
+                        Problem(what=f"{given.size} values given, {part.stop - part.start} expected", subject=name)
+                    )
                 else:
                     p[part] = given.ravel()
         if problems:
@@ -144,12 +128,11 @@ class Model:
 
     @cached_property
     def _followers(self) -> dict[str, dict[str, slice]]:
-        found: dict[str, dict[str, slice]] = {}
+        followers: dict[str, dict[str, slice]] = {}
         for block, node in self.diagram.nodes.items():
             for key, reference in node.references.items():
-                target = f"{block}.{key}"
-                found.setdefault(reference, {})[target] = self.parameters[target]
-        return found
+                followers.setdefault(reference, {})[f"{block}.{key}"] = self.parameters[f"{block}.{key}"]
+        return followers
 
     @cached_property
     def references(self) -> dict[str, list[slice]]:
@@ -180,12 +163,12 @@ class Model:
     @cached_property
     def rhs(self) -> ca.Function:
         """dx/dt as a CasADi function of (t, x, z, p)."""
-        return ca.Function("rhs", self._arguments, [ca.densify(self._closed(self.trace.xdot))])
+        return ca.Function("rhs", self._arguments, [ca.densify(self.closed(self.trace.xdot))])
 
     @cached_property
     def jacobian_expression(self) -> Any:
         """Sparse d(dx/dt)/dx as an expression of the trace's symbols."""
-        return ca.jacobian(self._closed(self.trace.xdot), self.trace.x)
+        return ca.jacobian(self.closed(self.trace.xdot), self.trace.x)
 
     @cached_property
     def jacobian(self) -> ca.Function:
@@ -197,7 +180,7 @@ class Model:
         """Whether dx/dt is linear in x with constant coefficients (its Jacobian has neither x nor t)."""
         return not ca.depends_on(self.jacobian_expression, ca.vertcat(self.trace.x, self.trace.t))
 
-    def _closed(self, expression: Any) -> Any:
+    def closed(self, expression: Any) -> Any:
         """Return an expression with the external inputs (if any were asked for) at zero."""
         v = self.trace.v
         return ca.substitute(expression, v, ca.SX.zeros(*v.shape)) if v.numel() else expression
@@ -210,7 +193,7 @@ class Model:
         key = tuple(names)
         if key not in self._outputs:
             column = ca.vertcat(*[self.expression(name) for name in key]) if key else ca.SX(0, 1)
-            self._outputs[key] = ca.Function("output", self._arguments, [ca.densify(self._closed(column))])
+            self._outputs[key] = ca.Function("output", self._arguments, [ca.densify(self.closed(column))])
         return self._outputs[key]
 
     def expression(self, name: str) -> Any:
@@ -229,9 +212,7 @@ class Model:
         base, bracket, inside = name.partition("[")
         signal = self.signals.get(base)
         if signal is None:
-            near = difflib.get_close_matches(base, list(self.signals), 1)
-            hint = f"did you mean '{near[0]}'?" if near else f"signals: {', '.join(list(self.signals)[:8])}"
-            raise RotorsimError(Problem(what="no such signal", subject=name, hint=hint))
+            raise RotorsimError(Problem("no such signal", name, hint=near_miss(base, self.signals)))
         try:
             index = tuple(int(part) - 1 for part in inside.rstrip("]").split(",")) if bracket else ()
             if any(i < 0 for i in index):
@@ -239,8 +220,9 @@ class Model:
             return signal, flat_indices(signal.shape, index)
         except (ValueError, IndexError):
             shape = " x ".join(map(str, signal.shape)) or "scalar"
-            what = f"no such entry; '{base}' has shape {shape}, counted from 1"
-            raise RotorsimError(Problem(what=what, subject=name)) from None
+            raise RotorsimError(
+                Problem(what=f"no such entry; '{base}' has shape {shape}, counted from 1", subject=name)
+            ) from None
 
     def record_names(self, record: Iterable[str | Endpoint] | None = None) -> tuple[str, ...]:
         """Return what a run records, by name: what is asked for, else what the diagram says."""
@@ -284,8 +266,8 @@ class Model:
             return np.array(columns).T
         out = np.empty((len(t), self.n_x))
         m = library.memory()
-        addresses = [_pointer(a) for a in (t, x, z, p)]
-        library.derivatives(len(t), *addresses, self.n_p, _pointer(m), _pointer(out))
+        addresses = [a.ctypes.data for a in (t, x, z, p)]
+        library.handle.rs_derivatives(len(t), *addresses, self.n_p, m.ctypes.data, out.ctypes.data)
         return out
 
     def block_of_state(self, position: int) -> str:

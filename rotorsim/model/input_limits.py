@@ -29,15 +29,14 @@ def input_limits(diagram: Diagram, given: Mapping[str, np.ndarray] | None = None
 
     given: values of parameters by name ("amb.bias_current"), flat.
     """
-    known, found = given or {}, []
+    known, limits = given or {}, []
     for name, node in diagram.nodes.items():
         values = {key: known.get(f"{name}.{key}", node.values[key]) for key in node.block.parameters}
         single = {key: float(np.ravel(value)[0]) if np.size(value) == 1 else value for key, value in values.items()}
         for port, limit in node.block.holds_below(SimpleNamespace(**single)).items():
-            for wire in diagram.wires:
-                if (wire.target.block, wire.target.port) == (name, port):
-                    found.append(InputLimit(name, port, wire.source, float(limit), node.inputs[port].unit or ""))
-    return found
+            sources = [w.source for w in diagram.wires if (w.target.block, w.target.port) == (name, port)]
+            limits += [InputLimit(name, port, end, float(limit), node.inputs[port].unit or "") for end in sources]
+    return limits
 
 
 def passed_limit(limits: Sequence[InputLimit], time: np.ndarray, signals: Mapping[str, np.ndarray]) -> str:

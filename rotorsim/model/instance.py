@@ -56,7 +56,7 @@ class CompiledInstance:
     """An instance that runs the generated C."""
 
     def __init__(self, model: Model, library: Library, p: np.ndarray) -> None:
-        self.library = library
+        self.functions = library.handle
         self.path = f"C ({library.compiler}, {'from the cache' if library.cached else 'compiled now'})"
         self.samplers = model.trace.samplers
         self.p = np.ascontiguousarray(p, float)
@@ -69,30 +69,30 @@ class CompiledInstance:
         self._x, self._z = self.x.ctypes.data, self._m + 8 * model.n_x
         self._point = np.empty(max(model.n_x, 1))
         self._slope, self._row = np.empty(model.n_x), np.empty(self.n_y)
-        self.library.prepare(self._p, self._m)
+        self.functions.rs_prepare(self._p, self._m)
         self.x[:], self.z[:] = model.initial(self.p)
 
     def start(self, t: float) -> None:
-        self.library.start(t, self._p, self._m)
+        self.functions.rs_start(t, self._p, self._m)
 
     def run(self, n0: int, n1: int, t0: float, h: float, every: int, rows: np.ndarray) -> int:
-        return int(self.library.run(self._p, self._m, n0, n1, t0, h, every, rows.ctypes.data))
+        return int(self.functions.rs_run(self._p, self._m, n0, n1, t0, h, every, rows.ctypes.data))
 
     def derivative(self, t: float, x: np.ndarray) -> np.ndarray:
         self._point[: len(x)] = x
-        self.library.derivative(t, self._point.ctypes.data, self._z, self._p, self._m, self._slope.ctypes.data)
+        self.functions.rs_derivative(t, self._point.ctypes.data, self._z, self._p, self._m, self._slope.ctypes.data)
         return self._slope.copy()
 
     def record(self, t: float, x: np.ndarray) -> np.ndarray:
         self._point[: len(x)] = x
-        self.library.record(t, self._point.ctypes.data, self._z, self._p, self._m, self._row.ctypes.data)
+        self.functions.rs_record(t, self._point.ctypes.data, self._z, self._p, self._m, self._row.ctypes.data)
         return self._row.copy()
 
     def sample(self, t: float) -> None:
-        self.library.sample(t, self._p, self._m)
+        self.functions.rs_sample(t, self._p, self._m)
 
     def next_hit(self) -> float:
-        return float(self.library.handle.rs_next(self._p, self._m)) if self.samplers else np.inf
+        return float(self.functions.rs_next(self._p, self._m)) if self.samplers else np.inf
 
     def save(self) -> Any:
         return self.memory.copy()
@@ -113,48 +113,35 @@ class InterpretedInstance:
         self.samplers = trace.samplers
         self.x, self.z = model.initial(self.p)
         self.counts = np.zeros(len(self.samplers))
-        columns = [model._closed(model.expression(name)) for name in record]
+        columns = [model.closed(model.expression(name)) for name in record]
         y = ca.densify(ca.vertcat(*columns, trace.loop_residuals)) if columns else ca.SX(0, 1)
         self.n_y = y.numel()
         arguments = [trace.x, trace.t, trace.z, trace.p]
-        self._f = ca.Function("f", arguments, [ca.densify(model._closed(trace.xdot)), y], {"cse": True})
+        self._f = ca.Function("f", arguments, [ca.densify(model.closed(trace.xdot)), y], {"cse": True})
         self._prepare_step(model.kernel(record), trace)
         self._many: dict[int, ca.Function] = {}
         self._repeated: dict[int, list[ca.DM]] = {}
-        self._update = ca.Function(
-            "update", [*arguments, trace.w, trace.hit], [ca.densify(model._closed(trace.z_next))]
-        )
+        self._update = ca.Function("update", [*arguments, trace.w, trace.hit], [ca.densify(model.closed(trace.z_next))])
 
     def _prepare_step(self, kernel: Kernel, trace: Any) -> None:
         """Make functions of the constants of the run, the forcing of an instant, and the step, as the C code has."""
         step = step_program(kernel)
-        sizes = {
-            "x": len(step.x),
-            "z": trace.z.numel(),
-            "p": trace.p.numel(),
-            "c": len(kernel.constants),
-            "t": 1,
-            "h": 1,
-        }
-        symbols = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
-        symbols.update({name: ca.SX.sym(name, len(kernel.forcing)) for name in ("g0", "gm", "g1")})
-        zeros = {
-            name: ca.SX.zeros(column.numel()) for name, column in (("v", trace.v), ("w", trace.w), ("hit", trace.hit))
-        }
-        known = {node: symbols["c"][k] for k, node in enumerate(kernel.constants)}
-        used = sorted({b for op, a, b in (*kernel.program.nodes, *step.program.nodes) if op == INPUT and a == "p"})
-        self._used = np.array(used, int)  # the others would only be copied from step to step
-        few = ca.SX.sym("p", len(used))
-        everything: dict[str, Any] = {**zeros, **symbols, "p": {b: few[k] for k, b in enumerate(used)}}
-        t, c = symbols["t"], symbols["c"]
-        symbols["p"] = few
         program = kernel.program
-        constants = ca.Function("constants", [few], [program.to_casadi(kernel.constants, everything, {})])
+        used = sorted({b for op, a, b in (*program.nodes, *step.program.nodes) if op == INPUT and a == "p"})
+        self._used = np.array(used, int)  # the others would only be copied from step to step
+        sizes = {"x": len(step.x), "z": trace.z.numel(), "p": len(used), "c": len(kernel.constants), "h": 1, "t": 1}
+        sizes |= dict.fromkeys(("g0", "gm", "g1"), len(kernel.forcing))
+        symbols = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+        zeros = {name: ca.SX.zeros(v.numel()) for name, v in (("v", trace.v), ("w", trace.w), ("hit", trace.hit))}
+        leaves = {**zeros, **symbols, "p": {b: symbols["p"][k] for k, b in enumerate(used)}}
+        known = {node: symbols["c"][k] for k, node in enumerate(kernel.constants)}
+        constants = ca.Function("constants", [symbols["p"]], [program.to_casadi(kernel.constants, leaves, {})])
         self._c = np.array(constants(self.p[self._used])).ravel()
-        self._forcing = ca.Function("forcing", [t, few, c], [program.to_casadi(kernel.forcing, everything, known)])
-        order = ("x", "z", "p", "c", "g0", "gm", "g1", "h")
-        results = [step.program.to_casadi(nodes, everything, {}) for nodes in (step.new, step.y)]
-        self._step = ca.Function("step", [symbols[name] for name in order], results)
+        arguments = [symbols[name] for name in ("t", "p", "c")]
+        self._forcing = ca.Function("forcing", arguments, [program.to_casadi(kernel.forcing, leaves, known)])
+        arguments = [symbols[name] for name in ("x", "z", "p", "c", "g0", "gm", "g1", "h")]
+        results = [step.program.to_casadi(nodes, leaves, {}) for nodes in (step.new, step.y)]
+        self._step = ca.Function("step", arguments, results)
 
     def start(self, t: float) -> None:
         self.counts = np.array([np.ceil(t / self.p[s.period] - HIT_TOLERANCE) for s in self.samplers])
@@ -198,11 +185,10 @@ class InterpretedInstance:
     def _steps(self, n: int, count: int, t0: float, h: float) -> np.ndarray:
         if count not in self._many:
             self._many[count] = self._step.mapaccum(f"steps{count}", count)
-            self._repeated[count] = [ca.DM(np.repeat(a[:, None], count, 1)) for a in (self.p[self._used], self._c)]
         g = self._forcing_at(t0 + (n + 0.5 * np.arange(2 * count + 1)) * h)
         z = ca.repmat(ca.DM(self.z), 1, count)
         parts = [ca.DM(np.ascontiguousarray(g[:, k : k + 2 * count : 2])) for k in range(3)]
-        arguments = (self.x, z, *self._repeated[count], *parts, ca.repmat(ca.DM(h), 1, count))
+        arguments = (self.x, z, *self._constants(count), *parts, ca.repmat(ca.DM(h), 1, count))
         states, y = self._many[count](*arguments)
         self.x = np.array(states)[:, -1]
         return np.array(y).T
@@ -210,9 +196,13 @@ class InterpretedInstance:
     def _forcing_at(self, instants: np.ndarray) -> np.ndarray:
         """Return the forcing at many instants, shape (n_g, n)."""
         n = len(instants)
+        return np.array(self._forcing(ca.DM(instants).T, *self._constants(n))).reshape(-1, n)
+
+    def _constants(self, n: int) -> list[ca.DM]:
+        """Return the parameters and the constants of the run, n times side by side."""
         if n not in self._repeated:
             self._repeated[n] = [ca.DM(np.repeat(a[:, None], n, 1)) for a in (self.p[self._used], self._c)]
-        return np.array(self._forcing(ca.DM(instants).T, *self._repeated[n])).reshape(-1, n)
+        return self._repeated[n]
 
     def _one(self, n: int, t0: float, h: float) -> np.ndarray:
         t, end, row = t0 + n * h, t0 + (n + 1) * h, None

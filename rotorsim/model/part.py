@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from itertools import accumulate
 from typing import Any
 
 import casadi as ca
 
-from rotorsim.block import In, Shape, size_of
-from rotorsim.diagram.diagram import Diagram
+from rotorsim.block import size_of
+from rotorsim.diagram.diagram import Diagram, Endpoint, Wire
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.model.compiled import Model
 from rotorsim.model.trace.diagram import Signal, Trace, trace_diagram
@@ -50,41 +51,29 @@ def open_part(
     Raises RotorsimError for blocks and ports that do not exist.
     """
     chosen = tuple(diagram.nodes) if blocks is None else tuple(dict.fromkeys(blocks))
-    inside = set(chosen)
     _check(diagram, chosen)
-    crossing = [w for w in diagram.wires if w.target.block in inside and w.source.block not in inside]
-    sources = list(dict.fromkeys(f"{w.source.block}.{w.source.port}" for w in crossing))
-    added = [] if by_source else [f"{w.target.block}.{w.target.port}" for w in crossing if _additive(diagram, w.target)]
-    added = list(dict.fromkeys([*added, *inputs]))
-    foreign = [
-        f"{name}.{port}"
-        for name, node in diagram.nodes.items()
-        if node.block.opaque and name not in inside
-        for port in node.outputs
-    ]
-    whole = trace_diagram(diagram, inject=added, replace=list(dict.fromkeys([*sources, *foreign])))
-    names: dict[str, tuple[Shape, str | None, Any]] = {}
-    values = ca.SX.zeros(*whole.v.shape)
-    fed: dict[str, list[Any]] = {}
-    for wire in crossing:
-        fed.setdefault(f"{wire.source.block}.{wire.source.port}", []).append(wire.target)
-    for source in sources:
-        signal = whole.external[source]
-        ends = [end for end in fed[source] if by_source or not _additive(diagram, end)]
-        if not ends:
-            continue  # it only adds to a port that is an input itself
-        ports = dict.fromkeys(f"{end.block}.{end.port}" for end in ends)
-        whole_port = len(ports) == 1 and not any(w.source.index or w.target.index for w in crossing if w.target in ends)
-        name = source if by_source or not whole_port else next(iter(ports))
-        symbol = ca.SX.sym("u", size_of(signal.shape))
-        names[name] = (signal.shape, signal.unit, symbol)
-        values[signal.part] = symbol
-    for port in added:
-        signal = whole.external[port]
-        symbol = ca.SX.sym("u", size_of(signal.shape))
-        names[port] = (signal.shape, signal.unit, symbol)
-        values[signal.part] = symbol
-    return _restricted(diagram, whole, chosen, names, values)
+    entering: dict[str, list[Wire]] = {}
+    for wire in diagram.wires:
+        if wire.target.block in chosen and wire.source.block not in chosen:
+            entering.setdefault(f"{wire.source.block}.{wire.source.port}", []).append(wire)
+
+    def is_added(end: Endpoint) -> bool:
+        return not by_source and diagram.nodes[end.block].inputs[end.port].additive
+
+    targets = [wire.target for wires in entering.values() for wire in wires if is_added(wire.target)]
+    added = list(dict.fromkeys([*(f"{end.block}.{end.port}" for end in targets), *inputs]))
+    opaque = [node for name, node in diagram.nodes.items() if node.block.opaque and name not in chosen]
+    foreign = [str(port) for node in opaque for port in node.outputs.values()]
+    whole = trace_diagram(diagram, inject=added, replace=dict.fromkeys([*entering, *foreign]))
+    names: dict[str, str] = {}  # of an input -> of the external input of the trace
+    for source, wires in entering.items():
+        direct = [wire for wire in wires if not is_added(wire.target)]  # others only add to an input themselves
+        ports = dict.fromkeys(f"{wire.target.block}.{wire.target.port}" for wire in direct)
+        is_whole = len(ports) == 1 and not any(wire.source.index or wire.target.index for wire in direct)
+        if direct:
+            names[source if by_source or not is_whole else next(iter(ports))] = source
+    names |= {port: port for port in added}
+    return _restricted(diagram, whole, chosen, {name: whole.external[of] for name, of in names.items()})
 
 
 def _check(diagram: Diagram, blocks: tuple[str, ...]) -> None:
@@ -99,52 +88,33 @@ def _check(diagram: Diagram, blocks: tuple[str, ...]) -> None:
         raise RotorsimError(Problem("the part has no blocks", diagram.name))
 
 
-def _additive(diagram: Diagram, end: Any) -> bool:
-    declared = diagram.nodes[end.block].inputs[end.port].declaration
-    return isinstance(declared, In) and declared.additive
-
-
-def _restricted(
-    diagram: Diagram,
-    whole: Trace,
-    blocks: tuple[str, ...],
-    names: Mapping[str, tuple[Shape, str | None, Any]],
-    values: Any,
-) -> Part:
+def _restricted(diagram: Diagram, whole: Trace, blocks: tuple[str, ...], given: Mapping[str, Signal]) -> Part:
     """Return the trace of the blocks alone: their states, and the inputs behind their discrete states."""
     inside = set(blocks)
     x = [k for k, block in enumerate(whole.state_blocks) if block in inside]
-    discrete = {name: signal for name, signal in whole.discrete_states.items() if name.rpartition(".")[0] in inside}
-    z = [k for signal in discrete.values() for k in range(signal.part.start, signal.part.stop)]
+    discrete = [signal for signal in whole.discrete_states.values() if _block(signal) in inside]
+    z = [k for signal in discrete for k in range(signal.part.start, signal.part.stop)]
     samplers = [s for s in whole.samplers if s.block in inside]
     draws = [k for s in samplers for k in range(s.draws.start, s.draws.stop)]
-    hits = [whole.samplers.index(s) for s in samplers]
-    symbols = [symbol for _, _, symbol in names.values()]
-    u = ca.vertcat(*symbols) if symbols else ca.SX(0, 1)
+    starts = accumulate((s.draws.stop - s.draws.start for s in samplers), initial=0)
+    u = ca.SX.sym("u", sum(size_of(signal.shape) for signal in given.values()))
+    external = _packed((replace(signal, name=name) for name, signal in given.items()), len(z))
+    values = ca.SX.zeros(*whole.v.shape)
+    for signal, own in zip(given.values(), external.values(), strict=True):
+        values[signal.part] = u[own.part.start - len(z) : own.part.stop - len(z)]
 
     def told(expression: Any) -> Any:
         return ca.substitute(expression, whole.v, values) if whole.v.numel() else expression
 
     signals = {name: told(value) for name, value in whole.signals.items() if name.rpartition(".")[0] in inside}
     events = [k for k, block in enumerate(whole.event_blocks) if block in inside]
-    moved: list[Any] = []
-    count = 0
-    for sampler in samplers:
-        width = sampler.draws.stop - sampler.draws.start
-        moved.append(replace(sampler, draws=slice(count, count + width)))
-        count += width
-    external: dict[str, Signal] = {}
-    start = len(z)
-    for name, (shape, unit, _) in names.items():
-        external[name] = Signal(name, shape, unit, slice(start, start + size_of(shape)))
-        start += size_of(shape)
     trace = replace(
         whole,
         x=whole.x[x],
         z=ca.vertcat(whole.z[z], u),
         v=ca.SX(0, 1),
         w=whole.w[draws],
-        hit=whole.hit[hits],
+        hit=whole.hit[[whole.samplers.index(s) for s in samplers]],
         xdot=told(whole.xdot[x]),
         z_next=ca.vertcat(told(whole.z_next[z]) if z else ca.SX(0, 1), u),
         x0=whole.x0[x],
@@ -152,31 +122,32 @@ def _restricted(
         signals=signals,
         events=told(whole.events[events]) if events else ca.SX(0, 1),
         loop_residuals=told(whole.loop_residuals),
-        states=_packed(whole.states, inside),
-        discrete_states=_packed(whole.discrete_states, inside),
+        states=_packed(signal for signal in whole.states.values() if _block(signal) in inside),
+        discrete_states=_packed(discrete),
         external={},
         ports={name: signal for name, signal in whole.ports.items() if name in signals},
-        samplers=tuple(moved),
+        samplers=tuple(
+            replace(s, draws=slice(start, start + s.draws.stop - s.draws.start))
+            for s, start in zip(samplers, starts, strict=False)
+        ),
         state_blocks=tuple(whole.state_blocks[k] for k in x),
         event_blocks=tuple(whole.event_blocks[k] for k in events),
     )
-    outside = [s for s in ca.symvar(ca.vertcat(trace.xdot, *signals.values())) if _is_foreign(s, trace)]
-    if outside:
+    known = ca.vertcat(trace.t, trace.x, trace.z, trace.p, trace.w, trace.hit)
+    needed = ca.symvar(ca.vertcat(trace.xdot, *signals.values()))
+    if not all(ca.depends_on(known, symbol) for symbol in needed):
         raise RotorsimError(Problem("it depends on states outside", ", ".join(blocks)))
     return Part(diagram, trace, blocks, external)
 
 
-def _packed(signals: Mapping[str, Signal], inside: set[str]) -> dict[str, Signal]:
+def _block(signal: Signal) -> str:
+    return signal.name.rpartition(".")[0]
+
+
+def _packed(signals: Iterable[Signal], start: int = 0) -> dict[str, Signal]:
+    """Return signals by name, laid out one behind the other from a position on."""
     packed: dict[str, Signal] = {}
-    count = 0
-    for name, signal in signals.items():
-        if name.rpartition(".")[0] in inside:
-            n = signal.part.stop - signal.part.start
-            packed[name] = replace(signal, part=slice(count, count + n))
-            count += n
+    for signal in signals:
+        packed[signal.name] = replace(signal, part=slice(start, start + size_of(signal.shape)))
+        start += size_of(signal.shape)
     return packed
-
-
-def _is_foreign(symbol: Any, trace: Trace) -> bool:
-    known = ca.vertcat(trace.t, trace.x, trace.z, trace.p, trace.w, trace.hit)
-    return not ca.depends_on(known, symbol)

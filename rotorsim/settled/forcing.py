@@ -25,7 +25,7 @@ class Jumps:
 
     def __init__(self, model: Model) -> None:
         trace = model.trace
-        crossings = ca.vertsplit(model._closed(trace.events)) if trace.events.numel() else []
+        crossings = ca.vertsplit(model.closed(trace.events)) if trace.events.numel() else []
         timed = [e for e in crossings if ca.depends_on(e, trace.t) and not ca.depends_on(e, trace.x)]
         self.exist = bool(timed)
         column = ca.vertcat(*timed) if timed else ca.SX(0, 1)

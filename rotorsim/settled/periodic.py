@@ -191,7 +191,7 @@ def _prepared(setup: Setup, names: tuple[str, ...]) -> _Outputs:
         channels += flat
         units.update(dict.fromkeys(flat, signal.unit or "1"))
     trace = model.trace
-    column = model._closed(ca.vertcat(*[model.expression(name) for name in names]))
+    column = model.closed(ca.vertcat(*[model.expression(name) for name in names]))
     jacobian = ca.jacobian(column, trace.x)
     arguments = [trace.t, trace.x, trace.z, trace.p]
     varying = ca.vertcat(trace.x, trace.t)

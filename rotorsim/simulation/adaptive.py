@@ -9,14 +9,14 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from rotorsim.diagram.solver import ADAPTIVE, METHODS
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
 from rotorsim.simulation.failure import cause
 
-__all__ = ["METHODS", "run_adaptive"]
+__all__ = ["run_adaptive"]
 
-METHODS = {"dop853": "DOP853", "rk45": "RK45", "radau": "Radau", "bdf": "BDF", "lsoda": "LSODA"}
 IMPLICIT = {"radau", "bdf", "lsoda"}
 MOST_EVENTS = 1_000_000
 
@@ -35,13 +35,13 @@ def run_adaptive(
     Zero crossings that blocks declare are located to rounding and the integration restarts behind them,
     so that a kink or a jump never lies inside a step. Raises RotorsimError for an unknown method.
     """
-    if method not in METHODS:
-        known = ", ".join(["rk4", *METHODS])
+    if method not in ADAPTIVE:
+        known = ", ".join(METHODS)
         raise RotorsimError(Problem(what=f"unknown method '{method}'", subject="solver.method", hint=f"one of {known}"))
     solver = model.diagram.solver
     p, end = instance.p, n_steps * h  # type: ignore[attr-defined]
     crossing = _events(model, p, instance)
-    options: dict[str, Any] = {"method": METHODS[method], "rtol": solver.rtol, "atol": solver.atol}
+    options: dict[str, Any] = {"method": ADAPTIVE[method], "rtol": solver.rtol, "atol": solver.atol}
     if method in IMPLICIT:
         options["jac"] = lambda t, x: np.array(model.jacobian(t, x, instance.z, p))
     grid = np.arange(n_steps // every + 1) * every * h

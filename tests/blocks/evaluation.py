@@ -113,9 +113,11 @@ def prepare_class(
     block = block_class(options, frozenset(wired))
     words = Words()
     declared_inputs = {
-        port: (block.port_shape(d, port), d) for d in block.inputs.values() for port in block.port_names(d)
+        port: (block.declared_shape(d, port), d) for d in block.inputs.values() for port in block.port_names(d)
     }
-    declared_outputs = {port: block.port_shape(d, port) for d in block.outputs.values() for port in block.port_names(d)}
+    declared_outputs = {
+        port: block.declared_shape(d, port) for d in block.outputs.values() for port in block.port_names(d)
+    }
     given = {name: np.asarray(value, dtype=float) for name, value in (parameters or {}).items()}
     assert given.keys() <= block.parameters.keys()
     for port, shape in wired.items():

@@ -213,9 +213,9 @@ def test_discrete_pid_is_its_difference_equation(delay: int, velocity: bool) -> 
 def test_discrete_pid_delays_by_one_sample_unless_told_otherwise() -> None:
     prepared = prepare("discrete_pid", TWO)
     assert prepared.initial["line"].shape == (2, 2)
-    assert prepared.trace.update_feedthrough == {"current": ()}
+    assert prepared.trace.hit_feedthrough == {"current": ()}
     immediate = prepare("discrete_pid", TWO, options={"delay_samples": 0})
-    assert immediate.trace.update_feedthrough == {"current": ("displacement",)}
+    assert immediate.trace.hit_feedthrough == {"current": ("displacement",)}
     assert immediate.trace.feedthrough == {"current": ()}
 
 

@@ -185,7 +185,7 @@ def test_unit_delay_gives_old_samples(samples: int) -> None:
     expected = np.concatenate([np.full((samples, 2), -7.0), values])[: len(values)]
     np.testing.assert_array_equal(found, expected)
     assert prepared.trace.feedthrough == {"output": ()}
-    assert prepared.trace.update_feedthrough == {"output": ()}
+    assert prepared.trace.hit_feedthrough == {"output": ()}
 
 
 def test_sample_hold_gives_the_newest_sample() -> None:
@@ -194,7 +194,7 @@ def test_sample_hold_gives_the_newest_sample() -> None:
     found = [float(o["output"]) for o in run_hits(prepared, [{"input": v} for v in (1.0, 2.0, 3.0)])]
     assert found == [1.0, 2.0, 3.0]
     assert prepared.trace.feedthrough == {"output": ()}
-    assert prepared.trace.update_feedthrough == {"output": ("input",)}
+    assert prepared.trace.hit_feedthrough == {"output": ("input",)}
 
 
 def test_noise_scales_its_draws() -> None:

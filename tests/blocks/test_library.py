@@ -121,7 +121,7 @@ def test_equations_fit_the_declarations(name: str, optional: bool) -> None:
         return tuple(dimensions.get(entry, 2) if isinstance(entry, str) else entry for entry in shape)
 
     inputs = {
-        port: some(block.port_shape(declared, port))
+        port: some(block.declared_shape(declared, port))
         for declared in cls.inputs.values()
         for port in block.port_names(declared)
         if optional or not declared.optional

@@ -14,6 +14,7 @@ from rotorsim.diagnosis.search.trials import Candidate, Trials
 from rotorsim.diagram.diff import diff
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
+from rotorsim.jobs.jobs import Jobs
 from rotorsim.model.load import load
 
 RECORDED = ["rotor.displacement[1]", "rotor.displacement[2]", "controller.current[1]", "controller.current[2]"]
@@ -216,7 +217,7 @@ def without(name: str, recorded: list[str], *keys: str) -> dict:
         item = next(item for item in insertions(load(fits.document), recorded) if item.key == key)
         fits = Fit(item.document(fits.document))
         found.append(Candidate(item, fits))
-    trials = Trials(source, None, None, None, None, None)
+    trials = Trials(source, None, None, Jobs())
     return trials.refitted(Fit(given), found[1:], found[-1].fit)[-1].fit.document
 
 

@@ -24,6 +24,7 @@ from rotorsim.diagnosis.search.naming import (
 from rotorsim.diagnosis.search.proof import is_faint, is_material, prove
 from rotorsim.diagnosis.search.trials import Candidate, Trials, is_adequate, is_noise
 from rotorsim.diagram.diagram import Free
+from rotorsim.jobs.jobs import Jobs
 
 ROWS = 1000
 
@@ -341,7 +342,7 @@ def test_places_that_allow_ten_times_the_least_are_not_looked_at(monkeypatch):
     places = SimpleNamespace(bound=lambda item: bounds.get(item.spot))
     found = [SimpleNamespace(physics="rub", variant=0, spot=spot) for spot in ("beyond", "far", "near", "unknown")]
     monkeypatch.setattr("rotorsim.diagnosis.search.trials.open_places", lambda before, source: places)
-    trials = Trials(None, None, None, 1, None, None)
+    trials = Trials(None, None, None, Jobs(1))
     kept = trials._screened(left(50.0), found, [])
     assert sorted(kept) == [1, 2, 3]
 

@@ -70,7 +70,7 @@ def test_feedthrough_is_per_port_not_per_block() -> None:
     order = [group[0] for group in evaluation_order(loaded)]
     assert order.index(("rotor", "displacement")) < order.index(("controller", "current"))
     assert order.index(("controller", "current")) < order.index(("amb", "force"))
-    graph = feedthrough_graph(loaded, block_traces(loaded))
+    graph = feedthrough_graph(loaded, {name: trace.feedthrough for name, trace in block_traces(loaded).items()})
     assert not list(graph.predecessors(("rotor", "displacement")))
     assert graph.edges[("clock", "speed"), ("unbalance", "force")]["via"] == "speed"
 

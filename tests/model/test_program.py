@@ -57,8 +57,7 @@ def expressions(draw):
 def loaded(symbols, outputs, reassociate):
     function = ca.Function("f", [symbols[n] for n in NAMES], [ca.densify(ca.vertcat(*outputs))])
     program = Program(reassociate=reassociate)
-    leaves = [lambda i, name=name: program.input(name, i) for name in NAMES]
-    return function, program, program.load(function, leaves)[0]
+    return function, program, program.load(function, NAMES)[0]
 
 
 @settings(max_examples=60, deadline=None)

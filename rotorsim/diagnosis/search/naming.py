@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from rotorsim.diagnosis.search.proof import MOST
 from rotorsim.diagnosis.search.trials import Candidate, Round, Trials, is_adequate, is_noise
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.identification.coordinates import ANGLE_UNIT
-from rotorsim.jobs.jobs import local_workers
+from rotorsim.jobs.jobs import Jobs, local_workers
 
 __all__ = ["Candidate", "Named", "Round", "least_gain", "name_missing", "without_effects", "without_last"]
 
@@ -104,10 +103,8 @@ def name_missing(
     physics: rows of the catalogue that are tried (default: all).
     Raises RotorsimError.
     """
-    with ExitStack() as stack:
-        if scheduler is None:
-            scheduler, workers = stack.enter_context(local_workers(workers)), None
-        return _named(Trials(source, registry, physics, workers, scheduler, progress), base, most)
+    with local_workers(Jobs(workers, scheduler, progress)) as jobs:
+        return _named(Trials(source, registry, physics, jobs), base, most)
 
 
 def _named(trials: Trials, base: Fit, most: int) -> Named:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from rotorsim.fault import Of
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.estimate import NOT_EXPLAINED
 from rotorsim.identification.profile import Z90
-from rotorsim.jobs.jobs import Failure, run_jobs
+from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
 from rotorsim.jobs.threads import one_thread
 
 __all__ = ["Candidate", "Round", "Trials", "is_adequate", "is_noise"]
@@ -124,17 +124,8 @@ def is_noise(found: Fit) -> bool:
 class Trials:
     """Insertions into fitted diagrams, each refitted; ``slack``: of the misfit, what says nothing."""
 
-    def __init__(
-        self,
-        source: Source,
-        registry: Registry | None,
-        physics: Collection[str] | None,
-        workers: int | None,
-        scheduler: str | None,
-        progress: Callable[[float], None] | None,
-    ) -> None:
-        self.source, self.registry, self.physics = source, registry, physics
-        self.workers, self.scheduler, self.progress = workers, scheduler, progress
+    def __init__(self, source: Source, registry: Registry | None, physics: Collection[str] | None, jobs: Jobs) -> None:
+        self.source, self.registry, self.physics, self.jobs = source, registry, physics, jobs
         self.counts = {"fits": 0, "rounds": 0}
         self.nominal: dict[str, float] = {}
         self.slack = 0.0
@@ -269,15 +260,10 @@ class Trials:
         return [*first, *second[: max(MOST_FITS - len(first), MOST_FITS // 3)]]
 
     def _promises(self, jobs: Sequence[_Job]) -> list[float]:
-        count = min(len(jobs), BATCHES * (self.workers or 2))
+        count = min(len(jobs), BATCHES * (self.jobs.workers or 2))
         batches = [list(jobs[k::count]) for k in range(count)]
         results = run_jobs(
-            _promise_batch,
-            [(batch, self.source) for batch in batches],
-            workers=self.workers,
-            scheduler=self.scheduler,
-            progress=self.progress,
-            on_error="return",
+            _promise_batch, [(batch, self.source) for batch in batches], jobs=self.jobs, on_error="return"
         )
         out = [float("inf")] * len(jobs)
         for k, result in enumerate(results):
@@ -325,14 +311,12 @@ class Trials:
     def _fit(self, jobs: Sequence[_Job], most: int | None, *, linear_only: bool = False) -> list[Fit]:
         if not jobs:
             return []
-        count = min(len(jobs), BATCHES * (self.workers or 2))
+        count = min(len(jobs), BATCHES * (self.jobs.workers or 2))
         batches = [list(jobs[k::count]) for k in range(count)]
         results = run_jobs(
             _fit_batch,
             [(batch, self.source, most, linear_only) for batch in batches],
-            workers=self.workers,
-            scheduler=self.scheduler,
-            progress=self.progress,
+            jobs=self.jobs,
             on_error="return",
         )
         fits: list[Fit] = [Fit(document, failure="was not fitted") for document, _ in jobs]

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rotorsim.diagram.diagram import Endpoint
-from rotorsim.diagram.parse.source import JsonPath, LazyPlace, Source
-from rotorsim.errors import Place, Problem
+from rotorsim.diagram.parse.source import JsonPath, Source
+from rotorsim.errors import Place, Problems
 
 __all__ = ["NAME", "FlatDocument", "Parameter", "RawBlock", "RawWire", "Scope", "SubPorts", "endpoint"]
 
@@ -24,12 +24,12 @@ _END = re.compile(
 
 @dataclass
 class Parameter:
-    """A diagram parameter: its JSON value, where it is, and (block, parameter) that follow it."""
+    """A diagram parameter: its JSON value, where it is, and the block parameters that follow it."""
 
     name: str
     value: Any
     place: Place
-    users: list[tuple[str, str]] = field(default_factory=list)
+    users: list[str] = field(default_factory=list)
     used: bool = False
 
 
@@ -40,6 +40,10 @@ class Scope:
     prefix: str
     source: Source
     parameters: dict[str, Parameter]
+
+    def referred(self, value: Any) -> Parameter | None:
+        """Return the parameter that ``"$name"`` means here, None for any other value."""
+        return self.parameters.get(value[1:]) if isinstance(value, str) and value.startswith("$") else None
 
 
 @dataclass
@@ -73,7 +77,7 @@ class RawWire:
 
     def end_place(self, k: int) -> Place:
         """Return where the source (0) or the target (1) is written."""
-        return self.place.part(k) if isinstance(self.place, LazyPlace) else self.place
+        return self.place.part(k)
 
 
 @dataclass
@@ -97,7 +101,7 @@ class FlatDocument:
     sub_diagrams: set[str] = field(default_factory=set)
     broken: set[str] = field(default_factory=set)
     sub_ports: dict[str, SubPorts] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
+    problems: Problems = field(default_factory=Problems)
 
 
 @dataclass
@@ -114,7 +118,5 @@ def endpoint(text: Any, prefix: str = "") -> Endpoint | None:
     if match is None:
         return None
     block, port, inside = match.groups()
-    if inside is None:
-        return Endpoint(prefix + block, port)
-    index = tuple(int(part) - 1 for part in inside.split(","))
-    return None if min(index) < 0 else Endpoint(prefix + block, port, index)
+    index = tuple(int(part) - 1 for part in inside.split(",")) if inside else ()
+    return None if -1 in index else Endpoint(prefix + block, port, index)

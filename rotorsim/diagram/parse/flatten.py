@@ -14,7 +14,7 @@ from typing import Any
 from rotorsim.diagram.diagram import Endpoint
 from rotorsim.diagram.parse.document import NAME, FlatDocument, Parameter, RawBlock, RawWire, Scope, SubPorts, endpoint
 from rotorsim.diagram.parse.form import checked_form, is_block
-from rotorsim.diagram.parse.source import JsonPath, Source, read_document
+from rotorsim.diagram.parse.source import Source, read_document
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
 __all__ = ["flatten_document"]
@@ -66,13 +66,15 @@ class _Flattener:
             for end in ends:
                 self.flat.exposed[end.block, end.port] = source.place(("ports", "inputs", name), key=True)
 
-    def error(self, what: str, place: Place, subject: str = "", hint: str = "") -> None:
-        self.problems.append(Problem(what, subject=subject, place=place, hint=hint))
-
     def limit(self, count: int, most: int, what: str) -> None:
         if count > most:  # sub-diagrams of sub-diagrams multiply: stop at once
-            hint = "sub-diagrams that hold many of one another multiply"
-            raise RotorsimError(Problem(f"more than {most} {what}", place=Place(self.flat.source.file), hint=hint))
+            raise RotorsimError(
+                Problem(
+                    f"more than {most} {what}",
+                    place=Place(self.flat.source.file),
+                    hint="sub-diagrams that hold many of one another multiply",
+                )
+            )
 
     def document(self, data: dict[str, Any], scope: Scope, folder: Path | None, chain: tuple[Path, ...]) -> None:
         source, prefix = scope.source, scope.prefix
@@ -85,20 +87,22 @@ class _Flattener:
                 continue
             parameters = block.get("parameters", {})
             for value in parameters.values():  # also what --set or --without puts aside counts as used
-                if isinstance(value, str) and value[:1] == "$" and value[1:] in scope.parameters:
-                    scope.parameters[value[1:]].used = True
-            overrides = dict(self.overrides.get(flat_name, {}))
-            if overrides:
-                parameters = {**parameters, **overrides}
-            path: JsonPath = ("blocks", name)
-            raw = RawBlock(flat_name, block["type"], parameters, scope, path, block.get("file"), overrides)
+                parameter = scope.referred(value)
+                if parameter is not None:
+                    parameter.used = True
+            own = dict(self.overrides.get(flat_name, {}))
+            parameters = {**parameters, **own}
+            raw = RawBlock(flat_name, block["type"], parameters, scope, ("blocks", name), block.get("file"), own)
             if block["type"] == "diagram":
                 self.flat.sub_diagrams.add(flat_name)
-                ports = self.sub_diagram(raw, folder, chain)
-                if ports is None:
+                try:
+                    path = self.sub_path(raw, folder, chain)
+                    sub = self.files.get(path) or self.read(path, raw)
+                except RotorsimError as error:
+                    self.problems += error.problems
                     self.flat.broken.add(flat_name)
                 else:
-                    self.flat.sub_ports[flat_name] = ports
+                    self.flat.sub_ports[flat_name] = self.sub_diagram(raw, sub, (*chain, path))
             else:
                 self.flat.blocks[flat_name] = raw
             self.limit(len(self.flat.blocks) + len(self.flat.sub_diagrams), MAX_BLOCKS, "blocks")
@@ -106,20 +110,13 @@ class _Flattener:
 
     # --- sub-diagrams -------------------------------------------------------------------------------
 
-    def sub_diagram(self, raw: RawBlock, folder: Path | None, chain: tuple[Path, ...]) -> SubPorts | None:
-        try:
-            path = self.sub_path(raw, folder, chain)
-            source = self.files.get(path)
-            if source is None:
-                source = self.read(path, raw)
-        except RotorsimError as error:
-            self.problems += error.problems
-            return None
+    def sub_diagram(self, raw: RawBlock, source: Source, chain: tuple[Path, ...]) -> SubPorts:
+        """Add the blocks and wires of a sub-diagram; return its ports. chain: of files, down to its own."""
         data = checked_form(source, self.problems)
         inner = Scope(raw.name + "/", source, {})
         for name, value in data["parameters"].items():
             given = raw.parameters.get(name, value)
-            outer = self.reference(given, raw.scope) if name in raw.parameters else None
+            outer = raw.scope.referred(given) if name in raw.parameters else None
             if outer is None:
                 place = raw.place_of(name) if name in raw.parameters else source.place(("parameters", name))
                 outer = Parameter(inner.prefix + name, given, place)
@@ -127,10 +124,13 @@ class _Flattener:
             inner.parameters[name] = outer
         for name in raw.parameters:
             if name not in data["parameters"]:
-                what = f"sub-diagram has no parameter '{name}'"
-                hint = near_miss(name, data["parameters"]) or "it declares no parameters"
-                self.error(what, raw.place_of(name, key=True), f"{raw.name}.{name}", hint)
-        self.document(data, inner, path.parent, (*chain, path))
+                self.problems.error(
+                    f"sub-diagram has no parameter '{name}'",
+                    f"{raw.name}.{name}",
+                    raw.place_of(name, key=True),
+                    near_miss(name, data["parameters"]) or "it declares no parameters",
+                )
+        self.document(data, inner, chain[-1].parent, chain)
         return self.ports(data, inner)
 
     def read(self, path: Path, raw: RawBlock) -> Source:
@@ -167,9 +167,7 @@ class _Flattener:
             f"file '{raw.file}' is not inside the folder of the diagram",
             "name a file below that folder, such as 'parts/sub.json'",
         )
-        if ".." in raw.file.split("/") or "\\" in raw.file or ":" in raw.file or "\0" in raw.file:
-            raise outside
-        if raw.file.startswith("/"):
+        if raw.file.startswith("/") or ".." in raw.file.split("/") or any(c in raw.file for c in "\\:\0"):
             raise outside
         try:
             path = (folder / raw.file).resolve()
@@ -186,20 +184,20 @@ class _Flattener:
             raise refuse(f"sub-diagrams are nested deeper than {MAX_SUB_DEPTH}", "make the nesting flatter")
         return path
 
-    def reference(self, value: Any, scope: Scope) -> Parameter | None:
-        """Return the parameter that ``"$name"`` means in a scope, None for any other value."""
-        return scope.parameters.get(value[1:]) if isinstance(value, str) and value.startswith("$") else None
-
     # --- ports and wires ----------------------------------------------------------------------------
 
     def ports(self, data: dict[str, Any], scope: Scope) -> SubPorts:
         result, source = SubPorts(), scope.source
         for key, group in data["ports"].items():
             if key not in ("inputs", "outputs"):
-                hint = near_miss(str(key), ("inputs", "outputs"))
-                self.error(f"unknown key '{key}'", source.locate(("ports", key), key=True), "ports", hint)
+                self.problems.error(
+                    f"unknown key '{key}'",
+                    "ports",
+                    source.locate(("ports", key), key=True),
+                    near_miss(str(key), ("inputs", "outputs")),
+                )
             elif not isinstance(group, dict):
-                self.error("must be an object {...}", source.locate(("ports", key)), f"ports.{key}")
+                self.problems.error("must be an object {...}", f"ports.{key}", source.locate(("ports", key)))
             else:
                 for name, written in group.items():
                     self.port(result, key == "inputs", name, written, scope)
@@ -209,7 +207,7 @@ class _Flattener:
         place = scope.source.place(("ports", "inputs" if is_input else "outputs", name))
         subject = f"ports.{name}"
         if not NAME.fullmatch(str(name)):
-            self.error(f"'{name}' is not a name", place, subject, "letters, digits and _, not a digit first")
+            self.problems.error(f"'{name}' is not a name", subject, place, "letters, digits and _, not a digit first")
         ends: list[Endpoint] = []
         for text in written if isinstance(written, list) and is_input else [written]:
             end = self.end(text, scope, place, subject)
@@ -231,7 +229,7 @@ class _Flattener:
         hint = "write 'block.port', or 'block.port[i]' counted from 1"
         if found is not None:
             hint = "inside a sub-diagram only its ports can be wired"
-        self.error(f"{shown} is not a port", place, subject, hint)
+        self.problems.error(f"{shown} is not a port", subject, place, hint)
         return None
 
     def resolve(self, end: Endpoint, is_input: bool, place: Place) -> list[Endpoint]:
@@ -246,7 +244,7 @@ class _Flattener:
             hint = near_miss(end.port, known) if known else f'the sub-diagram declares no {kind}s in "ports"'
             if end.port in other:
                 hint = f"it is an {'output' if is_input else 'input'}; wires run from an output to an input"
-            self.error(f"sub-diagram has no {kind} '{end.port}'", place, str(end), hint)
+            self.problems.error(f"sub-diagram has no {kind} '{end.port}'", str(end), place, hint)
             return []
         inside: list[Endpoint] = known[end.port] if is_input else [known[end.port]]
         return [Endpoint(e.block, e.port, e.index + end.index) for e in inside] if end.index else inside
@@ -257,8 +255,9 @@ class _Flattener:
         for k, pair in enumerate(wires):
             place = source.place(("wires", k))
             if not isinstance(pair, list | tuple) or len(pair) != 2:
-                hint = 'write ["block.output", "block.input"]'
-                self.error("a wire is a list of two ports", place, f"wires[{k + 1}]", hint)
+                self.problems.error(
+                    "a wire is a list of two ports", f"wires[{k + 1}]", place, 'write ["block.output", "block.input"]'
+                )
                 continue
             first, last = endpoint(pair[0], scope.prefix), endpoint(pair[1], scope.prefix)
             if first is None or last is None or "/" in pair[0] or "/" in pair[1]:
@@ -279,7 +278,7 @@ class _Flattener:
             end = endpoint(text)
             if end is None:
                 shown = f"'{text}'" if isinstance(text, str) else "this"
-                self.error(f"{shown} is not a signal", place, "record", "write 'block.port'")
+                self.problems.error(f"{shown} is not a signal", "record", place, "write 'block.port'")
                 continue
             result += [(inner, place) for inner in self.resolve(end, False, place)]
         return result

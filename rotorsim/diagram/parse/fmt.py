@@ -3,31 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+from rotorsim.diagram.parse.form import BLOCK_KEYS, KEYS
 from rotorsim.errors import Problem, RotorsimError
 
 __all__ = ["format_document"]
 
-_KEYS = (
-    "$schema",
-    "schema_version",
-    "name",
-    "description",
-    "parameters",
-    "blocks",
-    "wires",
-    "solver",
-    "record",
-    "measured",
-    "algebraic_loops",
-    "block_folders",
-    "ports",
-    "identify",
-    "layout",
-)
-_BLOCK_KEYS = ("type", "file", "description", "parameters")
 WIDTH = 120
 
 
@@ -37,7 +20,7 @@ def format_document(data: Mapping[str, Any]) -> str:
     Raises RotorsimError for what JSON cannot hold (NaN, an array).
     """
     lines = []
-    for key in _ordered(data, _KEYS):
+    for key in _ordered(data, KEYS):
         value = data[key]
         if key == "blocks" and isinstance(value, Mapping):
             value = {name: _block(block) for name, block in value.items()}
@@ -46,20 +29,21 @@ def format_document(data: Mapping[str, Any]) -> str:
     return "{\n" + ",\n".join(lines) + "\n}\n" if lines else "{}\n"
 
 
-def _ordered(data: Mapping[str, Any], known: tuple[str, ...]) -> list[str]:
+def _ordered(data: Mapping[str, Any], known: Iterable[str]) -> list[str]:
     return [*(k for k in known if k in data), *(k for k in data if k not in known)]
 
 
 def _block(block: Any) -> Any:
-    return {key: block[key] for key in _ordered(block, _BLOCK_KEYS)} if isinstance(block, Mapping) else block
+    return {key: block[key] for key in _ordered(block, BLOCK_KEYS)} if isinstance(block, Mapping) else block
 
 
 def _text(value: Any) -> str:
     try:
         return json.dumps(value, ensure_ascii=False, allow_nan=False)
     except (TypeError, ValueError) as error:
-        hint = "use finite numbers, texts, lists and mappings"
-        raise RotorsimError(Problem(f"cannot be written as JSON: {error}", hint=hint)) from None
+        raise RotorsimError(
+            Problem(f"cannot be written as JSON: {error}", hint="use finite numbers, texts, lists and mappings")
+        ) from None
 
 
 def _value(value: Any, indent: str, used: int, by_line: bool = False) -> str:

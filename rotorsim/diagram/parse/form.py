@@ -6,12 +6,12 @@ from typing import Any
 
 from rotorsim.diagram.parse.document import NAME
 from rotorsim.diagram.parse.source import JsonPath, Source
-from rotorsim.errors import CONTROL, Place, Problem, near_miss
+from rotorsim.errors import CONTROL, Problems, near_miss
 
 __all__ = ["BLOCK_KEYS", "KEYS", "RESERVED", "checked_form", "is_block"]
 
 RESERVED = ("solver",)
-KEYS: dict[str, type] = {
+KEYS: dict[str, type] = {  # in the order of the canonical form
     "$schema": str,
     "schema_version": int,
     "name": str,
@@ -21,26 +21,25 @@ KEYS: dict[str, type] = {
     "wires": list,
     "solver": dict,
     "record": list,
+    "measured": dict,
     "algebraic_loops": str,
     "block_folders": list,
     "ports": dict,
-    "layout": dict,
     "identify": dict,
-    "measured": dict,
+    "layout": dict,
 }
-BLOCK_KEYS: dict[str, type] = {"type": str, "parameters": dict, "file": str, "description": str}
+BLOCK_KEYS: dict[str, type] = {"type": str, "file": str, "description": str, "parameters": dict}
 MAX_HINTS = 1000  # a near miss takes a look at every known word
 _WORDS = {str: "a text", int: "a whole number", dict: "an object {...}", list: "a list [...]"}
 _NAMES = "names are letters, digits and _, and do not start with a digit"
 
 
 class _Form:
-    def __init__(self, source: Source, problems: list[Problem]) -> None:
+    def __init__(self, source: Source, problems: Problems) -> None:
         self.source, self.problems = source, problems
 
     def error(self, what: str, path: JsonPath, subject: str = "", hint: str = "", *, key: bool = False) -> None:
-        place: Place = self.source.locate(path, key=key)
-        self.problems.append(Problem(what, subject=subject, place=place, hint=hint))
+        self.problems.error(what, subject, self.source.locate(path, key=key), hint)
 
     def document(self) -> dict[str, Any]:
         data: dict[str, Any] = {}
@@ -48,8 +47,12 @@ class _Form:
         for key, value in self.source.data.items():
             if key not in KEYS:
                 unknown += 1
-                hint = near_miss(str(key), KEYS) if unknown <= MAX_HINTS else "see docs/diagrams.md"
-                self.error(f"unknown key '{key}'", (key,), hint=hint, key=True)
+                self.error(
+                    f"unknown key '{key}'",
+                    (key,),
+                    hint=near_miss(str(key), KEYS) if unknown <= MAX_HINTS else "see docs/diagrams.md",
+                    key=True,
+                )
             elif not isinstance(value, KEYS[key]) or isinstance(value, bool):
                 self.error(f"must be {_WORDS[KEYS[key]]}", (key,), key)
             else:
@@ -61,33 +64,38 @@ class _Form:
             self.error("key 'blocks' is missing", (), hint='"blocks": {"name": {"type": "..."}}')
         version = data.get("schema_version", 1)
         if version != 1:
-            hint = "this version of rotorsim reads schema_version 1"
-            self.error(f"schema_version {version} is not known", ("schema_version",), hint=hint)
+            self.error(
+                f"schema_version {version} is not known",
+                ("schema_version",),
+                hint="this version of rotorsim reads schema_version 1",
+            )
         loops = data.get("algebraic_loops", "refuse")
         if loops not in ("refuse", "solve"):
             self.error(f"algebraic_loops is '{loops}'", ("algebraic_loops",), hint="it is 'refuse' or 'solve'")
         for key, empty in (("parameters", {}), ("blocks", {}), ("wires", []), ("ports", {}), ("layout", {})):
             data.setdefault(key, empty)
-        self.names(data)
-        self.layout(data)
-        return data
-
-    def names(self, data: dict[str, Any]) -> None:
         for key in ("parameters", "blocks"):
             for name in [name for name in data[key] if not NAME.fullmatch(str(name))]:
                 self.error(f"'{name}' is not a name", (key, name), key, _NAMES, key=True)
         for name in RESERVED:
             if name in data["blocks"]:
-                hint = f"'{name}' would not be told from the settings in --set {name}.step=..."
-                self.error(f"'{name}' is reserved", ("blocks", name), name, hint, key=True)
+                self.error(
+                    f"'{name}' is reserved",
+                    ("blocks", name),
+                    name,
+                    f"'{name}' would not be told from the settings in --set {name}.step=...",
+                    key=True,
+                )
+
+        self.layout(data)
+        return data
 
     def layout(self, data: dict[str, Any]) -> None:
         for name, at in data["layout"].items():
             subject = f"layout.{name}"
             if name not in data["blocks"]:
-                hint = near_miss(str(name), data["blocks"])
                 place = self.source.locate(("layout", name), key=True)
-                self.problems.append(Problem(f"no block '{name}'", subject, place, hint, "warning"))
+                self.problems.warning(f"no block '{name}'", subject, place, near_miss(str(name), data["blocks"]))
             numbers = isinstance(at, list | tuple) and all(
                 isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e9 for x in at
             )
@@ -99,27 +107,22 @@ class _Form:
         if not isinstance(block, dict):
             self.error('must be an object {"type": ...}', path, name, 'for example {"type": "gain"}')
             return False
-        if block.keys() <= BLOCK_KEYS.keys() and "type" in block:
-            good = True
-        else:
-            good = "type" in block
-            if not good:
-                self.error("key 'type' is missing", path, name, '"type": "gain"; `rotorsim blocks` lists the types')
-            for key in block:
-                if key not in BLOCK_KEYS:
-                    hint = near_miss(str(key), BLOCK_KEYS)
-                    if not hint.startswith("did"):
-                        hint = 'parameters of the block go into "parameters": {...}'
-                    self.error(f"unknown key '{key}'", (*path, key), name, hint, key=True)
+        good = "type" in block
+        if not good:
+            self.error("key 'type' is missing", path, name, '"type": "gain"; `rotorsim blocks` lists the types')
         for key, value in block.items():
             kind = BLOCK_KEYS.get(key)
-            if kind is not None and not isinstance(value, kind):
+            if kind is None:
+                near = near_miss(str(key), BLOCK_KEYS)
+                hint = near if near.startswith("did") else 'parameters of the block go into "parameters": {...}'
+                self.error(f"unknown key '{key}'", (*path, key), name, hint, key=True)
+            elif not isinstance(value, kind):
                 self.error(f"'{key}' must be {_WORDS[kind]}", (*path, key), name)
                 good = False
         return good
 
 
-def checked_form(source: Source, problems: list[Problem]) -> dict[str, Any]:
+def checked_form(source: Source, problems: Problems) -> dict[str, Any]:
     """Return the keys of a document that are known and of the right kind, with empty ones for what is missing.
 
     ``source.data`` is an object. Mistakes are added to ``problems``.
@@ -127,6 +130,6 @@ def checked_form(source: Source, problems: list[Problem]) -> dict[str, Any]:
     return _Form(source, problems).document()
 
 
-def is_block(source: Source, name: str, block: Any, problems: list[Problem]) -> bool:
+def is_block(source: Source, name: str, block: Any, problems: Problems) -> bool:
     """Return whether a block of a document has the right form; add what is wrong to ``problems``."""
     return _Form(source, problems).block(name, block)

@@ -30,6 +30,7 @@ __all__ = [
 MAX_BYTES = 20_000_000
 MAX_DEPTH = 64
 MAX_DIGITS = 300
+TOO_DEEP = "a diagram needs no more than ten; use sub-diagrams"
 
 JsonPath = tuple[str | int, ...]
 _STRING = r'"[^"\\]*+(?:\\.[^"\\]*+)*+"?'  # possessive: linear time also for hostile text
@@ -63,13 +64,13 @@ class Source:
                 break
             node = child
         offset = node[0] if key and node[0] >= 0 else node[1]
-        return Place(self.file, *self._line_column(offset))
+        return Place(self.file, *self.line_column(offset))
 
     def place(self, path: JsonPath, *, key: bool = False) -> Place:
         """Return a place like `locate`, whose line and column are found only when they are read."""
         return LazyPlace(self, path, key)
 
-    def _line_column(self, offset: int) -> tuple[int, int]:
+    def line_column(self, offset: int) -> tuple[int, int]:
         line = bisect_left(self._line_ends, offset)
         return line + 1, offset - (self._line_ends[line - 1] if line else -1)
 
@@ -85,25 +86,20 @@ class Source:
 class LazyPlace(Place):
     """A `Place` that looks up its line and column on first use (a large valid diagram needs none)."""
 
-    _source: Source
-    _path: JsonPath
-    _key: bool
-
     def __init__(self, source: Source, path: JsonPath, key: bool = False) -> None:
-        self.__dict__.update(_source=source, _path=path, _key=key)
+        self._at = source, path, key
 
     def part(self, *steps: str | int) -> LazyPlace:
         """Return the place of a part of the value at this place."""
-        return LazyPlace(self._source, (*self._path, *steps))
+        source, path, _ = self._at
+        return LazyPlace(source, (*path, *steps))
 
-    @property
+    @cached_property
     def _real(self) -> Place:
-        if "_found" not in self.__dict__:
-            self.__dict__["_found"] = self._source.locate(self._path, key=self._key)
-        found: Place = self.__dict__["_found"]
-        return found
+        source, path, key = self._at
+        return source.locate(path, key=key)
 
-    file = property(lambda self: self._source.file)
+    file = property(lambda self: self._at[0].file)
     line = property(lambda self: self._real.line)
     column = property(lambda self: self._real.column)
 
@@ -161,45 +157,34 @@ def parse_document(text: str, file: str = "", path: Path | None = None) -> Sourc
     source = Source(None, text, file, path)
     deep = _first_too_deep(text)
     if deep is not None:
-        what = f"JSON is nested deeper than {MAX_DEPTH} levels"
-        hint = "a diagram needs no more than ten; use sub-diagrams"
-        raise RotorsimError(Problem(what, place=Place(file, *source._line_column(deep)), hint=hint))
+        place = Place(file, *source.line_column(deep))
+        raise RotorsimError(Problem(f"JSON is nested deeper than {MAX_DEPTH} levels", place=place, hint=TOO_DEEP))
     suspects: list[str] = []
 
     def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
         result = dict(items)
-        if len(result) != len(items):
-            suspects.append("duplicate")
+        suspects.extend(["duplicate"] if len(result) != len(items) else [])
         return result
 
     def number(digits: str) -> float:
         value = float(digits)
-        if not math.isfinite(value):
-            suspects.append(digits)
+        suspects.extend([] if math.isfinite(value) else [digits])
         return value
 
-    def whole(digits: str) -> int:
-        if len(digits) > MAX_DIGITS:
-            suspects.append(digits)
-            return 0
-        return int(digits)
-
-    def constant(name: str) -> float:
-        suspects.append(name)
-        return 0.0
+    def whole(digits: str) -> float:
+        return int(digits) if len(digits) <= MAX_DIGITS else number("inf")
 
     try:
         source.data = json.loads(
-            text, object_pairs_hook=pairs, parse_float=number, parse_int=whole, parse_constant=constant
+            text, object_pairs_hook=pairs, parse_float=number, parse_int=whole, parse_constant=number
         )
     except json.JSONDecodeError as error:
         raise RotorsimError(_syntax_problem(error, source)) from None
     if suspects or _SURROGATE.search(text) or _ESCAPED.search(text):
-        problems = _scan(text)[1]
+        mistakes = _scan(text)[1]
+        problems = [Problem(what, place=Place(file, *source.line_column(at)), hint=hint) for at, what, hint in mistakes]
         if problems:
-            raise RotorsimError(
-                *[Problem(what, place=Place(file, *source._line_column(at)), hint=hint) for at, what, hint in problems]
-            )
+            raise RotorsimError(*problems)
     return source
 
 
@@ -208,10 +193,8 @@ def _first_too_deep(text: str) -> int | None:
     brackets = _OTHER.sub("", _STRINGS.sub("", text))
     levels = accumulate(map({"[": 1, "{": 1, "]": -1, "}": -1}.__getitem__, brackets))
     number = next((k for k, level in enumerate(levels) if level > MAX_DEPTH), None)
-    if number is None:
-        return None
-    found = (match for match in _BRACKET_OR_STRING.finditer(text) if match[0][0] != '"')
-    return next(islice(found, number, None)).start()
+    opened = (match.start() for match in _BRACKET_OR_STRING.finditer(text) if match[0][0] != '"')
+    return None if number is None else next(islice(opened, number, None))
 
 
 def is_too_deep(value: Any) -> bool:
@@ -234,19 +217,18 @@ def _scan(text: str) -> tuple[Any, list[tuple[int, str, str]]]:
 
     A node is [offset of the key (-1: none), offset of the value, {key or index: node}].
     """
-    root: list[Any] = [-1, 0, {}]
+    root: dict[int | str, Any] = {}
     stack: list[tuple[list[Any], bool]] = []  # open containers: node, is it an object?
     problems: list[tuple[int, str, str]] = []
     key: tuple[str, int] | None = None
     for match in _TOKEN.finditer(text):
         string, mark, word = match.groups()
-        if mark in (",", ":"):
-            continue
         if mark in ("]", "}"):
             stack.pop()
+        if mark in (",", ":", "]", "}"):
             continue
-        offset = match.start(1) if string else match.start(2) if mark else match.start(3)
-        if string and _SURROGATE.search(string) and not _is_text(json.loads(string)):
+        offset = match.start(match.lastindex or 0)
+        if string and _SURROGATE.search(string) and re.search("[\ud800-\udfff]", json.loads(string)):
             problems.append((offset, "half a character (\\ud800 to \\udfff)", "write the character itself"))
         elif string and _ESCAPED.search(string) and (found := CONTROL.search(json.loads(string).replace("\r", ""))):
             problems.append((offset, f"control character (\\u{ord(found[0]):04x})", "remove it"))
@@ -256,25 +238,14 @@ def _scan(text: str) -> tuple[Any, list[tuple[int, str, str]]]:
                 problems.append((offset, f"key '{key[0]}' is given twice", "remove or rename one of them"))
             continue
         node: list[Any] = [-1 if key is None else key[1], offset, {}]
-        if stack:
-            children = stack[-1][0][2]
-            children[len(children) if key is None else key[0]] = node
-        else:
-            root = node
+        children = stack[-1][0][2] if stack else root
+        children[len(children) if key is None else key[0]] = node
         key = None
         if mark:
             stack.append((node, mark == "{"))
         elif word and word not in ("true", "false", "null"):
             _check_number(word, offset, problems)
-    return root, problems
-
-
-def _is_text(value: str) -> bool:
-    try:
-        value.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
+    return root.get(0, [-1, 0, {}]), problems
 
 
 def _check_number(word: str, offset: int, problems: list[tuple[int, str, str]]) -> None:
@@ -286,45 +257,53 @@ def _check_number(word: str, offset: int, problems: list[tuple[int, str, str]]) 
         problems.append((offset, f"number {word} is too large", "numbers must be finite"))
 
 
+_PYTHON_WORDS = {"True": "true", "False": "false", "None": "null"}
+# what the decoder says, what stands before and what follows (patterns of their starts, of the end for what is before)
+# -> where the mistake is seen, what it is and how to cure it; the first that fits is it
+_SYNTAX = (
+    ("", r"\A\Z", r"\Z", "here", "file is empty", 'a diagram is a JSON object: {{"blocks": {{...}}, "wires": [...]}}'),
+    ("Unterminated string", "", "", "here", "text is not closed", 'close it with "'),
+    ("Extra data", "", "", "here", "something follows the end of the document", "a bracket is closed too early?"),
+    (
+        "Invalid control character",
+        "",
+        "",
+        "here",
+        "line break or control character in a text",
+        'close the text with ", or write \\n',
+    ),
+    ("Invalid|Unterminated", "", "", "here", "wrong escape in a text", "write \\\\ for a backslash"),
+    ("", "", r"\Z", "before", "file ends too early", "a bracket is not closed"),
+    ("", "", r"//|/\*|#", "here", "comment", 'JSON has no comments; use a "description"'),
+    ("", "", "'", "here", "single quotes", 'write texts in double quotes "..."'),
+    ("", r",\Z", ",", "here", "comma before ','", "remove the comma"),
+    ("", r",\Z", r"[\]}]", "comma", "comma before '{next}'", "remove the comma"),
+    ("Illegal trailing comma", "", "", "here", "comma before '{after}'", "remove the comma"),
+    ("Expecting ','", "", r'["{\[\-0-9tfn]', "before", "comma or closing bracket expected", "a comma is missing?"),
+    ("Expecting ','", "", "", "here", "comma or closing bracket expected", "a comma is missing?"),
+    ("Expecting ':'", "", "", "here", "':' expected after the key", 'write "key": value'),
+    ("Expecting property name", "", "", "here", "key expected", "write keys in double quotes"),
+    ("Expecting value", "", r"(True|False|None)\b", "here", "value expected, found '{word}'", "write {json}"),
+    ("Expecting value", "", "", "here", "value expected, found '{word}'", 'write texts in double quotes "..."'),
+)
+
+
 def _syntax_problem(error: json.JSONDecodeError, source: Source) -> Problem:
-    text, at = source.text, error.pos
+    text = source.text
     in_text = error.msg.startswith(("Invalid", "Unterminated"))
-    rest = text[at:] if in_text else text[at:].lstrip()
+    rest = text[error.pos :] if in_text else text[error.pos :].lstrip()
     at = len(text) - len(rest)
     before = text[:at].rstrip()
-    what, hint = f"not valid JSON: {error.msg[0].lower()}{error.msg[1:]}", ""
-    if not text.strip():
-        what, hint = "file is empty", 'a diagram is a JSON object: {"blocks": {...}, "wires": [...]}'
-    elif error.msg.startswith("Unterminated string"):
-        what, hint = "not valid JSON: text is not closed", 'close it with "'
-    elif error.msg.startswith("Extra data"):
-        what, hint = "not valid JSON: something follows the end of the document", "a bracket is closed too early?"
-    elif error.msg.startswith("Invalid control character"):
-        what, hint = "not valid JSON: line break or control character in a text", 'close the text with ", or write \\n'
-    elif in_text:
-        what, hint = "not valid JSON: wrong escape in a text", "write \\\\ for a backslash"
-    elif not rest:
-        at = len(before)
-        what, hint = "not valid JSON: file ends too early", "a bracket is not closed"
-    elif rest.startswith(("//", "/*", "#")):
-        what, hint = "not valid JSON: comment", 'JSON has no comments; use a "description"'
-    elif rest[0] == "'":
-        what, hint = "not valid JSON: single quotes", 'write texts in double quotes "..."'
-    elif before.endswith(",") and rest[0] in ",]}":
-        at = len(before) - 1 if rest[0] != "," else at
-        what, hint = f"not valid JSON: comma before '{rest[0]}'", "remove the comma"
-    elif error.msg.startswith("Illegal trailing comma"):
-        what, hint = f"not valid JSON: comma before '{rest.lstrip(', ')[:1]}'", "remove the comma"
-    elif error.msg.startswith("Expecting ',' delimiter"):
-        at = len(before) if rest[0] in '"{[-0123456789tfn' else at
-        what, hint = "not valid JSON: comma or closing bracket expected", "a comma is missing?"
-    elif error.msg.startswith("Expecting ':' delimiter"):
-        what, hint = "not valid JSON: ':' expected after the key", 'write "key": value'
-    elif error.msg.startswith("Expecting property name"):
-        what, hint = "not valid JSON: key expected", "write keys in double quotes"
-    elif error.msg.startswith("Expecting value"):
-        words = {"True": "true", "False": "false", "None": "null"}
-        word = re.match(r"\w+", rest)
-        what = f"not valid JSON: value expected, found '{word[0] if word else rest[0]}'"
-        hint = f"write {words[word[0]]}" if word and word[0] in words else 'write texts in double quotes "..."'
-    return Problem(what, place=Place(source.file, *source._line_column(at)), hint=hint)
+    rules = (
+        rule
+        for rule in _SYNTAX
+        if re.match(rule[0], error.msg) and re.search(rule[1], before) and re.match(rule[2], rest)
+    )
+    *_, place, what, hint = next(rules, ("here", f"{error.msg[0].lower()}{error.msg[1:]}", ""))
+    word = re.match(r"\w+", rest)
+    words = {"next": rest[:1], "after": rest.lstrip(", ")[:1], "word": word[0] if word else rest[:1]}
+    words["json"] = _PYTHON_WORDS.get(words["word"], "")
+    what, hint = (text.format(**words) for text in (what, hint))
+    offset = {"here": at, "before": len(before), "comma": len(before) - 1}[place]
+    what = what if what == "file is empty" else f"not valid JSON: {what}"
+    return Problem(what, place=Place(source.file, *source.line_column(offset)), hint=hint)

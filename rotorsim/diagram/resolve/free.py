@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from rotorsim.block import _Param
+from rotorsim.block import Param
 from rotorsim.diagram.diagram import Free, Node
 from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
-from rotorsim.errors import Place, Problem, near_miss
+from rotorsim.errors import Problem, Problems, near_miss
 
 __all__ = ["KEYS", "free_parameters", "unknown_names"]
 
@@ -28,13 +28,13 @@ _PERCENT = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
 
 
 @dataclass
-class _Found:
-    """What a name stands for: its value, unit, shape, the declarations that bound it, and sizes that are usual."""
+class _Quantity:
+    """What a name stands for: its value, unit, the declarations that bound it, and sizes that are usual."""
 
     value: np.ndarray
     unit: str
-    declared: list[_Param] = field(default_factory=list)
-    usual: list[float] = field(default_factory=list)
+    declared: list[Param]
+    usual: list[float]
 
 
 class _Reader:
@@ -42,59 +42,58 @@ class _Reader:
         self, source: Source, parameters: Mapping[str, np.ndarray], units: Mapping[str, str], nodes: Mapping[str, Node]
     ) -> None:
         self.source, self.parameters, self.units, self.nodes = source, parameters, units, nodes
-        self.problems: list[Problem] = []
+        self.problems = Problems()
 
     def error(self, what: str, path: JsonPath, hint: str = "", *, key: bool = False) -> None:
         subject = f"identify.{path[1]}" if len(path) > 1 else "identify"
-        place: Place = self.source.place(path, key=key)
-        self.problems.append(Problem(what, subject, place, hint))
+        self.problems.error(what, subject, self.source.place(path, key=key), hint)
 
-    def find(self, base: str) -> _Found | None:
+    def unknown_keys(self, given: Mapping[str, Any], known: tuple[str, ...], path: JsonPath) -> None:
+        for key in [key for key in given if key not in known]:
+            self.error(f"unknown key '{key}'", (*path, key), near_miss(str(key), known), key=True)
+
+    def quantity(self, base: str) -> _Quantity | None:
         if base in self.parameters:
-            followers = [
-                (node, key)
-                for node in self.nodes.values()
-                for key, reference in node.references.items()
-                if reference == base
-            ]
+            nodes = self.nodes.values()
+            followers = [(node, key) for node in nodes for key, followed in node.references.items() if followed == base]
             declared = [node.block.parameters[key] for node, key in followers]
             usual = [size for node, key in followers for size in _usual(node, key)]
-            return _Found(self.parameters[base], self.units.get(base, "1"), declared, usual)
+            return _Quantity(self.parameters[base], self.units.get(base, "1"), declared, usual)
         block, _, key = base.rpartition(".")
-        node = self.nodes.get(block)
-        if node is None or key not in node.values:
+        if block not in self.nodes or key not in self.nodes[block].values:
             return None
+        node = self.nodes[block]
         own = node.block.parameters[key]
-        return _Found(node.values[key], own.unit or "1", [own], _usual(node, key))
+        return _Quantity(node.values[key], own.unit or "1", [own], _usual(node, key))
 
     def one(self, name: str, given: Any) -> list[Free]:
+        """Return the entries that a name leaves free."""
         path: JsonPath = ("identify", name)
-        match = _NAME.fullmatch(str(name))
-        found = self.find(match[1]) if match else None
-        if match is None or found is None:
+        match = _NAME.fullmatch(name)
+        base, inside = match.groups() if match else ("", None)
+        quantity = self.quantity(base)
+        if quantity is None:
             blocks = (f"{block}.{key}" for block, node in self.nodes.items() for key in node.values)
             hint = near_miss(name, [*self.parameters, *blocks], list_all=False)
             self.error("no such parameter", path, hint, key=True)
             return []
-        if match[1] == SPEED:
+        if base == SPEED:
             self.error("is measured, so that it cannot be free", path, key=True)
             return []
         if not isinstance(given, Mapping):
             self.error("must be an object", path, '{} leaves it free; {"low": 0, "prior": {"std": "5 %"}} says more')
             return []
-        for key in given:
-            if key not in KEYS:
-                self.error(f"unknown key '{key}'", (*path, key), near_miss(str(key), KEYS), key=True)
-        follows = None if "." not in match[1] else self.nodes[match[1].rpartition(".")[0]].references
-        if follows and match[1].rpartition(".")[2] in follows:
-            parameter = follows[match[1].rpartition(".")[2]]
-            self.error(f"follows the diagram parameter '{parameter}'", path, f'write "{parameter}" here', key=True)
+        self.unknown_keys(given, KEYS, path)
+        block, _, key = base.rpartition(".")
+        followed = self.nodes[block].references.get(key) if block else None
+        if followed:
+            self.error(f"follows the diagram parameter '{followed}'", path, f'write "{followed}" here', key=True)
             return []
-        entries = self.entries(match[2], found, path)
-        return [free for entry in entries if (free := self.entry(match[1], entry, found, given, path)) is not None]
+        free = (self.entry(base, index, quantity, given, path) for index in self.entries(inside, quantity, path))
+        return [item for item in free if item is not None]
 
-    def entries(self, inside: str | None, found: _Found, path: JsonPath) -> list[tuple[int, ...]]:
-        shape = found.value.shape
+    def entries(self, inside: str | None, quantity: _Quantity, path: JsonPath) -> list[tuple[int, ...]]:
+        shape = quantity.value.shape
         if inside is None:
             return list(np.ndindex(*shape)) if shape else [()]
         index = tuple(int(part) - 1 for part in inside.split(","))
@@ -105,39 +104,41 @@ class _Reader:
         return [index]
 
     def entry(
-        self, base: str, index: tuple[int, ...], found: _Found, given: Mapping[str, Any], path: JsonPath
+        self, base: str, index: tuple[int, ...], quantity: _Quantity, given: Mapping[str, Any], path: JsonPath
     ) -> Free | None:
-        value = float(found.value[index])
-        low = max((bound for d in found.declared if (bound := _lowest(d, value)) is not None), default=-math.inf)
-        high = min((d.high for d in found.declared if d.high is not None), default=math.inf)
+        value = float(quantity.value[index])
+        low = max((bound for d in quantity.declared if (bound := _lowest(d, value)) is not None), default=-math.inf)
+        high = min((d.high for d in quantity.declared if d.high is not None), default=math.inf)
         before = len(self.problems)
         declared = low, high
-        low = self.number(given, "low", found.unit, path, low)
-        high = self.number(given, "high", found.unit, path, high)
+        low = self.number(given, "low", quantity.unit, path, low)
+        high = self.number(given, "high", quantity.unit, path, high)
         if low < declared[0] or high > declared[1]:
             end = "low" if low < declared[0] else "high"
-            hint = f"bounds can only be narrowed: leave '{end}' out of identify, for the block has its own"
-            what = f"the block allows {declared[0]:g} .. {declared[1]:g} {found.unit}"
-            self.error(what, (*path, end), hint)
+            self.error(
+                f"the block allows {declared[0]:g} .. {declared[1]:g} {quantity.unit}",
+                (*path, end),
+                f"bounds can only be narrowed: leave '{end}' out of identify, for the block has its own",
+            )
         if not isinstance(given.get("description", ""), str):
             self.error("must be a text", (*path, "description"))
         mean = std = None
         if "prior" in given:
-            mean, std = self.prior(given["prior"], value, found.unit, (*path, "prior"))
+            mean, std = self.prior(given["prior"], value, quantity.unit, (*path, "prior"))
         name = f"{base}[{','.join(str(i + 1) for i in index)}]" if index else base
         if len(self.problems) > before:
             return None
         if not low < high:
             self.error(f"low {low:g} is not below high {high:g}", path)
         elif mean is not None and not low <= mean <= high:
-            self.error(f"its mean {mean:g} {found.unit} is outside the bounds {low:g} .. {high:g}", (*path, "prior"))
+            self.error(f"its mean {mean:g} {quantity.unit} is outside the bounds {low:g} .. {high:g}", (*path, "prior"))
         elif not low <= value <= high:
-            self.error(f"the value {value:g} {found.unit} is outside its bounds {low:g} .. {high:g}", path)
+            self.error(f"the value {value:g} {quantity.unit} is outside its bounds {low:g} .. {high:g}", path)
         else:
-            flat = int(np.ravel_multi_index(index, found.value.shape)) if index else 0
-            usual = std or next((size for size in found.usual if size), 0.0)
+            flat = int(np.ravel_multi_index(index, quantity.value.shape)) if index else 0
+            usual = std or next((size for size in quantity.usual if size), 0.0)
             scale = abs(value) if abs(value) > COLLAPSED * usual else usual
-            return Free(name, base, flat, value, found.unit, low, high, mean, std, scale)
+            return Free(name, base, flat, value, quantity.unit, low, high, mean, std, scale)
         return None
 
     def number(self, given: Mapping[str, Any], key: str, unit: str, path: JsonPath, default: float) -> float:
@@ -145,13 +146,12 @@ class _Reader:
             return default
         try:
             value = numeric(given[key], unit)
+            if value.ndim:
+                raise ValueProblem("must be one number")
+            return float(value)
         except ValueProblem as problem:
             self.error(problem.what, (*path, key), problem.hint)
             return default
-        if value.ndim:
-            self.error("must be one number", (*path, key))
-            return default
-        return float(value)
 
     def prior(self, given: Any, value: float, unit: str, path: JsonPath) -> tuple[float | None, float | None]:
         """Return mean and standard deviation of a normal prior."""
@@ -159,9 +159,7 @@ class _Reader:
         if not isinstance(given, Mapping) or "std" not in given:
             self.error("a prior is an object with 'std'", path, hint)
             return None, None
-        for key in given:
-            if key not in PRIOR_KEYS:
-                self.error(f"unknown key '{key}'", (*path, key), near_miss(str(key), PRIOR_KEYS), key=True)
+        self.unknown_keys(given, PRIOR_KEYS, path)
         mean = self.number(given, "mean", unit, path, value)
         percent = _PERCENT.fullmatch(given["std"]) if isinstance(given["std"], str) else None
         try:
@@ -169,10 +167,8 @@ class _Reader:
         except ValueError:
             self.error(f"cannot read '{given['std']}'", (*path, "std"), hint)
             return None, None
-        if std <= 0:
-            self.error("the standard deviation must be positive", (*path, "std"))
-        elif std > MOST:
-            self.error("the standard deviation must be finite", (*path, "std"))
+        if std <= 0 or std > MOST:
+            self.error(f"the standard deviation must be {'positive' if std <= 0 else 'finite'}", (*path, "std"))
         return mean, std
 
 
@@ -184,7 +180,7 @@ def _usual(node: Node, key: str) -> list[float]:
     return [abs(float(size)) for size in found if isinstance(size, int | float)]
 
 
-def _lowest(declared: _Param, value: float) -> float | None:
+def _lowest(declared: Param, value: float) -> float | None:
     """Return the closed lower bound; an open one is left by a thousandth of the way to the value."""
     if declared.above is not None:
         return declared.above + 1e-3 * max(value - declared.above, 0.0)
@@ -198,7 +194,7 @@ def unknown_names(
 
     blocks: block -> names of its parameters; blocks that are not in it (broken, removed) are passed over.
     """
-    problems = []
+    problems = Problems()
     known = [*parameters, *(f"{block}.{key}" for block, keys in blocks.items() for key in keys)]
     for name in given:
         match = _NAME.fullmatch(str(name))
@@ -208,7 +204,7 @@ def unknown_names(
             continue
         place = source.place(("identify", name), key=True)
         hint = near_miss(str(name), known, list_all=False)
-        problems.append(Problem("no such parameter", f"identify.{name}", place, hint))
+        problems.error("no such parameter", f"identify.{name}", place, hint)
     return problems
 
 
@@ -227,15 +223,13 @@ def free_parameters(
     Parameters of blocks that were removed are passed over.
     """
     reader = _Reader(source, parameters, units, nodes)
-    found: dict[str, Free] = {}
+    free: dict[str, Free] = {}
     for name, value in given.items():
-        if str(name).rpartition(".")[0] in removed:
-            continue
         followed = any(name in node.references.values() for node in nodes.values())
-        if removed and name in parameters and not followed:
+        if str(name).rpartition(".")[0] in removed or (removed and name in parameters and not followed):
             continue
-        for free in reader.one(str(name), value):
-            if free.name in found:
-                reader.error(f"'{free.name}' is named twice", ("identify", name), key=True)
-            found[free.name] = free
-    return tuple(found.values()), reader.problems
+        for item in reader.one(str(name), value):
+            if item.name in free:
+                reader.error(f"'{item.name}' is named twice", ("identify", name), key=True)
+            free[item.name] = item
+    return tuple(free.values()), reader.problems

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from rotorsim.block import Shape
 from rotorsim.diagram.diagram import Endpoint, Node
 from rotorsim.diagram.parse.document import FlatDocument, endpoint
-from rotorsim.diagram.resolve.wiring import Wiring
-from rotorsim.errors import Problem
+from rotorsim.diagram.resolve.fitting import Fitting
 
 __all__ = ["measured_signals"]
 
@@ -16,7 +15,7 @@ _FORM = '"measured": {"rotor.displacement": "sensor.sensed_displacement"}'
 
 
 def measured_signals(
-    flat: FlatDocument, wiring: Wiring, nodes: Mapping[str, Node], removed: frozenset[str]
+    flat: FlatDocument, fitting: Fitting, nodes: Mapping[str, Node], removed: frozenset[str]
 ) -> dict[Endpoint, Endpoint]:
     """Return what ``measured`` of a document says, recorded signal -> signal of the diagram; add its mistakes."""
     given = flat.data.get("measured")
@@ -24,7 +23,7 @@ def measured_signals(
 
     def error(what: str, name: str, hint: str = "", *, key: bool = False) -> None:
         place = flat.source.place(("measured", name), key=key)
-        flat.problems.append(Problem(what, f"measured.{name}", place, hint))
+        flat.problems.error(what, f"measured.{name}", place, hint)
 
     for name, value in given.items() if isinstance(given, Mapping) else ():
         said, meant = endpoint(name), endpoint(value)
@@ -35,7 +34,7 @@ def measured_signals(
         if said.block in removed or meant.block in removed:
             continue
         ends = ((said, True), (meant, False))
-        if not all(wiring.part_shape(end, flat.source.place(("measured", name), key=key)) for end, key in ends):
+        if not all(fitting.is_signal(end, flat.source.place(("measured", name), key=key)) for end, key in ends):
             continue
         shapes = [_shape(nodes[end.block], end) for end, _ in ends]
         if shapes[0] != shapes[1]:

@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any
 
 from rotorsim.block import Block
-from rotorsim.errors import Place, Problem, near_miss
+from rotorsim.errors import Place, Problems, near_miss
 
 __all__ = ["Registry", "all_types", "find"]
 
@@ -37,22 +37,18 @@ class Registry:
 
     def __init__(self, folders: Iterable[str | Path] = ()) -> None:
         self.folders = tuple(Path(folder) for folder in folders)
-        self.problems: list[Problem] = []
+        self.problems = Problems()
         self._known: dict[str, type[Block]] = {}
         self._tried: set[str] = set()
         self._scanned = False
 
     def find(self, type_name: str) -> type[Block] | None:
         """Return the block class of a type, or None if there is none (see `problems`, `hint`)."""
-        if type_name in self._known:
-            return self._known[type_name]
-        if not _NAME.fullmatch(type_name):
-            return None
-        self._import_built_in(type_name)
-        if type_name not in self._known:
-            self._scan_folders()
-        if type_name not in self._known:
-            self._scan()
+        if type_name not in self._known and _NAME.fullmatch(type_name):
+            self._import_built_in(type_name)
+            for scan in (self._scan_folders, self._scan):
+                if type_name not in self._known:
+                    scan()
         return self._known.get(type_name)
 
     def all_types(self) -> dict[str, type[Block]]:
@@ -63,19 +59,15 @@ class Registry:
 
     def hint(self, type_name: str) -> str:
         """Return the near misses of an unknown type."""
-        if self._broken(type_name):
+        if any(problem.subject.rsplit(".", 1)[-1] == type_name for problem in self.problems):
             return "its block file cannot be used; see the warning"
         return near_miss(type_name, [*self.all_types(), "diagram"])
 
-    def _broken(self, type_name: str) -> bool:
-        return any(problem.subject.rsplit(".", 1)[-1] == type_name for problem in self.problems)
-
     def _import_built_in(self, stem: str) -> None:
         module = _built_in().get(stem)
-        if module is None or module in self._tried:
-            return
-        self._tried.add(module)
-        self._collect(module, lambda: importlib.import_module(module))
+        if module is not None and module not in self._tried:
+            self._tried.add(module)
+            self._collect(module, lambda: importlib.import_module(module))
 
     def _scan(self) -> None:
         if self._scanned:
@@ -92,7 +84,7 @@ class Registry:
                 continue
             self._tried.add(str(folder))
             if not folder.is_dir():
-                self._report(str(folder), "block folder does not exist", Place(str(folder)))
+                self.problems.warning("block folder does not exist", str(folder), Place(str(folder)))
                 continue
             for file in sorted(folder.glob("*.py")):
                 if not file.name.startswith("_"):
@@ -105,16 +97,13 @@ class Registry:
             raise
         except BaseException as error:  # a foreign file may raise anything, also SystemExit
             text = str(error).strip().split("\n")[0]
-            self._report(subject, f"block file cannot be used: {type(error).__name__}: {text}", place)
+            self.problems.warning(f"block file cannot be used: {type(error).__name__}: {text}", subject, place)
             return
         for block in _classes(found):
             other = self._known.setdefault(block.type_name, block)
             if other is not block:
                 what = f"type '{block.type_name}' is defined again; the one in {other.__module__} is used"
-                self._report(subject, what, place)
-
-    def _report(self, subject: str, what: str, place: Place | None) -> None:
-        self.problems.append(Problem(what, subject=subject, place=place or Place(), severity="warning"))
+                self.problems.warning(what, subject, place)
 
 
 @cache
@@ -127,11 +116,9 @@ def _built_in() -> dict[str, str]:
 
 
 def _classes(found: Any) -> list[type[Block]]:
-    if isinstance(found, ModuleType):
-        values = [v for v in vars(found).values() if isinstance(v, type) and v.__module__ == found.__name__]
-    else:
-        values = [found]
-    return [v for v in values if isinstance(v, type) and issubclass(v, Block) and v is not Block]
+    values = list(vars(found).values()) if isinstance(found, ModuleType) else [found]
+    blocks = [v for v in values if isinstance(v, type) and issubclass(v, Block) and v is not Block]
+    return [v for v in blocks if v.__module__ == found.__name__] if isinstance(found, ModuleType) else blocks
 
 
 def _import_file(file: Path) -> ModuleType:
@@ -155,11 +142,5 @@ def _import_file(file: Path) -> ModuleType:
 _BUILT_IN = Registry()
 
 
-def find(type_name: str) -> type[Block] | None:
-    """Return the class of a built-in or installed block type, or None."""
-    return _BUILT_IN.find(type_name)
-
-
-def all_types() -> dict[str, type[Block]]:
-    """Return every built-in and installed block class by type name, sorted."""
-    return _BUILT_IN.all_types()
+find = _BUILT_IN.find  # of built-in and installed types
+all_types = _BUILT_IN.all_types

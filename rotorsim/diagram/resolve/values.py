@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.block import _Option, _Param
+from rotorsim.block import Option, Param
 from rotorsim.errors import near_miss
 from rotorsim.units import UnitError, format_quantity, parse_quantity
 
@@ -66,21 +66,17 @@ def _finite(value: float, path: tuple[int, ...]) -> np.ndarray:
     return np.array(number)
 
 
-def bounds_problem(value: np.ndarray, declared: _Param) -> ValueProblem | None:
+def bounds_problem(value: np.ndarray, declared: Param) -> ValueProblem | None:
     """Return what is wrong if an entry is outside the declared bounds."""
-    smallest, largest = float(value.min()), float(value.max())
-    unit = declared.unit
-    if declared.above is not None and smallest <= declared.above:
-        return ValueProblem(f"{_show(smallest, unit)} must be greater than {_show(declared.above, unit)}")
-    if declared.low is not None and smallest < declared.low:
-        return ValueProblem(f"{_show(smallest, unit)} must be at least {_show(declared.low, unit)}")
-    if declared.high is not None and largest > declared.high:
-        return ValueProblem(f"{_show(largest, unit)} must be at most {_show(declared.high, unit)}")
+    for bound, is_outside, extreme, words in (
+        (declared.above, np.less_equal, np.min, "greater than"),
+        (declared.low, np.less, np.min, "at least"),
+        (declared.high, np.greater, np.max, "at most"),
+    ):
+        if bound is not None and is_outside(value, bound).any():
+            given, limit = (format_quantity(float(v), declared.unit) for v in (extreme(value), bound))
+            return ValueProblem(f"{given} must be {words} {limit}")
     return None
-
-
-def _show(value: float, unit: str | None) -> str:
-    return format_quantity(value, unit)
 
 
 _KIND_WORDS = {
@@ -93,7 +89,7 @@ _KIND_WORDS = {
 }
 
 
-def option_value(value: Any, declared: _Option) -> Any:
+def option_value(value: Any, declared: Option) -> Any:
     """Return an option value of the declared kind, choices and bounds; raise ValueProblem."""
     is_list = isinstance(declared.default, list | tuple)
     kinds = declared.kind
@@ -108,24 +104,25 @@ def option_value(value: Any, declared: _Option) -> Any:
     return _entry(value, kinds, declared, ())
 
 
-def _entry(value: Any, kinds: tuple[type, ...], declared: _Option, path: tuple[int, ...]) -> Any:
-    if (
-        kinds
-        and float in kinds
-        and isinstance(value, int | float | str)
-        and not isinstance(value, bool)
-        and str not in kinds
-    ):
+def _entry(value: Any, kinds: tuple[type, ...], declared: Option, path: tuple[int, ...]) -> Any:
+    is_number = isinstance(value, int | float | str) and not isinstance(value, bool)
+    if float in kinds and str not in kinds and is_number:
         value = float(numeric(value, declared.unit, path=path))
     fits = not kinds or (type(value) in kinds) or (isinstance(value, tuple) and list in kinds)
     if not fits:
         words = " or ".join(_KIND_WORDS.get(kind, kind.__name__) for kind in kinds)
-        hint = f"write {int(value)}" if isinstance(value, float) and int in kinds and value.is_integer() else ""
-        raise ValueProblem(f"must be {words}, not {_kind_of(value)}", hint, path)
+        raise ValueProblem(
+            f"must be {words}, not {_kind_of(value)}",
+            f"write {int(value)}" if isinstance(value, float) and int in kinds and value.is_integer() else "",
+            path,
+        )
     if declared.choices is not None and value not in declared.choices:
         shown = ", ".join(str(choice) for choice in declared.choices)
-        hint = near_miss(str(value), [str(c) for c in declared.choices], list_all=False) or f"one of: {shown}"
-        raise ValueProblem(f"'{value}' is not a choice", hint, path)
+        raise ValueProblem(
+            f"'{value}' is not a choice",
+            near_miss(str(value), [str(c) for c in declared.choices], list_all=False) or f"one of: {shown}",
+            path,
+        )
     if isinstance(value, int | float) and not isinstance(value, bool):
         if declared.low is not None and value < declared.low:
             raise ValueProblem(f"{value} must be at least {declared.low}", path=path)

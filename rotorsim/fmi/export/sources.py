@@ -74,9 +74,8 @@ def _extra_functions(interface: Interface) -> tuple[str, dict[str, int]]:
             names.append(f"s{len(arguments)}")
             arguments.append(seed)
     program = Program(reassociate=True)
-    leaves = [lambda i, name=name: program.input(name, i) for name in names]
     function = ca.Function("extra", arguments, results, {"allow_free": False})
-    events, initial, *swept = program.load(function, leaves)
+    events, initial, *swept = program.load(function, names)
     tangent, adjoint = swept[:2]
     constants = [
         k

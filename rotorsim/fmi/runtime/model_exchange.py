@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
+from rotorsim.diagram.solver import ADAPTIVE
 from rotorsim.fmi.runtime.exchange import Slave
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.linear.stability import largest_stable_step, rounded_down, step_factor
 
-__all__ = ["METHODS", "ModelExchange", "SavedState"]
+__all__ = ["ModelExchange", "SavedState"]
 
-METHODS = {"rk4": "", "dop853": "DOP853", "rk45": "RK45", "radau": "Radau", "bdf": "BDF", "lsoda": "LSODA"}
 RTOL, ATOL = 1e-8, 1e-12  # of the methods that choose their own steps
 NUDGE = 6e-6  # cube root of eps: relative width of central differences
 
@@ -239,7 +239,7 @@ class ModelExchange:
         def f(s: float, x: np.ndarray) -> np.ndarray:
             return self.slave.derivatives(s, x, u(tau + (s - t)))
 
-        made = solve_ivp(f, (t, t + h), self.x, method=METHODS[self.method], t_eval=(t + h,), rtol=RTOL, atol=ATOL)
+        made = solve_ivp(f, (t, t + h), self.x, method=ADAPTIVE[self.method], t_eval=(t + h,), rtol=RTOL, atol=ATOL)
         if not made.success:
             raise self.slave.step_failed("GetDerivatives", f"{self.method}: {made.message.lower()}", "error", t)
         return np.asarray(made.y[:, -1])

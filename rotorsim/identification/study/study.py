@@ -27,7 +27,7 @@ from rotorsim.identification.profile import Z90
 from rotorsim.identification.regression import REDUCTIONS
 from rotorsim.identification.study.printed import TABLES, PublishedTable
 from rotorsim.identification.study.runs import Bench
-from rotorsim.jobs.jobs import Failure, run_jobs
+from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
 from rotorsim.measure.record import KINDS
 from rotorsim.model.load import load
 
@@ -257,11 +257,12 @@ def run_study(
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> StudyResult:
-    """Run a study and return its statistics; store, scheduler, workers, progress: as in `run_jobs`.
+    """Run a study and return its statistics; store, scheduler, workers, progress: as in `run_jobs` and `Jobs`.
 
     With a store, an interrupted study resumes, and one with more seeds runs only the new ones.
     Raises RotorsimError for what does not fit together, and when no seed of a case gives an estimate.
     """
+    how = Jobs(workers, scheduler, progress)
     bench = study.bench()  # mistakes come before any worker starts
     jobs = [(case, seed) for seed in range(study.seeds) for case in study.cases if case.disturbed or seed == 0]
     found = run_jobs(
@@ -269,9 +270,7 @@ def run_study(
         [[case.kind, case.noise, case.bias, seed] for case, seed in jobs],
         store=store,
         key=hashlib.sha256(study.text.encode()).hexdigest(),
-        scheduler=scheduler,
-        workers=workers,
-        progress=progress,
+        jobs=how,
         chunk=CHUNK,
         on_error="return",
     )

@@ -24,45 +24,38 @@ def state_operations(program: Program, outputs: Sequence[int]) -> int:
     return sum(program.levels[k] == ir.LEVEL_STATE and program.nodes[k][0] != ir.INPUT for k in program.needed(outputs))
 
 
-def collapse_linear(old: Program, rates: Sequence[int], others: Sequence[int]) -> tuple[Program, list[int]]:
-    """Return an equal program and its outputs [*rates, *others], or the old one where that is no gain.
+def collapse_linear(old: Program, outputs: Sequence[int], *, n_rates: int) -> tuple[Program, list[int]]:
+    """Return an equal program and its outputs, or the old one where that is no gain (with ``n_rates`` a `Pass`).
 
-    rates: the right-hand side, evaluated four times a step. others: evaluated once a step.
+    n_rates: how many outputs are the right-hand side, evaluated four times a step; the others are evaluated once.
     """
-    wanted = [*rates, *others]
-    before = 4 * state_operations(old, rates) + state_operations(old, others)
-    if state_operations(old, rates) > LARGEST:
-        return old, wanted
+
+    def work(program: Program, nodes: Sequence[int]) -> int:
+        return 4 * state_operations(program, nodes[:n_rates]) + state_operations(program, nodes[n_rates:])
+
+    if state_operations(old, outputs[:n_rates]) > LARGEST:
+        return old, list(outputs)
     new = Program(old.reassociate)
     forms: dict[int, Form] = {}
-    for number in old.needed(wanted):
+    for number in old.needed(outputs):
         forms[number] = _form(old, new, number, forms)
-    outputs = [_node(new, forms[number]) for number in wanted]
-    n = len(rates)
-    after = 4 * state_operations(new, outputs[:n]) + state_operations(new, outputs[n:])
-    return (new, outputs) if after < before else (old, wanted)
+    collapsed = [_node(new, forms[number]) for number in outputs]
+    return (new, collapsed) if work(new, collapsed) < work(old, outputs) else (old, list(outputs))
 
 
 def _form(old: Program, new: Program, number: int, forms: dict[int, Form]) -> Form:
     op, a, b = old.nodes[number]
     zero = new.constant(0.0)
+    if old.levels[number] < ir.LEVEL_STATE:
+        return {}, new.copied(old.nodes[number], {k: forms[k][1] for k in old.operands(number)})
     if op == ir.INPUT:
-        leaf = new.input(str(a), b)
-        return ({leaf: new.constant(1.0)}, zero) if old.levels[number] == ir.LEVEL_STATE else ({}, leaf)
-    if op == ir.CONSTANT:
-        return {}, new.constant(float(a))
+        return {new.input(str(a), b): new.constant(1.0)}, zero
     left = forms[int(a)]
     right = forms[b] if b >= 0 else ({}, zero)
-    if old.levels[number] < ir.LEVEL_STATE:
-        return {}, new.apply(op, left[1], right[1] if b >= 0 else -1)
-    if op == ir.ADD:
-        return _combined(new, left, right, ir.ADD)
-    if op == ir.SUB:
-        return _combined(new, left, right, ir.SUB)
-    if op == ir.NEG:
-        return _scaled(new, left, new.constant(-1.0))
-    if op == ir.TWICE:
-        return _scaled(new, left, new.constant(2.0))
+    if op in (ir.ADD, ir.SUB):
+        return _combined(new, left, right, op)
+    if op in (ir.NEG, ir.TWICE):
+        return _scaled(new, left, new.constant(-1.0 if op == ir.NEG else 2.0))
     if op == ir.MUL:
         for form, factor in ((left, right), (right, left)):
             if not factor[0] and new.levels[factor[1]] <= ir.LEVEL_PARAMETER:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import resources
 
 import casadi as ca
@@ -18,7 +19,7 @@ from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.affine import collapse_linear
 from rotorsim.model.emit.angle_recurrence import share_harmonics
 from rotorsim.model.emit.pairing import paired_constants, paired_states
-from rotorsim.model.emit.program import Program
+from rotorsim.model.emit.program import Pass, Program
 from rotorsim.model.emit.writer import Writer, array_leaf
 from rotorsim.model.trace.diagram import Trace
 
@@ -62,23 +63,17 @@ def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
         [ca.densify(trace.xdot), ca.densify(recorded), ca.densify(trace.z_next)],
         {"allow_free": False},
     )
-    raw = Program(reassociate=False)
-    names = ["t", "x", "z", "p", "v", "w", "hit"]
-    leaves = [lambda i, name=name: raw.input(name, i) for name in names]
-    xdot, outputs, update = raw.load(function, leaves)
-    raw.reassociate = True
-    program, nodes = share_harmonics(raw, [*xdot, *outputs, *update])
+    program = Program(reassociate=False)
+    xdot, outputs, update = program.load(function, ("t", "x", "z", "p", "v", "w", "hit"))
+    program.reassociate = True
     n, m = len(xdot), len(outputs)
-    program, nodes = collapse_linear(program, nodes[:n], nodes[n:])
-    forcing = program.boundary(nodes, ir.LEVEL_TIME)
-    moving = [k for k in forcing if program.levels[k] == ir.LEVEL_TIME]
-    constants = [
-        k
-        for k in program.boundary([*nodes, *moving], ir.LEVEL_PARAMETER)
-        if program.levels[k] == ir.LEVEL_PARAMETER and program.nodes[k][0] != ir.INPUT
-    ]
-    extra = _constants_behind(program, moving)
-    ordered = sorted({*constants, *extra})
+    nodes = [*xdot, *outputs, *update]
+    passes: tuple[Pass, ...] = (share_harmonics, partial(collapse_linear, n_rates=n))
+    for rewrite in passes:
+        program, nodes = rewrite(program, nodes)
+    moving = [k for k in program.boundary(nodes, ir.LEVEL_TIME) if program.levels[k] == ir.LEVEL_TIME]
+    hoisted = program.boundary([*nodes, *moving], ir.LEVEL_PARAMETER)
+    ordered = [k for k in hoisted if program.nodes[k][0] != ir.INPUT]
     groups = [[state] for state in range(n)]
     if n <= LARGEST_PAIRED:
         groups = paired_states(program, nodes[:n])
@@ -96,28 +91,6 @@ def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
     )
 
 
-def _constants_behind(program: Program, moving: Sequence[int]) -> list[int]:
-    """Return the parameter-only nodes that the forcing itself needs."""
-    found: set[int] = set()
-    seen: set[int] = set()
-    stack = list(moving)
-    while stack:
-        number = stack.pop()
-        if number in seen:
-            continue
-        seen.add(number)
-        op, a, b = program.nodes[number]
-        if op in (ir.INPUT, ir.CONSTANT):
-            continue
-        if program.levels[number] <= ir.LEVEL_PARAMETER:
-            found.add(number)
-            continue
-        stack.append(int(a))
-        if b >= 0:
-            stack.append(b)
-    return list(found)
-
-
 def emit_c(kernel: Kernel) -> str:
     """Return the whole C source of a diagram: generated functions, then the runtime."""
     program = kernel.program
@@ -125,41 +98,24 @@ def emit_c(kernel: Kernel) -> str:
     forcing = {node: f"g[{k}]" for k, node in enumerate(kernel.forcing)}
     given = {**forcing, **constants}
     state = "const double *x, const double *z, const double *p, const double *c, const double *g"
-    parts: list[tuple[str, int]] = [
-        Writer(program, {}, array_leaf).text(
-            "rs_constants",
-            "const double *restrict p, double *restrict c, double *restrict work",
-            "p, c, work",
-            [(f"c[{k}]", node) for k, node in enumerate(kernel.constants)],
-        ),
-        Writer(program, constants, array_leaf).text(
-            "rs_forcing",
-            "double t, const double *restrict p, const double *restrict c, double *restrict g, double *restrict work",
-            "t, p, c, g, work",
-            [(f"g[{k}]", node) for k, node in enumerate(kernel.forcing)],
-        ),
-        Writer(program, given, array_leaf).text(
-            "rs_rhs",
-            f"{state}, double *restrict xdot, double *restrict work",
-            "x, z, p, c, g, xdot, work",
-            [(f"xdot[{k}]", node) for k, node in enumerate(kernel.xdot)],
-        ),
-        Writer(program, given, array_leaf).text(
-            "rs_outputs",
-            f"{state}, double *restrict y, double *restrict work",
-            "x, z, p, c, g, y, work",
-            [(f"y[{k}]", node) for k, node in enumerate(kernel.outputs)],
-        ),
+
+    def written(
+        name: str, known: Mapping[int, str], inputs: str, call: str, out: str, nodes: Sequence[int]
+    ) -> tuple[str, int]:
+        targets = [(f"{out}[{k}]", node) for k, node in enumerate(nodes)]
+        arguments = f"{inputs}, double *restrict {out}, double *restrict work"
+        return Writer(program, known, array_leaf).text(name, arguments, f"{call}, {out}, work", targets)
+
+    at_time = "double t, const double *restrict p, const double *restrict c"
+    parts = [
+        written("rs_constants", {}, "const double *restrict p", "p", "c", kernel.constants),
+        written("rs_forcing", constants, at_time, "t, p, c", "g", kernel.forcing),
+        written("rs_rhs", given, state, "x, z, p, c, g", "xdot", kernel.xdot),
+        written("rs_outputs", given, state, "x, z, p, c, g", "y", kernel.outputs),
     ]
     if kernel.trace.samplers:
-        parts.append(
-            Writer(program, given, array_leaf).text(
-                "rs_update",
-                f"{state}, const double *w, const double *hit, double *restrict zn, double *restrict work",
-                "x, z, p, c, g, w, hit, zn, work",
-                [(f"zn[{k}]", node) for k, node in enumerate(kernel.update)],
-            )
-        )
+        at_hit = f"{state}, const double *w, const double *hit"
+        parts.append(written("rs_update", given, at_hit, "x, z, p, c, g, w, hit", "zn", kernel.update))
     if kernel.unrolled:
         parts.append(_unrolled_step(kernel))
     sizes = {
@@ -173,14 +129,13 @@ def emit_c(kernel: Kernel) -> str:
     head += [f"#define {name} {value}" for name, value in sizes.items()]
     order = ", ".join(map(str, kernel.order)) or "0"
     head.append(f"static const int rs_order[] = {{{order}}};")
-    samplers = kernel.trace.samplers
-    if samplers:
-        for name, values in (
-            ("rs_period", [s.period for s in samplers]),
-            ("rs_seed", [s.seed or 0 for s in samplers]),
-            ("rs_draw_begin", [s.draws.start for s in samplers]),
-            ("rs_draw_end", [s.draws.stop for s in samplers]),
-        ):
+    for name, values in (
+        ("rs_period", [s.period for s in kernel.trace.samplers]),
+        ("rs_seed", [s.seed or 0 for s in kernel.trace.samplers]),
+        ("rs_draw_begin", [s.draws.start for s in kernel.trace.samplers]),
+        ("rs_draw_end", [s.draws.stop for s in kernel.trace.samplers]),
+    ):
+        if values:
             head.append(f"static const int {name}[] = {{{', '.join(map(str, values))}}};")
     runtime = resources.files("rotorsim.model.emit").joinpath("runtime.c").read_text(encoding="utf-8")
     return "\n".join([*head, *(text for text, _ in parts), runtime])

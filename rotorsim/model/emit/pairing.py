@@ -40,12 +40,13 @@ def _forms(program: Program, rates: Sequence[int], colours: Sequence[int]) -> di
     numbers: dict[object, int] = {}
     for number in program.needed(rates):
         op, a, b = program.nodes[number]
+        form: object
         if program.levels[number] < ir.LEVEL_STATE:
-            form: object = program.levels[number]
+            form = program.levels[number]
         elif op == ir.INPUT:
             form = ("x", colours[b]) if a == "x" else (str(a),)
         else:
-            parts = [found[int(a)]] + ([found[b]] if b >= 0 else [])
+            parts = [found[k] for k in program.operands(number)]
             form = (op, *(sorted(parts) if op in (ir.ADD, ir.MUL) else parts))
         found[number] = numbers.setdefault(form, len(numbers))
     return found
@@ -56,24 +57,10 @@ def paired_constants(
 ) -> list[int]:
     """Return the constants reordered: those that play one part for the states of a group are neighbours."""
     wanted = set(constants)
-    order: list[int] = []
-    for group in groups:
-        used = [[k for k in _depth_first(program, rates[state]) if k in wanted] for state in group]
-        order += [k for row in zip_longest(*used) for k in row if k is not None]
-    return list(dict.fromkeys([*order, *constants]))
 
+    def used(state: int) -> list[int]:
+        reached = program.reached([rates[state]], lambda k: program.levels[k] <= ir.LEVEL_PARAMETER)
+        return [k for k in reached if k in wanted]
 
-def _depth_first(program: Program, root: int) -> list[int]:
-    """Return the nodes below a node, operands in order; what depends on parameters only is not looked into."""
-    found: dict[int, None] = {}
-    stack = [root]
-    while stack:
-        number = stack.pop()
-        if number in found:
-            continue
-        found[number] = None
-        op, a, b = program.nodes[number]
-        if op in (ir.INPUT, ir.CONSTANT) or program.levels[number] <= ir.LEVEL_PARAMETER:
-            continue
-        stack += [b, int(a)] if b >= 0 else [int(a)]
-    return list(found)
+    rows = (row for group in groups for row in zip_longest(*map(used, group)))
+    return list(dict.fromkeys([*(k for row in rows for k in row if k is not None), *constants]))

@@ -2,18 +2,18 @@
 
 A `Program` is a directed acyclic graph in evaluation order. Equal operations are one node (hash
 consing), constants are folded, and every node has a level that says what it depends on, so that what
-does not change in the time loop is computed outside it.
+does not change in the time loop is computed outside it. A `Pass` rewrites a program into an equal one.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import casadi as ca
 
-__all__ = ["CONSTANT", "INPUT", "LEVEL_CONSTANT", "LEVEL_PARAMETER", "LEVEL_STATE", "LEVEL_TIME", "Program"]
+__all__ = ["CONSTANT", "INPUT", "LEVEL_CONSTANT", "LEVEL_PARAMETER", "LEVEL_STATE", "LEVEL_TIME", "Pass", "Program"]
 
 INPUT, CONSTANT = ca.OP_INPUT, ca.OP_CONST
 LEVEL_CONSTANT, LEVEL_PARAMETER, LEVEL_TIME, LEVEL_STATE = 0, 1, 2, 3
@@ -100,6 +100,22 @@ class Program:
     def input(self, vector: str, position: int) -> int:
         """Return the node of an input; its level follows from the vector's name."""
         return self._add((INPUT, vector, position), _LEVEL_OF_VECTOR.get(vector, LEVEL_STATE))
+
+    def copied(self, node: Node, operands: Mapping[int, int]) -> int:
+        """Return the node that a node of another program becomes here; operands: what those of the other became."""
+        op, a, b = node
+        if op == INPUT:
+            return self.input(str(a), b)
+        if op == CONSTANT:
+            return self.constant(float(a))
+        return self.apply(op, operands[int(a)], operands[b] if b >= 0 else -1)
+
+    def operands(self, number: int) -> tuple[int, ...]:
+        """Return the nodes that an operation is applied to; none of an input or a constant."""
+        op, a, b = self.nodes[number]
+        if op in (INPUT, CONSTANT):
+            return ()
+        return (int(a), b) if b >= 0 else (int(a),)
 
     def is_constant(self, number: int, value: float | None = None) -> bool:
         """Return whether a node is a constant (of this value)."""
@@ -192,32 +208,22 @@ class Program:
         return None
 
     def _regrouped_sum(self, op: int, inner: int, c: int, d: int, r: int, level: int, swapped: bool) -> int | None:
-        sign_c, sign_d, sign_r = 1, (1 if inner == ADD else -1), 1
-        if op == SUB:
-            if swapped:
-                sign_c, sign_d = -sign_c, -sign_d
-            else:
-                sign_r = -1
+        sign, sign_r = (-1 if op == SUB and swapped else 1), (-1 if op == SUB and not swapped else 1)
+        sign_c, sign_d = sign, (sign if inner == ADD else -sign)
         for s, sign_s, q, sign_q in ((c, sign_c, d, sign_d), (d, sign_d, c, sign_c)):
             if self.levels[q] < level:
-                low = self._signed_sum(q, sign_q, r, sign_r)
-                if low is None:
-                    return None
-                return self._signed_sum(s, sign_s, low, 1)
+                return self._signed_sum(s, sign_s, self._signed_sum(q, sign_q, r, sign_r), 1)
         return None
 
-    def _signed_sum(self, a: int, sign_a: int, b: int, sign_b: int) -> int | None:
+    def _signed_sum(self, a: int, sign_a: int, b: int, sign_b: int) -> int:
         if sign_a > 0:
             return self.apply(ADD if sign_b > 0 else SUB, a, b)
         if sign_b > 0:
             return self.apply(SUB, b, a)
         return self.apply(NEG, self.apply(ADD, a, b))
 
-    def load(self, function: ca.Function, leaves: Sequence[Callable[[int], int]]) -> list[list[int]]:
-        """Add the operations of a CasADi SX function; return the nodes of its outputs.
-
-        leaves[k](i) gives the node of entry i of argument k.
-        """
+    def load(self, function: ca.Function, names: Sequence[str]) -> list[list[int]]:
+        """Add the operations of a CasADi SX function; return the nodes of its outputs. names: of its arguments."""
         work: list[int] = [0] * function.sz_w()
         outputs = [[self.constant(0.0)] * function.numel_out(k) for k in range(function.n_out())]
         rows = [_dense_positions(function.sparsity_out(k)) for k in range(function.n_out())]
@@ -225,7 +231,7 @@ class Program:
             op = function.instruction_id(k)
             into, out = function.instruction_input(k), function.instruction_output(k)
             if op == INPUT:
-                work[out[0]] = leaves[into[0]](into[1])
+                work[out[0]] = self.input(names[into[0]], into[1])
             elif op == CONSTANT:
                 work[out[0]] = self.constant(function.instruction_constant(k))
             elif op == ca.OP_OUTPUT:
@@ -233,21 +239,6 @@ class Program:
             else:
                 work[out[0]] = self.apply(op, work[into[0]], work[into[1]] if len(into) > 1 else -1)
         return outputs
-
-    def inline(self, other: Program, outputs: Iterable[int], leaf: Callable[[Node], int]) -> list[int]:
-        """Copy the operations that ``outputs`` of another program need; ``leaf`` maps its inputs."""
-        wanted = list(outputs)
-        new: dict[int, int] = {}
-        for number in other.needed(wanted):
-            node = other.nodes[number]
-            op, a, b = node
-            if op == INPUT:
-                new[number] = leaf(node)
-            elif op == CONSTANT:
-                new[number] = self.constant(float(a))
-            else:
-                new[number] = self.apply(op, new[int(a)], new[b] if b >= 0 else -1)
-        return [new[number] for number in wanted]
 
     def to_casadi(self, outputs: Iterable[int], symbols: Mapping[str, Any], given: Mapping[int, ca.SX]) -> ca.SX:
         """Return nodes as one CasADi column; symbols: vector name -> column, given: nodes that are known already."""
@@ -267,47 +258,45 @@ class Program:
                 value[number] = ca.SX.unary(op, value[int(a)])
         return ca.densify(ca.vertcat(*[value[k] for k in wanted])) if wanted else ca.SX(0, 1)
 
-    def needed(self, outputs: Iterable[int], given: Mapping[int, object] | None = None) -> list[int]:
-        """Return the nodes that outputs depend on, in evaluation order, not looking behind given nodes."""
-        seen: set[int] = set()
+    def reached(self, outputs: Iterable[int], is_end: Callable[[int], bool]) -> list[int]:
+        """Return the nodes that outputs depend on, depth first, first operands first, not looking behind ends."""
+        seen: dict[int, None] = {}
         stack = list(outputs)
         while stack:
             number = stack.pop()
-            if number in seen:
-                continue
-            seen.add(number)
-            if given is not None and number in given:
-                continue
-            op, a, b = self.nodes[number]
-            if op not in (INPUT, CONSTANT):
-                stack.append(int(a))
-                if b >= 0:
-                    stack.append(b)
-        return sorted(seen)
+            if number not in seen:
+                seen[number] = None
+                if not is_end(number):
+                    stack += reversed(self.operands(number))
+        return list(seen)
+
+    def needed(self, outputs: Iterable[int], given: Mapping[int, object] | None = None) -> list[int]:
+        """Return the nodes that outputs depend on, in evaluation order, not looking behind given nodes."""
+        return sorted(self.reached(outputs, (given or {}).__contains__))
 
     def boundary(self, outputs: Iterable[int], level: int) -> list[int]:
-        """Return the computed nodes of at most this level that outputs need directly (hoisting points)."""
-        found: set[int] = set()
-        stack, seen = list(outputs), set()
-        while stack:
-            number = stack.pop()
-            if number in seen:
-                continue
-            seen.add(number)
-            op, a, b = self.nodes[number]
-            if op == CONSTANT or self.levels[number] <= level:
-                if op not in (INPUT, CONSTANT) or (op == INPUT and self.levels[number] == level):
-                    found.add(number)
-                continue
-            if op != INPUT:
-                stack.append(int(a))
-                if b >= 0:
-                    stack.append(b)
-        return sorted(found)
+        """Return the nodes of at most this level that outputs need directly (hoisting points).
+
+        Constants are left out, and inputs of a lower level.
+        """
+
+        def is_end(number: int) -> bool:
+            return self.levels[number] <= level
+
+        def is_computed(number: int) -> bool:
+            op = self.nodes[number][0]
+            return op != CONSTANT and (op != INPUT or self.levels[number] == level)
+
+        return sorted(k for k in self.reached(outputs, is_end) if is_end(k) and is_computed(k))
+
+
+class Pass(Protocol):
+    """A rewriting of a program: returns an equal program, and its nodes for the outputs given."""
+
+    def __call__(self, program: Program, outputs: Sequence[int], /) -> tuple[Program, list[int]]: ...
 
 
 def _dense_positions(sparsity: ca.Sparsity) -> list[int]:
     """Return the row-major dense position of every nonzero (outputs here are columns)."""
-    rows, columns = sparsity.get_triplet()
     width = sparsity.size2()
-    return [r * width + c for r, c in zip(rows, columns, strict=True)]
+    return [r * width + c for r, c in zip(*sparsity.get_triplet(), strict=True)]

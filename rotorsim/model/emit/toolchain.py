@@ -101,8 +101,8 @@ def cache_folder() -> Path:
     given = os.environ.get("ROTORSIM_CACHE")
     if given:
         if not Path(given).is_absolute():
-            what, hint = f"ROTORSIM_CACHE={given}: is not an absolute path", f"ROTORSIM_CACHE={Path(given).absolute()}"
-            raise RotorsimError(Problem(what, hint=hint))
+            hint = f"ROTORSIM_CACHE={Path(given).absolute()}"
+            raise RotorsimError(Problem(f"ROTORSIM_CACHE={given}: is not an absolute path", hint=hint))
         return Path(given)
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
@@ -140,8 +140,11 @@ def _trusted_folder() -> Path | None:
 @cache
 def _distrust(folder: Path, why: str, cure: str) -> None:
     """Say once why a cache is not used."""
-    text = f"the cache {folder} {why}: it is not used, and every model is compiled anew ({cure})"
-    warnings.warn(text, RuntimeWarning, stacklevel=4)
+    warnings.warn(
+        f"the cache {folder} {why}: it is not used, and every model is compiled anew ({cure})",
+        RuntimeWarning,
+        stacklevel=4,
+    )
 
 
 def cached(key: str, suffix: str) -> Path | None:
@@ -149,16 +152,12 @@ def cached(key: str, suffix: str) -> Path | None:
     folder = _trusted_folder()
     if folder is None:
         return None
-    for file in [folder / name for name in sorted(os.listdir(folder)) if _is_of(name, key, suffix)]:
+    for file in sorted(folder.glob(f"{key}-*{suffix}")):
         if _is_intact(file, file.name.removeprefix(f"{key}-").removesuffix(suffix)):
             return file
         with suppress(OSError):
             file.unlink()
     return None
-
-
-def _is_of(name: str, key: str, suffix: str) -> bool:
-    return name.startswith(f"{key}-") and name.endswith(suffix)
 
 
 def keep(content: bytes, key: str, suffix: str) -> Path | None:
@@ -258,5 +257,10 @@ def run_compiler(command: Sequence[str], subject: str) -> None:
 
 def compiler_error(subject: str, why: str) -> CompilerError:
     """Return the error of a compiler: why it made nothing that can be used."""
-    hint = "run with --no-compiler (slower, needs no compiler), or name another one in ROTORSIM_CC"
-    return CompilerError(Problem(f"the C compiler {why}", subject, hint=hint))
+    return CompilerError(
+        Problem(
+            f"the C compiler {why}",
+            subject,
+            hint="run with --no-compiler (slower, needs no compiler), or name another one in ROTORSIM_CC",
+        )
+    )

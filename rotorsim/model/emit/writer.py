@@ -15,8 +15,18 @@ __all__ = ["Writer", "array_leaf"]
 
 CHUNK = 200  # statements per C function of large diagrams (compilers are slow on long functions)
 
-_INFIX = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
-_COMPARE = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!=", ca.OP_AND: "&&", ca.OP_OR: "||"}
+_INFIX = {
+    ca.OP_ADD: "+",
+    ca.OP_SUB: "-",
+    ca.OP_MUL: "*",
+    ca.OP_DIV: "/",
+    ca.OP_LT: "<",
+    ca.OP_LE: "<=",
+    ca.OP_EQ: "==",
+    ca.OP_NE: "!=",
+    ca.OP_AND: "&&",
+    ca.OP_OR: "||",
+}
 _CALL = {
     ca.OP_EXP: "exp",
     ca.OP_LOG: "log",
@@ -84,7 +94,7 @@ class Writer:
             if k not in self.given and self.program.nodes[k][0] not in (ir.INPUT, ir.CONSTANT)
         ]
         if whole or len(order) <= 6 * CHUNK:
-            lines = [f"  const double {self._name(k)} = {self._expression(k, self._operand)};" for k in order]
+            lines = [f"  const double v{k} = {self._expression(k, self._operand)};" for k in order]
             lines += [f"  {target} = {self._operand(node)};" for target, node in targets]
             return f"static void {name}({arguments}) {{\n" + "\n".join(lines) + "\n  (void)work;\n}\n", 0
         return self._chunked(name, arguments, call, targets, order)
@@ -95,8 +105,7 @@ class Writer:
         where = {k: i // CHUNK for i, k in enumerate(order)}
         last_use = dict(where)
         for k in order:
-            _, a, b = self.program.nodes[k]
-            for operand in (int(a), b):
+            for operand in self.program.operands(k):
                 if operand in where:
                     last_use[operand] = max(last_use[operand], where[k])
         n_chunks = where[order[-1]] + 1
@@ -112,15 +121,13 @@ class Writer:
             lines = []
             for k in order[chunk * CHUNK : (chunk + 1) * CHUNK]:
                 expression = self._expression(k, partial(self._chunk_operand, where, slots, chunk))
-                lines.append(f"  const double {self._name(k)} = {expression};")
+                lines.append(f"  const double v{k} = {expression};")
                 if last_use[k] > chunk:
-                    if free:
-                        slot = free.pop()
-                    else:
-                        slot, size = size, size + 1
-                    slots[k] = slot
-                    released.setdefault(last_use[k], []).append(slot)
-                    lines.append(f"  work[{slot}] = {self._name(k)};")
+                    if not free:
+                        free, size = [size], size + 1
+                    slots[k] = free.pop()
+                    released.setdefault(last_use[k], []).append(slots[k])
+                    lines.append(f"  work[{slots[k]}] = v{k};")
             free += released.pop(chunk, [])  # reusable from the next chunk on
             text.append(f"static void {name}_{chunk}({arguments}) {{\n" + "\n".join(lines) + "\n}\n")
         final = [f"  {t} = {self._chunk_operand(where, slots, n_chunks, node)};" for t, node in targets]
@@ -137,26 +144,19 @@ class Writer:
             return f"work[{slots[node]}]"
         return self._operand(node)
 
-    @staticmethod
-    def _name(number: int) -> str:
-        return f"v{number}"
-
     def _operand(self, number: int) -> str:
         if number in self.given:
             return self.given[number]
         op, a, _ = self.program.nodes[number]
         if op == ir.CONSTANT:
             return _literal(float(a))
-        return self.leaf(self.program.nodes[number]) if op == ir.INPUT else self._name(number)
+        return self.leaf(self.program.nodes[number]) if op == ir.INPUT else f"v{number}"
 
     def _expression(self, number: int, operand: Callable[[int], str]) -> str:
-        op, a, b = self.program.nodes[number]
-        left = operand(int(a))
-        right = operand(b) if b >= 0 else ""
+        op = self.program.nodes[number][0]
+        left, right = (*map(operand, self.program.operands(number)), "")[:2]
         if op in _INFIX:
             return f"{left} {_INFIX[op]} {right}"
-        if op in _COMPARE:
-            return f"{left} {_COMPARE[op]} {right}"
         if op in _CALL:
             return f"{_CALL[op]}({left}, {right})" if right else f"{_CALL[op]}({left})"
         return _FORMAT[op](left, right)

@@ -9,9 +9,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
-from rotorsim.block import Block, Shape, flatten, matrix_shape, size_of, unflatten
+from rotorsim.block import Block, DiscreteState, Shape, flatten, matrix_shape, size_of, unflatten
 
 __all__ = ["BlockTrace", "TraceError", "trace_block"]
 
@@ -39,41 +38,40 @@ class BlockTrace:
     events: Mapping[str, Any]
 
     @cached_property
+    def arguments(self) -> list[Any]:
+        """The placeholders, in declared order: of inputs, parameters, states, randoms, and the time."""
+        groups = (self.inputs, self.parameters, self.states, self.randoms)
+        return [*(symbol for group in groups for symbol in group.values()), self.time]
+
+    @cached_property
     def feedthrough(self) -> dict[str, tuple[str, ...]]:
         """Output port -> the input ports it depends on at the same instant (from sparsity)."""
         return {name: self._dependencies(value) for name, value in self.outputs.items()}
 
     @cached_property
-    def update_feedthrough(self) -> dict[str, tuple[str, ...]]:
-        """Output port -> the input ports it depends on when the block's own sample hit occurs."""
-        if not self.update:
-            return self.feedthrough
-        new = list(self.update.values())
-        old = [self.states[name] for name in self.update]
-        names = list(self.outputs)
-        values = ca.substitute([self.outputs[name] for name in names], old, new) if names else []
-        return {name: self._dependencies(value) for name, value in zip(names, values, strict=True)}
+    def hit_feedthrough(self) -> dict[str, tuple[str, ...]]:
+        """Output port -> the input ports it depends on when the block's own sample hit occurs, or at any instant."""
+        new, old = list(self.update.values()), [self.states[name] for name in self.update]
+        values = ca.substitute(list(self.outputs.values()), old, new) if new and self.outputs else []
+        updated = {name: self._dependencies(value) for name, value in zip(self.outputs, values, strict=False)}
+        return {
+            name: tuple(dict.fromkeys((*updated.get(name, ()), *feeding))) for name, feeding in self.feedthrough.items()
+        }
 
     def _dependencies(self, value: Any) -> tuple[str, ...]:
-        names = list(self.inputs)
-        if not names:
-            return ()
-        function = ca.Function("f", [*self.inputs.values(), *self._others()], [value])
-        return tuple(name for k, name in enumerate(names) if function.sparsity_jac(k, 0, True).nnz() > 0)
-
-    def _others(self) -> list[Any]:
-        return [*self.parameters.values(), *self.states.values(), *self.randoms.values(), self.time]
+        function = ca.Function("f", self.arguments, [value])
+        return tuple(name for k, name in enumerate(self.inputs) if function.sparsity_jac(k, 0, True).nnz() > 0)
 
     def function(self, kind: str, names: tuple[str, ...]) -> ca.Function:
-        """Return the CasADi function of the named outputs/derivatives/update/events.
-
-        Its arguments are all inputs, parameters, states, randoms and the time, in declared order.
-        """
-        cache: dict[Any, ca.Function] = self.__dict__.setdefault("_functions", {})
-        if (kind, names) not in cache:
+        """Return the CasADi function of the named outputs/derivatives/update/events of `arguments`."""
+        if (kind, names) not in self._functions:
             values = [getattr(self, kind)[name] for name in names]
-            cache[kind, names] = ca.Function("block", [*self.inputs.values(), *self._others()], values)
-        return cache[kind, names]
+            self._functions[kind, names] = ca.Function("block", self.arguments, values)
+        return self._functions[kind, names]
+
+    @cached_property
+    def _functions(self) -> dict[tuple[str, tuple[str, ...]], ca.Function]:
+        return {}
 
 
 def trace_block(
@@ -89,38 +87,36 @@ def trace_block(
     inputs holds only ports that are wired, additive or cut; an optional port that is missing becomes None.
     Raises TraceError when outputs, derivatives or updates are missing, unknown or of a wrong shape.
     """
-    flat_u = {name: ca.SX.sym(name, size_of(shape)) for name, shape in inputs.items()}
-    flat_p = {name: ca.SX.sym(name, size_of(shape)) for name, shape in parameters.items()}
-    flat_x = {name: ca.SX.sym(name, size_of(shape)) for name, shape in states.items()}
-    flat_r = {name: ca.SX.sym(name, size_of(shape)) for name, shape in randoms.items()}
+    placed = [
+        {name: ca.SX.sym(name, size_of(shape)) for name, shape in shapes.items()}
+        for shapes in (inputs, parameters, states, randoms)
+    ]
+    flat_u, flat_p, flat_x, flat_r = placed
     time = ca.SX.sym("t")
 
     u = SimpleNamespace()
     for declaration in block.inputs.values():
-        values = [
-            unflatten(flat_u[port], inputs[port]) if port in flat_u else None for port in block.port_names(declaration)
-        ]
+        ports = block.port_names(declaration)
+        values = [unflatten(flat_u[port], inputs[port]) if port in flat_u else None for port in ports]
         setattr(u, declaration.name, values if declaration.many else values[0])
-    p = SimpleNamespace(**{name: unflatten(flat_p[name], parameters[name]) for name in parameters})
-    x = SimpleNamespace(
-        **{name: unflatten(flat_x[name], states[name]) for name in states},
-        **{name: unflatten(flat_r[name], randoms[name]) for name in randoms},
-    )
+    p = SimpleNamespace(**{name: unflatten(symbol, parameters[name]) for name, symbol in flat_p.items()})
+    shapes = {**states, **randoms}
+    x = SimpleNamespace(**{name: unflatten(symbol, shapes[name]) for name, symbol in {**flat_x, **flat_r}.items()})
     equations = block.equations(p, u, x, time)
 
     given: dict[str, Any] = {}
-    for port_declaration in block.outputs.values():
-        if port_declaration.name not in equations.outputs:
-            raise TraceError(f"equations give no output '{port_declaration.name}'")
-        value = equations.outputs[port_declaration.name]
-        ports = block.port_names(port_declaration)
-        values = list(value) if port_declaration.many else [value]
+    for name, output in block.outputs.items():
+        if name not in equations.outputs:
+            raise TraceError(f"equations give no output '{name}'")
+        ports, value = block.port_names(output), equations.outputs[name]
+        values = list(value) if output.many else [value]
         if len(values) != len(ports):
-            raise TraceError(f"output '{port_declaration.name}' gives {len(values)} values for {len(ports)} ports")
+            raise TraceError(f"output '{name}' gives {len(values)} values for {len(ports)} ports")
         given.update(zip(ports, values, strict=True))
     _refuse_unknown("output", equations.outputs, block.outputs)
 
-    discrete = {name for name, state in block.active_states().items() if type(state).__name__ == "DiscreteState"}
+    active = block.active_states()
+    discrete = {name: shape for name, shape in states.items() if isinstance(active[name], DiscreteState)}
     continuous = {name: shape for name, shape in states.items() if name not in discrete}
     _refuse_unknown("derivative", equations.derivatives, continuous)
     _refuse_unknown("update", equations.update, discrete)
@@ -132,15 +128,15 @@ def trace_block(
         time=time,
         outputs={name: _column("output", name, given[name], shape) for name, shape in outputs.items()},
         derivatives=_columns("derivative", equations.derivatives, continuous),
-        update=_columns("update", equations.update, {name: states[name] for name in states if name in discrete}),
+        update=_columns("update", equations.update, discrete),
         events={name: flatten(ca.SX(value)) for name, value in equations.events.items()},
     )
 
 
 def _columns(kind: str, given: Mapping[str, Any], shapes: Mapping[str, Shape]) -> dict[str, Any]:
-    missing = [name for name in shapes if name not in given]
-    if missing:
-        raise TraceError(f"equations give no {kind} of state '{missing[0]}'")
+    for name in shapes:
+        if name not in given:
+            raise TraceError(f"equations give no {kind} of state '{name}'")
     return {name: _column(kind, name, given[name], shape) for name, shape in shapes.items()}
 
 
@@ -158,8 +154,3 @@ def _refuse_unknown(kind: str, given: Mapping[str, Any], declared: Any) -> None:
     for name in given:
         if name not in declared:
             raise TraceError(f"equations give {kind} '{name}', which is not declared")
-
-
-def shapes_of(values: Mapping[str, np.ndarray]) -> dict[str, Shape]:
-    """Return the shapes of arrays by name."""
-    return {name: np.shape(value) for name, value in values.items()}

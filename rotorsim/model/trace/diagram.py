@@ -1,8 +1,7 @@
 """Trace a whole diagram: its state derivative, its signals and its sample hits as expressions of symbols.
 
 Every block is traced once for its class, options and shapes (`rotorsim.model.trace.block`); here the
-blocks are put together along the wires, in evaluation order. Algebraic loops are solved by Newton's
-method, traced like everything else: one step where the loop is linear, a fixed number otherwise.
+blocks are put together along the wires, in evaluation order. Algebraic loops are solved (`model.trace.loops`).
 """
 
 from __future__ import annotations
@@ -12,19 +11,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
-import networkx as nx
 import numpy as np
 
-from rotorsim.block import DiscreteState, In, Shape, size_of
+from rotorsim.block import DiscreteState, Shape, size_of
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.trace.block import BlockTrace
-from rotorsim.model.trace.order import block_traces, evaluation_order
+from rotorsim.model.trace.loops import solve_loop
+from rotorsim.model.trace.order import Key, block_traces, evaluation_groups, evaluation_order, feedthrough_graph
 
 __all__ = ["Sampler", "Signal", "Trace", "flat_indices", "trace_diagram"]
-
-NEWTON_STEPS = 12
-Key = tuple[str, str]  # (block, port)
 
 
 @dataclass(frozen=True)
@@ -85,22 +81,32 @@ def flat_indices(shape: Shape, index: tuple[int, ...]) -> np.ndarray:
     return np.arange(size_of(shape)).reshape(shape)[index].ravel() if shape else np.arange(1)
 
 
+def _column(parts: Iterable[Any]) -> Any:
+    """Stack columns, also none."""
+    return ca.vertcat(ca.SX(0, 1), *parts)
+
+
 @dataclass
 class _Layout:
-    """Collects named columns into one vector."""
+    """Named columns of symbols, stacked to one vector."""
 
     symbols: list[Any] = field(default_factory=list)
     parts: dict[str, Signal] = field(default_factory=dict)
     size: int = 0
 
-    def add(self, name: str, symbol: Any, shape: Shape, unit: str | None) -> None:
-        n = size_of(shape)
-        self.parts[name] = Signal(name, shape, unit, slice(self.size, self.size + n))
-        self.symbols.append(symbol)
-        self.size += n
+    def add(self, name: str, shape: Shape, unit: str | None) -> Any:
+        """Return the symbols of one more quantity."""
+        self.symbols.append(ca.SX.sym(name, size_of(shape)))
+        self.parts[name] = _signal(name, shape, unit, self.size)
+        self.size += size_of(shape)
+        return self.symbols[-1]
 
     def column(self) -> Any:
-        return ca.vertcat(*self.symbols) if self.symbols else ca.SX(0, 1)
+        return _column(self.symbols)
+
+
+def _signal(name: str, shape: Shape, unit: str | None, start: int = 0) -> Signal:
+    return Signal(name, shape, unit, slice(start, start + size_of(shape)))
 
 
 class _Tracer:
@@ -118,11 +124,10 @@ class _Tracer:
         self.inject = {self._port_key(name, additive=True): name for name in inject}
         self.replace = {self._port_key(name): name for name in replace}
         self.external: dict[Key, Any] = {}
-        for key, name in {**self.inject, **self.replace}.items():
-            node = diagram.nodes[key[0]]
-            port = node.outputs.get(key[1]) or node.inputs[key[1]]
-            self.external[key] = ca.SX.sym("v", size_of(port.shape))
-            self.v.add(name, self.external[key], port.shape, port.unit)
+        for (block, port), name in {**self.inject, **self.replace}.items():
+            node = diagram.nodes[block]
+            declared = node.outputs.get(port) or node.inputs[port]
+            self.external[block, port] = self.v.add(name, declared.shape, declared.unit)
         self.samplers: list[Sampler] = []
         self.state_blocks: list[str] = []
         self._declare()
@@ -138,26 +143,22 @@ class _Tracer:
 
     def _is_additive(self, block: str, port: str) -> bool:
         declared = self.diagram.nodes[block].inputs.get(port)
-        return declared is not None and isinstance(declared.declaration, In) and declared.declaration.additive
+        return declared is not None and declared.additive
 
     def _declare(self) -> None:
         for name, node in self.diagram.nodes.items():
             block = node.block
             symbols: dict[str, Any] = {}
             for key, value in node.values.items():
-                symbols[key] = ca.SX.sym(key, int(np.size(value)))
-                self.p.add(f"{name}.{key}", symbols[key], np.shape(value), block.parameters[key].unit)
+                symbols[key] = self.p.add(f"{name}.{key}", np.shape(value), block.parameters[key].unit)
             active = block.active_states()
             for key, shape in node.state_shapes.items():
-                symbols[key] = ca.SX.sym(key, size_of(shape))
-                layout = self.z if isinstance(active[key], DiscreteState) else self.x
-                layout.add(f"{name}.{key}", symbols[key], shape, active[key].unit)
-                if layout is self.x:
-                    self.state_blocks += [name] * size_of(shape)
+                discrete = isinstance(active[key], DiscreteState)
+                symbols[key] = (self.z if discrete else self.x).add(f"{name}.{key}", shape, active[key].unit)
+                self.state_blocks += [] if discrete else [name] * size_of(shape)
             start = self.w.size
             for key, shape in node.random_shapes.items():
-                symbols[key] = ca.SX.sym(key, size_of(shape))
-                self.w.add(f"{name}.{key}", symbols[key], shape, "1")
+                symbols[key] = self.w.add(f"{name}.{key}", shape, "1")
             if block.sample_time is not None:
                 seeds = [self.p.parts[f"{name}.{block.randoms[key].seed}"].part.start for key in node.random_shapes]
                 period = self.p.parts[f"{name}.{block.sample_time}"].part.start
@@ -216,84 +217,38 @@ class _Tracer:
         return trace.function("outputs", (port,)).call(self.block_arguments(block, inputs))[0]
 
     def propagate(
-        self, groups: Iterable[tuple[Key, ...]], output: Callable[..., Any], residuals: list[Any]
-    ) -> dict[Key, Any]:
-        """Evaluate every output port in order; solve the groups that are loops."""
+        self, groups: Iterable[tuple[Key, ...]], output: Callable[[Key, Mapping[Key, Any]], Any]
+    ) -> tuple[dict[Key, Any], list[Any]]:
+        """Return every output port, evaluated in order, and what is left of the nonlinear loops among them."""
         signals: dict[Key, Any] = {}
+        residuals: list[Any] = []
         for group in groups:
-            if len(group) == 1 and not self._self_loop(group[0]):
-                signals[group[0]] = output(group[0], signals)
-            else:
-                self._solve_loop(group, signals, output, residuals)
-        return signals
+            key = group[0]
+            if len(group) == 1 and (key in self.replace or key not in self._feeding(key)):
+                signals[key] = output(key, signals)
+                continue
+            sizes = {key: size_of(self.diagram.nodes[key[0]].outputs[key[1]].shape) for key in group}
+            solved, residual = solve_loop(group, self._feeding, output, signals, sizes)
+            signals.update(solved)
+            residuals += [] if residual is None else [residual]
+        return signals, residuals
 
-    def _self_loop(self, key: Key) -> bool:
-        feeding = self.traces[key[0]].feedthrough[key[1]]
-        sources = {(s.block, s.port) for port in feeding for s, _ in self.wires_into.get((key[0], port), ())}
-        return key in sources and key not in self.replace
+    def _feeding(self, key: Key) -> dict[Key, None]:
+        """Return the outputs that one needs at the same instant, in order."""
+        block, port = key
+        ends = (end for fed in self.traces[block].feedthrough[port] for end in self.wires_into.get((block, fed), ()))
+        return dict.fromkeys((source.block, source.port) for source, _ in ends)
 
-    def _solve_loop(
-        self, group: tuple[Key, ...], signals: dict[Key, Any], output: Callable[..., Any], residuals: list[Any]
-    ) -> None:
-        """Solve r(v) = F(v) - v = 0 for the torn signals v of one loop by Newton's method.
-
-        Every signal of the group is torn that no later one can be computed without; the rest follow.
-        """
-        torn, order = self._tear(group)
-        guess = {key: ca.SX.sym("loop", size_of(self._shape(key))) for key in torn}
-
-        def sweep(values: Mapping[Key, Any]) -> dict[Key, Any]:
-            known = {**signals, **values}
-            for key in order:
-                known[key] = output(key, known)
-            return {key: output(key, known) if key in torn else known[key] for key in group}
-
-        unknown = ca.vertcat(*guess.values())
-        computed = sweep(guess)
-        residual = ca.vertcat(*[computed[key] for key in torn]) - unknown
-        jacobian = ca.jacobian(residual, unknown)
-        others = [s for s in ca.symvar(ca.vertcat(residual, ca.vec(jacobian))) if not _is_in(s, unknown)]
-        newton = ca.Function("newton", [unknown, *others], [unknown - ca.solve(jacobian, residual), residual])
-        linear = not ca.depends_on(jacobian, unknown)
-        value = ca.SX.zeros(unknown.shape[0])
-        for _ in range(1 if linear else NEWTON_STEPS):
-            value = newton.call([value, *others])[0]
-        if not linear:
-            residuals.append(newton.call([value, *others])[1] / (1 + ca.fabs(value)))
-        found = dict(
-            zip(torn, ca.vertsplit(value, np.cumsum([0, *(g.shape[0] for g in guess.values())]).tolist()), strict=True)
-        )
-        known = {**signals, **found}
-        for key in order:
-            known[key] = output(key, known)
-        signals.update({key: known[key] for key in group})
-
-    def _shape(self, key: Key) -> Shape:
-        return self.diagram.nodes[key[0]].outputs[key[1]].shape
-
-    def _tear(self, group: tuple[Key, ...]) -> tuple[list[Key], list[Key]]:
-        graph = nx.DiGraph()
-        graph.add_nodes_from(group)
-        members = set(group)
-        for key in group:
-            for port in self.traces[key[0]].feedthrough[key[1]]:
-                for source, _ in self.wires_into.get((key[0], port), ()):
-                    if (source.block, source.port) in members:
-                        graph.add_edge((source.block, source.port), key)
-        torn: list[Key] = []
-        while True:
-            cycle = next((c for c in nx.strongly_connected_components(graph) if len(c) > 1), None)
-            loops = list(nx.nodes_with_selfloops(graph))
-            if cycle is None and not loops:
-                break
-            best = loops[0] if loops else min(cycle or (), key=lambda k: (size_of(self._shape(k)), -graph.degree(k), k))
-            torn.append(best)
-            graph.remove_node(best)
-        return torn, list(nx.topological_sort(graph))
-
-
-def _is_in(symbol: Any, column: Any) -> bool:
-    return bool(ca.depends_on(column, symbol))
+    def start(self, layout: _Layout) -> Any:
+        """Return the initial states as expressions of p."""
+        values = []
+        for full_name, signal in layout.parts.items():
+            block, _, state = full_name.rpartition(".")
+            init = self.diagram.nodes[block].block.states[state].init
+            n = size_of(signal.shape)
+            value = self.arguments[block][init] if isinstance(init, str) else ca.SX(float(init))
+            values.append(value if value.shape[0] == n else ca.repmat(value, n, 1))
+        return _column(values)
 
 
 def trace_diagram(diagram: Diagram, inject: Iterable[str] = (), replace: Iterable[str] = ()) -> Trace:
@@ -306,33 +261,22 @@ def trace_diagram(diagram: Diagram, inject: Iterable[str] = (), replace: Iterabl
     replace = tuple(replace)
     _refuse_opaque(diagram, set(replace))
     tracer = _Tracer(diagram, inject, replace)
-    residuals: list[Any] = []
-    signals = tracer.propagate(evaluation_order(diagram), tracer.output, residuals)
+    signals, residuals = tracer.propagate(evaluation_order(diagram), tracer.output)
 
-    xdot, events, event_blocks = _Layout(), [], []
     shown = {f"{block}.{port}": value for (block, port), value in signals.items()}
-    ports = {
-        f"{block}.{port}": Signal(f"{block}.{port}", declared.shape, declared.unit, slice(0, size_of(declared.shape)))
-        for block, node in diagram.nodes.items()
-        for port, declared in node.outputs.items()
-    }
-    for name in diagram.nodes:
-        trace = tracer.traces[name]
+    ports = {str(port): port for node in diagram.nodes.values() for port in node.outputs.values()}
+    xdot, events, event_blocks = [], [], []
+    for name, trace in tracer.traces.items():
         inputs = tracer.known_inputs(name, trace.inputs, signals)
-        for port, declared in diagram.nodes[name].inputs.items():
-            if port in inputs and getattr(declared.declaration, "additive", False):
-                shown[f"{name}.{port}"] = inputs[port]
-                part = slice(0, size_of(declared.shape))
-                ports[f"{name}.{port}"] = Signal(f"{name}.{port}", declared.shape, declared.unit, part)
+        declared = [diagram.nodes[name].inputs[port] for port in inputs]
+        sums = {str(port): port for port in declared if port.additive}
+        shown |= {flat: inputs[port.name] for flat, port in sums.items()}
+        ports |= sums
         arguments = tracer.block_arguments(name, inputs)
-        if trace.derivatives:
-            values = trace.function("derivatives", tuple(trace.derivatives)).call(arguments)
-            xdot.symbols += values
-        if trace.events:
-            crossing = trace.function("events", tuple(trace.events)).call(arguments)
-            events += crossing
-            event_blocks += [name] * sum(e.shape[0] for e in crossing)
-    z_next = _hits(tracer) if tracer.z.size else ca.SX(0, 1)
+        xdot += trace.function("derivatives", tuple(trace.derivatives)).call(arguments)
+        crossing = trace.function("events", tuple(trace.events)).call(arguments)
+        events += crossing
+        event_blocks += [name] * sum(e.shape[0] for e in crossing)
     return Trace(
         t=tracer.t,
         x=tracer.x.column(),
@@ -341,18 +285,18 @@ def trace_diagram(diagram: Diagram, inject: Iterable[str] = (), replace: Iterabl
         v=tracer.v.column(),
         w=tracer.w.column(),
         hit=tracer.hit,
-        xdot=xdot.column(),
-        z_next=z_next,
-        x0=_initial(tracer, tracer.x),
-        z0=_initial(tracer, tracer.z),
+        xdot=_column(xdot),
+        z_next=_hits(tracer) if tracer.z.size else ca.SX(0, 1),
+        x0=tracer.start(tracer.x),
+        z0=tracer.start(tracer.z),
         signals=shown,
-        events=ca.vertcat(*events) if events else ca.SX(0, 1),
-        loop_residuals=ca.vertcat(*residuals) if residuals else ca.SX(0, 1),
+        events=_column(events),
+        loop_residuals=_column(residuals),
         states=tracer.x.parts,
         discrete_states=tracer.z.parts,
         parameters=tracer.p.parts,
         external=tracer.v.parts,
-        ports=ports,
+        ports={name: _signal(name, port.shape, port.unit) for name, port in ports.items()},
         samplers=tuple(tracer.samplers),
         state_blocks=tuple(tracer.state_blocks),
         event_blocks=tuple(event_blocks),
@@ -361,13 +305,13 @@ def trace_diagram(diagram: Diagram, inject: Iterable[str] = (), replace: Iterabl
 
 def _refuse_opaque(diagram: Diagram, replaced: set[str]) -> None:
     """Raise RotorsimError for blocks without equations of their own whose outputs somebody needs."""
-    problems = []
-    for name, node in diagram.nodes.items():
-        if node.block.opaque:
-            needed = {f"{w.source.block}.{w.source.port}" for w in diagram.wires if w.source.block == name}
-            if needed - replaced:
-                hint = "`rotorsim cosim` runs diagrams with FMUs"
-                problems.append(Problem("is an FMU: its equations are not at hand", name, node.place, hint))
+    needed = {wire.source.block for wire in diagram.wires if f"{wire.source.block}.{wire.source.port}" not in replaced}
+    hint = "`rotorsim cosim` runs diagrams with FMUs"
+    problems = [
+        Problem("is an FMU: its equations are not at hand", name, node.place, hint)
+        for name, node in diagram.nodes.items()
+        if node.block.opaque and name in needed
+    ]
     if problems:
         raise RotorsimError(*problems)
 
@@ -377,50 +321,25 @@ def _hits(tracer: _Tracer) -> Any:
 
     At a hit a block's outputs follow its new states, and whatever is downstream sees them.
     """
-    flags = {sampler.block: k for k, sampler in enumerate(tracer.samplers)}
+    flags = {sampler.block: tracer.hit[k] for k, sampler in enumerate(tracer.samplers)}
 
     def new_states(block: str, inputs: Mapping[str, Any]) -> dict[str, Any]:
-        trace = tracer.traces[block]
-        if not trace.update:
-            return {}
-        values = trace.function("update", tuple(trace.update)).call(tracer.block_arguments(block, inputs))
-        flag = tracer.hit[flags[block]]
+        update = tracer.traces[block].update
+        values = tracer.traces[block].function("update", tuple(update)).call(tracer.block_arguments(block, inputs))
         old = tracer.arguments[block]
-        return {key: ca.if_else(flag, v, old[key]) for key, v in zip(trace.update, values, strict=True)}
+        return {key: ca.if_else(flags[block], v, old[key]) for key, v in zip(update, values, strict=True)}
 
     def output(key: Key, signals: Mapping[Key, Any]) -> Any:
         block, port = key
         trace = tracer.traces[block]
-        needed = dict.fromkeys((*trace.feedthrough[port], *trace.update_feedthrough[port]))
-        inputs = tracer.known_inputs(block, needed, signals)
-        states = new_states(block, inputs)
-        return trace.function("outputs", (port,)).call(tracer.block_arguments(block, inputs, states))[0]
+        inputs = tracer.known_inputs(block, trace.hit_feedthrough[port], signals)
+        arguments = tracer.block_arguments(block, inputs, new_states(block, inputs))
+        return trace.function("outputs", (port,)).call(arguments)[0]
 
-    graph = nx.DiGraph()
-    for name, trace in tracer.traces.items():
-        for port, feeding in trace.update_feedthrough.items():
-            graph.add_node((name, port))
-            for fed in dict.fromkeys((*feeding, *trace.feedthrough[port])):
-                for source, _ in tracer.wires_into.get((name, fed), ()):
-                    graph.add_edge((source.block, source.port), (name, port))
-    condensed = nx.condensation(graph)
-    groups = [tuple(sorted(condensed.nodes[k]["members"])) for k in nx.topological_sort(condensed)]
-    signals = tracer.propagate(groups, output, [])
-    values: list[Any] = []
-    for name in tracer.diagram.nodes:
-        trace = tracer.traces[name]
-        if trace.update:
-            values += new_states(name, tracer.known_inputs(name, trace.inputs, signals)).values()
-    return ca.vertcat(*values)
-
-
-def _initial(tracer: _Tracer, layout: _Layout) -> Any:
-    """Return the initial states as expressions of p."""
-    values = []
-    for full_name, signal in layout.parts.items():
-        block, _, state = full_name.rpartition(".")
-        init = tracer.diagram.nodes[block].block.states[state].init
-        n = size_of(signal.shape)
-        value = tracer.arguments[block][init] if isinstance(init, str) else ca.SX(float(init))
-        values.append(value if value.shape[0] == n else ca.repmat(value, n, 1))
-    return ca.vertcat(*values) if values else ca.SX(0, 1)
+    graph = feedthrough_graph(tracer.diagram, {name: trace.hit_feedthrough for name, trace in tracer.traces.items()})
+    signals, _ = tracer.propagate(evaluation_groups(graph), output)
+    return _column(
+        value
+        for name, trace in tracer.traces.items()
+        for value in new_states(name, tracer.known_inputs(name, trace.inputs, signals)).values()
+    )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -15,9 +16,10 @@ from rotorsim.diagram.diagram import Diagram, Node
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.trace.block import BlockTrace, TraceError, trace_block
 
-__all__ = ["block_traces", "evaluation_order", "feedthrough_graph", "trace_blocks"]
+__all__ = ["Key", "block_traces", "evaluation_groups", "evaluation_order", "feedthrough_graph"]
 
-Key = tuple[str, str]
+Key = tuple[str, str]  # (block, port)
+Feedthrough = Mapping[str, Mapping[str, Iterable[str]]]
 Shapes = tuple[tuple[str, Any], ...]
 KEPT = 256  # traces of blocks; a diagnosis loads hundreds of diagrams that differ in one block
 SHOWN_HOPS = 20  # at the start and at the end of a loop
@@ -25,52 +27,41 @@ _TRACES: WeakKeyDictionary[Diagram, dict[str, BlockTrace]] = WeakKeyDictionary()
 
 
 def block_traces(diagram: Diagram) -> Mapping[str, BlockTrace]:
-    """Return the trace of every block, kept for as long as the diagram. Raises RotorsimError where equations fail."""
-    if diagram not in _TRACES:
-        traces, problems = trace_blocks(diagram)
-        if problems:
-            raise RotorsimError(*problems)
-        _TRACES[diagram] = traces
-    return _TRACES[diagram]
+    """Return the trace of every block (like blocks share one, of other diagrams too), kept as long as the diagram.
 
-
-def trace_blocks(diagram: Diagram) -> tuple[dict[str, BlockTrace], list[Problem]]:
-    """Return the trace of every block (like blocks share one, of other diagrams too) and what went wrong."""
-    wired: dict[str, set[str]] = {}
-    for wire in diagram.wires:
-        wired.setdefault(wire.target.block, set()).add(wire.target.port)
+    Raises RotorsimError with all blocks whose equations fail.
+    """
+    if diagram in _TRACES:
+        return _TRACES[diagram]
+    wired = {(wire.target.block, wire.target.port) for wire in diagram.wires} | diagram.cut
     traces: dict[str, BlockTrace] = {}
     problems: list[Problem] = []
     for name, node in diagram.nodes.items():
         inputs = {
-            port: declared.shape
-            for port, declared in node.inputs.items()
-            if port in wired.get(name, ())
-            or getattr(declared.declaration, "additive", False)
-            or (name, port) in diagram.cut
+            port: declared.shape for port, declared in node.inputs.items() if (name, port) in wired or declared.additive
         }
         shapes = {key: np.shape(value) for key, value in node.values.items()}
         outputs = {port: declared.shape for port, declared in node.outputs.items()}
         each = [tuple(s.items()) for s in (inputs, outputs, shapes, node.state_shapes, node.random_shapes)]
         try:
-            traces[name] = _traced(_Like(node.block), *each)
+            options = repr(sorted(vars(node.block.option).items()))
+            traces[name] = _traced(_Like(node.block, type(node.block), options, node.block.wired), *each)
         except Exception as error:  # the equations are foreign code
             problems.append(_failed(node, error))
-    return traces, problems
+    if problems:
+        raise RotorsimError(*problems)
+    _TRACES[diagram] = traces
+    return traces
 
 
+@dataclass(frozen=True)
 class _Like:
     """A block that equals every other one with the same equations: of its class, with its options and wired inputs."""
 
-    def __init__(self, block: Block) -> None:
-        self.block = block
-        self._key = (type(block), repr(sorted(vars(block.option).items())), block.wired)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Like) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
+    block: Block = field(compare=False)
+    kind: type[Block]
+    options: str
+    wired: frozenset[str]
 
 
 @lru_cache(maxsize=KEPT)
@@ -85,26 +76,41 @@ def _failed(node: Node, error: Exception) -> Problem:
     if isinstance(error, TraceError):
         return Problem(f"block type '{kind.type_name}': {error}", node.name, node.place, "correct the block file")
     text = str(error).strip().split("\n")[-1][:200]
-    what = f"equations of block type '{kind.type_name}' fail: {type(error).__name__}: {text}"
-    return Problem(what, node.name, node.place, "check options and shapes, or the block file")
+    return Problem(
+        f"equations of block type '{kind.type_name}' fail: {type(error).__name__}: {text}",
+        node.name,
+        node.place,
+        "check options and shapes, or the block file",
+    )
 
 
-def feedthrough_graph(diagram: Diagram, traces: Mapping[str, BlockTrace]) -> nx.DiGraph:
+def feedthrough_graph(diagram: Diagram, feedthrough: Feedthrough) -> nx.DiGraph:
     """Return the graph of (block, output port): an edge where one is needed to compute the other at once.
 
-    Every edge carries ``via``: the input port through which it acts.
+    feedthrough: block -> output port -> the input ports that act on it. Every edge carries ``via``: the input port
+    through which it acts.
     """
     into: dict[Key, list[Key]] = {}
     for wire in diagram.wires:
         into.setdefault((wire.target.block, wire.target.port), []).append((wire.source.block, wire.source.port))
     graph = nx.DiGraph()
-    for name, trace in traces.items():
-        for port, feeding in trace.feedthrough.items():
+    for name, ports in feedthrough.items():
+        for port, feeding in ports.items():
             graph.add_node((name, port))
             for fed in feeding:
-                for source in into.get((name, fed), ()):
-                    graph.add_edge(source, (name, port), via=fed)
+                graph.add_edges_from(((source, (name, port)) for source in into.get((name, fed), ())), via=fed)
     return graph
+
+
+def evaluation_groups(graph: nx.DiGraph) -> tuple[tuple[Key, ...], ...]:
+    """Return the nodes of a graph in evaluation order; those of one loop are one group."""
+    try:
+        return tuple((key,) for key in nx.topological_sort(graph))
+    except nx.NetworkXUnfeasible:
+        condensed = nx.condensation(graph)
+    position = {key: k for k, key in enumerate(graph)}
+    members = (condensed.nodes[k]["members"] for k in nx.topological_sort(condensed))
+    return tuple(tuple(sorted(group, key=position.__getitem__)) for group in members)
 
 
 def evaluation_order(diagram: Diagram) -> tuple[tuple[Key, ...], ...]:
@@ -113,16 +119,8 @@ def evaluation_order(diagram: Diagram) -> tuple[tuple[Key, ...], ...]:
 
     Raises RotorsimError that prints every loop hop by hop unless the diagram solves its loops.
     """
-    graph = feedthrough_graph(diagram, block_traces(diagram))
-    try:
-        return tuple((key,) for key in nx.topological_sort(graph))
-    except nx.NetworkXUnfeasible:
-        pass
-    condensed = nx.condensation(graph)
-    position = {key: k for k, key in enumerate(graph)}
-    groups = tuple(
-        tuple(sorted(condensed.nodes[k]["members"], key=position.__getitem__)) for k in nx.topological_sort(condensed)
-    )
+    graph = feedthrough_graph(diagram, {name: trace.feedthrough for name, trace in block_traces(diagram).items()})
+    groups = evaluation_groups(graph)
     loops = [group for group in groups if len(group) > 1 or graph.has_edge(group[0], group[0])]
     if loops and not diagram.solve_loops:
         raise RotorsimError(*[_loop_problem(diagram, graph, loop) for loop in loops])
@@ -138,6 +136,9 @@ def _loop_problem(diagram: Diagram, graph: nx.DiGraph, loop: tuple[Key, ...]) ->
     if len(hops) > 2 * SHOWN_HOPS:
         hops[SHOWN_HOPS:-SHOWN_HOPS] = [f"... {len(hops) - 2 * SHOWN_HOPS} more hops ..."]
     more = f" (and {len(loop) - len(cycle)} more outputs in the same loop)" if len(loop) > len(cycle) else ""
-    what = "algebraic loop: " + ", ".join(hops) + more
-    hint = 'put a state into it (integrator, derivative filter, delay), or write "algebraic_loops": "solve"'
-    return Problem(what, cycle[0][0][0], diagram.nodes[cycle[0][0][0]].place, hint)
+    return Problem(
+        "algebraic loop: " + ", ".join(hops) + more,
+        cycle[0][0][0],
+        diagram.nodes[cycle[0][0][0]].place,
+        'put a state into it (integrator, derivative filter, delay), or write "algebraic_loops": "solve"',
+    )

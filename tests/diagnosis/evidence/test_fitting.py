@@ -20,6 +20,7 @@ from rotorsim.diagram.diagram import Free
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.identification.coordinates import Coordinates
 from rotorsim.identification.estimate import Estimate
+from rotorsim.jobs.jobs import Jobs
 from rotorsim.model.load import load
 
 
@@ -81,7 +82,7 @@ def test_a_nonlinear_law_that_began_too_far_away_is_carried_on():
         return Fit({}, misfit=times * 1000, rows=1000, equations=1000, goodness=adequate, nonlinear=nonlinear)
 
     def refined(before: float, fits: list[Fit], reached: list[float]) -> list[tuple[int, int | None]]:
-        trials, asked, ends = Trials(None, None, None, None, None, None), [], iter(reached)
+        trials, asked, ends = Trials(None, None, None, Jobs()), [], iter(reached)
 
         def fit(jobs: list, most: int | None) -> list[Fit]:
             asked.append((len(jobs), most))
@@ -117,7 +118,7 @@ def test_what_cannot_be_is_no_explanation():
 
 def test_a_law_that_needs_a_parameter_beyond_all_reason_is_told_so():
     """An eccentricity of 0.31 m for 24 um as given is there to cancel what was put in."""
-    trials = Trials(None, None, None, None, None, None)
+    trials = Trials(None, None, None, Jobs())
     trials.nominal = {"e": 24e-6, "c": 0.0}
     free = (
         Free("e", "e", 0, 25e-6, "m", 0.0, np.inf, scale=24e-6),
@@ -138,7 +139,7 @@ def test_a_law_that_needs_a_parameter_beyond_all_reason_is_told_so():
 
 
 def test_parameters_of_the_diagram_begin_again_off_their_bounds():
-    trials = Trials(None, None, None, None, None, None)
+    trials = Trials(None, None, None, Jobs())
     trials.nominal = {"k": 1e5, "c": 0.0, "s": 0.5}
     free = (
         Free("k", "k", 0, 1e-13, "N/m", 0.0, np.inf, scale=1e5),
@@ -229,7 +230,7 @@ def test_every_law_is_fitted_at_its_best_place_however_many_places_there_are(mon
     monkeypatch.setattr(
         "rotorsim.diagnosis.search.trials.open_places", lambda *_: SimpleNamespace(bound=lambda item: item.left)
     )
-    trials = Trials(None, None, None, None, None, None)
+    trials = Trials(None, None, None, Jobs())
     kept = trials._screened(Fit({}, misfit=1e8, rows=9, equations=9), found, [({}, [])] * len(found))
     told = {(found[k].physics, found[k].node) for k in kept}
     assert told == {("second_crack", 2), ("rub", 4), ("runout", 1), ("seal", 0)}

@@ -227,8 +227,7 @@ def _source(eq: TimeEquations) -> tuple[str, int]:
     arguments = [eq.arguments[name] for name in ("t", "x", "v", "p")]
     function = ca.Function("f", arguments, [eq.f, ca.densify(eq.f_slopes), eq.g, ca.densify(eq.g_slopes)])
     program = Program()
-    leaves = [lambda i, name=name: program.input(name, i) for name in ("t", "x", "v", "p")]
-    f, f_slopes, g, g_slopes = program.load(function, leaves)
+    f, f_slopes, g, g_slopes = program.load(function, ("t", "x", "v", "p"))
     every = [*f, *f_slopes, *g, *g_slopes]
     level = ir.LEVEL_PARAMETER
     constants = [
