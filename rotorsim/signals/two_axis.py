@@ -12,7 +12,7 @@ from scipy.stats import t as student
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import ANGLE
-from rotorsim.signals.harmonic_fit import HarmonicFit, fit_harmonics
+from rotorsim.signals.harmonic_fit import HarmonicFit, Samples, fit_harmonics
 from rotorsim.signals.spectrum import DEFAULT_ORDERS, Harmonics, full_spectrum, harmonics, reconstruction_error
 from rotorsim.simulation.result import Result
 
@@ -195,7 +195,7 @@ def _least_squares(
     x, y = f"{signal}: x", f"{signal}: y"
     run = str(result.provenance.get("run") or result.provenance.get("diagram") or "")
     with one_thread():  # small matrices: threads cost more than they save
-        fit = fit_harmonics(run, time, theta, {x: r.real, y: r.imag}, angle_std=angle_std)
+        fit = fit_harmonics(Samples(run, time, theta, {x: r.real, y: r.imag}, angle_std=angle_std))
         both = fit.two_axis(x, y)
         orders = sorted(both)
         values = np.array([both[k] for k in orders])

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from rotorsim.signals.colour import bands_of, common_colour, density, of_mean
-from rotorsim.signals.harmonic_fit import real_vector
+from rotorsim.signals.covariance import real_vector
 from rotorsim.signals.harmonics import harmonics_of
 from rotorsim.signals.noise import Noise
 from tests.recordings.test_nuisances import TIME, N, flicker

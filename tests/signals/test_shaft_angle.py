@@ -11,7 +11,7 @@ from scipy.stats import binom, chi2
 
 from rotorsim.errors import Place, RotorsimError
 from rotorsim.recordings.recording import Channel, Recording, Run
-from rotorsim.signals.harmonic_fit import real_vector
+from rotorsim.signals.covariance import real_vector
 from rotorsim.signals.harmonics import harmonics_of
 from rotorsim.signals.shaft_angle import ShaftAngle, at_equal_angles, pulse_times, shaft_angle
 from tests.signals.test_harmonic_fit import harmonics, same_covariance, signal

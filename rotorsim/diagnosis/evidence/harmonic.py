@@ -24,7 +24,7 @@ from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 from rotorsim.settled.linear_motion import Motion
 from rotorsim.settled.motion import NonlinearMotion
-from rotorsim.signals.asynchronous import Second
+from rotorsim.signals.asynchronous import Asynchronous
 from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonics import RunHarmonics
 
@@ -77,7 +77,7 @@ class Source:
     harmonics: tuple[RunHarmonics, ...]
     folder: str | None = None
     trust_blocks: bool = False
-    second: Second | None = None
+    second: Asynchronous | None = None
     standing: int | None = None
     given: tuple[Free, ...] = ()
 
