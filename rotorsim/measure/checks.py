@@ -12,7 +12,7 @@ import numpy as np
 
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
-from rotorsim.signals.shaft_angle import pulse_edges, run_up, shaft_angle
+from rotorsim.signals.shaft_angle import pulse_edges, run_up_in_words, shaft_angle
 from rotorsim.signals.stretches import clipped, flat
 from rotorsim.units import conversion, parse_unit
 
@@ -216,7 +216,7 @@ class _RunFinder:
             angle = shaft_angle(self.recording, run)
         except RotorsimError:
             return  # said elsewhere
-        said = run_up(run.time, angle.theta) if np.all(np.diff(run.time) > 0) else ""
+        said = run_up_in_words(run.time, angle.theta) if np.all(np.diff(run.time) > 0) else ""
         if said:
             hint = "spectrum, identify, diagnose and locate refuse it: they need runs at steady speeds"
             self.say(said, hint=hint, place=run.place)
