@@ -274,6 +274,15 @@ def test_slow_edges_with_noise_make_one_pulse_each():
     assert np.std(np.diff(pulses)) < 2e-4
 
 
+def test_a_dip_of_a_pulse_makes_no_other_one():
+    """To 40 and 46 % of its height, and up again; one to 30 % is another pulse."""
+    for dip, expected in ((2.0, 1), (1.5, 2)):
+        voltage = np.zeros(400)
+        voltage[100:200] = 5.0
+        voltage[120:122] = dip, 2.3
+        assert len(pulse_edges(np.arange(400.0), voltage)[0]) == expected
+
+
 def test_a_voltage_is_used_when_pulses_are_not_given():
     theta = turned([0.3, SPEED])
     voltage = np.where(theta % TURN < 1.0, 5.0, 0.0)
