@@ -7,10 +7,11 @@ whole rpm by more. The residual of strong harmonics then has power near every on
 from __future__ import annotations
 
 from dataclasses import replace
+from math import tau
 
 import numpy as np
 
-from rotorsim.signals.harmonic_basis import TURN, Basis, harmonic_basis
+from rotorsim.signals.harmonic_basis import Basis, harmonic_basis
 from rotorsim.signals.shaft_angle import MOST_TURNED, ShaftAngle
 
 __all__ = ["refined"]
@@ -33,7 +34,7 @@ def refined(time: np.ndarray, angle: ShaftAngle, y: np.ndarray, basis: Basis) ->
     u = 2 * (time - time[0]) / (time[-1] - time[0]) - 1
     shapes = np.column_stack([u, 1.5 * u**2 - 0.5])
     if angle.pulses:  # angle zero stays where they are on average
-        turns = TURN * np.arange(angle.pulses)
+        turns = tau * np.arange(angle.pulses)
         at = np.interp(turns, np.sign(angle.speed) * angle.theta, u)
         shapes -= [at.mean(), np.mean(1.5 * at**2 - 0.5)]
     total, now, columns = np.zeros(2), angle, basis

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from math import tau
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -11,7 +12,7 @@ from scipy.stats import binom, chi2
 
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import Recording
-from rotorsim.signals.harmonic_basis import TURN, Basis, harmonic_basis, wave_columns
+from rotorsim.signals.harmonic_basis import Basis, harmonic_basis, wave_columns
 from rotorsim.signals.harmonic_fit import NEAR, HarmonicFit, fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics, samples_of, with_one_noise
 from rotorsim.signals.lines import Spectrum, faint_line, spectrum_of
@@ -100,7 +101,7 @@ def strongest_lines(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
     if len({r for r, _, _ in lines}) < 2:
         return None
     run, at, weight = (np.array(each) for each in zip(*lines, strict=True))
-    speeds = np.array([item.fit.speed for item in runs])[run] / TURN
+    speeds = np.array([item.fit.speed for item in runs])[run] / tau
     close = CLOSE / np.array([item.run.time[-1] - item.run.time[0] for item in runs])[run]
     k, every = np.arange(-ORDERS, ORDERS + 1), float(weight.sum())
     ranked = []
@@ -118,7 +119,7 @@ def strongest_lines(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
             own = (at * np.sign(order * speeds + value * unit) - order * speeds)[good] / unit[good]
             shown = {n: len(set(run[good & (order == n)])) for n in k.tolist()}
             orders = tuple(n for n in shown if shown[n] > 1) or tuple(n for n in shown if shown[n])
-            nu = Asynchronous((1.0 if follows else TURN) * float(np.median(own)), 0.0, follows, orders)
+            nu = Asynchronous((1.0 if follows else tau) * float(np.median(own)), 0.0, follows, orders)
             ranked.append((rank, -float(missed[good].mean()), nu))
     return max(ranked, key=lambda item: item[:2])[2] if ranked else None
 
@@ -130,7 +131,7 @@ def _faint(recording: Recording, runs: Sequence[RunHarmonics]) -> Asynchronous |
     if line is None:
         return None
     value, follows, orders = line
-    return Asynchronous(value if follows else TURN * value, 0.0, follows, orders)
+    return Asynchronous(value if follows else tau * value, 0.0, follows, orders)
 
 
 def spectra_of(recording: Recording, runs: Sequence[RunHarmonics]) -> list[Spectrum]:
@@ -178,7 +179,7 @@ def swinging_pulses(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
     power = []
     for rate, (t, early) in zip(rates, swings, strict=True):  # over the whole rate, above which it repeats
         at = grid[0] + np.arange(0.0, rate, 0.2 / longest)
-        power.append(np.abs(np.exp(-1j * TURN * np.outer(at, t)) @ early) ** 2 * 2 / len(t))
+        power.append(np.abs(np.exp(-1j * tau * np.outer(at, t)) @ early) ** 2 * 2 / len(t))
     shared = int(np.ceil(SHARE * len(swings)))
 
     def shown(moved: Sequence[int]) -> np.ndarray:
@@ -193,7 +194,7 @@ def swinging_pulses(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
     moved = random.integers(0, [len(p) for p in power], (MOVED, len(power)))
     if sum(float(shown(by).max()) >= together[best] for by in moved) > FALSE_ALARM * MOVED:
         return None
-    return Asynchronous(TURN * float(grid[best]), 0.0, False, (-1, 1))
+    return Asynchronous(tau * float(grid[best]), 0.0, False, (-1, 1))
 
 
 def _pulsed(runs: Sequence[RunHarmonics]) -> list[RunHarmonics]:
@@ -206,7 +207,7 @@ def _beside_harmonics(item: RunHarmonics) -> list[tuple[float, float]]:
 
     The size counts in the residual of a channel, and as a share of that of the strongest.
     """
-    speed = abs(item.fit.speed) / TURN
+    speed = abs(item.fit.speed) / tau
     close = CLOSE / (item.run.time[-1] - item.run.time[0])
     scale = np.where(item.fit.residual > 0, item.fit.residual, np.inf)
     kept = [line for line in item.fit.lines if abs(line.frequency - speed * round(line.frequency / speed)) >= close]
@@ -234,7 +235,7 @@ def _shown(nu: Asynchronous, runs: Sequence[RunHarmonics]) -> set[int]:
     seen: list[int] = []
     for item in runs:
         close = CLOSE / (item.run.time[-1] - item.run.time[0])
-        places = np.abs(k * item.fit.speed + nu.at(item.fit.speed)) / TURN
+        places = np.abs(k * item.fit.speed + nu.at(item.fit.speed)) / tau
         misses = [np.abs(places - frequency) for frequency, _ in _beside_harmonics(item)]
         seen += {int(k[miss.argmin()]) for miss in misses if miss.min() < close}
     return {order for order in seen if seen.count(order) > 1}
@@ -283,7 +284,7 @@ def _by_pulses(nu: Asynchronous, runs: Sequence[RunHarmonics]) -> Asynchronous |
 def _least(cost: Callable[[float], float], nu: Asynchronous, runs: Sequence[RunHarmonics]) -> tuple[float, float]:
     """Return where a function of the frequency is least, near a first value, and its second derivative there."""
     scale = float(np.median([abs(item.fit.speed) for item in runs])) if nu.follows else 1.0
-    width = 0.5 * TURN / max(float(item.run.time[-1] - item.run.time[0]) for item in runs) / scale
+    width = 0.5 * tau / max(float(item.run.time[-1] - item.run.time[0]) for item in runs) / scale
     bounds = (nu.value - width, nu.value + width)
     at = float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-6 * width}).x)
     step = 0.05 * width
@@ -344,7 +345,7 @@ def _swing(item: RunHarmonics, nu: float | None) -> tuple[np.ndarray, float, np.
     at, turned = item.run.time, item.angle.theta
     pulses = item.run.tacho
     if pulses is not None and len(pulses) > 6:  # they are right where an angle between them is a guess
-        at, turned = pulses, np.sign(item.fit.speed) * TURN * np.arange(len(pulses))
+        at, turned = pulses, np.sign(item.fit.speed) * tau * np.arange(len(pulses))
     middle = float(at.mean())
     waves = [] if nu is None else [np.cos(nu * at), np.sin(nu * at)]
     columns = np.column_stack([np.ones(len(at)), at - middle, *waves])
@@ -386,8 +387,8 @@ def has_multiples(fit: HarmonicFit, duration: float) -> bool:
     A swing m of the angle makes J_1(k m) = k m / 2 of order k at nu, and J_2(k m) = J_1^2 / 2 at 2 nu.
     """
     assert fit.beside is not None
-    speed = abs(fit.speed) / TURN
-    multiples = np.array(MULTIPLES[1:]) * fit.beside.second / TURN
+    speed = abs(fit.speed) / tau
+    multiples = np.array(MULTIPLES[1:]) * fit.beside.second / tau
     if (np.abs(multiples - speed * np.round(multiples / speed)) > NEAR / duration).all():
         return False
     own, beside = (np.abs(values).max(axis=0) for values in (fit.values[1:], fit.beside.values))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import tau
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,8 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from rotorsim.errors import Problem, RotorsimError
 
-__all__ = ["TURN", "Basis", "check_samples", "harmonic_basis", "wave_columns"]
+__all__ = ["Basis", "check_samples", "harmonic_basis", "wave_columns"]
 
-TURN = 2 * np.pi
 MOST_ORDERS = 16
 DRIFT = 2  # degree of the drift of the mean
 LEAST_TOLD = 1e-6  # of the best known combination of coefficients: information of one that samples tell nothing of
@@ -63,7 +63,7 @@ class Basis:
 
     def with_lines(self, time: np.ndarray, frequencies: Iterable[float]) -> Basis:
         """Return a basis with columns of lines of fixed frequencies [Hz] at times (n,)."""
-        return self.with_waves(TURN * frequency * time for frequency in frequencies)
+        return self.with_waves(tau * frequency * time for frequency in frequencies)
 
     def solve(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the least-squares coefficients (m, C) of signals (n, C), and the residual (n, C)."""
@@ -105,7 +105,7 @@ def harmonic_basis(run: str, time: np.ndarray, theta: np.ndarray, *, orders: int
     Raises RotorsimError for no room for one harmonic, or for those that are wanted.
     """
     n = len(theta)
-    turns = float(abs(theta[-1] - theta[0]) / TURN) * n / max(n - 1, 1)
+    turns = float(abs(theta[-1] - theta[0]) / tau) * n / max(n - 1, 1)
     room = min(int(0.45 * n / turns), (n - DRIFT - 8) // 4)
     if room < 1:
         what = f"{n} samples over {turns:.3g} turns cannot carry a harmonic"
@@ -139,7 +139,7 @@ def check_samples(run: str, names: Iterable[str], y: np.ndarray, theta: np.ndarr
         if count:
             what = f"{count} sample{' is' if count == 1 else 's are'} not finite, first at sample {bad.argmax() + 1}"
             problems.append(Problem(what, f"run {run}: {name}"))
-    turned = abs(float(theta[-1] - theta[0])) / TURN
+    turned = abs(float(theta[-1] - theta[0])) / tau
     if not turned >= 1 - 1e-6 * max(turned, 1) - 2 / n:
         what = f"only {turned:.3g} turns of the shaft were recorded"
         problems.append(Problem(what, f"run {run}", hint="harmonics need at least one turn"))

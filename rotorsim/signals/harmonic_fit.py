@@ -10,12 +10,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import tau
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from rotorsim.signals.covariance import complex_values, real_form, real_vector
-from rotorsim.signals.harmonic_basis import TURN, Basis, check_samples, harmonic_basis
+from rotorsim.signals.harmonic_basis import Basis, check_samples, harmonic_basis
 from rotorsim.signals.lines import Line, find_lines
 from rotorsim.signals.noise import Noise, noise_of
 
@@ -230,7 +231,7 @@ def fit_harmonics(
     if second is not None:
         told = _resolved(second, speed, K, duration, pickups)
         basis = basis.with_waves(int(k) * theta + second[0] * time for k in second[1][told])
-    harmonics = np.abs(speed) / TURN * np.arange(K + 1)
+    harmonics = np.abs(speed) / tau * np.arange(K + 1)
     steady = [at for at in pickups if np.abs(at - harmonics).min() * duration >= APART]
     basis = basis.with_lines(time, steady)
     coefficients, left = basis.solve(y)
@@ -281,8 +282,8 @@ def _resolved(
     second: tuple[float, np.ndarray], speed: float, K: int, duration: float, pickups: Sequence[float]
 ) -> np.ndarray:
     """Return which combinations of an asynchronous frequency are apart from harmonics, zero, each other, pick-up."""
-    at = np.abs(second[1] * speed + second[0]) / TURN
-    others = np.concatenate([np.abs(speed) / TURN * np.arange(K + 1), pickups])
+    at = np.abs(second[1] * speed + second[0]) / tau
+    others = np.concatenate([np.abs(speed) / tau * np.arange(K + 1), pickups])
     away = np.abs(at[:, None] - others).min(axis=1)
     pairs = np.abs(at[:, None] - at) + 1e9 * np.eye(len(at))
     return np.asarray((away > NEAR / duration) & (pairs.min(axis=1, initial=np.inf) > NEAR / duration))

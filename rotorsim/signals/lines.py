@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import tau
 
 import numpy as np
 from scipy.ndimage import correlate1d, uniform_filter1d
 from scipy.stats import chi2
 
 from rotorsim.signals.colour import colour_of, density
-from rotorsim.signals.harmonic_basis import TURN
 from rotorsim.signals.whitening import independent, is_white
 
 __all__ = ["LEAST_KEPT", "Line", "Spectrum", "faint_line", "find_lines", "log_chance", "spectrum_of"]
@@ -91,7 +91,7 @@ def find_lines(
     threshold = NEIGHBOURS * np.expm1(threshold / NEIGHBOURS)
     ratio = np.divide(power, level, out=np.zeros_like(power), where=level > 0)
     lines: list[Line] = []
-    running, resolution = abs(speed) / TURN, (n - 1) / n / (time[-1] - time[0])
+    running, resolution = abs(speed) / tau, (n - 1) / n / (time[-1] - time[0])
     for _ in range(MOST_LINES):
         at, channel = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
         if ratio[at, channel] <= threshold:
@@ -99,12 +99,12 @@ def find_lines(
         frequency = (at + 1) * resolution
         for reach in (0.75, 0.1125):  # where the signal's Fourier integral is largest
             trial = frequency + np.linspace(-reach, reach, 13) * resolution
-            sizes = np.abs(np.exp(-1j * TURN * np.outer(trial, time)) @ left[:, channel])
+            sizes = np.abs(np.exp(-1j * tau * np.outer(trial, time)) @ left[:, channel])
             frequency = float(trial[int(np.argmax(sizes))])
         order = frequency / running if running else np.inf
         nearest = np.round(order)
         if nearest > K or abs(order - nearest) * running > near * resolution:
-            amplitude = 2 * np.abs(np.exp(-1j * TURN * frequency * time) @ left) / n
+            amplitude = 2 * np.abs(np.exp(-1j * tau * frequency * time) @ left) / n
             lines.append(Line(frequency, float(order), tuple(amplitude.tolist())))
         skirts = 4 if ratio[at, channel] < 1e4 else 40
         ratio[max(0, at - skirts) : at + skirts + 1] = 0.0
@@ -136,7 +136,7 @@ def spectrum_of(
     level = np.maximum(mean[: len(power)], mean[2 * away :])
     total = np.minimum(power / np.maximum(level, 1.0), chi2.isf(MOST, freedom))
     resolution = (n - 1) / n / (time[-1] - time[0])
-    at, turns = np.arange(len(total)) * resolution / FINE, abs(speed) / TURN
+    at, turns = np.arange(len(total)) * resolution / FINE, abs(speed) / tau
     order = np.round(at / turns)
     harmonic = (np.abs(at - order * turns) < APART * resolution) & (order <= K)
     outside = (at < SLOWEST * resolution) | (at > at[-1] - SLOWEST * resolution)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import tau
 
 import numpy as np
 
 from rotorsim.signals.colour import Bands, bands_of, colour_of, density, of_mean
-from rotorsim.signals.harmonic_basis import TURN
 from rotorsim.signals.lines import LEAST_KEPT, Line
 from rotorsim.signals.whitening import has_one_covariance, is_white
 
@@ -100,7 +100,7 @@ def noise_of(
     if len(inner) < 8 or (is_white(power) and has_one_covariance(inner)):
         return Noise((left.T @ left / freedom + at_least)[None], True, float(freedom), bands=bands)
     colour = colour_of(power, at_line[usable])
-    spacing = abs(speed) / TURN * n * step
+    spacing = abs(speed) / tau * n * step
     orders, shape = np.sqrt(_at_orders(colour, spacing, K)), np.sqrt(density(colour, at_line))
     alive = shape[-1] > 0
     orders[:, ~alive], shape[:, ~alive] = 1.0, 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import tau
 
 import numpy as np
 from scipy.stats import chi2
@@ -12,7 +13,6 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.asynchronous import Asynchronous, of_least_residual, spectra_of
-from rotorsim.signals.harmonic_basis import TURN
 from rotorsim.signals.harmonic_fit import fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of, samples_of, with_one_noise
 from rotorsim.signals.lines import log_chance
@@ -76,8 +76,8 @@ def _refined(recording: Recording, runs: Sequence[RunHarmonics], frequency: floa
     close = 0.4 / max(float(np.ptp(item.run.time)) for item in runs)
     for _ in range(ROUNDS):  # each looks within half the resolution
         before = frequency
-        near = Asynchronous(TURN * before, 0.0, False, (0,))
-        frequency = of_least_residual(near, recording, runs)[1].value / TURN
+        near = Asynchronous(tau * before, 0.0, False, (0,))
+        frequency = of_least_residual(near, recording, runs)[1].value / tau
         if abs(frequency - before) < close:
             break
     return frequency
@@ -113,7 +113,7 @@ def with_pickups(
 
 def _order(item: RunHarmonics, frequency: float) -> int:
     """Return the order of the speed that is nearest to a frequency [Hz]."""
-    return round(frequency * TURN / abs(item.fit.speed))
+    return round(frequency * tau / abs(item.fit.speed))
 
 
 def _size(runs: Sequence[RunHarmonics], frequency: float, name: str) -> float:
@@ -141,7 +141,7 @@ def _hum(item: RunHarmonics, pickups: Sequence[Pickup]) -> dict[int, np.ndarray]
     for pickup in pickups:
         order = _order(item, pickup.frequency)
         if pickup.frequency not in fit.pickups and order < len(fit.orders):
-            share = np.sinc((pickup.frequency - order * abs(fit.speed) / TURN) * float(np.ptp(item.run.time)))
+            share = np.sinc((pickup.frequency - order * abs(fit.speed) / tau) * float(np.ptp(item.run.time)))
             variance = np.array([(pickup.amplitude[name] * share) ** 2 / 8 for name in fit.names])
             hum[order] = hum.get(order, 0.0) + variance
     return hum

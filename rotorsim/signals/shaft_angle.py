@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import tau
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
@@ -22,7 +23,6 @@ __all__ = [
     "steady_limit",
 ]
 
-TURN = 2 * np.pi
 MOST_COEFFICIENTS = 8  # of the polynomial through the pulses
 MOST_SAMPLES = 100_000  # of a run, in which a change of speed is looked for: more are thinned out evenly
 SLOPE = np.sqrt(5)  # times jitter / sqrt(N): standard deviation of what N pulses say of a line and a parabola, at most
@@ -178,7 +178,7 @@ def _by_chance(time: np.ndarray, pulses: np.ndarray, digit: float) -> float:
 def _from_channel(run: Run, theta: np.ndarray, subject: str) -> ShaftAngle:
     if not np.isfinite(theta).all():
         raise RotorsimError(Problem("not finite", subject, run.place))
-    theta = np.unwrap(theta) if np.ptp(theta) <= TURN * 1.05 else theta
+    theta = np.unwrap(theta) if np.ptp(theta) <= tau * 1.05 else theta
     if theta[-1] == theta[0]:
         raise RotorsimError(Problem("the shaft angle does not change", subject, run.place))
     time = run.time - run.time[0]
@@ -191,11 +191,11 @@ def _from_pulses(run: Run, pulses: np.ndarray, doubt: float, stamp: float) -> Sh
     n = len(pulses)
     if not np.isfinite(pulses).all() or not (np.diff(pulses) > 0).all():
         raise RotorsimError(Problem("the pulse times must be finite and rise", f"run {run.id}: tacho", run.place))
-    turns = np.arange(n) * TURN
+    turns = np.arange(n) * tau
     centre, half = (pulses[-1] + pulses[0]) / 2, (pulses[-1] - pulses[0]) / 2
     u, inside = (pulses - centre) / half, (run.time - centre) / half
-    each = TURN * (n - 1) / (pulses[-1] - pulses[0]) * doubt  # rad: residual of sampling alone
-    least = max((1e-9 * TURN) ** 2, TEETH * each**2)  # below, pulses share saw teeth: a drift is not told from them
+    each = tau * (n - 1) / (pulses[-1] - pulses[0]) * doubt  # rad: residual of sampling alone
+    least = max((1e-9 * tau) ** 2, TEETH * each**2)  # below, pulses share saw teeth: a drift is not told from them
     most = min(MOST_COEFFICIENTS, max(2, (n + 1) // 2 if n < 10 else n // 3))
     curves = [Chebyshev.fit(u, turns, degree, domain=[-1, 1]) for degree in range(1, most)]
     variances = [max(float(np.mean((turns - curve(u)) ** 2)), least) for curve in curves]
@@ -246,7 +246,7 @@ def steady_limit(turns: float) -> float:
     e / (2 pi N z^2) in phase; and averaged over the run it is wrong by (e / z)^2 / 12. Both stay below a degree at
     z = 0.1: e < 0.11 % N and e < 4.6 %. A drift of 1 % is never refused, however short the run.
     """
-    lag = TURN * turns * DAMPING**2 * PHASE
+    lag = tau * turns * DAMPING**2 * PHASE
     return float(max(LEAST, min(lag, DAMPING * np.sqrt(12 * PHASE))))
 
 
@@ -254,7 +254,7 @@ def refuse_run_up(subject: str, place: Place, time: np.ndarray, theta: np.ndarra
     """Raise RotorsimError where the speed changes by more than `steady_limit` over samples of the angle (n,)."""
     said = run_up_in_words(time, theta)
     if said:
-        limit = 100 * steady_limit(abs(float(theta[-1] - theta[0])) / TURN)
+        limit = 100 * steady_limit(abs(float(theta[-1] - theta[0])) / tau)
         hint = f"cut out a part in which it changes by less than {limit:.2g} %, or record runs at steady speeds"
         what = f"{said}: its orders are not those of one speed"
         raise RotorsimError(Problem(what, subject, place, hint))
@@ -265,7 +265,7 @@ def run_up_in_words(time: np.ndarray, theta: np.ndarray) -> str:
     if len(time) < 8 or not (np.isfinite(theta).all() and (np.diff(time) > 0).all()):
         return ""
     change = _speed_change(time, theta)
-    if abs(change) <= steady_limit(abs(float(theta[-1] - theta[0])) / TURN):
+    if abs(change) <= steady_limit(abs(float(theta[-1] - theta[0])) / tau):
         return ""
     n = max(len(time) // 50, 2)
     first = abs(theta[n - 1] - theta[0]) / (time[n - 1] - time[0]) * 30 / np.pi

@@ -192,9 +192,9 @@ def test_what_cannot_be_analysed_is_refused():
     for call, text in (
         (
             lambda: harmonics(result, "r.d", window=(5, 6)),
-            "window: window 5..6 s holds 0 samples\n\nhint: the result covers 0..0.99 s",
+            "window 5..6 s holds 0 samples\n\nhint: the run covers 0..0.99 s",
         ),
-        (lambda: harmonics(short, "r.d"), "window: only 2 samples\n\nhint: the result covers 0..0.01 s"),
+        (lambda: harmonics(short, "r.d"), "only 2 samples\n\nhint: the run covers 0..0.01 s"),
         (lambda: last_turns(short), "window: only 2 samples\n\nhint: a longer run"),
         (
             lambda: harmonics(result, "clock.theta"),
