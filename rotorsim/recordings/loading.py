@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.document import Document, RunEntry, read_recording_document
-from rotorsim.recordings.readers import read_columns
+from rotorsim.recordings.readers.columns import read_columns
 from rotorsim.recordings.recording import Recording, Run
 from rotorsim.units import conversion
 
