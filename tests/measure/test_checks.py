@@ -41,7 +41,10 @@ def recording(*runs: Run, channels: dict[str, Channel] | None = None) -> Recordi
 
 
 def found(*runs: Run, channels: dict[str, Channel] | None = None) -> list[str]:
-    return [shown(problem) for problem in check_signals(recording(*runs, channels=channels))]
+    problems = check_signals(recording(*runs, channels=channels))
+    for problem in problems:
+        assert problem.code == "run_up" or problem.what.startswith(problem.code.replace("_", " "))
+    return [shown(problem) for problem in problems]
 
 
 def shown(problem: Problem) -> str:
