@@ -173,7 +173,7 @@ def identify(
                 search = Search(opened)
                 result = estimate(search)
                 treated = "it is fitted beside the harmonics"
-                warnings += pickup_warnings(picked, recording, "does not follow the shaft", treated)
+                warnings += pickup_warnings(picked, recording, "is asynchronous", treated)
         adequate = method == "regression" or result.adequate
         widen = 1.0 if adequate else result.widening
         covariance = result.covariance * widen**2

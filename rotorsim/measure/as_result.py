@@ -16,7 +16,7 @@ from rotorsim.units import conversion, parse_unit
 __all__ = ["as_result", "has_angle"]
 
 LARGEST = 4e9  # bytes of a stacked signal
-_EVEN = 1e-2  # of a step: rounding of a time column
+_TIME_ROUNDING = 1e-2  # of a step: rounding of a time column
 _SI = ("m", "m/s", "m/s^2", "A", "V", "N", "rad", "rad/s", "1")
 
 
@@ -90,4 +90,4 @@ def _even(time: np.ndarray) -> np.ndarray:
     n = len(time)
     step = float(time[-1] - time[0]) / (n - 1)
     even = time[0] + step * np.arange(n)
-    return even if step > 0 and float(np.abs(time - even).max()) < _EVEN * step else time
+    return even if step > 0 and float(np.abs(time - even).max()) < _TIME_ROUNDING * step else time

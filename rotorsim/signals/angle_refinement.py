@@ -16,7 +16,6 @@ from rotorsim.signals.shaft_angle import MOST_TURNED, ShaftAngle
 
 __all__ = ["refined"]
 
-STEPS = 6  # Gauss-Newton
 SETTLED = 0.1  # standard deviations that the angle may still change by
 PLAUSIBLE = 4.0  # standard deviations of the pulses (once in 16 000 runs): what the harmonics ask for beyond is not the
 # angle's doing
@@ -38,7 +37,7 @@ def refined(time: np.ndarray, angle: ShaftAngle, y: np.ndarray, basis: Basis) ->
         at = np.interp(turns, np.sign(angle.speed) * angle.theta, u)
         shapes -= [at.mean(), np.mean(1.5 * at**2 - 0.5)]
     total, now, columns = np.zeros(2), angle, basis
-    for _ in range(STEPS):
+    for _ in range(6):
         coefficients, residual = columns.solve(y)
         noise = np.sqrt(np.mean(residual**2, axis=0))
         told = noise > 0

@@ -15,9 +15,11 @@ from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonic_basis import Basis, harmonic_basis, wave_columns
 from rotorsim.signals.harmonic_fit import NEAR, HarmonicFit, fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics, samples_of, with_one_noise
-from rotorsim.signals.lines import Spectrum, faint_line, spectrum_of
+from rotorsim.signals.lines import SLOWEST, Spectrum, faint_line, spectrum_of
+from rotorsim.signals.whitening import FALSE_ALARM
 
 __all__ = [
+    "MISSES",
     "Asynchronous",
     "find_asynchronous",
     "has_multiples",
@@ -28,19 +30,15 @@ __all__ = [
     "with_asynchronous",
 ]
 
-ORDERS = 5  # combinations k W + nu with |k| up to this
+SIDEBANDS = 5  # combinations k W + nu with |k| up to this
 MULTIPLES = (1, 2, 3)  # of the frequency, that a strong swing of the angle has
-CLOSE = 0.4  # of the resolution of a run, by which a line may miss its place
-SHARE = 0.7  # of the strongest lines, by their sizes, that one frequency must explain
+MISSES = 0.4  # of the resolution of a run, by which a line may miss its place
+EXPLAINED = 0.7  # of the strongest lines, by their sizes, that one frequency must explain
 STRONG = 6  # lines of a run that are looked at
-ROUNDS = 4
-EVEN = 10.0  # variances of the noise by which the residual of one angle says nothing against another
+DECISIVE = 10.0  # variances of the noise by which the residual of one angle says nothing against another
 PULSES = 8  # of a run, at least, to see its speed swing
-DRIFT = 2  # degree of slow changes of the speed
-ROUNDING = 1e-12  # of the length of a run, or of a radian
+NO_SWING = 1e-12  # of the length of a run, or of a radian
 MOVED = 2000  # times that spectra of pulses are moved against each other to see what coincides by chance
-LONGEST = 2.5  # periods of a swing in the longest run
-FALSE_ALARM = 1e-3
 LESS = 0.98  # of the residual of a fit: then what the lines weigh against the noise is worth estimating again
 
 
@@ -81,7 +79,7 @@ def find_asynchronous(recording: Recording, runs: Sequence[RunHarmonics]) -> Asy
     if nu is None:
         return None
     with one_thread():
-        for _ in range(ROUNDS):
+        for _ in range(4):
             nu = _refined(nu, recording, runs)
             fitted = {item.run.id: item for item in with_asynchronous(recording, runs, nu)[0]}
             hidden = _shown(nu, list(fitted.values()))
@@ -102,8 +100,8 @@ def strongest_lines(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
         return None
     run, at, weight = (np.array(each) for each in zip(*lines, strict=True))
     speeds = np.array([item.fit.speed for item in runs])[run] / tau
-    close = CLOSE / np.array([item.run.time[-1] - item.run.time[0] for item in runs])[run]
-    k, every = np.arange(-ORDERS, ORDERS + 1), float(weight.sum())
+    close = MISSES / np.array([item.run.time[-1] - item.run.time[0] for item in runs])[run]
+    k, every = np.arange(-SIDEBANDS, SIDEBANDS + 1), float(weight.sum())
     ranked = []
     for follows in (False, True):
         unit = np.abs(speeds) if follows else np.ones(len(at))
@@ -113,7 +111,7 @@ def strongest_lines(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
             order, missed = k[miss.argmin(axis=1)], miss.min(axis=1) / close
             good = missed < 1
             explained = float(weight[good].sum())
-            if explained < SHARE * every or len(set(run[good])) < 2:
+            if explained < EXPLAINED * every or len(set(run[good])) < 2:
                 continue
             rank = explained - 0.2 * float(np.average(np.abs(order[good]), weights=weight[good])) * every
             own = (at * np.sign(order * speeds + value * unit) - order * speeds)[good] / unit[good]
@@ -165,22 +163,22 @@ def swinging_pulses(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
     for item in _pulsed(runs):
         pulses = np.asarray(item.run.tacho)
         k = np.arange(len(pulses))
-        early = pulses - np.polyval(np.polyfit(k, pulses, DRIFT), k)
+        early = pulses - np.polyval(np.polyfit(k, pulses, 2), k)
         size = float(np.sqrt(np.mean(early**2)))
-        if size > ROUNDING * float(np.ptp(pulses)):
+        if size > NO_SWING * float(np.ptp(pulses)):
             swings.append((pulses - pulses.mean(), early / size))
     if len(swings) < 2:
         return None
     longest = max(float(np.ptp(t)) for t, _ in swings)
     rates = [len(t) / float(np.ptp(t)) for t, _ in swings]
-    grid = np.arange(LONGEST / longest, 0.5 * min(rates), 0.2 / longest)
+    grid = np.arange(SLOWEST / longest, 0.5 * min(rates), 0.2 / longest)
     if not len(grid):
         return None
     power = []
     for rate, (t, early) in zip(rates, swings, strict=True):  # over the whole rate, above which it repeats
         at = grid[0] + np.arange(0.0, rate, 0.2 / longest)
         power.append(np.abs(np.exp(-1j * tau * np.outer(at, t)) @ early) ** 2 * 2 / len(t))
-    shared = int(np.ceil(SHARE * len(swings)))
+    shared = int(np.ceil(EXPLAINED * len(swings)))
 
     def shown(moved: Sequence[int]) -> np.ndarray:
         parts = [np.roll(p, by)[: len(grid)] for p, by in zip(power, moved, strict=True)]
@@ -208,7 +206,7 @@ def _beside_harmonics(item: RunHarmonics) -> list[tuple[float, float]]:
     The size counts in the residual of a channel, and as a share of that of the strongest.
     """
     speed = abs(item.fit.speed) / tau
-    close = CLOSE / (item.run.time[-1] - item.run.time[0])
+    close = MISSES / (item.run.time[-1] - item.run.time[0])
     scale = np.where(item.fit.residual > 0, item.fit.residual, np.inf)
     kept = [line for line in item.fit.lines if abs(line.frequency - speed * round(line.frequency / speed)) >= close]
     sizes = [float(np.max(np.asarray(line.amplitude) / scale)) for line in kept]
@@ -221,7 +219,7 @@ def _centred(nu: Asynchronous, directions: set[float]) -> Asynchronous:
         return nu
     (direction,) = directions
     choices = []
-    for j in range(-ORDERS, ORDERS + 1):
+    for j in range(-SIDEBANDS, SIDEBANDS + 1):
         sign = 1 if nu.value + j > 0 else -1
         orders = tuple(sorted(int(sign * (k - j * direction)) for k in nu.orders))
         choices.append((sum(map(abs, orders)), sign * (nu.value + j), orders))
@@ -234,7 +232,7 @@ def _shown(nu: Asynchronous, runs: Sequence[RunHarmonics]) -> set[int]:
     k = np.array(_all_orders(runs))
     seen: list[int] = []
     for item in runs:
-        close = CLOSE / (item.run.time[-1] - item.run.time[0])
+        close = MISSES / (item.run.time[-1] - item.run.time[0])
         places = np.abs(k * item.fit.speed + nu.at(item.fit.speed)) / tau
         misses = [np.abs(places - frequency) for frequency, _ in _beside_harmonics(item)]
         seen += {int(k[miss.argmin()]) for miss in misses if miss.min() < close}
@@ -256,8 +254,8 @@ def _refined(nu: Asynchronous, recording: Recording, runs: Sequence[RunHarmonics
     by_pulses = _by_pulses(even[1], runs)
     if by_pulses is not None:  # pulses that do not swing have a frequency of their own
         left = _misfit(by_pulses, recording, runs)(by_pulses.value, _all_orders(runs), MULTIPLES)
-        even = (left, by_pulses) if left < even[0] - EVEN else even
-    return even[1] if even[0] < measured[0] + EVEN else measured[1]
+        even = (left, by_pulses) if left < even[0] - DECISIVE else even
+    return even[1] if even[0] < measured[0] + DECISIVE else measured[1]
 
 
 def _by_pulses(nu: Asynchronous, runs: Sequence[RunHarmonics]) -> Asynchronous | None:
@@ -270,7 +268,7 @@ def _by_pulses(nu: Asynchronous, runs: Sequence[RunHarmonics]) -> Asynchronous |
         return None
 
     def unlikely(residuals: Iterable[np.ndarray]) -> float:
-        return float(sum(len(left) * np.log(np.mean(left**2) + ROUNDING**2) for left in residuals))
+        return float(sum(len(left) * np.log(np.mean(left**2) + NO_SWING**2) for left in residuals))
 
     def cost(value: float) -> float:
         return unlikely(_swing(item, replace(nu, value=value).at(item.fit.speed))[2] for item in having)

@@ -9,17 +9,16 @@ import numpy as np
 from scipy.special import spherical_jn
 from scipy.stats import chi2
 
+from rotorsim.signals.whitening import FALSE_ALARM
+
 __all__ = ["Bands", "bands_of", "colour_of", "common_colour", "density", "of_mean"]
 
 STEEPNESS = (0.25, 3.0)  # of the power law: below it is white to the eye, above it is a drift
 GROWTH = 1.08  # from one bin of lines to the next
-ROUNDS, HALVINGS = 12, 6
 ENOUGH = 0.01  # of minus the logarithm of the likelihood: a step that gains less is the last
 OUTLIER = 12.0  # times the density, once in e^12 = 160 000 lines of noise: a line, that no density is taken from
 SHARE_OF_WHITE = 1e-9
 SESSION = 1000  # lengths of a run that its mean wanders in: some twenty minutes of runs of a second
-UNLIKE = 1e-3  # probability that noise of one colour differs so much in one run from that in the others
-LEVELS = 3  # times that the level of each run and their colour are estimated in turn
 _BELOW = np.geomspace(1.0 / SESSION, 1.0, 241)
 _BEYOND = np.linspace(1.0, 41.0, 2001)
 
@@ -100,7 +99,7 @@ def common_colour(bands: Sequence[Bands | None], durations: Sequence[float]) -> 
             return colours
         count, line, power = (np.concatenate(each) for each in zip(*parts.values(), strict=True))
         run = np.repeat(np.arange(len(parts)), [len(n) for n, _, _ in parts.values()])
-        for _ in range(LEVELS):
+        for _ in range(3):
             law = _law_of(count, line, power / level[run])
             shapes = [_at(law, j) for _, j, _ in parts.values()]
             level = np.array(
@@ -110,7 +109,7 @@ def common_colour(bands: Sequence[Bands | None], durations: Sequence[float]) -> 
             2 * (_cost(a * S, n, p) - _cost(_at(_law_of(n, j, p), j), n, p))
             for (n, j, p), S, a in zip(parts.values(), shapes, level, strict=True)
         ]
-        if max(more) <= chi2.isf(UNLIKE / len(parts), 2):
+        if max(more) <= chi2.isf(FALSE_ALARM / len(parts), 2):
             for r, a in zip(parts, level, strict=True):
                 colours[r] = np.array([a * law[0], a * law[1] * (longest / durations[r]) ** -law[2], law[2]])
             break
@@ -149,14 +148,14 @@ def _law_of(count: np.ndarray, j: np.ndarray, p: np.ndarray) -> np.ndarray:
     lowest = max(float(np.average(p[:8] * j[:8], weights=count[:8])) - upper, 1e-3)
     x = np.array([np.log(max(upper, 1e-6)), np.log(lowest), 1.0])
     least = cost(x)
-    for _ in range(ROUNDS):
+    for _ in range(12):
         flicker = np.exp(x[1]) * j ** -x[2]
         S = np.exp(x[0]) + flicker
         J = np.column_stack([np.exp(x[0]) / S, flicker / S, -flicker * np.log(j) / S])
         gradient, hessian = J.T @ (count * (1 - p / S)), (J * count[:, None]).T @ J
         step = -np.linalg.lstsq(hessian + 1e-9 * np.trace(hessian) * np.eye(3), gradient, rcond=None)[0]
         step *= min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-300))
-        for _ in range(HALVINGS):
+        for _ in range(6):
             new = x + step
             new[0], new[2] = max(new[0], np.log(SHARE_OF_WHITE)), np.clip(new[2], *STEEPNESS)
             value = cost(new)

@@ -7,14 +7,13 @@ from scipy.stats import poisson
 
 from rotorsim.signals.harmonic_basis import Basis
 from rotorsim.signals.stretches import smallest_step
+from rotorsim.signals.whitening import FALSE_ALARM
 
 __all__ = ["dropped_samples", "fill_dropped"]
 
 AWAY = 6.0  # standard deviations of the noise: a repeated value so far off is the one before (2e-9 by chance)
-FALSE_ALARM = 1e-3  # in a run, of values that repeat by chance in all channels at once
 BY_CHANCE = 0.1  # of the instants at which all channels repeat, at most
-MOST = 0.05  # of the samples: what repeats more often has another rate, or a coarse converter
-ROUNDS = 3
+MOST_DROPPED = 0.05  # of the samples: what repeats more often has another rate, or a coarse converter
 NORMAL = 1.4826  # standard deviations in a median absolute deviation
 
 
@@ -40,7 +39,7 @@ def dropped_samples(y: np.ndarray, residual: np.ndarray) -> np.ndarray:
         chance = n * float(np.prod(alone))
         if chance < BY_CHANCE * count and poisson.sf(count - 1, chance) < FALSE_ALARM:
             dropped |= np.outer(together, moving)
-    return np.asarray(dropped & (dropped.mean(axis=0) <= MOST))
+    return np.asarray(dropped & (dropped.mean(axis=0) <= MOST_DROPPED))
 
 
 def fill_dropped(basis: Basis, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -54,7 +53,7 @@ def fill_dropped(basis: Basis, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return y, dropped
     y = y.copy()
     at = np.arange(len(y))
-    for _ in range(ROUNDS):
+    for _ in range(3):
         for c in np.flatnonzero(dropped.any(axis=0)):
             lost = dropped[:, c]
             y[lost, c] += np.interp(at[lost], at[~lost], residual[~lost, c]) - residual[lost, c]

@@ -17,7 +17,7 @@ SPEED = "clock.speed"
 ORDERS = (1, 2, 3)
 WINDOW = 3  # turns that an order is fitted over, with a Hann window: orders one apart do not leak into each other
 STANDS_OUT = 0.2  # prominence over height: an unbalance response of damping ratio 0.45 peaks 1.25 above its limit 1
-SHARE = 0.02  # of the peak of the turn: below, an order may be leakage of a larger one (0.002 at 50 rad/s^2)
+LEAKAGE = 0.02  # of the peak of the turn: below, an order may be leakage of a larger one (0.002 at 50 rad/s^2)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class RunUp:
             inside = inside[_transient(curve[inside]) :]
             at, _ = find_peaks(curve[inside], prominence=STANDS_OUT * np.nanmax(curve, initial=0.0))
             at = inside[at]
-            at = at[curve[at] > SHARE * self.peaks[at]]
+            at = at[curve[at] > LEAKAGE * self.peaks[at]]
             if len(at):
                 best = int(at[np.argmax(curve[at])])
                 found.append(Resonance(order, float(self.speeds[best]), float(curve[best])))

@@ -19,14 +19,14 @@ from rotorsim.signals.covariance import complex_values, real_form, real_vector
 from rotorsim.signals.harmonic_basis import Basis, check_samples, harmonic_basis
 from rotorsim.signals.lines import Line, find_lines
 from rotorsim.signals.noise import Noise, noise_of
+from rotorsim.signals.whitening import FALSE_ALARM
 
 __all__ = ["NEAR", "Beside", "HarmonicFit", "Samples", "fit_harmonics"]
 
-APART = 0.5  # of the resolution, from which on a steady line has columns of its own: its variance doubles there
+OWN_PLACE = 0.5  # of the resolution, from which on a steady line has columns of its own: its variance doubles there
 NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something beside a harmonic is not told from it
 LOUD = 2.5  # times the noise, for lines of samples that differ in what they tell: those may follow the motion a little
 SLACK = 3.0  # times the rms of the curvature of a turn: what it says of the angle is then a quarter of what is known
-TURNS = 1e-3  # probability of a harmonic as large by noise alone, below which it is turned by an error of the angle
 ROUNDING = 1e-10  # of a signal's rms: residual of numbers of seven to sixteen digits and of the fit itself
 
 
@@ -146,7 +146,7 @@ class HarmonicFit:
         """The harmonics (K+1, C) that noise alone does not make; zero for others."""
         gram = np.diag(self.gram)[np.maximum(2 * self.orders - 1, 0)]
         power = 2 * gram[:, None] * [np.diag(self.noise.at_order(k)).real for k in self.orders]
-        return np.where(np.abs(self.values) ** 2 > -math.log(TURNS) * power, self.values, 0.0)
+        return np.where(np.abs(self.values) ** 2 > -math.log(FALSE_ALARM) * power, self.values, 0.0)
 
     @cached_property
     def stamped(self) -> np.ndarray:
@@ -232,7 +232,7 @@ def fit_harmonics(
         told = _resolved(second, speed, K, duration, pickups)
         basis = basis.with_waves(int(k) * theta + second[0] * time for k in second[1][told])
     harmonics = np.abs(speed) / tau * np.arange(K + 1)
-    steady = [at for at in pickups if np.abs(at - harmonics).min() * duration >= APART]
+    steady = [at for at in pickups if np.abs(at - harmonics).min() * duration >= OWN_PLACE]
     basis = basis.with_lines(time, steady)
     coefficients, left = basis.solve(y)
     mean, rms, scale = y.mean(axis=0), y.std(axis=0), np.sqrt(np.mean(y**2, axis=0))

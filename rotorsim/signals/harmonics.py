@@ -17,11 +17,11 @@ from rotorsim.signals.dropped_samples import fill_dropped
 from rotorsim.signals.harmonic_basis import check_samples, harmonic_basis
 from rotorsim.signals.harmonic_fit import HarmonicFit, Samples, fit_harmonics
 from rotorsim.signals.shaft_angle import ShaftAngle, refuse_run_up, shaft_angle
+from rotorsim.signals.whitening import FALSE_ALARM
 
 __all__ = ["RunHarmonics", "contradictions", "harmonics_of", "samples_of", "with_one_jitter", "with_one_noise"]
 
-LINE = 2  # numbers that pulses of an even speed have: angle zero and the speed
-WANDERS = 1e-3  # probability that pulses of one jitter scatter so much in a run
+EVEN_SPEED = 2  # numbers that pulses of an even speed have: angle zero and the speed
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,18 +148,18 @@ def with_one_jitter(angles: Sequence[ShaftAngle]) -> list[ShaftAngle]:
     their speed wanders, keep their own.
     """
     turns = np.array([angle.source == "tacho" and angle.speed != 0 for angle in angles], bool)
-    count = np.array([max(angle.pulses - LINE, 0) for angle in angles]) * turns
+    count = np.array([max(angle.pulses - EVEN_SPEED, 0) for angle in angles]) * turns
     square = np.array([(angle.jitter / (angle.speed or 1.0)) ** 2 for angle in angles])
     alike = count > 0
     if not alike.any():
         return list(angles)
     while True:
         jitter = float(np.average(square[alike], weights=count[alike]))
-        wide = alike & (square * count > jitter * chi2.isf(WANDERS, np.maximum(count, 1)))
+        wide = alike & (square * count > jitter * chi2.isf(FALSE_ALARM, np.maximum(count, 1)))
         if not wide.any() or (wide == alike).all():
             break
         alike[np.argmax(np.where(wide, square, -1.0))] = False
-    shared = turns & (square * count <= jitter * chi2.isf(WANDERS, np.maximum(count, 1)))
+    shared = turns & (square * count <= jitter * chi2.isf(FALSE_ALARM, np.maximum(count, 1)))
     return [
         replace(angle, jitter=abs(angle.speed) * float(np.sqrt(jitter))) if one else angle
         for angle, one in zip(angles, shared, strict=True)

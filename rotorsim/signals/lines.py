@@ -11,24 +11,21 @@ from scipy.ndimage import correlate1d, uniform_filter1d
 from scipy.stats import chi2
 
 from rotorsim.signals.colour import colour_of, density
-from rotorsim.signals.whitening import independent, is_white
+from rotorsim.signals.whitening import FALSE_ALARM, independent, is_white
 
-__all__ = ["LEAST_KEPT", "Line", "Spectrum", "faint_line", "find_lines", "log_chance", "spectrum_of"]
+__all__ = ["LEAST_KEPT", "SLOWEST", "Line", "Spectrum", "faint_line", "find_lines", "log_chance", "spectrum_of"]
 
-# of one run
-FALSE_ALARM = 1e-3  # chance that noise alone shows a line somewhere in one run
 MOST_LINES = 20
 GAP, NEIGHBOURS = 3, 24  # the level of the noise at a line: the mean of so many others, these next to it left out
 LEAST_KEPT = 0.3  # of the noise that a fit leaves of a line: below, the line says little of the noise
-# of all runs together
-LEAST = 64  # samples of a run
+LEAST = 64  # samples of a run in which lines are looked for
 FINE = 4  # places in which a line of the spectrum is looked at
 BESIDE = 4  # lines of the spectrum on each side, that hold less than a line
 APART = 1.5  # lines of the spectrum beside a harmonic that belong to it
 SLOWEST = 2.5  # periods in a run
-MOST = 1e-6  # probability of the largest power that counts: a strong line of one run is not all runs'
+LEAST_CHANCE = 1e-6  # probability of the largest power that counts: a strong line of one run is not all runs'
 FAINT_ALARM = 1e-6  # chance of a false alarm of all runs: quantised noise is not quite chi-squared
-SHARE = 0.5  # of the runs, in which a line must not be too near to a harmonic
+CLEAR = 0.5  # of the runs, in which a line must not be too near to a harmonic
 
 
 @dataclass(frozen=True)
@@ -74,7 +71,7 @@ def find_lines(
     spectrum beside a fitted harmonic belong to it and are not reported. kept: see `rotorsim.signals.noise.noise_of`.
     """
     n = len(left)
-    if n < 64:
+    if n < LEAST:
         return []
     power = np.abs(np.fft.rfft(left, axis=0)[1:-1]) ** 2 / n
     threshold = np.log(power.size / FALSE_ALARM)
@@ -134,7 +131,7 @@ def spectrum_of(
     away = FINE * (1 + BESIDE // 2)
     mean = np.pad(uniform_filter1d(power, FINE * BESIDE, mode="nearest") / freedom, away, mode="edge")
     level = np.maximum(mean[: len(power)], mean[2 * away :])
-    total = np.minimum(power / np.maximum(level, 1.0), chi2.isf(MOST, freedom))
+    total = np.minimum(power / np.maximum(level, 1.0), chi2.isf(LEAST_CHANCE, freedom))
     resolution = (n - 1) / n / (time[-1] - time[0])
     at, turns = np.arange(len(total)) * resolution / FINE, abs(speed) / tau
     order = np.round(at / turns)
@@ -170,7 +167,7 @@ def faint_line(spectra: Sequence[Spectrum], K: int) -> tuple[float, bool, tuple[
     looked = 0
     for follows, orders, grid in ((False, (0,), constant), (False, (-1, 1), constant), (True, (0,), ratio)):
         pairs = [(item, k * item.speed + grid * (item.speed if follows else 1.0)) for item in spectra for k in orders]
-        chance = log_chance([item for item, _ in pairs], [at for _, at in pairs], max(2, SHARE * len(pairs)))
+        chance = log_chance([item for item, _ in pairs], [at for _, at in pairs], max(2, CLEAR * len(pairs)))
         at = int(np.argmin(chance))
         best.append((float(chance[at]), float(grid[at]), follows, orders))
         looked += int((chance < 0).sum())

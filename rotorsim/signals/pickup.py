@@ -12,22 +12,20 @@ from scipy.stats import chi2
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import Recording
-from rotorsim.signals.asynchronous import Asynchronous, of_least_residual, spectra_of
+from rotorsim.signals.asynchronous import MISSES, Asynchronous, of_least_residual, spectra_of
 from rotorsim.signals.harmonic_fit import fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of, samples_of, with_one_noise
 from rotorsim.signals.lines import log_chance
+from rotorsim.signals.whitening import FALSE_ALARM
 from rotorsim.units import conversion
 
 __all__ = ["Pickup", "check_harmonics", "find_mains", "pickup_warnings", "with_pickups"]
 
 MAINS = (50.0, 60.0)  # Hz
-WANDERS = 0.01  # of it, either way: EN 50160 for interconnected grids
-MULTIPLES = 20  # rectifiers and saturated cores make them
-FALSE_ALARM = 1e-3  # in a recording, of lines of the mains where there are none
-ROUNDS = 4
-SEEN = 1e-3  # probability of its power in all runs by noise alone, below which a channel is said to show a line
-EVEN = 0.99  # of the best score: as good
-LONGEST = 200_000  # samples of a run: fitting harmonics takes 1.4 kB for each, which a check is not to cost
+GRID_DRIFT = 0.01  # of it, either way: EN 50160 for interconnected grids
+HIGHEST = 20  # rectifiers and saturated cores make them
+AS_GOOD = 0.99  # of the best score: as good
+LARGEST_RUN = 200_000  # samples of a run: fitting harmonics takes 1.4 kB for each, which a check is not to cost
 STEP = 0.25  # of the resolution of the longest run
 
 
@@ -53,16 +51,16 @@ def find_mains(recording: Recording, runs: Sequence[RunHarmonics]) -> list[float
         if not spectra:
             return []
         finest = STEP * min(4 * item.step for item in spectra)
-        m = np.arange(1, MULTIPLES + 1)
+        m = np.arange(1, HIGHEST + 1)
         candidates: list[tuple[float, np.ndarray]] = []
         for mains in MAINS:
-            reach = np.arange(0.0, WANDERS * mains, finest / MULTIPLES)
+            reach = np.arange(0.0, GRID_DRIFT * mains, finest / HIGHEST)
             grid = np.concatenate([mains - reach[:0:-1], mains + reach])
             chance = log_chance(spectra, [np.multiply.outer(m, grid)] * len(spectra))
-            looked = 2 * MULTIPLES * max(2 * WANDERS * mains * MULTIPLES / finest * STEP, 1.0)
+            looked = 2 * HIGHEST * max(2 * GRID_DRIFT * mains * HIGHEST / finest * STEP, 1.0)
             significant = chance < np.log(FALSE_ALARM / looked)
             score = np.where(significant, chance, 0.0).sum(axis=0)
-            best = int(np.median(np.flatnonzero(score <= EVEN * score.min())))  # beside strong lines all count the same
+            best = int(np.median(np.flatnonzero(score <= AS_GOOD * score.min())))  # near strong lines all are alike
             if score[best] < 0:
                 candidates.append((float(score[best]), m[significant[:, best]] * grid[best]))
         if not candidates:
@@ -73,8 +71,8 @@ def find_mains(recording: Recording, runs: Sequence[RunHarmonics]) -> list[float
 
 def _refined(recording: Recording, runs: Sequence[RunHarmonics], frequency: float) -> float:
     """Return the frequency near a first one that holds most power in all runs."""
-    close = 0.4 / max(float(np.ptp(item.run.time)) for item in runs)
-    for _ in range(ROUNDS):  # each looks within half the resolution
+    close = MISSES / max(float(np.ptp(item.run.time)) for item in runs)
+    for _ in range(4):  # each looks within half the resolution
         before = frequency
         near = Asynchronous(tau * before, 0.0, False, (0,))
         frequency = of_least_residual(near, recording, runs)[1].value / tau
@@ -129,7 +127,9 @@ def _size(runs: Sequence[RunHarmonics], frequency: float, name: str) -> float:
             squares.append(float(np.abs(amplitude[c]) ** 2))
             at_order = item.fit.noise.at_order(min(_order(item, frequency), int(item.fit.orders[-1])))
             noise.append(float(gram * at_order[c, c].real))
-    if not squares or 2 * np.sum(np.divide(squares, np.maximum(noise, 1e-300))) < chi2.isf(SEEN, 2 * len(squares)):
+    if not squares or 2 * np.sum(np.divide(squares, np.maximum(noise, 1e-300))) < chi2.isf(
+        FALSE_ALARM, 2 * len(squares)
+    ):
         return 0.0
     return float(np.sqrt(max(float(np.mean(squares) - np.mean(noise)), 0.0)))
 
@@ -158,9 +158,9 @@ def _refitted(
 def check_harmonics(recording: Recording) -> list[Problem]:
     """Return warnings of what harmonics show: pulses that they contradict, and lines of the mains in some channel.
 
-    Of recordings of which all runs have harmonics, and none more than LONGEST samples.
+    Of recordings of which all runs have harmonics, and none more than LARGEST_RUN samples.
     """
-    if any(len(run.time) > LONGEST for run in recording.runs):
+    if any(len(run.time) > LARGEST_RUN for run in recording.runs):
         return []
     try:
         runs = harmonics_of(recording)
@@ -168,7 +168,7 @@ def check_harmonics(recording: Recording) -> list[Problem]:
         return []
     lines = with_pickups(recording, runs, find_mains(recording, runs))[1]
     treated = "picked up from the mains, or a force"
-    return [*contradictions(runs), *pickup_warnings(lines, recording, "does not follow the shaft", treated)]
+    return [*contradictions(runs), *pickup_warnings(lines, recording, "is asynchronous", treated)]
 
 
 def pickup_warnings(pickups: Sequence[Pickup], recording: Recording, kind: str, treated: str) -> list[Problem]:

@@ -24,21 +24,18 @@ from rotorsim.signals.lines import Line
 
 __all__ = ["Step", "find_steps", "interval_slopes", "readings_of", "step_of", "without_steps"]
 
-SEEN = 10.0  # distance, in standard deviations of the noise, by which steps must change the harmonics of all runs
+CHANGED = 10.0  # distance, in standard deviations of the noise, by which steps must change the harmonics of all runs
 UNEVEN = 0.02  # of a step, by which readings may miss their level: they are written with few digits
 KNOWN = 1e-6  # of a step, to which it is known at best: no converter is better calibrated
-FINE = 1.0  # standard deviations of the residual of harmonics: finer steps are noise
 RESOLUTION = 1e-6  # of a signal's rms, that harmonics cannot be trusted to
 TELLING = 3.0  # times as many samples that tell something as the motion takes: less tell nothing of the noise
 BARELY = 1 / 3  # of a step: standard deviation of harmonics of which the readings tell no more
 SIMULATED = 4  # recordings by which the covariance is widened
-CHANCE = 0.999  # probability of a miss that is still taken for one of a parabola
-LINE = 15.0  # logarithm of the likelihood that a line adds which is there
+TAILS = 0.999  # probability of a miss that is still taken for one of a parabola
+LINE_GAIN = 15.0  # logarithm of the likelihood that a line adds which is there
 FEW, DITHERED = 3.0, 0.1  # steps that a run must move by to be told, unless noise of so many steps dithers it
 LEAST_NOISE = 0.02  # of a step: with less, few samples tell anything, and their likelihood is a box and no parabola
 NOTHING = 1e-12  # of the information of a sample at an edge
-SHORTEST = 1e-6  # part of a step of Newton's
-MOST, CLOSE = 60, 1e-10  # iterations; gain of the log likelihood of a sample at which they end
 ROOT = 0.5 * np.log(2 * np.pi)
 
 
@@ -60,7 +57,7 @@ def find_steps(recording: Recording, runs: Sequence[RunHarmonics]) -> dict[str, 
     for name in dict.fromkeys(name for item in runs for name in item.fit.names):
         least = min(item.fit.residual[item.fit.names.index(name)] for item in runs if name in item.fit.names)
         step = step_of(readings_of(recording, name))
-        if step is not None and step.size > FINE * least:
+        if step is not None and step.size > least:
             coarse[name] = step
     if not coarse:
         return {}
@@ -71,7 +68,7 @@ def find_steps(recording: Recording, runs: Sequence[RunHarmonics]) -> dict[str, 
         name: float(np.sqrt(sum(_changed(old, new, name) for old, new in pairs if name in old.fit.names)))
         for name in coarse
     }
-    return {name: replace(step, seen=seen[name]) for name, step in coarse.items() if seen[name] > SEEN}
+    return {name: replace(step, seen=seen[name]) for name, step in coarse.items() if seen[name] > CHANGED}
 
 
 def readings_of(recording: Recording, name: str) -> np.ndarray:
@@ -166,7 +163,7 @@ class _Readings:
             again = replace(self, z=np.round(motion + noise * random.standard_normal(len(motion))))
             moved, _, weights = again.told(again.likeliest(noise, x))
             missed.append(float(weights @ (moved - motion) ** 2) / m)
-        wide = max(missed) if max(missed) > chi2.ppf(CHANCE, m) / m else max(1.0, float(np.mean(missed)))
+        wide = max(missed) if max(missed) > chi2.ppf(TAILS, m) / m else max(1.0, float(np.mean(missed)))
         return self.signal(x), told / wide / self.step**2
 
     def signal(self, x: np.ndarray) -> np.ndarray:
@@ -202,7 +199,7 @@ class _Readings:
             start = np.append(first, 1.0) / (noise or np.sqrt(max(variance, 0.01)))
         x, ends, value = start, np.column_stack([z + 0.5, z - 0.5]), self.log_likelihood(start)
         free = slice(len(x) - 1 if noise else len(x))
-        for _ in range(MOST):
+        for _ in range(60):
             upper, lower = self.ends(x)
             a, b, _ = interval_slopes(upper, lower)
             gradient = np.append(-columns.T @ (a - b), a @ ends[:, 0] - b @ ends[:, 1])
@@ -214,14 +211,14 @@ class _Readings:
             step = np.zeros(len(x))
             step[free] = np.linalg.lstsq(hessian[free, free], -gradient[free], rcond=1e-12)[0]
             length, gained = 1.0, -np.inf
-            while length > SHORTEST and not gained >= 0:
+            while length > 1e-6 and not gained >= 0:
                 trial = x + length * step
                 gained = self.log_likelihood(trial) - value if trial[-1] > 0 else -np.inf
                 length /= 2
             if not gained >= 0:
                 break
             x, value = trial, value + gained
-            if gained < CLOSE * len(z):
+            if gained < 1e-10 * len(z):
                 break
         return x
 
@@ -243,7 +240,7 @@ def _with_lines(readings: _Readings, item: RunHarmonics, column: str, lines: Seq
     for line in sorted(lines, key=lambda line: -max(line.amplitude)):
         more = _readings(item, column, readings.step, [*kept, line])
         gained = more.log_likelihood(more.likeliest(noise)) - value
-        if gained < LINE:
+        if gained < LINE_GAIN:
             break
         best, value = more, value + gained
         kept.append(line)

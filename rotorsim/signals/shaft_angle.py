@@ -30,15 +30,15 @@ TEETH = 1.5  # times the variance of a sampled pulse: jitter of a fifth of its p
 STATED = 0.01  # of a stated speed: its standard deviation, half of what `open_experiment` lets it be wrong by
 MOST_TURNED = 0.1  # rad that harmonics may be off at the ends of a run, to be followed: the tenth by 1, where its
 # derivative by the angle is still that of a tangent
-WANDERS = 1e-3  # rad of its residual, correlated from pulse to pulse: then every pulse is followed
+CORRELATED = 1e-3  # rad of its residual, correlated from pulse to pulse: then every pulse is followed
 UNIFORM = 1 / np.sqrt(12)  # standard deviation of what lies anywhere in an interval of length one
 STAMPED = np.sqrt(1 / 6)  # of the middle of that interval against the stated time: it begins there, ends or is about it
 ON_GRID = 1e-6  # of a sample period: nearer to a sample than rounding of doubles explains
-CHANCE = 1e-6  # that pulses which are not sampled all lie there
+ACCIDENT = 1e-6  # that pulses which are not sampled all lie there
 DIGITS = 9  # behind the point, to which stated times may be rounded: more are no resolution of an instrument
 DAMPING = 0.1  # ratio of the mode that a steady run may cross: amplification factor 5, where API 617 asks for margins
 PHASE = np.radians(1.0)  # by which a drift of the speed may turn its response
-LEAST = 0.01  # of the speed: a drift that is never refused
+LEAST_DRIFT = 0.01  # of the speed: a drift that is never refused
 PLATEAU = 0.1  # of the height of a pulse: nearer to a level than that, a sample may be before or after the edge
 
 
@@ -130,7 +130,7 @@ def pulse_resolution(recording: Recording, run: Run) -> float:
     digits = max(_last_digit(times) for _, times in pulses)
     digit = 10.0**-digits if digits <= DIGITS else 0.0
     chances = [_by_chance(other.time, times, digit) for other, times in pulses]
-    sampled = max(chances) <= 1 and float(np.prod(chances)) < CHANCE
+    sampled = max(chances) <= 1 and float(np.prod(chances)) < ACCIDENT
     step = float(np.median(np.diff(run.time)))
     scattered = any(_scatter(times) > digit / 10 for _, times in pulses)
     # times such as 0.04, 0.08, ... need two digits because of the speed: without scatter they are not rounded to 10 ms
@@ -206,7 +206,7 @@ def _from_pulses(run: Run, pulses: np.ndarray, doubt: float, stamp: float) -> Sh
     follows = float(residual[1:] @ residual[:-1]) > 2 / np.sqrt(n) * float(residual @ residual)
     theta = curves[best](inside)
     # no low polynomial follows the speed: trust every pulse; the saw teeth of sampled ones are not followed
-    if follows and n > 8 and jitter > np.hypot(WANDERS, 2 * each):
+    if follows and n > 8 and jitter > np.hypot(CORRELATED, 2 * each):
         theta = CubicSpline(u, turns, bc_type="natural")(inside)
         jitter = max(float(np.sqrt(np.mean(np.diff(residual, 2) ** 2) / 6)), each)
     if run.speed is not None and run.speed < 0:
@@ -247,7 +247,7 @@ def steady_limit(turns: float) -> float:
     z = 0.1: e < 0.11 % N and e < 4.6 %. A drift of 1 % is never refused, however short the run.
     """
     lag = tau * turns * DAMPING**2 * PHASE
-    return float(max(LEAST, min(lag, DAMPING * np.sqrt(12 * PHASE))))
+    return float(max(LEAST_DRIFT, min(lag, DAMPING * np.sqrt(12 * PHASE))))
 
 
 def refuse_run_up(subject: str, place: Place, time: np.ndarray, theta: np.ndarray) -> None:

@@ -233,7 +233,7 @@ def harmonics(
     """Fit r = sum over k of R_k e^{i k theta} by least squares, for any window and a drifting speed.
 
     thesis eq. (2.37)-(2.45); with complex data the transpose there must be the conjugate transpose.
-    orders: any, also fractions (1/2 of a rub). Raises RotorsimError when the window cannot tell them apart.
+    orders: any, also fractions (1/2 of a rub). Raises RotorsimError when the window cannot separate them.
     """
     part = samples_in(result, window)
     r = _finite(one_row(result, signal, part), result, signal, part)
@@ -242,7 +242,7 @@ def harmonics(
     values, _, rank, _ = np.linalg.lstsq(basis, r, rcond=None)
     if rank < len(orders):
         turns = float(np.ptp(theta)) / tau
-        what = f"{len(orders)} harmonics cannot be told apart in {turns:.3g} turns ({len(r)} samples)"
+        what = f"{len(orders)} harmonics cannot be separated in {turns:.3g} turns ({len(r)} samples)"
         raise RotorsimError(Problem(what, signal, hint="a longer window, or fewer and different orders"))
     left, rms = (float(np.sqrt(np.mean(np.abs(z) ** 2))) for z in (r - basis @ values, r))
     return Harmonics(signal, result.unit(signal), _orders(orders), values, left / rms if rms else 0.0)

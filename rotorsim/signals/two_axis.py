@@ -23,6 +23,7 @@ from rotorsim.signals.spectrum import (
     reconstruction_error,
     samples_in,
 )
+from rotorsim.signals.whitening import FALSE_ALARM
 from rotorsim.simulation.result import Result
 
 __all__ = ["METHODS", "TwoAxis", "WhirlLine", "two_axis_harmonics", "two_axis_names", "whole_turns"]
@@ -114,7 +115,7 @@ def two_axis_harmonics(
     """Return the harmonics R_k of r = x + i y = sum over k of R_k e^{i k theta}.
 
     method: "least-squares", every order that the samples carry, at most 16, with its covariance, beside a slow
-    drift and lines that do not follow the shaft; "fft", lines of the FFT over whole turns, phases by a multi-harmonic
+    drift and asynchronous lines; "fft", lines of the FFT over whole turns, phases by a multi-harmonic
     reference made of the angle (thesis (2.46)-(2.51)); "regression", least squares on the given orders alone
     (thesis (2.37)-(2.45), with the conjugate transpose). orders: of the latter two. angle_std: of angle zero [rad].
     use_mean: False leaves out order 0, for signals whose mean means nothing.
@@ -180,7 +181,7 @@ def _least_squares(
     radial, turned = (reach * np.sqrt(np.einsum("ki,kij,kj->k", u, spread, u)) for u in (along, across))
     phase = np.minimum(np.divide(turned, size, out=np.full(len(size), np.inf), where=size > 0), np.pi)
     distance = np.einsum("ki,ki->k", parts, np.linalg.solve(spread, parts[..., None])[..., 0])
-    significant = distance > chi2.isf(1e-3, 2)
+    significant = distance > chi2.isf(FALSE_ALARM, 2)
     residual = r - (fit.at(theta) @ np.array([1, 1j]))
     total = float(np.mean(np.abs(r) ** 2))
     share = float(np.sqrt(np.mean(np.abs(residual) ** 2) / total)) if total else 0.0

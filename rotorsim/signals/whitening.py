@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-__all__ = ["SAME", "has_one_covariance", "independent", "is_white"]
+__all__ = ["FALSE_ALARM", "has_one_covariance", "independent", "is_white"]
 
+FALSE_ALARM = 1e-3  # probability that noise alone is taken for something, in a run or a recording
 BANDS = 16
 LEAST_BAND = 7  # lines of the narrowest
 NOT_WHITE = 1e-4  # probability below which noise is not called white
-SAME = 1e-9  # of the variance of channels: what is less carries the noise of others
+NO_VARIANCE = 1e-9  # of the variance of channels: what is less carries the noise of others
 
 
 def independent(x: np.ndarray) -> np.ndarray:
@@ -21,7 +22,7 @@ def independent(x: np.ndarray) -> np.ndarray:
     size = np.sqrt(np.mean(np.abs(x) ** 2, axis=0))
     scaled = x[:, size > 0] / size[size > 0]
     values, vectors = np.linalg.eigh((scaled.T @ scaled.conj()).real / len(x))
-    kept = values > SAME
+    kept = values > NO_VARIANCE
     return np.asarray(scaled @ (vectors[:, kept] / np.sqrt(values[kept])))
 
 

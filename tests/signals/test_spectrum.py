@@ -204,12 +204,12 @@ def test_what_cannot_be_analysed_is_refused():
         (lambda: full_spectrum(result, "f.lost"), "f.lost: not finite from t = 0.5 s on\n\nhint: advice"),
         (
             lambda: harmonics(result, "r.d", (1, 1)),
-            "r.d: 2 harmonics cannot be told apart in 6.3 turns (100 samples)"
+            "r.d: 2 harmonics cannot be separated in 6.3 turns (100 samples)"
             "\n\nhint: a longer window, or fewer and different orders",
         ),
         (
             lambda: harmonics(result, "r.d", angle="still.theta"),
-            "r.d: 9 harmonics cannot be told apart in 0 turns (100 samples)"
+            "r.d: 9 harmonics cannot be separated in 0 turns (100 samples)"
             "\n\nhint: a longer window, or fewer and different orders",
         ),
         (

@@ -8,13 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rotorsim.recordings.readers.hdf5 import Hdf5Reader
+from rotorsim.recordings.readers.hdf5 import MAX_DEPTH, Hdf5Reader
 from rotorsim.recordings.readers.reader import Array, Columns, columns_of, refuse_large
 
 __all__ = ["MatReader"]
 
 BLOCK = 1 << 20  # bytes, unpacked at a time where they are only counted
-MAX_DEPTH = 20  # of structs within structs
 PACKED = 15  # type of an element that is compressed
 
 
