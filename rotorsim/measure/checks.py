@@ -13,7 +13,7 @@ import numpy as np
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.signals.shaft_angle import pulse_edges, run_up_in_words, shaft_angle
-from rotorsim.signals.stretches import clipped, flat
+from rotorsim.signals.stretches import clipped_stretches, flat_stretches
 from rotorsim.units import conversion, parse_unit
 
 __all__ = ["check_signals"]
@@ -137,7 +137,7 @@ class _RunCheck:
 
     def stretches(self, channel: Channel, values: np.ndarray) -> Iterator[Problem]:
         """Find signals that stand still: clipped, or of a converter that hangs."""
-        cut, stuck = clipped(values), flat(values)
+        cut, stuck = clipped_stretches(values), flat_stretches(values)
         if cut:
             levels = " and ".join(_shown(level, channel) for level in sorted({float(values[at]) for at, _ in cut}))
             count = sum(last - first for first, last in cut)
@@ -147,8 +147,7 @@ class _RunCheck:
         if stuck:
             (first, last), more = stuck[0], f" (and {len(stuck) - 1} more)" if len(stuck) > 1 else ""
             what = f"flat stretch: {last - first} equal samples from {self.run.time[first]:.6g} s on{more}"
-            hint = "a converter or a transmission may hang"
-            yield self.problem("flat_stretch", what, hint, column=channel.column)
+            yield self.problem("flat_stretch", what, "a converter or a transmission may hang", column=channel.column)
 
     def size(self, channel: Channel, values: np.ndarray) -> Iterator[Problem]:
         """Find values that only a mix-up of units explains."""
@@ -326,8 +325,7 @@ def _missing_channels(recording: Recording) -> Iterator[Problem]:
         if partner and (channel.signal, channel.node, channel.position, partner) not in there:
             what = f"missing channel: {channel.name} is measured, its {partner} axis is not"
             hint = "forward and backward whirl cannot be separated with one axis"
-            place = Place(str(recording.folder))
-            yield Problem(what, f"channel {column}", place, hint, "warning", "missing_channel")
+            yield Problem(what, f"channel {column}", Place(str(recording.folder)), hint, "warning", "missing_channel")
 
 
 def _alike(runs: Sequence[Run]) -> Iterator[Problem]:
@@ -380,8 +378,7 @@ def _swapped(recording: Recording, runs: Sequence[Run]) -> Iterator[Problem]:
             follows = f"{d['x']} follows {i['y']} and {d['y']} follows {i['x']}"
             what = f"swapped axes? {follows} in {votes.count(1)} of {len(votes)} runs"
             hint = f"exchange {d['x']} and {d['y']}, or {i['x']} and {i['y']}"
-            place = Place(str(recording.folder))
-            yield Problem(what, f"column {d['x']}", place, hint, "warning", "swapped_axes")
+            yield Problem(what, f"column {d['x']}", Place(str(recording.folder)), hint, "warning", "swapped_axes")
 
 
 def _vote(values: Mapping[str, np.ndarray], axes: Mapping[str, str], currents: Mapping[str, str]) -> int:

@@ -58,16 +58,14 @@ def measure(
     step, every = steps_of(model, rate)
     if every * step > window[1] * (1 + _ENDS):
         raise _too_short(model, window, int(window[0] <= 0.0), step * every)
-    initial = settled_state(model, given) if settle else None
-    wanted = tuple(dict.fromkeys([*signals, *([angle] if angle else [])]))
     result = simulate(
         model,
         parameters=given,
         stop=window[1],
         step=step,
-        record=wanted,
+        record=tuple(dict.fromkeys([*signals, *([angle] if angle else [])])),
         record_every=every,
-        initial=initial,
+        initial=settled_state(model, given) if settle else None,
         progress=progress,
     )
     if result.status != "finished":

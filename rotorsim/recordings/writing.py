@@ -66,8 +66,7 @@ def save_recording(
     new = [_new_run(run, k) for k, run in enumerate(runs)]
     if suffix not in (".npz", ".csv"):
         raise RotorsimError(Problem(f"'{suffix}' cannot be written", hint="suffix='.npz' or '.csv'"))
-    chosen = _signals(new, signals, angle)
-    channels = _channels(new[0].result, chosen) if new else {}
+    channels = _channels(new[0].result, _signals(new, signals, angle)) if new else {}
     parts = [_part(run) for run in new]
     document = {
         "name": name,
@@ -219,9 +218,8 @@ def _check(document: dict[str, Any], folder: Path) -> None:
 def _make_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
     there = [name for name in files if (folder / name).exists()]
     if there and not overwrite:
-        hint = "choose another folder, or overwrite=True"
         what = f"{len(there)} file{'s' if len(there) > 1 else ''} would be replaced: {', '.join(there[:3])}"
-        raise RotorsimError(Problem(what, place=Place(str(folder)), hint=hint))
+        raise RotorsimError(Problem(what, place=Place(str(folder)), hint="choose another folder, or overwrite=True"))
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

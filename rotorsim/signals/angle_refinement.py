@@ -14,14 +14,14 @@ import numpy as np
 from rotorsim.signals.harmonic_basis import Basis, harmonic_basis
 from rotorsim.signals.shaft_angle import MOST_TURNED, ShaftAngle
 
-__all__ = ["refined"]
+__all__ = ["refined_angle"]
 
 SETTLED = 0.1  # standard deviations that the angle may still change by
 PLAUSIBLE = 4.0  # standard deviations of the pulses (once in 16 000 runs): what the harmonics ask for beyond is not the
 # angle's doing
 
 
-def refined(time: np.ndarray, angle: ShaftAngle, y: np.ndarray, basis: Basis) -> tuple[ShaftAngle, Basis]:
+def refined_angle(time: np.ndarray, angle: ShaftAngle, y: np.ndarray, basis: Basis) -> tuple[ShaftAngle, Basis]:
     """Return the angle with the smooth error taken out that the harmonics of signals y (n, C) show, and its basis.
 
     theta + d_1 P_1(u) + d_2 P_2(u), u from -1 to 1 over the run: a speed and a drift of it; d_1, d_2 are by maximum
@@ -33,8 +33,7 @@ def refined(time: np.ndarray, angle: ShaftAngle, y: np.ndarray, basis: Basis) ->
     u = 2 * (time - time[0]) / (time[-1] - time[0]) - 1
     shapes = np.column_stack([u, 1.5 * u**2 - 0.5])
     if angle.pulses:  # angle zero stays where they are on average
-        turns = tau * np.arange(angle.pulses)
-        at = np.interp(turns, np.sign(angle.speed) * angle.theta, u)
+        at = np.interp(tau * np.arange(angle.pulses), np.sign(angle.speed) * angle.theta, u)
         shapes -= [at.mean(), np.mean(1.5 * at**2 - 0.5)]
     total, now, columns = np.zeros(2), angle, basis
     for _ in range(6):

@@ -22,11 +22,11 @@ __all__ = [
     "MISSES",
     "Asynchronous",
     "find_asynchronous",
+    "fitted_frequency",
+    "frequency_of_lines",
+    "frequency_of_pulses",
     "has_multiples",
-    "of_least_residual",
     "spectra_of",
-    "strongest_lines",
-    "swinging_pulses",
     "with_asynchronous",
 ]
 
@@ -72,9 +72,9 @@ def find_asynchronous(recording: Recording, runs: Sequence[RunHarmonics]) -> Asy
     nu is taken as constant, or as a part of the speed: whichever explains more of the lines as |k W + nu|, with the
     smaller orders k. Lines too faint for one run are looked for in all runs together.
     """
-    seen = strongest_lines(runs)
-    swing = None if seen else swinging_pulses(runs)
-    seen = seen or (None if swing else _faint(recording, runs))
+    seen = frequency_of_lines(runs)
+    swing = None if seen else frequency_of_pulses(runs)
+    seen = seen or (None if swing else _frequency_of_spectra(recording, runs))
     nu = seen or swing
     if nu is None:
         return None
@@ -93,7 +93,7 @@ def find_asynchronous(recording: Recording, runs: Sequence[RunHarmonics]) -> Asy
     return _centred(nu, {float(np.sign(item.fit.speed)) for item in runs})
 
 
-def strongest_lines(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
+def frequency_of_lines(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
     """Return the asynchronous frequency that explains most of the strongest lines, to their resolution."""
     lines = [(r, *line) for r, item in enumerate(runs) for line in _beside_harmonics(item)[:STRONG]]
     if len({r for r, _, _ in lines}) < 2:
@@ -122,7 +122,7 @@ def strongest_lines(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
     return max(ranked, key=lambda item: item[:2])[2] if ranked else None
 
 
-def _faint(recording: Recording, runs: Sequence[RunHarmonics]) -> Asynchronous | None:
+def _frequency_of_spectra(recording: Recording, runs: Sequence[RunHarmonics]) -> Asynchronous | None:
     """Return the frequency of a line that all runs show together, though none by itself."""
     with one_thread():
         line = faint_line(spectra_of(recording, runs), _all_orders(runs)[-1])
@@ -154,7 +154,7 @@ def _residual(recording: Recording, item: RunHarmonics, theta: np.ndarray) -> tu
     return basis, basis.solve(np.column_stack(list(samples_of(recording, item).signals.values())))[1]
 
 
-def swinging_pulses(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
+def frequency_of_pulses(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
     """Return the frequency at which pulses of most runs swing about an even speed, by more than they jitter.
 
     An angle that follows the pulses takes lines of a slow swing away.
@@ -247,10 +247,10 @@ def _all_orders(runs: Sequence[RunHarmonics]) -> range:
 
 def _refined(nu: Asynchronous, recording: Recording, runs: Sequence[RunHarmonics]) -> Asynchronous:
     """Return an asynchronous frequency where its combinations hold most power in all runs, with its std."""
-    measured = of_least_residual(replace(nu, even=False), recording, runs)
-    even = of_least_residual(replace(nu, even=True), recording, runs)
+    measured = fitted_frequency(replace(nu, even=False), recording, runs)
+    even = fitted_frequency(replace(nu, even=True), recording, runs)
     if abs(even[1].value - nu.value) > even[1].std:  # the swing that was taken out was one at the first value
-        even = of_least_residual(even[1], recording, runs)
+        even = fitted_frequency(even[1], recording, runs)
     by_pulses = _by_pulses(even[1], runs)
     if by_pulses is not None:  # pulses that do not swing have a frequency of their own
         left = _misfit(by_pulses, recording, runs)(by_pulses.value, _all_orders(runs), MULTIPLES)
@@ -289,7 +289,7 @@ def _least(cost: Callable[[float], float], nu: Asynchronous, runs: Sequence[RunH
     return at, float((cost(at + step) - 2 * cost(at) + cost(at - step)) / step**2)
 
 
-def of_least_residual(
+def fitted_frequency(
     nu: Asynchronous, recording: Recording, runs: Sequence[RunHarmonics]
 ) -> tuple[float, Asynchronous]:
     """Return the frequency near a first value with the least residual, and that residual, in variances of the noise.

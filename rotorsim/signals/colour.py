@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from rotorsim.signals.whitening import FALSE_ALARM
 
-__all__ = ["Bands", "bands_of", "colour_of", "common_colour", "density", "of_mean"]
+__all__ = ["Bands", "bands_of", "colour_of", "common_colour", "density", "variance_of_mean"]
 
 STEEPNESS = (0.25, 3.0)  # of the power law: below it is white to the eye, above it is a drift
 GROWTH = 1.08  # from one bin of lines to the next
@@ -41,7 +41,7 @@ def density(colour: np.ndarray, line: np.ndarray) -> np.ndarray:
     return np.asarray(a + b * np.power.outer(np.maximum(line, 1.0), -c).reshape(len(line), len(b)))
 
 
-def of_mean(colour: np.ndarray, degree: int = 0) -> np.ndarray:
+def variance_of_mean(colour: np.ndarray, degree: int = 0) -> np.ndarray:
     """Return what white noise (C,) would make the mean over a run as uncertain: n times its variance.
 
     2 int sinc(j)^2 S(j) dj, from the lowest frequency of a SESSION on. Below the first line of the run nothing was

@@ -87,8 +87,7 @@ class Basis:
 
     def covariance(self, weights: np.ndarray) -> np.ndarray:
         """Return the covariance (m, m) of the coefficients where each sample (n,) has an information of its own."""
-        normal = self._scaled.T @ (self._scaled * weights[:, None])
-        values, vectors = np.linalg.eigh(normal)
+        values, vectors = np.linalg.eigh(self._scaled.T @ (self._scaled * weights[:, None]))
         kept = np.maximum(values, LEAST_TOLD * values[-1])
         return np.asarray((vectors / kept) @ vectors.T / np.outer(self._size, self._size))
 

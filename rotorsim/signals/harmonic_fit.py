@@ -110,8 +110,7 @@ class HarmonicFit:
         """Covariance of `real_vector`, shape (m, m) with m = (2K+1) C: residual scatter and angle spacing."""
         channels = len(self.names)
         values, vectors = np.linalg.eigh(self.gram)
-        root = (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
-        spread = np.kron(root, np.eye(channels))
+        spread = np.kron((vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T, np.eye(channels))
         blocks = [self.noise.at_order(k) for k in range(len(self.orders))]
         scatter = spread @ block_diag(blocks[0].real, *map(real_form, blocks[1:])) @ spread.T
         for c, own in self.own.items():

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
-from rotorsim.signals.angle_refinement import refined
+from rotorsim.signals.angle_refinement import refined_angle
 from rotorsim.signals.colour import common_colour
 from rotorsim.signals.dropped_samples import fill_dropped
 from rotorsim.signals.harmonic_basis import check_samples, harmonic_basis
@@ -75,7 +75,7 @@ def _run_harmonics(recording: Recording, run: Run, angle: ShaftAngle, orders: in
     y = np.column_stack([run.values[c.column] for c in channels])
     check_samples(run.id, [c.name for c in channels], y, angle.theta)
     basis = harmonic_basis(run.id, run.time, angle.theta, orders=orders)
-    angle, basis = refined(run.time, angle, y, basis)
+    angle, basis = refined_angle(run.time, angle, y, basis)
     y, dropped = fill_dropped(basis, y)
     lost = int(dropped.sum(axis=0).max(initial=0))
     if lost:

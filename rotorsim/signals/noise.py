@@ -8,7 +8,7 @@ from math import tau
 
 import numpy as np
 
-from rotorsim.signals.colour import Bands, bands_of, colour_of, density, of_mean
+from rotorsim.signals.colour import Bands, bands_of, colour_of, density, variance_of_mean
 from rotorsim.signals.lines import LEAST_KEPT, Line
 from rotorsim.signals.whitening import has_one_covariance, is_white
 
@@ -50,21 +50,22 @@ class Noise:
         """Return n times the variance (C,) of a Legendre coefficient of n samples; degree 0: of their mean."""
         white = np.diag(self.at_order(0)).real
         if self.colour is not None:
-            mean = of_mean(self.colour)
-            white = white * np.divide(of_mean(self.colour, degree), mean, out=np.ones(len(white)), where=mean > 0)
+            mean = variance_of_mean(self.colour)
+            white = white * np.divide(
+                variance_of_mean(self.colour, degree), mean, out=np.ones(len(white)), where=mean > 0
+            )
         return np.asarray((2 * degree + 1) * white)
 
     def recoloured(self, colour: np.ndarray, turns: float, K: int) -> Noise:
         """Return noise of other densities a + b j^-c (C, 3), of a run of so many turns, that is correlated alike."""
         old = np.diag(self.spectrum[0].real)[None] if self.colour is None else _at_orders(self.colour, turns, K)
         scale = np.sqrt(np.divide(_at_orders(colour, turns, K), old, out=np.ones((K + 1, len(colour))), where=old > 0))
-        spectrum = self.spectrum * scale[:, :, None] * scale[:, None, :]
-        return replace(self, spectrum=spectrum, white=False, colour=colour)
+        return replace(self, spectrum=self.spectrum * scale[:, :, None] * scale[:, None, :], white=False, colour=colour)
 
 
 def _at_orders(colour: np.ndarray, turns: float, K: int) -> np.ndarray:
     """Return the density (K+1, C) at orders 0..K of a run of so many turns."""
-    return np.vstack([of_mean(colour), density(colour, turns * np.arange(1, K + 1))])
+    return np.vstack([variance_of_mean(colour), density(colour, turns * np.arange(1, K + 1))])
 
 
 def noise_of(

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import Recording
-from rotorsim.signals.asynchronous import MISSES, Asynchronous, of_least_residual, spectra_of
+from rotorsim.signals.asynchronous import MISSES, Asynchronous, fitted_frequency, spectra_of
 from rotorsim.signals.harmonic_fit import fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of, samples_of, with_one_noise
 from rotorsim.signals.lines import log_chance
@@ -74,8 +74,7 @@ def _refined(recording: Recording, runs: Sequence[RunHarmonics], frequency: floa
     close = MISSES / max(float(np.ptp(item.run.time)) for item in runs)
     for _ in range(4):  # each looks within half the resolution
         before = frequency
-        near = Asynchronous(tau * before, 0.0, False, (0,))
-        frequency = of_least_residual(near, recording, runs)[1].value / tau
+        frequency = fitted_frequency(Asynchronous(tau * before, 0.0, False, (0,)), recording, runs)[1].value / tau
         if abs(frequency - before) < close:
             break
     return frequency
@@ -150,8 +149,7 @@ def _hum(item: RunHarmonics, pickups: Sequence[Pickup]) -> dict[int, np.ndarray]
 def _refitted(
     recording: Recording, item: RunHarmonics, frequencies: Sequence[float], hum: Mapping[int, np.ndarray]
 ) -> RunHarmonics:
-    orders = int(item.fit.orders[-1])
-    fit = fit_harmonics(samples_of(recording, item), orders=orders, pickups=frequencies, hum=hum)
+    fit = fit_harmonics(samples_of(recording, item), orders=int(item.fit.orders[-1]), pickups=frequencies, hum=hum)
     return replace(item, fit=fit)
 
 

@@ -105,8 +105,7 @@ def shaft_angle(recording: Recording, run: Run) -> ShaftAngle:
         return _from_pulses(run, pulses, doubt, stamp)
     if run.speed is None:
         hint = 'add "tacho": [times of a once-per-rev pulse], a channel "clock.theta", or at least "speed"'
-        what = "no shaft angle: no tacho, no angle channel, no speed"
-        raise RotorsimError(Problem(what, subject, run.place, hint))
+        raise RotorsimError(Problem("no shaft angle: no tacho, no angle channel, no speed", subject, run.place, hint))
     known = len(pulses) == 1
     theta = run.speed * (run.time - (float(pulses[0]) if known else 0.0))
     smooth = min(STATED * float(np.ptp(theta)) / 2, MOST_TURNED)
@@ -199,8 +198,7 @@ def _from_pulses(run: Run, pulses: np.ndarray, doubt: float, stamp: float) -> Sh
     most = min(MOST_COEFFICIENTS, max(2, (n + 1) // 2 if n < 10 else n // 3))
     curves = [Chebyshev.fit(u, turns, degree, domain=[-1, 1]) for degree in range(1, most)]
     variances = [max(float(np.mean((turns - curve(u)) ** 2)), least) for curve in curves]
-    criteria = [n * np.log(variance) + (k + 2) * np.log(n) for k, variance in enumerate(variances)]
-    best = int(np.argmin(criteria))
+    best = int(np.argmin([n * np.log(variance) + (k + 2) * np.log(n) for k, variance in enumerate(variances)]))
     residual = turns - curves[best](u)
     jitter = float(np.sqrt(residual @ residual / max(n - best - 2, 1)))
     follows = float(residual[1:] @ residual[:-1]) > 2 / np.sqrt(n) * float(residual @ residual)
@@ -256,8 +254,7 @@ def refuse_run_up(subject: str, place: Place, time: np.ndarray, theta: np.ndarra
     if said:
         limit = 100 * steady_limit(abs(float(theta[-1] - theta[0])) / tau)
         hint = f"cut out a part in which it changes by less than {limit:.2g} %, or record runs at steady speeds"
-        what = f"{said}: its orders are not those of one speed"
-        raise RotorsimError(Problem(what, subject, place, hint))
+        raise RotorsimError(Problem(f"{said}: its orders are not those of one speed", subject, place, hint))
 
 
 def run_up_in_words(time: np.ndarray, theta: np.ndarray) -> str:

@@ -19,6 +19,7 @@ __all__ = [
     "Harmonics",
     "angle_of",
     "few_samples",
+    "finite",
     "full_spectrum",
     "harmonics",
     "last_turns",
@@ -138,7 +139,8 @@ def one_row(result: Result, signal: str, part: slice) -> np.ndarray:
     return r
 
 
-def _finite(values: np.ndarray, result: Result, signal: str, part: slice) -> np.ndarray:
+def finite(values: np.ndarray, result: Result, signal: str, part: slice = slice(None)) -> np.ndarray:
+    """Return samples (n,) of part of a signal. Raises RotorsimError where one of them is not finite."""
     if not np.isfinite(values).all():
         at = result.time[part][np.argmin(np.isfinite(values))]
         raise RotorsimError(Problem(f"not finite from t = {at:g} s on", signal, hint=result.message), exit_code=1)
@@ -184,7 +186,7 @@ def full_spectrum(
     Raises RotorsimError for signals without two axes, samples that are not equally spaced, or a short window.
     """
     part = samples_in(result, window)
-    r = _finite(one_row(result, signal, part), result, signal, part)
+    r = finite(one_row(result, signal, part), result, signal, part)
     n, steps = len(r), np.diff(result.time[part])
     if np.ptp(steps) > 1e-6 * abs(steps[0]):
         hint = "harmonics() fits signals that are sampled at any times"
@@ -236,8 +238,8 @@ def harmonics(
     orders: any, also fractions (1/2 of a rub). Raises RotorsimError when the window cannot separate them.
     """
     part = samples_in(result, window)
-    r = _finite(one_row(result, signal, part), result, signal, part)
-    theta = _finite(result[angle][part], result, angle, part)
+    r = finite(one_row(result, signal, part), result, signal, part)
+    theta = finite(result[angle][part], result, angle, part)
     basis = np.exp(1j * np.outer(theta, np.asarray(orders, float)))
     values, _, rank, _ = np.linalg.lstsq(basis, r, rcond=None)
     if rank < len(orders):
@@ -256,7 +258,7 @@ def reconstruction_error(
     Source: thesis section 2.5, below Tables 2-2 and 2-3.
     """
     part = samples_in(result, window)
-    r = _finite(one_row(result, found.signal, part), result, found.signal, part)
+    r = finite(one_row(result, found.signal, part), result, found.signal, part)
     residual = r - found.at(result[angle][part])
     error, rms = (np.sqrt([np.mean(z.real**2), np.mean(z.imag**2)]) for z in (residual, r))
     return np.asarray(np.divide(error, rms, out=np.zeros(2), where=rms > 0))

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-__all__ = ["clipped", "flat", "smallest_step"]
+__all__ = ["clipped_stretches", "flat_stretches", "smallest_step"]
 
 Stretch = tuple[int, int]  # first sample, one past the last
 _SHORTEST = 3  # equal samples at an extreme
@@ -24,7 +24,7 @@ _WRITTEN = 1e-6  # of the range of a signal: closer values differ by how they we
 # seven digits; no converter has 20 bits
 
 
-def clipped(values: np.ndarray) -> list[Stretch]:
+def clipped_stretches(values: np.ndarray) -> list[Stretch]:
     """Return the stretches at the largest and the smallest value that resolution does not explain.
 
     values: (n,), finite. Empty unless there are several; a signal that is always at its extremes is a switch.
@@ -43,7 +43,7 @@ def clipped(values: np.ndarray) -> list[Stretch]:
     return cut if len(cut) >= _SEVERAL else []
 
 
-def flat(values: np.ndarray) -> list[Stretch]:
+def flat_stretches(values: np.ndarray) -> list[Stretch]:
     """Return long stretches of equal samples, away from the extremes and the ends, that resolution does not explain.
 
     values: (n,), finite. The signal must go far within as many samples before and after.

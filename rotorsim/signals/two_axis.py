@@ -210,8 +210,7 @@ def _lines(fit: HarmonicFit, time: np.ndarray, left: np.ndarray) -> tuple[WhirlL
     lines = sorted(fit.lines, key=lambda line: line.frequency)
     u = (time - time.mean()) / float(np.ptp(time))
     waves = np.exp(1j * tau * np.outer(time, [line.frequency for line in lines]))
-    basis = np.column_stack([waves, waves.conj(), np.vander(u, 3)])
-    sizes = np.abs(np.linalg.lstsq(basis, left, rcond=None)[0])
+    sizes = np.abs(np.linalg.lstsq(np.column_stack([waves, waves.conj(), np.vander(u, 3)]), left, rcond=None)[0])
     n = len(lines)
     return tuple(
         WhirlLine(line.frequency, line.order, float(sizes[k]), float(sizes[n + k])) for k, line in enumerate(lines)

@@ -59,7 +59,6 @@ def has_one_covariance(transform: np.ndarray) -> bool:
     if uncorrelated.shape[1] < channels:  # two channels carry the same noise: nothing is left to be tested
         return True
     i, j = np.triu_indices(channels, 1)
-    products = uncorrelated[:, i] * uncorrelated[:, j].conj()
-    bands = np.add.reduceat(products, starts, axis=0) / counts[:, None]
+    bands = np.add.reduceat(uncorrelated[:, i] * uncorrelated[:, j].conj(), starts, axis=0) / counts[:, None]
     statistic = 2 * (counts[:, None] * np.abs(bands) ** 2).sum(axis=0)
     return bool((statistic < chi2.isf(NOT_WHITE / transform.shape[1] ** 2, 2 * BANDS)).all())

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from rotorsim.signals import pickup
-from rotorsim.signals.colour import colour_of, density, of_mean
+from rotorsim.signals.colour import colour_of, density, variance_of_mean
 from rotorsim.signals.covariance import real_vector
 from rotorsim.signals.dropped_samples import dropped_samples, fill_dropped
 from rotorsim.signals.harmonic_basis import harmonic_basis
@@ -94,8 +94,8 @@ def test_density_of_white_and_flicker_noise():
 def test_the_mean_of_flicker_noise():
     """2 int_{1/1000}^inf sinc(j)^2 / j dj = 2 (ln 1000 + 3/2 - gamma - ln 2 pi) but for 1e-5; white noise: one."""
     exact = 2 * (np.log(1000) + 1.5 - 0.5772156649 - np.log(2 * np.pi))
-    assert of_mean(np.array([[0.0, 1.0, 1.0]]))[0] == pytest.approx(exact, rel=2e-3)
-    assert of_mean(np.array([[1.7, 0.0, 1.0]]))[0] == 1.7
+    assert variance_of_mean(np.array([[0.0, 1.0, 1.0]]))[0] == pytest.approx(exact, rel=2e-3)
+    assert variance_of_mean(np.array([[1.7, 0.0, 1.0]]))[0] == 1.7
 
 
 def wave(random: np.random.Generator, step: float = 0.001, C: int = 4) -> np.ndarray:

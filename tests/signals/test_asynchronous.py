@@ -343,11 +343,11 @@ def test_weak_lines_of_other_origin_do_not_hide_a_second_frequency():
         shown(24.9, (nu + 24.9, 0.6), (167.7, weak * 0.6), (9.1, weak * 0.6), (111.4, weak * 0.6)),
         shown(40.5, (nu + 40.5, 2.0), (178.9, weak * 2), (64.2, weak * 2)),
     ]
-    found = asynchronous.strongest_lines(runs)
+    found = asynchronous.frequency_of_lines(runs)
     assert found is not None
     assert found.value == pytest.approx(2 * np.pi * nu, rel=1e-9)
     alone = [shown(15.2, (71.9, 1.0), (41.9, 1.0)), shown(24.9, (33.3, 1.0), (167.7, 1.0), (9.1, 1.0), (111.4, 1.0))]
-    assert asynchronous.strongest_lines(alone) is None
+    assert asynchronous.frequency_of_lines(alone) is None
 
 
 @pytest.mark.parametrize(("swing", "found"), [(2e-3, True), (0.0, False)])
@@ -361,7 +361,7 @@ def test_pulses_show_a_slow_swing_that_the_measured_angle_follows(swing, found):
         return SimpleNamespace(run=SimpleNamespace(tacho=even + late + 1e-6 * random.standard_normal(len(even))))
 
     runs = [turned(speed) for speed in (2.1, 15.3, 20.2, 31.4, 44.0, 63.0)]
-    second = asynchronous.swinging_pulses(runs)
+    second = asynchronous.frequency_of_pulses(runs)
     assert (second is not None) is found
     if second is not None:
         assert second.value == pytest.approx(nu, rel=0.05)
@@ -376,7 +376,7 @@ def test_pulses_that_only_jitter_show_no_swing():
         for speed in (15.3, 31.4, 44.0):
             even = np.arange(0.05, 1.0, 1 / speed)
             runs.append(SimpleNamespace(run=SimpleNamespace(tacho=even + 1e-6 * random.standard_normal(len(even)))))
-        alarms += asynchronous.swinging_pulses(runs) is not None
+        alarms += asynchronous.frequency_of_pulses(runs) is not None
     assert alarms <= 3
 
 
@@ -394,7 +394,7 @@ def test_pulses_of_a_coarse_timer_show_no_swing(timer):
             even = np.arange(random.uniform(0, 1 / speed), 1.0, 1 / speed)
             pulses = timer * np.round(even / timer) if timer else even
             runs.append(SimpleNamespace(run=SimpleNamespace(tacho=pulses)))
-        alarms += asynchronous.swinging_pulses(runs) is not None
+        alarms += asynchronous.frequency_of_pulses(runs) is not None
     assert alarms <= 2
 
 

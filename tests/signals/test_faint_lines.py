@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotorsim.signals.asynchronous import find_asynchronous, strongest_lines
+from rotorsim.signals.asynchronous import find_asynchronous, frequency_of_lines
 from rotorsim.signals.harmonics import harmonics_of
 from tests.signals.test_asynchronous import NOISE, NU, RATIO, SPEEDS, made
 
@@ -26,7 +26,7 @@ def test_a_line_too_faint_for_one_run_is_found_in_all(orders, nu, follows, draws
     for seed in range(draws):
         data, _ = made(dict.fromkeys(orders, FAINT), seed=seed, nu=nu, follows=follows)
         runs = harmonics_of(data)
-        hidden += strongest_lines(runs) is None
+        hidden += frequency_of_lines(runs) is None
         second = find_asynchronous(data, runs)
         assert second is not None
         assert (second.follows, second.orders) == (follows, orders)

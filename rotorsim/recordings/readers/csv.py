@@ -158,9 +158,8 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 def _no_number(cell: str, name: str, place: Place) -> Problem:
     short = cell if len(cell) <= 40 else cell[:37] + "..."
-    what = f"'{short}' is not a number" if cell else "the cell is empty"
     hint = "units go into recording.json, remarks behind '#'" if cell else "write nan for a sample that is missing"
-    return Problem(what, f"column {name}", place, hint)
+    return Problem(f"'{short}' is not a number" if cell else "the cell is empty", f"column {name}", place, hint)
 
 
 def _number(cell: str) -> float | None:
