@@ -45,7 +45,7 @@ class Place:
 class Problem:
     """One mistake: ``what`` is wrong at ``place`` / ``subject`` (block.port), and how to cure it (``hint``).
 
-    severity: ``"error"`` or ``"warning"``.
+    severity: ``"error"`` or ``"warning"``. code: what kind of mistake it is, where code has to know: no text is read.
     """
 
     what: str
@@ -53,6 +53,7 @@ class Problem:
     place: Place = field(default_factory=Place)
     hint: str = ""
     severity: str = "error"
+    code: str = ""
 
     def __str__(self) -> str:
         head = ": ".join(part for part in (str(self.place), self.severity, self.subject) if part)

@@ -196,7 +196,7 @@ def run_ups(result: Result, angle: str, shown: Collection[str]) -> list[dict[str
     speed = angle.replace(".theta", ".speed")
     if not angle or result.status != "finished" or speed not in result or np.ptp(result[speed]) == 0.0:
         return []
-    from rotorsim.signals.spectrum import run_up
+    from rotorsim.signals.envelopes import run_up
 
     if not (np.diff(result[speed]) >= 0).all() or len(result.time) < 100:
         return []

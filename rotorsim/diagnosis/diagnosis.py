@@ -37,7 +37,7 @@ from rotorsim.jobs.jobs import Jobs
 from rotorsim.jobs.threads import one_thread
 from rotorsim.measure.checks import check_signals
 from rotorsim.recordings.recording import Recording
-from rotorsim.signals.asynchronous import Second, find_second, with_second
+from rotorsim.signals.asynchronous import Asynchronous, find_asynchronous, with_asynchronous
 from rotorsim.signals.converters import stated_steps, through_converters
 from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of
 from rotorsim.signals.pickup import pickup_warnings, with_pickups
@@ -210,7 +210,7 @@ def _prepared(
     harmonics, lines = with_pickups(recording, harmonics, picked)
     warnings += pickup_warnings(lines, recording, "is picked up", "it is fitted beside the harmonics, as no physics")
     harmonics = with_drifts(harmonics, drifts)
-    second = find_second(recording, harmonics)
+    second = find_asynchronous(recording, harmonics)
     if second is not None:
         told = _beside(recording, harmonics, second, warnings, "used")
         second, harmonics = (second, told) if told else (None, harmonics)
@@ -258,10 +258,10 @@ def _refuse_still(experiment: Experiment) -> None:
 
 
 def _beside(
-    recording: Recording, runs: Sequence[RunHarmonics], second: Second, warnings: list[Problem], use: str
+    recording: Recording, runs: Sequence[RunHarmonics], second: Asynchronous, warnings: list[Problem], use: str
 ) -> tuple[RunHarmonics, ...]:
     """Return runs with lines of a second frequency fitted; those that cannot tell them from harmonics are left out."""
-    kept, lost = with_second(recording, runs, second)
+    kept, lost = with_asynchronous(recording, runs, second)
     near = "lines that do not follow the shaft are too near to its harmonics"
     warnings += [Problem(f"{near}: it is not {use}", f"run {name}", severity="warning") for name in lost]
     return kept
@@ -270,7 +270,7 @@ def _beside(
 def _held(
     recording: Recording,
     hold_out: Recording | None,
-    second: Second | None,
+    second: Asynchronous | None,
     picked: Sequence[float],
     drifts: Mapping[str, float],
     warnings: list[Problem],

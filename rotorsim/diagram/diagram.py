@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
 from typing import Any
@@ -16,7 +16,6 @@ import numpy as np
 from rotorsim.block import Block, In, Out, Shape
 from rotorsim.diagram.solver import Solver
 from rotorsim.errors import Place, Problem, RotorsimError
-from rotorsim.fault import Fault, Steps
 
 __all__ = ["Diagram", "Endpoint", "Free", "Node", "Port", "Solver", "Wire"]
 
@@ -142,8 +141,8 @@ class Diagram:
     parameters: diagram parameters as SI arrays. cut: input ports cut by ``--without`` (they read zero).
     document: the JSON it came from, with ``set`` in it (for fmt, swap, diff and provenance). file: its name.
     warnings: what is odd but no mistake. free: what ``identify`` leaves to be estimated. measured: what a recording
-    calls the first signal is the second one here, behind the model of a sensor. looked_through: converters that are
-    left out of that (`before_converters`). trusted: whether the code that it brings along may run (its FMUs).
+    calls the first signal is the second one here, behind the model of a sensor. trusted: whether the code that it
+    brings along may run (its FMUs).
     """
 
     name: str
@@ -160,7 +159,6 @@ class Diagram:
     warnings: tuple[Problem, ...] = ()
     free: tuple[Free, ...] = ()
     measured: Mapping[Endpoint, Endpoint] = field(default_factory=dict)
-    looked_through: frozenset[str] = frozenset()
     trusted: bool = False
 
     def __post_init__(self) -> None:
@@ -180,44 +178,8 @@ class Diagram:
         index = tuple(int(part) - 1 for part in inside.rstrip("]").split(",")) if inside else ()
         for said, meant in self.measured.items():
             if f"{said.block}.{said.port}" == base and index[: len(said.index)] == said.index:
-                end = Endpoint(meant.block, meant.port, (*meant.index, *index[len(said.index) :]))
-                before = self._entering(end)
-                while before is not None and end.block in self.looked_through:
-                    end, before = before, self._entering(before)
-                return str(end)
+                return str(Endpoint(meant.block, meant.port, (*meant.index, *index[len(said.index) :])))
         return name
-
-    def converter(self, block: str) -> Fault | None:
-        """Return the declaration that makes a block a converter of readings (`rotorsim.fault.Steps`), if it is one."""
-        held = self.nodes[block].block
-        faults: tuple[Fault, ...] = held.faults
-        for fault in faults:
-            same = all(getattr(held.option, key, None) == value for key, value in fault.options.items())
-            if same and any(isinstance(item, Steps) for item in fault.fixed.values()):
-                return fault
-        return None
-
-    def before_converters(self) -> Diagram:
-        """Return this diagram with recordings meaning what goes into converters: their steps have no slope."""
-        passed: set[str] = set()
-        for end in self.measured.values():
-            before = self._entering(end)
-            while before is not None and end.block not in passed:
-                passed.add(end.block)
-                end, before = before, self._entering(before)
-        if not passed:
-            return self
-        return replace(self, looked_through=frozenset(passed))
-
-    def _entering(self, end: Endpoint) -> Endpoint | None:
-        """Return what a converter makes a signal from, None where no converter makes it."""
-        fault = self.converter(end.block)
-        ports = [key for key, output in fault.through.items() if output == end.port] if fault else []
-        for wire in self.wires:
-            at = wire.target
-            if at.block == end.block and at.port in ports and end.index[: len(at.index)] == at.index:
-                return Endpoint(wire.source.block, wire.source.port, (*wire.source.index, *end.index[len(at.index) :]))
-        return None
 
     @cached_property
     def sha256(self) -> str:

@@ -20,6 +20,7 @@ from rotorsim.settled.equations import NonlinearEquations, is_linear
 from rotorsim.settled.linear_equations import Equations, slots_of
 from rotorsim.settled.linear_motion import Motion, Torus
 from rotorsim.settled.motion import NonlinearMotion
+from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonic_fit import HarmonicFit
 from rotorsim.signals.harmonics import RunHarmonics, harmonics_of
 from rotorsim.units import compatible
@@ -216,7 +217,7 @@ def check_against(diagram: Diagram, recording: Recording) -> list[Problem]:
     Velocities and accelerations are taken where the diagram has the displacement, as `diagnose` does.
     """
     problems: list[Problem] = []
-    model = compile_diagram(diagram.before_converters())
+    model = compile_diagram(before_converters(diagram))
     compared = {
         column: channel
         for column, channel in recording.channels.items()

@@ -25,7 +25,7 @@ from rotorsim.linear.linearisation import refuse_sampled
 from rotorsim.measure.checks import check_signals
 from rotorsim.recordings.recording import Recording, Run
 from rotorsim.settled.linear_motion import Motion
-from rotorsim.signals.converters import stated_steps, through_converters
+from rotorsim.signals.converters import before_converters, stated_steps, through_converters
 from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of
 from rotorsim.signals.pickup import find_mains, pickup_warnings, with_pickups
 
@@ -139,7 +139,7 @@ def identify(
         raise RotorsimError(Problem(f"no method '{method}'", hint=f"one of {', '.join(METHODS)}"))
     warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
     steps, unseen = stated_steps(diagram, recording)
-    diagram, warnings = diagram.before_converters(), [*warnings, *unseen]
+    diagram, warnings = before_converters(diagram), [*warnings, *unseen]
     if steps and harmonics is None:
         recording = through_converters(recording, steps)
         hold_out = None if hold_out is None else through_converters(hold_out, steps)
@@ -173,7 +173,7 @@ def identify(
                 search = Search(opened)
                 result = estimate(search)
                 treated = "it is fitted beside the harmonics"
-                warnings += pickup_warnings(picked, recording, "does not follow the shaft", treated)
+                warnings += pickup_warnings(picked, recording, "is asynchronous", treated)
         adequate = method == "regression" or result.adequate
         widen = 1.0 if adequate else result.widening
         covariance = result.covariance * widen**2

@@ -18,7 +18,8 @@ from scipy.linalg import block_diag, solve_triangular
 
 from rotorsim.identification.experiment import Experiment
 from rotorsim.settled.linear_motion import Motion, PortMotion, Response, condensed
-from rotorsim.signals.harmonic_fit import HarmonicFit, real_columns, real_vector, scaled_cholesky
+from rotorsim.signals.covariance import real_columns, real_vector, scaled_cholesky
+from rotorsim.signals.harmonic_fit import HarmonicFit
 
 __all__ = ["Evaluation", "Likelihood", "fitted_columns", "harmonics_of_time"]
 

@@ -10,7 +10,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.experiment import Experiment
 from rotorsim.identification.likelihood import Evaluation, Likelihood, fitted_columns
 from rotorsim.settled.motion import NonlinearMotion, Prediction
-from rotorsim.signals.harmonic_fit import real_columns, real_vector
+from rotorsim.signals.covariance import real_columns, real_vector
 
 __all__ = ["NonlinearLikelihood", "likelihood_of"]
 

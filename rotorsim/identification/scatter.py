@@ -9,7 +9,7 @@ import numpy as np
 from rotorsim.identification.estimate import Estimate, Search
 from rotorsim.identification.experiment import RESOLUTION
 from rotorsim.identification.regression import Regression
-from rotorsim.signals.harmonic_fit import complex_values, scaled_cholesky
+from rotorsim.signals.covariance import complex_values, scaled_cholesky
 
 __all__ = ["Scatter", "scatter_of", "with_covariance"]
 

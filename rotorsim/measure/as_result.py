@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.errors import Place, Problem, RotorsimError
-from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
+from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run, signal_and_place
 from rotorsim.signals.shaft_angle import ShaftAngle, shaft_angle
 from rotorsim.simulation.result import Result
 from rotorsim.units import conversion, parse_unit
@@ -16,7 +16,7 @@ from rotorsim.units import conversion, parse_unit
 __all__ = ["as_result", "has_angle"]
 
 LARGEST = 4e9  # bytes of a stacked signal
-_EVEN = 1e-2  # of a step: rounding of a time column
+_TIME_ROUNDING = 1e-2  # of a step: rounding of a time column
 _SI = ("m", "m/s", "m/s^2", "A", "V", "N", "rad", "rad/s", "1")
 
 
@@ -44,7 +44,7 @@ def as_result(recording: Recording, run: Run, angle: ShaftAngle | None = None) -
     entries: dict[str, dict[tuple[int, ...], Channel]] = {}
     for channel in recording.channels.values():
         if channel.signal not in (ANGLE, TACHO) and channel.column in run.values:
-            base, index = _split(channel.name)
+            base, index = signal_and_place(channel.name)
             entries.setdefault(base, {})[index] = channel
     signals = {base: _stacked(base, parts, run) for base, parts in entries.items()}
     units = {base: _si(next(iter(parts.values())).unit) for base, parts in entries.items()}
@@ -52,15 +52,6 @@ def as_result(recording: Recording, run: Run, angle: ShaftAngle | None = None) -
         signals[ANGLE], units[ANGLE] = angle.theta, "rad"
     provenance = {"diagram": f"{recording.name} {run.id}", "recording": recording.name, "run": run.id, "file": run.file}
     return Result(_even(run.time), signals, units, provenance=provenance)
-
-
-def _split(name: str) -> tuple[str, tuple[int, ...]]:
-    """Return the signal and the place in it, from 0: ("rotor.displacement", (2, 0)), ("...[0.05 m]", (0,))."""
-    base, _, inside = name.removesuffix("]").partition("[")
-    parts = inside.split(",") if inside else []
-    kept = [part for part in parts if not part.strip().isdecimal()]
-    index = tuple(int(part) - 1 for part in parts if part.strip().isdecimal())
-    return (f"{base}[{','.join(kept)}]" if kept else base), index
 
 
 def _stacked(base: str, parts: Mapping[tuple[int, ...], Channel], run: Run) -> np.ndarray:
@@ -99,4 +90,4 @@ def _even(time: np.ndarray) -> np.ndarray:
     n = len(time)
     step = float(time[-1] - time[0]) / (n - 1)
     even = time[0] + step * np.arange(n)
-    return even if step > 0 and float(np.abs(time - even).max()) < _EVEN * step else time
+    return even if step > 0 and float(np.abs(time - even).max()) < _TIME_ROUNDING * step else time

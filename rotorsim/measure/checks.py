@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, groupby
+from itertools import combinations, groupby, product
 
 import numpy as np
 
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
-from rotorsim.signals.shaft_angle import pulse_edges, run_up, shaft_angle
-from rotorsim.signals.stretches import clipped, flat
+from rotorsim.signals.shaft_angle import pulse_edges, run_up_in_words, shaft_angle
+from rotorsim.signals.stretches import clipped_stretches, flat_stretches
 from rotorsim.units import conversion, parse_unit
 
 __all__ = ["check_signals"]
@@ -34,31 +34,24 @@ _STEADY = 0.1  # of the usual interval, all intervals of such a run
 
 
 def check_signals(recording: Recording) -> list[Problem]:
-    """Return what is wrong or suspicious, each text beginning with the name of the finding.
+    """Return what is wrong or suspicious; each text begins with the words of its ``code``.
 
-    Errors: "empty run", "not finite", "impossible size", "lost samples" (time that does not rise, a stated rate that
-    does not fit), "tacho", "two runs alike" (identical data). Warnings: "constant signal", "clipped signal",
-    "flat stretch", "lost samples" (gaps), "wrong unit?", "missing channel", "no phase reference", "speed wanders",
-    "run-up", "coast-down", "sampled pulses", "two runs alike" (no new equations), "swapped axes?".
+    Errors: "empty_run", "not_finite", "impossible_size", "lost_samples" (time that does not rise, a stated rate that
+    does not fit), "tacho", "two_runs_alike" (identical data). Warnings: "constant_signal", "clipped_signal",
+    "flat_stretch", "lost_samples" (gaps), "wrong_unit", "missing_channel", "no_phase_reference", "speed_wanders",
+    "run_up" (or coast-down), "sampled_pulses", "two_runs_alike" (no new equations), "swapped_axes".
     """
-    found = list(_missing_channels(recording))
-    full = []
+    problems = list(_missing_channels(recording))
+    sound = []
     for run in recording.runs:
-        if len(run.time) < 2:
-            what = f"empty run: {len(run.time)} samples" if len(run.time) != 1 else "empty run: 1 sample"
-            found.append(Problem(what, run.id, Place(run.file)))
-            continue
-        finder = _RunFinder(recording, run)
-        finder.find()
-        found += finder.found
-        if not any(problem.what.startswith("impossible size") for problem in finder.found):
-            full.append(run)
-    found += _alike(full)
-    found += _swapped(recording, full)
-    return found
+        found = _RunCheck(recording, run).problems()
+        problems += found
+        if not {"empty_run", "impossible_size"} & {problem.code for problem in found}:
+            sound.append(run)
+    return [*problems, *_alike(sound), *_swapped(recording, sound)]
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Turning:
     """How fast the shaft turned: times (k,) [s] and speeds (k,) [rad/s] between pulses or samples of the angle."""
 
@@ -67,244 +60,235 @@ class _Turning:
     what: str
 
 
-class _RunFinder:
-    def __init__(self, recording: Recording, run: Run) -> None:
-        self.recording, self.run = recording, run
-        self.found: list[Problem] = []
+@dataclass(frozen=True)
+class _RunCheck:
+    recording: Recording
+    run: Run
 
-    def say(
-        self, what: str, column: str = "", hint: str = "", *, error: bool = False, place: Place | None = None
-    ) -> None:
+    def problem(
+        self, code: str, what: str, hint: str = "", *, column: str = "", error: bool = False, stated: bool = False
+    ) -> Problem:
+        """Return what was found; stated: it is wrong in recording.json, not in the data file."""
         subject = f"{self.run.id}: column {column}" if column else self.run.id
-        severity = "error" if error else "warning"
-        self.found.append(Problem(what, subject, place or Place(self.run.file), hint, severity))
+        place = self.run.place if stated else Place(self.run.file)
+        return Problem(what, subject, place, hint, "error" if error else "warning", code)
 
-    def find(self) -> None:
-        self.time()
+    def problems(self) -> list[Problem]:
+        count = len(self.run.time)
+        if count < 2:
+            return [self.problem("empty_run", f"empty run: {count} sample{'s' * (count != 1)}", error=True)]
+        found = list(self.time())
         for column, values in self.run.values.items():
-            self.column(self.recording.channels[column], values)
-        self.tacho()
-        self.phase_reference()
+            found += self.column(self.recording.channels[column], values)
+        turnings, wrong = self.turnings()
+        found += [*wrong, *self.contradictions(turnings)]
+        if turnings and not any(problem.severity == "error" for problem in found):
+            found += self.steadiness(turnings[0])
+        return [*found, *self.phase_reference()]
 
     # --- samples ------------------------------------------------------------------------------------
 
-    def time(self) -> None:
-        time = self.run.time
-        steps = np.diff(time)
-        if not np.all(np.isfinite(time)):
-            bad = np.flatnonzero(~np.isfinite(time))
-            self.say(f"not finite: {len(bad)} values of time, the first is sample {bad[0] + 1}", error=True)
+    def time(self) -> Iterator[Problem]:
+        time, code = self.run.time, "lost_samples"
+        bad = np.flatnonzero(~np.isfinite(time))
+        if len(bad):
+            what = f"not finite: {len(bad)} values of time, the first is sample {bad[0] + 1}"
+            yield self.problem("not_finite", what, error=True)
             return
+        steps = np.diff(time)
         back = np.flatnonzero(steps <= 0)
         if len(back):
-            at = back[0]
+            at, plural = back[0], "s" * (len(back) > 1)
             where = f"first from {time[at]:.9g} to {time[at + 1]:.9g} s"
-            self.say(
-                f"lost samples: time does not rise at {len(back)} sample{'s' * (len(back) > 1)}, {where}",
-                hint="samples may be doubled or out of order",
-                error=True,
-            )
+            what = f"lost samples: time does not rise at {len(back)} sample{plural}, {where}"
+            yield self.problem(code, what, "samples may be doubled or out of order", error=True)
             return
         usual = float(np.median(steps))
         gaps = np.flatnonzero(steps > _GAP * usual)
         if len(gaps) > 0.1 * len(steps):
-            self.say(f"lost samples: time is uneven, its steps are {steps.min():.3g} to {steps.max():.3g} s")
+            what = f"lost samples: time is uneven, its steps are {steps.min():.3g} to {steps.max():.3g} s"
+            yield self.problem(code, what)
             return
         if len(gaps):
-            at = gaps[0]
-            plural = "s" if len(gaps) > 1 else ""
-            self.say(f"lost samples: {len(gaps)} gap{plural} in time, first {steps[at]:.3g} s long at {time[at]:.6g} s")
+            first = f"first {steps[gaps[0]]:.3g} s long at {time[gaps[0]]:.6g} s"
+            yield self.problem(code, f"lost samples: {len(gaps)} gap{'s' * (len(gaps) > 1)} in time, {first}")
         rate = float(np.sum(np.round(steps / usual))) / float(time[-1] - time[0])
         stated = self.run.sample_rate
         if stated is not None and abs(rate / stated - 1.0) > _RATE:
             what = f"lost samples: sample_rate says {stated:.9g} Hz, the time column {rate:.9g} Hz"
-            self.say(what, hint="remove sample_rate, or correct it", error=True, place=self.run.place)
+            yield self.problem(code, what, "remove sample_rate, or correct it", error=True, stated=True)
 
-    def column(self, channel: Channel, values: np.ndarray) -> None:
+    def column(self, channel: Channel, values: np.ndarray) -> Iterator[Problem]:
         column, time = channel.column, self.run.time
-        bad = np.flatnonzero(~np.isfinite(values))
+        bad, largest = np.flatnonzero(~np.isfinite(values)), float(np.abs(values).max())
         if len(bad):
             what = f"not finite: {len(bad)} of {len(values)} samples, first at {time[bad[0]]:.6g} s"
-            self.say(what, column, "cut the run before it, or leave it out", error=True)
-            return
-        largest = float(np.abs(values).max())
-        if largest > _HUGE or 0 < largest < _TINY:
-            self.say(f"impossible size: the largest value is {largest:.3g} in SI", column, "check the unit", error=True)
-            return
-        if values.min() == values.max():
-            self.say(f"constant signal: all samples are {_shown(values[0], channel)}", column)
-            return
-        self.size(channel, values)
-        if channel.signal in (ANGLE, TACHO) or channel.signal.startswith("reference."):
-            return  # saw teeth, pulses and set-points stand still by nature
-        cut = clipped(values)
+            yield self.problem("not_finite", what, "cut the run before it, or leave it out", column=column, error=True)
+        elif largest > _HUGE or 0 < largest < _TINY:
+            what = f"impossible size: the largest value is {largest:.3g} in SI"
+            yield self.problem("impossible_size", what, "check the unit", column=column, error=True)
+        elif values.min() == values.max():
+            what = f"constant signal: all samples are {_shown(values[0], channel)}"
+            yield self.problem("constant_signal", what, column=column)
+        else:
+            yield from self.size(channel, values)
+            if channel.signal not in (ANGLE, TACHO) and not channel.signal.startswith("reference."):
+                yield from self.stretches(channel, values)  # others stand still by nature
+
+    def stretches(self, channel: Channel, values: np.ndarray) -> Iterator[Problem]:
+        """Find signals that stand still: clipped, or of a converter that hangs."""
+        cut, stuck = clipped_stretches(values), flat_stretches(values)
         if cut:
             levels = " and ".join(_shown(level, channel) for level in sorted({float(values[at]) for at, _ in cut}))
             count = sum(last - first for first, last in cut)
-            self.say(
-                f"clipped signal: {count} samples in {len(cut)} stretches stand at {levels}",
-                column,
-                "measure with a larger range, or leave the run out",
-            )
-        stuck = flat(values)
+            what = f"clipped signal: {count} samples in {len(cut)} stretches stand at {levels}"
+            hint = "measure with a larger range, or leave the run out"
+            yield self.problem("clipped_signal", what, hint, column=channel.column)
         if stuck:
-            first, last = stuck[0]
-            more = f" (and {len(stuck) - 1} more)" if len(stuck) > 1 else ""
-            what = f"flat stretch: {last - first} equal samples from {time[first]:.6g} s on{more}"
-            self.say(what, column, "a converter or a transmission may hang")
+            (first, last), more = stuck[0], f" (and {len(stuck) - 1} more)" if len(stuck) > 1 else ""
+            what = f"flat stretch: {last - first} equal samples from {self.run.time[first]:.6g} s on{more}"
+            yield self.problem("flat_stretch", what, "a converter or a transmission may hang", column=channel.column)
 
-    def size(self, channel: Channel, values: np.ndarray) -> None:
+    def size(self, channel: Channel, values: np.ndarray) -> Iterator[Problem]:
         """Find values that only a mix-up of units explains."""
         rms = float(np.sqrt(np.mean(np.square(values))))
         dimension = parse_unit(channel.unit).dimension
         is_rotor = channel.axis is not None or channel.signal.startswith("rotor")
+        units, likely, rest = "A and mA", "", ", or the run went unstable"
         if dimension == parse_unit("m").dimension and channel.signal.endswith(".displacement") and is_rotor:
-            units, likely = "m, mm and um", "more than 5 mm" if rms > _LARGE else "less than 1 nm"
-            doubtful = not _SMALL <= rms <= _LARGE
-        else:
-            units, likely = "A and mA", "more than 1 kA"
-            doubtful = dimension == parse_unit("A").dimension and rms > _CURRENT
-        if doubtful:
+            units = "m, mm and um"
+            likely = "more than 5 mm" if rms > _LARGE else "less than 1 nm" if rms < _SMALL else ""
+        elif dimension == parse_unit("A").dimension and rms > _CURRENT:
+            likely = "more than 1 kA"
+        if likely:
             what = f"wrong unit? rms {rms:.4g} {units[0]} with unit '{channel.unit}' is {likely}"
-            rest = ", or the run went unstable" if likely.startswith("more") else ""
-            self.say(what, channel.column, f"{units} may be mixed up in recording.json{rest}")
+            hint = f"{units} may be mixed up in recording.json{rest * (rms > _SMALL)}"
+            yield self.problem("wrong_unit", what, hint, column=channel.column)
 
     # --- phase --------------------------------------------------------------------------------------
 
-    def phase_reference(self) -> None:
+    def phase_reference(self) -> Iterator[Problem]:
         channels = self.recording.channels.values()
         turns = any(channel.axis is not None for channel in channels)
         has = any(channel.signal in (ANGLE, TACHO) for channel in channels)
         if turns and not has and self.run.tacho is None and self.run.speed is None:
             hint = 'give "tacho": times of a once-per-turn pulse, a channel of clock.theta, or "speed" (0: at rest)'
-            self.say("no phase reference: neither tacho nor angle nor speed", hint=hint, place=self.run.place)
+            what = "no phase reference: neither tacho nor angle nor speed"
+            yield self.problem("no_phase_reference", what, hint, stated=True)
 
-    def tacho(self) -> None:
-        sources = [turning for turning in self.turnings() if len(turning.speeds)]
-        run = self.run
-        stated = abs(run.speed) if run.speed is not None else None
-        for turning in sources if stated is not None else ():
-            low, high = float(turning.speeds.min()), float(turning.speeds.max())
-            assert stated is not None
-            if not low * (1 - _SPEED) <= stated <= high * (1 + _SPEED):
-                self.contradicts(turning, float(turning.speeds.mean()), "the stated speed is", stated)
-        for turning in sources[1:]:
-            first, mean = float(sources[0].speeds.mean()), float(turning.speeds.mean())
-            if abs(mean / first - 1.0) > _SPEED:
-                self.contradicts(turning, mean, f"{sources[0].what} says", first)
-        if sources and not any(problem.severity == "error" for problem in self.found):
-            self.steadiness(sources[0])
+    def contradictions(self, turnings: list[_Turning]) -> Iterator[Problem]:
+        """Find a speed by pulses or the angle that is not the stated one, nor that of the others."""
+        for turning in turnings if self.run.speed is not None else ():
+            stated, speeds = abs(self.run.speed or 0.0), turning.speeds
+            if not speeds.min() * (1 - _SPEED) <= stated <= speeds.max() * (1 + _SPEED):
+                yield self.contradiction(turning, "the stated speed is", stated)
+        for turning in turnings[1:]:
+            first = float(turnings[0].speeds.mean())
+            if abs(float(turning.speeds.mean()) / first - 1.0) > _SPEED:
+                yield self.contradiction(turning, f"{turnings[0].what} says", first)
 
-    def contradicts(self, turning: _Turning, mean: float, other: str, speed: float) -> None:
+    def contradiction(self, turning: _Turning, other: str, speed: float) -> Problem:
+        mean = float(turning.speeds.mean())
         ratio = mean / speed if speed else 0.0
-        by_samples = turning.what == "the angle" or self.run.tacho is None
+        higher, lower = round(ratio), round(1 / ratio) if ratio > 0 else 0
+        by_angle = turning.what == "the angle"
+        by_samples = by_angle or self.run.tacho is None
         hint = "correct the speed or sample_rate in recording.json" if by_samples else ""
-        if round(ratio) > 1 and abs(ratio / round(ratio) - 1.0) < _SPEED:
-            hint = f"there may be {round(ratio)} pulses in a turn: keep one"
-            if by_samples:
-                hint = f"sample_rate may be {round(ratio)} times too high"
-                hint += f", or there are {round(ratio)} pulses in a turn" * (turning.what != "the angle")
-        elif by_samples and ratio > 0 and round(1 / ratio) > 1 and abs(ratio * round(1 / ratio) - 1.0) < _SPEED:
-            hint = f"sample_rate may be {round(1 / ratio)} times too low"
+        if higher > 1 and abs(ratio / higher - 1.0) < _SPEED:
+            pulses = f"there {'are' if by_samples else 'may be'} {higher} pulses in a turn"
+            hint = f"sample_rate may be {higher} times too high" if by_samples else f"{pulses}: keep one"
+            hint += f", or {pulses}" * (by_samples and not by_angle)
+        elif by_samples and lower > 1 and abs(ratio * lower - 1.0) < _SPEED:
+            hint = f"sample_rate may be {lower} times too low"
         what = f"tacho: {turning.what} says {_rpm(mean)}, {other} {_rpm(speed)}"
-        self.say(what, hint=hint, error=True, place=self.run.place)
+        return self.problem("tacho", what, hint, error=True, stated=True)
 
-    def steadiness(self, turning: _Turning) -> None:
+    def steadiness(self, turning: _Turning) -> Iterator[Problem]:
         """Find a speed that changes, and pulses that say where angle zero is no better than a sample."""
         run = self.run
         try:
             angle = shaft_angle(self.recording, run)
         except RotorsimError:
             return  # said elsewhere
-        said = run_up(run.time, angle.theta) if np.all(np.diff(run.time) > 0) else ""
+        said = run_up_in_words(run.time, angle.theta) if np.all(np.diff(run.time) > 0) else ""
         if said:
             hint = "spectrum, identify, diagnose and locate refuse it: they need runs at steady speeds"
-            self.say(said, hint=hint, place=run.place)
+            yield self.problem("run_up", said, hint, stated=True)
         elif len(turning.speeds) >= 4:
-            span = float(run.time[-1] - run.time[0])
-            centred = turning.times - turning.times.mean()
-            slope = float(centred @ turning.speeds) / float(centred @ centred)
-            rest = turning.speeds - turning.speeds.mean() - slope * centred
-            doubt = math.sqrt(float(rest @ rest) / (len(rest) - 2) / float(centred @ centred))
-            drift = slope * span / float(turning.speeds.mean())
+            mean, centred = float(turning.speeds.mean()), turning.times - turning.times.mean()
+            square = float(centred @ centred)
+            slope = float(centred @ turning.speeds) / square
+            residual = turning.speeds - mean - slope * centred
+            doubt = math.sqrt(float(residual @ residual) / (len(residual) - 2) / square)
+            drift = slope * float(run.time[-1] - run.time[0]) / mean
             if abs(drift) > _WANDER and abs(slope) > 3 * doubt:
-                what = (
-                    f"speed wanders: by {100 * drift:+.2g} % over the run, around {_rpm(float(turning.speeds.mean()))}"
-                )
-                self.say(what, hint="fit against the measured angle; fewer turns in a run wander less", place=run.place)
+                what = f"speed wanders: by {100 * drift:+.2g} % over the run, around {_rpm(mean)}"
+                hint = "fit against the measured angle; fewer turns in a run wander less"
+                yield self.problem("speed_wanders", what, hint, stated=True)
         if angle.alike > _SAMPLED:
             zero = f"shaft angle zero is uncertain by {math.degrees(angle.alike):.2g} deg at {_rpm(abs(angle.speed))}"
             hint = "sample the pulse so fast that its edge shows, or time the edges"
             hint += " and give them as tacho" if run.tacho is None else '; "tacho_resolution": 0 says they were'
-            self.say(f"sampled pulses: they lie on samples, so that {zero}", hint=hint, place=run.place)
+            what = f"sampled pulses: they lie on samples, so that {zero}"
+            yield self.problem("sampled_pulses", what, hint, stated=True)
 
-    def turnings(self) -> Iterator[_Turning]:
-        """Yield the speed by each of stated pulses, a pulse signal and the angle, after finding what is wrong there."""
-        run = self.run
-        rises = bool(np.all(np.isfinite(run.time))) and bool(np.all(np.diff(run.time) > 0))
-        if run.tacho is not None:
-            found = self.pulses(run.tacho)
-            if found is not None:
-                yield found
-        columns = {channel.signal: c for c, channel in self.recording.channels.items() if c in run.values}
-        voltage = run.values.get(columns.get(TACHO, ""))
-        if run.tacho is None and voltage is not None and rises and np.all(np.isfinite(voltage)) and np.ptp(voltage) > 0:
-            found = self.pulses(pulse_edges(run.time, voltage)[0], "the pulse signal")
-            if found is not None:
-                yield found
-        angle = run.values.get(columns.get(ANGLE, ""))
-        if angle is None or not rises or not np.all(np.isfinite(angle)):
-            return
-        angle = np.unwrap(angle) if np.ptp(angle) <= 1.05 * 2 * math.pi else angle
-        turns = abs(angle[-1] - angle[0]) / (2 * math.pi)
-        if turns >= 1:
-            at = np.linspace(0, len(angle) - 1, min(int(turns), len(angle) - 1, 50) + 1).astype(int)
-            speeds = np.abs(np.diff(angle[at])) / np.diff(run.time[at])
-            yield _Turning((run.time[at][1:] + run.time[at][:-1]) / 2, speeds, "the angle")
+    def turnings(self) -> tuple[list[_Turning], list[Problem]]:
+        """Return the speed by each of stated pulses, a pulse signal and the angle, and what is wrong with pulses."""
+        time = self.run.time
+        rises = bool(np.all(np.isfinite(time)) and np.all(np.diff(time) > 0))
+        signals = {self.recording.channels[c].signal: values for c, values in self.run.values.items()}
+        kinds = [kind for kind in (ANGLE, TACHO) if rises and kind in signals]
+        signals = {kind: signals[kind] for kind in kinds if np.all(np.isfinite(signals[kind]))}
+        trains = {} if self.run.tacho is None else {"the tacho": self.run.tacho}
+        if not trains and TACHO in signals and np.ptp(signals[TACHO]) > 0:
+            trains = {"the pulse signal": pulse_edges(time, signals[TACHO])[0]}
+        turnings, problems = [], []
+        for name, pulses in trains.items():
+            wrong = self.wrong_pulses(pulses)
+            if wrong is not None:
+                problems.append(wrong)
+            elif len(pulses) > 1:
+                turnings.append(_Turning((pulses[1:] + pulses[:-1]) / 2, 2 * math.pi / np.diff(pulses), name))
+        if ANGLE in signals:
+            angle = signals[ANGLE]
+            angle = np.unwrap(angle) if np.ptp(angle) <= 1.05 * 2 * math.pi else angle
+            turns = abs(angle[-1] - angle[0]) / (2 * math.pi)
+            if turns >= 1:
+                at = np.linspace(0, len(angle) - 1, min(int(turns), len(angle) - 1, 50) + 1).astype(int)
+                speeds = np.abs(np.diff(angle[at])) / np.diff(time[at])
+                turnings.append(_Turning((time[at][1:] + time[at][:-1]) / 2, speeds, "the angle"))
+        return turnings, problems
 
-    def pulses(self, pulses: np.ndarray, name: str = "the tacho") -> _Turning | None:
+    def wrong_pulses(self, pulses: np.ndarray) -> Problem | None:
+        """Return what is wrong with pulse times (k,) [s], None where they make sense."""
         steps, time = np.diff(pulses), self.run.time
+        start, stop = float(time[0]), float(time[-1])
         back = np.flatnonzero(steps <= 0)
+        reach = 2 * float(np.median(steps)) if len(steps) else float(time[1] - time[0])
+        outside = pulses[(pulses < start - reach) | (pulses > stop + reach)]
+        what = hint = ""
         if len(back):
             at = back[0]
-            what = f"tacho: pulse {at + 2} at {pulses[at + 1]:.9g} s is not after pulse {at + 1} at {pulses[at]:.9g} s"
-            self.say(what, error=True, place=self.run.place)
-            return None
-        reach = 2 * float(np.median(steps)) if len(steps) else float(time[1] - time[0])
-        outside = pulses[(pulses < time[0] - reach) | (pulses > time[-1] + reach)]
-        if len(outside):
-            what = (
-                f"tacho: {len(outside)} of {len(pulses)} pulses are outside the run ({time[0]:g} to {time[-1]:.6g} s)"
-            )
+            what = f"pulse {at + 2} at {pulses[at + 1]:.9g} s is not after pulse {at + 1} at {pulses[at]:.9g} s"
+        elif len(outside):
+            what = f"{len(outside)} of {len(pulses)} pulses are outside the run ({start:g} to {stop:.6g} s)"
             hint = f"the first is at {outside[0]:.6g} s; pulses and samples need one clock"
-            self.say(what, hint=hint, error=True, place=self.run.place)
-            return None
-        odd, usual = _odd(steps)
-        if len(odd):
-            at = odd[0]
-            missing = int(np.sum(steps[odd] > usual[odd]))
-            kinds = [f"{missing} missing"] if missing else []
-            kinds += [f"{len(odd) - missing} too early"] if missing < len(odd) else []
-            first = f"the first after {pulses[at]:.6g} s, by {steps[at]:.4g} s instead of {usual[at]:.4g} s"
-            self.say(
-                f"tacho: {' and '.join(kinds)}, {first}",
-                hint="pulses may be missing or doubled",
-                error=True,
-                place=self.run.place,
-            )
-            return None
-        if len(steps) >= 3 and np.abs(steps / np.median(steps) - 1).max() < _STEADY:
-            step = float(np.median(steps))
-            bare = max(pulses[0] - time[0], time[-1] - pulses[-1]) / step
-            if bare > max(_COVERED, _BARE * (time[-1] - time[0]) / step):
-                what = (
-                    f"tacho: pulses from {pulses[0]:.6g} to {pulses[-1]:.6g} s in a run from {time[0]:.6g} to "
-                    f"{time[-1]:.6g} s, which lacks {round(bare)} at an end"
-                )
+        else:
+            odd, usual = _odd(steps)
+            step = float(np.median(steps)) if len(steps) else 1.0
+            bare = max(pulses[0] - start, stop - pulses[-1]) / step if len(steps) >= 3 else 0.0
+            steady = np.abs(steps / step - 1).max(initial=0.0) < _STEADY
+            if len(odd):
+                at, missing = odd[0], int(np.sum(steps[odd] > usual[odd]))
+                kinds = [(missing, "missing"), (len(odd) - missing, "too early")]
+                counted = " and ".join(f"{count} {kind}" for count, kind in kinds if count)
+                first = f"the first after {pulses[at]:.6g} s, by {steps[at]:.4g} s instead of {usual[at]:.4g} s"
+                what, hint = f"{counted}, {first}", "pulses may be missing or doubled"
+            elif steady and bare > max(_COVERED, _BARE * (stop - start) / step):
+                span = f"from {pulses[0]:.6g} to {pulses[-1]:.6g} s in a run from {start:.6g} to {stop:.6g} s"
+                what = f"pulses {span}, which lacks {round(bare)} at an end"
                 hint = "sample_rate may be wrong; pulses and samples need one clock"
-                self.say(what, hint=hint, error=True, place=self.run.place)
-                return None
-        return _Turning((pulses[1:] + pulses[:-1]) / 2, 2 * math.pi / steps, name)
+        return self.problem("tacho", f"tacho: {what}", hint, error=True, stated=True) if what else None
 
 
 def _odd(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -340,26 +324,31 @@ def _missing_channels(recording: Recording) -> Iterator[Problem]:
         partner = {"x": "y", "y": "x"}.get(channel.axis or "")
         if partner and (channel.signal, channel.node, channel.position, partner) not in there:
             what = f"missing channel: {channel.name} is measured, its {partner} axis is not"
-            hint = "forward and backward whirl cannot be told apart with one axis"
-            yield Problem(what, f"channel {column}", Place(str(recording.folder)), hint, "warning")
+            hint = "forward and backward whirl cannot be separated with one axis"
+            yield Problem(what, f"channel {column}", Place(str(recording.folder)), hint, "warning", "missing_channel")
 
 
-def _alike(runs: list[Run]) -> Iterator[Problem]:
+def _alike(runs: Sequence[Run]) -> Iterator[Problem]:
     """Find runs with the same data, and runs to be fitted that repeat another one's conditions."""
     prints = {run.id: _fingerprint(run) for run in runs}
     for one, other in combinations(runs, 2):
         if prints[one.id] == prints[other.id]:
             what = f"two runs alike: the data of {one.id} and {other.id} are identical"
-            yield Problem(what, other.id, other.place, f"leave one of {one.file} and {other.file} out")
-    repeats = [run for run in runs if run.use == "identify" and run.speed is not None]
-    key = lambda run: sorted((name, repr(value)) for name, value in run.settings.items())  # noqa: E731
-    for _, group in groupby(sorted(repeats, key=key), key=key):
-        for one, other in combinations(list(group), 2):
-            same = abs(one.speed - other.speed) <= _ALIKE * max(abs(one.speed), abs(other.speed))  # type: ignore[operator, arg-type]
+            hint = f"leave one of {one.file} and {other.file} out"
+            yield Problem(what, other.id, other.place, hint, code="two_runs_alike")
+
+    def conditions(run: Run) -> list[tuple[str, str]]:
+        return sorted((name, repr(value)) for name, value in run.settings.items())
+
+    repeats = sorted((run for run in runs if run.use == "identify" and run.speed is not None), key=conditions)
+    for _, group in groupby(repeats, key=conditions):
+        for one, other in combinations(group, 2):
+            speeds = one.speed or 0.0, other.speed or 0.0
+            same = abs(speeds[0] - speeds[1]) <= _ALIKE * max(map(abs, speeds))
             if same and prints[one.id] != prints[other.id]:
                 what = f"two runs alike: {one.id} and {other.id} have the same speed and set"
                 hint = "they average noise, but add no new equations; vary the speed or a gain"
-                yield Problem(what, other.id, other.place, hint, "warning")
+                yield Problem(what, other.id, other.place, hint, "warning", "two_runs_alike")
 
 
 def _fingerprint(run: Run) -> str:
@@ -369,7 +358,7 @@ def _fingerprint(run: Run) -> str:
     return digest.hexdigest()
 
 
-def _swapped(recording: Recording, runs: list[Run]) -> Iterator[Problem]:
+def _swapped(recording: Recording, runs: Sequence[Run]) -> Iterator[Problem]:
     """Find a pair of axes that is exchanged: a current follows its displacement's axis, not the other one.
 
     A circular orbit with a quarter turn between displacement and current looks alike, but then one of the two
@@ -379,18 +368,17 @@ def _swapped(recording: Recording, runs: list[Run]) -> Iterator[Problem]:
     for column, channel in recording.channels.items():
         if channel.axis is not None:
             pairs.setdefault((channel.signal, channel.node, channel.position), {})[channel.axis] = column
-    both = {where: axes for where, axes in pairs.items() if len(axes) == 2}
-    for where, axes in both.items():
-        for other, currents in both.items():
-            if where[0].endswith(".displacement") and other[0].endswith(".current"):
-                votes = [_vote(run.values, axes, currents) for run in runs]
-                if votes.count(1) > 0 and votes.count(-1) == 0 and votes.count(1) >= 0.3 * len(votes):
-                    what = (
-                        f"swapped axes? {axes['x']} follows {currents['y']} and {axes['y']} follows {currents['x']}"
-                        f" in {votes.count(1)} of {len(votes)} runs"
-                    )
-                    hint = f"exchange {axes['x']} and {axes['y']}, or {currents['x']} and {currents['y']}"
-                    yield Problem(what, f"column {axes['x']}", Place(str(recording.folder)), hint, "warning")
+    moved, currents = (
+        [axes for where, axes in pairs.items() if where[0].endswith(kind) and len(axes) == 2]
+        for kind in (".displacement", ".current")
+    )
+    for d, i in product(moved, currents):
+        votes = [_vote(run.values, d, i) for run in runs]
+        if votes.count(1) > 0 and votes.count(-1) == 0 and votes.count(1) >= 0.3 * len(votes):
+            follows = f"{d['x']} follows {i['y']} and {d['y']} follows {i['x']}"
+            what = f"swapped axes? {follows} in {votes.count(1)} of {len(votes)} runs"
+            hint = f"exchange {d['x']} and {d['y']}, or {i['x']} and {i['y']}"
+            yield Problem(what, f"column {d['x']}", Place(str(recording.folder)), hint, "warning", "swapped_axes")
 
 
 def _vote(values: Mapping[str, np.ndarray], axes: Mapping[str, str], currents: Mapping[str, str]) -> int:

@@ -57,19 +57,15 @@ def measure(
     given = {**(parameters or {}), **({} if speed is None else {"speed": speed})}
     step, every = steps_of(model, rate)
     if every * step > window[1] * (1 + _ENDS):
-        count = int(window[0] <= 0.0)
-        what = f"window {window[0]:g}..{window[1]:g} s holds {count} sample{'s' * (count != 1)} of {step * every:g} s"
-        raise RotorsimError(Problem(what, model.diagram.name, hint="a longer window, or a higher rate"))
-    initial = settled_state(model, given) if settle else None
-    wanted = tuple(dict.fromkeys([*signals, *([angle] if angle else [])]))
+        raise _too_short(model, window, int(window[0] <= 0.0), step * every)
     result = simulate(
         model,
         parameters=given,
         stop=window[1],
         step=step,
-        record=wanted,
+        record=tuple(dict.fromkeys([*signals, *([angle] if angle else [])])),
         record_every=every,
-        initial=initial,
+        initial=settled_state(model, given) if settle else None,
         progress=progress,
     )
     if result.status != "finished":
@@ -79,12 +75,15 @@ def measure(
     first = int(np.searchsorted(result.time, window[0] - slack))
     part = slice(first, int(np.searchsorted(result.time, window[1] + (slack if closed else -slack))))
     if part.stop - part.start < 2:
-        count = max(part.stop - part.start, 0)
-        what = f"window {window[0]:g}..{window[1]:g} s holds {count} sample{'s' * (count != 1)} of {step * every:g} s"
-        raise RotorsimError(Problem(what, model.diagram.name, hint="a longer window, or a higher rate"))
+        raise _too_short(model, window, max(part.stop - part.start, 0), step * every)
     kept = {(ANGLE if name == angle else name): array[part] for name, array in result.signals.items()}
     units = {(ANGLE if name == angle else name): unit for name, unit in result.units.items()}
     return replace(result, time=result.time[part], signals=kept, units=units)
+
+
+def _too_short(model: Model, window: tuple[float, float], count: int, period: float) -> RotorsimError:
+    what = f"window {window[0]:g}..{window[1]:g} s holds {count} sample{'s' * (count != 1)} of {period:g} s"
+    return RotorsimError(Problem(what, model.diagram.name, hint="a longer window, or a higher rate"))
 
 
 def steps_of(model: Model, rate: float | None) -> tuple[float, int]:

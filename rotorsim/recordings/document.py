@@ -1,8 +1,7 @@
-"""recording.json to checked entries, with every mistake at its file:line:column."""
+"""recording.json to a recording without samples, with every mistake at its file:line:column."""
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping
@@ -16,10 +15,10 @@ from rotorsim.diagram.parse.document import endpoint
 from rotorsim.diagram.parse.source import JsonPath, Source, read_document
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
-from rotorsim.recordings.recording import ANGLE, AXES, TACHO, USES, Channel
+from rotorsim.recordings.recording import ANGLE, AXES, TACHO, USES, Channel, Recording, Run
 from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
 
-__all__ = ["FILE", "KEYS", "Document", "RunEntry", "parse_recording", "read_recording_document", "recording_schema"]
+__all__ = ["FILE", "KEYS", "DataFile", "Document", "parse_recording", "read_recording_document"]
 
 FILE = "recording.json"
 KEYS: dict[str, Mapping[str, type]] = {
@@ -64,40 +63,19 @@ _RATES = (1e-6, 1e12)  # Hz
 
 
 @dataclass(frozen=True)
-class RunEntry:
-    """A run as recording.json says it; path: its data file. speed [rad/s], sample_rate [Hz], tacho (k,) [s].
+class DataFile:
+    """Where the samples of a run are: the path of the file, and its time column if there is one."""
 
-    tacho_resolution [s]: as stated, of the times of the pulses.
-    """
-
-    id: str
-    file: str
     path: Path
-    sample_rate: float | None
     time: str | None
-    speed: float | None
-    tacho: np.ndarray | None
-    settings: Mapping[str, Any]
-    use: str
-    place: Place
-    tacho_resolution: float | None = None
 
 
 @dataclass(frozen=True)
 class Document:
-    """A recording.json without mistakes."""
+    """A recording.json without mistakes: the recording without samples, and the data file of each run."""
 
-    name: str
-    source: str
-    folder: Path
-    channels: Mapping[str, Channel]
-    runs: tuple[RunEntry, ...] = field(default=())
-
-
-def recording_schema() -> dict[str, Any]:
-    """Return the JSON Schema (draft 2020-12) of recording.json."""
-    schema: dict[str, Any] = json.loads(Path(__file__).with_name("recording.schema.json").read_text(encoding="utf-8"))
-    return schema
+    recording: Recording
+    files: tuple[DataFile, ...]
 
 
 def read_recording_document(path: str | Path) -> Document:
@@ -116,23 +94,29 @@ def read_recording_document(path: str | Path) -> Document:
 
 def parse_recording(source: Source, folder: Path, *, files: bool = True) -> Document:
     """Check a document; ``files``: also that the data files exist. Raises RotorsimError with every mistake."""
-    reader = _Reader(source, folder, files)
-    document = reader.document()
-    if document is None or reader.problems:
-        raise RotorsimError(*sorted(reader.problems, key=lambda problem: problem.place))
+    parser = _Parser(source, folder, files)
+    document = parser.document()
+    if document is None or parser.problems:
+        raise RotorsimError(*sorted(parser.problems, key=lambda problem: problem.place))
     return document
 
 
-class _Reader:
-    def __init__(self, source: Source, folder: Path, files: bool) -> None:
-        self.source, self.folder, self.files = source, folder, files
-        self.problems: list[Problem] = []
+@dataclass
+class _Parser:
+    source: Source
+    folder: Path
+    files: bool
+    problems: list[Problem] = field(default_factory=list)
 
     def error(self, what: str, path: JsonPath, subject: str = "", hint: str = "", *, key: bool = False) -> None:
         self.problems.append(Problem(what, subject, self.source.locate(path, key=key), hint))
 
-    def form(self, kind: str, data: Mapping[str, Any], path: JsonPath, subject: str = "") -> dict[str, Any]:
-        """Return the keys that are known and of the right kind."""
+    def form(self, kind: str, data: Any, path: JsonPath, subject: str = "") -> dict[str, Any] | None:
+        """Return the keys that are known and of the right kind; None where it is no object."""
+        if not isinstance(data, dict):
+            what = "must be an object {...}" if path else "a recording is a JSON object {...}"
+            self.error(what, path, subject, _EXAMPLES.get(str(path[0]), "") if path else "")
+            return None
         good: dict[str, Any] = {}
         for key, value in data.items():
             expected = KEYS[kind].get(key)
@@ -147,218 +131,193 @@ class _Reader:
                 self.error(f"key '{key}' is missing", path, subject, _EXAMPLES[key])
         return good
 
-    def number(self, value: Any, unit: str, path: JsonPath, subject: str) -> float | None:
-        """Return one number in ``unit``, or None after noting what is wrong."""
+    def choice(self, form: Mapping[str, Any], key: str, known: tuple[str, ...], path: JsonPath, subject: str) -> Any:
+        """Return one of the words that are known (default: None), after noting what is wrong."""
+        if key in form and form[key] not in known:
+            self.error(f"{key} '{form[key]}' is not known", (*path, key), subject, near_miss(form[key], known))
+        return form.get(key)
+
+    def quantity(
+        self, form: Mapping[str, Any], key: str, unit: str, path: JsonPath, subject: str, ndim: int = 0
+    ) -> np.ndarray | None:
+        """Return a number, or a list of them, in ``unit``; None where it is missing or after noting what is wrong."""
+        if key not in form:
+            return None
         try:
-            array = numeric(value, unit)
-            if array.ndim:
-                raise ValueProblem("must be one number, not a list")
-            return float(array)
+            array = numeric(form[key], unit)
+            if array.ndim == ndim:
+                return array
+            hint = "write [0.01, 0.05, ...]" if ndim else ""
+            raise ValueProblem("must be a list of numbers" if ndim else "must be one number, not a list", hint)
         except ValueProblem as problem:
-            self.error(f"{path[-1]}: {problem.what}", path, subject, problem.hint)
+            self.error(f"{key}: {problem.what}", (*path, key, *(problem.path if ndim else ())), subject, problem.hint)
             return None
 
+    def number(self, form: Mapping[str, Any], key: str, unit: str, path: JsonPath, subject: str) -> float | None:
+        value = self.quantity(form, key, unit, path, subject)
+        return None if value is None else float(value)
+
     def document(self) -> Document | None:
-        data = self.source.data
-        if not isinstance(data, dict):
-            self.error("a recording is a JSON object {...}", ())
+        form = self.form("recording", self.source.data, ())
+        if form is None:
             return None
-        form = self.form("recording", data, ())
-        channels = self.channels(form.get("channels"))
-        runs = self.runs(form.get("runs"), form.get("time"))
+        for key in ("channels", "runs"):
+            if key in form and not form[key]:
+                self.error(f"names no {key[:-1]}", (key,), key, _EXAMPLES[key])
+        channels = self.channels(form.get("channels", {}))
+        runs = self.runs(form.get("runs", []), form.get("time"))
         for column in channels:
-            clash = column == form.get("time") or any(run.time == column for run in runs)
-            if clash:
+            if column == form.get("time") or any(file.time == column for _, file in runs):
                 hint = f'the time column is named by "time": "{column}" alone'
                 self.error("the time column is no channel", ("channels", column), f"channel {column}", hint, key=True)
-        return Document(form.get("name", ""), form.get("source", ""), self.folder, channels, tuple(runs))
+        named = (form.get("name", ""), form.get("source", ""))
+        recording = Recording(*named, self.folder, channels, tuple(run for run, _ in runs))
+        return Document(recording, tuple(file for _, file in runs))
 
     # --- channels -----------------------------------------------------------------------------------
 
-    def channels(self, data: dict[str, Any] | None) -> dict[str, Channel]:
-        if data is None:
-            return {}
-        if not data:
-            self.error("names no channel", ("channels",), "channels", _EXAMPLES["channels"])
-        found: dict[str, Channel] = {}
+    def channels(self, data: dict[str, Any]) -> dict[str, Channel]:
+        channels: dict[str, Channel] = {}
         names: dict[str, str] = {}
         for column, entry in data.items():
             channel = self.channel(column, entry)
             if channel is None:
                 continue
-            found[column] = channel
+            channels[column] = channel
             if channel.name in names:
                 what = f"measures {channel.name}, and so does '{names[channel.name]}'"
-                hint = "tell them apart by axis, node or position, or leave one out"
+                hint = "separate them by axis, node or position, or leave one out"
                 self.error(what, ("channels", column), f"channel {column}", hint, key=True)
             names.setdefault(channel.name, column)
-        return found
+        return channels
 
     def channel(self, column: str, entry: Any) -> Channel | None:
         path: JsonPath = ("channels", column)
         subject, before = f"channel {column}", len(self.problems)
-        if not isinstance(entry, dict):
-            self.error("must be an object {...}", path, subject, _EXAMPLES["channels"])
-            return None
         form = self.form("channel", entry, path, subject)
-        signal, axis, node, unit = form.get("signal", ""), form.get("axis"), form.get("node"), form.get("unit", "1")
+        if form is None:
+            return None
         if not column.strip():
             self.error("the name of a column is empty", path, subject, key=True)
         if "signal" in form:
-            end = endpoint(signal)
-            if signal != TACHO and end is None:
-                hint = "write block.port, as in 'rotor.displacement'"
-                if signal in ("theta", "angle"):
-                    hint = f"the shaft angle is '{ANGLE}'"
-                self.error(f"'{signal}' is not a signal", (*path, "signal"), subject, hint)
-            elif end is not None and end.index and (axis is not None or node is not None or "position" in form):
-                what = f"'{signal}' names an entry already"
-                self.error(what, (*path, "signal"), subject, "leave out axis, node and position, or the index")
-        for key, known in (("axis", AXES), ("coupling", ("dc", "ac"))):
-            if key in form and form[key] not in known:
-                hint = near_miss(form[key], known)
-                self.error(f"{key} '{form[key]}' is not known", (*path, key), subject, hint)
+            self.signal(form, (*path, "signal"), subject)
+        axis = self.choice(form, "axis", AXES, path, subject)
+        coupling = self.choice(form, "coupling", ("dc", "ac"), path, subject)
+        node = form.get("node")
         if node is not None and not 1 <= node <= 1_000_000:
             self.error(f"node {node}: nodes are counted from 1", (*path, "node"), subject)
-        position = self.number(form["position"], "m", (*path, "position"), subject) if "position" in form else None
+        position = self.number(form, "position", "m", path, subject)
         if "unit" in form:
-            self.unit(unit, signal, (*path, "unit"), subject)
+            self.unit(form, (*path, "unit"), subject)
         if len(self.problems) > before:
             return None
-        return Channel(column, signal, axis, node, position, unit, form.get("coupling", "dc"))
+        return Channel(column, form["signal"], axis, node, position, form["unit"], coupling or "dc")
 
-    def unit(self, unit: str, signal: str, path: JsonPath, subject: str) -> None:
+    def signal(self, form: Mapping[str, Any], path: JsonPath, subject: str) -> None:
+        signal = form["signal"]
+        end = endpoint(signal)
+        if signal != TACHO and end is None:
+            hint = "write block.port, as in 'rotor.displacement'"
+            hint = f"the shaft angle is '{ANGLE}'" if signal in ("theta", "angle") else hint
+            self.error(f"'{signal}' is not a signal", path, subject, hint)
+        elif end is not None and end.index and form.keys() & {"axis", "node", "position"}:
+            hint = "leave out axis, node and position, or the index"
+            self.error(f"'{signal}' names an entry already", path, subject, hint)
+
+    def unit(self, form: Mapping[str, Any], path: JsonPath, subject: str) -> None:
+        unit = form["unit"]
         try:
             parse_unit(unit)
+            if form.get("signal") == ANGLE and compatible(unit, "rad") not in ("same", "scaled"):
+                raise UnitError(f"unit '{unit}' is not one of an angle", "give rad, deg or rev")
         except UnitError as error:
             self.error(error.what, path, subject, error.hint)
-        else:
-            if signal == ANGLE and compatible(unit, "rad") not in ("same", "scaled"):
-                self.error(f"unit '{unit}' is not one of an angle", path, subject, "give rad, deg or rev")
 
     # --- runs ---------------------------------------------------------------------------------------
 
-    def runs(self, data: list[Any] | None, time: str | None) -> list[RunEntry]:
-        if data is None:
-            return []
-        if not data:
-            self.error("names no run", ("runs",), "runs", _EXAMPLES["runs"])
-        found: list[RunEntry] = []
+    def runs(self, data: list[Any], time: str | None) -> list[tuple[Run, DataFile]]:
+        runs = []
         seen: dict[str, int] = {}
         for k, entry in enumerate(data):
-            path: JsonPath = ("runs", k)
-            if not isinstance(entry, dict):
-                self.error("must be an object {...}", path, f"run {k + 1}", _EXAMPLES["runs"])
-                continue
-            run = self.run(entry, path, f"run {k + 1}", time)
-            name = entry.get("id")
-            if isinstance(name, str) and name in seen:
+            run = self.run(entry, ("runs", k), f"run {k + 1}", time)
+            runs += [] if run is None else [run]
+            name = entry.get("id") if isinstance(entry, dict) else None
+            if isinstance(name, str) and seen.setdefault(name, k) < k:
                 what = f"run {seen[name] + 1} has the same id"
-                self.error(what, (*path, "id"), name, "every run needs an id of its own")
-            elif isinstance(name, str):
-                seen[name] = k
-            if run is not None:
-                found.append(run)
-        return found
+                self.error(what, ("runs", k, "id"), name, "every run needs an id of its own")
+        return runs
 
-    def run(self, entry: dict[str, Any], path: JsonPath, subject: str, time: str | None) -> RunEntry | None:
+    def run(self, entry: Any, path: JsonPath, subject: str, time: str | None) -> tuple[Run, DataFile] | None:
         before = len(self.problems)
-        name = entry.get("id")
+        name = entry.get("id") if isinstance(entry, dict) else None
         if isinstance(name, str) and _ID.fullmatch(name) and name.strip():
             subject = name
         elif isinstance(name, str):
             self.error("the id is empty, too long or has one of / \\ or a control character", (*path, "id"), subject)
         form = self.form("run", entry, path, subject)
+        if form is None:
+            return None
         file = self.file(form["file"], (*path, "file"), subject) if "file" in form else None
-        rate = self.rate(form["sample_rate"], (*path, "sample_rate"), subject) if "sample_rate" in form else None
+        rate = self.rate(form, path, subject)
         time = form.get("time", time)
         if "sample_rate" not in entry and "time" not in entry and time is None:
             hint = 'give "sample_rate": "5000 Hz", or "time": the name of the time column'
             self.error("neither sample_rate nor time", path, subject, hint)
-        speed = self.number(form["speed"], "rad/s", (*path, "speed"), subject) if "speed" in form else None
-        tacho = self.tacho(form["tacho"], (*path, "tacho"), subject) if "tacho" in form else None
-        resolution = None
-        if "tacho_resolution" in form:
-            at = (*path, "tacho_resolution")
-            resolution = self.number(form["tacho_resolution"], "s", at, subject)
-            if resolution is not None and not resolution >= 0:
-                hint = "0 where the edges of pulses were timed, else the step between possible times: '0.2 ms'"
-                self.error(f"tacho_resolution: {resolution:g} s is below zero", at, subject, hint)
-            elif tacho is None and "tacho" not in entry:
-                self.error("tacho_resolution is that of 'tacho', which is missing", at, subject, key=True)
+        speed = self.number(form, "speed", "rad/s", path, subject)
+        tacho = np.empty(0) if form.get("tacho") == [] else self.quantity(form, "tacho", "s", path, subject, 1)
+        resolution = self.number(form, "tacho_resolution", "s", path, subject)
+        at = (*path, "tacho_resolution")
+        if resolution is not None and not resolution >= 0:
+            hint = "0 where the edges of pulses were timed, else the step between possible times: '0.2 ms'"
+            self.error(f"tacho_resolution: {resolution:g} s is below zero", at, subject, hint)
+        elif "tacho_resolution" in form and "tacho" not in entry:
+            self.error("tacho_resolution is that of 'tacho', which is missing", at, subject, key=True)
         settings = self.settings(form.get("set", {}), (*path, "set"), subject)
-        use = form.get("use", "identify")
-        if use not in USES:
-            hint = near_miss(use, USES)
-            self.error(f"use '{use}' is not known", (*path, "use"), subject, hint)
+        use = self.choice(form, "use", USES, path, subject) or USES[0]
         if len(self.problems) > before or file is None:
             return None
-        place = self.source.place(path)
-        shown = str(self.folder / form["file"])
-        return RunEntry(form["id"], shown, file, rate, time, speed, tacho, settings, use, place, resolution)
+        shown, place, none = str(self.folder / form["file"]), self.source.place(path), np.empty(0)
+        run = Run(form["id"], shown, none, {}, speed, tacho, settings, use, place, rate, tacho_resolution=resolution)
+        return run, DataFile(file, time)
 
     def file(self, file: str, path: JsonPath, subject: str) -> Path | None:
         """Return the path of a data file inside the folder of the recording."""
         parts = re.split(r"[/\\]", file)
-        target = None
-        if ".." in parts or "" in parts or any(mark in file for mark in "\\:\0"):
-            inside = False
-        else:
-            try:
-                target = (self.folder / file).resolve()
-                inside = target.is_relative_to(self.folder.resolve())  # a symbolic link may lead out
-            except (OSError, RuntimeError, ValueError) as error:
-                self.error(f"file '{_short(file)}' cannot be found: {error}", path, subject)
-                return None
-        if not inside or target is None:
+        inside = ".." not in parts and "" not in parts and not any(mark in file for mark in "\\:\0")
+        try:
+            target = (self.folder / file if inside else self.folder).resolve()
+            inside = inside and target.is_relative_to(self.folder.resolve())  # a symbolic link may lead out
+        except (OSError, RuntimeError, ValueError) as error:
+            self.error(f"file '{_short(file)}' cannot be found: {error}", path, subject)
+            return None
+        if not inside:
             hint = "name a file below that folder, such as 'data/run1.csv'"
             self.error(f"file '{_short(file)}' is not inside the folder of {FILE}", path, subject, hint)
             return None
-        if self.files and not self.is_file(target):
-            why = "is a folder" if target.is_dir() else "does not exist or cannot be read"
-            try:
-                hint = near_miss(parts[-1], [entry.name for entry in target.parent.iterdir()], list_all=False)
-            except OSError:
-                hint = ""
-            self.error(f"file '{_short(file)}' {why}", path, subject, hint)
-            return None
-        return target
-
-    @staticmethod
-    def is_file(path: Path) -> bool:
         try:
-            return path.is_file()
+            if not self.files or target.is_file():
+                return target
+            why = "is a folder" if target.is_dir() else "does not exist or cannot be read"
+            hint = near_miss(parts[-1], [entry.name for entry in target.parent.iterdir()], list_all=False)
         except (OSError, ValueError):
-            return False
+            why, hint = "does not exist or cannot be read", ""
+        self.error(f"file '{_short(file)}' {why}", path, subject, hint)
+        return None
 
-    def rate(self, value: Any, path: JsonPath, subject: str) -> float | None:
-        hint = "write it in Hz, as in '5000 Hz'"
+    def rate(self, form: Mapping[str, Any], path: JsonPath, subject: str) -> float | None:
+        """Return the sample rate [Hz], to twelve digits where it is a text: "5 kHz" is 5000."""
+        value, hint = form.get("sample_rate"), "write it in Hz, as in '5000 Hz'"
         try:
             if isinstance(value, str) and not split_quantity(value)[1].endswith("Hz"):
-                self.error(f"sample_rate: '{_short(value)}' is not in Hz", path, subject, hint)
-                return None
+                raise UnitError(f"'{_short(value)}' is not in Hz")
         except UnitError as error:
-            self.error(f"sample_rate: {error.what}", path, subject, hint)
+            self.error(f"sample_rate: {error.what}", (*path, "sample_rate"), subject, hint)
             return None
-        rate = self.number(value, "Hz", path, subject)
+        rate = self.number(form, "sample_rate", "Hz", path, subject)
         if rate is not None and not _RATES[0] <= rate <= _RATES[1]:
-            self.error(
-                f"sample_rate: {rate:g} Hz is not between {_RATES[0]:g} and {_RATES[1]:g} Hz", path, subject, hint
-            )
-            return None
-        return float(f"{rate:.12g}") if isinstance(value, str) and rate is not None else rate  # "5 kHz" is 5000
-
-    def tacho(self, value: list[Any], path: JsonPath, subject: str) -> np.ndarray | None:
-        if not value:
-            return np.empty(0)
-        try:
-            array = numeric(value, "s")
-            if array.ndim != 1:
-                raise ValueProblem("must be a list of numbers", "write [0.01, 0.05, ...]")
-            return array
-        except ValueProblem as problem:
-            self.error(f"tacho: {problem.what}", (*path, *problem.path), subject, problem.hint)
-            return None
+            what = f"sample_rate: {rate:g} Hz is not between {_RATES[0]:g} and {_RATES[1]:g} Hz"
+            self.error(what, (*path, "sample_rate"), subject, hint)
+        return float(f"{rate:.12g}") if isinstance(value, str) and rate is not None else rate
 
     def settings(self, data: dict[str, Any], path: JsonPath, subject: str) -> dict[str, Any]:
         for name, value in data.items():

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.recordings.document import Document, RunEntry, read_recording_document
-from rotorsim.recordings.readers import read_columns
+from rotorsim.recordings.document import DataFile, read_recording_document
+from rotorsim.recordings.readers.columns import read_columns
 from rotorsim.recordings.recording import Recording, Run
 from rotorsim.units import conversion
 
@@ -22,32 +23,28 @@ def load_recording(path: str | Path, *, read: bool = True) -> Recording:
     Raises RotorsimError with every mistake of recording.json, or else of all data files.
     """
     document = read_recording_document(path)
+    recording = document.recording
+    if not read:
+        return recording
     runs: list[Run] = []
     errors: list[Problem] = []
     warnings: list[Problem] = []
-    for entry in document.runs:
+    for run, file in zip(recording.runs, document.files, strict=True):
         try:
-            runs.append(_run(entry, document, read, warnings))
+            runs.append(_with_samples(run, file, recording, warnings))
         except RotorsimError as error:
             errors += error.problems
     if errors:
         raise RotorsimError(*errors)
-    return Recording(document.name, document.source, document.folder, document.channels, tuple(runs), tuple(warnings))
+    return replace(recording, runs=tuple(runs), warnings=tuple(warnings))
 
 
-def _run(entry: RunEntry, document: Document, read: bool, warnings: list[Problem]) -> Run:
-    time, values = np.empty(0), {}
-    if read:
-        data = read_columns(entry.path, list(document.channels), entry.time, shown=entry.file, warnings=warnings)
-        for column, channel in document.channels.items():
-            factor = conversion(channel.unit, None)
-            values[column] = data[column] if factor == 1.0 else _scaled(data[column], factor)
-        if entry.time is not None:
-            time = data[entry.time]
-        elif entry.sample_rate is not None:
-            time = np.arange(len(next(iter(values.values())))) / entry.sample_rate
-    rest = (entry.speed, entry.tacho, entry.settings, entry.use, entry.place, entry.sample_rate)
-    return Run(entry.id, entry.file, time, values, *rest, tacho_resolution=entry.tacho_resolution)
+def _with_samples(run: Run, file: DataFile, recording: Recording, warnings: list[Problem]) -> Run:
+    data = read_columns(file.path, list(recording.channels), file.time, shown=run.file, warnings=warnings)
+    values = {c: _scaled(data[c], conversion(channel.unit, None)) for c, channel in recording.channels.items()}
+    count, rate = len(next(iter(values.values()))), run.sample_rate
+    time = data[file.time] if file.time is not None else np.arange(count) / (rate or np.nan)
+    return replace(run, time=time, values=values)
 
 
 def _scaled(values: np.ndarray, factor: float) -> np.ndarray:

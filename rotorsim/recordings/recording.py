@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
-__all__ = ["ANGLE", "AXES", "TACHO", "USES", "Channel", "Recording", "Run"]
+__all__ = ["ANGLE", "AXES", "TACHO", "USES", "Channel", "Recording", "Run", "signal_and_place"]
 
 ANGLE = "clock.theta"  # signal of a channel that measures the shaft angle
 TACHO = "tacho"  # signal of a channel with the raw voltage of a once-per-turn pulse
@@ -76,14 +77,12 @@ class Run:
     tacho_resolution: float | None = None
 
     def __post_init__(self) -> None:
-        frozen: dict[str, Any] = {"time": _read_only(self.time)}
-        for name, arrays in (("values", self.values), ("weights", self.weights)):
-            frozen[name] = MappingProxyType({column: _read_only(array) for column, array in arrays.items()})
-        frozen["settings"] = MappingProxyType(dict(self.settings))
-        if self.tacho is not None:
-            frozen["tacho"] = _read_only(self.tacho)
-        for name, value in frozen.items():
-            object.__setattr__(self, name, value)
+        set_once = partial(object.__setattr__, self)
+        set_once("time", _read_only(self.time))
+        set_once("values", MappingProxyType({column: _read_only(array) for column, array in self.values.items()}))
+        set_once("weights", MappingProxyType({column: _read_only(array) for column, array in self.weights.items()}))
+        set_once("settings", MappingProxyType(dict(self.settings)))
+        set_once("tacho", None if self.tacho is None else _read_only(self.tacho))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as plain dictionaries: runs travel between processes."""
@@ -142,6 +141,18 @@ class Recording:
         return f"Recording({self.name}: {len(self.runs)} runs, {', '.join(self.channels)})"
 
 
+def signal_and_place(name: str) -> tuple[str, tuple[int, ...]]:
+    """Return the signal of an entry and the place in it, from 0: ("rotor.displacement", (2, 0)).
+
+    A place along the shaft stays in the name: ("rotor.displacement[0.05 m]", (0,)).
+    """
+    base, _, inside = name.removesuffix("]").partition("[")
+    parts = inside.split(",") if inside else []
+    kept = [part for part in parts if not part.strip().isdecimal()]
+    index = tuple(int(part) - 1 for part in parts if part.strip().isdecimal())
+    return (f"{base}[{','.join(kept)}]" if kept else base), index
+
+
 def _read_only(values: Any) -> np.ndarray:
     """Return a view that cannot be written; the caller's own array stays as it is."""
     array = np.asarray(values, dtype=float).view()
@@ -150,5 +161,4 @@ def _read_only(values: Any) -> np.ndarray:
 
 
 def _plain(item: Run | Recording) -> tuple[Any, ...]:
-    values = (getattr(item, part.name) for part in fields(item))
-    return tuple(dict(value) if isinstance(value, MappingProxyType) else value for value in values)
+    return tuple(dict(value) if isinstance(value, MappingProxyType) else value for value in vars(item).values())

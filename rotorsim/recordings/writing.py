@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from rotorsim.diagram.parse.source import Source
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.files import atomic_target, write_atomically
 from rotorsim.recordings.document import FILE, parse_recording
-from rotorsim.recordings.recording import ANGLE, AXES, Channel
+from rotorsim.recordings.recording import ANGLE, AXES, Channel, signal_and_place
 from rotorsim.simulation.result import Result, flat_name
 from rotorsim.units import UnitError, conversion
 
@@ -66,13 +66,18 @@ def save_recording(
     new = [_new_run(run, k) for k, run in enumerate(runs)]
     if suffix not in (".npz", ".csv"):
         raise RotorsimError(Problem(f"'{suffix}' cannot be written", hint="suffix='.npz' or '.csv'"))
-    chosen = _signals(new, signals, angle)
-    channels = _channels(new[0].result, chosen) if new else {}
+    channels = _channels(new[0].result, _signals(new, signals, angle)) if new else {}
     parts = [_part(run) for run in new]
     document = {
         "name": name,
         "source": source,
-        "channels": {column: _entry(channel) for column, channel in channels.items()},
+        "channels": {
+            column: {"signal": c.signal}
+            | ({} if c.axis is None else {"axis": c.axis})
+            | ({} if c.node is None else {"node": c.node})
+            | {"unit": c.unit}
+            for column, c in channels.items()
+        },
         "runs": [_run_entry(run, part, suffix) for run, part in zip(new, parts, strict=True)],
     }
     _check(document, folder)
@@ -123,27 +128,20 @@ def _signals(runs: Sequence[NewRun], signals: Sequence[str] | None, angle: bool)
 
 def _channels(result: Result, signals: Sequence[str]) -> dict[str, Channel]:
     """Return column -> channel for every entry of the signals."""
-    found: dict[str, Channel] = {}
+    channels: dict[str, Channel] = {}
     for signal in signals:
-        array, unit = result[signal], result.unit(signal) or ("rad" if signal == ANGLE else "1")
-        for index in product(*(range(n) for n in array.shape[1:])):
-            base, numbers = _split(flat_name(signal, index))
-            axis = AXES[numbers[-1] - 1] if array.shape[1:] and array.shape[-1] == 2 else None
-            if axis is not None and len(numbers) <= 2:
-                node = numbers[0] if len(numbers) == 2 else None
-                channel = Channel("", base, axis, node, None, unit)
-            else:
-                channel = Channel("", flat_name(signal, index), None, None, None, unit)
-            column = channel.name
-            if base in _SHORT and channel.axis is not None:
-                column = f"{_SHORT[base]}{channel.axis}{channel.node or ''}"
-            found[column] = Channel(column, channel.signal, channel.axis, channel.node, None, _unit(unit, channel.name))
-    return found
-
-
-def _split(name: str) -> tuple[str, list[int]]:
-    base, _, inside = name.removesuffix("]").partition("[")
-    return base, [int(number) for number in inside.split(",")] if inside else []
+        shape, unit = result[signal].shape[1:], result.unit(signal) or ("rad" if signal == ANGLE else "1")
+        for entry in product(*(range(n) for n in shape)):
+            name = flat_name(signal, entry)
+            base, index = signal_and_place(name)
+            channel = Channel(name, name, None, None, None, _unit(unit, name))
+            if shape and shape[-1] == 2 and len(index) <= 2:
+                node = index[0] + 1 if len(index) == 2 else None
+                channel = replace(channel, signal=base, axis=AXES[index[-1]], node=node)
+                if base in _SHORT:
+                    channel = replace(channel, column=f"{_SHORT[base]}{channel.axis}{node or ''}")
+            channels[channel.column] = channel
+    return channels
 
 
 def _unit(unit: str, name: str) -> str:
@@ -192,7 +190,8 @@ def _run_entry(run: NewRun, part: slice, suffix: str) -> dict[str, Any]:
     if speed is not None:
         entry["speed"] = float(speed)
     if run.settings:
-        entry["set"] = {name: _number(value) for name, value in run.settings.items()}
+        plain = {name: v.tolist() for name, v in run.settings.items() if isinstance(v, np.ndarray | np.generic)}
+        entry["set"] = {**run.settings, **plain}
     return entry | {"use": run.use}
 
 
@@ -207,15 +206,6 @@ def _pulses(time: np.ndarray, theta: np.ndarray) -> list[float]:
     return [float(at) for at in np.interp(whole, turns, time)]
 
 
-def _number(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-
-
-def _entry(channel: Channel) -> dict[str, Any]:
-    parts = {"signal": channel.signal, "axis": channel.axis, "node": channel.node, "unit": channel.unit}
-    return {key: value for key, value in parts.items() if value is not None}
-
-
 def _check(document: dict[str, Any], folder: Path) -> None:
     """Check the document as the reader will, and that it says the same after a trip through JSON."""
     try:
@@ -228,9 +218,8 @@ def _check(document: dict[str, Any], folder: Path) -> None:
 def _make_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
     there = [name for name in files if (folder / name).exists()]
     if there and not overwrite:
-        hint = "choose another folder, or overwrite=True"
         what = f"{len(there)} file{'s' if len(there) > 1 else ''} would be replaced: {', '.join(there[:3])}"
-        raise RotorsimError(Problem(what, place=Place(str(folder)), hint=hint))
+        raise RotorsimError(Problem(what, place=Place(str(folder)), hint="choose another folder, or overwrite=True"))
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -9,17 +9,16 @@ import numpy as np
 from scipy.special import spherical_jn
 from scipy.stats import chi2
 
-__all__ = ["Bands", "bands_of", "colour_of", "common_colour", "density", "of_mean"]
+from rotorsim.signals.whitening import FALSE_ALARM
 
-STEEPNESS = (0.25, 3.0)  # of the slope: below it is white to the eye, above it is a drift
+__all__ = ["Bands", "bands_of", "colour_of", "common_colour", "density", "variance_of_mean"]
+
+STEEPNESS = (0.25, 3.0)  # of the power law: below it is white to the eye, above it is a drift
 GROWTH = 1.08  # from one bin of lines to the next
-ROUNDS, HALVINGS = 12, 6
 ENOUGH = 0.01  # of minus the logarithm of the likelihood: a step that gains less is the last
 OUTLIER = 12.0  # times the density, once in e^12 = 160 000 lines of noise: a line, that no density is taken from
 SHARE_OF_WHITE = 1e-9
 SESSION = 1000  # lengths of a run that its mean wanders in: some twenty minutes of runs of a second
-UNLIKE = 1e-3  # probability that noise of one colour differs so much in one run from that in the others
-LEVELS = 3  # times that the level of each run and their colour are found in turn
 _BELOW = np.geomspace(1.0 / SESSION, 1.0, 241)
 _BEYOND = np.linspace(1.0, 41.0, 2001)
 
@@ -42,7 +41,7 @@ def density(colour: np.ndarray, line: np.ndarray) -> np.ndarray:
     return np.asarray(a + b * np.power.outer(np.maximum(line, 1.0), -c).reshape(len(line), len(b)))
 
 
-def of_mean(colour: np.ndarray, degree: int = 0) -> np.ndarray:
+def variance_of_mean(colour: np.ndarray, degree: int = 0) -> np.ndarray:
     """Return what white noise (C,) would make the mean over a run as uncertain: n times its variance.
 
     2 int sinc(j)^2 S(j) dj, from the lowest frequency of a SESSION on. Below the first line of the run nothing was
@@ -64,24 +63,25 @@ def colour_of(power: np.ndarray, line: np.ndarray) -> np.ndarray:
     Whittle's likelihood: minus its logarithm is sum log S + power / S. Lines that stand out are left out. b is zero
     where white noise alone is as likely by the Bayesian information criterion.
     """
-    found = np.zeros((power.shape[1], 3))
+    laws = np.zeros((power.shape[1], 3))
     for channel, p in enumerate(power.T):
         kept = np.ones(len(p), bool)
         for _ in range(3):
-            found[channel] = _of_channel(p[kept], line[kept])
-            standing = p <= OUTLIER * density(found[channel : channel + 1], line)[:, 0]
+            white = p[kept].sum() / max(kept.sum(), 1)
+            told = kept.sum() >= 16 and white > 0
+            laws[channel] = _law_of(*_in_bands(p[kept], line[kept])) if told else (white, 0.0, 1.0)
+            standing = p <= OUTLIER * _at(laws[channel], line)
             if (standing == kept).all() or standing.sum() < len(p) // 2:
                 break
             kept = standing
-    return found
+    return laws
 
 
 def bands_of(power: np.ndarray, line: np.ndarray, duration: float) -> Bands:
     """Return the bands of power (n, C) at lines (n,) of a run [s], those that stand out left at what is about them."""
     level = density(colour_of(power, line), line)
-    starts, count = _starts(line)
-    mean = np.add.reduceat(np.where(power <= OUTLIER * level, power, level), starts, axis=0) / count[:, None]
-    return Bands(count, np.exp(np.add.reduceat(np.log(line), starts) / count) / duration, mean)
+    count, middle, mean = _in_bands(np.where(power <= OUTLIER * level, power, level), line)
+    return Bands(count, middle / duration, mean)
 
 
 def common_colour(bands: Sequence[Bands | None], durations: Sequence[float]) -> list[np.ndarray | None]:
@@ -90,38 +90,36 @@ def common_colour(bands: Sequence[Bands | None], durations: Sequence[float]) -> 
     bands: (B, 1) of each run of so many seconds. Few lines of a run with few turns are not harmonics, and say little of
     noise at low frequencies; that of the instrument is the same in all runs. None for those that are not alike.
     """
-    alike = [r for r, item in enumerate(bands) if item is not None]
     longest = max(durations, default=1.0)
-    found: list[np.ndarray | None] = [None] * len(bands)
-    while len(alike) > 1:
-        parts = [_in_lines(item, longest) for item in (bands[r] for r in alike) if item is not None]
-        level = np.array([np.average(p[len(p) // 2 :], weights=n[len(p) // 2 :]) for n, _, p in parts])
+    parts = {r: (b.count, b.frequency * longest, b.power[:, 0]) for r, b in enumerate(bands) if b is not None}
+    colours: list[np.ndarray | None] = [None] * len(bands)
+    while len(parts) > 1:
+        level = np.array([np.average(p[len(p) // 2 :], weights=n[len(p) // 2 :]) for n, _, p in parts.values()])
         if not (level > 0).all():
-            return found
-        count, line = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
-        for _ in range(LEVELS):
-            law = _of_bands(count, line, np.concatenate([p / a for (_, _, p), a in zip(parts, level, strict=True)]))
-            shapes = [_density(law, j) for _, j, _ in parts]
-            level = np.array([np.average(p / S, weights=n) for (n, _, p), S in zip(parts, shapes, strict=True)])
+            return colours
+        count, line, power = (np.concatenate(each) for each in zip(*parts.values(), strict=True))
+        run = np.repeat(np.arange(len(parts)), [len(n) for n, _, _ in parts.values()])
+        for _ in range(3):
+            law = _law_of(count, line, power / level[run])
+            shapes = [_at(law, j) for _, j, _ in parts.values()]
+            level = np.array(
+                [np.average(p / S, weights=n) for (n, _, p), S in zip(parts.values(), shapes, strict=True)]
+            )
         more = [
-            2 * (_cost(a * S, n, p) - _cost(_density(_of_bands(n, j, p), j), n, p))
-            for (n, j, p), S, a in zip(parts, shapes, level, strict=True)
+            2 * (_cost(a * S, n, p) - _cost(_at(_law_of(n, j, p), j), n, p))
+            for (n, j, p), S, a in zip(parts.values(), shapes, level, strict=True)
         ]
-        worst = int(np.argmax(more))
-        if more[worst] <= chi2.isf(UNLIKE / len(alike), 2):
-            for r, a in zip(alike, level, strict=True):
-                found[r] = np.array([a * law[0], a * law[1] * (longest / durations[r]) ** -law[2], law[2]])
+        if max(more) <= chi2.isf(FALSE_ALARM / len(parts), 2):
+            for r, a in zip(parts, level, strict=True):
+                colours[r] = np.array([a * law[0], a * law[1] * (longest / durations[r]) ** -law[2], law[2]])
             break
-        del alike[worst]
-    return found
+        del parts[list(parts)[int(np.argmax(more))]]
+    return colours
 
 
-def _in_lines(bands: Bands, duration: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return bands.count, bands.frequency * duration, bands.power[:, 0]
-
-
-def _density(law: np.ndarray, line: np.ndarray) -> np.ndarray:
-    return np.asarray(law[0] + law[1] * line ** -law[2])
+def _at(law: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """Return the density (n,) of one channel at lines (n,)."""
+    return np.asarray(density(law[None], line)[:, 0])
 
 
 def _cost(S: np.ndarray, count: np.ndarray, power: np.ndarray) -> float:
@@ -129,22 +127,16 @@ def _cost(S: np.ndarray, count: np.ndarray, power: np.ndarray) -> float:
     return float((count * (np.log(S) + power / S)).sum())
 
 
-def _starts(line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where bands of lines (n,) start, each GROWTH times the width of the one before, and how many they hold."""
+def _in_bands(power: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return count (B,), mean place (B,) and mean power (B, ...) of lines (n,) in bands, each GROWTH times as wide."""
     place = np.floor(np.log(line) / np.log(GROWTH)).astype(int)
     starts = np.flatnonzero(np.diff(place, prepend=place[0] - 1))
-    return starts, np.diff(np.append(starts, len(line))).astype(float)
+    count = np.diff(np.append(starts, len(line))).astype(float)
+    mean = (np.add.reduceat(power, starts, axis=0).T / count).T
+    return count, np.exp(np.add.reduceat(np.log(line), starts) / count), mean
 
 
-def _of_channel(power: np.ndarray, line: np.ndarray) -> np.ndarray:
-    if len(power) < 16 or not power.mean() > 0:
-        return np.array([float(power.mean()) if len(power) else 0.0, 0.0, 1.0])
-    starts, count = _starts(line)
-    mean = np.exp(np.add.reduceat(np.log(line), starts) / count)
-    return _of_bands(count, mean, np.add.reduceat(power, starts) / count)
-
-
-def _of_bands(count: np.ndarray, j: np.ndarray, p: np.ndarray) -> np.ndarray:
+def _law_of(count: np.ndarray, j: np.ndarray, p: np.ndarray) -> np.ndarray:
     """Return a, b, c (3,) from the mean power p (B,) of count (B,) lines about lines j (B,)."""
     white = float(np.average(p, weights=count))
     p = p / white
@@ -156,17 +148,16 @@ def _of_bands(count: np.ndarray, j: np.ndarray, p: np.ndarray) -> np.ndarray:
     lowest = max(float(np.average(p[:8] * j[:8], weights=count[:8])) - upper, 1e-3)
     x = np.array([np.log(max(upper, 1e-6)), np.log(lowest), 1.0])
     least = cost(x)
-    for _ in range(ROUNDS):
-        slope = np.exp(x[1]) * j ** -x[2]
-        S = np.exp(x[0]) + slope
-        J = np.column_stack([np.exp(x[0]) / S, slope / S, -slope * np.log(j) / S])
-        gradient, bend = J.T @ (count * (1 - p / S)), (J * count[:, None]).T @ J
-        step = -np.linalg.lstsq(bend + 1e-9 * np.trace(bend) * np.eye(3), gradient, rcond=None)[0]
+    for _ in range(12):
+        flicker = np.exp(x[1]) * j ** -x[2]
+        S = np.exp(x[0]) + flicker
+        J = np.column_stack([np.exp(x[0]) / S, flicker / S, -flicker * np.log(j) / S])
+        gradient, hessian = J.T @ (count * (1 - p / S)), (J * count[:, None]).T @ J
+        step = -np.linalg.lstsq(hessian + 1e-9 * np.trace(hessian) * np.eye(3), gradient, rcond=None)[0]
         step *= min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-300))
-        for _ in range(HALVINGS):
+        for _ in range(6):
             new = x + step
-            new[0] = max(new[0], np.log(SHARE_OF_WHITE))
-            new[2] = np.clip(new[2], *STEEPNESS)
+            new[0], new[2] = max(new[0], np.log(SHARE_OF_WHITE)), np.clip(new[2], *STEEPNESS)
             value = cost(new)
             if value < least:
                 break

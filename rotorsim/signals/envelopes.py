@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import tau
 
 import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.signals.spectrum import finite
 from rotorsim.simulation.result import Result
 
 __all__ = ["Resonance", "RunUp", "envelope", "resonance_peaks", "run_up"]
@@ -17,7 +19,7 @@ SPEED = "clock.speed"
 ORDERS = (1, 2, 3)
 WINDOW = 3  # turns that an order is fitted over, with a Hann window: orders one apart do not leak into each other
 STANDS_OUT = 0.2  # prominence over height: an unbalance response of damping ratio 0.45 peaks 1.25 above its limit 1
-SHARE = 0.02  # of the peak of the turn: below, an order may be leakage of a larger one (0.002 at 50 rad/s^2)
+LEAKAGE = 0.02  # of the peak of the turn: below, an order may be leakage of a larger one (0.002 at 50 rad/s^2)
 
 
 @dataclass(frozen=True)
@@ -54,17 +56,17 @@ class RunUp:
         """Return the largest resonance of every order that has one: a maximum that rises out of its flanks."""
         from scipy.signal import find_peaks
 
-        found = []
+        largest = []
         for order, curve in self.orders.items():
             inside = np.flatnonzero(np.isfinite(curve))
             inside = inside[_transient(curve[inside]) :]
             at, _ = find_peaks(curve[inside], prominence=STANDS_OUT * np.nanmax(curve, initial=0.0))
             at = inside[at]
-            at = at[curve[at] > SHARE * self.peaks[at]]
+            at = at[curve[at] > LEAKAGE * self.peaks[at]]
             if len(at):
                 best = int(at[np.argmax(curve[at])])
-                found.append(Resonance(order, float(self.speeds[best]), float(curve[best])))
-        return tuple(found)
+                largest.append(Resonance(order, float(self.speeds[best]), float(curve[best])))
+        return tuple(largest)
 
 
 def envelope(samples: np.ndarray) -> np.ndarray:
@@ -85,31 +87,21 @@ def run_up(result: Result, signal: str, *, speed: str = SPEED, orders: Sequence[
     The start transient is not searched for a resonance: the turns until the peaks have fallen to their first minimum.
     Raises RotorsimError when the speed does not rise, and for too few turns or samples in a turn.
     """
-    samples = np.asarray(result[signal], float)
-    if samples.ndim != 1:
-        hint = (
-            f"name one entry: '{signal}[1]'"
-            if "[" not in signal
-            else "name one entry, such as 'rotor.displacement[4,1]'"
-        )
-        raise RotorsimError(Problem("not a scalar signal", signal, hint=hint))
-    if not np.isfinite(samples).all():
-        at = result.time[np.flatnonzero(~np.isfinite(samples))[0]]
-        raise RotorsimError(Problem(f"not finite from t = {at:g} s on", signal, hint=result.message), exit_code=1)
+    samples = finite(result.column(signal), result, signal)
     if len(samples) < 16:
         raise RotorsimError(Problem(f"only {len(samples)} samples", signal, hint="a longer run-up"))
     speeds = np.asarray(result[speed], float)
     if not (np.diff(speeds) >= 0).all() or speeds[-1] <= speeds[0]:
         raise RotorsimError(Problem("the speed does not rise", speed, hint="set clock.profile to ramp"))
     theta = _angle(result, speed, speeds)
-    turns = int((theta[-1] - theta[0]) / (2 * np.pi))
+    turns = int((theta[-1] - theta[0]) / (tau))
     if turns < 2 * WINDOW:
         raise RotorsimError(Problem(f"only {turns} turns", speed, hint="a longer run-up"))
-    starts = np.searchsorted(theta - theta[0], 2 * np.pi * np.arange(turns + 1))
+    starts = np.searchsorted(theta - theta[0], tau * np.arange(turns + 1))
     counts = np.diff(starts)
     if counts.min() < 4 * max(orders):
-        hint = "record more often (record_every), or fewer orders"
-        raise RotorsimError(Problem(f"only {counts.min()} samples in a turn", signal, hint=hint))
+        what, hint = f"only {counts.min()} samples in a turn", "record more often (record_every), or fewer orders"
+        raise RotorsimError(Problem(what, signal, hint=hint))
     means = np.add.reduceat(samples, starts[:-1])
     means[-1] -= samples[starts[-1] :].sum()
     middles = (starts[:-1] + starts[1:]) // 2
@@ -117,7 +109,6 @@ def run_up(result: Result, signal: str, *, speed: str = SPEED, orders: Sequence[
     peaks = np.array([np.abs(about[a:b]).max() for a, b in pairwise(starts)])
     begin = _transient(peaks)
     best = begin + int(np.argmax(peaks[begin:]))
-    tracked = {int(k): _order(about, theta, starts, int(k)) for k in orders}
     return RunUp(
         signal,
         result.unit(signal),
@@ -125,7 +116,7 @@ def run_up(result: Result, signal: str, *, speed: str = SPEED, orders: Sequence[
         about,
         speeds[middles],
         peaks,
-        tracked,
+        {int(k): _order(about, theta, starts, int(k)) for k in orders},
         float(speeds[middles[best]]),
         float(peaks[best]),
         best >= turns - WINDOW,
@@ -137,8 +128,7 @@ def _angle(result: Result, speed: str, speeds: np.ndarray) -> np.ndarray:
     recorded = f"{speed.rpartition('.')[0]}.theta"
     if recorded in result and (np.diff(result[recorded]) >= 0).all():
         return np.asarray(result[recorded], float)
-    steps = 0.5 * (speeds[1:] + speeds[:-1]) * np.diff(result.time)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    return np.concatenate([[0.0], np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(result.time))])
 
 
 def _transient(peaks: np.ndarray) -> int:
@@ -156,7 +146,7 @@ def _order(samples: np.ndarray, theta: np.ndarray, starts: np.ndarray, order: in
         first = turn - WINDOW // 2
         part = slice(starts[first], starts[first + WINDOW] + 1)
         angle = theta[part]
-        weight = 0.5 - 0.5 * np.cos((angle - theta[0] - 2 * np.pi * first) / WINDOW)
+        weight = 0.5 - 0.5 * np.cos((angle - theta[0] - tau * first) / WINDOW)
         value = np.trapezoid(weight * samples[part] * np.exp(-1j * order * angle), angle)
         out[turn] = 2 * abs(value) / np.trapezoid(weight, angle)
     return out

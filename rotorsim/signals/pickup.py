@@ -1,9 +1,10 @@
-"""Mains hum and other lines of a fixed frequency that a recorder picks up: found in all runs together, fitted along."""
+"""Mains hum and other pick-up of a fixed frequency: found in all runs together, fitted along with the harmonics."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import tau
 
 import numpy as np
 from scipy.stats import chi2
@@ -11,28 +12,26 @@ from scipy.stats import chi2
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import Recording
-from rotorsim.signals.asynchronous import Second, signals_of, spectra_of, strongest
+from rotorsim.signals.asynchronous import MISSES, Asynchronous, fitted_frequency, spectra_of
 from rotorsim.signals.harmonic_fit import fit_harmonics
-from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of, with_one_noise
+from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of, samples_of, with_one_noise
+from rotorsim.signals.lines import log_chance
+from rotorsim.signals.whitening import FALSE_ALARM
 from rotorsim.units import conversion
 
 __all__ = ["Pickup", "check_harmonics", "find_mains", "pickup_warnings", "with_pickups"]
 
-TURN = 2 * np.pi
 MAINS = (50.0, 60.0)  # Hz
-WANDERS = 0.01  # of it, either way: EN 50160 for interconnected grids
-MULTIPLES = 20  # rectifiers and saturated cores make them
-FALSE_ALARM = 1e-3  # in a recording, of lines of the mains where there are none
-ROUNDS = 4
-SEEN = 1e-3  # probability of its power in all runs by noise alone, below which a channel is said to show a line
-EVEN = 0.99  # of the best score: as good
-LONGEST = 200_000  # samples of a run: fitting harmonics takes 1.4 kB for each, which a check is not to cost
+GRID_DRIFT = 0.01  # of it, either way: EN 50160 for interconnected grids
+HIGHEST = 20  # rectifiers and saturated cores make them
+AS_GOOD = 0.99  # of the best score: as good
+LARGEST_RUN = 200_000  # samples of a run: fitting harmonics takes 1.4 kB for each, which a check is not to cost
 STEP = 0.25  # of the resolution of the longest run
 
 
 @dataclass(frozen=True)
 class Pickup:
-    """A line of fixed frequency [Hz] that is no motion of the machine. amplitude: 0-peak by channel, rms over runs.
+    """Pick-up: a line of fixed frequency [Hz] that is no motion. amplitude: 0-peak by channel, rms over runs.
 
     near: runs in which it is within the resolution of an order, and that order.
     """
@@ -48,40 +47,34 @@ def find_mains(recording: Recording, runs: Sequence[RunHarmonics]) -> list[float
     Power of all runs at m f, chi-squared without a line, with f about 50 and 60 Hz: the grid's to one in a hundred.
     """
     with one_thread():
-        spectra = [item for item in spectra_of(recording, runs) if item is not None]
+        spectra = spectra_of(recording, runs)
         if not spectra:
             return []
         finest = STEP * min(4 * item.step for item in spectra)
-        m = np.arange(1, MULTIPLES + 1)
-        found: list[tuple[float, np.ndarray]] = []
+        m = np.arange(1, HIGHEST + 1)
+        candidates: list[tuple[float, np.ndarray]] = []
         for mains in MAINS:
-            reach = np.arange(0.0, WANDERS * mains, finest / MULTIPLES)
+            reach = np.arange(0.0, GRID_DRIFT * mains, finest / HIGHEST)
             grid = np.concatenate([mains - reach[:0:-1], mains + reach])
-            power = np.array([item.at(np.multiply.outer(m, grid)) for item in spectra])
-            freedom = np.array([item.freedom for item in spectra])
-            told = np.isfinite(power)
-            degrees = np.tensordot(freedom, told, axes=1)
-            chance = np.where(degrees > 0, chi2.logsf(np.nansum(power, axis=0), np.maximum(degrees, 1)), 0.0)
-            looked = 2 * MULTIPLES * max(2 * WANDERS * mains * MULTIPLES / finest * STEP, 1.0)
+            chance = log_chance(spectra, [np.multiply.outer(m, grid)] * len(spectra))
+            looked = 2 * HIGHEST * max(2 * GRID_DRIFT * mains * HIGHEST / finest * STEP, 1.0)
             significant = chance < np.log(FALSE_ALARM / looked)
             score = np.where(significant, chance, 0.0).sum(axis=0)
-            best = int(
-                np.median(np.flatnonzero(score <= EVEN * score.min()))
-            )  # strong lines count the same beside them
+            best = int(np.median(np.flatnonzero(score <= AS_GOOD * score.min())))  # near strong lines all are alike
             if score[best] < 0:
-                found.append((float(score[best]), m[significant[:, best]] * grid[best]))
-        if not found:
+                candidates.append((float(score[best]), m[significant[:, best]] * grid[best]))
+        if not candidates:
             return []
-        lines = min(found, key=lambda item: item[0])[1]
+        lines = min(candidates, key=lambda item: item[0])[1]
         return [_refined(recording, runs, float(at)) for at in lines]
 
 
 def _refined(recording: Recording, runs: Sequence[RunHarmonics], frequency: float) -> float:
     """Return the frequency near a first one that holds most power in all runs."""
-    close = 0.4 / max(float(np.ptp(item.run.time)) for item in runs)
-    for _ in range(ROUNDS):  # each looks within half the resolution
+    close = MISSES / max(float(np.ptp(item.run.time)) for item in runs)
+    for _ in range(4):  # each looks within half the resolution
         before = frequency
-        frequency = strongest(Second(TURN * before, 0.0, False, (0,)), recording, runs)[1].value / TURN
+        frequency = fitted_frequency(Asynchronous(tau * before, 0.0, False, (0,)), recording, runs)[1].value / tau
         if abs(frequency - before) < close:
             break
     return frequency
@@ -98,21 +91,26 @@ def with_pickups(
     if not frequencies:
         return tuple(runs), []
     with one_thread():
-        fitted = [_again(recording, item, frequencies, {}) for item in runs]
+        fitted = [_refitted(recording, item, frequencies, {}) for item in runs]
         names = list(dict.fromkeys(name for item in fitted for name in item.fit.names))
-        found, size = [], {}
+        pickups = []
         for frequency in frequencies:
             told = [item for item in fitted if frequency in item.fit.pickups]
-            size[frequency] = {name: _size(told, frequency, name) for name in names}
-            near = [
-                (item.fit.run, round(frequency * TURN / abs(item.fit.speed))) for item in fitted if item not in told
-            ]
-            found.append(Pickup(frequency, size[frequency], tuple(near)))
+            near = tuple(
+                (item.fit.run, _order(item, frequency)) for item in fitted if frequency not in item.fit.pickups
+            )
+            pickups.append(Pickup(frequency, {name: _size(told, frequency, name) for name in names}, near))
+        hums = [_hum(item, pickups) for item in fitted]
         again = [
-            item if len(item.fit.pickups) == len(frequencies) else _again(recording, item, frequencies, size)
-            for item in fitted
+            item if len(item.fit.pickups) == len(frequencies) else _refitted(recording, item, frequencies, hum)
+            for item, hum in zip(fitted, hums, strict=True)
         ]
-    return tuple(with_one_noise(again)), found
+    return tuple(with_one_noise(again)), pickups
+
+
+def _order(item: RunHarmonics, frequency: float) -> int:
+    """Return the order of the speed that is nearest to a frequency [Hz]."""
+    return round(frequency * tau / abs(item.fit.speed))
 
 
 def _size(runs: Sequence[RunHarmonics], frequency: float, name: str) -> float:
@@ -125,51 +123,42 @@ def _size(runs: Sequence[RunHarmonics], frequency: float, name: str) -> float:
         if name in item.fit.names:
             c = item.fit.names.index(name)
             amplitude, gram = item.fit.pickups[frequency]
-            order = min(round(frequency * TURN / abs(item.fit.speed)), int(item.fit.orders[-1]))
             squares.append(float(np.abs(amplitude[c]) ** 2))
-            noise.append(float(gram * item.fit.noise.at_order(order)[c, c].real))
-    if not squares or 2 * np.sum(np.divide(squares, np.maximum(noise, 1e-300))) < chi2.isf(SEEN, 2 * len(squares)):
+            at_order = item.fit.noise.at_order(min(_order(item, frequency), int(item.fit.orders[-1])))
+            noise.append(float(gram * at_order[c, c].real))
+    if not squares or 2 * np.sum(np.divide(squares, np.maximum(noise, 1e-300))) < chi2.isf(
+        FALSE_ALARM, 2 * len(squares)
+    ):
         return 0.0
     return float(np.sqrt(max(float(np.mean(squares) - np.mean(noise)), 0.0)))
 
 
-def _again(
-    recording: Recording, item: RunHarmonics, frequencies: Sequence[float], size: dict[float, dict[str, float]]
-) -> RunHarmonics:
-    """Return a run fitted with lines along, and what is known of the size of those near an order."""
+def _hum(item: RunHarmonics, pickups: Sequence[Pickup]) -> dict[int, np.ndarray]:
+    """Return the variance (C,) that lines near an order add to its real and imaginary part, A/2 e^{i phi} each."""
     fit = item.fit
     hum: dict[int, np.ndarray] = {}
-    for frequency, amplitude in size.items():
-        order = round(frequency * TURN / abs(fit.speed))
-        if frequency not in fit.pickups and order < len(fit.orders):
-            share = np.sinc((frequency - order * abs(fit.speed) / TURN) * float(np.ptp(item.run.time)))
-            variance = np.array(
-                [(amplitude[name] * share) ** 2 / 8 for name in fit.names]
-            )  # of A/2 e^{i phi}, each part
+    for pickup in pickups:
+        order = _order(item, pickup.frequency)
+        if pickup.frequency not in fit.pickups and order < len(fit.orders):
+            share = np.sinc((pickup.frequency - order * abs(fit.speed) / tau) * float(np.ptp(item.run.time)))
+            variance = np.array([(pickup.amplitude[name] * share) ** 2 / 8 for name in fit.names])
             hum[order] = hum.get(order, 0.0) + variance
-    new = fit_harmonics(
-        fit.run,
-        item.run.time,
-        item.angle.theta,
-        signals_of(recording, item),
-        dict(zip(fit.names, fit.units, strict=True)),
-        orders=int(fit.orders[-1]),
-        angle_std=fit.angle_std,
-        stamp=fit.stamp,
-        weights={recording.channels[c].name: np.asarray(w) for c, w in item.run.weights.items()},
-        lost=item.lost / len(item.run.time),
-        pickups=frequencies,
-        hum=hum,
-    )
-    return replace(item, fit=new)
+    return hum
+
+
+def _refitted(
+    recording: Recording, item: RunHarmonics, frequencies: Sequence[float], hum: Mapping[int, np.ndarray]
+) -> RunHarmonics:
+    fit = fit_harmonics(samples_of(recording, item), orders=int(item.fit.orders[-1]), pickups=frequencies, hum=hum)
+    return replace(item, fit=fit)
 
 
 def check_harmonics(recording: Recording) -> list[Problem]:
     """Return warnings of what harmonics show: pulses that they contradict, and lines of the mains in some channel.
 
-    Of recordings of which all runs have harmonics, and none more than LONGEST samples.
+    Of recordings of which all runs have harmonics, and none more than LARGEST_RUN samples.
     """
-    if any(len(run.time) > LONGEST for run in recording.runs):
+    if any(len(run.time) > LARGEST_RUN for run in recording.runs):
         return []
     try:
         runs = harmonics_of(recording)
@@ -177,20 +166,21 @@ def check_harmonics(recording: Recording) -> list[Problem]:
         return []
     lines = with_pickups(recording, runs, find_mains(recording, runs))[1]
     treated = "picked up from the mains, or a force"
-    return [*contradictions(runs), *pickup_warnings(lines, recording, "does not follow the shaft", treated)]
+    return [*contradictions(runs), *pickup_warnings(lines, recording, "is asynchronous", treated)]
 
 
-def pickup_warnings(found: Sequence[Pickup], recording: Recording, kind: str, treated: str) -> list[Problem]:
+def pickup_warnings(pickups: Sequence[Pickup], recording: Recording, kind: str, treated: str) -> list[Problem]:
     """Return what is to be said of lines of fixed frequency: their sizes in the channels that show them.
 
     kind: what is known of them, treated: what is made of them, in words.
     """
     units = {channel.name: channel.unit for channel in recording.channels.values()}
     warnings = []
-    for item in found:
-        seen = [name for name, size in item.amplitude.items() if size > 0]
+    for item in pickups:
         sizes = ", ".join(
-            f"{item.amplitude[name] / conversion(units[name], None):.2g} {units[name]} in {name}" for name in seen
+            f"{size / conversion(units[name], None):.2g} {units[name]} in {name}"
+            for name, size in item.amplitude.items()
+            if size > 0
         )
         what = f"a line of {item.frequency:.2f} Hz {kind}: {sizes}: {treated}"
         warnings.append(Problem(what, recording.name, severity="warning"))

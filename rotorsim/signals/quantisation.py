@@ -1,4 +1,4 @@
-"""Steps of a converter that the readings themselves show, and the signal that went into it.
+"""Quantisation steps that the readings of a converter themselves show, and the signal that went into it.
 
 With more noise than steps the readings are the signal and a little more noise. With less, their harmonics are wrong by
 parts of a step, and differently at every amplitude. The readings r still say between which bounds each sample was,
@@ -9,7 +9,6 @@ r - q/2 < y + e < r + q/2 with Gaussian noise e, so that harmonics of y and the 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,33 +17,31 @@ from scipy.stats import chi2
 
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import Recording
-from rotorsim.signals.harmonic_fit import harmonic_basis, line_columns, real_vector
+from rotorsim.signals.covariance import real_vector
+from rotorsim.signals.harmonic_basis import harmonic_basis
 from rotorsim.signals.harmonics import RunHarmonics, harmonics_of
-from rotorsim.signals.noise import Line
+from rotorsim.signals.lines import Line
 
-__all__ = ["Step", "find_steps", "readings_of", "step_of", "without_steps"]
+__all__ = ["Step", "find_steps", "interval_slopes", "readings_of", "step_of", "without_steps"]
 
-SEEN = 10.0  # distance, in standard deviations of the noise, by which steps must change the harmonics of all runs
+CHANGED = 10.0  # distance, in standard deviations of the noise, by which steps must change the harmonics of all runs
 UNEVEN = 0.02  # of a step, by which readings may miss their level: they are written with few digits
 KNOWN = 1e-6  # of a step, to which it is known at best: no converter is better calibrated
-FINE = 1.0  # standard deviations of what harmonics leave over: finer steps are noise
 RESOLUTION = 1e-6  # of a signal's rms, that harmonics cannot be trusted to
 TELLING = 3.0  # times as many samples that tell something as the motion takes: less tell nothing of the noise
 BARELY = 1 / 3  # of a step: standard deviation of harmonics of which the readings tell no more
 SIMULATED = 4  # recordings by which the covariance is widened
-CHANCE = 0.999  # probability of a miss that is still taken for one of a parabola
-LINE = 15.0  # logarithm of the likelihood that a line adds which is there
+TAILS = 0.999  # probability of a miss that is still taken for one of a parabola
+LINE_GAIN = 15.0  # logarithm of the likelihood that a line adds which is there
 FEW, DITHERED = 3.0, 0.1  # steps that a run must move by to be told, unless noise of so many steps dithers it
 LEAST_NOISE = 0.02  # of a step: with less, few samples tell anything, and their likelihood is a box and no parabola
 NOTHING = 1e-12  # of the information of a sample at an edge
-SHORTEST = 1e-6  # part of a step of Newton's
-MOST, CLOSE = 60, 1e-10  # iterations; gain of the log likelihood of a sample at which they end
 ROOT = 0.5 * np.log(2 * np.pi)
 
 
 @dataclass(frozen=True)
 class Step:
-    """The step of a converter [SI] with its standard deviation.
+    """The quantisation step of a converter [SI] with its standard deviation.
 
     seen: distance of all harmonics with it from those without it, in standard deviations of the noise.
     """
@@ -58,33 +55,30 @@ def find_steps(recording: Recording, runs: Sequence[RunHarmonics]) -> dict[str, 
     """Return the steps of channels, by flat name, whose harmonics they change by more than noise does."""
     coarse: dict[str, Step] = {}
     for name in dict.fromkeys(name for item in runs for name in item.fit.names):
-        having = [item.fit.residual[item.fit.names.index(name)] for item in runs if name in item.fit.names]
+        least = min(item.fit.residual[item.fit.names.index(name)] for item in runs if name in item.fit.names)
         step = step_of(readings_of(recording, name))
-        if step is not None and step.size > FINE * min(having):
+        if step is not None and step.size > least:
             coarse[name] = step
     if not coarse:
         return {}
     entered = without_steps(recording, runs, coarse)
     taken = {item.run.id for item in runs}
-    again = harmonics_of(entered, [run for run in entered.runs if run.id in taken])
-    found = {}
-    for name, step in coarse.items():
-        pairs = [(old, new) for old, new in zip(runs, again, strict=True) if name in old.fit.names]
-        seen = float(np.sqrt(sum(_changed(old, new, name) for old, new in pairs)))
-        if seen > SEEN:
-            found[name] = replace(step, seen=seen)
-    return found
+    pairs = list(zip(runs, harmonics_of(entered, [run for run in entered.runs if run.id in taken]), strict=True))
+    seen = {
+        name: float(np.sqrt(sum(_changed(old, new, name) for old, new in pairs if name in old.fit.names)))
+        for name in coarse
+    }
+    return {name: replace(step, seen=seen[name]) for name, step in coarse.items() if seen[name] > CHANGED}
 
 
 def readings_of(recording: Recording, name: str) -> np.ndarray:
     """Return the samples of a signal in all runs that have it, one after another (n,)."""
     column = recording.column(name) or ""
-    parts = [run.values[column] for run in recording.runs if column in run.values]
-    return np.concatenate(parts) if parts else np.zeros(0)
+    return np.concatenate([np.zeros(0), *(run.values[column] for run in recording.runs if column in run.values)])
 
 
 def step_of(readings: np.ndarray) -> Step | None:
-    """Return the step of which all readings (n,) are whole multiples but for an offset; None if they have none."""
+    """Return the quantisation step of which all readings (n,) are whole multiples but for an offset, or None."""
     levels = np.unique(readings)
     if len(levels) < 3 or not np.isfinite(levels).all():
         return None
@@ -114,13 +108,13 @@ def without_steps(recording: Recording, runs: Sequence[RunHarmonics], steps: Map
         for name, step in steps.items():
             column = recording.column(name) or ""
             here = [item for item in runs if column in item.run.values]
-            plain = [_Readings(item, column, step.size) for item in here]
+            plain = [_readings(item, column, step.size) for item in here]
             noise = _noise(plain)
             for item, readings in zip(here, plain, strict=True):
                 signal = readings.signal(readings.likeliest(noise))
                 alone = replace(item.run, values={**item.run.values, column: signal})
                 lines = harmonics_of(recording, [alone])[0].fit.lines  # those of the readings may be their steps
-                signal, weight = readings.with_lines(item, lines, noise).entered(noise)
+                signal, weight = _with_lines(readings, item, column, lines, noise).entered(noise)
                 run = new[item.run.id]
                 values, weights = {**run.values, column: signal}, {**run.weights, column: weight}
                 new[item.run.id] = replace(run, values=values, weights=weights)
@@ -140,31 +134,16 @@ def _noise(readings: Sequence[_Readings]) -> float:
     return max(float(np.sqrt(total / weight)), LEAST_NOISE) if weight else LEAST_NOISE
 
 
+@dataclass(frozen=True, eq=False)
 class _Readings:
     """The readings of a channel in one run.
 
     z: in steps (n,). columns (n, m) of all that moves: harmonics, drift and lines beside them; squares have mean one.
     """
 
-    def __init__(self, item: RunHarmonics, column: str, step: float, lines: Sequence[Line] = ()) -> None:
-        self.column, self.step, self.lines = column, step, tuple(lines)
-        time, theta = item.run.time, item.angle.theta
-        harmonics = harmonic_basis(item.run.id, time, theta, orders=int(item.fit.orders[-1])).columns
-        every = np.column_stack([harmonics, *(line_columns(time, line.frequency) for line in lines)])
-        q, _ = np.linalg.qr(every / np.sqrt(np.mean(every**2, axis=0)))
-        self.columns = q * np.sqrt(len(time))
-        self.z = np.asarray(item.run.values[column]) / step
-
-    def with_lines(self, item: RunHarmonics, lines: Sequence[Line], noise: float) -> _Readings:
-        """Return these readings with the lines that they show, one by one: pseudo-noise of steps has false ones."""
-        best, value = self, _log_likelihood(self.likeliest(noise), self.z, self.columns)
-        for line in sorted(lines, key=lambda line: -max(line.amplitude)):
-            more = _Readings(item, self.column, self.step, [*best.lines, line])
-            gained = _log_likelihood(more.likeliest(noise), more.z, more.columns) - value
-            if gained < LINE:
-                break
-            best, value = more, value + gained
-        return best
+    z: np.ndarray
+    columns: np.ndarray
+    step: float
 
     def entered(self, noise: float) -> tuple[np.ndarray, np.ndarray]:
         """Return what went into the converter (n,) with noise of a known size in steps, and its information (n,).
@@ -173,20 +152,18 @@ class _Readings:
         miss it by: by the most where that is no chance, as it has heavy tails. Where hardly any sample tells something,
         or all tell of the same edges, harmonics are those of the readings, to a part of a step.
         """
-        x = self.likeliest(noise)
+        x, m = self.likeliest(noise), self.columns.shape[1]
         motion, _, told = self.told(x)
         one_edge = noise < DITHERED and float(np.ptp(motion)) < FEW
-        if one_edge or told.sum() * noise**2 < TELLING * self.columns.shape[1]:
+        if one_edge or told.sum() * noise**2 < TELLING * m:
             every = np.full(len(motion), 0.5 / len(motion) / (BARELY * self.step) ** 2)
             return self.step * self.z, every
         random, missed = np.random.default_rng(0), []
         for _ in range(SIMULATED):
-            again = copy(self)
-            again.z = np.round(motion + noise * random.standard_normal(len(motion)))
+            again = replace(self, z=np.round(motion + noise * random.standard_normal(len(motion))))
             moved, _, weights = again.told(again.likeliest(noise, x))
-            missed.append(float(weights @ (moved - motion) ** 2) / self.columns.shape[1])
-        chance = chi2.ppf(CHANCE, self.columns.shape[1]) / self.columns.shape[1]
-        wide = max(missed) if max(missed) > chance else max(1.0, float(np.mean(missed)))
+            missed.append(float(weights @ (moved - motion) ** 2) / m)
+        wide = max(missed) if max(missed) > chi2.ppf(TAILS, m) / m else max(1.0, float(np.mean(missed)))
         return self.signal(x), told / wide / self.step**2
 
     def signal(self, x: np.ndarray) -> np.ndarray:
@@ -195,13 +172,20 @@ class _Readings:
         return np.asarray(self.step * (motion + score / told.mean()))
 
     def told(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the motion (n,), and of each reading slope and bend of the log likelihood by the motion."""
+        """Return the motion (n,), score and information of each reading: derivatives of the log likelihood by it."""
         inverse = float(x[-1])
-        motion = self.columns @ (x[:-1] / inverse)
-        upper, lower = inverse * (self.z + 0.5 - motion), inverse * (self.z - 0.5 - motion)
-        a, b, _ = _slopes(upper, lower)
-        told = (upper * a + a**2 - 2 * a * b - lower * b + b**2) * inverse**2
-        return motion, (b - a) * inverse, np.maximum(told, NOTHING * inverse**2)
+        upper, lower = self.ends(x)
+        a, b, _ = interval_slopes(upper, lower)
+        told = (upper * a + (a - b) ** 2 - lower * b) * inverse**2
+        return self.columns @ x[:-1] / inverse, (b - a) * inverse, np.maximum(told, NOTHING * inverse**2)
+
+    def ends(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bounds of each reading about the motion, in standard deviations of the noise."""
+        motion = self.columns @ x[:-1]
+        return x[-1] * (self.z + 0.5) - motion, x[-1] * (self.z - 0.5) - motion
+
+    def log_likelihood(self, x: np.ndarray) -> float:
+        return float(interval_slopes(*self.ends(x))[2].sum())
 
     def likeliest(self, noise: float = 0.0, start: np.ndarray | None = None) -> np.ndarray:
         """Return factors c / sigma and 1 / sigma (m + 1,) of greatest likelihood, by Newton: it is concave in these.
@@ -211,43 +195,59 @@ class _Readings:
         z, columns = self.z, self.columns
         if start is None:
             first = columns.T @ z / len(z)
-            left = float(np.mean((z - columns @ first) ** 2))
-            start = np.append(first, 1.0) / (noise or np.sqrt(max(left - 1 / 12, 0.01)))
-        x, ends = start, np.column_stack([z + 0.5, z - 0.5])
-        value = _log_likelihood(x, z, columns)
-        for _ in range(MOST):
-            motion = columns @ x[:-1]
-            upper, lower = x[-1] * ends[:, 0] - motion, x[-1] * ends[:, 1] - motion
-            a, b, _ = _slopes(upper, lower)
+            variance = float(np.mean((z - columns @ first) ** 2)) - 1 / 12
+            start = np.append(first, 1.0) / (noise or np.sqrt(max(variance, 0.01)))
+        x, ends, value = start, np.column_stack([z + 0.5, z - 0.5]), self.log_likelihood(start)
+        free = slice(len(x) - 1 if noise else len(x))
+        for _ in range(60):
+            upper, lower = self.ends(x)
+            a, b, _ = interval_slopes(upper, lower)
             gradient = np.append(-columns.T @ (a - b), a @ ends[:, 0] - b @ ends[:, 1])
             uu, ul, ll = -upper * a - a**2, a * b, lower * b - b**2
             by_end = np.column_stack([uu * ends[:, 0] + ul * ends[:, 1], ul * ends[:, 0] + ll * ends[:, 1]])
-            hessian = np.empty((len(x), len(x)))
-            hessian[:-1, :-1] = columns.T @ (columns * (uu + 2 * ul + ll)[:, None])
-            hessian[:-1, -1] = hessian[-1, :-1] = -columns.T @ by_end.sum(axis=1)
-            hessian[-1, -1] = float(np.sum(by_end * ends))
+            cross = -columns.T @ by_end.sum(axis=1, keepdims=True)
+            inner = columns.T @ (columns * (uu + 2 * ul + ll)[:, None])
+            hessian = np.block([[inner, cross], [cross.T, np.sum(by_end * ends)]])
             step = np.zeros(len(x))
-            free = slice(len(x) - 1 if noise else len(x))
             step[free] = np.linalg.lstsq(hessian[free, free], -gradient[free], rcond=1e-12)[0]
             length, gained = 1.0, -np.inf
-            while length > SHORTEST and not gained >= 0:
+            while length > 1e-6 and not gained >= 0:
                 trial = x + length * step
-                gained = _log_likelihood(trial, z, columns) - value if trial[-1] > 0 else -np.inf
+                gained = self.log_likelihood(trial) - value if trial[-1] > 0 else -np.inf
                 length /= 2
             if not gained >= 0:
                 break
             x, value = trial, value + gained
-            if gained < CLOSE * len(z):
+            if gained < 1e-10 * len(z):
                 break
         return x
 
 
-def _log_likelihood(x: np.ndarray, z: np.ndarray, columns: np.ndarray) -> float:
-    motion = columns @ x[:-1]
-    return float(_slopes(x[-1] * (z + 0.5) - motion, x[-1] * (z - 0.5) - motion)[2].sum())
+def _readings(item: RunHarmonics, column: str, step: float, lines: Sequence[Line] = ()) -> _Readings:
+    """Return the readings of a run, of a motion with further lines."""
+    time, orders = item.run.time, int(item.fit.orders[-1])
+    basis = harmonic_basis(item.run.id, time, item.angle.theta, orders=orders)
+    every = basis.with_lines(time, (line.frequency for line in lines)).columns
+    q, _ = np.linalg.qr(every / np.sqrt(np.mean(every**2, axis=0)))
+    return _Readings(np.asarray(item.run.values[column]) / step, q * np.sqrt(len(time)), step)
 
 
-def _slopes(upper: np.ndarray, lower: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _with_lines(readings: _Readings, item: RunHarmonics, column: str, lines: Sequence[Line], noise: float) -> _Readings:
+    """Return readings with the lines that they show, one by one: pseudo-noise of steps has false ones."""
+    best = readings
+    kept: list[Line] = []
+    value = best.log_likelihood(best.likeliest(noise))
+    for line in sorted(lines, key=lambda line: -max(line.amplitude)):
+        more = _readings(item, column, readings.step, [*kept, line])
+        gained = more.log_likelihood(more.likeliest(noise)) - value
+        if gained < LINE_GAIN:
+            break
+        best, value = more, value + gained
+        kept.append(line)
+    return best
+
+
+def interval_slopes(upper: np.ndarray, lower: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return phi(upper) / P, phi(lower) / P and log P, with P = Phi(upper) - Phi(lower), far out too."""
     turned = lower > 0
     u, v = np.where(turned, -lower, upper), np.where(turned, -upper, lower)

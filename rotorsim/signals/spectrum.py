@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import tau
 
 import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.signals.envelopes import Resonance, RunUp, envelope, resonance_peaks, run_up
+from rotorsim.recordings.recording import ANGLE
 from rotorsim.simulation.result import Result
 
 __all__ = [
@@ -16,22 +17,19 @@ __all__ = [
     "LEAST_SAMPLES",
     "FullSpectrum",
     "Harmonics",
-    "Resonance",
-    "RunUp",
     "angle_of",
-    "envelope",
     "few_samples",
+    "finite",
     "full_spectrum",
     "harmonics",
     "last_turns",
+    "one_row",
     "reconstruction_error",
-    "resonance_peaks",
-    "run_up",
+    "samples_in",
 ]
 
 DEFAULT_ORDERS = (0, 1, 2, 3, 5, 7, -1, -3, -5)  # thesis Table 2-2
 LEAST_SAMPLES = 2 * max(DEFAULT_ORDERS)  # a turn: with fewer the highest of them appears as a lower one
-ANGLE = "clock.theta"
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ class FullSpectrum:
 class Harmonics:
     """Complex harmonics R_k of r = x + i y about the shaft angle: orders (m,), values (m,), 0-peak.
 
-    residual: rms of what they leave over, as a share of the rms of the signal.
+    residual: its rms, as a share of the rms of the signal.
     """
 
     signal: str
@@ -120,45 +118,38 @@ def _orders(orders: Sequence[float]) -> tuple[float, ...]:
     return tuple(int(k) if float(k).is_integer() else float(k) for k in orders)
 
 
-def _window(result: Result, window: tuple[float, float] | None) -> slice:
-    """Return the samples t0 <= t < t1."""
+def samples_in(result: Result, window: tuple[float, float] | None) -> slice:
+    """Return the samples t0 <= t < t1 of a window (default: all). Raises RotorsimError for fewer than 4."""
     time = result.time
-    start, stop = window or (0.0, np.inf)
+    start, stop = window or (-np.inf, np.inf)
     inside = np.flatnonzero((time >= start - 1e-12) & (time < stop - 1e-12))
     if len(inside) < 4:
         what = f"window {start:g}..{stop:g} s holds {len(inside)} samples" if window else f"only {len(time)} samples"
-        hint = f"the result covers {time[0]:g}..{time[-1]:g} s" if len(time) else "the result is empty"
-        raise RotorsimError(Problem(what, "window", hint=hint))
+        hint = f"the run covers {time[0]:g}..{time[-1]:g} s" if len(time) else "the run is empty"
+        raise RotorsimError(Problem(what, hint=hint))
     return slice(int(inside[0]), int(inside[-1]) + 1)
 
 
-def _two_axis(result: Result, signal: str, part: slice) -> np.ndarray:
+def one_row(result: Result, signal: str, part: slice) -> np.ndarray:
+    """Return samples (n,) of x + i y of one node. Raises RotorsimError for a signal of several."""
     r = result.complex(signal)[part]
     if r.ndim != 1:
         hint = f"name one of its {r.shape[1]} rows: '{signal}[1]'"
         raise RotorsimError(Problem("has several nodes", signal, hint=hint))
-    _check_finite(r, result, signal, part)
     return r
 
 
-def _check_finite(values: np.ndarray, result: Result, signal: str, part: slice) -> None:
+def finite(values: np.ndarray, result: Result, signal: str, part: slice = slice(None)) -> np.ndarray:
+    """Return samples (n,) of part of a signal. Raises RotorsimError where one of them is not finite."""
     if not np.isfinite(values).all():
-        at = result.time[part][np.flatnonzero(~np.isfinite(values))[0]]
+        at = result.time[part][np.argmin(np.isfinite(values))]
         raise RotorsimError(Problem(f"not finite from t = {at:g} s on", signal, hint=result.message), exit_code=1)
-
-
-def _step(result: Result, part: slice) -> float:
-    """Return the sampling interval [s]; an FFT needs it to be constant."""
-    steps = np.diff(result.time[part])
-    if np.ptp(steps) > 1e-6 * abs(steps[0]):
-        hint = "harmonics() fits signals that are sampled at any times"
-        raise RotorsimError(Problem("the samples are not equally spaced", "time", hint=hint))
-    return float((result.time[part][-1] - result.time[part][0]) / len(steps))
+    return values
 
 
 def few_samples(result: Result, angle: str = ANGLE) -> float | None:
     """Return how many samples there are in a turn where these are fewer than LEAST_SAMPLES, else None."""
-    turns = abs(float(result[angle][-1] - result[angle][0])) / (2 * np.pi)
+    turns = abs(float(result[angle][-1] - result[angle][0])) / tau
     few = len(result.time) - 1 < LEAST_SAMPLES * turns * (1 - 1e-9)
     return (len(result.time) - 1) / turns if few else None
 
@@ -171,8 +162,8 @@ def last_turns(result: Result, angle: str = ANGLE, share: float = 0.2) -> tuple[
     theta = result[angle] * (1 if result[angle][-1] >= result[angle][0] else -1)  # also a shaft that turns back
     step = time[1] - time[0]
     end = len(theta) - 1
-    turns = max(np.floor((theta[end] - theta[int(end * (1 - share))]) / (2 * np.pi) + 1e-9), 1.0)
-    start = int(np.searchsorted(theta, theta[end] - turns * 2 * np.pi - 1e-9))
+    turns = max(np.floor((theta[end] - theta[int(end * (1 - share))]) / tau + 1e-9), 1.0)
+    start = int(np.searchsorted(theta, theta[end] - turns * tau - 1e-9))
     return float(time[start]), float(time[start] + (end - start) * step)
 
 
@@ -194,9 +185,13 @@ def full_spectrum(
 
     Raises RotorsimError for signals without two axes, samples that are not equally spaced, or a short window.
     """
-    part = _window(result, window)
-    r = _two_axis(result, signal, part)
-    n, step = len(r), _step(result, part)
+    part = samples_in(result, window)
+    r = finite(one_row(result, signal, part), result, signal, part)
+    n, steps = len(r), np.diff(result.time[part])
+    if np.ptp(steps) > 1e-6 * abs(steps[0]):
+        hint = "harmonics() fits signals that are sampled at any times"
+        raise RotorsimError(Problem("the samples are not equally spaced", "time", hint=hint))
+    step = float(result.time[part][-1] - result.time[part][0]) / (n - 1)
     amplitude = np.fft.fftshift(np.fft.fft(r)) / n
     frequency = np.fft.fftshift(np.fft.fftfreq(n, step))
     running: float | None = None
@@ -205,7 +200,7 @@ def full_spectrum(
         running, shift = _reference_shift(result, reference, part, frequency)
     elif angle is not None:
         theta = result[angle][part]
-        running = float((theta[-1] - theta[0]) / ((n - 1) * step) / (2 * np.pi)) or None
+        running = float((theta[-1] - theta[0]) / ((n - 1) * step) / tau) or None
         shift = None if running is None else frequency / running * theta[0]
     if shift is not None:
         amplitude = amplitude * np.exp(-1j * shift)
@@ -219,12 +214,11 @@ def _reference_shift(result: Result, name: str, part: slice, frequency: np.ndarr
     lines = np.fft.fftshift(np.fft.fft(s, axis=0), axes=0)
     at = np.argmax(np.abs(lines), axis=0)
     phase = np.angle(lines[at, np.arange(s.shape[1])])
-    forward = [k for k in range(len(at)) if frequency[at[k]] > 0]
-    if not forward:
+    own = np.where(frequency[at] > 0, frequency[at], np.inf)
+    first, running = int(np.argmin(own)), float(own.min())
+    if running == np.inf:
         hint = "it needs harmonic 1, and a window of at least one turn"
         raise RotorsimError(Problem("has no forward harmonic", name, hint=hint))
-    first = min(forward, key=lambda k: float(frequency[at[k]]))
-    running = float(frequency[at[first]])
     shift = frequency / running * phase[first]
     shift[at] = phase
     return running, shift
@@ -241,19 +235,18 @@ def harmonics(
     """Fit r = sum over k of R_k e^{i k theta} by least squares, for any window and a drifting speed.
 
     thesis eq. (2.37)-(2.45); with complex data the transpose there must be the conjugate transpose.
-    orders: any, also fractions (1/2 of a rub). Raises RotorsimError when the window cannot tell them apart.
+    orders: any, also fractions (1/2 of a rub). Raises RotorsimError when the window cannot separate them.
     """
-    part = _window(result, window)
-    r, theta = _two_axis(result, signal, part), result[angle][part]
-    _check_finite(theta, result, angle, part)
+    part = samples_in(result, window)
+    r = finite(one_row(result, signal, part), result, signal, part)
+    theta = finite(result[angle][part], result, angle, part)
     basis = np.exp(1j * np.outer(theta, np.asarray(orders, float)))
     values, _, rank, _ = np.linalg.lstsq(basis, r, rcond=None)
     if rank < len(orders):
-        turns = float(np.ptp(theta)) / (2 * np.pi)
-        what = f"{len(orders)} harmonics cannot be told apart in {turns:.3g} turns ({len(r)} samples)"
+        turns = float(np.ptp(theta)) / tau
+        what = f"{len(orders)} harmonics cannot be separated in {turns:.3g} turns ({len(r)} samples)"
         raise RotorsimError(Problem(what, signal, hint="a longer window, or fewer and different orders"))
-    rms = float(np.sqrt(np.mean(np.abs(r) ** 2)))
-    left = float(np.sqrt(np.mean(np.abs(r - basis @ values) ** 2)))
+    left, rms = (float(np.sqrt(np.mean(np.abs(z) ** 2))) for z in (r - basis @ values, r))
     return Harmonics(signal, result.unit(signal), _orders(orders), values, left / rms if rms else 0.0)
 
 
@@ -264,9 +257,8 @@ def reconstruction_error(
 
     Source: thesis section 2.5, below Tables 2-2 and 2-3.
     """
-    part = _window(result, window)
-    r = _two_axis(result, found.signal, part)
-    left = r - found.at(result[angle][part])
-    rms = np.array([np.sqrt(np.mean(axis**2)) for axis in (r.real, r.imag)])
-    error = np.array([np.sqrt(np.mean(axis**2)) for axis in (left.real, left.imag)])
+    part = samples_in(result, window)
+    r = finite(one_row(result, found.signal, part), result, found.signal, part)
+    residual = r - found.at(result[angle][part])
+    error, rms = (np.sqrt([np.mean(z.real**2), np.mean(z.imag**2)]) for z in (residual, r))
     return np.asarray(np.divide(error, rms, out=np.zeros(2), where=rms > 0))

@@ -1,4 +1,4 @@
-"""Stretches of equal samples: told apart are a clipped signal, a stuck converter and coarse resolution.
+"""Stretches of equal samples: of a clipped signal or a stuck converter, and not of coarse resolution.
 
 A smooth signal in coarse steps stands still where it turns, too. While m samples stay within one step q around the
 top of a parabola, the samples m further out are at most r^2 q below it, r = (3 m - 1) / (m - 1) or about 3; and r^4 q
@@ -7,9 +7,11 @@ at the flattest top that two harmonics make. What jumps away faster was cut off.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-__all__ = ["clipped", "flat"]
+__all__ = ["clipped_stretches", "flat_stretches", "smallest_step"]
 
 Stretch = tuple[int, int]  # first sample, one past the last
 _SHORTEST = 3  # equal samples at an extreme
@@ -18,9 +20,11 @@ _SWITCH = 0.95  # of the samples at the extremes: a signal of two states
 _STUCK = 20  # equal samples elsewhere
 _ROUNDING = 2  # steps, one at either end
 _AWAY = 83  # steps; as for the extremes
+_WRITTEN = 1e-6  # of the range of a signal: closer values differ by how they were written, in single precision or with
+# seven digits; no converter has 20 bits
 
 
-def clipped(values: np.ndarray) -> list[Stretch]:
+def clipped_stretches(values: np.ndarray) -> list[Stretch]:
     """Return the stretches at the largest and the smallest value that resolution does not explain.
 
     values: (n,), finite. Empty unless there are several; a signal that is always at its extremes is a switch.
@@ -28,48 +32,49 @@ def clipped(values: np.ndarray) -> list[Stretch]:
     low, high = values.min(), values.max()
     if np.mean((values == low) | (values == high)) > _SWITCH:
         return []
-    found: list[Stretch] = []
-    starts, stops = _stretches(values)
-    for extreme in (low, high):
-        step = _step(values, extreme)
-        at = (values[starts] == extreme) & (stops - starts >= _SHORTEST)
-        for first, last in zip(starts[at].tolist(), stops[at].tolist(), strict=True):
-            m = last - first
+    cut = []
+    for first, last in _stretches(values, _SHORTEST):
+        m, level = last - first, values[first]
+        if level in (low, high):
             sides = [side for side in (values[max(first - m, 0) : first], values[last : last + m]) if len(side)]
-            natural = (((3 * m - 1) / (m - 1)) ** 4 + _ROUNDING) * step
-            if min(float(np.abs(side - extreme).max()) for side in sides) > natural:
-                found.append((first, last))
-    return sorted(found) if len(found) >= _SEVERAL else []
+            natural = (((3 * m - 1) / (m - 1)) ** 4 + _ROUNDING) * _resolution(values, level)
+            if min(float(np.abs(side - level).max()) for side in sides) > natural:
+                cut.append((first, last))
+    return cut if len(cut) >= _SEVERAL else []
 
 
-def flat(values: np.ndarray) -> list[Stretch]:
+def flat_stretches(values: np.ndarray) -> list[Stretch]:
     """Return long stretches of equal samples, away from the extremes and the ends, that resolution does not explain.
 
     values: (n,), finite. The signal must go far within as many samples before and after.
     """
-    found: list[Stretch] = []
-    starts, stops = _stretches(values)
-    lengths = stops - starts
-    inside = (lengths >= _STUCK) & (starts > 0) & (stops < len(values))
-    inside &= (values[starts] != values.min()) & (values[starts] != values.max())
-    for first, last in zip(starts[inside].tolist(), stops[inside].tolist(), strict=True):
-        m = last - first
-        enough = _AWAY * _step(values, values[first])
-        sides = (values[max(first - m, 0) : first + 1], values[last - 1 : last + m])
-        if min(float(np.ptp(side)) for side in sides) > enough:
-            found.append((first, last))
-    return found
+    stuck, low, high = [], values.min(), values.max()
+    for first, last in _stretches(values, _STUCK):
+        m, level = last - first, values[first]
+        if first > 0 and last < len(values) and low < level < high:
+            sides = (values[max(first - m, 0) : first + 1], values[last - 1 : last + m])
+            if min(float(np.ptp(side)) for side in sides) > _AWAY * _resolution(values, level):
+                stuck.append((first, last))
+    return stuck
 
 
-def _stretches(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where stretches of equal samples start, and one past where they stop."""
-    ends = np.flatnonzero(np.diff(values)) + 1
-    return np.concatenate(([0], ends)), np.concatenate((ends, [len(values)]))
+def _stretches(values: np.ndarray, shortest: int) -> Iterator[Stretch]:
+    """Yield the stretches of so many equal samples, or more."""
+    ends = np.concatenate(([0], np.flatnonzero(np.diff(values)) + 1, [len(values)]))
+    long = np.flatnonzero(np.diff(ends) >= shortest)
+    return zip(ends[long].tolist(), ends[long + 1].tolist(), strict=True)
 
 
-def _step(values: np.ndarray, level: float) -> float:
+def _resolution(values: np.ndarray, level: float) -> float:
     """Return the resolution near a level: the smallest difference of values within a tenth of the range."""
     near = np.unique(values[np.abs(values - level) <= 0.1 * float(np.ptp(values))])
-    if len(near) < 2:
-        near = np.unique(values)
-    return float(np.diff(near).min())
+    return float(np.diff(near if len(near) > 1 else np.unique(values)).min())
+
+
+def smallest_step(values: np.ndarray) -> float:
+    """Return the least distance of two values of a signal (n,), rounding left out; zero for none.
+
+    It is the quantisation step of a converter, or next to nothing.
+    """
+    gaps = np.diff(np.unique(values))
+    return float(min(gaps[gaps > _WRITTEN * np.ptp(values)], default=0.0))

@@ -386,6 +386,6 @@ def test_the_example_of_the_page_is_a_recording() -> None:
     page = (ROOT / "docs/recordings.md").read_text(encoding="utf-8")
     [text] = re.findall(r"^```json\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     assert len(text.splitlines()) <= 16
-    found = parse_recording(Source(json.loads(text)), Path(), files=False)
+    found = parse_recording(Source(json.loads(text)), Path(), files=False).recording
     assert [entry.id for entry in found.runs] == ["slow", "soft", "fast"]
     assert list(found.channels) == ["x", "y", "ix", "iy", "key"]

@@ -15,7 +15,7 @@ from rotorsim.diagnosis.search.places import Places, open_places
 from rotorsim.identification.estimate import Search
 from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.likelihood import Likelihood
-from rotorsim.signals.harmonic_fit import complex_values
+from rotorsim.signals.covariance import complex_values
 from rotorsim.signals.harmonics import harmonics_of
 from tests.identification import OTHER_GAINS, made, recorded, shipped
 from tests.reference.recordings import THESIS_GAINS

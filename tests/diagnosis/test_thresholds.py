@@ -159,7 +159,7 @@ def line(monkeypatch, shown: list[complex], mains: list[float], second: object =
     opened = SimpleNamespace(likelihood=likelihood, places={"rotor.force": 0}, transfer=transfer)
     monkeypatch.setattr(pickups, "open_places", lambda *_: opened)
     monkeypatch.setattr(pickups, "find_mains", lambda *_: mains)
-    monkeypatch.setattr(pickups, "with_second", lambda *_: ([None], []))
+    monkeypatch.setattr(pickups, "with_asynchronous", lambda *_: ([None], []))
     run = SimpleNamespace(run=SimpleNamespace(time=np.linspace(0, 2, 9)))
     return find_pickups(Fit({}), Source(None, (run,), second=second))
 

@@ -38,13 +38,11 @@ def test_mains_hum_is_no_missing_physics(clean, level):
         assert said == checked == []
     else:
         assert said[0] == (
-            "a line of 50.00 Hz does not follow the shaft: 5e-08 m in rotor.displacement[1]: it is fitted beside the "
-            "harmonics"
+            "a line of 50.00 Hz is asynchronous: 5e-08 m in rotor.displacement[1]: it is fitted beside the harmonics"
         )
         near = "50.00 Hz is not told from order {} here: that order counts less"
         assert checked[0] == (
-            "a line of 50.00 Hz does not follow the shaft: 5e-08 m in rotor.displacement[1]: picked up from the mains, "
-            "or a force"
+            "a line of 50.00 Hz is asynchronous: 5e-08 m in rotor.displacement[1]: picked up from the mains, or a force"
         )
         assert said[1:] == checked[1:] == [near.format(order) for order in (5, 3, 5, 3)]
 

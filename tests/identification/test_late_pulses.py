@@ -8,7 +8,8 @@ from scipy.stats import chi2
 
 from rotorsim.identification.estimate import Search, estimate
 from rotorsim.identification.likelihood import Likelihood
-from rotorsim.signals.harmonic_fit import HarmonicFit, real_vector
+from rotorsim.signals.covariance import real_vector
+from rotorsim.signals.harmonic_fit import HarmonicFit
 from tests.identification import recorded
 from tests.identification.test_likelihood import at, likelihood_of, two_gains, with_noise
 from tests.reference.recordings import LOWER

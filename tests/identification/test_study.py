@@ -22,7 +22,7 @@ from rotorsim.identification.study.study import (
 )
 from rotorsim.model.load import load
 from rotorsim.settled.periodic import periodic
-from rotorsim.signals.harmonic_fit import fit_harmonics
+from rotorsim.signals.harmonic_fit import Samples, fit_harmonics
 from rotorsim.units import parse_quantity
 
 RPM = np.pi / 30
@@ -153,7 +153,8 @@ def test_harmonics_for_the_regression_are_those_of_the_fit():
     random = np.random.default_rng(5)
     for item, found in zip(bench.clean, quick, strict=True):
         values = item.values + random.standard_normal(item.values.shape) * 0.02 * item.rms
-        fit = fit_harmonics("r", item.run.time, item.angle.theta, dict(zip(bench.names, values.T, strict=True)))
+        signals = dict(zip(bench.names, values.T, strict=True))
+        fit = fit_harmonics(Samples("r", item.run.time, item.angle.theta, signals))
         assert not fit.lines
         assert found.fit.values == pytest.approx(fit.values, rel=1e-9, abs=1e-9 * np.abs(fit.values).max())
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rotorsim.errors import Place, Problem
 from rotorsim.measure.checks import check_signals
 from rotorsim.recordings.recording import Channel, Recording, Run
-from rotorsim.signals.stretches import clipped, flat
+from rotorsim.signals.stretches import clipped_stretches, flat_stretches
 from tests.recordings.made import RATE, SPEED, pulses, samples
 
 CHANNELS = {
@@ -41,7 +41,10 @@ def recording(*runs: Run, channels: dict[str, Channel] | None = None) -> Recordi
 
 
 def found(*runs: Run, channels: dict[str, Channel] | None = None) -> list[str]:
-    return [shown(problem) for problem in check_signals(recording(*runs, channels=channels))]
+    problems = check_signals(recording(*runs, channels=channels))
+    for problem in problems:
+        assert problem.code == "run_up" or problem.what.startswith(problem.code.replace("_", " "))
+    return [shown(problem) for problem in problems]
 
 
 def shown(problem: Problem) -> str:
@@ -159,8 +162,8 @@ def coarse(frequency, levels, noise, second, phase, offset, seed):
 @given(signals)
 def test_coarse_resolution_is_neither_clipping_nor_a_stuck_converter(signal):
     values = coarse(**signal)
-    assert clipped(values) == []
-    assert flat(values) == []
+    assert clipped_stretches(values) == []
+    assert flat_stretches(values) == []
 
 
 @settings(max_examples=100, deadline=None)
@@ -170,7 +173,7 @@ def test_clipping_is_found_where_it_cuts_more_than_the_resolution(signal, limit)
     signal["noise"] = max(signal["noise"], 0.3)  # else samples may repeat from period to period and hide the resolution
     values = coarse(**signal)
     cut = np.clip(values, np.round(limit * values.min()), np.round(limit * values.max()))
-    assert clipped(cut)
+    assert clipped_stretches(cut)
 
 
 @settings(max_examples=100, deadline=None)
@@ -182,7 +185,7 @@ def test_a_stuck_converter_is_found(signal, first, count):
     values[first : first + count] = level
     sides = values[first - count : first + 1], values[first + count - 1 : first + 2 * count]
     if min(np.ptp(side) for side in sides) > 83 and values.min() < level < values.max():
-        assert any(start <= first and first + count <= stop for start, stop in flat(values))
+        assert any(start <= first and first + count <= stop for start, stop in flat_stretches(values))
 
 
 def test_a_flat_stretch():
@@ -197,7 +200,7 @@ def test_a_flat_stretch():
 
 def test_a_switched_signal_is_not_clipped():
     values = np.where(np.sin(SPEED * TIME) > 0, 1.0, -1.0)
-    assert clipped(values) == []
+    assert clipped_stretches(values) == []
 
 
 def test_set_points_pulses_and_angles_may_stand_still():

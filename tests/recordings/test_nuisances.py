@@ -5,14 +5,16 @@ import pytest
 from scipy.stats import chi2
 
 from rotorsim.signals import pickup
-from rotorsim.signals.colour import colour_of, density, of_mean
-from rotorsim.signals.faint_lines import Spectrum
-from rotorsim.signals.harmonic_fit import harmonic_basis, real_vector
+from rotorsim.signals.colour import colour_of, density, variance_of_mean
+from rotorsim.signals.covariance import real_vector
+from rotorsim.signals.dropped_samples import dropped_samples, fill_dropped
+from rotorsim.signals.harmonic_basis import harmonic_basis
 from rotorsim.signals.harmonics import harmonics_of
-from rotorsim.signals.held import _step, find_held, without_held
+from rotorsim.signals.lines import Spectrum
 from rotorsim.signals.pickup import find_mains, with_pickups
+from rotorsim.signals.stretches import smallest_step
 from tests.signals.test_asynchronous import HARMONICS, TURN, closed_form, pulses, recording
-from tests.signals.test_harmonic_fit import fitted, harmonics, signal
+from tests.signals.test_harmonic_fit import fitted, harmonics, signal, std_of
 
 RATE, N, K = 2000.0, 2000, 4
 TIME = np.arange(N) / RATE
@@ -52,7 +54,7 @@ def test_whitened_errors_of_harmonics_are_chi_squared(kind):
             y += 0.05 * np.outer(TIME, [2.0, -1.0])
         share = 0.0
         if kind in ("held", "all"):
-            y, lost = without_held(harmonic_basis("", TIME, theta, orders=K), held(y))
+            y, lost = fill_dropped(harmonic_basis("", TIME, theta, orders=K), held(y))
             share = lost[:, 0].mean()
             assert share == pytest.approx(6 / 2000)
         found = fitted(TIME, theta, y, orders=K, lost=share)
@@ -92,8 +94,8 @@ def test_density_of_white_and_flicker_noise():
 def test_the_mean_of_flicker_noise():
     """2 int_{1/1000}^inf sinc(j)^2 / j dj = 2 (ln 1000 + 3/2 - gamma - ln 2 pi) but for 1e-5; white noise: one."""
     exact = 2 * (np.log(1000) + 1.5 - 0.5772156649 - np.log(2 * np.pi))
-    assert of_mean(np.array([[0.0, 1.0, 1.0]]))[0] == pytest.approx(exact, rel=2e-3)
-    assert of_mean(np.array([[1.7, 0.0, 1.0]]))[0] == 1.7
+    assert variance_of_mean(np.array([[0.0, 1.0, 1.0]]))[0] == pytest.approx(exact, rel=2e-3)
+    assert variance_of_mean(np.array([[1.7, 0.0, 1.0]]))[0] == 1.7
 
 
 def wave(random: np.random.Generator, step: float = 0.001, C: int = 4) -> np.ndarray:
@@ -109,7 +111,7 @@ def rest(y: np.ndarray) -> np.ndarray:
 def test_lost_samples_that_repeat_the_one_before_are_found():
     for seed in range(10):
         y = held(wave(np.random.default_rng(seed)))
-        found = find_held(y, rest(y))
+        found = dropped_samples(y, rest(y))
         together = np.flatnonzero(found.all(axis=1)).tolist()
         assert together == list(GAPS)
         assert not found[[k for k in range(N) if k not in GAPS]].any()
@@ -119,7 +121,7 @@ def test_a_channel_that_alone_holds_a_sample():
     y = wave(np.random.default_rng(1))
     y[507, 2] = y[506, 2]  # cos(20 * 2 pi 507/2000 + 2) falls by 0.06 a sample there: six deviations
     y[508, 2] = y[506, 2]
-    found = np.argwhere(find_held(y, rest(y))).tolist()
+    found = np.argwhere(dropped_samples(y, rest(y))).tolist()
     assert [508, 2] in found
     assert all(at in ([507, 2], [508, 2]) for at in found)
 
@@ -129,13 +131,13 @@ def test_nothing_is_held_where_nothing_was_lost():
     for seed in range(10):
         for step, C in ((0.001, 4), (0.02, 4), (0.4, 1), (0.8, 1)):
             y = wave(np.random.default_rng(seed), step, C)
-            assert not find_held(y, rest(y)).any()
+            assert not dropped_samples(y, rest(y)).any()
     y = np.clip(wave(np.random.default_rng(0)), -0.8, 0.8)
-    assert not find_held(y, rest(y)).any()
+    assert not dropped_samples(y, rest(y)).any()
     y = np.repeat(wave(np.random.default_rng(0))[::2], 2, axis=0)
-    assert not find_held(y, rest(y)).any()
+    assert not dropped_samples(y, rest(y)).any()
     y = wave(np.random.default_rng(0)) * [1, 1, 1, 0]
-    assert not find_held(y, rest(y)).any()
+    assert not dropped_samples(y, rest(y)).any()
 
 
 @pytest.mark.parametrize(("times", "lost"), [(5.9, False), (6.1, True)])
@@ -145,12 +147,12 @@ def test_a_repeated_sample_six_deviations_away_is_lost(times, lost):
     y[500] = y[499] = 0.0
     left = np.where(np.arange(1000) % 2, 0.67449, -0.67449)[:, None]
     left[500] = times
-    assert np.flatnonzero(find_held(y, left)).tolist() == ([500] if lost else [])
+    assert np.flatnonzero(dropped_samples(y, left)).tolist() == ([500] if lost else [])
 
 
 @pytest.mark.parametrize(("apart", "step"), [(0.9e-6, 0.25), (1.1e-6, 1.1e-6)])
 def test_values_a_millionth_of_the_range_apart_differ_by_how_they_were_written(apart, step):
-    assert _step(np.array([0.0, 0.25, 0.25 + apart, 0.5, 1.0])) == pytest.approx(step, rel=1e-5)
+    assert smallest_step(np.array([0.0, 0.25, 0.25 + apart, 0.5, 1.0])) == pytest.approx(step, rel=1e-5)
 
 
 @pytest.mark.parametrize(("alone", "lost"), [(6, True), (7, False)])
@@ -160,7 +162,7 @@ def test_two_repeats_of_all_channels_are_lost_samples_unless_chance_makes_them_i
     for c in (0, 1):
         for at in (400, 800, *range(10 + 5 * c, 10 + 5 * c + 20 * alone, 20)):
             y[at, c] = y[at - 1, c]
-    found = find_held(y, np.zeros((1000, 2)))
+    found = dropped_samples(y, np.zeros((1000, 2)))
     assert np.flatnonzero(found.any(axis=1)).tolist() == ([400, 800] if lost else [])
 
 
@@ -229,11 +231,11 @@ def test_an_order_under_hum_is_as_uncertain_as_the_hum_is_large():
     runs = harmonics_of(data)
     again, [found] = with_pickups(data, runs, [50.0])
     assert found.near == ((data.runs[4].id, 1),)
-    std = again[4].fit.std[1, 0]
+    std = std_of(again[4].fit)[1, 0]
     expected = np.sqrt(0.03**2 / 8) * np.sinc(0.1 * TIME[-1])
     assert std.real == pytest.approx(expected, rel=0.03)
     assert std.imag == pytest.approx(expected, rel=0.03)
-    assert again[4].fit.std[1, 1].real < 0.001  # the other channel has none
-    assert again[3].fit.std[1, 0].real < 0.001  # nor has another run
+    assert std_of(again[4].fit)[1, 1].real < 0.001  # the other channel has none
+    assert std_of(again[3].fit)[1, 0].real < 0.001  # nor has another run
     off = np.abs(again[4].fit.values[1, 0] - HARMONICS[1, 0])
     assert 0.005 < off < 0.02  # A / 2 = 0.015

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.recordings import readers
 from rotorsim.recordings.loading import load_recording
-from rotorsim.recordings.readers import read_columns
+from rotorsim.recordings.readers import reader
+from rotorsim.recordings.readers.columns import READERS, read_columns
 from tests.recordings.made import CHANNELS, document, run, samples, write
 
 TABLE = {"t": np.arange(5) * 0.1, "x": np.array([1.0, -2.5, 1e-300, 0.1 + 0.2, 7e20]), "y": np.arange(5.0) / 3}
@@ -92,7 +92,7 @@ def test_columns_that_differ_in_length(tmp_path, name):
     assert refused(tmp_path / name, ["x", "y"]) == [f"data: error: columns differ in length: x 3, y 4\n\nhint: {hint}"]
 
 
-@pytest.mark.parametrize("suffix", readers.SUFFIXES)
+@pytest.mark.parametrize("suffix", READERS)
 def test_empty_and_damaged_files_end_with_a_message(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     path.write_bytes(b"")
@@ -124,7 +124,7 @@ def test_other_formats_are_named(tmp_path):
 def test_a_file_that_is_too_large_is_not_read(tmp_path):
     path = tmp_path / "a.csv"
     with path.open("wb") as stream:
-        stream.truncate(readers.MAX_BYTES + 1)  # takes no room on the disk
+        stream.truncate(reader.MAX_BYTES + 1)  # takes no room on the disk
     assert refused(path, ["x"]) == ["data: error: file is larger than 2 GB\n\nhint: split it into several runs"]
 
 
@@ -151,7 +151,7 @@ def test_columns_that_unpack_to_too_much_together_are_not_read(tmp_path, monkeyp
         ]
     scipy.io.savemat(tmp_path / "a.mat", {"run": {"inner": {"a": np.zeros(100_000)}}}, do_compression=True)
     assert len(read_columns(tmp_path / "a.mat", ["run/inner/a"])["run/inner/a"]) == 100_000
-    monkeypatch.setattr(readers, "MAX_BYTES", 700_000)
+    monkeypatch.setattr(reader, "MAX_BYTES", 700_000)
     assert refused(tmp_path / "a.mat", ["run/inner/a"])[0].startswith("data: error: it unpacks to more than")
 
 
@@ -186,7 +186,7 @@ def test_a_package_that_is_missing_is_named(tmp_path, monkeypatch, suffix, packa
     def missing(module):
         raise ImportError(module)
 
-    monkeypatch.setattr(readers, "import_module", missing)
+    monkeypatch.setattr(reader, "import_module", missing)
     (tmp_path / f"a{suffix}").write_bytes(b"x")
     assert refused(tmp_path / f"a{suffix}", ["x"]) == [
         f"data: error: reading this format needs the package {package}\n\nhint: pip install {package}"

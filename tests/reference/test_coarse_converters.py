@@ -9,7 +9,7 @@ from rotorsim.diagnosis.files import save_diagnosis
 from rotorsim.identification.identification import identify
 from rotorsim.model.load import load
 from rotorsim.recordings.loading import load_recording
-from rotorsim.signals.converters import stated_steps
+from rotorsim.signals.converters import before_converters, stated_steps
 from rotorsim.signals.harmonics import harmonics_of
 from rotorsim.signals.quantisation import find_steps
 
@@ -84,6 +84,6 @@ def test_only_a_converter_that_steps_is_looked_through():
     document = load("jeffcott").document
     exact = load(with_converter(document, "1 um"))
     smooth = load(with_converter(document, "1 um", law="smooth"))
-    assert exact.before_converters().as_measured("rotor.displacement[2]") == "rotor.displacement[2]"
+    assert before_converters(exact).as_measured("rotor.displacement[2]") == "rotor.displacement[2]"
     assert exact.as_measured("rotor.displacement[2]") == "converter.sensed_displacement[2]"
-    assert smooth.before_converters() is smooth
+    assert before_converters(smooth) is smooth

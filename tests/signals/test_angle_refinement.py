@@ -7,8 +7,8 @@ import pytest
 
 from rotorsim.errors import Place
 from rotorsim.recordings.recording import Channel, Recording, Run
-from rotorsim.signals.angle_refinement import refined
-from rotorsim.signals.harmonic_fit import harmonic_basis
+from rotorsim.signals.angle_refinement import refined_angle
+from rotorsim.signals.harmonic_basis import harmonic_basis
 from rotorsim.signals.harmonics import harmonics_of
 from rotorsim.signals.shaft_angle import ShaftAngle, shaft_angle
 
@@ -73,7 +73,7 @@ def test_what_one_harmonic_does_is_not_put_down_to_the_angle():
     angle = shaft_angle(recording, recording.runs[0])
     y = recording.runs[0].values["x"][:, None]
     basis = harmonic_basis("run0", TIME, angle.theta, orders=3)
-    now, same = refined("run0", TIME, angle, y, basis)
+    now, same = refined_angle(TIME, angle, y, basis)
     assert same is basis
     assert (now.theta == angle.theta).all()
 
@@ -84,7 +84,7 @@ def test_four_standard_deviations_are_the_most_that_harmonics_may_ask_for(times,
     theta, off = TURN * 40 * TIME, 1e-2
     y = recorded(theta + off * (2 * TIME / TIME[-1] - 1), None, noise=1e-10).runs[0].values["x"][:, None]
     angle = ShaftAngle(theta, TURN * 40, 0.0, 0.0, "tacho", True, 40, smooth=off / times)
-    now, _ = refined("run0", TIME, angle, y, harmonic_basis("run0", TIME, theta, orders=3))
+    now, _ = refined_angle(TIME, angle, y, harmonic_basis("run0", TIME, theta, orders=3))
     assert now.contradicted is not followed
     assert np.ptp(now.theta - theta) == pytest.approx(2 * off if followed else 0.0, rel=0.01)
 
@@ -115,5 +115,5 @@ def test_an_angle_that_pulses_tell_is_left_alone():
     recording = recorded(theta, sampled(theta), noise=1e-3)
     angle = shaft_angle(recording, recording.runs[0])
     y = recording.runs[0].values["x"][:, None]
-    now, _ = refined("run0", TIME, angle, y, harmonic_basis("run0", TIME, angle.theta, orders=3))
+    now, _ = refined_angle(TIME, angle, y, harmonic_basis("run0", TIME, angle.theta, orders=3))
     assert np.abs(now.theta - angle.theta).max() < 3 * angle.smooth

@@ -14,10 +14,11 @@ from scipy.stats import chi2
 
 from rotorsim.errors import Place
 from rotorsim.recordings.recording import Channel, Recording, Run
-from rotorsim.signals import asynchronous as second_frequency
-from rotorsim.signals.asynchronous import Second, find_second, with_second
-from rotorsim.signals.harmonic_fit import fit_harmonics
+from rotorsim.signals import asynchronous
+from rotorsim.signals.asynchronous import Asynchronous, find_asynchronous, with_asynchronous
+from rotorsim.signals.harmonic_fit import Samples, fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics, harmonics_of
+from tests.signals.test_harmonic_fit import std_of
 
 TURN = 2 * np.pi
 RATE, N = 2000.0, 2000
@@ -80,7 +81,9 @@ def made(
     return recording(signals, speeds, tacho), phases
 
 
-def misses(found: Second, runs: Sequence[RunHarmonics], true: Mapping[str, np.ndarray], nu: float) -> list[np.ndarray]:
+def misses(
+    found: Asynchronous, runs: Sequence[RunHarmonics], true: Mapping[str, np.ndarray], nu: float
+) -> list[np.ndarray]:
     """Return what the lines of each run are off, (L, C); a small error of nu turns them about the middle of a run."""
     out = []
     for item in runs:
@@ -111,15 +114,17 @@ CASES = {  # lines, nu, whether it follows the speed, direction of rotation, dra
 
 
 @cache
-def found_in(case: str, draws: int) -> list[tuple[Second | None, tuple[RunHarmonics, ...], list[str], np.ndarray]]:
+def found_in(
+    case: str, draws: int
+) -> list[tuple[Asynchronous | None, tuple[RunHarmonics, ...], list[str], np.ndarray]]:
     """Return for every draw the second frequency, the runs fitted with it, those lost, and the true phases."""
     lines, nu, follows, direction, _ = CASES[case]
     out = []
     for seed in range(draws):
         data, phases = made(lines, seed=seed, speeds=direction * SPEEDS, nu=nu, follows=follows)
         runs = harmonics_of(data)
-        second = find_second(data, runs)
-        out.append((second, *(((), []) if second is None else with_second(data, runs, second)), phases))
+        second = find_asynchronous(data, runs)
+        out.append((second, *(((), []) if second is None else with_asynchronous(data, runs, second)), phases))
     return out
 
 
@@ -179,7 +184,7 @@ def test_a_line_hidden_by_a_stronger_one_is_found():
     data, _ = made({0: 10 * LINES[0], 1: LINES[1], -1: LINES[-1]}, seed=3, noise=1e-3)
     runs = harmonics_of(data)
     assert all(len(item.fit.lines) < 3 for item in runs)
-    assert find_second(data, runs).orders == (-1, 0, 1)
+    assert find_asynchronous(data, runs).orders == (-1, 0, 1)
 
 
 # --- nothing to be found ----------------------------------------------------------------------------------------------
@@ -188,7 +193,7 @@ def test_a_line_hidden_by_a_stronger_one_is_found():
 @pytest.mark.slow
 def test_noise_has_no_second_frequency():
     found = [made({}, seed=100 + seed)[0] for seed in range(10)]
-    assert sum(find_second(data, harmonics_of(data)) is not None for data in found) <= 1
+    assert sum(find_asynchronous(data, harmonics_of(data)) is not None for data in found) <= 1
 
 
 def test_lines_of_one_run_are_no_second_frequency():
@@ -197,7 +202,7 @@ def test_lines_of_one_run_are_no_second_frequency():
         data, _ = made(LINES, seed=seed, only=[one])
         runs = harmonics_of(data)
         assert [bool(item.fit.lines) for item in runs] == [r == one for r in range(4)]
-        assert find_second(data, runs) is None
+        assert find_asynchronous(data, runs) is None
 
 
 @pytest.mark.slow
@@ -207,9 +212,9 @@ def test_runs_in_which_a_line_is_too_near_to_a_harmonic_are_lost():
     for speed, expected in ((near, ["run2"]), (far, [])):
         data, _ = made({0: LINES[0]}, seed=1, speeds=[*SPEEDS[:2], speed])
         runs = harmonics_of(data)
-        second = find_second(data, runs)
+        second = find_asynchronous(data, runs)
         assert abs(second.value - NU) < 4 * second.std
-        kept, lost = with_second(data, runs, second)
+        kept, lost = with_asynchronous(data, runs, second)
         assert lost == expected
         assert [item.run.id for item in kept] == [f"run{r}" for r in range(3 - len(expected))]
 
@@ -250,11 +255,11 @@ def test_a_swinging_shaft_has_sidebands_of_bessel_functions(frequency):
     nu, swing = TURN * frequency, 0.03
     data, phases = swinging(nu, swing, seed=4)
     runs = harmonics_of(data)
-    second = find_second(data, runs)
+    second = find_asynchronous(data, runs)
     assert not second.follows
     assert abs(second.value - nu) < 3 * second.std
     assert {-1, 1, -2, 2} <= set(second.orders) <= {-3, -2, -1, 1, 2, 3}
-    kept, lost = with_second(data, runs, second)
+    kept, lost = with_asynchronous(data, runs, second)
     assert lost == []
     c = {m: HARMONICS[m] if m > 0 else HARMONICS[-m].conj() for m in second.orders}
     sidebands = np.array([jv(1, m * swing) * c[m] for m in second.orders])
@@ -263,7 +268,7 @@ def test_a_swinging_shaft_has_sidebands_of_bessel_functions(frequency):
     assert_chi_squared(sum(map(chi_squared, errors, kept)), sum(2 * error.size for error in errors))
     carriers = jv(0, np.arange(4) * swing)[:, None] * HARMONICS  # at the even angle, which the swing does not turn
     for item in kept:
-        std = item.fit.std[:4]
+        std = std_of(item.fit)[:4]
         assert (np.abs((item.fit.values[:4] - carriers).real) < 5 * std.real).all()
         assert (np.abs((item.fit.values[1:4] - carriers[1:]).imag) < 5 * std[1:].imag).all()
 
@@ -296,7 +301,7 @@ def test_amplitudes_scatter_as_their_covariance_says(kind, draws):
     tacho = pulses(lambda t: speed * t, time[-1])
     data = recording([clean + noise(kind, random) for _ in range(draws)], [speed] * draws, [tacho] * draws)
     orders = (-1, 0, 1)
-    kept, lost = with_second(data, harmonics_of(data), Second(NU, 0.0, False, orders))
+    kept, lost = with_asynchronous(data, harmonics_of(data), Asynchronous(NU, 0.0, False, orders))
     assert (len(kept), lost) == (draws, [])
     for k, order in enumerate(orders):
         part = slice(4 * k, 4 * k + 4)
@@ -321,7 +326,7 @@ def test_harmonics_of_higher_orders_than_are_fitted_are_no_second_frequency():
     runs = harmonics_of(made_here, made_here.runs)
     assert all(item.fit.orders[-1] < 23 for item in runs)
     assert all(len(item.fit.lines) >= 3 for item in runs)
-    assert find_second(made_here, runs) is None
+    assert find_asynchronous(made_here, runs) is None
 
 
 def test_weak_lines_of_other_origin_do_not_hide_a_second_frequency():
@@ -338,11 +343,11 @@ def test_weak_lines_of_other_origin_do_not_hide_a_second_frequency():
         shown(24.9, (nu + 24.9, 0.6), (167.7, weak * 0.6), (9.1, weak * 0.6), (111.4, weak * 0.6)),
         shown(40.5, (nu + 40.5, 2.0), (178.9, weak * 2), (64.2, weak * 2)),
     ]
-    found = second_frequency._guessed(runs)
+    found = asynchronous.frequency_of_lines(runs)
     assert found is not None
     assert found.value == pytest.approx(2 * np.pi * nu, rel=1e-9)
     alone = [shown(15.2, (71.9, 1.0), (41.9, 1.0)), shown(24.9, (33.3, 1.0), (167.7, 1.0), (9.1, 1.0), (111.4, 1.0))]
-    assert second_frequency._guessed(alone) is None
+    assert asynchronous.frequency_of_lines(alone) is None
 
 
 @pytest.mark.parametrize(("swing", "found"), [(2e-3, True), (0.0, False)])
@@ -356,7 +361,7 @@ def test_pulses_show_a_slow_swing_that_the_measured_angle_follows(swing, found):
         return SimpleNamespace(run=SimpleNamespace(tacho=even + late + 1e-6 * random.standard_normal(len(even))))
 
     runs = [turned(speed) for speed in (2.1, 15.3, 20.2, 31.4, 44.0, 63.0)]
-    second = second_frequency._swinging(runs)
+    second = asynchronous.frequency_of_pulses(runs)
     assert (second is not None) is found
     if second is not None:
         assert second.value == pytest.approx(nu, rel=0.05)
@@ -371,7 +376,7 @@ def test_pulses_that_only_jitter_show_no_swing():
         for speed in (15.3, 31.4, 44.0):
             even = np.arange(0.05, 1.0, 1 / speed)
             runs.append(SimpleNamespace(run=SimpleNamespace(tacho=even + 1e-6 * random.standard_normal(len(even)))))
-        alarms += second_frequency._swinging(runs) is not None
+        alarms += asynchronous.frequency_of_pulses(runs) is not None
     assert alarms <= 3
 
 
@@ -389,7 +394,7 @@ def test_pulses_of_a_coarse_timer_show_no_swing(timer):
             even = np.arange(random.uniform(0, 1 / speed), 1.0, 1 / speed)
             pulses = timer * np.round(even / timer) if timer else even
             runs.append(SimpleNamespace(run=SimpleNamespace(tacho=pulses)))
-        alarms += second_frequency._swinging(runs) is not None
+        alarms += asynchronous.frequency_of_pulses(runs) is not None
     assert alarms <= 2
 
 
@@ -398,7 +403,7 @@ def test_a_strong_slow_swing_of_many_harmonics_is_found():
     """Sidebands of orders 6 to 9 and of twice the frequency stand out of noise, and an angle by pulses follows most."""
     nu, harmonics = TURN * 3.1, np.array([[1.0, 1.0j]] * 10) / np.arange(1, 11)[:, None]
     data, _ = swinging(nu, 0.02, 7, harmonics, 1e-3, [*SPEEDS, TURN * 14.9, TURN * 30.3, TURN * 45.1])
-    second = find_second(data, harmonics_of(data))
+    second = find_asynchronous(data, harmonics_of(data))
     assert second is not None
     assert second.even
     assert abs(second.value - nu) < 3 * second.std < 1e-2 * nu
@@ -411,7 +416,7 @@ def test_runs_in_which_twice_a_strong_swing_falls_on_harmonics_are_left_out():
         beside = SimpleNamespace(second=TURN * nu, values=np.array([[line], [0.5j * line]]), gram=np.full(2, 1 / 5000))
         values, residual = np.array([[1.0], [1e-5j], [2e-6]]), np.array([5e-9 * np.sqrt(5000)])
         fit = SimpleNamespace(speed=-TURN * speed, values=values, residual=residual, beside=beside)
-        return second_frequency._twice(fit, 1.0)
+        return asynchronous.has_multiples(fit, 1.0)
 
     assert hidden(20.0, 50.4, 1e-6)  # 100.8 Hz is 5X
     assert hidden(20.0, 46.9, 1e-6)  # 140.7 Hz is 7X: twice the swing falls on its other side, 7X - 46.9 Hz
@@ -424,8 +429,7 @@ def test_a_combination_where_a_line_is_picked_up_is_not_told():
     time = np.arange(N) / RATE
     y = {"y": np.cos(NU * time) + NOISE * np.random.default_rng(0).standard_normal(N)}
     for away, told in ((0.0, False), (1.4, False), (1.6, True)):  # lines of the spectrum; 1.5 are needed
-        found = fit_harmonics(
-            "run", time, TURN * 7.3 * time, y, orders=2, second=(NU, np.array([0])), pickups=[NU / TURN + away]
-        )
+        samples = Samples("run", time, TURN * 7.3 * time, y)
+        found = fit_harmonics(samples, orders=2, second=(NU, np.array([0])), pickups=[NU / TURN + away])
         assert found.beside is not None
         assert found.beside.told.tolist() == [told]

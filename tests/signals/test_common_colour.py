@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from rotorsim.signals.colour import bands_of, common_colour, density, of_mean
-from rotorsim.signals.harmonic_fit import real_vector
+from rotorsim.signals.colour import bands_of, common_colour, density, variance_of_mean
+from rotorsim.signals.covariance import real_vector
 from rotorsim.signals.harmonics import harmonics_of
 from rotorsim.signals.noise import Noise
 from tests.recordings.test_nuisances import TIME, N, flicker
@@ -86,7 +86,7 @@ def test_noise_is_of_another_colour_once_in_a_thousand_recordings(times, alike):
 def test_drifts_under_flicker_noise():
     """Variance of Legendre coefficients of samples over a run against what the density says, 400 draws."""
     colour = np.array([[1.0, CORNER, 1.0]] * 2)  # a run of a second: lines are hertz
-    noise = Noise(of_mean(colour)[:, None, None] * np.eye(2), False, 100.0, colour)
+    noise = Noise(variance_of_mean(colour)[:, None, None] * np.eye(2), False, 100.0, colour)
     u = 2 * TIME / TIME[-1] - 1
     shapes = np.linalg.pinv(np.column_stack([np.ones(N), u, 1.5 * u**2 - 0.5]))
     random = np.random.default_rng(6)

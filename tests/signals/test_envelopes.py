@@ -130,7 +130,7 @@ def test_what_is_no_run_up_is_refused():
     coarse = Result(time, {"r.x": time, "clock.speed": 70 + time}, {})
     short = Result(time[:9], {"r.x": time[:9], "clock.speed": time[:9]}, {})
     for call, text in (
-        (lambda: run_up(result, "r.d"), "r.d: not a scalar signal\n\nhint: name one entry: 'r.d[1]'"),
+        (lambda: run_up(result, "r.d"), "r.d: has 2 entries\n\nhint: name one of them: 'r.d[1]' .. 'r.d[2]'"),
         (lambda: run_up(result, "a.lost"), "a.lost: not finite from t = 0.5 s on\n\nhint: advice"),
         (
             lambda: run_up(result, "r.d[1]", speed="a.constant"),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotorsim.signals.asynchronous import _guessed, find_second
+from rotorsim.signals.asynchronous import find_asynchronous, frequency_of_lines
 from rotorsim.signals.harmonics import harmonics_of
 from tests.signals.test_asynchronous import NOISE, NU, RATIO, SPEEDS, made
 
@@ -26,8 +26,8 @@ def test_a_line_too_faint_for_one_run_is_found_in_all(orders, nu, follows, draws
     for seed in range(draws):
         data, _ = made(dict.fromkeys(orders, FAINT), seed=seed, nu=nu, follows=follows)
         runs = harmonics_of(data)
-        hidden += _guessed(runs) is None
-        second = find_second(data, runs)
+        hidden += frequency_of_lines(runs) is None
+        second = find_asynchronous(data, runs)
         assert second is not None
         assert (second.follows, second.orders) == (follows, orders)
         off.append((second.value - nu) / second.std)
@@ -38,7 +38,7 @@ def test_a_line_too_faint_for_one_run_is_found_in_all(orders, nu, follows, draws
 
 def test_it_is_found_with_shafts_that_turn_back():
     data, _ = made({0: FAINT}, seed=3, speeds=-SPEEDS)
-    second = find_second(data, harmonics_of(data))
+    second = find_asynchronous(data, harmonics_of(data))
     assert second is not None
     assert abs(second.value - NU) < 4 * second.std
 
@@ -53,4 +53,4 @@ def test_skirts_of_harmonics_that_grow_are_no_lines():
             runs.append(replace(run, values={name: values + grows for name, values in run.values.items()}))
         grown = harmonics_of(replace(data, runs=tuple(runs)))
         assert all(item.fit.residual.min() > 1.1 * NOISE for item in grown)
-        assert find_second(replace(data, runs=tuple(runs)), grown) is None
+        assert find_asynchronous(replace(data, runs=tuple(runs)), grown) is None

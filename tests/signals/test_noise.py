@@ -5,7 +5,9 @@ import pytest
 from scipy.stats import chi2, f
 
 from rotorsim.signals.harmonic_fit import Beside, HarmonicFit
-from rotorsim.signals.noise import Noise, _is_white, find_lines, noise_of
+from rotorsim.signals.lines import find_lines
+from rotorsim.signals.noise import Noise, noise_of
+from rotorsim.signals.whitening import is_white
 
 TURN = 2 * np.pi
 N, STEP = 8000, 1e-3
@@ -69,7 +71,7 @@ def test_noise_is_called_coloured_where_it_is_white_once_in_ten_thousand(times, 
     statistic = 100 * ((1 + a) / overall - 1) ** 2 + 1500 * (1 / overall - 1) ** 2
     power = np.ones((1600, 1))
     power[1500:] += np.interp(wanted, statistic, a)
-    assert _is_white(power) is white
+    assert is_white(power) is white
 
 
 @pytest.mark.parametrize(("times", "found"), [(0.99, 0), (1.01, 1)])

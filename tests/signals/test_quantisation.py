@@ -10,8 +10,9 @@ from scipy.stats import chi2
 
 from rotorsim.errors import Place
 from rotorsim.recordings.recording import Channel, Recording, Run
+from rotorsim.signals.covariance import real_vector
 from rotorsim.signals.harmonics import harmonics_of
-from rotorsim.signals.quantisation import Step, _slopes, find_steps, step_of, without_steps
+from rotorsim.signals.quantisation import Step, find_steps, interval_slopes, step_of, without_steps
 
 COUNT, RATE, SPEED = 4000, 5000.0, 2 * np.pi * 23.7
 TRUE = {0: 3e-6, 1: 4e-6 - 2e-6j, 2: 0.8e-6j, 3: 0.3e-6}
@@ -39,7 +40,7 @@ def recorded(step: float, noise: float, seed: int, sizes: tuple[float, ...] = (1
 def missed(fit, size: float = 1.0) -> float:
     """Return the distance of harmonics from the truth, in variances."""
     true = size * np.array([TRUE.get(int(k), 0.0) for k in fit.orders], complex)[:, None]
-    e = fit.real_vector(fit.values - true)
+    e = real_vector(fit.values - true)
     return float(e @ np.linalg.solve(fit.covariance, e))
 
 
@@ -65,9 +66,9 @@ def test_slopes_are_those_of_the_log_likelihood():
     """Far out, too, where both ends have no probability to speak of."""
     upper, lower = np.array([0.3, 9.0, -7.0, 60.0, 0.01]), np.array([-0.2, 8.5, -7.5, 59.0, -0.01])
     h = 1e-6
-    a, b, _ = _slopes(upper, lower)
-    by_upper = (_slopes(upper + h, lower)[2] - _slopes(upper - h, lower)[2]) / (2 * h)
-    by_lower = (_slopes(upper, lower + h)[2] - _slopes(upper, lower - h)[2]) / (2 * h)
+    a, b, _ = interval_slopes(upper, lower)
+    by_upper = (interval_slopes(upper + h, lower)[2] - interval_slopes(upper - h, lower)[2]) / (2 * h)
+    by_lower = (interval_slopes(upper, lower + h)[2] - interval_slopes(upper, lower - h)[2]) / (2 * h)
     np.testing.assert_allclose(a, by_upper, rtol=1e-5, atol=1e-7)
     np.testing.assert_allclose(-b, by_lower, rtol=1e-5, atol=1e-7)
 

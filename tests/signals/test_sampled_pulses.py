@@ -11,7 +11,8 @@ from rotorsim.errors import Place, RotorsimError
 from rotorsim.identification.identification import identify
 from rotorsim.measure.checks import check_signals
 from rotorsim.recordings.recording import Channel, Recording, Run
-from rotorsim.signals.harmonic_fit import fit_harmonics, real_vector
+from rotorsim.signals.covariance import real_vector
+from rotorsim.signals.harmonic_fit import Samples, fit_harmonics
 from rotorsim.signals.harmonics import harmonics_of
 from rotorsim.signals.shaft_angle import ShaftAngle, pulse_edges, pulse_resolution, shaft_angle, steady_limit
 from tests.reference.jeffcott import Jeffcott
@@ -194,7 +195,8 @@ def test_a_turned_harmonic_is_as_far_from_the_truth_as_stated(std):
         error = np.sqrt(3) * std * random.uniform(-1, 1)
         wave = np.exp(1j * np.outer(theta + error, [0, 1, 2]))
         y = c[0].real + 2 * (wave[:, 1:] @ c[1:]).real + 0.02 * random.standard_normal((1000, 2))
-        fit = fit_harmonics("run1", TIME[:1000], theta, dict(zip("xy", y.T, strict=True)), orders=2, angle_std=std)
+        signals = dict(zip("xy", y.T, strict=True))
+        fit = fit_harmonics(Samples("run1", TIME[:1000], theta, signals, angle_std=std), orders=2)
         off = real_vector(fit.values - c)
         total += float(off @ np.linalg.solve(fit.covariance, off))
     assert chi2.ppf(1e-4, 500 * 0.7) < total < chi2.isf(1e-4, 500)

@@ -1,6 +1,5 @@
 """The shaft angle from tacho pulses, an angle channel or the speed, with what the jitter of pulses costs."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,9 @@ from scipy.stats import binom, chi2
 
 from rotorsim.errors import Place, RotorsimError
 from rotorsim.recordings.recording import Channel, Recording, Run
-from rotorsim.signals.harmonic_fit import real_vector
+from rotorsim.signals.covariance import real_vector
 from rotorsim.signals.harmonics import harmonics_of
-from rotorsim.signals.shaft_angle import ShaftAngle, at_equal_angles, pulse_times, shaft_angle
+from rotorsim.signals.shaft_angle import ShaftAngle, pulse_edges, shaft_angle
 from tests.signals.test_harmonic_fit import harmonics, same_covariance, signal
 
 RATE = 5000.0
@@ -258,7 +257,7 @@ def test_pulses_from_a_voltage(hertz, width, low, height, noisy, seed):
     voltage = low + height * (phase < width)
     if noisy:
         voltage = voltage + 0.01 * height * np.random.default_rng(seed).standard_normal(len(time))
-    pulses = pulse_times(time, voltage)
+    pulses, _ = pulse_edges(time, voltage)
     expected = (np.arange(1, int(hertz + 0.31) + 2) - 0.31) / hertz
     expected = expected[expected <= time[-1]]
     assert abs(len(pulses) - len(expected)) <= (expected[-1] > time[-2])
@@ -270,9 +269,18 @@ def test_slow_edges_with_noise_make_one_pulse_each():
     time = np.arange(20_000) / 20_000
     voltage = 5 * np.clip(3 * np.cos(TURN * 20 * time), -1, 1)
     voltage = voltage + 0.2 * np.random.default_rng(0).standard_normal(len(time))
-    pulses = pulse_times(time, voltage)
+    pulses, _ = pulse_edges(time, voltage)
     assert len(pulses) == 20
     assert np.std(np.diff(pulses)) < 2e-4
+
+
+def test_a_dip_of_a_pulse_makes_no_other_one():
+    """To 40 and 46 % of its height, and up again; one to 30 % is another pulse."""
+    for dip, expected in ((2.0, 1), (1.5, 2)):
+        voltage = np.zeros(400)
+        voltage[100:200] = 5.0
+        voltage[120:122] = dip, 2.3
+        assert len(pulse_edges(np.arange(400.0), voltage)[0]) == expected
 
 
 def test_a_voltage_is_used_when_pulses_are_not_given():
@@ -287,27 +295,4 @@ def test_a_voltage_is_used_when_pulses_are_not_given():
 def test_a_voltage_without_pulses():
     for voltage in (np.zeros(100), np.full(100, 5.0)):
         with pytest.raises(RotorsimError, match="tacho: the pulse signal is constant"):
-            pulse_times(np.arange(100.0), voltage)
-
-
-# --- order tracking ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("way", [1, -1])
-def test_equal_angles(way):
-    theta = way * turned([0.3, SPEED, 5.0])
-    angle = found(channel=theta)
-    at, values = at_equal_angles(angle, np.column_stack([np.cos(theta), np.sin(3 * theta)]), 64)
-    np.testing.assert_allclose(np.diff(at), way * TURN / 64)
-    assert len(at) % 64 == 0
-    assert len(at) == 64 * int((abs(theta[-1]) - np.ceil(0.3 / (TURN / 64)) * TURN / 64) / TURN)
-    step = 3 * SPEED / RATE  # error of a cubic spline: 5/384 h^4 of the fourth derivative, in the middle
-    np.testing.assert_allclose(values, np.column_stack([np.cos(at), np.sin(3 * at)]), atol=3 * step**4)
-
-
-def test_equal_angles_of_less_than_a_turn_or_back_and_forth():
-    angle = found(channel=turned([0.0, SPEED]))
-    with pytest.raises(RotorsimError, match="less than one turn"):
-        at_equal_angles(replace(angle, theta=np.linspace(0, 6, 5000)), TIME, 64)
-    with pytest.raises(RotorsimError, match="does not turn one way"):
-        at_equal_angles(replace(angle, theta=20 * np.sin(9 * TIME)), TIME, 64)
+            pulse_edges(np.arange(100.0), voltage)

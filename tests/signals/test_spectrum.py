@@ -192,9 +192,9 @@ def test_what_cannot_be_analysed_is_refused():
     for call, text in (
         (
             lambda: harmonics(result, "r.d", window=(5, 6)),
-            "window: window 5..6 s holds 0 samples\n\nhint: the result covers 0..0.99 s",
+            "window 5..6 s holds 0 samples\n\nhint: the run covers 0..0.99 s",
         ),
-        (lambda: harmonics(short, "r.d"), "window: only 2 samples\n\nhint: the result covers 0..0.01 s"),
+        (lambda: harmonics(short, "r.d"), "only 2 samples\n\nhint: the run covers 0..0.01 s"),
         (lambda: last_turns(short), "window: only 2 samples\n\nhint: a longer run"),
         (
             lambda: harmonics(result, "clock.theta"),
@@ -204,12 +204,12 @@ def test_what_cannot_be_analysed_is_refused():
         (lambda: full_spectrum(result, "f.lost"), "f.lost: not finite from t = 0.5 s on\n\nhint: advice"),
         (
             lambda: harmonics(result, "r.d", (1, 1)),
-            "r.d: 2 harmonics cannot be told apart in 6.3 turns (100 samples)"
+            "r.d: 2 harmonics cannot be separated in 6.3 turns (100 samples)"
             "\n\nhint: a longer window, or fewer and different orders",
         ),
         (
             lambda: harmonics(result, "r.d", angle="still.theta"),
-            "r.d: 9 harmonics cannot be told apart in 0 turns (100 samples)"
+            "r.d: 9 harmonics cannot be separated in 0 turns (100 samples)"
             "\n\nhint: a longer window, or fewer and different orders",
         ),
         (

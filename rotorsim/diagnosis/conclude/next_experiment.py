@@ -23,6 +23,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.periodic_likelihood import likelihood_of
 from rotorsim.settled.motion import NonlinearMotion
+from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.units import format_quantity
 
@@ -175,7 +176,10 @@ def _predicted(fit: Fit, source: Source, runs: tuple[RunHarmonics, ...]) -> Sequ
     nothing: list[_Predicted | None] = [None] * len(runs)
     try:
         experiment = open_experiment(
-            source.load(fit.document), source.recording, runs=[item.run for item in runs], harmonics=runs
+            before_converters(source.load(fit.document)),
+            source.recording,
+            runs=[item.run for item in runs],
+            harmonics=runs,
         )
         likelihood = likelihood_of(experiment)
         theta = np.array([fit.values.get(item.name, item.value) for item in experiment.free])

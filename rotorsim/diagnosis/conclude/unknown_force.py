@@ -15,7 +15,7 @@ from rotorsim.diagnosis.evidence.harmonic import Fit, Source
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.settled.linear_motion import Motion
-from rotorsim.signals.asynchronous import Second
+from rotorsim.signals.asynchronous import Asynchronous
 
 __all__ = ["Unknown", "describe"]
 
@@ -130,7 +130,7 @@ def _typical(F: np.ndarray) -> np.ndarray:
     return np.asarray(2 * np.sqrt((np.abs(F) ** 2).sum(axis=2).mean(axis=0)))
 
 
-def _lines(force: _Force, second: Second | None, words: list[str]) -> dict[str, Any]:
+def _lines(force: _Force, second: Asynchronous | None, words: list[str]) -> dict[str, Any]:
     """Return where lines beside the harmonics are, and the force at them; add it in words."""
     if second is None or not force.beside_told.any():
         return {}

@@ -18,12 +18,12 @@ from rotorsim.units import compatible, format_quantity
 
 __all__ = ["errors_in_words", "in_terms", "of_what_rests", "units_in_words", "what_controllers_obey", "what_is_left"]
 
-TURNING = ("missing channel", "no phase reference")  # findings that matter only of a shaft that turns
+TURNING = ("missing_channel", "no_phase_reference")  # codes of findings that matter only of a shaft that turns
 
 
 def of_what_rests(warnings: Sequence[Problem]) -> tuple[Problem, ...]:
     """Return the warnings without those that matter only of a shaft that turns."""
-    return tuple(problem for problem in warnings if not problem.what.startswith(TURNING))
+    return tuple(problem for problem in warnings if problem.code not in TURNING)
 
 
 def in_terms(found: Diagnosis, terms: Mapping[str, str]) -> Diagnosis:

@@ -24,7 +24,8 @@ from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 from rotorsim.settled.linear_motion import Motion
 from rotorsim.settled.motion import NonlinearMotion
-from rotorsim.signals.asynchronous import Second
+from rotorsim.signals.asynchronous import Asynchronous
+from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonics import RunHarmonics
 
 __all__ = ["LATER", "Fit", "Source", "fit_document", "fit_from_plain", "fit_to_plain", "left_out"]
@@ -76,20 +77,20 @@ class Source:
     harmonics: tuple[RunHarmonics, ...]
     folder: str | None = None
     trust_blocks: bool = False
-    second: Second | None = None
+    second: Asynchronous | None = None
     standing: int | None = None
     given: tuple[Free, ...] = ()
 
     def load(self, document: Mapping[str, Any]) -> Diagram:
-        """Return the diagram of a document; recordings mean what goes into its converters. Raises RotorsimError."""
+        """Return the diagram of a document. Raises RotorsimError."""
         folder = Path(self.folder) if self.folder else None
-        return load(document, folder=folder, trust_blocks=self.trust_blocks).before_converters()
+        return load(document, folder=folder, trust_blocks=self.trust_blocks)
 
     def open(self, diagram: Diagram, *, given: Sequence[str] = (), inject: Sequence[str] = ()) -> Experiment:
         """Return a diagram beside the harmonics; see `rotorsim.identification.experiment.open_experiment`."""
         has_mesh = any(node.block.refinement for node in diagram.nodes.values())
         return open_experiment(
-            diagram,
+            before_converters(diagram),
             self.recording,
             runs=[item.run for item in self.harmonics],
             given=given,

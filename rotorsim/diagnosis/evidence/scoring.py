@@ -17,6 +17,7 @@ from rotorsim.identification.likelihood import Evaluation, Likelihood
 from rotorsim.identification.periodic_likelihood import likelihood_of
 from rotorsim.recordings.recording import Recording
 from rotorsim.settled.motion import NonlinearMotion
+from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonics import RunHarmonics
 
 __all__ = ["Held", "HeldScore", "Prediction", "Score", "left_out_score", "predict", "score", "standardised", "surprise"]
@@ -82,7 +83,7 @@ def _mean(values: Mapping[str, float]) -> float | None:
 
 def predict(document: Mapping[str, Any], source: Source, held: Held) -> Prediction:
     """Return the prediction of runs by a diagram as it is, with the means of slow states at their best."""
-    diagram = source.load(document)
+    diagram = before_converters(source.load(document))
     runs = [item.run for item in held.harmonics]
     experiment = open_experiment(diagram, held.recording, runs=runs, harmonics=held.harmonics)
     if isinstance(experiment.motion, NonlinearMotion):

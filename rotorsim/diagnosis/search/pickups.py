@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorsim.diagnosis.evidence.harmonic import Fit, Source
 from rotorsim.diagnosis.search.places import open_places
-from rotorsim.signals.asynchronous import Second, with_second
+from rotorsim.signals.asynchronous import Asynchronous, with_asynchronous
 from rotorsim.signals.pickup import find_mains
 
 __all__ = ["find_pickups"]
@@ -53,8 +53,8 @@ def _is_pickup(base: Fit, source: Source, frequency: float, odds: float) -> bool
     A force has one complex amplitude for each entry of its port in each run, and the closed loop says what all channels
     show of it. Pick-up has one for each channel that picks up. Compared by the Bayesian information criterion.
     """
-    second = Second(TURN * frequency, 0.0, False, (0,))
-    told, _ = with_second(source.recording, source.harmonics, second)
+    second = Asynchronous(TURN * frequency, 0.0, False, (0,))
+    told, _ = with_asynchronous(source.recording, source.harmonics, second)
     if len(told) < 1:
         return False
     opened = open_places(base, replace(source, harmonics=told, second=second))

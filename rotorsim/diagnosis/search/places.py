@@ -19,7 +19,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.linear.linearisation import entry_names
 from rotorsim.settled.linear_motion import Motion
-from rotorsim.signals.harmonic_fit import real_vector
+from rotorsim.signals.covariance import real_vector
 
 __all__ = ["Places", "open_places"]
 

@@ -27,7 +27,9 @@ from rotorsim.linear.linearisation import flat_names, refuse_sampled
 from rotorsim.measure.record import measure, with_noise
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, AXES, Channel, Recording, Run
-from rotorsim.signals.harmonic_fit import Basis, HarmonicFit, complex_values, fit_harmonics, harmonic_basis
+from rotorsim.signals.covariance import complex_values
+from rotorsim.signals.harmonic_basis import Basis, harmonic_basis
+from rotorsim.signals.harmonic_fit import HarmonicFit, Samples, fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.signals.shaft_angle import ShaftAngle
 
@@ -88,7 +90,8 @@ def clean_runs(
             angle = ShaftAngle(theta, (theta[-1] - theta[0]) / (time[-1] - time[0]), 0.0, 0.0, "channel", True)
             basis = harmonic_basis(name, time, theta)
             signals = {c.name: column for c, column in zip(channels, values.T, strict=True)}
-            fit = fit_harmonics(name, time, theta, signals, {c.name: c.unit for c in channels}, basis=basis)
+            samples = Samples(name, time, theta, signals, {c.name: c.unit for c in channels})
+            fit = fit_harmonics(samples, basis=basis)
             runs.append(Clean(run, values, angle, basis, fit))
     if problems:
         raise RotorsimError(*problems)
@@ -213,7 +216,8 @@ class Bench:
                 found.append(RunHarmonics(item.run, item.angle, fit))
                 continue
             signals = dict(zip(self.names, values.T, strict=True))
-            fit = fit_harmonics(item.run.id, item.run.time, item.angle.theta, signals, self.units, basis=item.basis)
+            samples = Samples(item.run.id, item.run.time, item.angle.theta, signals, self.units)
+            fit = fit_harmonics(samples, basis=item.basis)
             found.append(RunHarmonics(item.run, item.angle, fit))
         return found
 

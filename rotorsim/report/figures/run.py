@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.report.style import AXES, BLUE, GREEN, GREY, INK, ORANGE, RED, ROUNDING, display, figure, rpm, styled
-from rotorsim.signals.spectrum import FullSpectrum, RunUp, angle_of, full_spectrum, last_turns, run_up
+from rotorsim.signals.envelopes import RunUp, run_up
+from rotorsim.signals.spectrum import FullSpectrum, angle_of, full_spectrum, last_turns
 from rotorsim.simulation.result import Result
 
 __all__ = ["orbit", "overview", "run_up_figure", "save_figure", "spectrum_figure", "time_histories", "two_axis_signals"]

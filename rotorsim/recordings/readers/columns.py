@@ -1,0 +1,101 @@
+"""Columns of measurement files of every format: .csv, .npz, .mat, .h5, and by optional packages .tdms, .uff, .mf4."""
+
+from __future__ import annotations
+
+import warnings as python_warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from rotorsim.errors import Place, Problem, RotorsimError
+from rotorsim.recordings.readers.csv import CsvReader
+from rotorsim.recordings.readers.hdf5 import Hdf5Reader
+from rotorsim.recordings.readers.mat import MatReader
+from rotorsim.recordings.readers.mf4 import Mf4Reader
+from rotorsim.recordings.readers.npz import NpzReader
+from rotorsim.recordings.readers.reader import Columns, Reader, refuse_large
+from rotorsim.recordings.readers.tdms import TdmsReader
+from rotorsim.recordings.readers.uff import UffReader
+
+__all__ = ["READERS", "read_columns"]
+
+_FORMATS: tuple[Reader, ...] = (
+    CsvReader(),
+    NpzReader(),
+    MatReader(),
+    Hdf5Reader(),
+    TdmsReader(),
+    UffReader(),
+    Mf4Reader(),
+)
+READERS: dict[str, Reader] = {suffix: reader for reader in _FORMATS for suffix in reader.suffixes}
+
+
+def read_columns(
+    path: Path,
+    columns: Sequence[str],
+    time_column: str | None = None,
+    *,
+    shown: str = "",
+    warnings: list[Problem] | None = None,
+) -> dict[str, np.ndarray]:
+    """Return columns of a data file: name -> (n,), as the numbers stand in the file.
+
+    A name may be a path in the file (``group/x``), and ``name[2]`` is the second column of a two-dimensional array.
+    shown: the file's name in messages. warnings: takes one for values that are not finite.
+    Raises RotorsimError with every mistake: missing columns, text in cells, lengths that differ.
+    """
+    wanted = list(dict.fromkeys([*columns, *([] if time_column is None else [time_column])]))
+    file, suffix = shown or str(path), path.suffix.lower()
+    try:
+        reader = _reader_of(path)
+        with python_warnings.catch_warnings():
+            python_warnings.simplefilter("ignore")  # of foreign readers; what matters is checked here
+            found = reader.read(path, wanted)
+        lengths = {name: len(array) for name, array in found.values.items()}
+        if len(set(lengths.values())) > 1:
+            text = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            hint = "columns of one run must be sampled together; put others into a run of their own"
+            raise RotorsimError(Problem(f"columns differ in length: {text}", hint=hint))
+    except RotorsimError as error:
+        raise RotorsimError(*(_in_file(problem, file) for problem in error.problems)) from None
+    except Exception as error:  # foreign readers raise anything on a damaged file
+        said = (str(error).splitlines() or [""])[0][:120]
+        what = f"not a {suffix} file that can be read: {type(error).__name__}: {said}"
+        raise RotorsimError(Problem(what, place=Place(file))) from None
+    if warnings is not None:
+        warnings += [_in_file(problem, file) for problem in _not_finite(found)]
+    return found.values
+
+
+def _in_file(problem: Problem, file: str) -> Problem:
+    return replace(problem, place=replace(problem.place, file=file))
+
+
+def _reader_of(path: Path) -> Reader:
+    """Return the reader of a file that has a known format, something in it, and not too much."""
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        what = f"unknown format '{path.suffix}'" if path.suffix else "the name has no suffix that says the format"
+        raise RotorsimError(Problem(what, hint=f"one of {', '.join(READERS)}"))
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise RotorsimError(Problem(f"file cannot be read: {error.strerror}")) from None
+    if size == 0:
+        raise RotorsimError(Problem("file is empty"))
+    refuse_large(size, "file is larger than")
+    return reader
+
+
+def _not_finite(columns: Columns) -> list[Problem]:
+    """Return warnings of columns that hold values that are not finite."""
+    problems = []
+    for name, array in columns.values.items():
+        bad = np.flatnonzero(~np.isfinite(array))
+        if len(bad):
+            what = f"{len(bad)} of {len(array)} values are not finite, the first is sample {bad[0] + 1}"
+            problems.append(Problem(what, f"column {name}", columns.place(int(bad[0]), name), severity="warning"))
+    return problems
