@@ -6,13 +6,22 @@ from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from rotorsim.fmi.description.model import FmuUnit, Value
-from rotorsim.ssp.structure import NAMESPACES, Component, Connection, Connector, End, Structure, System, same_unit
+from rotorsim.fmi.description.model import BASE_UNITS, FmuUnit, Value
+from rotorsim.ssp.structure import (
+    FMU,
+    INTERFACES,
+    NAMESPACES,
+    Component,
+    Connection,
+    Connector,
+    End,
+    Structure,
+    System,
+    same_unit,
+)
 
 __all__ = ["system_description", "values_description"]
 
-_INTERFACES = {"cs": "CoSimulation", "me": "ModelExchange"}
-_BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _TYPES1 = {"Float64": "Real", "Float32": "Real", "Boolean": "Boolean", "String": "String"}
 
 
@@ -36,7 +45,7 @@ class _Units:
             return
         units = SubElement(parent, f"{space}:Units")
         for name, unit in sorted(self.used.items()):
-            powers = {base: str(unit.powers[base]) for base in _BASES if unit.powers.get(base)}
+            powers = {base: str(unit.powers[base]) for base in BASE_UNITS if unit.powers.get(base)}
             base = SubElement(SubElement(units, "ssc:Unit", name=name), "ssc:BaseUnit", powers)
             if unit.factor != 1.0:
                 base.set("factor", repr(unit.factor))
@@ -106,11 +115,9 @@ def _connectors(parent: Element, connectors: Iterable[Connector], units: _Units)
 
 
 def _component(parent: Element, component: Component, units: _Units) -> None:
-    element = SubElement(
-        parent, "ssd:Component", name=component.name, type="application/x-fmu-sharedlibrary", source=component.source
-    )
+    element = SubElement(parent, "ssd:Component", name=component.name, type=FMU, source=component.source)
     if component.interface:
-        element.set("implementation", _INTERFACES[component.interface])
+        element.set("implementation", INTERFACES[component.interface])
     _connectors(element, component.connectors, units)
     if component.settings:
         bindings = SubElement(element, "ssd:ParameterBindings")
