@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from rotorsim.cosim.compiled_participant import CompiledParticipant
 from rotorsim.cosim.coupling import Coupling
 from rotorsim.cosim.fmu_participant import fmu_participant
-from rotorsim.cosim.participant import CompiledParticipant, Participant
+from rotorsim.cosim.participant import Participant
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.linear.linearisation import entry_names
@@ -25,7 +26,7 @@ def couple(
     parameters: Mapping[str, Any] | None = None,
     participants: Mapping[str, Participant] | None = None,
     use_compiler: bool = True,
-) -> Coupling:
+) -> Coupling[Participant]:
     """Return a diagram cut into participants: one compiled part for each group of blocks, and the participants given.
 
     participants: block -> a participant in its place (an FMU); its inputs and outputs are named as the block's ports,
@@ -96,27 +97,18 @@ def _wires(diagram: Diagram, participants: Sequence[Participant], foreign: set[s
     """Return L and u0: a compiled part's inputs are named by their source, a foreign one's by its own ports."""
     outputs = [name for participant in participants for name in participant.outputs]
     at = {name: k for k, name in enumerate(outputs)}
-    rows = []
-    for participant in participants:
-        for name in participant.inputs:
-            row = np.zeros(len(outputs))
-            if name.partition(".")[0] in foreign and participant is not None and _owns(participant, name, foreign):
-                for source in sources_of(diagram, name):
-                    row[at[source]] += 1.0
-            else:
-                row[at[name]] = 1.0
-            rows.append(row)
-    L = np.array(rows).reshape(len(rows), len(outputs))
-    return L, np.zeros(len(rows))
-
-
-def _owns(participant: Participant, name: str, foreign: set[str]) -> bool:
-    return participant.name in foreign and name.partition(".")[0] == participant.name
+    inputs = [(participant, name) for participant in participants for name in participant.inputs]
+    L = np.zeros((len(inputs), len(outputs)))
+    for row, (participant, name) in zip(L, inputs, strict=True):
+        own = participant.name in foreign and name.partition(".")[0] == participant.name
+        for source in sources_of(diagram, name) if own else [name]:
+            row[at[source]] += 1.0
+    return L, np.zeros(len(L))
 
 
 def sources_of(diagram: Diagram, name: str) -> list[str]:
     """Return the flat output entries that add up to one input entry of a block."""
-    found = []
+    found: list[str] = []
     for wire in diagram.wires:
         target, source = wire.target, wire.source
         declared = diagram.nodes[target.block].inputs[target.port]
@@ -153,7 +145,7 @@ def open_coupling(
     parameters: Mapping[str, Any] | None = None,
     use_compiler: bool = True,
     log: Callable[[str, float, str, str, str], None] | None = None,
-) -> Coupling:
+) -> Coupling[Participant]:
     """Return the participants of a diagram: its FMUs, the groups of blocks given, and the rest; FMUs are opened.
 
     log: gets block, time, status, category and text of every message of an FMU.

@@ -51,7 +51,6 @@ class Instance:
         self._numbers: Any = worker.block.numbers
         self._run: Callable[[int], None] = worker.run
         self._begin: Callable[[int], None] = worker.begin
-        self._finish: Callable[[], None] = worker.finish
         self._t = 0.0
         self._views(np.frombuffer(worker.block.memory, np.float64), 0, 0)
 
@@ -259,6 +258,10 @@ class Instance:
         """Return the failure of a step that was taken elsewhere, with the messages of the FMU."""
         log = self.worker.command("log").get("log", [])
         return self._failed(CallError(kind, function, what, log=log, hint=hint), time)
+
+    def end_asked(self, time: float) -> FmuError:
+        """Return what ends a run where the FMU asks for it."""
+        return self.step_failed("-", "asks for the end of the simulation", "ended", time)
 
     def _expect(self, *phases: str) -> None:
         if self._phase not in phases:
