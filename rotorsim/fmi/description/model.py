@@ -149,6 +149,20 @@ class Entry:
     variable: FmuVariable
     index: int = 0
 
+    @property
+    def indices(self) -> tuple[int, ...]:
+        """Its place in the array, counted from 1; () for a scalar."""
+        inside = self.name.removeprefix(self.variable.name).strip("[]")
+        return tuple(map(int, inside.split(","))) if inside else ()
+
+    @property
+    def start(self) -> Value | None:
+        """Its start value; one value may stand for all entries of an array."""
+        start = self.variable.start
+        if not isinstance(start, tuple):
+            return start
+        return start[self.index] if len(start) > 1 else start[0] if start else None
+
 
 @dataclass(frozen=True)
 class Kind:
