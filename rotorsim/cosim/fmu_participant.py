@@ -6,6 +6,7 @@ import contextlib
 from abc import abstractmethod
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -151,32 +152,26 @@ class FmuParticipant(Participant):
             return "offers no directional derivatives"
         if self.next_hit(0.0) < np.inf:
             return "has time events, which directional derivatives do not show"
-        sampled = [
-            v.name
-            for v in description.by_causality("local")
-            if v.variability == "discrete" and v.type in FLOATS  # whole numbers and flags are modes
-        ]
-        sampled += [
-            name
-            for name, taken, moves in zip(self._y_names, used, self.moving, strict=True)
-            if taken and not moves and not _still(description, name)
-        ]
+        local = [v for v in description.by_causality("local") if v.variability == "discrete"]
+        outputs = zip(self._y_names, used, self.moving, strict=True)
+        sampled = [v.name for v in local if v.type in FLOATS]  # whole numbers and flags are modes
+        sampled += [name for name, taken, moves in outputs if taken and not (moves or _still(description, name))]
         if sampled:
             return f"has values that change at events ({sampled[0]}), which directional derivatives do not show"
         if self.slave.kind == "cs" and not description.states:
             return "does not tell its states"
         n = len(description.states)
-        smooth = [
-            np.array([entry.variable.type in FLOATS for entry in description.resolve(names)], bool)
+        rows, columns = (
+            np.array([True] * n + [entry.variable.type in FLOATS for entry in description.resolve(names)], bool)
             for names in (self._y_names, self._u_names)
-        ]
-        stepped = [name for name, taken, floats in zip(self._y_names, used, smooth[0], strict=True) if taken > floats]
-        if stepped:
-            return f"gives others whole numbers or flags ({stepped[0]}), which have no derivatives"
-        rows, columns = (np.flatnonzero([True] * n + list(mask)) for mask in smooth)
-        every = [*description.derivatives, *self._y_names], [*description.states, *self._u_names]
-        unknowns, knowns = ([names[k] for k in at] for names, at in zip(every, (rows, columns), strict=True))
-        J = np.zeros((len(every[0]), len(every[1])))
+        )
+        stepped = np.flatnonzero(used.astype(bool) & ~rows[n:])
+        if stepped.size:
+            name = self._y_names[stepped[0]]
+            return f"gives others whole numbers or flags ({name}), which have no derivatives"
+        unknowns = list(compress([*description.derivatives, *self._y_names], rows))
+        knowns = list(compress([*description.states, *self._u_names], columns))
+        J = np.zeros((len(rows), len(columns)))
         try:
             if unknowns and knowns:
                 J[np.ix_(rows, columns)] = self.slave.jacobian(unknowns, knowns)

@@ -9,11 +9,9 @@ hits fall together again (lifting: Meyer & Burrus, IEEE Trans. Circuits Syst. 22
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from math import lcm
-from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -189,17 +187,13 @@ class Period:
         """
         if not np.isfinite(self.matrix).all():
             return np.zeros(0)
-        found, modes = np.linalg.eig(self.matrix)
-        made = []
-        for z, mode in zip(found, modes.T, strict=True):
-            if abs(z) < 1e-12:
-                continue
-            way = [states @ mode for states in self.passed]
-            turned = sum(float(np.angle(np.vdot(a, b))) for a, b in pairwise(way))
-            angle = float(np.angle(z))
-            angle += 2 * np.pi * round((turned - angle) / (2 * np.pi))
-            made.append(complex(np.log(abs(z)), angle) / self.time)
-        return np.array(made)
+        values, modes = np.linalg.eig(self.matrix)
+        way = np.array([states @ modes for states in self.passed])
+        turned = np.angle((way[:-1].conj() * way[1:]).sum(axis=1)).sum(axis=0)
+        angle = np.angle(values)
+        angle += 2 * np.pi * np.round((turned - angle) / (2 * np.pi))
+        kept = np.abs(values) >= 1e-12
+        return np.asarray((np.log(np.abs(values[kept])) + 1j * angle[kept]) / self.time)
 
 
 def one_period(
@@ -280,17 +274,17 @@ def _most_hurt(whole: np.ndarray, coupled: np.ndarray, step: float) -> tuple[com
 
     Modes with less than about two steps (or samples) in a turn are left out.
     """
-    worst: tuple[complex, complex, float] = (0j, 0j, np.nan)
-    for value in whole:
-        if value.imag < OSCILLATES * abs(value) or abs(value.imag) * step > 0.9 * np.pi or not value.real < 0:
-            continue
-        if not coupled.size:
-            break
-        near = coupled[np.argmin(np.abs(coupled - value))]
-        kept = float((-near.real / abs(near)) / (-value.real / abs(value)))
-        if worst[0] == 0 or kept < worst[2]:
-            worst = (complex(value), complex(near), kept)
-    return worst
+    turning = [
+        value
+        for value in whole
+        if value.imag >= OSCILLATES * abs(value) and abs(value.imag) * step <= 0.9 * np.pi and value.real < 0
+    ]
+    near = [coupled[np.argmin(np.abs(coupled - value))] if coupled.size else 0j for value in turning]
+    if not turning or not coupled.size:
+        return 0j, 0j, np.nan
+    kept = [float((-b.real / abs(b)) / (-a.real / abs(a))) for a, b in zip(turning, near, strict=True)]
+    k = int(np.argmin(kept))
+    return complex(turning[k]), complex(near[k]), kept[k]
 
 
 def largest_stable_step(
@@ -312,7 +306,7 @@ def largest_stable_step(
     def stable(step: float) -> bool:
         try:
             period = one_period(coupling, step, master, order, rates)
-        except (RotorsimError, np.linalg.LinAlgError):  # the iteration itself may not converge there
+        except (_NoPeriodError, RotorsimError, np.linalg.LinAlgError):  # the iteration itself may not converge there
             return False
         return period.radius < 1 + 1e-7
 
@@ -321,32 +315,18 @@ def largest_stable_step(
     swings = np.abs(whole[np.abs(whole.imag) > OSCILLATES * np.abs(whole)])
     longest = 1e2 / float(swings.min(initial=fastest))
     steps = np.geomspace(1e-3 / fastest, longest, round(GRID * np.log10(longest * fastest * 1e3)))
-    below = steps[0]
-    for step in steps:
-        if not stable(float(step)):
-            above = float(step)
-            break
-        below = float(step)
-    else:
+    unstable = next((k for k, step in enumerate(steps) if not stable(float(step))), None)
+    if unstable is None:
         return np.inf
+    below, above = float(steps[max(unstable - 1, 0)]), float(steps[unstable])
     for _ in range(20):
         middle = (below + above) / 2
         below, above = (middle, above) if stable(middle) else (below, middle)
-    return float(below)
+    return below
 
 
-def _largest_multiple(period: float, stable: Any) -> float:
+def _largest_multiple(period: float, stable: Callable[[float], bool]) -> float:
     """Return the largest stable step among multiples of a period, or else among its fractions; 0 where none is."""
-
-    def good(step: float) -> bool:
-        try:
-            return bool(stable(step))
-        except _NoPeriodError:
-            return False
-
-    if good(period):
-        for k in range(2, 21):
-            if not good(k * period):
-                return (k - 1) * period
-        return np.inf
-    return next((period / k for k in range(2, 51) if good(period / k)), 0.0)
+    if stable(period):
+        return next(((k - 1) * period for k in range(2, 21) if not stable(k * period)), np.inf)
+    return next((period / k for k in range(2, 51) if stable(period / k)), 0.0)

@@ -11,7 +11,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 
 from rotorsim.errors import Place, Problem, RotorsimError
@@ -176,8 +175,6 @@ def _ask_fmpy(path: Path, description: ModelDescription) -> Iterator[Problem]:
     """Yield what FMPy's validator finds."""
     place = Place(str(path))
     longest = max((len(name) for name in description.variables), default=0)
-    if find_spec("fmpy") is None:
-        return
     if len(description.variables) > _FMPY_MOST or longest > 500:
         yield Problem("is too large for FMPy's validator, which was not asked", place=place, severity="warning")
         return
@@ -186,11 +183,9 @@ def _ask_fmpy(path: Path, description: ModelDescription) -> Iterator[Problem]:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_FMPY_TIME, check=True)
         found = json.loads(done.stdout.splitlines()[-1])
     except (subprocess.SubprocessError, OSError, ValueError, IndexError) as error:
-        what = f"FMPy's validator failed: {type(error).__name__}"
-        yield Problem(what, place=place, severity="warning")
+        yield Problem(f"FMPy's validator failed: {type(error).__name__}", place=place, severity="warning")
         return
-    for text in found[:_SHOWN]:
-        yield Problem(" ".join(str(text).split())[:500], "FMPy", place)
+    yield from (Problem(" ".join(str(text).split())[:500], "FMPy", place) for text in found[:_SHOWN])
     if len(found) > _SHOWN:
         yield Problem(f"... and {len(found) - _SHOWN} more", "FMPy", place)
 

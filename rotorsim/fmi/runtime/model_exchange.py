@@ -168,9 +168,9 @@ class ModelExchange:
 
     def _indicators(self, t: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         z = self.slave.event_indicators(t, x, u)
-        if not np.isfinite(z).all():
-            k = int(np.flatnonzero(~np.isfinite(z))[0])
-            raise self.slave.step_failed("GetEventIndicators", f"gives {z[k]} for event indicator {k + 1}", "value", t)
+        if (bad := np.flatnonzero(~np.isfinite(z))).size:
+            what = f"gives {z[bad[0]]} for event indicator {bad[0] + 1}"
+            raise self.slave.step_failed("GetEventIndicators", what, "value", t)
         return z
 
     def _crossed(self, z: np.ndarray) -> np.ndarray:
@@ -200,9 +200,7 @@ class ModelExchange:
             return float((self.sides * at(step)[1]).min())
 
         low = 0.0 if distance(0.0) > 0 else min(TOUCH * h, width) / 2  # exactly zero at the start
-        step = low
-        if distance(low) > 0:
-            step = float(brentq(distance, low, width, xtol=tolerance, rtol=4 * EPS))
+        step = float(brentq(distance, low, width, xtol=tolerance, rtol=4 * EPS)) if distance(low) > 0 else low
         reach = tolerance
         x, z = at(step)
         while not (crossed := self._crossed(z)).any() and step < width:
@@ -253,11 +251,9 @@ class ModelExchange:
         if self.method != "rk4" or not self.x.size or not self._width or not np.isfinite(self.x).all():
             return ""
         t, u, x = max(self.clock, 0.0), self._inputs, self.x
-        width = NUDGE * np.maximum(np.abs(x), np.maximum(float(np.abs(x).max()), 1.0) * NUDGE)
-        J = np.empty((x.size, x.size))
-        for k in range(x.size):
-            move = width[k] * (np.arange(x.size) == k)
-            J[:, k] = (self.slave.derivatives(t, x + move, u) - self.slave.derivatives(t, x - move, u)) / (2 * width[k])
+        f, widths = self.slave.derivatives, NUDGE * np.maximum(np.abs(x), max(float(np.abs(x).max()), 1.0) * NUDGE)
+        moves = np.diag(widths)
+        J = np.column_stack([(f(t, x + move, u) - f(t, x - move, u)) / (2 * move.sum()) for move in moves])
         if not np.isfinite(J).all():
             return ""
         poles = np.linalg.eigvals(J)
@@ -280,18 +276,14 @@ class ModelExchange:
         Discrete states change at events only, or also at completed steps where the FMU wants to be told of these: the
         state of the FMU itself is saved once between two events, or every time.
         """
-        handle = self._handle() if self.saves else None
+        if self.saves and (self.reports or not self._handles or self._handles[-1][0] != self.epoch):
+            self._handles.append((self.epoch, self.slave.save_state()))
+        if len(self._handles) > KEPT:
+            self.slave.free_state(self._handles.pop(0)[1])
+        handle = self._handles[-1][1] if self.saves else None
         return SavedState(
             self.x.copy(), self.next_time, self.sides.copy(), self.touching, self.fed, self.clock, self.epoch, handle
         )
-
-    def _handle(self) -> int:
-        if self._handles and self._handles[-1][0] == self.epoch and not self.reports:
-            return self._handles[-1][1]
-        self._handles.append((self.epoch, self.slave.save_state()))
-        if len(self._handles) > KEPT:
-            self.slave.free_state(self._handles.pop(0)[1])
-        return self._handles[-1][1]
 
     def forget(self) -> None:
         """Free all saved states."""

@@ -312,8 +312,7 @@ class RemoteWorker(Worker):
     def _died(self) -> CallError:
         if self.dead is None:
             function = self._function()
-            code, used = _end(self.process, self._lifeline)
-            self._finalizer.detach()
+            code, used = self._ended()
             how = f"was ended by {_signal(-code)}" if code < 0 else f"left with exit code {code}"
             more: dict[str, Any] = {"code": code, "printed": self.printed.close()}
             if self.memory is not None and used > 0.5 * self.memory:
@@ -323,11 +322,15 @@ class RemoteWorker(Worker):
 
     def _hangs(self) -> CallError:
         function = self._function()
-        _end(self.process, self._lifeline, 0.0)
-        self._finalizer.detach()
+        self._ended(0.0)
         what = f"does not answer within {self.limit:g} s"
         self.dead = CallError("hang", function, what, printed=self.printed.close())
         return self.dead
+
+    def _ended(self, grace: float = GRACE) -> tuple[int, int]:
+        """End the process now; return its exit code and the most memory it held [bytes]."""
+        self._finalizer.detach()
+        return _end(self.process, self._lifeline, grace)
 
 
 class _Watched(Pipe):
@@ -340,7 +343,7 @@ class _Watched(Pipe):
         self.process = process
 
     def look(self) -> None:
-        if os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+        if _has_ended(self.process):
             raise ClosedError
 
 
@@ -365,24 +368,26 @@ class _Printed:
 
 def _end(process: subprocess.Popen[bytes], lifeline: int, grace: float = GRACE) -> tuple[int, int]:
     """End a process and its children; return its exit code and the most memory it held [bytes]."""
-    for stream in (process.stdin, process.stdout):
+    for stream in filter(None, (process.stdin, process.stdout)):
         with contextlib.suppress(OSError):
-            if stream:
-                stream.close()
-    used = 0
-    if process.returncode is None:
-        stop, pause = time.monotonic() + grace, 0.0002
-        while os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
-            if time.monotonic() >= stop:
-                _kill(process.pid)
-            time.sleep(pause)
-            pause = min(2 * pause, 0.05)
-        _kill(process.pid)  # whatever it has started itself
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        used = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-        os.close(lifeline)
-    return process.returncode, used
+            stream.close()
+    if process.returncode is not None:
+        return process.returncode, 0
+    stop, pause = time.monotonic() + grace, 0.0002
+    while not _has_ended(process):
+        if time.monotonic() >= stop:
+            _kill(process.pid)
+        time.sleep(pause)
+        pause = min(2 * pause, 0.05)
+    _kill(process.pid)  # whatever it has started itself
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    os.close(lifeline)
+    return process.returncode, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def _has_ended(process: subprocess.Popen[bytes]) -> bool:
+    return os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
 
 
 def _kill(group: int) -> None:
@@ -412,9 +417,6 @@ def _environment(folder: Path) -> Mapping[str, str]:
 
 
 def _signal(number: int) -> str:
-    try:
-        name = signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
+    name = next((known.name for known in signal.Signals if known == number), f"signal {number}")
     words = {"SIGSEGV": "it used memory that is not its own", "SIGABRT": "it gave up", "SIGKILL": "killed from outside"}
     return f"{name} ({words[name]})" if name in words else name
