@@ -28,6 +28,7 @@ from click.testing import CliRunner
 
 from rotorsim.cli.app import rotorsim
 from rotorsim.errors import RotorsimError
+from rotorsim.fmi.description.model import NUMERIC
 from rotorsim.fmi.runtime.slave import open_fmu
 
 __all__ = ["damaged", "sandbox", "try_case"]
@@ -436,7 +437,10 @@ def _use(file: Path, wrong: list[str]) -> str:
         with open_fmu(file, timeout=2.0, memory=1 << 30) as fmu:
             kind = "cs" if "cs" in fmu.description.kinds else "me"
             slave = fmu.instantiate(kind)
-            inputs, outputs = fmu.description.scalars("input")[:50], fmu.description.scalars("output")[:50]
+            inputs, outputs = (
+                [name for v in fmu.description.by_causality(causality) if v.type in NUMERIC for name in v.names()][:50]
+                for causality in ("input", "output")
+            )
             slave.setup(0.0, 1.0, inputs=inputs, outputs=outputs)
             for k in range(3):
                 if kind == "cs":

@@ -30,7 +30,8 @@ import numpy as np
 from benchmarks.harness import ROOT, Line, at_most
 from benchmarks.markers import expect, fill, table_text
 from rotorsim.errors import RotorsimError
-from rotorsim.fmi.export.build import PLATFORMS, own_platform
+from rotorsim.fmi.description.platforms import this_platform
+from rotorsim.fmi.export.build import TARGETS
 from rotorsim.fmi.export.export import export_fmu
 from rotorsim.fmi.runtime.slave import describe_fmu
 from rotorsim.model.load import load
@@ -110,28 +111,28 @@ def libraries(folder: Path) -> tuple[list[list[str]], list[Line]]:
     """Export everything for every platform into a folder; return the rows of the table, and what is promised."""
     diagram = load("jeffcott")
     rows, lines = [], []
-    for platform in PLATFORMS.values():
+    for platform in TARGETS:
         for what, blocks in WHAT.items():
-            file = folder / f"{platform.name}-{what.partition(' ')[0]}.fmu"
+            file = folder / f"{platform}-{what.partition(' ')[0]}.fmu"
             seconds = []
             try:
                 for _ in range(2):
                     begun = time.perf_counter()
-                    export_fmu(diagram, file, blocks=blocks, platforms=[platform.name])
+                    export_fmu(diagram, file, blocks=blocks, platforms=[platform])
                     seconds.append(time.perf_counter() - begun)
             except RotorsimError as error:
-                rows.append([platform.name, what, "not built", "", "", error.problems[0].what])
+                rows.append([platform, what, "not built", "", "", error.problems[0].what])
                 continue
             with zipfile.ZipFile(file) as archive:
                 [name] = [name for name in archive.namelist() if name.startswith("binaries/")]
                 library = archive.read(name)
             found = header(library)
-            ok = found.platform == platform.name and found.shared and b"fmi2DoStep" in library
-            if platform.name == "aarch64-darwin":
+            ok = found.platform == platform and found.shared and b"fmi2DoStep" in library
+            if platform == "aarch64-darwin":
                 ok = ok and "signed" in found.extra
             times = [f"{value:.2f} s" for value in seconds]
-            rows.append([platform.name, what, f"{len(library) / 1e3:.0f} kB", *times, str(found)])
-            lines.append(Line(f"{platform.name}, {what}: {found}", found.platform, platform.name, ok))
+            rows.append([platform, what, f"{len(library) / 1e3:.0f} kB", *times, str(found)])
+            lines.append(Line(f"{platform}, {what}: {found}", found.platform, platform, ok))
     return rows, lines
 
 
@@ -139,7 +140,7 @@ def windows(folder: Path) -> tuple[str, list[Line]]:
     """Run the libraries of the whole diagram for Windows and Linux by one host; return a sentence, and the target."""
     here, there = folder / "x86_64-linux-whole.fmu", folder / "x86_64-windows-whole.fmu"
     wine = shutil.which("wine64") or shutil.which("wine") or shutil.which("/usr/lib/wine/wine64")
-    if own_platform() is not PLATFORMS["x86_64-linux"]:
+    if this_platform() != "x86_64-linux":
         return "The Windows library was not run: wine is tried on x86_64 Linux only.", []
     if not there.is_file():
         return "The Windows library was not run: without ziglang there is none.", []

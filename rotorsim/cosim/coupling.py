@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Generic, TypeVar
 
 import networkx as nx
 import numpy as np
@@ -19,15 +20,18 @@ NEWTON_STEPS = 20
 CLOSE = 1e-10
 
 
+P_co = TypeVar("P_co", bound=Participant, covariant=True)
+
+
 @dataclass(frozen=True, eq=False)
-class Coupling:
+class Coupling(Generic[P_co]):
     """Participants and the matrix L (inputs, outputs) of their wires: u = L y + u0.
 
     u and y hold the inputs and outputs of all participants, one after the other. held (outputs,): those that are
     piecewise constant (sampled), which are held and never extrapolated.
     """
 
-    participants: tuple[Participant, ...]
+    participants: tuple[P_co, ...]
     L: np.ndarray
     u0: np.ndarray
     held: np.ndarray | None = None
@@ -41,6 +45,17 @@ class Coupling:
     def y_parts(self) -> list[slice]:
         """Where the outputs of each participant lie in y."""
         return _parts([len(p.outputs) for p in self.participants])
+
+    @cached_property
+    def scales(self) -> tuple[np.ndarray, np.ndarray]:
+        """Factors and offsets (2, n) of all inputs and of all outputs: SI = factor * value in loop.c + offset."""
+        of_u = [
+            np.tile((1.0, 0.0), (len(p.inputs), 1)) if p.u_scales is None else p.u_scales for p in self.participants
+        ]
+        of_y = [
+            np.tile((1.0, 0.0), (len(p.outputs), 1)) if p.y_scales is None else p.y_scales for p in self.participants
+        ]
+        return np.concatenate(of_u).T, np.concatenate(of_y).T
 
     def inputs_of(self, y: np.ndarray) -> np.ndarray:
         """Return u for outputs y."""
@@ -62,32 +77,22 @@ class Coupling:
         return np.where(self.is_held, self.L, 0.0)
 
     @cached_property
-    def graph(self) -> nx.DiGraph:
-        """Participants as nodes; an edge a -> b carries the number of signals that a gives to b, held ones left out.
+    def order(self) -> list[int]:
+        """The order for Gauss-Seidel: as few signals as possible go backward against it.
 
         Nobody waits for a signal that is held from the start of the step: sampled controllers come last.
         """
-        graph = nx.DiGraph()
-        graph.add_nodes_from(range(len(self.participants)))
-        for b, rows in enumerate(self.u_parts):
-            for a, columns in enumerate(self.y_parts):
-                count = int((self.moving_wires[rows, columns] != 0).sum())
-                if count and a != b:
-                    graph.add_edge(a, b, signals=count)
-        return graph
-
-    @cached_property
-    def order(self) -> list[int]:
-        """The order for Gauss-Seidel: as few signals as possible go backward against it."""
+        given = np.array(
+            [[np.count_nonzero(self.moving_wires[rows, columns]) for rows in self.u_parts] for columns in self.y_parts]
+        )  # signals that a gives to b, at [a, b]
+        np.fill_diagonal(given, 0)
         order: list[int] = []
-        condensed = nx.condensation(self.graph)
+        condensed = nx.condensation(nx.from_numpy_array(given, create_using=nx.DiGraph))
         for component in nx.topological_sort(condensed):
             members = sorted(condensed.nodes[component]["members"])
-            inner = self.graph.subgraph(members)
             while members:
-                best = max(members, key=lambda k: (_out(inner, k, members) - _in(inner, k, members), -k))
-                order.append(best)
-                members = [k for k in members if k != best]
+                balance = given[np.ix_(members, members)]
+                order.append(members.pop(int(np.argmax(balance.sum(axis=1) - balance.sum(axis=0)))))
         return order
 
     @cached_property
@@ -149,23 +154,23 @@ class Coupling:
 
         Raises RotorsimError with every name and number that does not fit.
         """
-        known = {block: k for k, p in enumerate(self.participants) for block in (p.name, *getattr(p, "blocks", ()))}
-        found = [1] * len(self.participants)
+        known = {block: k for k, p in enumerate(self.participants) for block in (p.name, *p.blocks)}
+        chosen = [1] * len(self.participants)
         problems = []
         for name, rate in rates.items():
-            if name not in known:
-                names = [p.name for p in self.participants]
-                problems.append(Problem("no such participant", name, hint=near_miss(name, [*known, *names])))
+            k = known.get(name)
+            if k is None:
+                problems.append(Problem("no such participant", name, hint=near_miss(name, known)))
             elif rate < 1 or rate != int(rate):
                 problems.append(Problem(f"rate {rate:g}: not a whole number of base steps", name, hint="1 or more"))
-            elif found[known[name]] not in (1, rate):
-                what = f"rates {found[known[name]]} and {rate:g} for one participant"
+            elif chosen[k] not in (1, rate):
+                what = f"rates {chosen[k]} and {rate:g} for one participant"
                 problems.append(Problem(what, name, hint="its blocks step together: give one rate"))
             else:
-                found[known[name]] = int(rate)
+                chosen[k] = int(rate)
         if problems:
             raise RotorsimError(*problems)
-        return tuple(found)
+        return tuple(chosen)
 
     def close(self) -> None:
         """Close all participants."""
@@ -190,24 +195,12 @@ class Coupling:
     def _outputs(
         self, t: float, u: np.ndarray, y: np.ndarray | None = None, due: Sequence[int] | None = None
     ) -> np.ndarray:
-        if due is None or len(due) == len(self.participants):
-            parts = zip(self.participants, self.u_parts, strict=True)
-            return np.concatenate([p.output(t, u[part]) for p, part in parts])
-        assert y is not None
-        y = y.copy()
-        for k in due:
-            y[self.y_parts[k]] = self.participants[k].output(t, u[self.u_parts[k]])
-        return y
+        made = np.empty(self.L.shape[1]) if y is None else y.copy()
+        for k in range(len(self.participants)) if due is None else due:
+            made[self.y_parts[k]] = self.participants[k].output(t, u[self.u_parts[k]])
+        return made
 
 
 def _parts(sizes: Sequence[int]) -> list[slice]:
     ends = [0, *np.cumsum(sizes).tolist()]
     return [slice(a, b) for a, b in pairwise(ends)]
-
-
-def _out(graph: nx.DiGraph, k: int, members: Sequence[int]) -> int:
-    return sum(graph.edges[k, b]["signals"] for b in graph.successors(k) if b in members)
-
-
-def _in(graph: nx.DiGraph, k: int, members: Sequence[int]) -> int:
-    return sum(graph.edges[a, k]["signals"] for a in graph.predecessors(k) if a in members)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
+from rotorsim.cosim.compiled_participant import CompiledParticipant
 from rotorsim.cosim.coupling import Coupling
 from rotorsim.cosim.fmu_participant import fmu_participant
-from rotorsim.cosim.participant import CompiledParticipant, Participant
+from rotorsim.cosim.participant import Participant
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.linear.linearisation import entry_names
@@ -25,7 +28,7 @@ def couple(
     parameters: Mapping[str, Any] | None = None,
     participants: Mapping[str, Participant] | None = None,
     use_compiler: bool = True,
-) -> Coupling:
+) -> Coupling[Participant]:
     """Return a diagram cut into participants: one compiled part for each group of blocks, and the participants given.
 
     participants: block -> a participant in its place (an FMU); its inputs and outputs are named as the block's ports,
@@ -38,13 +41,14 @@ def couple(
     _refuse_doubles(diagram, [*taken, *given])
     crossing = _crossing(diagram, [*parts, *((block,) for block in given)])
     made: list[Participant] = []
+    watched = [str(name) for name in diagram.record]
     for blocks in parts:
         part = open_part(diagram, blocks, by_source=True)
-        p = part.parameter_vector(parameters)
         record = [port for port in crossing if port.rpartition(".")[0] in blocks]
-        watched = [str(name) for name in diagram.record if str(name).partition(".")[0] in blocks]
-        record += [name for name in watched if name.partition("[")[0] not in record]
+        own = [name for name in watched if name.partition(".")[0] in blocks]
+        record += [name for name in own if name.partition("[")[0] not in record]
         name = "+".join(blocks) if len(blocks) < 4 else f"{blocks[0]}+{len(blocks) - 1} more"
+        p = part.parameter_vector(parameters)
         made.append(CompiledParticipant(name, part, record, p, diagram.solver.step, use_compiler=use_compiler))
     made += given.values()
     L, u0 = _wires(diagram, made, set(given))
@@ -54,30 +58,19 @@ def couple(
 def _held(participants: Sequence[Participant], L: np.ndarray) -> np.ndarray:
     """Return which outputs are piecewise constant: they follow neither time nor states nor an input that moves."""
     moving = np.concatenate([p.moving for p in participants])
-    following = [p.following for p in participants]
+    following = block_diag(*(p.following for p in participants)).astype(bool)
     while True:
-        u_moves = ((L != 0) & moving).any(axis=1)
-        new, y_at, u_at = moving.copy(), 0, 0
-        for pattern in following:
-            n_y, n_u = pattern.shape
-            new[y_at : y_at + n_y] |= (pattern & u_moves[u_at : u_at + n_u]).any(axis=1)
-            y_at, u_at = y_at + n_y, u_at + n_u
+        new = moving | (following & ((L != 0) & moving).any(axis=1)).any(axis=1)
         if (new == moving).all():
             return np.asarray(~moving)
         moving = new
 
 
 def _refuse_doubles(diagram: Diagram, blocks: Sequence[str]) -> None:
-    problems = [
-        Problem("is in two parts", block, hint="name each block in one part only")
-        for block in dict.fromkeys(blocks)
-        if blocks.count(block) > 1
-    ]
-    problems += [
-        Problem("no such block", block, hint=near_miss(block, diagram.nodes))
-        for block in dict.fromkeys(blocks)
-        if block not in diagram.nodes
-    ]
+    hint = "name each block in one part only"
+    problems = [Problem("is in two parts", b, hint=hint) for b in dict.fromkeys(blocks) if blocks.count(b) > 1]
+    unknown = [b for b in dict.fromkeys(blocks) if b not in diagram.nodes]
+    problems += [Problem("no such block", block, hint=near_miss(block, diagram.nodes)) for block in unknown]
     if problems:
         raise RotorsimError(*problems)
 
@@ -96,43 +89,30 @@ def _wires(diagram: Diagram, participants: Sequence[Participant], foreign: set[s
     """Return L and u0: a compiled part's inputs are named by their source, a foreign one's by its own ports."""
     outputs = [name for participant in participants for name in participant.outputs]
     at = {name: k for k, name in enumerate(outputs)}
-    rows = []
-    for participant in participants:
-        for name in participant.inputs:
-            row = np.zeros(len(outputs))
-            if name.partition(".")[0] in foreign and participant is not None and _owns(participant, name, foreign):
-                for source in sources_of(diagram, name):
-                    row[at[source]] += 1.0
-            else:
-                row[at[name]] = 1.0
-            rows.append(row)
-    L = np.array(rows).reshape(len(rows), len(outputs))
-    return L, np.zeros(len(rows))
-
-
-def _owns(participant: Participant, name: str, foreign: set[str]) -> bool:
-    return participant.name in foreign and name.partition(".")[0] == participant.name
+    inputs = [(participant, name) for participant in participants for name in participant.inputs]
+    L = np.zeros((len(inputs), len(outputs)))
+    for row, (participant, name) in zip(L, inputs, strict=True):
+        own = participant.name in foreign and name.partition(".")[0] == participant.name
+        for source in sources_of(diagram, name) if own else [name]:
+            row[at[source]] += 1.0
+    return L, np.zeros(len(L))
 
 
 def sources_of(diagram: Diagram, name: str) -> list[str]:
     """Return the flat output entries that add up to one input entry of a block."""
-    found = []
+    found: list[str] = []
     for wire in diagram.wires:
         target, source = wire.target, wire.source
         declared = diagram.nodes[target.block].inputs[target.port]
-        entries = entry_names(f"{target.block}.{target.port}", declared.shape)
+        entries = np.array(entry_names(f"{target.block}.{target.port}", declared.shape))
         if name not in entries:
             continue
         port = diagram.nodes[source.block].outputs[source.port]
         out = np.array(entry_names(f"{source.block}.{source.port}", port.shape)).reshape(port.shape or (1,))
-        inside = np.array(entries).reshape(declared.shape or (1,))
-        if source.index:
-            out = out[source.index]
-        if target.index:
-            inside = inside[target.index]
-        out, inside = np.atleast_1d(out), np.atleast_1d(inside)
-        out = np.broadcast_to(out, inside.shape)
-        found += [str(o) for o, i in zip(out.ravel(), inside.ravel(), strict=True) if str(i) == name]
+        out = np.atleast_1d(out[source.index] if source.index else out)
+        inside = entries.reshape(declared.shape or (1,))
+        inside = np.atleast_1d(inside[target.index] if target.index else inside)
+        found += [str(o) for o in np.broadcast_to(out, inside.shape)[inside == name]]
     return found
 
 
@@ -153,7 +133,7 @@ def open_coupling(
     parameters: Mapping[str, Any] | None = None,
     use_compiler: bool = True,
     log: Callable[[str, float, str, str, str], None] | None = None,
-) -> Coupling:
+) -> Coupling[Participant]:
     """Return the participants of a diagram: its FMUs, the groups of blocks given, and the rest; FMUs are opened.
 
     log: gets block, time, status, category and text of every message of an FMU.
@@ -164,17 +144,16 @@ def open_coupling(
     end = diagram.solver.stop if stop is None else stop
     _refuse_foreign_code(diagram)
     opened: dict[str, Participant] = {}
-    try:
+    with contextlib.ExitStack() as stack:
         for name, node in diagram.nodes.items():
             if node.block.opaque:
                 wired = {wire.target.port for wire in diagram.wires if wire.target.block == name}
-                told = diagram.solver.rtol if "rtol" in (diagram.document.get("solver") or {}) else None
-                opened[name] = fmu_participant(name, node, wired, end, diagram.solver.step, tolerance=told, log=log)
+                chosen = diagram.solver.rtol if "rtol" in (diagram.document.get("solver") or {}) else None
+                opened[name] = fmu_participant(name, node, wired, end, diagram.solver.step, tolerance=chosen, log=log)
+                stack.callback(opened[name].close)
         if not opened and not groups:
             hint = "cut it with --part BLOCK,BLOCK, or `rotorsim run` it"
             raise RotorsimError(Problem("has no FMU: there is nothing to be coupled", diagram.name, hint=hint))
-        return couple(diagram, groups, parameters=parameters, participants=opened, use_compiler=use_compiler)
-    except BaseException:
-        for participant in opened.values():
-            participant.close()
-        raise
+        made = couple(diagram, groups, parameters=parameters, participants=opened, use_compiler=use_compiler)
+        stack.pop_all()
+    return made

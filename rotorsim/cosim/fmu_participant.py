@@ -3,86 +3,72 @@
 from __future__ import annotations
 
 import contextlib
+from abc import abstractmethod
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from itertools import compress
 from typing import Any
 
 import numpy as np
 
-from rotorsim.cosim.linear import LinearModel
-from rotorsim.cosim.participant import Held, InputHistory
+from rotorsim.cosim.inputs import Held, InputHistory, Polynomial
+from rotorsim.cosim.linear_model import LinearModel
+from rotorsim.cosim.participant import Participant
 from rotorsim.diagram.diagram import Node
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.block import FmuPort
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
 from rotorsim.fmi.runtime.binding import CallError
 from rotorsim.fmi.runtime.failure import FmuError
-from rotorsim.fmi.runtime.model_exchange import ModelExchange
+from rotorsim.fmi.runtime.model_exchange import KEPT, ModelExchange
 from rotorsim.fmi.runtime.slave import Fmu, Slave, open_fmu
 from rotorsim.linear.linearisation import entry_names
 
-__all__ = ["FmuParticipant", "fmu_participant"]
+__all__ = ["CoSimulationFmu", "FmuParticipant", "ModelExchangeFmu", "fmu_participant"]
 
-KEPT = 8  # saved states that a master may come back to
+MOST_STEPS = 10_000  # of Model Exchange, in one step
 RATE_STEP = 1e-3  # of the last step, over which rates of outputs are taken
 MOST_SUBSTEPS = 32
 SHOWN = 5  # messages
 HELD = 1e-12  # relative difference over a step within which inputs count as held
 
 
-class FmuParticipant:
+@dataclass(eq=False, kw_only=True)
+class FmuParticipant(Participant):
     """An FMU behind the interface of a participant; its names are those of the ports of its block.
 
-    Co-Simulation: inputs that move during a step are met by substeps of the FMU's own step, each with the inputs of
-    its middle, if it can vary its communication step; if it cannot (rigid), each step is one, and all must be equal.
-    Where all outputs are sampled it is given the inputs of the end of the step, as its new outputs are seen from there
-    on. Model Exchange: its states are integrated here, with steps ``internal``, from event to event.
-
     moving, following: as of a compiled part; outputs of variability discrete do not move between events.
-    Inputs and outputs are in SI units here; u_scales, y_scales (n, 2): factors and offsets, None where all are SI.
+    Inputs and outputs are in SI units here. internal: step [s] within which inputs are seen as held.
     """
 
-    def __init__(
-        self,
-        name: str,
-        fmu: Fmu,
-        slave: Slave,
-        inputs: dict[str, FmuPort],
-        outputs: dict[str, FmuPort],
-        parameters: dict[str, Any],
-        stop: float,
-        internal: float,
-        tolerance: float | None = None,
-    ) -> None:
-        self.name, self.fmu, self.slave, self.parameters = name, fmu, slave, parameters
-        self.stop: float | None = stop
-        self.tolerance = tolerance
+    name: str
+    fmu: Fmu
+    slave: Slave
+    input_ports: dict[str, FmuPort]
+    output_ports: dict[str, FmuPort]
+    parameters: dict[str, Any]
+    stop: float | None
+    internal: float
+    tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        self._last = self.internal  # step taken
+        name, description = self.name, self.fmu.description
+        ports = self.input_ports.values(), self.output_ports.values()
         self.blocks = (name,)
-        description = fmu.description
-        self.inputs = tuple(n for p in inputs.values() for n in entry_names(f"{name}.{p.name}", p.shape))
-        self.outputs = tuple(n for p in outputs.values() for n in entry_names(f"{name}.{p.name}", p.shape))
-        self._u_names = [entry for port in inputs.values() for entry in port.entries]
-        self._y_names = [entry for port in outputs.values() for entry in port.entries]
-        self.u_scales, self.y_scales = _scales(inputs), _scales(outputs)
-        self.kind = description.kinds[slave.kind]
-        discrete = [entry.variable.variability != "continuous" for entry in description.resolve(self._u_names)]
-        self.integrator = ModelExchange(slave, np.array(discrete, bool)) if slave.kind == "me" else None
-        self.can_restore = self.kind.can_get_set_state or (
-            self.integrator is not None and not self.integrator.may_have_events
+        self.inputs, self.outputs = (
+            tuple(n for p in own for n in entry_names(f"{name}.{p.name}", p.shape)) for own in ports
         )
-        self.has_rates = self.can_restore and (self.integrator is not None or self.kind.can_vary_step)
+        self._u_names, self._y_names = ([entry for port in own for entry in port.entries] for own in ports)
+        self.u_scales, self.y_scales = _scales(self.input_ports), _scales(self.output_ports)
+        self.kind = description.kinds[self.slave.kind]
         own = self.kind.fixed_step or description.experiment.step
-        self.internal = min(internal, own) if own else internal
-        self.rigid = self.integrator is None and not self.kind.can_vary_step
-        self.most_parts = self.do_steps = 0
-        self._width = 0.0  # of all steps, where it is rigid
-        self.feedthrough = np.array(
-            [[_depends(description, y, u) for u in self._u_names] for y in self._y_names], bool
-        ).reshape(len(self._y_names), len(self._u_names))
-        self.moving = np.array([not port.discrete for port in outputs.values() for _ in port.entries], bool)
+        self.internal = min(self.internal, own) if own else self.internal
+        shape = len(self._y_names), len(self._u_names)
+        depends = [_depends(description, y, u) for y in self._y_names for u in self._u_names]
+        self.feedthrough = np.array(depends, bool).reshape(shape)
+        self.moving = np.array([not port.discrete for port in ports[1] for _ in port.entries], bool)
         self.following = self.feedthrough & self.moving[:, None]
-        self.sampled = bool(self._y_names) and not self.moving.any()
-        self._saved: list[int] = []
-        self._last = internal
         self._begun = self._started = False
 
     def initialise(self, t: float, u: np.ndarray) -> None:
@@ -90,7 +76,6 @@ class FmuParticipant:
             self._forget()
             self.slave.reset()
         self._begun, self._started = True, False
-        self._width = 0.0
         self.slave.setup(
             t,
             self.stop,
@@ -105,16 +90,10 @@ class FmuParticipant:
         self.output(t, u)
         self.slave.exit_initialisation()
         self._started = True
-        if self.integrator is not None:
-            self.integrator.begin(t, self._of_fmu(u))
-        elif self.slave.ended:
-            raise self._ended(t)
 
-    def output(self, t: float, u: np.ndarray) -> np.ndarray:
-        u = self._of_fmu(u)
-        if self.integrator is None:
-            return self._si(self.slave.exchange(u, t))
-        return self._si(self.integrator.output(t, u) if self._started else self.slave.outputs(t, None, u))
+    @abstractmethod
+    def _forget(self) -> None:
+        """Free all saved states."""
 
     def _of_fmu(self, u: np.ndarray) -> np.ndarray:
         """Return inputs (n_u,) in the units of the FMU."""
@@ -124,46 +103,18 @@ class FmuParticipant:
         """Return outputs (n_y,) in SI units."""
         return y if self.y_scales is None else self.y_scales[:, 0] * y + self.y_scales[:, 1]
 
-    def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Return rates of the outputs by a very short step that is taken back."""
-        h = RATE_STEP * self._last
-        before = self.output(t, u)
-        if self.integrator is not None:
-            after = self._si(self.integrator.slope(t, h, lambda tau: self._of_fmu(u + rate * tau)))
-            return np.asarray((after - before) / h)
-        saved = self.slave.save_state()
-        after = self._advance(t, h, lambda tau: u + rate * tau, 1)
-        self.slave.restore_state(saved)
-        self.slave.free_state(saved)
-        return np.asarray((after - before) / h)
+    def in_loop(self) -> Slave:
+        return self.slave
 
-    def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
-        self._last = h
-        if self.integrator is not None:
-            own = u if self.u_scales is None else lambda tau: self._of_fmu(u(tau))
-            self.integrator.advance(t, h, own, min(max(1, int(np.ceil(h / self.internal - 1e-9))), 10_000))
-            return self.output(t + h, u(h))
-        if self.rigid:
-            h = self._equal(t, h)
-        if isinstance(u, Held):
-            return self._advance(t, h, u, 1)
-        if self.sampled:
-            return self._advance(t, h, Held(u(h)), 1)
-        start, end = u(0.0), u(h)
-        moves = bool((np.abs(end - start) > HELD * (np.abs(end) + np.abs(start))).any())
-        most = max(1, int(np.ceil(h / self.internal - 1e-9)))
-        return self._advance(t, h, u, min(most, MOST_SUBSTEPS) if moves and not self.rigid else 1)
+    @property
+    def loop_is_exact(self) -> bool:
+        return not self.equal_steps  # to the last bit
 
-    def _equal(self, t: float, h: float) -> float:
-        """Return the step that all steps of a rigid FMU have. Raises FmuError if this is another."""
-        self._width = self._width or h
-        if abs(h - self._width) <= 1e-9 * self._width + 8.0 * np.finfo(float).eps * abs(t):
-            return self._width
-        what = f"cannot vary its communication step: the first was {self._width:.9g} s, this would be one of {h:.9g} s"
-        hint = "take fixed steps (no --adaptive) that divide the stop time and the sample times of the others"
-        raise self.slave.step_failed("-", what, "refused", t, hint)
+    @property
+    def has_log(self) -> bool:
+        return self.slave.log is not None
 
-    def told(self) -> dict[str, Any]:
+    def report(self) -> dict[str, Any]:
         """Return what is to be known of its run.
 
         do_steps; most_parts: of one step of the master; warnings: calls that returned a warning; messages: how many, by
@@ -191,51 +142,6 @@ class FmuParticipant:
         """Return the outputs (n_y,) as they are, whatever the FMU is at. Raises RotorsimError."""
         return np.asarray(self._si(np.array(self.slave.get(self._y_names), float)))
 
-    def _advance(self, t: float, h: float, u: Callable[[float], np.ndarray], count: int) -> np.ndarray:
-        """Take steps of Co-Simulation. Raises FmuError, also where the FMU asks for the end."""
-        width = h / count
-        self.most_parts = max(self.most_parts, count)
-        for k in range(count):
-            self.do_steps += 1
-            try:
-                y = self.slave.exchange(self._of_fmu(u((k + 0.5) * width)), t + k * width, width)
-            except FmuError as failure:
-                if failure.kind == "discard" and self.slave.ended:
-                    raise self._ended(failure.last if failure.last is not None else t + k * width) from None
-                raise
-            if self.slave.ended:
-                raise self._ended(t + (k + 1) * width)
-        return self._si(y if isinstance(u, Held) else self.slave.exchange(self._of_fmu(u(h)), t + h))
-
-    def next_hit(self, t: float) -> float:
-        return np.inf if self.integrator is None else self.integrator.next_time
-
-    def _ended(self, t: float) -> FmuError:
-        return self.slave.step_failed("-", "asks for the end of the simulation", "ended", t)
-
-    def save(self) -> Any:
-        if self.integrator is not None:
-            return self.integrator.save()
-        if not self.can_restore:
-            return None
-        self._saved.append(self.slave.save_state())
-        while len(self._saved) > KEPT:
-            self.slave.free_state(self._saved.pop(0))
-        return self._saved[-1]
-
-    def restore(self, saved: Any) -> None:
-        if self.integrator is not None:
-            self.integrator.restore(saved)
-        elif saved is not None:
-            self.slave.restore_state(saved)
-
-    def _forget(self) -> None:
-        """Free all saved states."""
-        if self.integrator is not None:
-            self.integrator.forget()
-        while self._saved:
-            self.slave.free_state(self._saved.pop())
-
     def linear(self, used: np.ndarray) -> LinearModel | str:
         """Return the linearisation at the present state by directional derivatives, or why there is none.
 
@@ -244,34 +150,28 @@ class FmuParticipant:
         description = self.fmu.description
         if not self.kind.directional_derivatives:
             return "offers no directional derivatives"
-        if self.integrator is not None and self.integrator.next_time < np.inf:
+        if self.next_hit(0.0) < np.inf:
             return "has time events, which directional derivatives do not show"
-        sampled = [
-            v.name
-            for v in description.by_causality("local")
-            if v.variability == "discrete" and v.type in FLOATS  # whole numbers and flags are modes
-        ]
-        sampled += [
-            name
-            for name, taken, moves in zip(self._y_names, used, self.moving, strict=True)
-            if taken and not moves and not _still(description, name)
-        ]
+        local = [v for v in description.by_causality("local") if v.variability == "discrete"]
+        outputs = zip(self._y_names, used, self.moving, strict=True)
+        sampled = [v.name for v in local if v.type in FLOATS]  # whole numbers and flags are modes
+        sampled += [name for name, taken, moves in outputs if taken and not (moves or _still(description, name))]
         if sampled:
             return f"has values that change at events ({sampled[0]}), which directional derivatives do not show"
-        if self.integrator is None and not description.states:
+        if self.slave.kind == "cs" and not description.states:
             return "does not tell its states"
         n = len(description.states)
-        smooth = [
-            np.array([entry.variable.type in FLOATS for entry in description.resolve(names)], bool)
+        rows, columns = (
+            np.array([True] * n + [entry.variable.type in FLOATS for entry in description.resolve(names)], bool)
             for names in (self._y_names, self._u_names)
-        ]
-        stepped = [name for name, taken, floats in zip(self._y_names, used, smooth[0], strict=True) if taken > floats]
-        if stepped:
-            return f"gives others whole numbers or flags ({stepped[0]}), which have no derivatives"
-        rows, columns = (np.flatnonzero([True] * n + list(mask)) for mask in smooth)
-        every = [*description.derivatives, *self._y_names], [*description.states, *self._u_names]
-        unknowns, knowns = ([names[k] for k in at] for names, at in zip(every, (rows, columns), strict=True))
-        J = np.zeros((len(every[0]), len(every[1])))
+        )
+        stepped = np.flatnonzero(used.astype(bool) & ~rows[n:])
+        if stepped.size:
+            name = self._y_names[stepped[0]]
+            return f"gives others whole numbers or flags ({name}), which have no derivatives"
+        unknowns = list(compress([*description.derivatives, *self._y_names], rows))
+        knowns = list(compress([*description.states, *self._u_names], columns))
+        J = np.zeros((len(rows), len(columns)))
         try:
             if unknowns and knowns:
                 J[np.ix_(rows, columns)] = self.slave.jacobian(unknowns, knowns)
@@ -286,6 +186,147 @@ class FmuParticipant:
     def close(self) -> None:
         """Free the instance and what was unpacked."""
         self.fmu.close()
+
+
+class CoSimulationFmu(FmuParticipant):
+    """An FMU that steps itself.
+
+    Inputs that move during a step are met by substeps of its own step, each with the inputs of its middle, if it can
+    vary its communication step; if it cannot, each step is one, and all must be equal. Where all outputs are sampled
+    it is given the inputs of the end of the step, as its new outputs are seen from there on.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.can_restore = self.kind.can_get_set_state
+        self.has_rates = self.can_restore and self.kind.can_vary_step
+        self.equal_steps = not self.kind.can_vary_step
+        self._width = 0.0  # of all steps, where these must be equal
+        self._sampled = bool(self._y_names) and not self.moving.any()
+        self._saved: list[int] = []
+
+    def initialise(self, t: float, u: np.ndarray) -> None:
+        super().initialise(t, u)
+        self._width = 0.0
+
+    def start(self, t: float, u: np.ndarray) -> None:
+        super().start(t, u)
+        if self.slave.ended:
+            raise self.slave.end_asked(t)
+
+    def output(self, t: float, u: np.ndarray) -> np.ndarray:
+        return self._si(self.slave.exchange(self._of_fmu(u), t))
+
+    def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return rates of the outputs by a very short step that is taken back."""
+        h = RATE_STEP * self._last
+        before = self.output(t, u)
+        saved = self.slave.save_state()
+        after = self._advance(t, h, Polynomial([u, rate * h], h), 1)
+        self.slave.restore_state(saved)
+        self.slave.free_state(saved)
+        return np.asarray((after - before) / h)
+
+    def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
+        self._last = h
+        if self.equal_steps:
+            h = self._equal(t, h)
+        if u.is_held or self._sampled:
+            return self._advance(t, h, u if u.is_held else Held(u(h)), 1)
+        start, end = u(0.0), u(h)
+        moves = bool((np.abs(end - start) > HELD * (np.abs(end) + np.abs(start))).any())
+        most = max(1, int(np.ceil(h / self.internal - 1e-9)))
+        return self._advance(t, h, u, min(most, MOST_SUBSTEPS) if moves and not self.equal_steps else 1)
+
+    def _equal(self, t: float, h: float) -> float:
+        """Return the step that all steps have. Raises FmuError if this is another."""
+        self._width = self._width or h
+        if abs(h - self._width) <= 1e-9 * self._width + 8.0 * np.finfo(float).eps * abs(t):
+            return self._width
+        what = f"cannot vary its communication step: the first was {self._width:.9g} s, this would be one of {h:.9g} s"
+        hint = "take fixed steps (no --adaptive) that divide the stop time and the sample times of the others"
+        raise self.slave.step_failed("-", what, "refused", t, hint)
+
+    def _advance(self, t: float, h: float, u: InputHistory, count: int) -> np.ndarray:
+        """Take equal steps. Raises FmuError, also where the FMU asks for the end."""
+        width = h / count
+        self.most_parts = max(self.most_parts, count)
+        for k in range(count):
+            self.do_steps += 1
+            try:
+                y = self.slave.exchange(self._of_fmu(u((k + 0.5) * width)), t + k * width, width)
+            except FmuError as failure:
+                raise self.slave.end_of(failure, t + k * width) from None
+            if self.slave.ended:
+                raise self.slave.end_asked(t + (k + 1) * width)
+        return self._si(y if u.is_held else self.slave.exchange(self._of_fmu(u(h)), t + h))
+
+    def next_hit(self, t: float) -> float:
+        return np.inf
+
+    def save(self) -> Any:
+        if not self.can_restore:
+            return None
+        self._saved.append(self.slave.save_state())
+        while len(self._saved) > KEPT:
+            self.slave.free_state(self._saved.pop(0))
+        return self._saved[-1]
+
+    def restore(self, saved: Any) -> None:
+        if saved is not None:
+            self.slave.restore_state(saved)
+
+    def _forget(self) -> None:
+        while self._saved:
+            self.slave.free_state(self._saved.pop())
+
+
+class ModelExchangeFmu(FmuParticipant):
+    """An FMU whose states are integrated here, from event to event."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        entries = self.fmu.description.resolve(self._u_names)
+        discrete = [entry.variable.variability != "continuous" for entry in entries]
+        self.integrator = ModelExchange(self.slave, np.array(discrete, bool))
+        self.can_restore = self.has_rates = self.kind.can_get_set_state or not self.integrator.may_have_events
+
+    def start(self, t: float, u: np.ndarray) -> None:
+        super().start(t, u)
+        self.integrator.method = self.method
+        self.integrator.begin(t, self._of_fmu(u))
+
+    def output(self, t: float, u: np.ndarray) -> np.ndarray:
+        u = self._of_fmu(u)
+        return self._si(self.integrator.output(t, u) if self._started else self.slave.outputs(t, None, u))
+
+    def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return rates of the outputs by a very short step that is taken back."""
+        h = RATE_STEP * self._last
+        before = self.output(t, u)
+        after = self._si(self.integrator.output_after(t, h, lambda tau: self._of_fmu(u + rate * tau)))
+        return np.asarray((after - before) / h)
+
+    def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
+        self._last = h
+        own = u if self.u_scales is None else lambda tau: self._of_fmu(u(tau))
+        self.integrator.advance(t, h, own, min(max(1, int(np.ceil(h / self.internal - 1e-9))), MOST_STEPS))
+        return self.output(t + h, u(h))
+
+    def next_hit(self, t: float) -> float:
+        return self.integrator.next_time
+
+    def save(self) -> Any:
+        return self.integrator.save()
+
+    def restore(self, saved: Any) -> None:
+        self.integrator.restore(saved)
+
+    def _forget(self) -> None:
+        self.integrator.forget()
+
+    def unstable_step(self) -> str:
+        return self.integrator.unstable_step()
 
 
 def _still(description: ModelDescription, output: str) -> bool:
@@ -342,43 +383,54 @@ def fmu_participant(
         log=hear if log is not None else None,
         sizes=block.fmu_description.sizes,
     )
-    kinds = fmu.description.kinds
-    kind = option.interface if option.interface != "any" else "cs" if "cs" in kinds else "me"
-    if kind not in kinds:
-        offered = ", ".join(kinds) or "neither"
-        fmu.close()
-        what = f"the FMU offers no interface '{kind}'"
-        if list(kinds) == ["se"]:
-            clocks = ", ".join(fmu.description.clocks[:5])
-            what = "the FMU offers Scheduled Execution only, which is driven by clocks: not supported"
-            raise RotorsimError(Problem(what, name, node.place, f"its clocks are {clocks}" if clocks else ""))
-        raise RotorsimError(Problem(what, name, node.place, f"it offers {offered}"))
-    given = {**block.fmu_parameters, **{key: port for key, port in block.fmu_inputs.items() if key not in wired}}
-    parameters: dict[str, Any] = {
-        entry: float(raw)
-        for key, port in given.items()
-        if key in node.values
-        for entry, value, raw, start in zip(
-            port.entries,
-            np.ravel(node.values[key]),
-            port.of_fmu(node.values[key]),
-            [None] * len(port.entries) if port.start is None else np.ravel(port.start),
-            strict=True,
-        )
-        if value != start
-    }
-    for key, chosen in block.fmu_options.items():
-        value = getattr(option, key)
-        settable = chosen.variable.causality != "structuralParameter" and key not in wired
-        if settable and value != chosen.default:
-            parameters[chosen.variable.name] = chosen.of_fmu(value)
-    try:
-        slave = fmu.instantiate(kind, name)
-    except BaseException:
-        fmu.close()
-        raise
-    inputs = {key: port for key, port in block.fmu_inputs.items() if key in wired}
-    own.append(slave)
+    with contextlib.ExitStack() as opened:
+        opened.callback(fmu.close)
+        kind = _kind(name, node, fmu.description, str(option.interface))
+        own.append(fmu.instantiate(kind, name))
+        opened.pop_all()
     proposed = fmu.description.experiment.tolerance if kind == "cs" else None  # of its own solver
-    allowed = proposed if tolerance is None else tolerance
-    return FmuParticipant(name, fmu, slave, inputs, block.fmu_outputs, parameters, stop, internal, allowed)
+    return _KINDS[kind](
+        name=name,
+        fmu=fmu,
+        slave=own[0],
+        input_ports={key: port for key, port in block.fmu_inputs.items() if key in wired},
+        output_ports=block.fmu_outputs,
+        parameters=_given(node, wired),
+        stop=stop,
+        internal=internal,
+        tolerance=proposed if tolerance is None else tolerance,
+    )
+
+
+_KINDS: dict[str, type[FmuParticipant]] = {"cs": CoSimulationFmu, "me": ModelExchangeFmu}
+
+
+def _kind(name: str, node: Node, description: ModelDescription, interface: str) -> str:
+    """Return which of its kinds an FMU is to be. Raises RotorsimError where it does not offer that."""
+    kinds = description.kinds
+    kind = interface if interface != "any" else "cs" if "cs" in kinds else "me"
+    if kind in kinds:
+        return kind
+    what, hint = f"the FMU offers no interface '{kind}'", f"it offers {', '.join(kinds) or 'neither'}"
+    if list(kinds) == ["se"]:
+        clocks = ", ".join(description.clocks[:5])
+        what = "the FMU offers Scheduled Execution only, which is driven by clocks: not supported"
+        hint = f"its clocks are {clocks}" if clocks else ""
+    raise RotorsimError(Problem(what, name, node.place, hint))
+
+
+def _given(node: Node, wired: Collection[str]) -> dict[str, Any]:
+    """Return the values that a block gives to variables of its FMU: those that are not the start values."""
+    block: Any = node.block
+    ports = {**block.fmu_parameters, **{key: port for key, port in block.fmu_inputs.items() if key not in wired}}
+    given: dict[str, Any] = {}
+    for key in (key for key in ports if key in node.values):
+        port, values = ports[key], np.ravel(node.values[key])
+        starts = [None] * len(port.entries) if port.start is None else np.ravel(port.start)
+        rows = zip(port.entries, values, port.of_fmu(values), starts, strict=True)
+        given |= {entry: float(raw) for entry, value, raw, start in rows if value != start}
+    for key, chosen in block.fmu_options.items():
+        settable = chosen.variable.causality != "structuralParameter" and key not in wired
+        if settable and getattr(block.option, key) != chosen.default:
+            given[chosen.variable.name] = chosen.of_fmu(getattr(block.option, key))
+    return given

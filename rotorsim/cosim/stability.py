@@ -9,19 +9,21 @@ hits fall together again (lifting: Meyer & Burrus, IEEE Trans. Circuits Syst. 22
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from math import lcm
-from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from rotorsim.cosim.coupling import Coupling
-from rotorsim.cosim.iterative import Iterative
-from rotorsim.cosim.linear import LinearCoupling, LinearModel, LinearParticipant, linear_part
-from rotorsim.cosim.masters import CLOSE, Master, make_master
-from rotorsim.cosim.participant import CompiledParticipant
+from rotorsim.cosim.inputs import Held
+from rotorsim.cosim.linear import LinearCoupling, LinearParticipant
+from rotorsim.cosim.linear_model import LinearModel
+from rotorsim.cosim.masters.choice import make_stepping_master
+from rotorsim.cosim.masters.master import Settings
+from rotorsim.cosim.masters.stepping import CLOSE, SteppingMaster
+from rotorsim.cosim.participant import Participant
 from rotorsim.errors import RotorsimError
 from rotorsim.jobs.threads import one_thread
 
@@ -61,50 +63,33 @@ class _NoPeriodError(Exception):
     """Steps, rates and sample times have no short common period."""
 
 
-def _models(coupling: Coupling) -> list[LinearModel | str]:
-    """Return the linear model of every participant, or why there is none."""
-    found: list[LinearModel | str] = []
+def linear_coupling(coupling: Coupling[Participant]) -> LinearCoupling | str:
+    """Return a coupling of linearised participants, or why there is none: those that cannot be linearised."""
     used = (coupling.L != 0).any(axis=0)
-    for participant, part in zip(coupling.participants, coupling.y_parts, strict=True):
-        if isinstance(participant, CompiledParticipant):
-            found.append(linear_part(participant))
-            continue
-        told: Any = getattr(participant, "linear", None)
-        found.append(told(used[part]) if told else "cannot be linearised")
-    return found
-
-
-def linear_coupling(coupling: Coupling) -> LinearCoupling | None:
-    """Return a coupling of linearised participants, or None when one of them cannot be linearised."""
-    made = []
-    for participant, model in zip(coupling.participants, _models(coupling), strict=True):
-        if isinstance(model, str):
-            return None
-        made.append(LinearParticipant(participant.name, participant.inputs, participant.outputs, model))
+    models = [(p, p.linear(used[part])) for p, part in zip(coupling.participants, coupling.y_parts, strict=True)]
+    if wrong := [f"{participant.name} {model}" for participant, model in models if isinstance(model, str)]:
+        return "; ".join(wrong)
+    made = [LinearParticipant(p.name, p.inputs, p.outputs, m) for p, m in models if not isinstance(m, str)]
     return LinearCoupling(tuple(made), coupling.L, np.zeros_like(coupling.u0), coupling.held)
 
 
-def why_not_linear(coupling: Coupling, step: float, rates: Sequence[int] | None = None) -> str:
+def why_not_linear(coupling: Coupling[Participant], step: float, rates: Sequence[int] | None = None) -> str:
     """Return why the stability of a coupling is not told: the participants that cannot be linearised, or the times."""
-    models = zip(coupling.participants, _models(coupling), strict=True)
-    wrong = [f"{participant.name} {model}" for participant, model in models if isinstance(model, str)]
-    if wrong:
-        return "; ".join(wrong)
+    linear = linear_coupling(coupling)
+    if isinstance(linear, str):
+        return linear
     try:
-        _count(step, _periods(linear_coupling(coupling)), rates)
+        _count(step, _periods(linear), rates)
     except _NoPeriodError:
-        pass
-    else:
-        return "the linearised loop is singular"
-    times = [f"{step:g} s", *(f"{T:g} s" for T in sorted(_periods(linear_coupling(coupling))))]
-    shown = f"steps and sample times ({', '.join(times)})"
-    if rates and max(rates) > 1:
-        shown += f" and rates ({', '.join(map(str, rates))})"
-    return f"{shown} have no common period of {MOST_STEPS} steps or fewer"
+        times = [f"{step:g} s", *(f"{T:g} s" for T in sorted(_periods(linear)))]
+        shown = f"steps and sample times ({', '.join(times)})"
+        shown += f" and rates ({', '.join(map(str, rates))})" if rates and max(rates) > 1 else ""
+        return f"{shown} have no common period of {MOST_STEPS} steps or fewer"
+    return "the linearised loop is singular"
 
 
 def coupling_stability(
-    coupling: Coupling,
+    coupling: Coupling[Participant],
     step: float,
     *,
     master: str,
@@ -114,7 +99,7 @@ def coupling_stability(
 ) -> CouplingStability | None:
     """Return how stable the coupled loop is with this communication step, or None when it cannot be told."""
     linear = linear_coupling(coupling)
-    if linear is None:
+    if isinstance(linear, str):
         return None
     with one_thread():  # many small matrices: threads cost more than they save
         try:
@@ -129,16 +114,12 @@ def coupling_stability(
             whole, period.eigenvalues(), max(step, min(_periods(linear), default=0.0))
         )
         largest = largest_stable_step(linear, master=master, order=order, rates=rates) if limit else np.nan
-    exact = all(part.model.exact for part in _parts(linear))
+    exact = all(part.model.exact for part in linear.participants)
     return CouplingStability(radius, reference, changed, kept, largest, exact)
 
 
-def _parts(coupling: Coupling) -> list[LinearParticipant]:
-    return [p for p in coupling.participants if isinstance(p, LinearParticipant)]
-
-
-def _periods(coupling: Coupling | None) -> set[float]:
-    return {T for p in _parts(coupling) for T in p.model.periods} if coupling is not None else set()
+def _periods(coupling: LinearCoupling) -> set[float]:
+    return {T for p in coupling.participants for T in p.model.periods}
 
 
 def _count(step: float, periods: set[float], rates: Sequence[int] | None) -> int:
@@ -152,25 +133,23 @@ def _count(step: float, periods: set[float], rates: Sequence[int] | None) -> int
     raise _NoPeriodError
 
 
-def _whole(coupling: Coupling) -> np.ndarray:
+def _whole(coupling: LinearCoupling) -> np.ndarray:
     """Return the eigenvalues [1/s] of the loop without coupling error; with sampled parts, of one period of it."""
-    parts = _parts(coupling)
-    A, B, C, D = (_diagonal([getattr(p.model, key) for p in parts]) for key in "ABCD")
+    models = [p.model for p in coupling.participants]
+    A, B, C, D = (block_diag(*matrices) for matrices in zip(*((m.A, m.B, m.C, m.D) for m in models), strict=True))
     closed = np.linalg.solve(np.eye(len(coupling.u0)) - coupling.L @ D, coupling.L @ C)
     periods = _periods(coupling)
     if not periods:
         return np.asarray(np.linalg.eigvals(A + B @ closed))
     shortest = min(periods)
-    count = _count(shortest, periods, None)
-    end = count * shortest
+    end = _count(shortest, periods, None) * shortest
     flow = LinearParticipant("whole", (), (), LinearModel(A + B @ closed, B[:, :0], C[:0], D[:0, :0]))
-    whole: np.ndarray = np.eye(len(A))
-    flow.x, t = whole, 0.0
-    passed = [whole]
-    for hit in _apart([hit for p in parts for hit in p.model.hits(0.0, end)], WHOLE * shortest):
-        flow.step(t, hit - t, _nothing)
-        jumps = [p.model.jump(due) if (due := p.model.due(hit)) else _still(p.model) for p in parts]
-        J, K = (_diagonal([jump[i] for jump in jumps]) for i in (0, 1))
+    t, nothing = 0.0, Held(np.zeros((0, 1)))
+    flow.x = np.asarray(np.eye(len(A)))
+    passed = [flow.x]
+    for hit in _apart([hit for m in models for hit in m.hits(0.0, end)], WHOLE * shortest):
+        flow.step(t, hit - t, nothing)
+        J, K = (block_diag(*matrices) for matrices in zip(*(m.at_hit(hit) for m in models), strict=True))
         flow.x, t = J @ flow.x + K @ (closed @ flow.x), hit
         passed.append(flow.x)
     return Period(flow.x, len(passed) - 1, end, passed).eigenvalues()
@@ -180,23 +159,6 @@ def _apart(times: Iterable[float], least: float) -> list[float]:
     """Return times in order, without those that others are closer to than ``least``."""
     ordered = sorted(times)
     return [t for k, t in enumerate(ordered) if k == 0 or t - ordered[k - 1] > least]
-
-
-def _nothing(tau: float) -> np.ndarray:
-    return np.zeros((0, 1))
-
-
-def _still(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
-    return np.eye(len(model.A)), np.zeros_like(model.B)
-
-
-def _diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    out = np.zeros((sum(b.shape[0] for b in blocks), sum(b.shape[1] for b in blocks)))
-    row = column = 0
-    for block in blocks:
-        out[row : row + block.shape[0], column : column + block.shape[1]] = block
-        row, column = row + block.shape[0], column + block.shape[1]
-    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,21 +187,17 @@ class Period:
         """
         if not np.isfinite(self.matrix).all():
             return np.zeros(0)
-        found, modes = np.linalg.eig(self.matrix)
-        made = []
-        for z, mode in zip(found, modes.T, strict=True):
-            if abs(z) < 1e-12:
-                continue
-            way = [states @ mode for states in self.passed]
-            turned = sum(float(np.angle(np.vdot(a, b))) for a, b in pairwise(way))
-            angle = float(np.angle(z))
-            angle += 2 * np.pi * round((turned - angle) / (2 * np.pi))
-            made.append(complex(np.log(abs(z)), angle) / self.time)
-        return np.array(made)
+        values, modes = np.linalg.eig(self.matrix)
+        way = np.array([states @ modes for states in self.passed])
+        turned = np.angle((way[:-1].conj() * way[1:]).sum(axis=1)).sum(axis=0)
+        angle = np.angle(values)
+        angle += 2 * np.pi * np.round((turned - angle) / (2 * np.pi))
+        kept = np.abs(values) >= 1e-12
+        return np.asarray((np.log(np.abs(values[kept])) + 1j * angle[kept]) / self.time)
 
 
 def one_period(
-    coupling: Coupling, step: float, master: str, order: int | None = None, rates: Sequence[int] | None = None
+    coupling: LinearCoupling, step: float, master: str, order: int | None = None, rates: Sequence[int] | None = None
 ) -> Period:
     """Return one period of the coupled loop.
 
@@ -248,40 +206,41 @@ def one_period(
     Raises _NoPeriodError.
     """
     count = _count(step, _periods(coupling), rates)
-    for part in _parts(coupling):
+    for part in coupling.participants:
         part.forget()
     fed = (coupling.moving_wires != 0).any(axis=0)
     feeding = [np.flatnonzero(fed[part]) for part in coupling.y_parts]
-    shape = (len(coupling.u0),) if master == "iterative" else (len(coupling.u0), 1)
-    coupling = replace(coupling, u0=np.zeros(shape))
-    worker = make_master(master, coupling, order=order, tolerance=1e-12, rates=rates)
-    earlier = _earlier(worker, step, count)
-    n = sum(len(p.x) for p in _parts(coupling))
+    settings = Settings(order, 1e-12, rates or ())
+    worker = make_stepping_master(master, coupling, settings)
+    if worker.linear_in_many:
+        coupling = replace(coupling, u0=np.zeros((len(coupling.u0), 1)))
+        worker = make_stepping_master(master, coupling, settings)
+    earlier = _earlier(worker, coupling, step, count)
+    n = sum(len(p.x) for p in coupling.participants)
     size = n + sum(len(times) * len(part) for times, part in zip(earlier, feeding, strict=True))
     if not size:
         return Period(np.zeros((0, 0)), count, count * step, ())
-    runs = list(np.eye(size)) if isinstance(worker, Iterative) else [np.eye(size)]
+    runs = [np.eye(size)] if worker.linear_in_many else list(np.eye(size))
     made = [_go(worker, coupling, start, feeding, earlier, step, count) for start in runs]
     passed = [np.column_stack([run[1][k] for run in made]) for k in range(count + 1)]
     return Period(np.column_stack([run[0] for run in made]), count, count * step, passed)
 
 
-def _earlier(worker: Master, step: float, count: int) -> list[list[float]]:
+def _earlier(worker: SteppingMaster, coupling: LinearCoupling, step: float, count: int) -> list[list[float]]:
     """Return of every participant the times before 0 of the points that the master may look back to, newest first."""
-    memory = worker.order - 1 if isinstance(worker, Iterative) else worker.depth - 1
+    memory = worker.memory
     if max(worker.rates) > 1 or not worker.sampling:
         return [[-(j + 1) * rate * step for j in range(memory)] for rate in worker.rates]
-    parts = [worker.coupling.participants[k] for k in worker.sampling]
     end = count * step
-    hits = [hit for p in parts if isinstance(p, LinearParticipant) for hit in p.model.hits(0.0, end)]
+    hits = [hit for k in worker.sampling for hit in coupling.participants[k].model.hits(0.0, end)]
     points = _apart([*hits, *(step * (k + 1) for k in range(count))], CLOSE * step)
     before = [t - (turn + 1) * end for turn in range(2 * memory + 1) for t in reversed(points)]
     return [before[1 : 2 * memory + 1]] * len(worker.rates)  # points that are close to each other are left out
 
 
 def _go(
-    worker: Master,
-    coupling: Coupling,
+    worker: SteppingMaster,
+    coupling: LinearCoupling,
     start: np.ndarray,
     feeding: Sequence[np.ndarray],
     earlier: Sequence[Sequence[float]],
@@ -289,26 +248,24 @@ def _go(
     count: int,
 ) -> tuple[np.ndarray, list[np.ndarray]]:
     """Return states and past signals, (size,) or (size, runs), after one period, and the states after every step."""
-    parts, at = _parts(coupling), 0
+    parts, at = coupling.participants, 0
     for part in parts:
         part.x = start[at : at + len(part.x)].copy()
         at += len(part.x)
     u, y = coupling.consistent(0.0, coupling.u0)
-    for a, columns in enumerate(coupling.y_parts):
-        worker.known[a] = [(0.0, y[columns])]
-        for time in earlier[a]:
-            before = np.zeros_like(y[columns])
-            before[feeding[a]] = start[at : at + len(feeding[a])]
-            at += len(feeding[a])
-            worker.known[a].insert(0, (time, before))
-    worker.since, worker.tick = [0.0] * len(parts), 0
-    if isinstance(worker, Iterative):
-        worker.begin(0.0, u)
+    known = [[(0.0, y[columns])] for columns in coupling.y_parts]
+    for points, times, fed in zip(known, earlier, feeding, strict=True):
+        for time in times:
+            before = np.zeros_like(points[-1][1])
+            before[fed] = start[at : at + len(fed)]
+            at += len(fed)
+            points.insert(0, (time, before))
+    worker.begin(0.0, u, known)
     passed = [np.concatenate([p.x for p in parts])]
     for k in range(count):
         worker.advance(k * step, (k + 1) * step)
         passed.append(np.concatenate([p.x for p in parts]))
-    now = [worker.known[a][-2 - j][1][feeding[a]] for a in range(len(parts)) for j in range(len(earlier[a]))]
+    now = [worker.known[a][-2 - j][1][fed] for a, fed in enumerate(feeding) for j in range(len(earlier[a]))]
     return np.concatenate([passed[-1], *now]), passed
 
 
@@ -317,21 +274,21 @@ def _most_hurt(whole: np.ndarray, coupled: np.ndarray, step: float) -> tuple[com
 
     Modes with less than about two steps (or samples) in a turn are left out.
     """
-    worst: tuple[complex, complex, float] = (0j, 0j, np.nan)
-    for value in whole:
-        if value.imag < OSCILLATES * abs(value) or abs(value.imag) * step > 0.9 * np.pi or not value.real < 0:
-            continue
-        if not coupled.size:
-            break
-        near = coupled[np.argmin(np.abs(coupled - value))]
-        kept = float((-near.real / abs(near)) / (-value.real / abs(value)))
-        if worst[0] == 0 or kept < worst[2]:
-            worst = (complex(value), complex(near), kept)
-    return worst
+    turning = [
+        value
+        for value in whole
+        if value.imag >= OSCILLATES * abs(value) and abs(value.imag) * step <= 0.9 * np.pi and value.real < 0
+    ]
+    near = [coupled[np.argmin(np.abs(coupled - value))] if coupled.size else 0j for value in turning]
+    if not turning or not coupled.size:
+        return 0j, 0j, np.nan
+    kept = [float((-b.real / abs(b)) / (-a.real / abs(a))) for a, b in zip(turning, near, strict=True)]
+    k = int(np.argmin(kept))
+    return complex(turning[k]), complex(near[k]), kept[k]
 
 
 def largest_stable_step(
-    coupling: Coupling, *, master: str, order: int | None = None, rates: Sequence[int] | None = None
+    coupling: LinearCoupling, *, master: str, order: int | None = None, rates: Sequence[int] | None = None
 ) -> float:
     """Return the communication step [s] above which the coupled loop is unstable (infinite if none is found).
 
@@ -349,7 +306,7 @@ def largest_stable_step(
     def stable(step: float) -> bool:
         try:
             period = one_period(coupling, step, master, order, rates)
-        except (RotorsimError, np.linalg.LinAlgError):  # the iteration itself may not converge there
+        except (_NoPeriodError, RotorsimError, np.linalg.LinAlgError):  # the iteration itself may not converge there
             return False
         return period.radius < 1 + 1e-7
 
@@ -358,32 +315,18 @@ def largest_stable_step(
     swings = np.abs(whole[np.abs(whole.imag) > OSCILLATES * np.abs(whole)])
     longest = 1e2 / float(swings.min(initial=fastest))
     steps = np.geomspace(1e-3 / fastest, longest, round(GRID * np.log10(longest * fastest * 1e3)))
-    below = steps[0]
-    for step in steps:
-        if not stable(float(step)):
-            above = float(step)
-            break
-        below = float(step)
-    else:
+    unstable = next((k for k, step in enumerate(steps) if not stable(float(step))), None)
+    if unstable is None:
         return np.inf
+    below, above = float(steps[max(unstable - 1, 0)]), float(steps[unstable])
     for _ in range(20):
         middle = (below + above) / 2
         below, above = (middle, above) if stable(middle) else (below, middle)
-    return float(below)
+    return below
 
 
-def _largest_multiple(period: float, stable: Any) -> float:
+def _largest_multiple(period: float, stable: Callable[[float], bool]) -> float:
     """Return the largest stable step among multiples of a period, or else among its fractions; 0 where none is."""
-
-    def good(step: float) -> bool:
-        try:
-            return bool(stable(step))
-        except _NoPeriodError:
-            return False
-
-    if good(period):
-        for k in range(2, 21):
-            if not good(k * period):
-                return (k - 1) * period
-        return np.inf
-    return next((period / k for k in range(2, 51) if good(period / k)), 0.0)
+    if stable(period):
+        return next(((k - 1) * period for k in range(2, 21) if not stable(k * period)), np.inf)
+    return next((period / k for k in range(2, 51) if stable(period / k)), 0.0)

@@ -19,7 +19,7 @@ import numpy as np
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, Shape
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.fmi.description.model import FLOATS, INTEGERS, NUMERIC, FmuVariable, ModelDescription
+from rotorsim.fmi.description.model import FLOATS, INTEGERS, NUMERIC, Entry, FmuVariable, ModelDescription
 from rotorsim.fmi.runtime.slave import describe_fmu
 
 __all__ = ["FmuPort", "block_class", "ports_of"]
@@ -73,59 +73,44 @@ def ports_of(
     description: ModelDescription, causalities: Sequence[str], prefix: str, types: Sequence[str] = NUMERIC
 ) -> dict[str, FmuPort]:
     """Return the variables of some causalities grouped to ports: numbers; flags as 0 and 1."""
-    groups: dict[tuple[str, int], list[tuple[tuple[int, ...], str, FmuVariable, float | None]]] = {}
-    for variable in description.by_causality(*causalities):
-        if variable.type not in types or variable.clocked:
-            continue
-        starts = np.ravel(variable.start) if variable.start is not None else [None] * variable.size
-        starts = list(starts) * variable.size if len(starts) == 1 < variable.size else list(starts)
-        for name, start in zip(variable.names(), starts, strict=True):
-            match = _INDEX.fullmatch(name)
-            base = match[1] if match else name
-            index = tuple(int(part) for part in match[2].split(",")) if match else ()
-            groups.setdefault((base, len(index)), []).append((index, name, variable, start))
+    groups: dict[tuple[str, int], list[tuple[tuple[int, ...], Entry]]] = {}
+    usable = [v for v in description.by_causality(*causalities) if v.type in types and not v.clocked]
+    for entry in (entry for variable in usable for entry in description.entries(variable.name)):
+        match = _INDEX.fullmatch(entry.name)
+        index = tuple(map(int, match[2].split(","))) if match else ()
+        groups.setdefault((match[1] if match else entry.name, len(index)), []).append((index, entry))
     found: dict[str, FmuPort] = {}
     for (base, _), members in groups.items():
-        port = _port(description, base, members, prefix)
-        if port.name in found and "local" in causalities:
-            continue  # it cannot be named
-        if port.name in found:
-            raise RotorsimError(
-                Problem(f"two variables would be called '{port.name}'", description.name, description.place)
-            )
-        found[port.name] = port
+        port = _port(description, port_name(base, prefix), sorted(members, key=lambda member: member[0]))
+        if port.name in found and "local" not in causalities:  # those inside need no name
+            what = f"two variables would be called '{port.name}'"
+            raise RotorsimError(Problem(what, description.name, description.place))
+        found.setdefault(port.name, port)
     return found
 
 
-def _port(
-    description: ModelDescription,
-    base: str,
-    members: Sequence[tuple[tuple[int, ...], str, FmuVariable, float | None]],
-    prefix: str,
-) -> FmuPort:
-    members = sorted(members, key=lambda member: member[0])
-    indices = np.array([member[0] for member in members])
-    shape: Shape = ()
-    if indices.size:
-        shape = tuple(int(n) for n in indices.max(axis=0))
-        if prod(shape) != len(members) or indices.min() != 1:
-            shape = (len(members),)
-    variable = members[0][2]
-    starts = [member[3] for member in members]
-    units = {v.name: description.unit_of(v) for _, _, v, _ in members}
-    scales = np.array([(unit.factor, unit.offset) if (unit := units[v.name]) else (1.0, 0.0) for _, _, v, _ in members])
-    shown = {unit.si if unit else None for unit in units.values()}
+def _port(description: ModelDescription, name: str, members: Sequence[tuple[tuple[int, ...], Entry]]) -> FmuPort:
+    """Return the port of entries, which are given in the order of their indices."""
+    indices, entries = np.array([index for index, _ in members]), [entry for _, entry in members]
+    shape: Shape = tuple(int(n) for n in indices.max(axis=0)) if indices.size else ()
+    if indices.size and (prod(shape) != len(members) or indices.min() != 1):
+        shape = (len(members),)
+    variable = entries[0].variable
+    units = [description.unit_of(entry.variable) for entry in entries]
+    scales = np.array([(unit.factor, unit.offset) if unit else (1.0, 0.0) for unit in units])
+    shown = {unit.si if unit else None for unit in units}
     port = FmuPort(
-        port_name(base, prefix),
+        name,
         shape,
         shown.pop() if len(shown) == 1 else None,
-        tuple(m[1] for m in members),
+        tuple(entry.name for entry in entries),
         None,
         variable.description,
         scales,
         variable.variability in ("discrete", "constant", "fixed"),
     )
-    if not all(value is not None and math.isfinite(value) for value in starts):
+    starts = [entry.start for entry in entries]
+    if not all(isinstance(start, int | float) and math.isfinite(start) for start in starts):
         return port  # what is not finite cannot be given here: the FMU keeps it
     return replace(port, start=port.to_si(np.array(starts, float)).reshape(shape))
 
@@ -140,9 +125,9 @@ def port_name(base: str, prefix: str) -> str:
 def unit_warnings(description: ModelDescription) -> list[Problem]:
     """Return a warning for every unit of a variable at work that is neither defined nor known, and so fits anything."""
     names: dict[str, FmuVariable] = {}
-    for variable in description.by_causality("input", "output", "parameter"):
-        if variable.unit and variable.type in FLOATS and description.unit_of(variable) is None:
-            names.setdefault(variable.unit, variable)
+    for v in description.by_causality("input", "output", "parameter"):
+        if v.unit and v.type in FLOATS and description.unit_of(v) is None:
+            names.setdefault(v.unit, v)
     return [
         Problem(
             f"the unit '{unit[:80]}' is neither defined in the FMU nor known: it is taken as it is and fits all",
@@ -157,12 +142,12 @@ def unit_warnings(description: ModelDescription) -> list[Problem]:
 def _silent(description: ModelDescription, outputs: Mapping[str, FmuPort], prefix: str) -> list[Problem]:
     """Return a warning where nothing of an FMU can be seen."""
     inside = [] if outputs else [*ports_of(description, ("local",), prefix)]
-    if not inside:
-        return []
     shown = ", ".join(inside[:5]) + (", ..." if len(inside) > 5 else "")
-    hint = f'"record": ["BLOCK.{inside[0]}"]; there are {shown}'
     what = "it has no outputs, and none of the variables inside is recorded or wired"
-    return [Problem(what, hint=hint, severity="warning")]
+    return [
+        Problem(what, hint=f'"record": ["BLOCK.{first}"]; there are {shown}', severity="warning")
+        for first in inside[:1]
+    ]
 
 
 def prefix_of(description: ModelDescription) -> str:
@@ -246,13 +231,12 @@ def _made(
         "interface": Option("any", choices=("any", "cs", "me"), kind=str, doc="cs, me, or any: cs where it is offered"),
         "in_process": Option(False, kind=bool, doc="load its code into this process: faster, but a crash is ours"),
     }
-    for kind, ports in (("i", inputs), ("o", outputs)):
-        for port in ports.values():
-            declare = In if kind == "i" else Out
-            extra: dict[str, Any] = {"additive": True} if kind == "i" else {}
-            body[f"_{kind}_{port.name}"] = declare(
-                name=port.name, shape=port.shape, unit=port.unit, doc=port.description, **extra
-            )
+    for port in inputs.values():
+        body[f"_i_{port.name}"] = In(
+            name=port.name, shape=port.shape, unit=port.unit, doc=port.description, additive=True
+        )
+    for port in outputs.values():
+        body[f"_o_{port.name}"] = Out(name=port.name, shape=port.shape, unit=port.unit, doc=port.description)
     starts = {
         name: port
         for name, port in inputs.items()

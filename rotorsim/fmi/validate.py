@@ -11,7 +11,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 
 from rotorsim.errors import Place, Problem, RotorsimError
@@ -62,134 +61,110 @@ def validate_fmu(path: str | Path, *, load: bool = False, fmpy: bool = True) -> 
     return problems
 
 
-def _limited(found: Iterator[Problem]) -> Iterator[Problem]:
-    """Yield the first problems of one kind."""
-    count = 0
-    last: Problem | None = None
-    for last in found:
-        count += 1
-        if count <= _SHOWN:
-            yield last
-    if count > _SHOWN and last is not None:
-        yield Problem(f"... and {count - _SHOWN} more like these", place=Place(last.place.file))
-
-
 # -- the model description ---------------------------------------------------------------------------------------------
 
 
 def _variables(description: ModelDescription) -> Iterator[Problem]:
-    for check in (_names, _combinations, _starts, _units, _references):
-        yield from _limited(check(description))
+    """Yield what is wrong with variables: the first of each kind."""
+    rules = [_broken_rules(v, description) for v in description.variables.values()]
+    for kind in (*zip(*rules, strict=True), _twice(description)):
+        problems = [problem for problem in kind if problem]
+        yield from problems[:_SHOWN]
+        if len(problems) > _SHOWN:
+            yield Problem(f"... and {len(problems) - _SHOWN} more like these", place=Place(description.place.file))
+    if description.version == "3.0" and len(description.by_causality("independent")) != 1:
+        yield Problem("there must be exactly one independent variable", place=description.place)
 
 
-def _names(description: ModelDescription) -> Iterator[Problem]:
+def _broken_rules(v: FmuVariable, description: ModelDescription) -> list[Problem | None]:
+    """Return of every rule what a variable does against it, None where it keeps it."""
     structured = description.naming == "structured"
-    for v in description.variables.values():
-        if structured and not _STRUCTURED.fullmatch(v.name[:1000]):
-            yield Problem(f"'{v.name[:200]}' is not a structured name", "variable", v.place)
-        elif any(c in "\r\n\t" for c in v.name):
-            yield Problem(f"{v.name[:200]!r} has a line break or a tab", "variable", v.place)
-
-
-def _combinations(description: ModelDescription) -> Iterator[Problem]:
-    for v in description.variables.values():
-        if (v.variability, v.initial) not in _LEGAL[v.causality] and v.type != "Clock":
-            initial = f" and initial {v.initial}" if v.initial else ""
-            yield Problem(f"causality {v.causality} with variability {v.variability}{initial}", v.name, v.place)
-        if v.variability == "continuous" and v.type not in FLOATS:
-            yield Problem(f"is of type {v.type} and cannot be continuous", v.name, v.place)
-
-
-def _starts(description: ModelDescription) -> Iterator[Problem]:
-    for v in description.variables.values():
-        if v.type in ("Clock", "Binary"):
-            continue
-        if v.start is None and (v.initial in ("exact", "approx") or v.causality == "input"):
-            yield Problem("has no start value", v.name, v.place)
-        if v.start is not None and v.initial == "calculated":
-            yield Problem("is calculated but has a start value", v.name, v.place)
-        if v.start is not None and v.causality == "independent":
-            yield Problem("is the independent variable but has a start value", v.name, v.place)
-        yield from _range(v)
-
-
-def _range(v: FmuVariable) -> Iterator[Problem]:
+    data = v.type not in ("Clock", "Binary")
     low = -math.inf if v.minimum is None else v.minimum
     high = math.inf if v.maximum is None else v.maximum
-    if low > high:
-        yield Problem(f"min {low:g} is above max {high:g}", v.name, v.place)
-    starts = v.start if isinstance(v.start, tuple) else (v.start,)
-    if v.type in NUMERIC and any(isinstance(s, int | float) and not low <= s <= high for s in starts):
-        yield Problem(f"its start value is outside {low:g} ... {high:g}", v.name, v.place, severity="warning")
+    starts = [s for s in (v.start if isinstance(v.start, tuple) else (v.start,)) if isinstance(s, int | float)]
+    unit = description.units.get(v.unit)
+    lost = v.unit and unit and v.display_unit and v.display_unit not in unit.display
+    initial = f" and initial {v.initial}" if v.initial else ""
+    illegal = (v.variability, v.initial) not in _LEGAL[v.causality] and v.type != "Clock"
+    rules = {
+        f"causality {v.causality} with variability {v.variability}{initial}": illegal,
+        f"is of type {v.type} and cannot be continuous": v.variability == "continuous" and v.type not in FLOATS,
+        "has no start value": data and v.start is None and (v.initial in ("exact", "approx") or v.causality == "input"),
+        "is calculated but has a start value": data and v.start is not None and v.initial == "calculated",
+        "is the independent variable but has a start value": data
+        and v.start is not None
+        and v.causality == "independent",
+        f"min {low:g} is above max {high:g}": data and low > high,
+        f"its unit '{v.unit[:80]}' is not defined": v.unit and unit is None,
+        f"its display unit '{v.display_unit[:80]}' is not defined": lost,
+    }
+    names = {
+        f"'{v.name[:200]}' is not a structured name": structured and not _STRUCTURED.fullmatch(v.name[:1000]),
+        f"{v.name[:200]!r} has a line break or a tab": not structured and any(c in "\r\n\t" for c in v.name),
+    }
+    far = f"its start value is outside {low:g} ... {high:g}"
+    outside = data and v.type in NUMERIC and any(not low <= start <= high for start in starts)
+    return [
+        *(Problem(what, "variable", v.place) if broken else None for what, broken in names.items()),
+        *(Problem(what, v.name, v.place) if broken else None for what, broken in rules.items()),
+        Problem(far, v.name, v.place, severity="warning") if outside else None,
+    ]
 
 
-def _units(description: ModelDescription) -> Iterator[Problem]:
-    for v in description.variables.values():
-        if v.unit and v.unit not in description.units:
-            yield Problem(f"its unit '{v.unit[:80]}' is not defined", v.name, v.place)
-        elif v.display_unit and v.unit and v.display_unit not in description.units[v.unit].display:
-            yield Problem(f"its display unit '{v.display_unit[:80]}' is not defined", v.name, v.place)
-
-
-def _references(description: ModelDescription) -> Iterator[Problem]:
-    if description.version == "2.0":
-        return
-    seen: dict[int, str] = {}
-    for v in description.variables.values():
-        if not v.alias and v.reference in seen:
-            yield Problem(f"has the value reference of {seen[v.reference]}", v.name, v.place)
-        seen.setdefault(v.reference, v.name)
-    if len(description.by_causality("independent")) != 1:
-        yield Problem("there must be exactly one independent variable", place=description.place)
+def _twice(description: ModelDescription) -> list[Problem]:
+    """Return the variables of FMI 3.0 that have the value reference of another one."""
+    own = [v for v in description.variables.values() if not v.alias] if description.version == "3.0" else []
+    first = {v.reference: v for v in reversed(own)}
+    again = [(v, first[v.reference].name) for v in own if first[v.reference] is not v]
+    return [Problem(f"has the value reference of {name}", v.name, v.place) for v, name in again]
 
 
 def _structure(description: ModelDescription) -> Iterator[Problem]:
     outputs = {v.name for v in description.by_causality("output") if not v.alias}
-    listed = set(description.outputs)
-    for name in sorted(outputs - listed)[:_SHOWN]:
-        yield Problem("is an output that the model structure does not list", name, description.variables[name].place)
-    for name in sorted(listed - outputs)[:_SHOWN]:
-        yield Problem("is listed as an output but is none", name, description.variables[name].place)
+    listed, unknowns = set(description.outputs), set(description.initial_unknowns)
     expected = _initial_unknowns(description)
-    found = set(description.initial_unknowns)
-    for name in sorted(expected - found)[:_SHOWN]:
-        yield Problem("is missing among the initial unknowns", name, description.variables[name].place)
-    for name in sorted(found - expected)[:_SHOWN]:
-        yield Problem("is no initial unknown but is listed as one", name, description.variables[name].place)
+    for names, what in (
+        (outputs - listed, "is an output that the model structure does not list"),
+        (listed - outputs, "is listed as an output but is none"),
+        (expected - unknowns, "is missing among the initial unknowns"),
+        (unknowns - expected, "is no initial unknown but is listed as one"),
+    ):
+        yield from (Problem(what, name, description.variables[name].place) for name in sorted(names)[:_SHOWN])
 
 
 def _initial_unknowns(description: ModelDescription) -> set[str]:
     free = ("approx", "calculated")
-    variables = [v for v in description.variables.values() if not v.alias]
-    found = {v.name for v in variables if v.causality == "output" and v.initial in free and not v.clocked}
-    found |= {v.name for v in variables if v.causality == "calculatedParameter"}
     rates = {entry.variable.name for entry in description.resolve(description.derivatives)}
     states = {description.variables[name].derivative_of for name in rates}
-    return found | {name for name in rates | states if description.variables[name].initial in free}
+    found = {name for name in rates | states if description.variables[name].initial in free}
+    for v in description.variables.values():
+        output = v.causality == "output" and v.initial in free and not v.clocked
+        if not v.alias and (output or v.causality == "calculatedParameter"):
+            found.add(v.name)
+    return found
 
 
 # -- libraries ---------------------------------------------------------------------------------------------------------
 
 
 def _libraries(description: ModelDescription, archive: Archive) -> Iterator[Problem]:
-    place = Place(str(archive.path))
+    place, here = Place(str(archive.path)), folders(description.version)
     present = sorted({name.split("/")[1] for name in archive.names if re.fullmatch(r"binaries/[^/]+/.+", name)})
-    sources = any(name.startswith("sources/") for name in archive.names)
     if not description.platforms:
+        sources = any(name.startswith("sources/") for name in archive.names)
         hint = "it holds sources: build it with the tool it is from" if sources else ""
         yield Problem("no library that can be loaded is inside", "binaries", place, hint)
-    elif not set(folders(description.version)) & set(description.platforms):
-        inside = ", ".join(description.platforms)
-        what = f"no library for this machine ({folders(description.version)[0]}); inside: {inside}"
+    elif not set(here) & set(description.platforms):
+        what = f"no library for this machine ({here[0]}); inside: {', '.join(description.platforms)}"
         yield Problem(what, "binaries", place, severity="warning")
-    for folder in present:
+    identifiers = sorted({kind.identifier for kind in description.kinds.values()})
+    for folder in (folder for folder in present if platform_of(folder)):
         known = platform_of(folder)
-        suffix = SUFFIXES.get(known.partition("-")[2], "") if known else ""
-        for identifier in sorted({kind.identifier for kind in description.kinds.values()}):
-            name = f"binaries/{folder}/{identifier}{suffix}"
-            if suffix and name not in archive:
+        for name in (f"binaries/{folder}/{of}{SUFFIXES[known.partition('-')[2]]}" for of in identifiers):
+            if name not in archive:
                 yield Problem(f"{name} is missing", "binaries", place, severity="warning")
-            elif suffix and (kind := binary_kind(archive.peek(name, 4096))) != known:
+            elif (kind := binary_kind(archive.peek(name, 4096))) != known:
                 yield Problem(f"{name} is {kind or 'no library'}, not {known}", "binaries", place)
 
 
@@ -200,8 +175,6 @@ def _ask_fmpy(path: Path, description: ModelDescription) -> Iterator[Problem]:
     """Yield what FMPy's validator finds."""
     place = Place(str(path))
     longest = max((len(name) for name in description.variables), default=0)
-    if find_spec("fmpy") is None:
-        return
     if len(description.variables) > _FMPY_MOST or longest > 500:
         yield Problem("is too large for FMPy's validator, which was not asked", place=place, severity="warning")
         return
@@ -210,11 +183,9 @@ def _ask_fmpy(path: Path, description: ModelDescription) -> Iterator[Problem]:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_FMPY_TIME, check=True)
         found = json.loads(done.stdout.splitlines()[-1])
     except (subprocess.SubprocessError, OSError, ValueError, IndexError) as error:
-        what = f"FMPy's validator failed: {type(error).__name__}"
-        yield Problem(what, place=place, severity="warning")
+        yield Problem(f"FMPy's validator failed: {type(error).__name__}", place=place, severity="warning")
         return
-    for text in found[:_SHOWN]:
-        yield Problem(" ".join(str(text).split())[:500], "FMPy", place)
+    yield from (Problem(" ".join(str(text).split())[:500], "FMPy", place) for text in found[:_SHOWN])
     if len(found) > _SHOWN:
         yield Problem(f"... and {len(found) - _SHOWN} more", "FMPy", place)
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
 
 from rotorsim.errors import Problem
 from rotorsim.fmi.description.model import FmuUnit, Value
@@ -82,30 +85,29 @@ class Flat:
 
     def _connection(self, path: Path, connection: Connection) -> None:
         """Note a connection as driver of the end that takes the value: which one follows from the kinds."""
-        subject = f"{_named(path, connection, 'start')} -> {_named(path, connection, 'end')}"
         ends = []
         for end in (connection.start, connection.end):
             point = ((*path, end.element) if end.element is not None else path, end.connector)
             connector = self.connectors.get(point)
-            if connector is None:
-                where = f"element '{end.element}'" if end.element is not None else "the system"
-                self._wrong(f"{where} has no connector '{end.connector}'", subject, connection)
+            where = f"element '{end.element}'" if end.element is not None else "the system"
+            wrong = f"{where} has no connector '{end.connector}'"
+            if connector is not None:
+                wrong = f"connectors of kind {connector.kind} are not supported"
+            if connector is None or connector.kind not in _SOURCES + _SINKS:
+                self._wrong(wrong, _ends(path, connection), connection)
                 return
             outward = connector.kind in _SOURCES
-            if connector.kind not in _SOURCES + _SINKS:
-                self._wrong(f"connectors of kind {connector.kind} are not supported", subject, connection)
-                return
             ends.append((point, end.indices, outward if end.element is not None else not outward))
         if ends[0][2] == ends[1][2]:
             what = "two sources are connected" if ends[0][2] else "two connectors that take a value are connected"
-            self._wrong(what, subject, connection)
+            self._wrong(what, _ends(path, connection), connection)
             return
         source, sink = ends if ends[0][2] else ends[::-1]
         drivers = self.drivers.setdefault(sink[0], {})
         if None in drivers or sink[1] in drivers or (sink[1] is None and drivers):
-            self._wrong("is fed by two connections", ".".join((*sink[0][0], sink[0][1])), connection)
-            return
-        drivers[sink[1]] = _Driver(source[0], source[1], connection)
+            self._wrong("is fed by two connections", _text(sink[0]), connection)
+        else:
+            drivers[sink[1]] = _Driver(source[0], source[1], connection)
 
     def _wrong(self, what: str, subject: str, connection: Connection) -> None:
         self.problems.append(Problem(what, subject[:200], connection.place))
@@ -171,9 +173,7 @@ def value_at(setting: Setting, indices: Indices, dimensions: Indices) -> Value |
     sizes = setting.dimensions or dimensions
     if len(indices) != len(sizes) or any(not 1 <= i <= n for i, n in zip(indices, sizes, strict=False)):
         return None if indices or len(setting.values) != 1 else setting.values[0]
-    place = 0
-    for i, n in zip(indices, sizes, strict=True):
-        place = place * n + i - 1
+    place = int(np.ravel_multi_index([i - 1 for i in indices], sizes)) if sizes else 0
     return setting.values[place] if place < len(setting.values) else None
 
 
@@ -181,9 +181,10 @@ def _text(point: Point) -> str:
     return ".".join((*point[0], point[1]))
 
 
-def _named(path: Path, connection: Connection, which: str) -> str:
-    end = connection.start if which == "start" else connection.end
-    return ".".join((*path, *((end.element,) if end.element is not None else ()), end.connector))
+def _ends(path: Path, connection: Connection) -> str:
+    """Return both ends of a connection in a system."""
+    ends = (connection.start, connection.end)
+    return " -> ".join(".".join((*path, *filter(None, (end.element,)), end.connector)) for end in ends)
 
 
 def names_of(paths: Iterable[Path]) -> dict[Path, str]:
@@ -193,9 +194,7 @@ def names_of(paths: Iterable[Path]) -> dict[Path, str]:
     for path in paths:
         name = re.sub(r"\W", "_", "_".join(path), flags=re.ASCII)[:80]
         name = name if re.match(r"[A-Za-z_]", name) else f"_{name}"
-        unique, k = name, 2
-        while unique in taken:
-            unique, k = f"{name}_{k}", k + 1
-        taken.add(unique)
-        found[path] = unique
+        candidates = (name if k == 1 else f"{name}_{k}" for k in count(1))
+        found[path] = next(candidate for candidate in candidates if candidate not in taken)
+        taken.add(found[path])
     return found

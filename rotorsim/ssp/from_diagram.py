@@ -122,11 +122,8 @@ def write_ssp(structure: Structure, files: Mapping[str, Path], file: str | Path)
 
 def _cut(diagram: Diagram, parts: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
     """Return the blocks of every part and of the rest."""
-    problems = [
-        Problem("is not a name", name, hint="letters, digits and _, not a digit first")
-        for name in parts
-        if not _NAME.fullmatch(name)
-    ]
+    hint = "letters, digits and _, not a digit first"
+    problems = [Problem("is not a name", name, hint=hint) for name in parts if not _NAME.fullmatch(name)]
     taken = [block for blocks in parts.values() for block in blocks]
     for block in dict.fromkeys(taken):
         if block not in diagram.nodes:
@@ -209,11 +206,7 @@ def _shown(entry: str) -> str:
 def _end(component: str, description: ModelDescription, own: str) -> End:
     """Return an end at an entry of an FMU: a scalar, or an entry of an array."""
     entry = description.resolve([own])[0]
-    dimensions = entry.variable.dimensions
-    if not dimensions:
-        return End(component, own)
-    indices = tuple(int(i) + 1 for i in np.unravel_index(entry.index, dimensions))
-    return End(component, entry.variable.name, indices)
+    return End(component, entry.variable.name, entry.indices or None)
 
 
 # ---- components ----
@@ -255,7 +248,7 @@ def _foreign_component(name: str, diagram: Diagram, block: str) -> Component:
         for port in ports.values():
             for entry in description.resolve(port.entries):
                 v = entry.variable
-                connectors[v.name] = Connector(v.name, kind, v.type, _known_unit(description, v), v.dimensions)
+                connectors[v.name] = Connector(v.name, kind, v.type, description.unit_of(v), v.dimensions)
     free = {key: port for key, port in found.fmu_inputs.items() if key not in wired}
     settings: dict[str, Setting] = {}
     for key, port in {**found.fmu_parameters, **free}.items():
@@ -278,9 +271,4 @@ def _changed(description: ModelDescription, port: FmuPort, values: np.ndarray) -
         v = variables[name]
         numbers = tuple(entries[k] for k in range(v.size))
         whole = numbers if v.type.startswith("Float") else tuple(int(number) for number in numbers)
-        yield name, Setting(name, v.type, whole, _known_unit(description, v), v.dimensions)
-
-
-def _known_unit(description: ModelDescription, variable: FmuVariable) -> FmuUnit | None:
-    """Return the unit of a variable where the FMU defines it, or its name is known; SSP wants a definition."""
-    return description.unit_of(variable)
+        yield name, Setting(name, v.type, whole, description.unit_of(v), v.dimensions)

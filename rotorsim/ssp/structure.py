@@ -8,9 +8,10 @@ from rotorsim.errors import Place
 from rotorsim.fmi.description.model import FmuUnit, Value
 
 __all__ = [
+    "FMU",
+    "INTERFACES",
     "MAIN",
     "NAMESPACES",
-    "VERSIONS",
     "Component",
     "Connection",
     "Connector",
@@ -22,7 +23,8 @@ __all__ = [
 ]
 
 MAIN = "SystemStructure.ssd"
-VERSIONS = ("1.0", "2.0")
+FMU = "application/x-fmu-sharedlibrary"  # type of a component
+INTERFACES = {"cs": "CoSimulation", "me": "ModelExchange"}
 _BASE = "http://ssp-standard.org/SSP1/SystemStructure"  # also in SSP 2.0
 NAMESPACES = {
     "ssd": f"{_BASE}Description",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path as File
@@ -23,6 +23,7 @@ from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.files import HIDDEN, sweep, temporary_prefix, write_atomically
 from rotorsim.fmi.block import FmuPort, block_class
 from rotorsim.fmi.description.archive import Archive, Limits
+from rotorsim.fmi.description.attributes import Mistakes
 from rotorsim.fmi.description.model import Entry, FmuUnit, ModelDescription, Value
 from rotorsim.model.load import load
 from rotorsim.ssp.flat import Feed, Flat, Path, names_of, rescaled, value_at
@@ -102,10 +103,7 @@ def _share(folder: File) -> None:
 
 
 def _refuse(problems: Sequence[Problem]) -> None:
-    errors = list(dict.fromkeys(problems))
-    if errors:
-        more = [Problem(f"... and {len(errors) - 50} more mistakes")] if len(errors) > 50 else []
-        raise RotorsimError(*errors[:50], *more)
+    Mistakes("", list(dict.fromkeys(problems))).refuse(50, Place())
 
 
 @dataclass(frozen=True)
@@ -134,13 +132,14 @@ class _Writer:
             try:
                 self.classes[path] = block_class(folder.joinpath(*component.source.split("/")))
             except RotorsimError as error:
-                shown = [Problem(p.what, ".".join(path), component.place, p.hint) for p in error.problems]
-                self.problems += shown
+                self.problems += [Problem(p.what, ".".join(path), component.place, p.hint) for p in error.problems]
         _refuse(self.problems)
-        self.ports: dict[tuple[Path, str], _At] = {}  # FMU's own name of an entry -> port of the block
-        for path, found in self.classes.items():
-            for port in (*found.fmu_inputs.values(), *found.fmu_outputs.values()):
-                self.ports.update(((path, own), _At(self.names[path], port, k)) for k, own in enumerate(port.entries))
+        self.ports = {  # FMU's own name of an entry -> port of the block
+            (path, own): _At(self.names[path], port, k)
+            for path, found in self.classes.items()
+            for port in (*found.fmu_inputs.values(), *found.fmu_outputs.values())
+            for k, own in enumerate(port.entries)
+        }
         self.used: set[str] = set()  # settings
 
     def document(self) -> dict[str, Any]:
@@ -151,17 +150,28 @@ class _Writer:
         for path, component in self.flat.components.items():
             values, fed = self._inputs(path, component)
             feeds += fed
-            wired = {at.port.name for _, at in fed}
-            parameters = self._parameters(path, component, values, wired)
+            parameters = self._parameters(path, values, {at.port.name for _, at in fed})
             if component.interface:
                 parameters = {"interface": component.interface, **parameters}
             blocks[self.names[path]] = {"type": "fmu", "file": component.source, "parameters": parameters}
         wires = self._wires(feeds, blocks)
-        self._unused()
+        left = [name for name in self.flat.settings if name not in self.used]  # SSP leaves them out
+        for name in left[:20]:
+            place = self.flat.settings[name].place
+            self.warnings.append(Problem("is no parameter of a component: left out", name[:200], place, "", "warning"))
+        if len(left) > 20:
+            self.warnings.append(Problem(f"... and {len(left) - 20} more values left out", severity="warning"))
         document: dict[str, Any] = {"schema_version": 1, "name": structure.name or "system"}
         if structure.description:
             document["description"] = structure.description
         return document | {"blocks": blocks, "wires": wires, "solver": self._solver(), "record": self._record()}
+
+    def _description(self, path: Path) -> ModelDescription:
+        description: ModelDescription = self.classes[path].fmu_description
+        return description
+
+    def _wrong(self, path: Path, name: str, what: str) -> None:
+        self.problems.append(Problem(what, ".".join((*path, name))[:200], self.flat.components[path].place))
 
     # -- what feeds the inputs -----------------------------------------------------------------------------------------
 
@@ -170,76 +180,58 @@ class _Writer:
         connector = self.flat.connectors.get(point)
         if connector is not None and connector.unit is not None:
             return connector.unit
-        found = self.classes.get(point[0])
-        return _unit_of(found.fmu_description, point[1]) if found else None
+        return _unit_of(self._description(point[0]), point[1]) if point[0] in self.classes else None
 
     def _inputs(self, path: Path, component: Component) -> tuple[dict[str, Value], list[tuple[Feed, _At]]]:
         """Return the values that connectors of systems give to entries, and the entries that outputs feed."""
-        description: ModelDescription = self.classes[path].fmu_description
         values: dict[str, Value] = {}
         fed: list[tuple[Feed, _At]] = []
         for connector in component.connectors:
-            entries = description.entries(connector.name)
-            if not self._matches(path, component, connector, entries) or connector.kind not in _INTO:
-                continue
-            for entry in entries:
-                indices = _indices(entry)
-                feed = self.flat.feed((path, connector.name), indices, self._unit)
+            entries = self._description(path).entries(connector.name)
+            if why := self._mismatch(path, connector, entries):
+                self._wrong(path, connector.name, why)
+            for entry in entries if connector.kind in _INTO and not why else ():
+                feed = self.flat.feed((path, connector.name), entry.indices, self._unit)
+                at = self.ports.get((path, entry.name))
                 if feed is None:
                     continue
                 if feed.path in self.flat.components:
-                    at = self.ports.get((path, entry.name))
                     if connector.kind != "input" or at is None:
-                        self._wrong(component, path, entry.name, "an output feeds it, and it is no numeric input")
+                        self._wrong(path, entry.name, "an output feeds it, and it is no numeric input")
                     else:
                         fed.append((feed, at))
                 elif feed.setting is not None:
                     self.used.add(".".join((*feed.path, feed.connector)))
-                    value = value_at(feed.setting, feed.indices, self._sizes(feed))
+                    source = self.flat.connectors.get((feed.path, feed.connector))
+                    value = value_at(feed.setting, feed.indices, source.dimensions if source else ())
                     if value is None or isinstance(value, str):
-                        self._wrong(component, path, entry.name, f"no value of {feed.connector} fits it")
+                        self._wrong(path, entry.name, f"no value of {feed.connector} fits it")
                     else:
                         values[entry.name] = feed.factor * value + feed.offset
         return values, fed
 
-    def _sizes(self, feed: Feed) -> tuple[int, ...]:
-        connector = self.flat.connectors.get((feed.path, feed.connector))
-        return connector.dimensions if connector else ()
-
-    def _matches(self, path: Path, component: Component, connector: Connector, entries: list[Entry]) -> bool:
-        """Return whether the FMU has the variable that a connector stands for, of its kind and unit."""
+    def _mismatch(self, path: Path, connector: Connector, entries: Sequence[Entry]) -> str:
+        """Return why the FMU has no variable of the name, kind and unit that a connector stands for, or ""."""
         if not entries:
-            self._wrong(component, path, connector.name, "the FMU has no variable of this name")
-            return False
-        variable = entries[0].variable
-        if variable.causality != connector.kind:
-            what = f"the connector is of kind {connector.kind}, the variable of the FMU {variable.causality}"
-            self._wrong(component, path, connector.name, what)
-            return False
-        own = _unit_of(self.classes[path].fmu_description, connector.name)
+            return "the FMU has no variable of this name"
+        causality, own = entries[0].variable.causality, _unit_of(self._description(path), connector.name)
+        if causality != connector.kind:
+            return f"the connector is of kind {connector.kind}, the variable of the FMU {causality}"
         if connector.unit is not None and own is not None and not same_unit(connector.unit, own):
-            what = f"the connector is in {connector.unit.name}, the variable of the FMU in {own.name}"
-            self._wrong(component, path, connector.name, what)
-        return True
-
-    def _wrong(self, component: Component, path: Path, name: str, what: str) -> None:
-        self.problems.append(Problem(what, ".".join((*path, name))[:200], component.place))
+            return f"the connector is in {connector.unit.name}, the variable of the FMU in {own.name}"
+        return ""
 
     # -- parameters ----------------------------------------------------------------------------------------------------
 
-    def _parameters(
-        self, path: Path, component: Component, values: dict[str, Value], wired: set[str]
-    ) -> dict[str, Any]:
+    def _parameters(self, path: Path, values: dict[str, Value], wired: set[str]) -> dict[str, Any]:
         """Return the parameters of a block: the values of all bindings and connectors, in the FMU's units."""
-        found = self.classes[path]
-        description: ModelDescription = found.fmu_description
+        found, description = self.classes[path], self._description(path)
         given = dict(values)
         for name in description.variables:
             full = ".".join((*path, name))
             if full in self.flat.settings:
                 self.used.add(full)
-                for entry, value in self._entries(component, path, description, name, self.flat.settings[full]):
-                    given.setdefault(entry, value)
+                given = {**self._entries(full, description, name, self.flat.settings[full]), **given}
         free = {key: port for key, port in found.fmu_inputs.items() if port.start is not None}
         parameters: dict[str, Any] = {}
         for key, port in {**free, **found.fmu_parameters}.items():
@@ -253,56 +245,40 @@ class _Writer:
             if not np.array_equal(array, port.start):
                 parameters[key] = array.tolist()
         for name, value in given.items():
-            if _start(description.entries(name)[0]) != value:
+            if description.entries(name)[0].start != value:
                 what = "cannot be set: it is no numeric parameter with a start value, and no input"
-                self._wrong(component, path, name, what)
+                self._wrong(path, name, what)
         return parameters
 
-    def _entries(
-        self, component: Component, path: Path, description: ModelDescription, name: str, setting: Setting
-    ) -> Iterator[tuple[str, Value]]:
-        """Yield the entries of a variable and their values, in the unit of the FMU."""
-        entries = description.entries(name)
-        own, scale = _unit_of(description, name), (1.0, 0.0)
-        if setting.unit is not None and own is not None:
-            fit = rescaled(setting.unit, own)
-            if fit is None:
-                what = f"is given in {setting.unit.name}, but the FMU has it in {own.name}"
-                self.problems.append(Problem(what, ".".join((*path, name)), setting.place))
-                return
-            scale = fit
-        if len(setting.values) != len(entries):
+    def _entries(self, full: str, description: ModelDescription, name: str, setting: Setting) -> dict[str, Value]:
+        """Return the entries of a variable and their values, in the unit of the FMU."""
+        entries, own = description.entries(name), _unit_of(description, name)
+        fit = rescaled(setting.unit, own) if setting.unit is not None and own is not None else (1.0, 0.0)
+        if fit is None and setting.unit is not None and own is not None:
+            what = f"is given in {setting.unit.name}, but the FMU has it in {own.name}"
+        elif len(setting.values) != len(entries):
             what = f"{len(setting.values)} values are given, {len(entries)} expected"
-            self.problems.append(Problem(what, ".".join((*path, name)), setting.place))
-            return
-        for entry, value in zip(entries, setting.values, strict=True):
-            plain = isinstance(value, str | bool) or scale == (1.0, 0.0)
-            yield entry.name, value if plain else scale[0] * float(value) + scale[1]
-
-    def _unused(self) -> None:
-        """Say which values go nowhere: SSP leaves them out."""
-        left = [name for name in self.flat.settings if name not in self.used]
-        for name in left[:20]:
-            place = self.flat.settings[name].place
-            self.warnings.append(Problem("is no parameter of a component: left out", name[:200], place, "", "warning"))
-        if len(left) > 20:
-            self.warnings.append(Problem(f"... and {len(left) - 20} more values left out", severity="warning"))
+        elif fit == (1.0, 0.0) or fit is None:
+            return {entry.name: value for entry, value in zip(entries, setting.values, strict=True)}
+        else:
+            pairs = zip(entries, setting.values, strict=True)
+            plain = str | bool
+            return {e.name: v if isinstance(v, plain) else fit[0] * float(v) + fit[1] for e, v in pairs}
+        self.problems.append(Problem(what, full, setting.place))
+        return {}
 
     # -- wires ---------------------------------------------------------------------------------------------------------
 
     def _source(self, feed: Feed) -> _At | None:
         """Return the output that feeds something."""
-        component = self.flat.components[feed.path]
-        entries = self.classes[feed.path].fmu_description.entries(feed.connector)
-        entry = next((e for e in entries if _indices(e) == feed.indices), None)
+        entries = self._description(feed.path).entries(feed.connector)
+        entry = next((e for e in entries if e.indices == feed.indices), None)
         if entry is None:
-            self._wrong(component, feed.path, feed.connector, "the shapes of connected connectors differ")
+            self._wrong(feed.path, feed.connector, "the shapes of connected connectors differ")
             return None
         at = self.ports.get((feed.path, entry.name))
         if at is None:
-            self._wrong(
-                component, feed.path, entry.name, f"a connection of type {entry.variable.type} is not supported"
-            )
+            self._wrong(feed.path, entry.name, f"a connection of type {entry.variable.type} is not supported")
         return at
 
     def _wires(self, feeds: Sequence[tuple[Feed, _At]], blocks: dict[str, Any]) -> list[list[str]]:
@@ -323,10 +299,10 @@ class _Writer:
         wires: list[list[str]] = []
         for (block, port, other, into, factor, fits), pairs in groups.items():
             given, wanted = pairs[0][0].port, pairs[0][1].port
-            whole = given.shape == wanted.shape and [(a.k, b.k) for a, b in pairs] == [
-                (k, k) for k in range(len(wanted.entries))
-            ]
-            ends = [(f"{block}.{port}", f"{other}.{into}")] if whole else [(a.end(), b.end()) for a, b in pairs]
+            straight = [(a.k, b.k) for a, b in pairs] == [(k, k) for k in range(len(wanted.entries))]
+            ends = [[a.end(), b.end()] for a, b in pairs]
+            if given.shape == wanted.shape and straight:
+                ends = [[f"{block}.{port}", f"{other}.{into}"]]
             for start, end in ends:
                 if fits:
                     wires.append([start, end])
@@ -351,21 +327,19 @@ class _Writer:
                 for indices in np.ndindex(connector.dimensions):
                     feed = self.flat.feed(((), connector.name), tuple(i + 1 for i in indices), self._unit)
                     at = self._source(feed) if feed and feed.path in self.classes else None
-                    if at is not None:
-                        found.append(at.end())
+                    found += [at.end()] if at else []
             elif connector.name not in self.used:
                 silent.append(connector.name)
         if silent:
             what = f"inputs of the whole system, which nothing feeds: {', '.join(silent)[:200]}"
             hint = "what they feed keeps its start value; wire a source in the diagram"
             self.warnings.append(Problem(what, self.structure.name, hint=hint, severity="warning"))
-        ports = [f"{self.names[path]}.{port}" for path, found in self.classes.items() for port in found.fmu_outputs]
+        ports = [f"{self.names[path]}.{port}" for path, made in self.classes.items() for port in made.fmu_outputs]
         return list(dict.fromkeys(found)) or ports
 
     def _solver(self) -> dict[str, Any]:
-        experiments = [found.fmu_description.experiment for found in self.classes.values()]
-        stops = [e.stop for e in experiments if e.stop]
-        stop = self.structure.stop or max(stops, default=1.0)
+        experiments = [self._description(path).experiment for path in self.classes]
+        stop = self.structure.stop or max((e.stop for e in experiments if e.stop), default=1.0)
         step = min((e.step for e in experiments if e.step), default=stop / STEPS)
         if self.structure.start:
             what = f"begins at {self.structure.start:g} s; the diagram begins at 0"
@@ -381,20 +355,6 @@ def _between(source: _At, target: _At, feed: Feed) -> tuple[float, float]:
     nothing = 1e-12 * max(abs(into * feed.offset), abs(factor * o), abs(at))
     exact = abs(factor - 1.0) < 1e-12
     return 1.0 if exact else float(factor), 0.0 if abs(offset) <= nothing else float(offset)
-
-
-def _indices(entry: Entry) -> tuple[int, ...]:
-    """Return the place of an entry in its variable, from 1; () for a scalar."""
-    dimensions = entry.variable.dimensions
-    return tuple(int(i) + 1 for i in np.unravel_index(entry.index, dimensions)) if dimensions else ()
-
-
-def _start(entry: Entry) -> Value | None:
-    """Return the start value of an entry; one value may stand for all of an array."""
-    start = entry.variable.start
-    if not isinstance(start, tuple):
-        return start
-    return start[entry.index] if len(start) > 1 else start[0] if start else None
 
 
 def _unit_of(description: ModelDescription, name: str) -> FmuUnit | None:

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from rotorsim.fmi.description.model import FmuUnit, Value
-from rotorsim.ssp.structure import NAMESPACES, Component, Connection, Connector, End, Structure, System, same_unit
+from rotorsim.fmi.description.xml_writer import plain_text, write_base_unit, xml_bytes
+from rotorsim.ssp.structure import (
+    FMU,
+    INTERFACES,
+    NAMESPACES,
+    Component,
+    Connection,
+    Connector,
+    Structure,
+    System,
+    same_unit,
+)
 
 __all__ = ["system_description", "values_description"]
 
-_INTERFACES = {"cs": "CoSimulation", "me": "ModelExchange"}
-_BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _TYPES1 = {"Float64": "Real", "Float32": "Real", "Boolean": "Boolean", "String": "String"}
 
 
@@ -32,16 +40,11 @@ class _Units:
         return name
 
     def write(self, parent: Element, space: str) -> None:
-        if not self.used:
-            return
-        units = SubElement(parent, f"{space}:Units")
+        """Add the units that were used."""
+        units = SubElement(parent, f"{space}:Units") if self.used else parent
         for name, unit in sorted(self.used.items()):
-            powers = {base: str(unit.powers[base]) for base in _BASES if unit.powers.get(base)}
-            base = SubElement(SubElement(units, "ssc:Unit", name=name), "ssc:BaseUnit", powers)
-            if unit.factor != 1.0:
-                base.set("factor", repr(unit.factor))
-            if unit.offset:
-                base.set("offset", repr(unit.offset))
+            element = SubElement(units, "ssc:Unit", name=name)
+            write_base_unit(element, "ssc:BaseUnit", unit.powers, unit.factor, unit.offset)
 
     def typed(self, parent: Element, space: str, kind: str, unit: FmuUnit | None, **more: str) -> None:
         """Add the element that says the type of a connector or a value."""
@@ -59,7 +62,7 @@ def system_description(structure: Structure) -> bytes:
     """Return SystemStructure.ssd."""
     root = _root("ssd:SystemStructureDescription", structure.version, structure.name, ("ssd", "ssc"))
     if structure.description:
-        root.set("description", _plain(structure.description))
+        root.set("description", plain_text(structure.description))
     units = _Units(structure.version)
     _system(root, structure.system, units)
     units.write(root, "ssd")
@@ -67,7 +70,7 @@ def system_description(structure: Structure) -> bytes:
     given = {name: repr(float(value)) for name, value in experiment.items() if value is not None}
     if given:
         SubElement(root, "ssd:DefaultExperiment", given)
-    return _bytes(root)
+    return xml_bytes(root)
 
 
 def values_description(component: Component, version: str) -> bytes:
@@ -80,7 +83,7 @@ def values_description(component: Component, version: str) -> bytes:
         units.typed(element, "ssv", setting.type, setting.unit, value=" ".join(_text(v) for v in setting.values))
         units.dimensions(element, setting.dimensions)
     units.write(root, "ssv")
-    return _bytes(root)
+    return xml_bytes(root)
 
 
 def _system(parent: Element, system: System, units: _Units) -> None:
@@ -106,11 +109,9 @@ def _connectors(parent: Element, connectors: Iterable[Connector], units: _Units)
 
 
 def _component(parent: Element, component: Component, units: _Units) -> None:
-    element = SubElement(
-        parent, "ssd:Component", name=component.name, type="application/x-fmu-sharedlibrary", source=component.source
-    )
+    element = SubElement(parent, "ssd:Component", name=component.name, type=FMU, source=component.source)
     if component.interface:
-        element.set("implementation", _INTERFACES[component.interface])
+        element.set("implementation", INTERFACES[component.interface])
     _connectors(element, component.connectors, units)
     if component.settings:
         bindings = SubElement(element, "ssd:ParameterBindings")
@@ -120,15 +121,11 @@ def _component(parent: Element, component: Component, units: _Units) -> None:
 def _connection(parent: Element, connection: Connection) -> None:
     element = SubElement(parent, "ssd:Connection")
     for which, end in (("start", connection.start), ("end", connection.end)):
-        _end(element, which, end)
-
-
-def _end(element: Element, which: str, end: End) -> None:
-    if end.element is not None:
-        element.set(f"{which}Element", end.element)
-    element.set(f"{which}Connector", end.connector)
-    if end.indices is not None:
-        element.set(f"{which}Indices", " ".join(map(str, end.indices)))
+        if end.element is not None:
+            element.set(f"{which}Element", end.element)
+        element.set(f"{which}Connector", end.connector)
+        if end.indices is not None:
+            element.set(f"{which}Indices", " ".join(map(str, end.indices)))
 
 
 def _root(tag: str, version: str, name: str, spaces: Iterable[str]) -> Element:
@@ -138,16 +135,5 @@ def _root(tag: str, version: str, name: str, spaces: Iterable[str]) -> Element:
     return Element(tag, names, version=version, name=name, generationTool=f"rotorsim {__version__}")
 
 
-def _plain(text: str) -> str:
-    """Return a text without characters that XML cannot hold."""
-    return "".join(c if c.isprintable() else " " for c in text)
-
-
 def _text(value: Value) -> str:
     return ("true" if value else "false") if isinstance(value, bool) else str(value)
-
-
-def _bytes(root: Element) -> bytes:
-    ElementTree.indent(root)
-    text = ElementTree.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()

@@ -12,8 +12,10 @@ from scipy.linalg import expm
 
 from rotorsim.cosim.cosimulation import cosimulate, cosimulate_diagram, couple
 from rotorsim.cosim.coupling import Coupling
-from rotorsim.cosim.linear import LinearModel, LinearParticipant
-from rotorsim.cosim.masters import make_master
+from rotorsim.cosim.linear import LinearParticipant
+from rotorsim.cosim.linear_model import LinearModel
+from rotorsim.cosim.masters.choice import make_master, make_stepping_master
+from rotorsim.cosim.masters.master import Settings
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.export.export import export_fmu
 from rotorsim.model.load import load
@@ -96,7 +98,7 @@ def test_orders_against_the_matrix_exponential(master: str, order: int, expected
     whole = np.kron(np.eye(n), A) + np.kron(np.eye(n, k=1) + np.eye(n, k=-1), np.array([[0.0, 0.0], [k, 0.0]]))
     errors = []
     for h in (1e-3, 5e-4):
-        worker = make_master(master, coupling, order=order, tolerance=1e-13)
+        worker = make_stepping_master(master, coupling, Settings(order, 1e-13))
         worker.start(0.0)
         exact, once, far = np.array([1.0, 0, 0, 0, 0, 0]), expm(whole * h), 0.0
         for m in range(round(0.1 / h)):
@@ -203,9 +205,9 @@ def test_wrong_arguments() -> None:
     diagram = load("jeffcott")
     coupling = couple(diagram, [["controller"]])
     with pytest.raises(RotorsimError, match="no master 'jacoby'"):
-        make_master("jacoby", coupling)
+        make_master("jacoby", coupling, Settings())
     with pytest.raises(RotorsimError, match="extrapolation order 3"):
-        make_master("jacobi", coupling, order=3)
+        make_master("jacobi", coupling, Settings(3))
     with pytest.raises(RotorsimError, match="communication step 0 s is not between 0 and"):
         cosimulate(coupling, diagram, step=0.0)
     with pytest.raises(RotorsimError, match="controller: is in two parts"):

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorsim.cosim import cosimulation
-from rotorsim.cosim.cosimulation import cosimulate_diagram
+from rotorsim.cosim.cosimulation import cosimulate, cosimulate_diagram
 from rotorsim.cosim.cut import open_coupling
 from rotorsim.cosim.fmu_participant import FmuParticipant
+from rotorsim.cosim.inputs import Held
 from rotorsim.cosim.loop import FastLoop
-from rotorsim.cosim.masters import Master
-from rotorsim.cosim.participant import Held
+from rotorsim.cosim.masters.explicit import ExplicitMaster
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.fmi.export.export import export_fmu
 from rotorsim.fmi.runtime.process import RemoteWorker
@@ -62,9 +61,9 @@ def all_ways(diagram: Diagram, monkeypatch: pytest.MonkeyPatch, **settings: Any)
     """Return a run in C, one of plain steps in Python, and one of general steps."""
     found = [cosimulate_diagram(diagram, **settings)]
     with monkeypatch.context() as patched:
-        patched.setattr(cosimulation, "_may_be_fast", lambda *_: False)
+        patched.setattr(ExplicitMaster, "may_be_in_c", lambda *_: False)
         found.append(cosimulate_diagram(diagram, **settings))
-        patched.setattr(Master, "simplify", lambda _: False)
+        patched.setattr(ExplicitMaster, "is_plain", lambda _: False)
         found.append(cosimulate_diagram(diagram, **settings))
     return found
 
@@ -179,7 +178,7 @@ def test_processes_that_outlast_every_look_are_waited_for(
     masters = ("jacobi", "gauss_seidel")
     quick = {master: cosimulate_diagram(diagram, step=1e-3, master=master) for master in masters}
     for looks in (0, 1):
-        monkeypatch.setattr("rotorsim.fmi.runtime.process.LOOKS", looks)
+        monkeypatch.setattr("rotorsim.fmi.runtime.channel.LOOKS", looks)
         for master in masters:
             slow = cosimulate_diagram(diagram, step=1e-3, master=master)
             assert np.array_equal(slow["b.y"], quick[master]["b.y"])
@@ -225,7 +224,7 @@ def test_an_end_that_was_asked_for_is_forgotten_by_the_next_run(tmp_path: Path) 
     diagram = alone(tmp_path, "terminate", "3.0", floats=True)
     coupling = open_coupling(diagram)
     try:
-        first, second = (cosimulation.cosimulate(coupling, diagram, step=1e-3) for _ in range(2))
+        first, second = (cosimulate(coupling, diagram, step=1e-3) for _ in range(2))
     finally:
         coupling.close()
     assert first.message == second.message
@@ -242,7 +241,7 @@ def test_ctrl_c_in_c_does_not_wait_for_replies_that_have_come(tmp_path: Path) ->
     threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
     try:
         with pytest.raises(KeyboardInterrupt):
-            cosimulation.cosimulate(coupling, diagram, step=1e-6, stop=60.0)
+            cosimulate(coupling, diagram, step=1e-6, stop=60.0)
     finally:
         signal.signal(signal.SIGINT, before)
         for worker in workers:

@@ -19,9 +19,9 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
 
 from rotorsim.errors import Place, Problem, RotorsimError
 
@@ -46,7 +46,7 @@ class Limits:
     free: int = 16 << 20
 
 
-class Archive:
+class Archive(contextlib.AbstractContextManager["Archive"]):
     """An archive opened for reading; a context manager.
 
     names: files, as the archive spells them; warnings: files that are there twice, where the last counts.
@@ -70,10 +70,6 @@ class Archive:
             raise
         self._files = {member.filename: member for member in self.members if not member.is_dir()}
         self.names = tuple(self._files)
-        self._left = self._allowed()
-
-    def __enter__(self) -> Archive:
-        return self
 
     def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
         self.close()
@@ -89,7 +85,9 @@ class Archive:
     def read(self, name: str, most: int) -> bytes:
         """Return the bytes of a file of at most ``most`` bytes."""
         if name not in self._files:
-            raise RotorsimError(Problem(f"there is no {name} in the archive", place=self.place, hint=_holds(self)))
+            shown = ", ".join([*map(_shown, self.names[:_SHOWN]), *(["..."] if len(self.names) > _SHOWN else [])])
+            hint = f"it holds {shown}" if shown else "it is empty"
+            raise RotorsimError(Problem(f"there is no {name} in the archive", place=self.place, hint=hint))
         with self._translated(), self._zip.open(self._files[name]) as stream:
             data = stream.read(most + 1)
         if len(data) > most:
@@ -104,13 +102,11 @@ class Archive:
     def unpack(self, folder: Path, wanted: Callable[[str], bool] = lambda name: True) -> list[str]:
         """Write the wanted files into an existing empty folder that is ours alone; return their names."""
         self._left = self._allowed()
-        written = []
-        for name, member in self._files.items():
-            if wanted(name):
-                target = folder.joinpath(*name.split("/"))
-                target.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-                self._write(member, target)
-                written.append(name)
+        written = [name for name in self._files if wanted(name)]
+        for name in written:
+            target = folder.joinpath(*name.split("/"))
+            target.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._write(self._files[name], target)
         return written
 
     def _write(self, member: zipfile.ZipInfo, target: Path) -> None:
@@ -120,17 +116,14 @@ class Archive:
                 self._left -= len(data)
                 if self._left < 0:
                     raise RotorsimError(self._too_large())
-                self._put(output, data, target)
-
-    def _put(self, output: io.FileIO, data: bytes, target: Path) -> None:
-        left = memoryview(data)
-        try:
-            while left:
-                left = left[output.write(left) :]
-        except OSError as error:
-            hint = "is the disk full? FMUs at work are unpacked where the variable TMPDIR says"
-            what = f"cannot be unpacked into {target.parent}: {(error.strerror or str(error)).lower()}"
-            raise RotorsimError(Problem(what, place=self.place, hint=hint), exit_code=1) from None
+                left = memoryview(data)
+                try:
+                    while left:
+                        left = left[output.write(left) :]
+                except OSError as error:
+                    hint = "is the disk full? FMUs at work are unpacked where the variable TMPDIR says"
+                    what = f"cannot be unpacked into {target.parent}: {(error.strerror or str(error)).lower()}"
+                    raise RotorsimError(Problem(what, place=self.place, hint=hint), exit_code=1) from None
 
     def _allowed(self) -> int:
         """Return how many bytes may be unpacked in all."""
@@ -158,32 +151,25 @@ class Archive:
             yield from self._doubles()
 
     def _doubles(self) -> Iterator[Problem]:
-        seen: dict[str, bool] = {}  # name -> it is a folder
+        """Yield what is file and folder at once; files that are there twice by the same name are warnings."""
+        is_folder: dict[str, bool] = {}
         files: dict[str, zipfile.ZipInfo] = {}
         for member in self.members:
             name = member.filename.rstrip("/")
-            parts = (name.casefold() if _FOLDS_CASE else name).split("/")
-            above = ["/".join(parts[:k]) for k in range(1, len(parts))]
-            whole = "/".join(parts)
-            if whole in seen and not seen[whole] and not member.is_dir() and member.filename in files:
-                self._twice(files[member.filename], member)
-                files[member.filename] = member
-                continue
-            files[member.filename] = member
-            clash = whole in seen and not (seen[whole] and member.is_dir())
-            if clash or any(not seen.get(folder, True) for folder in above):
+            *above, whole = accumulate((name.casefold() if _FOLDS_CASE else name).split("/"), "{}/{}".format)
+            again = whole in is_folder and not (is_folder[whole] and member.is_dir())
+            first = files.get(member.filename)
+            if again and first and not member.is_dir():
+                same = (first.CRC, first.file_size) == (member.CRC, member.file_size)
+                what = "both are alike" if same else "they differ, and the last is used; other tools may use the first"
+                text = f"{_shown(member.filename)}: is in the archive twice: {what}"
+                self.warnings.append(Problem(text, place=self.place, severity="warning"))
+            elif again or not all(is_folder.get(folder, True) for folder in above):
                 yield Problem(f"{_shown(name)}: is in the archive twice", place=self.place)
                 return
-            seen.update(dict.fromkeys(above, True))
-            seen[whole] = member.is_dir()
-
-    def _twice(self, first: zipfile.ZipInfo, again: zipfile.ZipInfo) -> None:
-        """Note a file that is there twice, by the same name."""
-        same = (first.CRC, first.file_size) == (again.CRC, again.file_size)
-        what = "both are alike" if same else "they differ, and the last is used; other tools may use the first"
-        text = f"{_shown(again.filename)}: is in the archive twice: {what}"
-        if len(self.warnings) < _SHOWN:
-            self.warnings.append(Problem(text, place=self.place, severity="warning"))
+            files[member.filename] = member
+            is_folder |= {**dict.fromkeys(above, True), whole: member.is_dir()}
+        del self.warnings[_SHOWN:]
 
     @contextlib.contextmanager
     def _translated(self) -> Iterator[None]:
@@ -234,10 +220,9 @@ def check_name(name: str) -> str:
 
 def _wrong(member: zipfile.ZipInfo) -> str:
     """Return why one entry is refused, or ""."""
-    wrong = check_name(member.orig_filename) or check_name(member.filename)
-    if wrong:
-        return wrong
     kind = stat.S_IFMT(member.external_attr >> 16)
+    if wrong := check_name(member.orig_filename) or check_name(member.filename):
+        return wrong
     if kind == stat.S_IFLNK:
         return "is a link"
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
@@ -251,12 +236,12 @@ def _wrong(member: zipfile.ZipInfo) -> str:
 
 def _open(path: Path, place: Place) -> _Guarded:
     try:
-        if path.is_dir():
+        mode = os.stat(path).st_mode
+        if stat.S_ISDIR(mode):
             raise RotorsimError(Problem("is a folder", place=place, hint="give the .fmu file itself"))
-        status = os.stat(path)
-        if not stat.S_ISREG(status.st_mode):
+        if not stat.S_ISREG(mode):
             raise RotorsimError(Problem("is not a plain file", place=place))
-        return _Guarded(open(path, "rb"), place)
+        return _Guarded(path, place)
     except FileNotFoundError:
         raise RotorsimError(Problem("file does not exist", place=place, hint="is the path right?")) from None
     except (OSError, ValueError) as error:
@@ -264,45 +249,21 @@ def _open(path: Path, place: Place) -> _Guarded:
         raise RotorsimError(Problem(f"file cannot be read: {why}", place=place)) from None
 
 
-class _Guarded(io.BufferedIOBase):
+class _Guarded(io.BufferedReader):
     """A file that refuses to be read in large pieces: the list of files of a hostile archive may be one."""
 
-    def __init__(self, stream: IO[bytes], place: Place) -> None:
-        self._inner, self._place = stream, place
+    def __init__(self, path: Path, place: Place) -> None:
+        super().__init__(io.FileIO(path))
+        self._place = place
 
     def read(self, size: int | None = -1, /) -> bytes:
-        size = _DIRECTORY + 1 if size is None or size < 0 else size
-        data = self._inner.read(min(size, _DIRECTORY + 1))
-        if len(data) > _DIRECTORY:
+        most = _DIRECTORY + 1
+        data = super().read(most if size is None or size < 0 else min(size, most))
+        if len(data) == most:
             raise RotorsimError(Problem("the list of its files is too long", place=self._place))
         return data
-
-    def seek(self, offset: int, whence: int = 0, /) -> int:
-        return self._inner.seek(offset, whence)
-
-    def tell(self) -> int:
-        return self._inner.tell()
-
-    def seekable(self) -> bool:
-        return True
-
-    def readable(self) -> bool:
-        return True
-
-    def fileno(self) -> int:
-        return self._inner.fileno()
-
-    def close(self) -> None:
-        if not self._inner.closed:
-            self._inner.close()
-        super().close()
 
 
 def _shown(name: str) -> str:
     text = name.encode("unicode_escape", "replace").decode("ascii")
     return f"'{text}'" if len(text) <= 80 else f"'{text[:77]}...'"
-
-
-def _holds(archive: Any) -> str:
-    shown = ", ".join(_shown(name) for name in archive.names[:_SHOWN])
-    return f"it holds {shown}{', ...' if len(archive.names) > _SHOWN else ''}" if shown else "it is empty"

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from rotorsim.fmi.description.model import FmuUnit, FmuVariable, Kind, ModelDescription
+from rotorsim.fmi.description.model import KINDS, FmuUnit, FmuVariable, Kind, ModelDescription
 from rotorsim.fmi.description.platforms import folders, this_platform
 
 __all__ = ["information", "information_text"]
 
-_KINDS = {"cs": "Co-Simulation", "me": "Model Exchange", "se": "Scheduled Execution"}
 _GROUPS = (
     ("inputs", ("input",)),
     ("outputs", ("output",)),
@@ -123,7 +122,7 @@ def _some(names: Iterable[str]) -> str:
 
 def information_text(data: dict[str, Any], *, every: bool = False) -> str:
     """Return `information` for people."""
-    kinds = " and ".join(_KINDS[name] for name in data["kinds"])
+    kinds = " and ".join(KINDS[name] for name in data["kinds"])
     lines = [f"{data['name']}: FMI {data['fmi']}, {kinds}"]
     if data["description"]:
         lines.append(f"  {_line(data['description'])}")

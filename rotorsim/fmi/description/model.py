@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -18,14 +17,27 @@ from math import prod
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.units import BASES, Unit, UnitError, parse_foreign_unit, parse_unit
 
-__all__ = ["FLOATS", "INTEGERS", "NUMERIC", "Entry", "Experiment", "FmuUnit", "FmuVariable", "Kind", "ModelDescription"]
+__all__ = [
+    "BASE_UNITS",
+    "FLOATS",
+    "INTEGERS",
+    "KINDS",
+    "NUMERIC",
+    "Entry",
+    "Experiment",
+    "FmuUnit",
+    "FmuVariable",
+    "Kind",
+    "ModelDescription",
+]
 
 FLOATS = ("Float64", "Float32")
 INTEGERS = ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")
 NUMERIC = (*FLOATS, *INTEGERS, "Boolean")
+KINDS = {"cs": "Co-Simulation", "me": "Model Exchange", "se": "Scheduled Execution"}
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # attributes of <BaseUnit>, in the order of the schema
 
 Value = float | int | bool | str
-_INDEXED = re.compile(r"(.+)\[(\d+(?:,\d+)*)\]")
 
 
 @dataclass(frozen=True)
@@ -137,6 +149,20 @@ class Entry:
     variable: FmuVariable
     index: int = 0
 
+    @property
+    def indices(self) -> tuple[int, ...]:
+        """Its place in the array, counted from 1; () for a scalar."""
+        inside = self.name.removeprefix(self.variable.name).strip("[]")
+        return tuple(map(int, inside.split(","))) if inside else ()
+
+    @property
+    def start(self) -> Value | None:
+        """Its start value; one value may stand for all entries of an array."""
+        start = self.variable.start
+        if not isinstance(start, tuple):
+            return start
+        return start[self.index] if len(start) > 1 else start[0] if start else None
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -210,18 +236,12 @@ class ModelDescription:
         variable = self.variables.get(name)
         if variable is not None:
             return [Entry(entry, variable, k) for k, entry in enumerate(variable.names())]
-        match = _INDEXED.fullmatch(name)
-        array = self.variables.get(match[1]) if match else None
-        if match is None or array is None:
-            return []
-        index = [int(part) - 1 for part in match[2].split(",")] if len(match[2]) < 100 else []
-        sizes = array.dimensions
-        if len(index) != len(sizes) or not all(0 <= i < n for i, n in zip(index, sizes, strict=True)):
-            return []
-        place = 0
-        for i, n in zip(index, sizes, strict=True):
-            place = place * n + i
-        return [Entry(name, array, place)]
+        return [self._array_entries[name]] if name in self._array_entries else []
+
+    @cached_property
+    def _array_entries(self) -> dict[str, Entry]:
+        arrays = [variable for variable in self.variables.values() if variable.dimensions]
+        return {name: Entry(name, array, k) for array in arrays for k, name in enumerate(array.names())}
 
     def resolve(self, names: Iterable[str], what: str = "variable") -> list[Entry]:
         """Return the scalars that names stand for. Raises RotorsimError with every unknown name and a near miss."""
@@ -237,10 +257,6 @@ class ModelDescription:
         if problems:
             raise RotorsimError(*problems)
         return found
-
-    def scalars(self, *causalities: str) -> list[str]:
-        """Return the names of all numeric entries of these causalities."""
-        return [name for v in self.by_causality(*causalities) if v.type in NUMERIC for name in v.names()]
 
     def unit_of(self, variable: FmuVariable) -> FmuUnit | None:
         """Return the unit of a variable, or None where it has none, or one that is neither defined nor known.
@@ -260,14 +276,7 @@ class ModelDescription:
     def kind(self, name: str) -> Kind:
         """Return a kind. Raises RotorsimError when the FMU does not offer it."""
         if name not in self.kinds:
-            offered = _listed([_WORDS.get(kind, kind) for kind in self.kinds]) or "nothing that we know"
-            what = f"does not offer {_WORDS.get(name, name)}; it offers {offered}"
+            offered = " and ".join(KINDS[kind] for kind in self.kinds)
+            what = f"does not offer {KINDS.get(name, name)}; it offers {offered}"
             raise RotorsimError(Problem(what, self.name, self.place))
         return self.kinds[name]
-
-
-_WORDS = {"cs": "Co-Simulation", "me": "Model Exchange", "se": "Scheduled Execution"}
-
-
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join(words)

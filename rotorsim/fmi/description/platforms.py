@@ -16,7 +16,7 @@ __all__ = [
     "binary_kind",
     "find_library",
     "folders",
-    "library_names",
+    "library_folder",
     "platform_of",
     "platforms_inside",
     "this_platform",
@@ -40,6 +40,17 @@ _OLD = {
     "x86_64-darwin": "darwin64",
 }
 SUFFIXES = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
+_MACHINES = {
+    ("linux", 62): "x86_64",
+    ("linux", 3): "x86",
+    ("linux", 183): "aarch64",
+    ("windows", 0x8664): "x86_64",
+    ("windows", 0x14C): "x86",
+    ("windows", 0xAA64): "aarch64",
+    ("darwin", 0x01000007): "x86_64",
+    ("darwin", 7): "x86",
+    ("darwin", 0x0100000C): "aarch64",
+}
 
 
 def this_platform() -> str:
@@ -51,46 +62,37 @@ def this_platform() -> str:
     return f"{processor}-{_SYSTEMS.get(sys.platform, sys.platform)}"
 
 
-def folders(version: str) -> tuple[str, ...]:
-    """Return the folders under binaries/ that are of this machine, the best first.
+def library_folder(platform: str, version: str) -> str:
+    """Return the folder under binaries/ for a platform. FMI 2.0 has names for x86 only; others go by those of 3.0."""
+    return _OLD.get(platform, platform) if version == "2.0" else platform
 
-    FMI 2.0 has names for x86 only; FMUs for other processors use those of FMI 3.0.
-    """
+
+def folders(version: str) -> tuple[str, ...]:
+    """Return the folders under binaries/ that are of this machine, the best first."""
     name = this_platform()
-    old = (_OLD[name],) if name in _OLD else ()
-    return (*old, name) if version == "2.0" else (name,)
+    return tuple(dict.fromkeys((library_folder(name, version), name)))
 
 
 def platforms_inside(description: ModelDescription, names: Iterable[str]) -> ModelDescription:
     """Return the description with the platforms for which an archive holds the libraries it names."""
-    found: dict[str, None] = {}
     wanted = {kind.identifier for kind in description.kinds.values()}
-    for name in names:
-        parts = name.split("/")
-        if len(parts) == 3 and parts[0] == "binaries" and parts[2].rpartition(".")[0] in wanted:
-            found[parts[1]] = None
-    return replace(description, platforms=tuple(sorted(found)))
-
-
-def library_names(description: ModelDescription, kind: str) -> list[str]:
-    """Return the paths in the archive at which the library for this machine may be."""
-    suffix = SUFFIXES.get(_SYSTEMS.get(sys.platform, ""), ".so")
-    identifier = description.kinds[kind].identifier
-    return [f"binaries/{folder}/{identifier}{suffix}" for folder in folders(description.version)]
+    paths = (name.split("/") for name in names if name.startswith("binaries/"))
+    inside = {path[1] for path in paths if len(path) == 3 and path[2].rpartition(".")[0] in wanted}
+    return replace(description, platforms=tuple(sorted(inside)))
 
 
 def find_library(description: ModelDescription, kind: str, folder: Path) -> Path:
     """Return the library for this machine. Raises RotorsimError that says which platforms are inside."""
-    names = library_names(description, kind)
-    for name in names:
-        path = folder / name
-        if path.is_file():
-            return path
-    inside = ", ".join(description.platforms) if description.platforms else "none"
+    suffix = SUFFIXES.get(_SYSTEMS.get(sys.platform, ""), ".so")
+    identifier = description.kinds[kind].identifier
+    names = [f"binaries/{name}/{identifier}{suffix}" for name in folders(description.version)]
+    path = next((folder / name for name in names if (folder / name).is_file()), None)
+    if path is not None:
+        return path
     what = f"holds no library for this platform ({this_platform()}): {names[0]} is not there"
-    hint = f"platforms inside: {inside}"
+    hint = f"platforms inside: {', '.join(description.platforms) or 'none'}"
     if not description.platforms and (folder / "binaries").is_dir():
-        hint += f"; the library must be named after the modelIdentifier {description.kinds[kind].identifier}"
+        hint += f"; the library must be named after the modelIdentifier {identifier}"
     raise RotorsimError(Problem(what, description.name, Place(description.place.file), hint))
 
 
@@ -108,21 +110,15 @@ def binary_kind(start: bytes) -> str:
 
     Of a macOS library for several processors, the platform of its first.
     """
-    machine = 0
-    if start[:4] == b"\x7fELF" and len(start) >= 20:
-        machine = int.from_bytes(start[18:20], "little")
-        return _named({62: "x86_64", 3: "x86", 183: "aarch64"}, machine, "linux")
-    if start[:2] == b"MZ" and len(start) >= 64:
-        at = int.from_bytes(start[60:64], "little")
-        if start[at : at + 4] == b"PE\0\0":
-            machine = int.from_bytes(start[at + 4 : at + 6], "little")
-        return _named({0x8664: "x86_64", 0x14C: "x86", 0xAA64: "aarch64"}, machine, "windows")
-    if start[:4] in (b"\xcf\xfa\xed\xfe", b"\xce\xfa\xed\xfe"):
-        machine = int.from_bytes(start[4:8], "little")
+    system, field = "", b""
+    if start[:4] == b"\x7fELF":
+        system, field = "linux", start[18:20]
+    elif start[:2] == b"MZ":
+        header = start[int.from_bytes(start[60:64], "little") :]
+        system, field = "windows", header[4:6] if header[:4] == b"PE\0\0" else b""
+    elif start[:4] in (b"\xcf\xfa\xed\xfe", b"\xce\xfa\xed\xfe"):
+        system, field = "darwin", start[4:8]
     elif start[:4] == b"\xca\xfe\xba\xbe":
-        machine = int.from_bytes(start[8:12], "big")
-    return _named({0x01000007: "x86_64", 7: "x86", 0x0100000C: "aarch64"}, machine, "darwin")
-
-
-def _named(processors: dict[int, str], machine: int, system: str) -> str:
-    return f"{processors[machine]}-{system}" if machine in processors else ""
+        system, field = "darwin", start[11:7:-1]
+    processor = _MACHINES.get((system, int.from_bytes(field, "little")))
+    return f"{processor}-{system}" if processor else ""

@@ -11,7 +11,8 @@ from pathlib import Path
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError, escape, near_miss
 from rotorsim.files import atomic_target
-from rotorsim.fmi.export.build import build_library, find_platforms
+from rotorsim.fmi.description.platforms import library_folder
+from rotorsim.fmi.export.build import build_library, find_platforms, suffix_of
 from rotorsim.fmi.export.sources import make_sources, with_token
 from rotorsim.fmi.export.variables import Interface, make_interface
 from rotorsim.fmi.export.writer import build_description, model_description
@@ -76,9 +77,9 @@ def export_fmu(
     libraries = {}
     for platform in wanted:
         library = build_library(sources, platform, optimise)
-        folder = platform.folder(version)
+        folder = library_folder(platform, version)
         libraries[folder] = len(library)
-        files[f"binaries/{folder}/{interface.identifier}{platform.suffix}"] = library
+        files[f"binaries/{folder}/{interface.identifier}{suffix_of(platform)}"] = library
     files |= {f"sources/{name}": text for name, text in sources.items()}
     if version == "3.0":
         options = " ".join([optimise, *(flag for flag in FLAGS if flag.startswith("-f") and flag != "-fPIC")])

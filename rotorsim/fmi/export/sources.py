@@ -17,6 +17,7 @@ from rotorsim.model.emit.writer import Writer, array_leaf
 
 __all__ = ["make_sources", "with_token"]
 
+_HEADERS = ("instance.h", "derivatives.h", "stepping.h", "functions.h")
 _LOOP_TOLERANCE = 1e-9  # as a run in process
 
 
@@ -27,7 +28,7 @@ def make_sources(interface: Interface, version: str) -> tuple[dict[str, bytes], 
     """
     main = {"2.0": "fmi2.c", "3.0": "fmi3.c"}[version]
     folder = resources.files("rotorsim.fmi.export").joinpath("c")
-    files = {name: folder.joinpath(name).read_bytes() for name in (main, "instance.h", "derivatives.h", "stepping.h")}
+    files = {name: folder.joinpath(name).read_bytes() for name in (main, *_HEADERS)}
     kernel = interface.part.kernel(interface.record)
     files["model.inc"] = _model(interface, kernel).encode()
     return files, "-O3" if kernel.unrolled else "-O2"

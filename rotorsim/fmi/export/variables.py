@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import casadi as ca
@@ -14,6 +15,7 @@ import numpy as np
 from rotorsim.block import Shape, size_of
 from rotorsim.fmi.export.dependencies import Dependencies, find_dependencies
 from rotorsim.model.part import Part
+from rotorsim.model.trace.diagram import Signal
 from rotorsim.model.trace.order import block_traces
 from rotorsim.simulation.result import flat_name
 from rotorsim.units import parse_unit
@@ -53,14 +55,10 @@ class Variable:
 
     def entries(self) -> Iterator[tuple[str, int, int]]:
         """Yield name, value reference and position of every entry."""
+        rate = self.role == DERIVATIVE
         for k, index in enumerate(np.ndindex(self.shape)):
-            yield _entry_name(self.name, index), self.reference + k, k
-
-
-def _entry_name(name: str, index: tuple[int, ...]) -> str:
-    if name.startswith("der("):
-        return f"der({flat_name(name[4:-1], index)})"
-    return flat_name(name, index)
+            name = f"der({flat_name(self.name[4:-1], index)})" if rate else flat_name(self.name, index)
+            yield name, self.reference + k, k
 
 
 @dataclass(frozen=True)
@@ -135,35 +133,30 @@ def make_interface(
     collector = _Collector(part)
     parameters = collector.add_parameters(fixed)
     for name, signal in part.inputs.items():
-        doc = collector.port_doc(name)
-        collector.add(name, INPUT, signal.shape, signal.unit, start=np.zeros(size_of(signal.shape)), description=doc)
+        collector.add_port(name, INPUT, signal.shape, signal.unit, start=np.zeros(size_of(signal.shape)))
     x_const, z_const = (_constant_entries(e) for e in (part.trace.x0, part.trace.z0))
     dependencies = find_dependencies(part, record, x_const, z_const)
     at = 0
     for name in record:
-        shape = part.shape_of(name)
-        rows = range(at, at + size_of(shape))
+        shape, unit = part.shape_of(name), part.select(name)[0].unit
+        moving = dependencies.moving.intersection(range(at, at + size_of(shape)))
         at += size_of(shape)
-        kind = "continuous" if any(k in dependencies.moving for k in rows) else "discrete"
-        unit = part.select(name)[0].unit
-        doc = collector.port_doc(name.partition("[")[0])
-        collector.add(name, OUTPUT, shape, unit, variability=kind, initial="calculated", description=doc)
+        kind = "continuous" if moving else "discrete"
+        collector.add_port(name, OUTPUT, shape, unit, variability=kind, initial="calculated")
     x0, z0 = part.initial()
     own = part.n_z - sum(size_of(signal.shape) for signal in part.inputs.values())
-    collector.add_states(x0, x_const)
-    for name, signal in part.trace.discrete_states.items():
-        exact = bool(z_const[signal.part].all())
-        z_const[signal.part] = exact
+    nominals = _nominals(part)
+    for state in collector.add_states(STATE, part.states, x0, x_const, "continuous", nominals):
         collector.add(
-            collector.state_name(name),
-            DISCRETE,
-            signal.shape,
-            signal.unit,
-            start=z0[signal.part] if exact else None,
-            variability="discrete",
-            initial="exact" if exact else "calculated",
-            description=collector.state_doc(name),
+            f"der({state.name})",
+            DERIVATIVE,
+            state.shape,
+            None if state.unit is None else parse_unit(f"({state.unit})/s").si,
+            initial="calculated",
+            description=f"rate of {state.name}",
+            of=state.reference,
         )
+    collector.add_states(DISCRETE, part.trace.discrete_states, z0, z_const, "discrete")
     collector.add_events()
     return Interface(
         part=part,
@@ -231,82 +224,101 @@ class _Collector:
         self.next += variable.size
         return variable
 
-    def port_doc(self, name: str) -> str:
-        """Return the documentation of a port."""
-        block, _, port = name.rpartition(".")
+    def add_port(self, name: str, role: str, shape: Shape, unit: str | None, **more: object) -> None:
+        """Add a variable of a port, or of a part of it."""
+        block, _, port = name.partition("[")[0].rpartition(".")
         node = self.diagram.nodes[block]
         found = node.outputs.get(port) or node.inputs.get(port)
-        return found.declaration.doc if found else ""
+        self.add(name, role, shape, unit, description=found.declaration.doc if found else "", **more)
 
-    def state_doc(self, name: str) -> str:
-        block, _, state = name.rpartition(".")
-        return self.diagram.nodes[block].block.states[state].doc
+    def add_states(
+        self,
+        role: str,
+        signals: Mapping[str, Signal],
+        start: np.ndarray,
+        constant: np.ndarray,
+        variability: str,
+        nominals: Mapping[str, float] | None = None,
+    ) -> list[Variable]:
+        """Add states; those of constant start values are exact, which ``constant`` then says of all their entries."""
+        return [
+            self._add_state(
+                name, role, signal, start, constant, variability=variability, nominal=(nominals or {}).get(name)
+            )
+            for name, signal in signals.items()
+        ]
 
-    def state_name(self, name: str) -> str:
-        """Return the name of a state, apart from a port of the same name."""
+    def _add_state(
+        self, name: str, role: str, signal: Signal, start: np.ndarray, constant: np.ndarray, **more: object
+    ) -> Variable:
+        """Add a state, under a name apart from a port or parameter of the same name."""
         block, _, state = name.rpartition(".")
         node = self.diagram.nodes[block]
         taken = state in node.outputs or state in node.inputs or state in node.values
-        return f"{name}_state" if taken else name
+        exact = constant[signal.part] = bool(constant[signal.part].all())
+        return self.add(
+            f"{name}_state" if taken else name,
+            role,
+            signal.shape,
+            signal.unit,
+            start=start[signal.part] if exact else None,
+            initial="exact" if exact else "calculated",
+            description=node.block.states[state].doc,
+            **more,
+        )
 
     def add_parameters(self, fixed: bool) -> list[Parameter]:
         """Add diagram parameters, then block parameters that follow none of them."""
-        inside, found = set(self.part.blocks), []
-        stuck = self._stuck_positions()
+        nodes = self.diagram.nodes
+        held = set(range(self.part.n_p)) if fixed else self._stuck_positions()
+        inside = [(name, key) for name in nodes if name in set(self.part.blocks) for key in nodes[name].values]
         following: dict[str, list[str]] = {name: [] for name in self.diagram.parameters}
-        free: list[str] = []
-        for block in self.diagram.nodes:
-            if block in inside:
-                node = self.diagram.nodes[block]
-                for key in node.values:
-                    following.get(node.references.get(key, ""), free).append(f"{block}.{key}")
-        for name, value in self.diagram.parameters.items():
-            if not following[name]:
-                continue
-            owners = following[name]
+        free: list[tuple[str, str]] = []
+        for block, key in inside:
+            source = nodes[block].references.get(key, "")
+            if source in following:
+                following[source].append(f"{block}.{key}")
+            else:
+                free.append((block, key))
+        found: list[Parameter] = []
+        for name, owners in following.items():
             unit = self.diagram.parameter_units.get(name)
             doc = "sets " + ", ".join(owners[:6]) + (", ..." if len(owners) > 6 else "")
             shown = f"{name}_parameter" if name == "time" else name
-            found += self._add_parameter(shown, owners, np.asarray(value, float), unit, doc, fixed, stuck)
-        for name in free:
-            block, _, key = name.rpartition(".")
-            node = self.diagram.nodes[block]
+            if owners:
+                found += self._add_parameter(shown, owners, self.diagram.parameters[name], unit, doc, held)
+        for block, key in free:
+            node, name = nodes[block], f"{block}.{key}"
             declared = node.block.parameters[key]
             shown = f"{name}_parameter" if key in node.outputs or key in node.inputs else name
-            value = np.asarray(node.values[key], float)
-            found += self._add_parameter(shown, [name], value, declared.unit, declared.doc, fixed, stuck)
+            found += self._add_parameter(shown, [name], node.values[key], declared.unit, declared.doc, held)
         return found
 
     def _add_parameter(
-        self, name: str, owners: list[str], value: np.ndarray, unit: str | None, doc: str, fixed: bool, stuck: set[int]
+        self, name: str, owners: list[str], value: Any, unit: str | None, doc: str, held: set[int]
     ) -> list[Parameter]:
-        low, high, is_open = -np.inf, np.inf, False
-        follow: list[list[int]] = [[] for _ in range(value.size)]
-        for owner in owners:
-            block, _, key = owner.rpartition(".")
-            declared = self.diagram.nodes[block].block.parameters[key]
-            places = list(range(*self.part.parameters[owner].indices(self.part.n_p)))
-            for k, place in enumerate(places):
-                follow[0 if value.size == 1 else k].append(place)
-            high = min(high, np.inf if declared.high is None else declared.high)
-            for bound, excluded in ((declared.low, False), (declared.above, True)):
-                if bound is not None and (bound > low or (bound == low and excluded)):
-                    low, is_open = float(bound), excluded
-        held = fixed or any(place in stuck for places in follow for place in places)
-        kind = "fixed" if held else "tunable"
+        value = np.asarray(value, float)
+        ends = [owner.rpartition(".") for owner in owners]
+        declared = [self.diagram.nodes[block].block.parameters[key] for block, _, key in ends]
+        high = min((d.high for d in declared if d.high is not None), default=np.inf)
+        lows = [(d.low, False) for d in declared] + [(d.above, True) for d in declared]
+        low, is_open = max(((float(low), above) for low, above in lows if low is not None), default=(-np.inf, False))
+        places = [range(*self.part.parameters[owner].indices(self.part.n_p)) for owner in owners]
+        follow = [tuple(chain(*places))] if value.size == 1 else list(zip(*places, strict=True))
+        stuck = any(place in held for place in chain(*follow))
         self.add(
             name,
             PARAMETER,
             value.shape,
             unit,
             start=value.ravel(),
-            variability=kind,
+            variability="fixed" if stuck else "tunable",
             initial="exact",
             description=doc,
             low=low,
             high=high,
         )
-        return [Parameter(tuple(places), low, high, is_open, held) for places in follow]
+        return [Parameter(positions, low, high, is_open, stuck) for positions in follow]
 
     def _stuck_positions(self) -> set[int]:
         """Return the places in p that act only at the start: sample times, seeds, and what only x0 and z0 use."""
@@ -320,54 +332,17 @@ class _Collector:
         initial = np.array(ca.which_depends(start, trace.p, 1, False), bool)
         return stuck | set(np.flatnonzero(initial & ~used).tolist())
 
-    def add_states(self, x0: np.ndarray, constant: np.ndarray) -> None:
-        """Add the continuous states and their derivatives; say in ``constant`` which are exact."""
-        states = []
-        nominals = _nominals(self.part)
-        for name, signal in self.part.states.items():
-            exact = bool(constant[signal.part].all())
-            constant[signal.part] = exact
-            states.append(
-                self.add(
-                    self.state_name(name),
-                    STATE,
-                    signal.shape,
-                    signal.unit,
-                    start=x0[signal.part] if exact else None,
-                    initial="exact" if exact else "calculated",
-                    description=self.state_doc(name),
-                    nominal=nominals[name],
-                )
-            )
-        for state in states:
-            rate = None if state.unit is None else _rate_unit(state.unit)
-            text = f"rate of {state.name}"
-            self.add(
-                f"der({state.name})",
-                DERIVATIVE,
-                state.shape,
-                rate,
-                initial="calculated",
-                description=text,
-                of=state.reference,
-            )
-
     def add_events(self) -> None:
         """Add the zero crossings that blocks declare."""
         names = {variable.name for variable in self.variables}
-        for block in self.diagram.nodes if self.part.trace.event_blocks else ():
-            if block not in self.part.blocks:
-                continue
-            for key, expression in block_traces(self.diagram)[block].events.items():
-                n = expression.shape[0]
-                taken = f"{block}.{key}".replace("/", ".") in names
-                name = f"{block}.{key}_event" if taken else f"{block}.{key}"
-                shape = () if n == 1 else (n,)
-                self.add(name, EVENT, shape, None, initial="calculated", description="crosses zero at an event")
-
-
-def _rate_unit(unit: str) -> str:
-    return parse_unit(f"({unit})/s").si
+        blocks = [name for name in self.diagram.nodes if name in self.part.blocks]
+        traces = block_traces(self.diagram) if self.part.trace.event_blocks else {}
+        events = [(f"{b}.{key}", e.shape[0]) for b in blocks if b in traces for key, e in traces[b].events.items()]
+        for name, n in events:
+            shown = f"{name}_event" if name.replace("/", ".") in names else name
+            self.add(
+                shown, EVENT, () if n == 1 else (n,), None, initial="calculated", description="crosses zero at an event"
+            )
 
 
 def _nominals(part: Part) -> dict[str, float]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
+from rotorsim.fmi.description.xml_writer import plain_text, write_base_unit, xml_bytes
 from rotorsim.fmi.export.variables import (
     DERIVATIVE,
     DISCRETE,
@@ -18,7 +18,7 @@ from rotorsim.fmi.export.variables import (
     Interface,
     Variable,
 )
-from rotorsim.units import BASES, Unit, parse_unit
+from rotorsim.units import BASES, parse_unit
 
 __all__ = ["build_description", "model_description"]
 
@@ -28,6 +28,12 @@ _LOG_CATEGORIES = {
     "logStatusError": "what was refused, and why",
     "logStatusWarning": "what is odd",
     "logEvents": "sample hits and events",
+}
+_TAGS3 = {
+    "Output": "outputs",
+    "ContinuousStateDerivative": "derivatives",
+    "InitialUnknown": "initial",
+    "EventIndicator": "events",
 }
 _CAUSALITY = {PARAMETER: "parameter", INPUT: "input", OUTPUT: "output"}
 
@@ -43,14 +49,9 @@ def model_description(interface: Interface, version: str, token: str, sources: S
     solver = interface.part.diagram.solver
     experiment = {"startTime": "0.0", "stopTime": solver.stop, "tolerance": solver.rtol, "stepSize": solver.step}
     SubElement(root, "DefaultExperiment", {name: _text(value) for name, value in experiment.items()})
-    variables = SubElement(root, "ModelVariables")
-    if version == "2.0":
-        _variables2(variables, interface)
-        _structure2(SubElement(root, "ModelStructure"), interface)
-    else:
-        _variables3(variables, interface)
-        _structure3(SubElement(root, "ModelStructure"), interface)
-    return _bytes(root)
+    _variables(SubElement(root, "ModelVariables"), interface, version)
+    _structure(SubElement(root, "ModelStructure"), interface, version)
+    return xml_bytes(root)
 
 
 def build_description(interface: Interface, sources: Sequence[str], options: str) -> bytes:
@@ -61,13 +62,7 @@ def build_description(interface: Interface, sources: Sequence[str], options: str
     for name in sources:
         SubElement(files, "SourceFile", name=name)
     SubElement(configuration, "Library", name="m", description="C mathematics (not on Windows)", external="true")
-    return _bytes(root)
-
-
-def _bytes(root: Element) -> bytes:
-    ElementTree.indent(root)
-    text = ElementTree.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
+    return xml_bytes(root)
 
 
 def _text(value: object) -> str:
@@ -81,141 +76,106 @@ def _root(interface: Interface, version: str, token: str) -> Element:
     whole = set(part.blocks) == set(part.diagram.nodes)
     name = part.diagram.name or "diagram"
     words = part.diagram.document.get("description")
-    root = Element("fmiModelDescription", fmiVersion=version)
-    root.set("modelName", name if whole else f"{name}: {', '.join(part.blocks)}")
-    root.set("guid" if version == "2.0" else "instantiationToken", token)
-    if isinstance(words, str) and words:
-        root.set("description", _plain(words))
-    root.set("generationTool", f"rotorsim {__version__}")
-    root.set("variableNamingConvention", "structured")
-    if version == "2.0":
-        root.set("numberOfEventIndicators", str(interface.count(EVENT)))
-    return root
-
-
-def _plain(text: str) -> str:
-    """Return a text without characters that XML cannot hold."""
-    return "".join(c if c.isprintable() else " " for c in text)
+    two = version == "2.0"
+    given = {
+        "fmiVersion": version,
+        "modelName": name if whole else f"{name}: {', '.join(part.blocks)}",
+        "guid" if two else "instantiationToken": token,
+        "description": plain_text(words) if isinstance(words, str) and words else None,
+        "generationTool": f"rotorsim {__version__}",
+        "variableNamingConvention": "structured",
+        "numberOfEventIndicators": str(interface.count(EVENT)) if two else None,
+    }
+    return Element("fmiModelDescription", {key: text for key, text in given.items() if text is not None})
 
 
 def _kinds(root: Element, interface: Interface, version: str, sources: Sequence[str]) -> None:
     two = version == "2.0"
+    state = "FMUstate" if two else "FMUState"
+    more = (
+        {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": "true"}
+        if two
+        else {"providesDirectionalDerivatives": "true", "providesAdjointDerivatives": "true"}
+    )
     common = {
         "modelIdentifier": interface.identifier,
         "canBeInstantiatedOnlyOncePerProcess": "false",
-        "canGetAndSetFMUstate" if two else "canGetAndSetFMUState": "true",
-        "canSerializeFMUstate" if two else "canSerializeFMUState": "true",
+        f"canGetAndSet{state}": "true",
+        f"canSerialize{state}": "true",
+        **more,
     }
-    if two:
-        common |= {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": "true"}
-    else:
-        common |= {"providesDirectionalDerivatives": "true", "providesAdjointDerivatives": "true"}
-    exchange = SubElement(root, "ModelExchange", common)
-    stepping = SubElement(root, "CoSimulation", common)
-    stepping.set("canHandleVariableCommunicationStepSize", "true")
-    stepping.set("maxOutputDerivativeOrder", "1")
-    if two:
-        exchange.set("completedIntegratorStepNotNeeded", "true")
-        stepping.set("canInterpolateInputs", "true")
-        for kind in (exchange, stepping):
-            files = SubElement(kind, "SourceFiles")
-            for name in sources:
-                SubElement(files, "File", name=name)
-    else:
-        stepping.set("fixedInternalStepSize", _text(interface.part.diagram.solver.step))
+    varies = {"canHandleVariableCommunicationStepSize": "true", "maxOutputDerivativeOrder": "1"}
+    internal = {"fixedInternalStepSize": _text(interface.part.diagram.solver.step)}
+    own = {
+        "ModelExchange": {"completedIntegratorStepNotNeeded": "true"} if two else {},
+        "CoSimulation": varies | ({"canInterpolateInputs": "true"} if two else internal),
+    }
+    for tag, given in own.items():
+        kind = SubElement(root, tag, common | given)
+        files = SubElement(kind, "SourceFiles") if two else kind
+        for name in sources if two else ():
+            SubElement(files, "File", name=name)
 
 
 # ---- units ----
 
 
 def _units(root: Element, interface: Interface) -> None:
-    if not interface.units:
-        return
-    definitions = SubElement(root, "UnitDefinitions")
+    definitions = SubElement(root, "UnitDefinitions") if interface.units else root
     for name in interface.units:
         unit = parse_unit(name)
         element = SubElement(definitions, "Unit", name=name)
-        _base_unit(element, unit)
+        write_base_unit(element, "BaseUnit", dict(zip(BASES, unit.dimension, strict=True)), unit.factor)
         for shown in _DISPLAY.get(name, ()):
-            factor = unit.factor / parse_unit(shown).factor
-            SubElement(element, "DisplayUnit", name=shown, factor=_text(factor))
-
-
-def _base_unit(parent: Element, unit: Unit) -> None:
-    powers = dict(zip(BASES, unit.dimension, strict=True))
-    element = SubElement(parent, "BaseUnit")
-    for base in ("kg", "m", "s", "A", "K", "mol", "cd", "rad"):
-        if powers[base]:
-            element.set(base, str(powers[base]))
-    if unit.factor != 1.0:
-        element.set("factor", _text(unit.factor))
+            SubElement(element, "DisplayUnit", name=shown, factor=_text(unit.factor / parse_unit(shown).factor))
 
 
 # ---- variables ----
 
 
-def _variables2(parent: Element, interface: Interface) -> None:
+def _variables(parent: Element, interface: Interface, version: str) -> None:
+    """Add all variables: FMI 2.0 has the type inside, FMI 3.0 the type as the element, time, and event indicators."""
+    two = version == "2.0"
     index = _indices(interface)
+    if not two:
+        time = SubElement(parent, "Float64", name="time", valueReference="0", causality="independent")
+        time.attrib |= {"variability": "continuous", "description": "simulation time"}
+        time.attrib |= {"unit": "s"} if "s" in interface.units else {}
     for variable in interface.variables:
-        if variable.role == EVENT:
+        if two and variable.role == EVENT:
             continue
-        for name, reference, k in variable.entries():
-            scalar = SubElement(parent, "ScalarVariable", name=name, valueReference=str(reference))
-            if variable.description:
-                scalar.set("description", _plain(variable.description))
-            scalar.set("causality", _CAUSALITY.get(variable.role, "local"))
-            scalar.set("variability", variable.variability)
-            if variable.initial:
-                scalar.set("initial", variable.initial)
-            real = SubElement(scalar, "Real", _real(variable))
-            if variable.start is not None:
-                real.set("start", _text(variable.start[k]))
-            if variable.of is not None:
-                real.set("derivative", str(index[variable.of + k]))
-
-
-def _variables3(parent: Element, interface: Interface) -> None:
-    time = SubElement(parent, "Float64", name="time", valueReference="0", causality="independent")
-    time.set("variability", "continuous")
-    time.set("description", "simulation time")
-    if "s" in interface.units:
-        time.set("unit", "s")
-    for variable in interface.variables:
-        entries = list(variable.entries())
-        if interface.arrays:
-            entries = [(variable.name, variable.reference, 0)]
+        entries = [(variable.name, variable.reference, 0)] if interface.arrays else variable.entries()
         for name, reference, k in entries:
-            element = SubElement(parent, "Float64", name=name, valueReference=str(reference))
+            tag = "ScalarVariable" if two else "Float64"
+            element = SubElement(parent, tag, name=name, valueReference=str(reference))
             if variable.description:
-                element.set("description", _plain(variable.description))
+                element.set("description", plain_text(variable.description))
             element.set("causality", _CAUSALITY.get(variable.role, "local"))
             element.set("variability", variable.variability)
-            if variable.initial and variable.role != INPUT:
+            if variable.initial and (two or variable.role != INPUT):
                 element.set("initial", variable.initial)
-            for key, value in _real(variable).items():
-                element.set(key, value)
+            typed = SubElement(element, "Real") if two else element
+            typed.attrib |= _real(variable)
             if variable.start is not None:
                 values = variable.start if interface.arrays else [variable.start[k]]
-                element.set("start", " ".join(_text(value) for value in values))
+                typed.set("start", " ".join(_text(value) for value in values))
             if variable.of is not None:
-                element.set("derivative", str(variable.of + k))
-            if interface.arrays:
-                for size in variable.shape:
-                    SubElement(element, "Dimension", start=str(size))
+                state = variable.of + k
+                typed.set("derivative", str(index[state] if two else state))
+            for size in variable.shape if interface.arrays else ():
+                SubElement(element, "Dimension", start=str(size))
 
 
 def _real(variable: Variable) -> dict[str, str]:
-    found = {}
-    if variable.unit:
-        found["unit"] = variable.unit
-    if variable.unit == "rad/s" and variable.role == PARAMETER:
-        found["displayUnit"] = "rpm"
-    for key, value in (("min", variable.low), ("max", variable.high)):
-        if math.isfinite(value):
-            found[key] = _text(value)
-    if variable.nominal is not None:
-        found["nominal"] = _text(variable.nominal)
-    return found
+    rpm = variable.unit == "rad/s" and variable.role == PARAMETER
+    found = {"unit": variable.unit or "", "displayUnit": "rpm" if rpm else ""}
+    bounds = {
+        "min": variable.low,
+        "max": variable.high,
+        "nominal": math.inf if variable.nominal is None else variable.nominal,
+    }
+    found |= {key: _text(value) for key, value in bounds.items() if math.isfinite(value)}
+    return {key: text for key, text in found.items() if text}
 
 
 def _indices(interface: Interface) -> dict[int, int]:
@@ -272,27 +232,19 @@ def _unknowns(interface: Interface, version: str) -> dict[str, list[tuple[int, l
     }
 
 
-def _structure2(parent: Element, interface: Interface) -> None:
-    index = _indices(interface)
-    unknowns = _unknowns(interface, "2.0")
-    for tag, key in (("Outputs", "outputs"), ("Derivatives", "derivatives"), ("InitialUnknowns", "initial")):
-        if not unknowns[key]:
-            continue
-        group = SubElement(parent, tag)
-        for reference, knowns in unknowns[key]:
-            dependencies = " ".join(str(index[k]) for k in knowns if k)
-            SubElement(group, "Unknown", index=str(index[reference]), dependencies=dependencies)
-
-
-def _structure3(parent: Element, interface: Interface) -> None:
+def _structure(parent: Element, interface: Interface, version: str) -> None:
+    """Add the model structure: lists of indices (FMI 2.0), or elements with value references (FMI 3.0)."""
+    unknowns = _unknowns(interface, version)
+    if version == "2.0":
+        index = _indices(interface)
+        for tag, key in (("Outputs", "outputs"), ("Derivatives", "derivatives"), ("InitialUnknowns", "initial")):
+            group = SubElement(parent, tag) if unknowns[key] else parent
+            for reference, knowns in unknowns[key]:
+                dependencies = " ".join(str(index[k]) for k in knowns if k)
+                SubElement(group, "Unknown", index=str(index[reference]), dependencies=dependencies)
+        return
     owner = _owners(interface)
-    unknowns = _unknowns(interface, "3.0")
-    for tag, key in (
-        ("Output", "outputs"),
-        ("ContinuousStateDerivative", "derivatives"),
-        ("InitialUnknown", "initial"),
-        ("EventIndicator", "events"),
-    ):
+    for tag, key in _TAGS3.items():
         joined: dict[int, set[int]] = {}
         for reference, knowns in unknowns[key]:
             joined.setdefault(owner[reference], set()).update(owner[k] for k in knowns)
@@ -303,8 +255,5 @@ def _structure3(parent: Element, interface: Interface) -> None:
 
 def _owners(interface: Interface) -> dict[int, int]:
     """Return the reference of the variable that every scalar belongs to."""
-    owner = {0: 0}
-    for variable in interface.variables:
-        for k in range(variable.size):
-            owner[variable.reference + k] = variable.reference if interface.arrays else variable.reference + k
-    return owner
+    inside = [(v.reference, k) for v in interface.variables for k in range(v.size)]
+    return {0: 0} | {first + k: first if interface.arrays else first + k for first, k in inside}

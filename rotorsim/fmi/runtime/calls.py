@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -49,32 +50,57 @@ NUMBER = {name: k for k, name in enumerate(FUNCTIONS)}
 Call = tuple[int, Any, tuple[Any, ...]]  # number in FUNCTIONS, function, arguments
 
 
-class Calls:
-    """The library, the instance and the log of an FMU, and the ways to call it."""
+class Calls(ABC):
+    """The library, the instance and the log of an FMU, and the ways to call it; what FMI 2.0 and 3.0 do differently.
+
+    names: a function as `FUNCTIONS` has it -> as the version calls it. boolean: its type of C.
+    """
+
+    names: Mapping[str, str]
+    boolean: Any
 
     def __init__(self, block: Block, path: str, version: str, kind: str) -> None:
         self.block, self.head = block, block.head
-        self.version, self.kind, self.two = version, kind, version == "2.0"
+        self.version, self.kind = version, kind
         self.types = TYPES[version]
         self.log = Log(version)
         self.head[Head.FUNCTION] = NUMBER["load"]
         self.library = Library(path, version)
         self.instance: int | None = None
 
+    @abstractmethod
+    def create(self, name: bytes, token: bytes, resources: bytes | None) -> int | None:
+        """Return a new instance, which logs."""
+
+    @abstractmethod
+    def initialise(self, start: float, stop: float | None, tolerance: float | None, n_x: int, n_z: int) -> None:
+        """Enter the initialisation; n_x, n_z: numbers of states and event indicators in the description."""
+
+    @abstractmethod
+    def sized(self, *arrays: tuple[int, int]) -> tuple[int, ...]:
+        """Return the arguments that arrays make, (address, length) each: FMI 3.0 tells their lengths."""
+
+    @abstractmethod
+    def update_discrete_states(self) -> Any:
+        """Return a structure with ``needed``, ``terminate``, ``nominals``, ``states``, ``defined`` and ``time``."""
+
+    @abstractmethod
+    def step_results(self, flags: int) -> tuple[int, ...]:
+        """Return further arguments of DoStep: where three flags and the time reached are to be put."""
+
+    @abstractmethod
+    def reached(self) -> float | None:
+        """Return how far a step came that was refused; note whether the FMU asks for the end."""
+
+    def function(self, name: str) -> Any:
+        """Return a function of the library."""
+        return self.library[self.names.get(name, name)]
+
     def instantiate(self, name: str, token: str, resources: str | None) -> None:
-        """Make the instance; it logs. Raises CallError."""
+        """Make the instance. Raises CallError."""
         self.head[Head.FUNCTION] = NUMBER["Instantiate"]
-        library, texts = self.library, (name.encode(), token.encode())
         where = resources.encode() if resources is not None else None
-        if self.two:
-            callbacks = ctypes.addressof(self.log.struct)
-            self.instance = library["Instantiate"](texts[0], int(self.kind == "cs"), texts[1], where, callbacks, 0, 1)
-        elif self.kind == "cs":
-            self.instance = library["InstantiateCoSimulation"](
-                *texts, where, False, True, False, False, None, 0, None, self.log.callback, None
-            )
-        else:
-            self.instance = library["InstantiateModelExchange"](*texts, where, False, True, None, self.log.callback)
+        self.instance = self.create(name.encode(), token.encode(), where)
         self.head[Head.FUNCTION] = 0
         if not self.instance:
             raise CallError("error", "Instantiate", "returned no instance", log=self.log.taken())
@@ -87,11 +113,11 @@ class Calls:
             self.library.free(instance)
             self.head[Head.FUNCTION] = 0
 
-    def call(self, shown: str, name: str, *arguments: Any) -> None:
-        """Call a function with the instance and arguments; ``shown``: its name for people. Raises CallError."""
+    def call(self, shown: str, *arguments: Any, name: str = "") -> None:
+        """Call a function with the instance and arguments; name: where it is not that shown. Raises CallError."""
         if not self.instance:
             raise CallError("refused", shown, "there is no instance")
-        function: Callable[..., int] = self.library[name]
+        function: Callable[..., int] = self.function(name or shown)
         self.head[Head.FUNCTION] = NUMBER.get(shown, 0)
         status = function(self.instance, *arguments)
         self.head[Head.FUNCTION] = 0
@@ -128,20 +154,22 @@ class Calls:
             raise CallError("refused", "Set", f"variables of type {kind} are not supported")
         return self.types[kind]
 
+    def access(self, verb: str, run: Mapping[str, Any], values: Any) -> None:
+        """Set the values of a run of variables (see runs.py), or get them."""
+        of, word = references(run["refs"]), self.type_of(run["type"])[0]
+        self.call(verb, address(of), len(of), *self.sized((address(values), run["n"])), name=verb + word)
+
     def get(self, run: Mapping[str, Any]) -> list[Any]:
-        """Return the values of a run of variables (see runs.py)."""
-        word, ctype = self.type_of(run["type"])
-        of, values = references(run["refs"]), (ctype * run["n"])()
-        arguments = (address(of), len(of), address(values))
-        self.call("Get", "Get" + word, *arguments, *(() if self.two else (run["n"],)))
+        """Return the values of a run of variables."""
+        values = (self.type_of(run["type"])[1] * run["n"])()
+        self.access("Get", run, values)
         found = [v.decode("utf-8", "replace") if isinstance(v, bytes) else v for v in values]
         found = [bool(v) for v in found] if run["type"] == "Boolean" else found
         return found if run["index"] is None else [found[k] for k in run["index"]]
 
     def set(self, run: Mapping[str, Any], numbers: Sequence[Any]) -> None:
         """Set the values of a run of variables; of an array that is set in part, the rest is kept."""
-        word, ctype = self.type_of(run["type"])
-        values = list(numbers)
+        ctype, values = self.type_of(run["type"])[1], list(numbers)
         if run["index"] is not None:
             values = self.get({**run, "index": None})
             for k, number in zip(run["index"], numbers, strict=True):
@@ -152,9 +180,7 @@ class Calls:
             values = [bool(number) for number in values]
         elif not run["type"].startswith("Float"):
             values = [whole(number, ctype) for number in values]
-        of, data = references(run["refs"]), (ctype * run["n"])(*values)
-        arguments = (address(of), len(of), address(data))
-        self.call("Set", "Set" + word, *arguments, *(() if self.two else (run["n"],)))
+        self.access("Set", run, (ctype * run["n"])(*values))
 
 
 def references(numbers: Sequence[int]) -> Any:

@@ -15,7 +15,7 @@ import struct
 import threading
 import time
 
-__all__ = ["BELL", "LOOKS", "ClosedError", "Fence", "LateError", "Pipe", "ordered", "seen"]
+__all__ = ["ClosedError", "LateError", "Pipe", "ordered", "seen"]
 
 BELL = b"\0\0\0\0"
 LONGEST = 1 << 28  # bytes of a message
@@ -41,18 +41,6 @@ def ordered() -> bool:
     return platform.machine() in ("x86_64", "AMD64") and cpus > 1
 
 
-class Fence:
-    """A full memory barrier: taking a lock is one on x86."""
-
-    def __init__(self) -> None:
-        lock = threading.Lock()
-        self.take, self.free = lock.acquire, lock.release
-
-    def __call__(self) -> None:
-        self.take()
-        self.free()
-
-
 def seen(head: memoryview, place: int, old: int, looks: int) -> bool:
     """Look for another number than the old one for a while before sleeping; return whether it came.
 
@@ -67,10 +55,16 @@ def seen(head: memoryview, place: int, old: int, looks: int) -> bool:
 
 
 class Pipe:
-    """Messages on two file descriptors."""
+    """Messages on two file descriptors. kept: those that came while something else was waited for.
 
-    def __init__(self, source: int, sink: int) -> None:
-        self.source, self.sink = source, sink
+    ordered: whether the other side may be looked at (`ordered`); else it always sleeps.
+    """
+
+    def __init__(self, source: int, sink: int, ordered: bool) -> None:
+        self.source, self.sink, self.ordered = source, sink, ordered
+        self.looks = LOOKS if ordered else 0
+        self.kept: list[bytes] = []
+        self._barrier = threading.Lock()  # to take it is a full memory barrier on x86
         self._poll = select.poll()
         self._poll.register(source, select.POLLIN)
 
@@ -78,9 +72,35 @@ class Pipe:
         """Send a message. Raises ClosedError."""
         self._write(struct.pack("<I", len(message)) + message)
 
-    def ring(self) -> None:
-        """Wake the other side up. Raises ClosedError."""
-        self._write(BELL)
+    def wake(self, head: memoryview, sleeps: int) -> None:
+        """Ring if the other side says at a place that it sleeps, after a full memory barrier. Raises ClosedError."""
+        with self._barrier:
+            asleep = head[sleeps]
+        if asleep:
+            self._write(BELL)
+
+    def sleep(self, head: memoryview, place: int, old: int, sleeps: int, deadline: float | None = None) -> None:
+        """Sleep until there is another number at a place than the old one. Raises ClosedError, LateError."""
+        head[sleeps] = 1
+        with self._barrier:
+            pass
+        while head[place] == old:
+            self._keep(deadline)
+        head[sleeps] = int(not self.ordered)
+
+    def message(self, deadline: float | None = None) -> bytes:
+        """Return the next message (deadline: of time.monotonic). Raises ClosedError, LateError."""
+        while not self.kept:
+            self._keep(deadline)
+        return self.kept.pop(0)
+
+    def _keep(self, deadline: float | None) -> None:
+        """Keep what comes; the bell is no message."""
+        size = struct.unpack("<I", self._exactly(4, deadline))[0]
+        if size > LONGEST:
+            raise ClosedError
+        if size:
+            self.kept.append(self._exactly(size, deadline))
 
     def _write(self, data: bytes) -> None:
         try:
@@ -88,13 +108,6 @@ class Pipe:
                 data = data[os.write(self.sink, data) :]
         except (BrokenPipeError, ConnectionError):
             raise ClosedError from None
-
-    def receive(self, deadline: float | None = None) -> bytes:
-        """Return the next message; b"" for the bell. Raises ClosedError, LateError (deadline: of time.monotonic)."""
-        size = struct.unpack("<I", self._exactly(4, deadline))[0]
-        if size > LONGEST:
-            raise ClosedError
-        return self._exactly(size, deadline) if size else b""
 
     def _exactly(self, size: int, deadline: float | None) -> bytes:
         data = b""
@@ -117,4 +130,4 @@ class Pipe:
             self.look()
 
     def look(self) -> None:
-        """Called now and then while waiting; may raise ClosedError."""
+        """Find out now and then while waiting whether the other side still lives. Raises ClosedError."""

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorsim.fmi.runtime.binding import CallError
+from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.instance import Instance, is_finite
 from rotorsim.fmi.runtime.memory import Block, Head, Op, Said
 from rotorsim.fmi.runtime.runs import make_runs
+from rotorsim.fmi.runtime.steps import Member
 
 __all__ = ["EventUpdate", "Slave"]
 
@@ -69,7 +71,7 @@ class Slave(Instance):
 
     def finish_exchange(self) -> np.ndarray:
         """Return the outputs of what `begin_exchange` began."""
-        self.wait(self._t, self._finish)
+        self.wait(self._t, self.worker.finish)
         y = self.finite_outputs(self._t)
         if self.log:
             self._forward_log()
@@ -89,6 +91,54 @@ class Slave(Instance):
             raise self._failed(failure, t) from None
         if self._head[Head.SAID]:
             self._note_end()
+
+    def end_of(self, failure: FmuError, t: float) -> FmuError:
+        """Return a failure of a step from t, or the end that the FMU asks for by refusing it."""
+        if failure.kind != "discard" or not self.ended:
+            return failure
+        return self.end_asked(t if failure.last is None else failure.last)
+
+    # -- in loop.c (see rotorsim.cosim.loop) ---------------------------------------------------------------------------
+
+    def why_not_in_c(self) -> str:
+        """Return why loop.c cannot take its steps now, or ""."""
+        if self.kind != "cs" or not self.is_running:
+            return "is not set up for Co-Simulation"
+        return self.worker.why_not_in_c()
+
+    def in_c(self, library: str) -> Member:
+        """Return its steps for loop.c, whose library is at a path."""
+        try:
+            return self.worker.in_c(library)
+        except CallError as failure:
+            raise self._failed(failure) from None
+
+    def addresses(self) -> tuple[list[int], list[int]]:
+        """Return the addresses of its inputs and of its outputs."""
+        block, counts = self.worker.block, (len(self.input_names), len(self.output_names))
+        inputs, outputs = (
+            [block.at(at + k) for k in range(n)] for at, n in zip((block.u, block.y), counts, strict=True)
+        )
+        return inputs, outputs
+
+    def enter_c(self, member: Member, t: float) -> None:
+        """Get ready for steps in C from t on."""
+        self.wait(t, lambda: self.worker.enter_c(member))
+
+    def leave_c(self, member: Member) -> None:
+        """Take over from loop.c when it returns."""
+        self.worker.leave_c(member)
+
+    def finish_in_c(self, member: Member, what: int, t: float, end: float) -> None:
+        """Do what loop.c left to be done in a step from t to an end."""
+        try:
+            self.wait(t, lambda: self.worker.finish_in_c(member, what))
+        except FmuError as failure:
+            raise self.end_of(failure, t) from None
+        if self.ended:
+            raise self.end_asked(end)
+
+    # -- derivatives ---------------------------------------------------------------------------------------------------
 
     def _set_derivatives(self, derivatives: np.ndarray) -> None:
         if len(derivatives) > len(self._du):

@@ -15,7 +15,7 @@ import sys
 import threading
 
 from rotorsim.fmi.runtime.binding import CallError
-from rotorsim.fmi.runtime.channel import LOOKS, ClosedError, Fence, Pipe, seen
+from rotorsim.fmi.runtime.channel import ClosedError, Pipe, seen
 from rotorsim.fmi.runtime.memory import Block, Head, Op, Sizes
 from rotorsim.fmi.runtime.session import Session
 
@@ -33,7 +33,7 @@ def main() -> None:
     threading.Thread(target=_watch, args=(given["lifeline"], given["folder"]), daemon=True).start()
     block = Block(mmap.mmap(given["block"], given["bytes"]), Sizes(**given["sizes"]))
     try:
-        _Host(block, Pipe(source, sink), given["ordered"]).serve()
+        serve(block, Pipe(source, sink, given["ordered"]))
     except ClosedError:
         os._exit(0)  # no exit functions: some libraries crash in theirs
 
@@ -60,68 +60,34 @@ def _watch(lifeline: int, folder: str) -> None:
     os._exit(1)
 
 
-class _Host:
-    def __init__(self, block: Block, pipe: Pipe, ordered: bool) -> None:
-        self.block, self.pipe, self.ordered = block, pipe, ordered
-        self.head = block.head
-        self.session = Session(block)
-        self.fence, self.looks = Fence(), LOOKS if ordered else 0
-        self.seen = 0
-        self.waiting: list[bytes] = []
-
-    def serve(self) -> None:
-        """Do what is asked, for ever. Raises ClosedError at the end of the pipe."""
-        head, session = self.head, self.session
-        while True:
-            what, self.seen = session.serve(self.seen, self.looks, self.pipe.sink)
-            if not what:
-                self._wait()
-                self.seen = head[Head.REQUEST]
-            if not what and head[Head.OP] == Op.COMMAND:
-                self._command()
-            else:
-                try:
-                    if what:  # whoever does not wait may have asked for more by now
-                        session.fail(what)
-                    else:
-                        session.run(head[Head.OP])
-                except Exception as error:
-                    self._tell({"failed": _failure(error).data()})
-                    head[Head.STATUS] = 1
-            head[Head.REPLY] = self.seen
-            self.fence()
-            if head[Head.USER_SLEEPS]:
-                self.pipe.ring()
-
-    def _wait(self) -> None:
-        """Wait until the request changes."""
-        head, done = self.head, self.seen
-        if seen(head, Head.REQUEST, done, self.looks if self.session.member is None else 0):
-            return
-        if self.ordered:
-            head[Head.FMU_SLEEPS] = 1
-            self.fence()
-        while head[Head.REQUEST] == done:
-            message = self.pipe.receive()
-            if message:
-                self.waiting.append(message)
-        if self.ordered:
-            head[Head.FMU_SLEEPS] = 0
-
-    def _command(self) -> None:
-        while not self.waiting:
-            message = self.pipe.receive()
-            if message:
-                self.waiting.append(message)
-        asked = json.loads(self.waiting.pop(0))
+def serve(block: Block, pipe: Pipe) -> None:
+    """Do what is asked, for ever. Raises ClosedError at the end of the pipe."""
+    head, session, done = block.head, Session(block), 0
+    while True:
+        failed, done = session.serve(done, pipe.looks, pipe.sink)
+        if not failed:
+            looks = pipe.looks if session.member is None else 0
+            if not seen(head, Head.REQUEST, done, looks):
+                pipe.sleep(head, Head.REQUEST, done, Head.FMU_SLEEPS)
+            done = head[Head.REQUEST]
+        command = not failed and head[Head.OP] == Op.COMMAND  # who does not wait may have asked for more by now
         try:
-            answer = {"done": self.session.command(asked["name"], asked["arguments"])}
+            if command:
+                asked = json.loads(pipe.message())
+                pipe.send(_text({"done": session.command(asked["name"], asked["arguments"])}))
+            elif failed:
+                session.stepping.fail(failed)
+            else:
+                session.run(head[Head.OP])
         except Exception as error:
-            answer = {"failed": _failure(error).data()}
-        self._tell(answer)
+            pipe.send(_text({"failed": _failure(error).data()}))
+            head[Head.STATUS] = int(not command)
+        head[Head.REPLY] = done
+        pipe.wake(head, Head.USER_SLEEPS)
 
-    def _tell(self, answer: object) -> None:
-        self.pipe.send(json.dumps(answer).encode())
+
+def _text(answer: object) -> bytes:
+    return json.dumps(answer).encode()
 
 
 def _failure(error: Exception) -> CallError:

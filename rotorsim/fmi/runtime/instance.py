@@ -51,7 +51,6 @@ class Instance:
         self._numbers: Any = worker.block.numbers
         self._run: Callable[[int], None] = worker.run
         self._begin: Callable[[int], None] = worker.begin
-        self._finish: Callable[[], None] = worker.finish
         self._t = 0.0
         self._views(np.frombuffer(worker.block.memory, np.float64), 0, 0)
 
@@ -246,19 +245,26 @@ class Instance:
     def _forward_log(self) -> None:
         """Hand new messages over to the user's function."""
         lines, counts = self.messages()
-        self._heard += len(lines)
+        self._tell(lines)
         lost = sum(counts.values()) - self._heard
-        if self.log:
-            for line in lines:
-                self.log(*line)
-            if lost > 0:
-                self._heard += lost
-                self.log("Warning", "rotorsim", f"{lost} more messages came at once and are lost")
+        if self.log and lost > 0:
+            self._heard += lost
+            self.log("Warning", "rotorsim", f"{lost} more messages came at once and are lost")
+
+    def _tell(self, lines: Sequence[tuple[str, ...]]) -> None:
+        """Hand messages (status, category, text) that were taken over to the user's function."""
+        self._heard += len(lines)
+        for line in lines if self.log else ():
+            self.log(*line)  # type: ignore[misc]
 
     def step_failed(self, function: str, what: str, kind: str, time: float, hint: str = "") -> FmuError:
         """Return the failure of a step that was taken elsewhere, with the messages of the FMU."""
         log = self.worker.command("log").get("log", [])
         return self._failed(CallError(kind, function, what, log=log, hint=hint), time)
+
+    def end_asked(self, time: float) -> FmuError:
+        """Return what ends a run where the FMU asks for it."""
+        return self.step_failed("-", "asks for the end of the simulation", "ended", time)
 
     def _expect(self, *phases: str) -> None:
         if self._phase not in phases:
@@ -297,24 +303,16 @@ class Instance:
     def _failed(self, failure: CallError, time: float | None = None, about: Sequence[str] = ()) -> FmuError:
         more = failure.more
         log = [tuple(map(str, line)) for line in more.get("log", ()) if len(line) == 3]
-        self._heard += len(log)
-        if self.log:
-            for line in log:
-                self.log(*line)
-        function = failure.function if failure.function in FUNCTIONS[1:] else ""
-        function = f"fmi{self.description.version[0]}{function}" if function and function != "load" else ""
-        if failure.function == "Set" and not about:
-            about = self.input_names
-        if failure.function == "Get" and not about:
-            about = self.output_names
-        concerned = ", ".join(about[:5]) + (", ..." if len(about) > 5 else "")
-        call = f"{function} of {concerned}" if failure.function in ("Set", "Get") and concerned else function
-        what = f"{call} {failure.what}".strip()
-        if failure.kind == "load":
-            what = f"its library cannot be loaded: {failure.what}"
-        elif failure.kind in ("crash", "hang"):
-            what = failure.what + (f", in {function}" if function else "")
-        printed = str(more.get("printed", "")).splitlines()
+        self._tell(log)
+        known = failure.function in FUNCTIONS[2:]
+        function = f"fmi{self.description.version[0]}{failure.function}" if known else ""
+        accessed = {"Set": self.input_names, "Get": self.output_names}.get(failure.function, ())
+        concerned = list(about or accessed) if failure.function in ("Set", "Get") else []
+        shown = " of " + ", ".join([*concerned[:5], *(["..."] if len(concerned) > 5 else [])]) if concerned else ""
+        what = {
+            "load": f"its library cannot be loaded: {failure.what}",
+            **dict.fromkeys(("crash", "hang"), failure.what + (f", in {function}" if function else "")),
+        }.get(failure.kind, f"{function}{shown} {failure.what}".strip())
         last = more.get("last")
         return self._error(
             what,
@@ -322,7 +320,7 @@ class Instance:
             function=function,
             time=time,
             log=log,
-            printed=printed,
+            printed=str(more.get("printed", "")).splitlines(),
             last=float(last) if isinstance(last, int | float) else None,
             hint=str(more.get("hint", "")),
         )

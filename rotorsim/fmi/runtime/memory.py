@@ -26,7 +26,7 @@ class Head:
 class Op:
     """What to do, in this order; bits."""
 
-    TIME, X, U, DU, STEP, XDOT, Y, Z, READ_X, COMPLETED, EVENT = (1 << k for k in range(11))
+    TIME, X, U, DU, STEP, XDOT, Y, Z, COMPLETED, EVENT = (1 << k for k in range(10))
     COMMAND = -1
 
 

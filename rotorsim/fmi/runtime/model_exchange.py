@@ -7,8 +7,9 @@ crosses zero and comes back within one step is not seen.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -17,8 +18,9 @@ from rotorsim.diagram.solver import ADAPTIVE
 from rotorsim.fmi.runtime.exchange import Slave
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.linear.stability import largest_stable_step, rounded_down, step_factor
+from rotorsim.model.runge_kutta import RK4
 
-__all__ = ["ModelExchange", "SavedState"]
+__all__ = ["KEPT", "ModelExchange", "SavedState"]
 
 RTOL, ATOL = 1e-8, 1e-12  # of the methods that choose their own steps
 NUDGE = 6e-6  # cube root of eps: relative width of central differences
@@ -86,16 +88,16 @@ class ModelExchange:
         self.clock, self.fed = -np.inf, u[self.discrete]
         self._last = {}
         if first.terminate:
-            raise self._ended(t)
+            raise self.slave.end_asked(t)
         self.sides = self._sides(t, u)
 
     def output(self, t: float, u: np.ndarray) -> np.ndarray:
         """Return the outputs (n_y,) of the present state."""
         return self.slave.outputs(self._not_before_event(t), self.x, u)
 
-    def slope(self, t: float, h: float, u: Inputs) -> np.ndarray:
-        """Return the outputs a very short time later, as if there were no events."""
-        return self.slave.outputs(t + h, self._rk4(t, h, u, 0.0), u(h))
+    def output_after(self, t: float, h: float, u: Inputs) -> np.ndarray:
+        """Return the outputs (n_y,) a very short time h later, as if there were no events."""
+        return self.slave.outputs(t + h, self._after(t, h, u, 0.0), u(h))
 
     def advance(self, t: float, h: float, u: Inputs, count: int) -> None:
         """Integrate from t to t + h in ``count`` steps; u(tau): inputs. Raises FmuError, also when the FMU ends it."""
@@ -116,7 +118,7 @@ class ModelExchange:
             if self.touching:  # which side it takes is seen before it may come back
                 goal, self.touching = min(goal, t + max(TOUCH * h, 1e3 * EPS * abs(t))), False
             since, width = before + (t - start), goal - t
-            x, crossed = self._rk4(t, width, u, since), _NONE
+            x, crossed = self._after(t, width, u, since), _NONE
             if self.sides.size:
                 crossed = self._crossed(self._indicators(goal, x, u(since + width)))
                 if crossed.any():
@@ -126,7 +128,7 @@ class ModelExchange:
             now = u(before + (t - start))
             wants = self.reports and self.slave.completed_step(t, x, now)
             if self.slave.ended:
-                raise self._ended(t)
+                raise self.slave.end_asked(t)
             if crossed.any() or wants:
                 events += 1
                 if events > MOST_EVENTS:
@@ -151,7 +153,7 @@ class ModelExchange:
             update = self.slave.event_update(self.clock, self.x, u)
             self.epoch = self._epochs = self._epochs + 1
             if update.terminate:
-                raise self._ended(self.clock)
+                raise self.slave.end_asked(self.clock)
             self.x, self.next_time, self.fed = self.slave.states(), update.next_time, u[self.discrete]
             if self.next_time > t + tiny:
                 self.sides = self._sides(self.clock, u)
@@ -166,9 +168,9 @@ class ModelExchange:
 
     def _indicators(self, t: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         z = self.slave.event_indicators(t, x, u)
-        if not np.isfinite(z).all():
-            k = int(np.flatnonzero(~np.isfinite(z))[0])
-            raise self.slave.step_failed("GetEventIndicators", f"gives {z[k]} for event indicator {k + 1}", "value", t)
+        if (bad := np.flatnonzero(~np.isfinite(z))).size:
+            what = f"gives {z[bad[0]]} for event indicator {bad[0] + 1}"
+            raise self.slave.step_failed("GetEventIndicators", what, "value", t)
         return z
 
     def _crossed(self, z: np.ndarray) -> np.ndarray:
@@ -190,7 +192,7 @@ class ModelExchange:
         tolerance = max(LOCATED * h, 2 * EPS * abs(t))
 
         def at(step: float) -> tuple[np.ndarray, np.ndarray]:
-            x = end if step == width else self._rk4(t, step, u, since)
+            x = end if step == width else self._after(t, step, u, since)
             return x, self._indicators(t + step, x, u(since + step))
 
         def distance(step: float) -> float:
@@ -198,9 +200,7 @@ class ModelExchange:
             return float((self.sides * at(step)[1]).min())
 
         low = 0.0 if distance(0.0) > 0 else min(TOUCH * h, width) / 2  # exactly zero at the start
-        step = low
-        if distance(low) > 0:
-            step = float(brentq(distance, low, width, xtol=tolerance, rtol=4 * EPS))
+        step = float(brentq(distance, low, width, xtol=tolerance, rtol=4 * EPS)) if distance(low) > 0 else low
         reach = tolerance
         x, z = at(step)
         while not (crossed := self._crossed(z)).any() and step < width:
@@ -219,18 +219,17 @@ class ModelExchange:
 
     # -- one step ------------------------------------------------------------------------------------------------------
 
-    def _rk4(self, t: float, h: float, u: Inputs, tau: float) -> np.ndarray:
-        if not self.x.size:
-            return self.x
-        f, x = self.slave.derivatives, self.x
+    def _after(self, t: float, h: float, u: Inputs, tau: float) -> np.ndarray:
+        """Return the states after a step h from t, as if there were no events; the inputs are u(tau + time since t)."""
+        x = self.x
+        stages: list[np.ndarray] = []
+        if not x.size:
+            return x
         if self.method != "rk4":
             return self._by_scipy(t, h, u, tau)
-        k1 = f(t, x, u(tau))
-        middle = u(tau + h / 2)
-        k2 = f(t + h / 2, x + h / 2 * k1, middle)
-        k3 = f(t + h / 2, x + h / 2 * k2, middle)
-        k4 = f(t + h, x + h * k3, u(tau + h))
-        return np.asarray(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+        for a, c in zip(RK4.a, RK4.c, strict=True):
+            stages.append(self.slave.derivatives(t + c * h, x + h * _combined(a, stages), u(tau + c * h)))
+        return np.asarray(x + h * _combined(RK4.b, stages))
 
     def _by_scipy(self, t: float, h: float, u: Inputs, tau: float) -> np.ndarray:
         """Return the states after h by a method that chooses its own steps, implicit for stiff equations."""
@@ -252,11 +251,9 @@ class ModelExchange:
         if self.method != "rk4" or not self.x.size or not self._width or not np.isfinite(self.x).all():
             return ""
         t, u, x = max(self.clock, 0.0), self._inputs, self.x
-        width = NUDGE * np.maximum(np.abs(x), np.maximum(float(np.abs(x).max()), 1.0) * NUDGE)
-        J = np.empty((x.size, x.size))
-        for k in range(x.size):
-            move = width[k] * (np.arange(x.size) == k)
-            J[:, k] = (self.slave.derivatives(t, x + move, u) - self.slave.derivatives(t, x - move, u)) / (2 * width[k])
+        f, widths = self.slave.derivatives, NUDGE * np.maximum(np.abs(x), max(float(np.abs(x).max()), 1.0) * NUDGE)
+        moves = np.diag(widths)
+        J = np.column_stack([(f(t, x + move, u) - f(t, x - move, u)) / (2 * move.sum()) for move in moves])
         if not np.isfinite(J).all():
             return ""
         poles = np.linalg.eigvals(J)
@@ -279,18 +276,14 @@ class ModelExchange:
         Discrete states change at events only, or also at completed steps where the FMU wants to be told of these: the
         state of the FMU itself is saved once between two events, or every time.
         """
-        handle = self._handle() if self.saves else None
+        if self.saves and (self.reports or not self._handles or self._handles[-1][0] != self.epoch):
+            self._handles.append((self.epoch, self.slave.save_state()))
+        if len(self._handles) > KEPT:
+            self.slave.free_state(self._handles.pop(0)[1])
+        handle = self._handles[-1][1] if self.saves else None
         return SavedState(
             self.x.copy(), self.next_time, self.sides.copy(), self.touching, self.fed, self.clock, self.epoch, handle
         )
-
-    def _handle(self) -> int:
-        if self._handles and self._handles[-1][0] == self.epoch and not self.reports:
-            return self._handles[-1][1]
-        self._handles.append((self.epoch, self.slave.save_state()))
-        if len(self._handles) > KEPT:
-            self.slave.free_state(self._handles.pop(0)[1])
-        return self._handles[-1][1]
 
     def forget(self) -> None:
         """Free all saved states."""
@@ -310,12 +303,14 @@ class ModelExchange:
 
     # -- failures ------------------------------------------------------------------------------------------------------
 
-    def _ended(self, t: float) -> FmuError:
-        return self.slave.step_failed("-", "asks for the end of the simulation", "ended", t)
-
     def _endless(self, t: float, what: str) -> FmuError:
         hint = "events accumulate: a contact that comes to rest, or a relay without hysteresis, inside the FMU"
         return self.slave.step_failed("-", what, "endless", t, hint)
+
+
+def _combined(weights: Sequence[float], stages: Sequence[np.ndarray]) -> Any:
+    """Return sum w_j k_j."""
+    return sum(w * k for w, k in zip(weights, stages, strict=True) if w)
 
 
 def _rounding(t: float, h: float) -> float:

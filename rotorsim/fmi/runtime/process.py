@@ -17,7 +17,9 @@ import tempfile
 import threading
 import time
 import weakref
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
@@ -25,9 +27,10 @@ import rotorsim
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.runtime.binding import CallError
 from rotorsim.fmi.runtime.calls import FUNCTIONS
-from rotorsim.fmi.runtime.channel import LOOKS, ClosedError, Fence, LateError, Pipe, ordered, seen
+from rotorsim.fmi.runtime.channel import ClosedError, LateError, Pipe, ordered, seen
 from rotorsim.fmi.runtime.memory import Block, Head, Op, Sizes
 from rotorsim.fmi.runtime.session import Session
+from rotorsim.fmi.runtime.steps import PROCESS, Member, State
 
 __all__ = ["LocalWorker", "RemoteWorker", "Worker", "printing_elsewhere"]
 
@@ -57,29 +60,51 @@ def printing_elsewhere() -> Iterator[None]:
         os.close(kept)
 
 
-class Worker:
+class Worker(ABC):
     """Where an FMU works; `run` does steps on the block, `command` everything else. Both raise CallError."""
 
     block: Block
 
     def run(self, op: int) -> None:
         """Do what the bits of ``op`` say."""
-        raise NotImplementedError
+        self.begin(op)
+        self.finish()
 
+    @abstractmethod
     def begin(self, op: int) -> None:
         """Ask for steps; where the FMU has its own process, it works while others do."""
-        self.run(op)
 
+    @abstractmethod
     def finish(self) -> None:
         """Wait for what `begin` asked."""
 
+    @abstractmethod
     def command(self, name: str, /, **arguments: Any) -> dict[str, Any]:
         """Carry out a command of `Session`."""
-        raise NotImplementedError
 
+    @abstractmethod
     def close(self) -> None:
         """Free what it holds; may be called twice."""
-        raise NotImplementedError
+
+    @abstractmethod
+    def why_not_in_c(self) -> str:
+        """Return why its steps cannot be taken by loop.c, or ""."""
+
+    @abstractmethod
+    def in_c(self, library: str) -> Member:
+        """Return its steps for loop.c, whose library is at a path."""
+
+    @abstractmethod
+    def enter_c(self, member: Member) -> None:
+        """Say before loop.c is called what it goes on from. Raises CallError."""
+
+    @abstractmethod
+    def leave_c(self, member: Member) -> None:
+        """Take over from loop.c when it returns."""
+
+    @abstractmethod
+    def finish_in_c(self, member: Member, what: int) -> None:
+        """Do what loop.c left to be done: wait, or raise what failed as CallError."""
 
 
 class LocalWorker(Worker):
@@ -95,12 +120,30 @@ class LocalWorker(Worker):
     def begin(self, op: int) -> None:
         self.session.run(op)
 
+    def finish(self) -> None:
+        """It is done."""
+
     def command(self, name: str, /, **arguments: Any) -> dict[str, Any]:
         return self.session.command(name, arguments)
 
     def close(self) -> None:
         with contextlib.suppress(CallError):
             self.session.command("free", {})
+
+    def why_not_in_c(self) -> str:
+        return "" if self.session.stepping.all_float else "has inputs or outputs that are not Float64"
+
+    def in_c(self, library: str) -> Member:
+        return self.session.stepping.in_c()
+
+    def enter_c(self, member: Member) -> None:
+        member.unbound = self.session.stepping.unbound
+
+    def leave_c(self, member: Member) -> None:
+        """All is in the block."""
+
+    def finish_in_c(self, member: Member, what: int) -> None:
+        self.session.stepping.fail(what)
 
 
 class RemoteWorker(Worker):
@@ -111,14 +154,13 @@ class RemoteWorker(Worker):
             hint = 'use it in process: "in_process": true among its parameters'
             raise RotorsimError(Problem("FMUs in a subprocess are not supported on Windows yet", hint=hint))
         self.timeout, self.memory = timeout, memory
-        descriptor = _shared(max(sizes.bytes, mmap.PAGESIZE))
-        self.block = Block(mmap.mmap(descriptor, max(sizes.bytes, mmap.PAGESIZE)), sizes)
+        size = max(sizes.bytes, mmap.PAGESIZE)
+        descriptor = _shared(size)
+        self.block = Block(mmap.mmap(descriptor, size), sizes)
         self.head = self.block.head
         self.count, self.commanded = 0, False
-        self.ordered = ordered()
-        self.fence, self.looks = Fence(), LOOKS if self.ordered else 0
-        if not self.ordered:
-            self.head[Head.FMU_SLEEPS] = self.head[Head.USER_SLEEPS] = 1
+        in_order = ordered()
+        self.head[Head.FMU_SLEEPS] = self.head[Head.USER_SLEEPS] = int(not in_order)
         end, self._lifeline = os.pipe()
         scratch = tempfile.mkdtemp(prefix="scratch-", dir=folder)
         given = {
@@ -126,9 +168,9 @@ class RemoteWorker(Worker):
             "lifeline": end,
             "folder": str(folder),
             "block": descriptor,
-            "bytes": max(sizes.bytes, mmap.PAGESIZE),
-            "ordered": self.ordered,
-            "sizes": {"n": sizes.n, "n_x": sizes.n_x, "n_z": sizes.n_z, "order": sizes.order},
+            "bytes": size,
+            "ordered": in_order,
+            "sizes": asdict(sizes),
         }
         root = str(Path(rotorsim.__file__).resolve().parent.parent)
         try:
@@ -149,20 +191,14 @@ class RemoteWorker(Worker):
         finally:
             os.close(end)
             os.close(descriptor)
-        assert self.process.stdin
-        assert self.process.stdout
         assert self.process.stderr
-        self.pipe = _Watched(self.process)
+        self.pipe = _Watched(self.process, in_order)
         self.printed = _Printed(self.process.stderr)
         self._finalizer = weakref.finalize(self, _end, self.process, self._lifeline)
         self.limit = START  # of the first command
         self.dead: CallError | None = None
 
-    def run(self, op: int) -> None:
-        self.begin(op)
-        self.finish()
-
-    def expect(self) -> None:
+    def _expect(self) -> None:
         """Make sure that it can be asked: drop the reply that nobody waited for. Raises CallError if it has ended."""
         if self.dead:
             raise self.dead
@@ -172,36 +208,32 @@ class RemoteWorker(Worker):
             self.head[Head.STATUS], self.commanded = 0, False
             self._answer()
 
+    def _ask(self, op: int) -> None:
+        self.head[Head.OP] = op
+        self.head[Head.REQUEST] = self.count = self.count + 1
+
     def begin(self, op: int) -> None:
-        self.expect()
-        head = self.head
-        head[Head.OP] = op
-        head[Head.REQUEST] = self.count = self.count + 1
-        self.fence()
-        if head[Head.FMU_SLEEPS]:
-            try:
-                self.pipe.ring()
-            except ClosedError:
-                raise self._died() from None
+        self._expect()
+        self._ask(op)
+        try:
+            self.pipe.wake(self.head, Head.FMU_SLEEPS)
+        except ClosedError:
+            raise self._died() from None
 
     def finish(self, looks: int | None = None) -> None:
-        if not seen(self.head, Head.REPLY, self.count - 1, self.looks if looks is None else looks):
+        if not seen(self.head, Head.REPLY, self.count - 1, self.pipe.looks if looks is None else looks):
             self._wait()
         if self.head[Head.STATUS]:
             self.head[Head.STATUS] = 0
             raise CallError.from_data(self._answer()["failed"])
 
     def command(self, name: str, /, **arguments: Any) -> dict[str, Any]:
-        self.expect()
+        self._expect()
         text = json.dumps({"name": name, "arguments": arguments}).encode()
-        self.count += 1
         self.commanded = True
-        self.head[Head.OP] = Op.COMMAND
-        self.head[Head.REQUEST] = self.count
-        try:
+        self._ask(Op.COMMAND)
+        with self._alive():
             self.pipe.send(text)
-        except ClosedError:
-            raise self._died() from None
         answer = self._answer(name)
         self.commanded = False
         self._wait()
@@ -218,35 +250,50 @@ class RemoteWorker(Worker):
         self._finalizer()
         self.printed.close()
 
+    # -- in C ----------------------------------------------------------------------------------------------------------
+
+    def why_not_in_c(self) -> str:
+        return "" if self.pipe.ordered else "has a process of its own, and this machine cannot look at it"
+
+    def in_c(self, library: str) -> Member:
+        if os.path.exists(library):  # a cache that cannot be written to keeps none
+            self.command("in_c", library=library)
+        return Member(kind=PROCESS, head=self.block.at(0), looks=self.pipe.looks, bell=self.pipe.sink)
+
+    def enter_c(self, member: Member) -> None:
+        self._expect()
+        member.count = self.count
+
+    def leave_c(self, member: Member) -> None:
+        self.count = member.count
+
+    def finish_in_c(self, member: Member, what: int) -> None:
+        member.state = State.DONE
+        self.finish(0)
+
     # -- waiting -------------------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def _alive(self) -> Iterator[None]:
+        """Say that the process has died, or does not answer, where waiting for it says so."""
+        try:
+            yield
+        except ClosedError:
+            raise self._died() from None
+        except LateError:
+            raise self._hangs() from None
 
     def _wait(self) -> None:
         """Sleep until the reply is there."""
-        head, count = self.head, self.count
-        if self.ordered:
-            head[Head.USER_SLEEPS] = 1
-            self.fence()
-        deadline = time.monotonic() + self.limit
-        try:
-            while head[Head.REPLY] != count:
-                self.pipe.keep(self.pipe.receive(deadline))
-        except ClosedError:
-            raise self._died() from None
-        except LateError:
-            raise self._hangs() from None
-        if self.ordered:
-            head[Head.USER_SLEEPS] = 0
+        with self._alive():
+            deadline = time.monotonic() + self.limit
+            self.pipe.sleep(self.head, Head.REPLY, self.count - 1, Head.USER_SLEEPS, deadline)
 
     def _answer(self, name: str = "") -> dict[str, Any]:
-        deadline = time.monotonic() + self.limit
+        with self._alive():
+            text = self.pipe.message(time.monotonic() + self.limit)
         try:
-            while not self.pipe.kept:
-                self.pipe.keep(self.pipe.receive(deadline))
-            answer = json.loads(self.pipe.kept.pop(0))
-        except ClosedError:
-            raise self._died() from None
-        except LateError:
-            raise self._hangs() from None
+            answer = json.loads(text)
         except (ValueError, RecursionError):
             answer = None
         if not isinstance(answer, dict) or not isinstance(answer.get("failed", answer.get("done")), dict):
@@ -265,8 +312,7 @@ class RemoteWorker(Worker):
     def _died(self) -> CallError:
         if self.dead is None:
             function = self._function()
-            code, used = _end(self.process, self._lifeline)
-            self._finalizer.detach()
+            code, used = self._ended()
             how = f"was ended by {_signal(-code)}" if code < 0 else f"left with exit code {code}"
             more: dict[str, Any] = {"code": code, "printed": self.printed.close()}
             if self.memory is not None and used > 0.5 * self.memory:
@@ -276,30 +322,28 @@ class RemoteWorker(Worker):
 
     def _hangs(self) -> CallError:
         function = self._function()
-        _end(self.process, self._lifeline, 0.0)
-        self._finalizer.detach()
+        self._ended(0.0)
         what = f"does not answer within {self.limit:g} s"
         self.dead = CallError("hang", function, what, printed=self.printed.close())
         return self.dead
 
+    def _ended(self, grace: float = GRACE) -> tuple[int, int]:
+        """End the process now; return its exit code and the most memory it held [bytes]."""
+        self._finalizer.detach()
+        return _end(self.process, self._lifeline, grace)
+
 
 class _Watched(Pipe):
-    """The pipe to a subprocess; keeps messages until they are wanted."""
+    """The pipe to a subprocess."""
 
-    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], in_order: bool) -> None:
         assert process.stdin
         assert process.stdout
-        super().__init__(process.stdout.fileno(), process.stdin.fileno())
+        super().__init__(process.stdout.fileno(), process.stdin.fileno(), in_order)
         self.process = process
-        self.kept: list[bytes] = []
-
-    def keep(self, message: bytes) -> None:
-        """Keep a message; the bell is none."""
-        if message:
-            self.kept.append(message)
 
     def look(self) -> None:
-        if os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+        if _has_ended(self.process):
             raise ClosedError
 
 
@@ -324,24 +368,26 @@ class _Printed:
 
 def _end(process: subprocess.Popen[bytes], lifeline: int, grace: float = GRACE) -> tuple[int, int]:
     """End a process and its children; return its exit code and the most memory it held [bytes]."""
-    for stream in (process.stdin, process.stdout):
+    for stream in filter(None, (process.stdin, process.stdout)):
         with contextlib.suppress(OSError):
-            if stream:
-                stream.close()
-    used = 0
-    if process.returncode is None:
-        stop, pause = time.monotonic() + grace, 0.0002
-        while os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
-            if time.monotonic() >= stop:
-                _kill(process.pid)
-            time.sleep(pause)
-            pause = min(2 * pause, 0.05)
-        _kill(process.pid)  # whatever it has started itself
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        used = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-        os.close(lifeline)
-    return process.returncode, used
+            stream.close()
+    if process.returncode is not None:
+        return process.returncode, 0
+    stop, pause = time.monotonic() + grace, 0.0002
+    while not _has_ended(process):
+        if time.monotonic() >= stop:
+            _kill(process.pid)
+        time.sleep(pause)
+        pause = min(2 * pause, 0.05)
+    _kill(process.pid)  # whatever it has started itself
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    os.close(lifeline)
+    return process.returncode, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def _has_ended(process: subprocess.Popen[bytes]) -> bool:
+    return os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
 
 
 def _kill(group: int) -> None:
@@ -371,9 +417,6 @@ def _environment(folder: Path) -> Mapping[str, str]:
 
 
 def _signal(number: int) -> str:
-    try:
-        name = signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
+    name = next((known.name for known in signal.Signals if known == number), f"signal {number}")
     words = {"SIGSEGV": "it used memory that is not its own", "SIGABRT": "it gave up", "SIGKILL": "killed from outside"}
     return f"{name} ({words[name]})" if name in words else name

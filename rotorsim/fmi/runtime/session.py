@@ -13,11 +13,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rotorsim.fmi.runtime.binding import CallError
-from rotorsim.fmi.runtime.calls import FUNCTIONS, Calls, address, references
+from rotorsim.fmi.runtime.calls import Calls, address, references
 from rotorsim.fmi.runtime.memory import Block, Head
-from rotorsim.fmi.runtime.steps import Member, Steps
+from rotorsim.fmi.runtime.steps import CoSimulationSteps, Member, ModelExchangeSteps, Steps
+from rotorsim.fmi.runtime.versions import make_calls
 
-__all__ = ["FUNCTIONS", "Session"]
+__all__ = ["Session"]
 
 
 class Session:
@@ -25,40 +26,76 @@ class Session:
 
     def __init__(self, block: Block) -> None:
         self.block = block
-        self.calls: Calls | None = None
-        self.steps: Steps | None = None
+        self._loaded: Calls | None = None
+        self._begun: Steps | None = None
+        self._stepping: CoSimulationSteps | None = None
         self.saved: dict[int, Any] = {}
         self.run: Callable[[int], None] = _not_yet
-        self.member: Member | None = None  # of c/loop.c, which does plain steps then
+        self.member: Member | None = None  # of loop.c, which does plain steps then
+        self.commands: dict[str, Callable[..., dict[str, Any] | None]] = {
+            "instantiate": self._instantiate,
+            "begin": self._begin,
+            "exit_initialisation": self._exit_initialisation,
+            "terminate": self._terminate,
+            "reset": self._reset,
+            "in_c": self._in_c,
+            "free": self._free,
+            "log": self._log,
+            "get": self._get,
+            "set": self._set,
+            "directional": self._directional,
+            "output_derivatives": self._output_derivatives,
+            "save": self._save,
+            "restore": self._restore,
+            "free_state": self._free_state,
+            "serialise": self._serialise,
+            "deserialise": self._deserialise,
+        }
+
+    @property
+    def calls(self) -> Calls:
+        """The calls of the instance. Raises CallError before it is instantiated."""
+        if self._loaded is None:
+            raise CallError("refused", "-", "the FMU is not instantiated")
+        return self._loaded
+
+    @property
+    def steps(self) -> Steps:
+        """The steps of the instance. Raises CallError before its inputs and outputs are chosen."""
+        if self._begun is None:
+            raise CallError("refused", "-", "the FMU is not set up")
+        return self._begun
+
+    @property
+    def stepping(self) -> CoSimulationSteps:
+        """The steps of Co-Simulation. Raises CallError where it is not set up for these."""
+        if self._stepping is None:
+            raise CallError("refused", "-", "the FMU is not set up for Co-Simulation")
+        return self._stepping
 
     def serve(self, seen: int, looks: int, bell: int) -> tuple[int, int]:
         """Do plain steps in C after the request ``seen``, until something else is asked, or nothing in so many looks.
 
-        Return what failed, for `fail` (0: nothing), and the last request that was taken up.
+        Return what failed, for `CoSimulationSteps.fail` (0: nothing), and the last request that was taken up.
         """
-        if self.member is None or self.steps is None:
+        if self.member is None:
             return 0, seen
         self.member.unbound, self.member.count = self.steps.unbound, seen
         self.member.looks, self.member.bell = looks, bell
         return int(self._serve(ctypes.byref(self.member))), int(self.member.count)
 
-    def fail(self, what: int) -> None:
-        """Raise what failed in C, as `run` does. Raises CallError."""
-        self._steps().fail(what)
-
     def command(self, name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """Carry out a command. Raises CallError."""
-        method = getattr(self, f"_do_{name}", None)
-        if method is None:
+        if name not in self.commands:
             raise CallError("refused", name, "no such command")
         try:
-            return method(**arguments) or {}
+            return self.commands[name](**arguments) or {}
         except (TypeError, ValueError, OverflowError, KeyError, ctypes.ArgumentError) as error:
             raise CallError("refused", name, f"{type(error).__name__}: {error}") from None
 
     # -- from instance to steps ----------------------------------------------------------------------------------------
 
-    def _do_instantiate(
+    def _instantiate(
         self,
         path: str,
         version: str,
@@ -71,13 +108,13 @@ class Session:
         categories: Sequence[str],
     ) -> None:
         self.n_x, self.n_z = n_x, n_z
-        self.calls = calls = Calls(self.block, path, version, kind)
+        self._loaded = calls = make_calls(self.block, path, version, kind)
         calls.instantiate(name, token, resources)
         if categories:
             wanted = (ctypes.c_char_p * len(categories))(*(text.encode() for text in categories))
-            calls.call("-", "SetDebugLogging", 1, len(categories), address(wanted))
+            calls.call("-", 1, len(categories), address(wanted), name="SetDebugLogging")
 
-    def _do_begin(
+    def _begin(
         self,
         start: float,
         stop: float | None,
@@ -87,168 +124,128 @@ class Session:
         outputs: Sequence[Any],
         sizes: Sequence[Any] = (),
     ) -> None:
-        calls = self._calls()
+        calls = self.calls
         self.block.head[Head.SAID] = 0
         if sizes:
-            calls.call("EnterConfigurationMode", "EnterConfigurationMode")
-            self._set_all(calls, sizes, 0)
-            calls.call("ExitConfigurationMode", "ExitConfigurationMode")
-        self.steps = Steps(calls, self.n_x, self.n_z, inputs, outputs)
-        self.steps.unbound = int(not self.saved)
-        self.run = self.steps.run
-        self._set_all(calls, values, len(sizes))
-        end = (1, stop) if stop is not None else (0, 0.0)
-        accuracy = (1, tolerance) if tolerance is not None else (0, 0.0)
-        if calls.two:
-            calls.call("SetupExperiment", "SetupExperiment", *accuracy, start, *end)
-            calls.call("EnterInitializationMode", "EnterInitializationMode")
+            calls.call("EnterConfigurationMode")
+            self._set_all(sizes, 0)
+            calls.call("ExitConfigurationMode")
+        if calls.kind == "cs":
+            self._begun = self._stepping = CoSimulationSteps(calls, inputs, outputs)
         else:
-            calls.call("EnterInitializationMode", "EnterInitializationMode", *accuracy, start, *end)
-            self._check_counts(calls)
+            self._begun = ModelExchangeSteps(calls, self.n_x, self.n_z, inputs, outputs)
+        self._note_saved()
+        self.run = self.steps.run
+        self._set_all(values, len(sizes))
+        calls.initialise(start, stop, tolerance, self.n_x, self.n_z)
 
-    @staticmethod
-    def _set_all(calls: Calls, values: Sequence[Any], first: int) -> None:
+    def _set_all(self, values: Sequence[Any], first: int) -> None:
         """Set variables one after the other; a failure says which it was, counted from ``first``."""
         for k, (run, numbers) in enumerate(values, first):
             try:
-                calls.set(run, numbers)
+                self.calls.set(run, numbers)
             except CallError as error:
                 error.more["at"] = k
                 raise
 
-    def _check_counts(self, calls: Calls) -> None:
-        """FMI 3.0: compare the numbers of states and event indicators with the description."""
-        if calls.kind == "me":
-            for name, told in (("GetNumberOfContinuousStates", self.n_x), ("GetNumberOfEventIndicators", self.n_z)):
-                count = ctypes.c_size_t()
-                calls.call("-", name, address(count))
-                if count.value != told:
-                    raise CallError("error", name, f"says {count.value}, its model description says {told}")
+    def _exit_initialisation(self) -> None:
+        self.calls.call("ExitInitializationMode")
+        self.steps.begin()
 
-    def _do_exit_initialisation(self) -> None:
-        calls, steps = self._calls(), self._steps()
-        calls.call("ExitInitializationMode", "ExitInitializationMode")
-        steps.begin()
+    def _terminate(self) -> None:
+        self.calls.call("Terminate")
 
-    def _do_terminate(self) -> None:
-        self._calls().call("Terminate", "Terminate")
+    def _reset(self) -> None:
+        self.calls.call("Reset")
+        self._begun, self._stepping, self.run, self.member = None, None, _not_yet, None
 
-    def _do_reset(self) -> None:
-        self._calls().call("Reset", "Reset")
-        self.steps, self.run, self.member = None, _not_yet, None
-
-    def _do_in_c(self, library: str) -> None:
-        steps = self._steps()
+    def _in_c(self, library: str) -> None:
+        steps = self.stepping
         with contextlib.suppress(OSError):  # what cannot be loaded is done here
             self._serve = ctypes.CDLL(library)["rs_serve"]
             self._serve.restype = ctypes.c_int64
-            self.member = steps.in_c() if steps.all_float and self._calls().kind == "cs" else None
+            self.member = steps.in_c() if steps.all_float else None
 
-    def _do_free(self) -> dict[str, Any]:
-        if self.calls is None:
+    def _free(self) -> dict[str, Any]:
+        if self._loaded is None:
             return {}
         if self.calls.instance:
             for handle in list(self.saved):
-                self._do_free_state(handle)
+                self._free_state(handle)
             self.calls.free()
         self.run, self.member = _not_yet, None
         return {"log": self.calls.log.taken()}
 
-    def _do_log(self) -> dict[str, Any]:
-        log = self._calls().log
+    def _log(self) -> dict[str, Any]:
+        log = self.calls.log
         return {"log": log.taken(), "counts": dict(log.counts)}
 
     # -- values --------------------------------------------------------------------------------------------------------
 
-    def _do_get(self, run: Any) -> dict[str, Any]:
-        return {"values": self._calls().get(run)}
+    def _get(self, run: Any) -> dict[str, Any]:
+        return {"values": self.calls.get(run)}
 
-    def _do_set(self, run: Any, numbers: Sequence[Any]) -> None:
-        calls, steps = self._calls(), self.steps
-        event = calls.kind == "me" and steps is not None and not steps.initialising
-        if event:
-            calls.call("EnterEventMode", "EnterEventMode")
-        calls.set(run, numbers)
-        if event and steps is not None:
-            steps.settle()
+    def _set(self, run: Any, numbers: Sequence[Any]) -> None:
+        (self._begun or self.calls).set(run, numbers)
 
-    def _do_directional(
+    def _directional(
         self, unknowns: Sequence[int], knowns: Sequence[int], seeds: Sequence[Sequence[float]], n: int
     ) -> dict[str, Any]:
-        calls = self._calls()
         of, by, found = references(unknowns), references(knowns), (ctypes.c_double * n)()
         rows = []
         for seed in seeds:
             given = (ctypes.c_double * len(seed))(*seed)
-            arguments: list[Any] = [address(of), len(of), address(by), len(by), address(given)]
-            arguments += [address(found)] if calls.two else [len(seed), address(found), n]
-            calls.call("GetDirectionalDerivative", "GetDirectionalDerivative", *arguments)
+            arrays = self.calls.sized((address(given), len(seed)), (address(found), n))
+            self.calls.call("GetDirectionalDerivative", address(of), len(of), address(by), len(by), *arrays)
             rows.append(list(found))
         return {"values": rows}
 
-    def _do_output_derivatives(self, refs: Sequence[int], order: int, n: int) -> dict[str, Any]:
-        calls = self._calls()
+    def _output_derivatives(self, refs: Sequence[int], order: int, n: int) -> dict[str, Any]:
         of, orders, found = references(refs), (ctypes.c_int * len(refs))(*[order] * len(refs)), (ctypes.c_double * n)()
-        name = "GetRealOutputDerivatives" if calls.two else "GetOutputDerivatives"
-        arguments = (address(of), len(of), address(orders), address(found), *(() if calls.two else (n,)))
-        calls.call("GetOutputDerivatives", name, *arguments)
+        arguments = (address(of), len(of), address(orders), *self.calls.sized((address(found), n)))
+        self.calls.call("GetOutputDerivatives", *arguments)
         return {"values": list(found)}
 
     # -- states --------------------------------------------------------------------------------------------------------
 
-    def _do_save(self, handle: int) -> None:
-        calls = self._calls()
+    def _save(self, handle: int) -> None:
         pointer = self.saved.get(handle) or ctypes.c_void_p()
-        calls.call("GetFMUState", self._word("Get"), address(pointer))
-        self._note(handle, pointer)
+        self.calls.call("GetFMUState", address(pointer))
+        self.saved[handle] = pointer
+        self._note_saved()
 
-    def _do_restore(self, handle: int) -> None:
-        self._calls().call("SetFMUState", self._word("Set"), self._saved(handle))
+    def _restore(self, handle: int) -> None:
+        self.calls.call("SetFMUState", self._saved(handle))
 
-    def _do_free_state(self, handle: int) -> None:
+    def _free_state(self, handle: int) -> None:
         pointer = self.saved.pop(handle, None)
         if pointer is not None:
-            self._calls().call("FreeFMUState", self._word("Free"), address(pointer))
-        if self.steps is not None:
-            self.steps.unbound = int(not self.saved)
+            self.calls.call("FreeFMUState", address(pointer))
+        self._note_saved()
 
-    def _do_serialise(self, handle: int) -> dict[str, Any]:
-        calls, state, size = self._calls(), self._saved(handle), ctypes.c_size_t()
-        name = "SerializedFMUstateSize" if calls.two else "SerializedFMUStateSize"
-        calls.call("SerializeFMUState", name, state, address(size))
+    def _serialise(self, handle: int) -> dict[str, Any]:
+        state, size = self._saved(handle), ctypes.c_size_t()
+        self.calls.call("SerializeFMUState", state, address(size), name="SerializedFMUStateSize")
         data = ctypes.create_string_buffer(size.value)
-        calls.call("SerializeFMUState", self._word("Serialize"), state, address(data), size.value)
+        self.calls.call("SerializeFMUState", state, address(data), size.value)
         return {"data": base64.b64encode(data.raw).decode()}
 
-    def _do_deserialise(self, handle: int, data: str) -> None:
+    def _deserialise(self, handle: int, data: str) -> None:
         raw, pointer = base64.b64decode(data), ctypes.c_void_p()
-        calls, text = self._calls(), ctypes.create_string_buffer(raw, len(raw))
-        name = "DeSerializeFMUstate" if calls.two else "DeserializeFMUState"
-        calls.call("DeserializeFMUState", name, address(text), len(raw), address(pointer))
-        self._note(handle, pointer)
-
-    def _note(self, handle: int, pointer: Any) -> None:
+        text = ctypes.create_string_buffer(raw, len(raw))
+        self.calls.call("DeserializeFMUState", address(text), len(raw), address(pointer))
         self.saved[handle] = pointer
-        if self.steps is not None:
-            self.steps.unbound = 0
+        self._note_saved()
+
+    def _note_saved(self) -> None:
+        """Tell the steps whether a state may be set again."""
+        if self._begun is not None:
+            self._begun.unbound = int(not self.saved)
 
     def _saved(self, handle: int) -> Any:
         if handle not in self.saved:
             raise CallError("refused", "SetFMUState", "there is no such saved state")
         return self.saved[handle]
-
-    def _word(self, verb: str) -> str:
-        return f"{verb}FMUstate" if self._calls().two else f"{verb}FMUState"
-
-    def _calls(self) -> Calls:
-        if self.calls is None:
-            raise CallError("refused", "-", "the FMU is not instantiated")
-        return self.calls
-
-    def _steps(self) -> Steps:
-        if self.steps is None:
-            raise CallError("refused", "-", "the FMU is not set up")
-        return self.steps
 
 
 def _not_yet(_: int) -> None:

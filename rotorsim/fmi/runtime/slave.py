@@ -14,6 +14,7 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -88,7 +89,7 @@ def describe(archive: Archive, shown: str, sizes: Mapping[str, int] | None = Non
     return replace(described, warnings=(*archive.warnings, *described.warnings))
 
 
-class Fmu:
+class Fmu(AbstractContextManager["Fmu"]):
     """An FMU file: its description, and its instances. Unpacked when first instantiated; a context manager."""
 
     def __init__(
@@ -106,9 +107,6 @@ class Fmu:
         self.folder: Path | None = None
         self._slaves: weakref.WeakSet[Slave] = weakref.WeakSet()
         self._finalizer: weakref.finalize[..., Fmu] | None = None
-
-    def __enter__(self) -> Fmu:
-        return self
 
     def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
         self.close()

@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rotorsim.fmi.runtime.binding import CallError
-from rotorsim.fmi.runtime.calls import FUNCTIONS, NUMBER, Call, Calls, address, references, whole
+from rotorsim.fmi.runtime.calls import NUMBER, Call, Calls, address, references, whole
 from rotorsim.fmi.runtime.memory import Block, Head, Op, Said
 
-__all__ = ["DEFINES", "PART", "PROCESS", "Failed", "Member", "State", "Steps"]
+__all__ = [
+    "DEFINES",
+    "PART",
+    "PROCESS",
+    "CoSimulationSteps",
+    "Failed",
+    "Member",
+    "ModelExchangeSteps",
+    "State",
+    "Steps",
+]
 
 MAX_ITERATIONS = 1000  # of an event
 
 
 class Failed:
-    """What c/loop.c returns, beside 16 times the status of a call. LATE: wait for a process, or it says more."""
+    """What loop.c returns, beside 16 times the status of a call. LATE: wait for a process, or it says more."""
 
     SET, STEP, GET, EARLY, ENDED, LATE = range(1, 7)
 
 
 class State:
-    """What a member of c/loop.c has done in a pass."""
+    """What a member of loop.c has done in a pass."""
 
     TODO, ASKED, DONE = range(3)
 
@@ -43,7 +53,7 @@ _DEFINED = {
     "PROCESS": PROCESS,
     **{name: n for of in (Head, Failed, State) for name, n in vars(of).items() if name.isupper()},
 }
-DEFINES = "".join(f"#define RS_{name} {number}\n" for name, number in _DEFINED.items())  # that c/loop.c begins with
+DEFINES = "".join(f"#define RS_{name} {number}\n" for name, number in _DEFINED.items())  # that loop.c begins with
 
 
 class _Call(ctypes.Structure):
@@ -58,7 +68,7 @@ class _Call(ctypes.Structure):
 
 
 class Member(ctypes.Structure):
-    """A participant as c/loop.c takes it: ``rs_member``."""
+    """A participant as loop.c takes it: ``rs_member``."""
 
     _fields_ = [
         *((name, ctypes.c_int64) for name in ("kind", "state", "n_set", "n_get", "unbound")),
@@ -72,76 +82,54 @@ class Member(ctypes.Structure):
     ]
 
 
-class Steps:
+class Steps(ABC):
     """What happens at every step of an instance with chosen inputs and outputs.
 
     initialising: the FMU is in its initialisation mode. unbound: no state before this point will be set again, which
     the FMU is told.
     """
 
-    def __init__(self, calls: Calls, n_x: int, n_z: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
+    def __init__(self, calls: Calls, inputs: Sequence[Any], outputs: Sequence[Any], *, events: bool = False) -> None:
         self.calls, self.block = calls, calls.block
         self.head, self.numbers = self.block.head, self.block.numbers
-        self.two = calls.two
         self.initialising, self.unbound = True, 1
         self._keep: list[Any] = []  # what C holds pointers to
-        held: list[Call] = []
-        discrete: list[Call] = []
-        for run in inputs:
-            at_events = calls.kind == "me" and run["discrete"]
-            (discrete if at_events else held).extend(self._bind(run, "Set", self.block.u))
-        self._held, self._discrete, self._at_start = held, discrete, held + discrete
+        bound = [(events and run["discrete"], self._bind(run, "Set", self.block.u)) for run in inputs]
+        self._held, self._discrete = (
+            [call for late, calls in bound if late == at_events for call in calls] for at_events in (False, True)
+        )
         self._outputs = [call for run in outputs for call in self._bind(run, "Get", self.block.y)]
-        if calls.kind == "cs":
-            self._bind_step(inputs)
-        else:
-            self._bind_states(n_x, n_z)
+
+    @abstractmethod
+    def run(self, op: int) -> None:
+        """Do what the bits of ``op`` say, on the numbers in the block. Raises CallError."""
+
+    def begin(self) -> None:
+        """Start, after the initialisation."""
+        self.initialising = False
+
+    def set(self, run: Mapping[str, Any], numbers: Sequence[Any]) -> None:
+        """Set variables between steps."""
+        self.calls.set(run, numbers)
 
     # -- preparing -----------------------------------------------------------------------------------------------------
 
-    def _bind_step(self, inputs: Sequence[Any]) -> None:
-        self._du: list[Call] = self._bind_derivatives(inputs) if self.block.sizes.order and self.two else []
-        self._do_step = self.calls.library["DoStep"]
-        self._flags = (ctypes.c_bool * 3)()  # FMI 3.0: event handling needed, terminate, early return
-        self._more: tuple[int, ...] = ()
-        if not self.two:
-            self._more = (*(address(self._flags) + k for k in range(3)), self.block.at(Block.LAST))
-
-    def _bind_states(self, n_x: int, n_z: int) -> None:
-        block, library, instance = self.block, self.calls.library, self.calls.instance
-
-        def bound(number: str, name: str, offset: int, n: int) -> list[Call]:
-            return [(NUMBER[number], library[name], (instance, block.at(offset), n))] if n else []
-
-        slope = "GetDerivatives" if self.two else "GetContinuousStateDerivatives"
-        nominal = "GetNominalsOfContinuousStates"
-        self._write_x = bound("SetContinuousStates", "SetContinuousStates", block.x, n_x)
-        self._read_x = bound("GetContinuousStates", "GetContinuousStates", block.x, n_x)
-        self._xdot = bound("GetDerivatives", slope, block.xdot, n_x)
-        self._z = bound("GetEventIndicators", "GetEventIndicators", block.z, n_z)
-        self._nominals = bound(nominal, nominal, block.nominals, n_x)
-        self._time = library["SetTime"]
-        self._du = []
-
     def _bind(self, run: Mapping[str, Any], verb: str, offset: int) -> list[Call]:
         """Return the calls that set or get a run of variables, from ``offset`` in the block on."""
-        library = self.calls.library
         word, ctype = self.calls.type_of(run["type"])
         of, n, index = references(run["refs"]), run["n"], run["index"]
         first = offset + run["offset"]
-        direct = run["type"] == "Float64" and index is None
-        values = None if direct else (ctype * n)()
+        values = None if run["type"] == "Float64" and index is None else (ctype * n)()
         self._keep += [of, values]
         where = self.block.at(first) if values is None else address(values)
-        arguments = (self.calls.instance, address(of), len(of), where, *(() if self.two else (n,)))
-        call: Call = (NUMBER[verb], library[verb + word], arguments)
+        arguments = (self.calls.instance, address(of), len(of), *self.calls.sized((where, n)))
+        call: Call = (NUMBER[verb], self.calls.function(verb + word), arguments)
         if values is None:
             return [call]
-        places = list(range(n)) if index is None else index
-        pairs = list(zip(range(first, first + len(places)), places, strict=True))
+        pairs = list(enumerate(range(n) if index is None else index, first))
         if verb == "Get":
             return [call, (0, self._spread, (values, pairs))]
-        before: list[Call] = [(NUMBER["Get"], library["Get" + word], arguments)] if index is not None else []
+        before = [(NUMBER["Get"], self.calls.function("Get" + word), arguments)] if index is not None else []
         return [*before, (0, self._gather, (values, pairs, run["type"])), call]
 
     def _spread(self, values: Any, pairs: Sequence[tuple[int, int]]) -> int:
@@ -150,9 +138,8 @@ class Steps:
         return 0
 
     def _gather(self, values: Any, pairs: Sequence[tuple[int, int]], kind: str) -> int:
-        numbers = self.numbers
         for at, k in pairs:
-            number = numbers[at]
+            number = self.numbers[at]
             if kind == "Boolean":
                 values[k] = number != 0.0
             elif kind.startswith("Float"):
@@ -163,97 +150,37 @@ class Steps:
                 raise CallError("refused", "Set", f"{number:g} is not a whole number")
         return 0
 
-    def _bind_derivatives(self, inputs: Sequence[Any]) -> list[Call]:
-        """Return the calls that set derivatives of the inputs (FMI 2.0)."""
-        calls: list[Call] = []
-        block, n = self.block, self.block.sizes.n
-        for run in inputs:
-            if run["type"] == "Float64" and run["index"] is None:
-                of = references(run["refs"])
-                for order in range(1, block.sizes.order + 1):
-                    orders = (ctypes.c_int * run["n"])(*[order] * run["n"])
-                    self._keep += [of, orders]
-                    at = block.at(block.du + (order - 1) * n + run["offset"])
-                    arguments = (self.calls.instance, address(of), run["n"], address(orders), at)
-                    function = self.calls.library["SetRealInputDerivatives"]
-                    calls.append((NUMBER["SetInputDerivatives"], function, arguments))
-        return calls
 
-    # -- in C ----------------------------------------------------------------------------------------------------------
+class CoSimulationSteps(Steps):
+    """Steps of Co-Simulation: set inputs, step, get outputs."""
 
-    @property
-    def all_float(self) -> bool:
-        """Whether inputs and outputs are all Float64."""
-        return all(number for number, _, _ in (*self._held, *self._outputs))
+    def __init__(self, calls: Calls, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
+        super().__init__(calls, inputs, outputs)
+        orders = range(1, self.block.sizes.order + 1)
+        plain = [run for run in inputs if run["type"] == "Float64" and run["index"] is None]
+        self._du = [self._bind_derivative(run, order) for run in plain for order in orders]
+        self._do_step = calls.function("DoStep")
+        self._flags = (ctypes.c_bool * 3)()  # FMI 3.0: event handling needed, terminate, early return
+        self._more = calls.step_results(address(self._flags))
 
-    def in_c(self) -> Member:
-        """Return the steps of Co-Simulation for c/loop.c, where inputs and outputs are all Float64."""
-        calls = self.calls
-        setters, getters = (_in_c(found, calls.two) for found in (self._held, self._outputs))
-        self._keep += [setters, getters]
-        return Member(
-            kind=2 if calls.two else 3,
-            n_set=len(setters),
-            n_get=len(getters),
-            unbound=self.unbound,
-            instance=calls.instance,
-            do_step=ctypes.cast(self._do_step, ctypes.c_void_p),
-            set=address(setters),
-            get=address(getters),
-            head=self.block.at(0),
-        )
-
-    def fail(self, what: int) -> None:
-        """Raise what c/loop.c returned, as `run` does. Raises CallError, but for an end that is asked for."""
-        kind, status = what % 16, what // 16
-        if kind == Failed.EARLY:
-            raise self._early()
-        if kind == Failed.STEP:
-            self._refused(status)
-        if kind != Failed.ENDED:
-            self.calls.fail({Failed.SET: "Set", Failed.GET: "Get"}[kind], status)
-
-    # -- steps ---------------------------------------------------------------------------------------------------------
+    def _bind_derivative(self, run: Mapping[str, Any], order: int) -> Call:
+        """Return the call that sets derivatives of inputs (FMI 2.0)."""
+        of, orders = references(run["refs"]), (ctypes.c_int * run["n"])(*[order] * run["n"])
+        self._keep += [of, orders]
+        at = self.block.at(self.block.du + (order - 1) * self.block.sizes.n + run["offset"])
+        arguments = (self.calls.instance, address(of), run["n"], address(orders), at)
+        return NUMBER["SetInputDerivatives"], self.calls.function("SetInputDerivatives"), arguments
 
     def run(self, op: int) -> None:
-        """Do what the bits of ``op`` say, on the numbers in the block. Raises CallError."""
-        head = self.head
-        if op & 3:  # TIME | X
-            if op & Op.TIME:
-                head[Head.FUNCTION] = NUMBER["SetTime"]
-                status = self._time(self.calls.instance, self.numbers[Block.T])
-                if status:
-                    self.calls.check("SetTime", status)
-            if op & Op.X:
-                self.calls.many(self._write_x)
         if op & Op.U:
-            for number, function, arguments in self._at_start if self.initialising else self._held:
-                head[Head.FUNCTION] = number
-                status = function(*arguments)
-                if status:
-                    self.calls.check(FUNCTIONS[number], status)
+            self.calls.many(self._held)
         if op & Op.DU:
             self.calls.many(self._du)
         if op & Op.STEP:
             self._advance()
-        if op & Op.XDOT:
-            self.calls.many(self._xdot)
         if op & Op.Y:
-            for number, function, arguments in self._outputs:
-                head[Head.FUNCTION] = number
-                status = function(*arguments)
-                if status:
-                    self.calls.check(FUNCTIONS[number], status)
-        if op >= Op.Z:
-            if op & Op.Z:
-                self.calls.many(self._z)
-            if op & Op.READ_X:
-                self.calls.many(self._read_x)
-            if op & Op.COMPLETED:
-                self._complete()
-            if op & Op.EVENT:
-                self._event(op)
-        head[Head.FUNCTION] = 0
+            self.calls.many(self._outputs)
+        self.head[Head.FUNCTION] = 0
 
     def _advance(self) -> None:
         numbers = self.numbers
@@ -264,10 +191,9 @@ class Steps:
             self.head[Head.WARNED] += 1
         elif status:
             self._refused(status)
-        if not self.two:
-            if self._flags[2] and abs(numbers[Block.LAST] - t - h) > 1e-9 * h:
-                raise self._early()
-            self.head[Head.SAID] = Said.TERMINATE if self._flags[1] else 0
+        if self._flags[2] and abs(numbers[Block.LAST] - t - h) > 1e-9 * h:
+            raise self._early()
+        self.head[Head.SAID] = Said.TERMINATE if self._flags[1] else 0
 
     def _early(self) -> CallError:
         last = self.numbers[Block.LAST]
@@ -280,56 +206,113 @@ class Steps:
             raise CallError("error", "DoStep", what, log=self.calls.log.taken())
         if status != 2:
             self.calls.fail("DoStep", status)
-        last = self.reached()[0] if self.two else self.numbers[Block.LAST]
+        last = self.calls.reached()
         how = "" if last is None else f", it came to t = {last:.9g} s"
         raise CallError("discard", "DoStep", f"refused the step{how}", last=last, log=self.calls.log.taken())
 
-    def reached(self) -> tuple[float | None, bool]:
-        """Return how far a step came that was refused, and whether the FMU asks for the end (FMI 2.0)."""
-        time, ended, instance = ctypes.c_double(), ctypes.c_int(), self.calls.instance
-        last: float | None = None
-        with contextlib.suppress(CallError):
-            if self.calls.library["GetBooleanStatus"](instance, 3, address(ended)) == 0 and ended.value:
-                self.head[Head.SAID] = Said.TERMINATE
-            if self.calls.library["GetRealStatus"](instance, 2, address(time)) == 0:
-                last = time.value
-        return last, bool(ended.value)
+    # -- in C ----------------------------------------------------------------------------------------------------------
 
-    def _complete(self) -> None:
-        pair = ((ctypes.c_int if self.two else ctypes.c_bool) * 2)()
-        second = address(pair) + ctypes.sizeof(pair) // 2
-        name = "CompletedIntegratorStep"
-        self.calls.call(name, name, self.unbound, address(pair), second)
-        self.head[Head.SAID] = (Said.EVENT if pair[0] else 0) | (Said.TERMINATE if pair[1] else 0)
+    @property
+    def all_float(self) -> bool:
+        """Whether inputs and outputs are all Float64."""
+        return all(number for number, _, _ in (*self._held, *self._outputs))
 
-    # -- events of Model Exchange --------------------------------------------------------------------------------------
+    def in_c(self) -> Member:
+        """Return the steps for loop.c, where inputs and outputs are all Float64."""
+        setters, getters = (_in_c(calls) for calls in (self._held, self._outputs))
+        self._keep += [setters, getters]
+        return Member(
+            kind=int(self.calls.version[0]),
+            n_set=len(setters),
+            n_get=len(getters),
+            unbound=self.unbound,
+            instance=self.calls.instance,
+            do_step=ctypes.cast(self._do_step, ctypes.c_void_p),
+            set=address(setters),
+            get=address(getters),
+            head=self.block.at(0),
+        )
+
+    def fail(self, what: int) -> None:
+        """Raise what loop.c returned, as `run` does. Raises CallError, but for an end that is asked for."""
+        kind, status = what % 16, what // 16
+        if kind == Failed.EARLY:
+            raise self._early()
+        if kind == Failed.STEP:
+            self._refused(status)
+        if kind != Failed.ENDED:
+            self.calls.fail({Failed.SET: "Set", Failed.GET: "Get"}[kind], status)
+
+
+class ModelExchangeSteps(Steps):
+    """Evaluations and events of Model Exchange."""
+
+    def __init__(self, calls: Calls, n_x: int, n_z: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
+        super().__init__(calls, inputs, outputs, events=True)
+        block = self.block
+        self._write_x = self._bind_vector("SetContinuousStates", block.x, n_x)
+        self._read_x = self._bind_vector("GetContinuousStates", block.x, n_x)
+        self._xdot = self._bind_vector("GetDerivatives", block.xdot, n_x)
+        self._z = self._bind_vector("GetEventIndicators", block.z, n_z)
+        self._nominals = self._bind_vector("GetNominalsOfContinuousStates", block.nominals, n_x)
+        self._set_time = calls.function("SetTime")
+
+    def _bind_vector(self, name: str, offset: int, n: int) -> list[Call]:
+        return [(NUMBER[name], self.calls.function(name), (self.calls.instance, self.block.at(offset), n))][: n or 0]
+
+    def run(self, op: int) -> None:
+        many = self.calls.many
+        if op & Op.TIME:
+            many([(NUMBER["SetTime"], self._set_time, (self.calls.instance, self.numbers[Block.T]))])
+        if op & Op.X:
+            many(self._write_x)
+        if op & Op.U:
+            many(self._held)
+            many(self._discrete if self.initialising else ())
+        if op & Op.XDOT:
+            many(self._xdot)
+        if op & Op.Y:
+            many(self._outputs)
+        if op & Op.Z:
+            many(self._z)
+        if op & Op.COMPLETED:
+            self._complete()
+        if op & Op.EVENT:
+            self._event(op)
+        self.head[Head.FUNCTION] = 0
 
     def begin(self) -> None:
-        """Start in continuous time, after the initialisation."""
-        self.initialising = False
-        if self.calls.kind == "me":
-            self.settle()
-            self.calls.many(self._nominals)
+        super().begin()
+        self._settle()
+        self.calls.many(self._nominals)
+
+    def set(self, run: Mapping[str, Any], numbers: Sequence[Any]) -> None:
+        if self.initialising:
+            return super().set(run, numbers)
+        self.calls.call("EnterEventMode")
+        super().set(run, numbers)
+        return self._settle()
+
+    def _complete(self) -> None:
+        wants = (self.calls.boolean * 2)()  # an event update, the end
+        second = address(wants) + ctypes.sizeof(wants) // 2
+        self.calls.call("CompletedIntegratorStep", self.unbound, address(wants), second)
+        self.head[Head.SAID] = (Said.EVENT if wants[0] else 0) | (Said.TERMINATE if wants[1] else 0)
 
     def _event(self, op: int) -> None:
-        self.calls.call("EnterEventMode", "EnterEventMode")
-        if op & Op.U:
-            self.calls.many(self._discrete)
-        self.settle()
+        self.calls.call("EnterEventMode")
+        self.calls.many(self._discrete if op & Op.U else ())
+        self._settle()
         if self.head[Head.SAID] & Said.NOMINALS:
             self.calls.many(self._nominals)
 
-    def settle(self) -> None:
+    def _settle(self) -> None:
         """Iterate the event until nothing changes; go on in continuous time; read the states."""
         said = 0
-        info = _Info2() if self.two else _Info3()
-        at = address(info)
-        places = (at,) if self.two else tuple(at + offset for offset in _OFFSETS3)
-        name = "NewDiscreteStates" if self.two else "UpdateDiscreteStates"
         for _ in range(MAX_ITERATIONS):
-            self.calls.call("NewDiscreteStates", name, *places)
-            said |= (Said.TERMINATE if info.terminate else 0) | (Said.NOMINALS if info.nominals else 0)
-            said |= Said.STATES if info.states else 0
+            info = self.calls.update_discrete_states()
+            told = {Said.TERMINATE: info.terminate, Said.NOMINALS: info.nominals, Said.STATES: info.states}
+            said |= sum(bit for bit, is_so in told.items() if is_so)
             if not info.needed or info.terminate:
                 break
         else:
@@ -338,28 +321,13 @@ class Steps:
         self.numbers[Block.NEXT] = info.time if info.defined else math.inf
         self.head[Head.SAID] = said
         if not said & Said.TERMINATE:
-            self.calls.call("EnterContinuousTimeMode", "EnterContinuousTimeMode")
+            self.calls.call("EnterContinuousTimeMode")
             self.calls.many(self._read_x)
 
 
-def _in_c(calls: Sequence[Call], two: bool) -> Any:
+def _in_c(calls: Sequence[Call]) -> Any:
     made = (_Call * len(calls))()
     for entry, (number, function, arguments) in zip(made, calls, strict=True):
         entry.number, entry.function = number, ctypes.cast(function, ctypes.c_void_p)
-        entry.references, entry.n_references, entry.values = arguments[1:4]
-        entry.n = 0 if two else arguments[4]
+        entry.references, entry.n_references, entry.values, entry.n = (*arguments[1:], 0)[:4]
     return made
-
-
-_FLAGS = ("needed", "terminate", "nominals", "states", "defined")
-
-
-class _Info2(ctypes.Structure):
-    _fields_ = [*((name, ctypes.c_int) for name in _FLAGS), ("time", ctypes.c_double)]
-
-
-class _Info3(ctypes.Structure):
-    _fields_ = [*((name, ctypes.c_bool) for name in _FLAGS), ("time", ctypes.c_double)]
-
-
-_OFFSETS3 = tuple(getattr(_Info3, name).offset for name in (*_FLAGS, "time"))

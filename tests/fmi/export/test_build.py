@@ -9,6 +9,7 @@ import zipfile
 import pytest
 
 from rotorsim.errors import RotorsimError
+from rotorsim.fmi.description.platforms import library_folder
 from rotorsim.fmi.export import build
 from rotorsim.fmi.export.export import export_fmu
 from rotorsim.model.load import load
@@ -38,17 +39,17 @@ FORMATS = {
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_formats_are_told_apart_by_their_heads(name):
-    assert build.format_of(FORMATS[name]) == name
+    assert build.binary_kind(FORMATS[name]) == name
 
 
 @pytest.mark.parametrize("head", [b"", b"MZ", b"\x7fELF\x01" + bytes(40), elf(0x28), b"MZ" + b"\xff" * 70, bytes(64)])
 def test_other_files_are_of_no_platform(head):
-    assert build.format_of(head) == ""
+    assert build.binary_kind(head) == ""
 
 
 def test_a_library_of_another_format_is_not_put_into_an_fmu(tmp_path, monkeypatch):
     monkeypatch.setenv("ROTORSIM_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(build, "format_of", lambda library: "x86_64-beos")
+    monkeypatch.setattr(build, "binary_kind", lambda library: "x86_64-beos")
     with pytest.raises(RotorsimError, match="the compiler made a library for x86_64-beos"):
         export_fmu(load("jeffcott"), tmp_path / "x.fmu")
     assert not (tmp_path / "x.fmu").exists()
@@ -75,12 +76,9 @@ def test_a_damaged_library_of_the_cache_is_not_put_into_an_fmu(tmp_path, monkeyp
 def test_names_of_platforms_of_both_versions():
     both = [build.find_platforms([name]) for name in ("linux64", "x86_64-linux")]
     assert both[0] == both[1]
-    assert [p.name for p in build.find_platforms(["win64", "darwin64", "x86_64-windows"])] == [
-        "x86_64-windows",
-        "x86_64-darwin",
-    ]
+    assert build.find_platforms(["win64", "darwin64", "x86_64-windows"]) == ["x86_64-windows", "x86_64-darwin"]
     (platform,) = build.find_platforms(["aarch64-linux"])
-    assert (platform.folder("2.0"), platform.folder("3.0")) == ("aarch64-linux", "aarch64-linux")
+    assert [library_folder(platform, version) for version in ("2.0", "3.0")] == ["aarch64-linux", "aarch64-linux"]
 
 
 @pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="ziglang is not installed")
@@ -90,5 +88,5 @@ def test_one_file_for_several_platforms(tmp_path):
     assert list(done.libraries) == ["x86_64-linux", "aarch64-linux", "x86_64-darwin", "aarch64-darwin"]
     with zipfile.ZipFile(tmp_path / "x.fmu") as archive:
         for folder in done.libraries:
-            suffix = build.PLATFORMS[folder].suffix
-            assert build.format_of(archive.read(f"binaries/{folder}/jeffcott{suffix}")) == folder
+            suffix = build.suffix_of(folder)
+            assert build.binary_kind(archive.read(f"binaries/{folder}/jeffcott{suffix}")) == folder

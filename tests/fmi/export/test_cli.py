@@ -71,7 +71,7 @@ def test_all_mistakes_at_once(run: Run) -> None:
 
 def test_another_platform_without_ziglang(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(build.importlib.util, "find_spec", lambda name: None)
-    other = next(name for name in build.PLATFORMS if build.PLATFORMS[name] != build.own_platform())
+    other = next(name for name in build.TARGETS if name != build.this_platform())
     done = run("fmu", "export", "jeffcott", "--platform", other, "-o", "x.fmu")
     assert done.exit_code == 2
     assert f"{other}: building for another platform needs ziglang" in done.stderr

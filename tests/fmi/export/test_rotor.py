@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-from rotorsim.cosim.participant import CompiledParticipant
+from rotorsim.cosim.compiled_participant import CompiledParticipant
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.model.load import load
 from rotorsim.model.part import open_part

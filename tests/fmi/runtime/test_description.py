@@ -60,7 +60,7 @@ def test_fmi3_arrays_are_seen_as_their_entries() -> None:
     assert found.variables["velocity"].alias
     assert found.variables["velocity"].reference == found.variables["v"].reference
     assert [entry.index for entry in found.resolve(["u[2]", "u"])] == [1, 0, 1]
-    assert found.scalars("input") == ["u[1]", "u[2]", "enabled"]
+    assert [name for v in found.by_causality("input") for name in v.names()] == ["u[1]", "u[2]", "enabled"]
 
 
 def test_matrices_run_by_rows() -> None:

@@ -186,7 +186,7 @@ def test_answers_that_are_no_answers(clean: Path, plants: dict[str, Path]) -> No
     with open_fmu(plants["2.0"]) as fmu:
         slave = fmu.instantiate("cs")
         slave.setup(outputs=["y"])
-        slave.worker.pipe.keep(b"\xff nonsense")  # type: ignore[attr-defined]
+        slave.worker.pipe.kept.append(b"\xff nonsense")  # type: ignore[attr-defined]
         with pytest.raises(FmuError, match="its process answers nonsense: its memory is damaged"):
             slave.get(["x"])
 

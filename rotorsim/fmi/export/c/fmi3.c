@@ -12,21 +12,7 @@
 
 #include <stdbool.h>
 
-#if defined(_WIN32)
-#define FMI3_EXPORT __declspec(dllexport)
-#else
-#define FMI3_EXPORT __attribute__((visibility("default")))
-#endif
-#if defined(FMI3_FUNCTION_PREFIX) /* static linking only: FMI3_FUNCTION_PREFIX is <modelIdentifier>_ */
-#define RF_JOIN(a, b) a##b
-#define RF_PASTE(a, b) RF_JOIN(a, b)
-#define FMI3(name) RF_PASTE(FMI3_FUNCTION_PREFIX, fmi3##name)
-#else
-#define FMI3(name) fmi3##name
-#endif
-
 typedef void *fmi3Instance;
-typedef void *fmi3FMUState;
 typedef uint32_t fmi3ValueReference;
 typedef double fmi3Float64;
 typedef bool fmi3Boolean;
@@ -40,32 +26,31 @@ static void rf_deliver(rf_instance *i, int status, const char *category, const c
   ((fmi3LogMessageCallback)i->callback)(i->environment, status, category, text);
 }
 
-#define INSTANCE                     \
-  rf_instance *i = (rf_instance *)c; \
-  if (!i) return RF_ERROR
-#define ALLOW(phases) \
-  INSTANCE;           \
-  if (rf_allow(i, __func__, phases)) return RF_ERROR
+#define RF_FMI fmi3
+#if defined(FMI3_FUNCTION_PREFIX)
+#define RF_PREFIX FMI3_FUNCTION_PREFIX
+#endif
+#define RF_BOOLEAN fmi3Boolean
+#define RF_BYTE fmi3Byte
+#define RF_STATE FMUState
+#define RF_DESERIALIZE DeserializeFMUState
+#define RF_DERIVATIVES GetContinuousStateDerivatives
+#include "functions.h"
 
-FMI3_EXPORT const char *FMI3(GetVersion)(void) { return "3.0"; }
+RF_EXPORT const char *FMI(GetVersion)(void) { return "3.0"; }
 
-FMI3_EXPORT fmi3Status FMI3(SetDebugLogging)(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String names[]) {
-  INSTANCE;
-  return rf_set_logging(i, on, n, names);
-}
-
-FMI3_EXPORT fmi3Instance FMI3(InstantiateModelExchange)(fmi3String name, fmi3String token, fmi3String resources,
-                                                        fmi3Boolean visible, fmi3Boolean log, void *environment,
-                                                        fmi3LogMessageCallback message) {
+RF_EXPORT fmi3Instance FMI(InstantiateModelExchange)(fmi3String name, fmi3String token, fmi3String resources,
+                                                     fmi3Boolean visible, fmi3Boolean log, void *environment,
+                                                     fmi3LogMessageCallback message) {
   (void)resources, (void)visible;
   return rf_create(name, token, 0, log, environment, (fmi3Callback)message);
 }
 
-FMI3_EXPORT fmi3Instance FMI3(InstantiateCoSimulation)(fmi3String name, fmi3String token, fmi3String resources,
-                                                       fmi3Boolean visible, fmi3Boolean log, fmi3Boolean event_mode,
-                                                       fmi3Boolean early_return, const fmi3ValueReference required[],
-                                                       size_t n_required, void *environment,
-                                                       fmi3LogMessageCallback message, fmi3Callback intermediate) {
+RF_EXPORT fmi3Instance FMI(InstantiateCoSimulation)(fmi3String name, fmi3String token, fmi3String resources,
+                                                    fmi3Boolean visible, fmi3Boolean log, fmi3Boolean event_mode,
+                                                    fmi3Boolean early_return, const fmi3ValueReference required[],
+                                                    size_t n_required, void *environment,
+                                                    fmi3LogMessageCallback message, fmi3Callback intermediate) {
   (void)resources, (void)visible, (void)early_return, (void)required, (void)n_required, (void)intermediate;
   if (event_mode) {
     if (message) message(environment, RF_ERROR, "logStatusError", "this FMU has no event mode in co-simulation");
@@ -74,69 +59,49 @@ FMI3_EXPORT fmi3Instance FMI3(InstantiateCoSimulation)(fmi3String name, fmi3Stri
   return rf_create(name, token, 1, log, environment, (fmi3Callback)message);
 }
 
-FMI3_EXPORT fmi3Instance FMI3(InstantiateScheduledExecution)(fmi3String name, fmi3String token, fmi3String resources,
-                                                             fmi3Boolean visible, fmi3Boolean log, void *environment,
-                                                             fmi3LogMessageCallback message, fmi3Callback update,
-                                                             fmi3Callback lock, fmi3Callback unlock) {
+RF_EXPORT fmi3Instance FMI(InstantiateScheduledExecution)(fmi3String name, fmi3String token, fmi3String resources,
+                                                          fmi3Boolean visible, fmi3Boolean log, void *environment,
+                                                          fmi3LogMessageCallback message, fmi3Callback update,
+                                                          fmi3Callback lock, fmi3Callback unlock) {
   (void)name, (void)token, (void)resources, (void)visible, (void)log, (void)update, (void)lock, (void)unlock;
   if (message) message(environment, RF_ERROR, "logStatusError", "this FMU is not for scheduled execution");
   return 0;
 }
 
-FMI3_EXPORT void FMI3(FreeInstance)(fmi3Instance c) { rf_destroy((rf_instance *)c); }
-
-FMI3_EXPORT fmi3Status FMI3(EnterInitializationMode)(fmi3Instance c, fmi3Boolean tolerance_defined,
-                                                     fmi3Float64 tolerance, fmi3Float64 start,
-                                                     fmi3Boolean stop_defined, fmi3Float64 stop) {
+RF_EXPORT fmi3Status FMI(EnterInitializationMode)(fmi3Instance c, fmi3Boolean tolerance_defined,
+                                                  fmi3Float64 tolerance, fmi3Float64 start,
+                                                  fmi3Boolean stop_defined, fmi3Float64 stop) {
   (void)tolerance_defined, (void)tolerance;
   ALLOW(RF_INSTANTIATED);
   return rf_enter_initialisation(i, start, stop_defined ? stop : HUGE_VAL);
 }
 
-FMI3_EXPORT fmi3Status FMI3(ExitInitializationMode)(fmi3Instance c) {
-  ALLOW(RF_INITIALISING);
-  rf_exit_initialisation(i);
-  return RF_OK;
-}
-
-FMI3_EXPORT fmi3Status FMI3(Terminate)(fmi3Instance c) {
-  ALLOW(RF_EVENT | RF_CONTINUOUS | RF_STEPPING);
-  i->d[RF_PHASE] = RF_TERMINATED;
-  return RF_OK;
-}
-
-FMI3_EXPORT fmi3Status FMI3(Reset)(fmi3Instance c) {
-  INSTANCE;
-  rf_begin(i, (int)i->d[RF_KIND]);
-  return RF_OK;
-}
-
 /* ---- variables: all are Float64 ---- */
 
-FMI3_EXPORT fmi3Status FMI3(GetFloat64)(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 values[],
-                                        size_t n_values) {
+RF_EXPORT fmi3Status FMI(GetFloat64)(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 values[],
+                                     size_t n_values) {
   INSTANCE;
   return rf_get(i, __func__, vr, n, values, (long long)n_values);
 }
 
-FMI3_EXPORT fmi3Status FMI3(SetFloat64)(fmi3Instance c, const fmi3ValueReference vr[], size_t n,
-                                        const fmi3Float64 values[], size_t n_values) {
+RF_EXPORT fmi3Status FMI(SetFloat64)(fmi3Instance c, const fmi3ValueReference vr[], size_t n,
+                                     const fmi3Float64 values[], size_t n_values) {
   INSTANCE;
   return rf_set(i, __func__, vr, n, values, (long long)n_values);
 }
 
-#define NONE_OF(kind, type)                                                                                          \
-  FMI3_EXPORT fmi3Status FMI3(Get##kind)(fmi3Instance c, const fmi3ValueReference vr[], size_t n, type values[],      \
-                                         size_t n_values) {                                                          \
-    INSTANCE;                                                                                                        \
-    (void)vr, (void)values, (void)n_values;                                                                          \
-    return n == 0 ? RF_OK : rf_log(i, RF_ERROR, "%s: all variables of this FMU are Float64", __func__);              \
-  }                                                                                                                  \
-  FMI3_EXPORT fmi3Status FMI3(Set##kind)(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const type values[], \
-                                         size_t n_values) {                                                          \
-    INSTANCE;                                                                                                        \
-    (void)vr, (void)values, (void)n_values;                                                                          \
-    return n == 0 ? RF_OK : rf_log(i, RF_ERROR, "%s: all variables of this FMU are Float64", __func__);              \
+#define NONE_OF(kind, type)                                                                                         \
+  RF_EXPORT fmi3Status FMI(Get##kind)(fmi3Instance c, const fmi3ValueReference vr[], size_t n, type values[],       \
+                                         size_t n_values) {                                                         \
+    INSTANCE;                                                                                                       \
+    (void)vr, (void)values, (void)n_values;                                                                         \
+    return n == 0 ? RF_OK : rf_log(i, RF_ERROR, "%s: all variables of this FMU are Float64", __func__);             \
+  }                                                                                                                 \
+  RF_EXPORT fmi3Status FMI(Set##kind)(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const type values[], \
+                                         size_t n_values) {                                                         \
+    INSTANCE;                                                                                                       \
+    (void)vr, (void)values, (void)n_values;                                                                         \
+    return n == 0 ? RF_OK : rf_log(i, RF_ERROR, "%s: all variables of this FMU are Float64", __func__);             \
   }
 NONE_OF(Float32, float)
 NONE_OF(Int8, int8_t)
@@ -150,10 +115,10 @@ NONE_OF(UInt64, uint64_t)
 NONE_OF(Boolean, fmi3Boolean)
 NONE_OF(String, fmi3String)
 
-#define NO_VARIABLES(name, arguments, unused)                                                   \
-  FMI3_EXPORT fmi3Status FMI3(name) arguments {                                                 \
-    INSTANCE;                                                                                   \
-    unused;                                                                                     \
+#define NO_VARIABLES(name, arguments, unused)                                                    \
+  RF_EXPORT fmi3Status FMI(name) arguments {                                                     \
+    INSTANCE;                                                                                    \
+    unused;                                                                                      \
     return n == 0 ? RF_OK : rf_log(i, RF_ERROR, "%s: this FMU has no such variables", __func__); \
   }
 #define REFERENCES fmi3Instance c, const fmi3ValueReference vr[], size_t n
@@ -177,11 +142,11 @@ NO_VARIABLES(SetShiftDecimal, (REFERENCES, const double values[]), ((void)vr, (v
 NO_VARIABLES(SetShiftFraction, (REFERENCES, const uint64_t counters[], const uint64_t resolutions[]),
              ((void)vr, (void)counters, (void)resolutions))
 
-#define NOT_OFFERED(name, arguments, unused)                                    \
-  FMI3_EXPORT fmi3Status FMI3(name) arguments {                                 \
-    INSTANCE;                                                                   \
-    unused;                                                                     \
-    return rf_log(i, RF_ERROR, "%s: this FMU does not offer this", __func__);   \
+#define NOT_OFFERED(name, arguments, unused)                                  \
+  RF_EXPORT fmi3Status FMI(name) arguments {                                  \
+    INSTANCE;                                                                 \
+    unused;                                                                   \
+    return rf_log(i, RF_ERROR, "%s: this FMU does not offer this", __func__); \
   }
 NOT_OFFERED(GetNumberOfVariableDependencies, (fmi3Instance c, fmi3ValueReference vr, size_t *n), ((void)vr, (void)n))
 NOT_OFFERED(GetVariableDependencies,
@@ -193,57 +158,21 @@ NOT_OFFERED(ExitConfigurationMode, (fmi3Instance c), ((void)0))
 NOT_OFFERED(EnterStepMode, (fmi3Instance c), ((void)0))
 NOT_OFFERED(ActivateModelPartition, (fmi3Instance c, fmi3ValueReference clock, double time), ((void)clock, (void)time))
 
-/* ---- saved states ---- */
+/* ---- derivatives ---- */
 
-FMI3_EXPORT fmi3Status FMI3(GetFMUState)(fmi3Instance c, fmi3FMUState *state) {
-  INSTANCE;
-  return rf_save(i, state);
-}
-
-FMI3_EXPORT fmi3Status FMI3(SetFMUState)(fmi3Instance c, fmi3FMUState state) {
-  INSTANCE;
-  return rf_restore(i, __func__, (const double *)state);
-}
-
-FMI3_EXPORT fmi3Status FMI3(FreeFMUState)(fmi3Instance c, fmi3FMUState *state) {
-  (void)c;
-  if (state) free(*state), *state = 0;
-  return RF_OK;
-}
-
-FMI3_EXPORT fmi3Status FMI3(SerializedFMUStateSize)(fmi3Instance c, fmi3FMUState state, size_t *size) {
-  INSTANCE;
-  (void)state;
-  *size = sizeof i->d;
-  return RF_OK;
-}
-
-FMI3_EXPORT fmi3Status FMI3(SerializeFMUState)(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size) {
-  INSTANCE;
-  if (!state || size < sizeof i->d) return rf_log(i, RF_ERROR, "%s: no state, or too few bytes", __func__);
-  memcpy(bytes, state, sizeof i->d);
-  return RF_OK;
-}
-
-FMI3_EXPORT fmi3Status FMI3(DeserializeFMUState)(fmi3Instance c, const fmi3Byte bytes[], size_t size,
-                                                 fmi3FMUState *state) {
-  INSTANCE;
-  return rf_deserialise(i, __func__, bytes, size, state);
-}
-
-FMI3_EXPORT fmi3Status FMI3(GetDirectionalDerivative)(fmi3Instance c, const fmi3ValueReference unknowns[],
-                                                      size_t n_unknowns, const fmi3ValueReference knowns[],
-                                                      size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,
-                                                      fmi3Float64 result[], size_t n_result) {
+RF_EXPORT fmi3Status FMI(GetDirectionalDerivative)(fmi3Instance c, const fmi3ValueReference unknowns[],
+                                                   size_t n_unknowns, const fmi3ValueReference knowns[],
+                                                   size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,
+                                                   fmi3Float64 result[], size_t n_result) {
   INSTANCE;
   return rf_directional(i, __func__, unknowns, n_unknowns, knowns, n_knowns, seed, (long long)n_seed, result,
                         (long long)n_result, 1);
 }
 
-FMI3_EXPORT fmi3Status FMI3(GetAdjointDerivative)(fmi3Instance c, const fmi3ValueReference unknowns[],
-                                                  size_t n_unknowns, const fmi3ValueReference knowns[],
-                                                  size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,
-                                                  fmi3Float64 result[], size_t n_result) {
+RF_EXPORT fmi3Status FMI(GetAdjointDerivative)(fmi3Instance c, const fmi3ValueReference unknowns[],
+                                               size_t n_unknowns, const fmi3ValueReference knowns[],
+                                               size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,
+                                               fmi3Float64 result[], size_t n_result) {
   INSTANCE;
   return rf_directional(i, __func__, unknowns, n_unknowns, knowns, n_knowns, seed, (long long)n_seed, result,
                         (long long)n_result, 0);
@@ -251,20 +180,14 @@ FMI3_EXPORT fmi3Status FMI3(GetAdjointDerivative)(fmi3Instance c, const fmi3Valu
 
 /* ---- events ---- */
 
-FMI3_EXPORT fmi3Status FMI3(EnterEventMode)(fmi3Instance c) {
-  ALLOW(RF_EVENT | RF_CONTINUOUS);
-  i->d[RF_PHASE] = RF_EVENT;
-  return RF_OK;
-}
-
-FMI3_EXPORT fmi3Status FMI3(EvaluateDiscreteStates)(fmi3Instance c) {
+RF_EXPORT fmi3Status FMI(EvaluateDiscreteStates)(fmi3Instance c) {
   ALLOW(RF_INITIALISING | RF_EVENT);
   return RF_OK;
 }
 
-FMI3_EXPORT fmi3Status FMI3(UpdateDiscreteStates)(fmi3Instance c, fmi3Boolean *needed, fmi3Boolean *terminate,
-                                                  fmi3Boolean *nominals, fmi3Boolean *values, fmi3Boolean *next_defined,
-                                                  fmi3Float64 *next_time) {
+RF_EXPORT fmi3Status FMI(UpdateDiscreteStates)(fmi3Instance c, fmi3Boolean *needed, fmi3Boolean *terminate,
+                                               fmi3Boolean *nominals, fmi3Boolean *values, fmi3Boolean *next_defined,
+                                               fmi3Float64 *next_time) {
   ALLOW(RF_EVENT);
   const double next = rf_update(i);
   *needed = *terminate = *nominals = *values = false;
@@ -275,72 +198,27 @@ FMI3_EXPORT fmi3Status FMI3(UpdateDiscreteStates)(fmi3Instance c, fmi3Boolean *n
 
 /* ---- model exchange ---- */
 
-FMI3_EXPORT fmi3Status FMI3(EnterContinuousTimeMode)(fmi3Instance c) {
-  ALLOW(RF_EVENT);
-  i->d[RF_PHASE] = RF_CONTINUOUS;
-  return RF_OK;
-}
-
-FMI3_EXPORT fmi3Status FMI3(CompletedIntegratorStep)(fmi3Instance c, fmi3Boolean no_set_state,
-                                                     fmi3Boolean *enter_event_mode, fmi3Boolean *terminate) {
-  (void)no_set_state;
-  ALLOW(RF_CONTINUOUS);
-  *enter_event_mode = *terminate = false;
-  return RF_OK;
-}
-
-FMI3_EXPORT fmi3Status FMI3(SetTime)(fmi3Instance c, fmi3Float64 time) {
-  ALLOW(RF_EVENT | RF_CONTINUOUS);
-  rf_set_time(i, time);
-  return RF_OK;
-}
-
-FMI3_EXPORT fmi3Status FMI3(SetContinuousStates)(fmi3Instance c, const fmi3Float64 x[], size_t n) {
-  ALLOW(RF_EVENT | RF_CONTINUOUS);
-  return rf_set_states(i, x, n);
-}
-
-FMI3_EXPORT fmi3Status FMI3(GetContinuousStateDerivatives)(fmi3Instance c, fmi3Float64 rate[], size_t n) {
-  ALLOW(RF_INITIALISING | RF_EVENT | RF_CONTINUOUS | RF_TERMINATED);
-  return rf_get_rates(i, rate, n);
-}
-
-FMI3_EXPORT fmi3Status FMI3(GetEventIndicators)(fmi3Instance c, fmi3Float64 event[], size_t n) {
-  ALLOW(RF_INITIALISING | RF_EVENT | RF_CONTINUOUS | RF_TERMINATED);
-  return rf_get_indicators(i, event, n);
-}
-
-FMI3_EXPORT fmi3Status FMI3(GetContinuousStates)(fmi3Instance c, fmi3Float64 x[], size_t n) {
-  INSTANCE;
-  return rf_get_states(i, x, n);
-}
-
-FMI3_EXPORT fmi3Status FMI3(GetNominalsOfContinuousStates)(fmi3Instance c, fmi3Float64 nominal[], size_t n) {
-  INSTANCE;
-  return rf_get_nominals(i, nominal, n);
-}
-
-FMI3_EXPORT fmi3Status FMI3(GetNumberOfEventIndicators)(fmi3Instance c, size_t *n) {
+RF_EXPORT fmi3Status FMI(GetNumberOfEventIndicators)(fmi3Instance c, size_t *n) {
   INSTANCE;
   return *n = RF_NE, RF_OK;
 }
 
-FMI3_EXPORT fmi3Status FMI3(GetNumberOfContinuousStates)(fmi3Instance c, size_t *n) {
+RF_EXPORT fmi3Status FMI(GetNumberOfContinuousStates)(fmi3Instance c, size_t *n) {
   INSTANCE;
   return *n = RS_NX, RF_OK;
 }
 
 /* ---- co-simulation ---- */
 
-FMI3_EXPORT fmi3Status FMI3(GetOutputDerivatives)(fmi3Instance c, const fmi3ValueReference vr[], size_t n,
-                                                  const int32_t orders[], fmi3Float64 values[], size_t n_values) {
+RF_EXPORT fmi3Status FMI(GetOutputDerivatives)(fmi3Instance c, const fmi3ValueReference vr[], size_t n,
+                                               const int32_t orders[], fmi3Float64 values[], size_t n_values) {
   ALLOW(RF_STEPPING | RF_TERMINATED);
   return rf_output_rates(i, __func__, vr, n, orders, values, (long long)n_values);
 }
 
-FMI3_EXPORT fmi3Status FMI3(DoStep)(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Boolean no_set_state,
-                                    fmi3Boolean *event_needed, fmi3Boolean *terminate, fmi3Boolean *early_return,
-                                    fmi3Float64 *last_time) {
+RF_EXPORT fmi3Status FMI(DoStep)(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Boolean no_set_state,
+                                 fmi3Boolean *event_needed, fmi3Boolean *terminate, fmi3Boolean *early_return,
+                                 fmi3Float64 *last_time) {
   INSTANCE;
   (void)no_set_state;
   const int status = rf_step(i, __func__, time, size);

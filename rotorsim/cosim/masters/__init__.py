@@ -1,0 +1,1 @@
+"""Masters of a co-simulation: Jacobi, Gauss-Seidel, iterative (Picard, Newton), waveform relaxation."""
