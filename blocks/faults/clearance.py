@@ -10,6 +10,7 @@ from rotorsim.fault import Fault, Of
 _LAW = "none below a threshold in amplitude; sub- and superharmonics above it; the critical speed falls"
 _CONFUSED = ("rub", "cubic_stiffness")
 _TOLD = "amplitude: change the unbalance or the gains at one speed"
+_TOLD_AT_REST = "amplitude: drive it harder and more softly"
 
 
 class Clearance(Block):
@@ -35,6 +36,7 @@ class Clearance(Block):
             law=_LAW,
             confused_with=_CONFUSED,
             told_apart_by=_TOLD,
+            told_apart_at_rest_by=_TOLD_AT_REST,
         ),
         Fault(
             physics="clearance",
@@ -48,6 +50,7 @@ class Clearance(Block):
             law=f"{_LAW}; even orders and a mean force",
             confused_with=_CONFUSED,
             told_apart_by=_TOLD,
+            told_apart_at_rest_by=_TOLD_AT_REST,
         ),
     )
 

@@ -10,6 +10,7 @@ from rotorsim.fault import Fault, Of
 _LAW = "odd orders; damping that falls with the reciprocal of the amplitude, at every frequency alike"
 _CONFUSED = ("hysteretic_damping", "viscous_damping")
 _TOLD = "amplitude: change it at one speed, by unbalance or gains"
+_TOLD_AT_REST = "amplitude: drive it harder and more softly"
 _WIDTH = {"width": Of("velocity", 0.05, least=True)}  # narrow beside the slowest motion
 
 
@@ -36,6 +37,7 @@ class CoulombFriction(Block):
             law=_LAW,
             confused_with=_CONFUSED,
             told_apart_by=_TOLD,
+            told_apart_at_rest_by=_TOLD_AT_REST,
         ),
         Fault(
             physics="coulomb_friction",
@@ -47,6 +49,7 @@ class CoulombFriction(Block):
             law=_LAW,
             confused_with=_CONFUSED,
             told_apart_by=_TOLD,
+            told_apart_at_rest_by=_TOLD_AT_REST,
         ),
         Fault(
             physics="coulomb_friction",
@@ -58,6 +61,7 @@ class CoulombFriction(Block):
             law=f"{_LAW}; another friction in each direction",
             confused_with=_CONFUSED,
             told_apart_by=_TOLD,
+            told_apart_at_rest_by=_TOLD_AT_REST,
         ),
     )
 

@@ -18,6 +18,7 @@ _DAMPER = 0.3658 / (2 * pi * 1000)
 _LAW = "loss of each order proportional to its amplitude alone, not to frequency; forward and backward alike"
 _CONFUSED = ("viscous_damping", "coulomb_friction")
 _TOLD = "loss over a wide range of speeds: viscous loss grows with speed; amplitude: friction falls with it"
+_TOLD_AT_REST = "loss over a wide range of frequencies; amplitude: friction falls with it"
 
 
 def _of_band(option: Any) -> bool:
@@ -64,6 +65,7 @@ class HystereticDamping(Block):
             law=_LAW,
             confused_with=_CONFUSED,
             told_apart_by=_TOLD,
+            told_apart_at_rest_by=_TOLD_AT_REST,
         ),
         Fault(
             physics="hysteretic_damping",
@@ -75,6 +77,7 @@ class HystereticDamping(Block):
             law=f"{_LAW}; the stiffness rises with the logarithm of frequency",
             confused_with=_CONFUSED,
             told_apart_by=_TOLD,
+            told_apart_at_rest_by=_TOLD_AT_REST,
         ),
     )
 

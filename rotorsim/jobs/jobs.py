@@ -28,7 +28,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.processes import Pool
 from rotorsim.jobs.store import Outcome, open_store, plain
 
-__all__ = ["Failure", "local_workers", "run_jobs"]
+__all__ = ["Failure", "Jobs", "local_workers", "run_jobs"]
 
 CONNECT_TIMEOUT = 10.0  # s, until a scheduler counts as not reachable
 LOST_TIMEOUT = 60.0  # s without any worker, until the run is given up
@@ -57,6 +57,15 @@ class Failure:
     index: int
     type: str
     text: str
+
+
+@dataclass(frozen=True)
+class Jobs:
+    """Where lists of jobs run, and who is told how far they are; see `run_jobs`."""
+
+    workers: int | None = None
+    scheduler: str | None = None
+    progress: Callable[[float], None] | None = None
 
 
 def run_jobs(

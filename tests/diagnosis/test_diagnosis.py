@@ -8,12 +8,12 @@ import jsonschema
 import numpy as np
 import pytest
 
-from rotorsim.diagnosis.conclude.explaining import Explained
+from rotorsim.diagnosis.conclude.shares import Explained, Share
+from rotorsim.diagnosis.conclude.validation import Proof
 from rotorsim.diagnosis.conclude.wording import statement
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
-from rotorsim.diagnosis.evidence.scoring import HeldScore
+from rotorsim.diagnosis.evidence.evidence import HeldScore
 from rotorsim.diagnosis.files import diagnosis_data, diagnosis_schema, save_diagnosis
-from rotorsim.diagnosis.search.proof import Proof, Share
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 from rotorsim.simulation.run import simulate

@@ -8,8 +8,9 @@ import pytest
 
 from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, starts_of
-from rotorsim.diagnosis.conclude.conclusions import Effect, conventions
-from rotorsim.diagnosis.evidence.harmonic import Fit
+from rotorsim.diagnosis.conclude.result import Effect
+from rotorsim.diagnosis.conclude.verdict import conventions
+from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.search.trials import Candidate, Trials
 from rotorsim.diagram.diff import diff
 from rotorsim.diagram.resolve.registry import Registry

@@ -12,9 +12,11 @@ from scipy.stats import chi2
 
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.conclude.conclusions import _effect
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source, _alone, fit_from_plain, fit_to_plain, left_out
-from rotorsim.diagnosis.search.naming import least_gain
+from rotorsim.diagnosis.conclude.verdict import effect_of
+from rotorsim.diagnosis.evidence.fit import Fit, fit_from_plain, fit_to_plain, left_out
+from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
+from rotorsim.diagnosis.evidence.harmonic.fitting import _alone
+from rotorsim.diagnosis.search.selection import least_gain
 from rotorsim.diagnosis.search.trials import SECOND_EVALUATIONS, Candidate, Round, Trials
 from rotorsim.diagram.diagram import Free
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
@@ -155,7 +157,7 @@ def test_a_later_fit_has_the_sizes_and_priors_of_the_diagram_as_given():
     document = json.loads(shipped_diagrams()["jeffcott"].read_text())
     document["identify"] = {"viscous_damping": {"prior": {"std": "10 %"}}, "eccentricity": {}}
     given = load(document, folder=Path()).free
-    source = Source(None, (), None, given=given)
+    source = HarmonicEvidence(None, (), None, given=given)
     opened = {}
     with patch("rotorsim.diagnosis.evidence.harmonic.open_experiment", lambda *_, **named: opened.update(named)):
         source.open(source.load(values_in(document, {"viscous_damping": 3.0, "eccentricity": 1e-19})))
@@ -205,7 +207,7 @@ def test_the_largest_signal_and_rate_are_those_of_a_sine_of_the_same_rms():
 
     sizes: list[list[float]] = []
     runs = (run(20 * np.pi, 1 - 2j, 0.3j), run(60 * np.pi, 0.2, 0.1))
-    found = Source(None, runs).largest()
+    found = HarmonicEvidence(None, runs).largest()
     for k, name in enumerate(("rotor.displacement[2]", "rotor.velocity[2]")):
         both = [size[k] for size in sizes]
         assert found[name] == pytest.approx(max(both), rel=1e-9)
@@ -217,7 +219,7 @@ def test_an_effect_is_where_it_was_put_though_its_other_places_fail():
     insertion = SimpleNamespace(physics="crack_location", spot=spot, key="crack_location/0@rotor.force[2]")
     good = SimpleNamespace(insertion=insertion, fit=Fit({}, misfit=1.0, rows=9, equations=9), physical=True)
     failed = SimpleNamespace(insertion=insertion, fit=Fit({}, failure="was not fitted"), physical=True)
-    found = _effect(good, Round(good.fit, (failed,)), 0.0)
+    found = effect_of(good, Round(good.fit, (failed,)), 0.0)
     assert found.places == ((spot, 1.0),)
 
 
