@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, starts_of
 from rotorsim.diagnosis.conclude.result import Effect
@@ -15,6 +16,7 @@ from rotorsim.diagnosis.search.trials import Candidate, Trials
 from rotorsim.diagram.diff import diff
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
+from rotorsim.jobs.jobs import Jobs
 from rotorsim.model.load import load
 
 RECORDED = ["rotor.displacement[1]", "rotor.displacement[2]", "controller.current[1]", "controller.current[2]"]
@@ -217,7 +219,7 @@ def without(name: str, recorded: list[str], *keys: str) -> dict:
         item = next(item for item in insertions(load(fits.document), recorded) if item.key == key)
         fits = Fit(item.document(fits.document))
         found.append(Candidate(item, fits))
-    trials = Trials(source, None, None, None, None, None)
+    trials = Trials(source, Catalogue(), Jobs())
     return trials.refitted(Fit(given), found[1:], found[-1].fit)[-1].fit.document
 
 

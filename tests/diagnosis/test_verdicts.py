@@ -146,8 +146,8 @@ def test_small_orders_do_not_outweigh_the_motion():
     found = prove(before, after, left=0.005)
     assert found.status == "disproved"
     assert found.reason == (
-        "it leaves 0.01 of what was unexplained there, residual variance 1e+04 times the noise, but 0.11 of the squared "
-        "error of the signals: more than details of a law (0.02)"
+        "it leaves 0.01 of what was unexplained there, residual variance 1e+04 times the noise, "
+        "but 0.11 of the squared error of the signals: more than details of a law (0.02)"
     )
     assert prove(before, after, left=0.005, held=False).status == "unproved"
     floor = 0.01**2

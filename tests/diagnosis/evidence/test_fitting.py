@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.conclude.verdict import effect_of
@@ -22,6 +23,7 @@ from rotorsim.diagram.diagram import Free
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.identification.coordinates import Coordinates
 from rotorsim.identification.estimate import Estimate
+from rotorsim.jobs.jobs import Jobs
 from rotorsim.model.load import load
 
 
@@ -83,7 +85,7 @@ def test_a_nonlinear_law_that_began_too_far_away_is_carried_on():
         return Fit({}, misfit=times * 1000, rows=1000, equations=1000, goodness=adequate, nonlinear=nonlinear)
 
     def refined(before: float, fits: list[Fit], reached: list[float]) -> list[tuple[int, int | None]]:
-        trials, asked, ends = Trials(None, None, None, None, None, None), [], iter(reached)
+        trials, asked, ends = Trials(None, Catalogue(), Jobs()), [], iter(reached)
 
         def fit(jobs: list, most: int | None) -> list[Fit]:
             asked.append((len(jobs), most))
@@ -119,7 +121,7 @@ def test_what_cannot_be_is_no_explanation():
 
 def test_a_law_that_needs_a_parameter_beyond_all_reason_is_told_so():
     """An eccentricity of 0.31 m for 24 um as given is there to cancel what was put in."""
-    trials = Trials(None, None, None, None, None, None)
+    trials = Trials(None, Catalogue(), Jobs())
     trials.nominal = {"e": 24e-6, "c": 0.0}
     free = (
         Free("e", "e", 0, 25e-6, "m", 0.0, np.inf, scale=24e-6),
@@ -140,7 +142,7 @@ def test_a_law_that_needs_a_parameter_beyond_all_reason_is_told_so():
 
 
 def test_parameters_of_the_diagram_begin_again_off_their_bounds():
-    trials = Trials(None, None, None, None, None, None)
+    trials = Trials(None, Catalogue(), Jobs())
     trials.nominal = {"k": 1e5, "c": 0.0, "s": 0.5}
     free = (
         Free("k", "k", 0, 1e-13, "N/m", 0.0, np.inf, scale=1e5),
@@ -159,7 +161,7 @@ def test_a_later_fit_has_the_sizes_and_priors_of_the_diagram_as_given():
     given = load(document, folder=Path()).free
     source = HarmonicEvidence(None, (), None, given=given)
     opened = {}
-    with patch("rotorsim.diagnosis.evidence.harmonic.open_experiment", lambda *_, **named: opened.update(named)):
+    with patch("rotorsim.diagnosis.evidence.harmonic.runs.open_experiment", lambda *_, **named: opened.update(named)):
         source.open(source.load(values_in(document, {"viscous_damping": 3.0, "eccentricity": 1e-19})))
     damping, eccentricity = opened["free"]
     assert (damping.value, damping.prior_mean, damping.scale) == (3.0, 76.0, 76.0)
@@ -227,11 +229,9 @@ def test_every_law_is_fitted_at_its_best_place_however_many_places_there_are(mon
     """A law of two ports, with much less left over, must not keep a law of one from the place where it is best."""
     items = [("second_crack", 2, 4e3), ("rub", 4, 5e4), ("rub", 3, 9e7), ("runout", 1, 4.9e4), ("runout", 2, 4e7)]
     items += [("seal", node, 6e4 + node) for node in range(100)]
-    found = [SimpleNamespace(physics=p, variant=0, node=node, left=left) for p, node, left in items]
-    monkeypatch.setattr(
-        "rotorsim.diagnosis.search.trials.open_places", lambda *_: SimpleNamespace(bound=lambda item: item.left)
-    )
-    trials = Trials(None, None, None, None, None, None)
+    found = [SimpleNamespace(physics=p, law=(p, 0), node=node, left=left) for p, node, left in items]
+    evidence = SimpleNamespace(bounds=lambda fit: SimpleNamespace(bound=lambda item: item.left))
+    trials = Trials(evidence, Catalogue(), Jobs())
     kept = trials._screened(Fit({}, misfit=1e8, rows=9, equations=9), found, [({}, [])] * len(found))
     told = {(found[k].physics, found[k].node) for k in kept}
     assert told == {("second_crack", 2), ("rub", 4), ("runout", 1), ("seal", 0)}
