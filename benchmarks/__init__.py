@@ -1,4 +1,1 @@
-"""Measurements: ratios against hand-written C, figures of evidence, peers, controllers.
-
-Run from the repository: ``python -m benchmarks.speed``, ``.evidence``, ``.peers``, ``.controllers``.
-"""
+"""Measurements beside their targets: each a module to run from the repository root; see README.md."""

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import controllers, speed
+from benchmarks.engine import controllers, speed
 from benchmarks.harness import ROOT, Line, at_most, run_process, within, write
 from rotorsim.linear.eigenmodes import modes
 from tests.reference.excitation import RPM

@@ -1,4 +1,4 @@
-"""python -m benchmarks.concealed make|run|score|shares|check|rows: see README.md."""
+"""python -m benchmarks.concealed make|run|score|compare|compact|shares|check|rows: see README.md."""
 
 from __future__ import annotations
 
@@ -70,6 +70,22 @@ def _score(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _compare(arguments: argparse.Namespace) -> int:
+    from benchmarks.concealed import comparison
+
+    result = comparison.compare_folders(Path(arguments.before), Path(arguments.after), arguments.common)
+    print(json.dumps(result, indent=1) if arguments.json else comparison.text(result))
+    return 0 if result["same"] else 1
+
+
+def _compact(arguments: argparse.Namespace) -> int:
+    from benchmarks.concealed import compact
+
+    written = compact.write_lines(Path(arguments.diagnoses), Path(arguments.file))
+    print(f"{written} diagnoses in {arguments.file}")
+    return 0
+
+
 def _shares(arguments: argparse.Namespace) -> int:
     from benchmarks.concealed import calibrate
 
@@ -121,6 +137,15 @@ def main(arguments: list[str] | None = None) -> int:
     score.add_argument("sets", nargs="+", metavar="FOLDER DIAGNOSES", help="several sets are summed up as one")
     score.add_argument("--out", help="write the page here, as markdown")
     score.set_defaults(do=_score)
+    compare = verbs.add_parser("compare", help="compare two folders of diagnoses; exit 1 if they differ")
+    compare.add_argument("before", help="folder of CASE/diagnosis.json or with diagnoses.jsonl")
+    compare.add_argument("after")
+    compare.add_argument("--common", action="store_true", help="only the cases that both have")
+    compare.set_defaults(do=_compare)
+    compact = verbs.add_parser("compact", help="write a line of JSON for each diagnosis: verdict, names, numbers")
+    compact.add_argument("diagnoses", help="folder of CASE/diagnosis.json")
+    compact.add_argument("file", help="diagnoses.jsonl of the folder where they are to be kept")
+    compact.set_defaults(do=_compact)
     shares = verbs.add_parser("shares", help="what right rows and imitators explain: to set thresholds by")
     shares.add_argument("folder")
     shares.add_argument("diagnoses")
@@ -131,7 +156,7 @@ def main(arguments: list[str] | None = None) -> int:
     rows = verbs.add_parser("rows", help="list rows and laws, their sizes, and how visible the ends are")
     rows.add_argument("--visible", action="store_true", help="simulate both ends (minutes)")
     rows.set_defaults(do=_rows)
-    for verb in (make, score, shares, check):
+    for verb in (make, score, compare, shares, check):
         verb.add_argument("--json", action="store_true")
     chosen = parser.parse_args(arguments)
     try:

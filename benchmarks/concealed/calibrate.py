@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from benchmarks.concealed.compact import read_diagnoses
+
 __all__ = ["shares", "text"]
 
 
@@ -16,17 +18,19 @@ def shares(folder: Path, diagnoses: Path) -> list[dict[str, Any]]:
     the variance of the noise that the diagram as given leaves, and with the rows; share: of what was to be explained.
     """
     found = []
-    for file in sorted(diagnoses.glob("*/diagnosis.json")):
-        truth_file = folder / "truth" / f"{file.parent.name}.json"
+    for case, data in read_diagnoses(diagnoses).items():
+        if data is None:
+            continue
+        truth_file = folder / "truth" / f"{case}.json"
         if not truth_file.exists():
-            truth_file = folder / file.parent.name / "truth.json"
-        data, truth = json.loads(file.read_text()), json.loads(truth_file.read_text())
+            truth_file = folder / case / "truth.json"
+        truth = json.loads(truth_file.read_text())
         nearest = data.get("nearest") or {"physics": [], "share": None, "excess_variance": None}
         classes = [truth.get("class", {}).get(name, [name]) for name in truth["missing"]]
         right = all(any(name in some for name in nearest["physics"]) for some in classes) if classes else None
         found.append(
             {
-                "case": file.parent.name,
+                "case": case,
                 "truth": truth.get("law") or ", ".join(truth["missing"]) or "-",
                 "right": right,
                 "verdict": data["verdict"],

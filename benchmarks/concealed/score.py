@@ -7,6 +7,7 @@ from math import log, remainder
 from pathlib import Path
 from typing import Any
 
+from benchmarks.concealed.compact import read_diagnoses
 from benchmarks.concealed.meaning import FREE, compare
 
 OUTSIDE = "outside_catalogue"
@@ -154,20 +155,8 @@ def _held_out(fit: dict[str, Any], floor: float | None) -> dict[str, float | Non
     return {"before": before, "after": after, "floor": claimed, "true_floor": floor, "gain": gain}
 
 
-def read_diagnoses(folder: Path, truths: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any] | None]:
-    """Return the diagnoses there are; None where there is none, or one that cannot be read."""
-    out: dict[str, dict[str, Any] | None] = {}
-    for case in truths:
-        file = folder / case / "diagnosis.json"
-        try:
-            out[case] = json.loads(file.read_text())
-        except (OSError, json.JSONDecodeError):
-            out[case] = None
-    return out
-
-
 def judge_all(folder: Path, diagnoses: Path) -> list[dict[str, Any]]:
     """Return the judgement of every case."""
     truths = read_truths(folder)
-    found = read_diagnoses(diagnoses, truths)
-    return [judge(truth, found[case]) for case, truth in truths.items()]
+    found = read_diagnoses(diagnoses)
+    return [judge(truth, found.get(case)) for case, truth in truths.items()]

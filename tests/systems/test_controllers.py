@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.controllers import CONTROLLERS, judge, sampled_sensitivity, swapped
+from benchmarks.engine.controllers import CONTROLLERS, judge, sampled_sensitivity, swapped
 from rotorsim.linear.frequency import sensitivity
 from rotorsim.model.compiled import compile_diagram
 from tests.reference.jeffcott import Jeffcott

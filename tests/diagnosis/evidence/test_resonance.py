@@ -217,7 +217,7 @@ def test_a_position_without_a_node_is_refused():
 @pytest.mark.skipif(not (SHARED / "tum_amb_rotor").exists(), reason="the shared recordings are not here")
 def test_the_rotor_of_munich(tmp_path):
     given = ["diagnose", "tum_amb_rotor", str(SHARED / "tum_amb_rotor"), "--out", str(tmp_path), "--json"]
-    given += ["--physics", "disc_rotary_inertia"]  # all of them: benchmarks.measured
+    given += ["--physics", "disc_rotary_inertia"]  # all of them: benchmarks.diagnosis.measured
     result = CliRunner().invoke(rotorsim, [*given, "--workers", "1"])
     assert result.exit_code == 1
     found = json.loads(result.stdout)

@@ -257,7 +257,7 @@ def test_a_diagram_that_diverges_is_refused():
 
 def at_the_command_line(diagram: str, recording: Path, out: Path) -> tuple[int, dict]:
     given = ["diagnose", diagram, str(recording), "--out", str(out), "--workers", "1", "--json", "--no-progress"]
-    given += ["--physics", "cubic_stiffness,coulomb_friction,clearance"]  # all of them: benchmarks.measured
+    given += ["--physics", "cubic_stiffness,coulomb_friction,clearance"]  # all of them: benchmarks.diagnosis.measured
     result = CliRunner().invoke(rotorsim, given)
     return result.exit_code, json.loads(result.stdout)
 

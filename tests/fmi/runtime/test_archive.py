@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.fuzz_fmu import damaged, sandbox, try_case
+from benchmarks.fmi.fuzz import damaged, sandbox, try_case
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.description.archive import Archive, Limits
 from tests.fmi.plant import make_fmu
@@ -173,7 +173,7 @@ def test_files_are_read_and_unpacked(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("version", ["2.0", pytest.param("3.0", marks=pytest.mark.slow)])
 def test_damaged_at_random(tmp_path: Path, version: str) -> None:
-    """No traceback, nothing outside, nothing left behind; many more by benchmarks/fuzz_fmu.py."""
+    """No traceback, nothing outside, nothing left behind; many more by benchmarks/fmi/fuzz.py."""
     whole = make_fmu(tmp_path / "plant.fmu", version).read_bytes()
     with sandbox() as box:
         for k in range(40):

@@ -1,0 +1,1 @@
+"""Diagnosis of measured machines, and what its tolerances stand on."""

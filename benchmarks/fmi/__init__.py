@@ -1,0 +1,1 @@
+"""FMUs and co-simulation: masters, FMUs of other tools, platforms, cost of a step, damaged archives."""

@@ -1,0 +1,1 @@
+"""Identification beside its targets, on data of independent programs."""
