@@ -82,7 +82,7 @@ def is_material(before: HeldScore, after: HeldScore, base: Fit, fit: Fit) -> boo
 def is_faint(fit: Fit, score: HeldScore) -> bool:
     """Return whether a residual is so small that the model of the noise may be wrong by as much.
 
-    score: of hold-out runs, where it must be as small. Asynchronous lines are told from noise by their own misfit.
+    score: of hold-out runs, where it must be as small. Asynchronous lines are judged by their own misfit.
     """
     if score.misfit is not None and score.misfit > CRITERIA.faint * score.rows:
         return False

@@ -219,7 +219,7 @@ class Defaults:
 
     @property
     def line(self) -> tuple[float, float] | None:
-        """None: nothing asynchronous is told from the rest."""
+        """None: no asynchronous line is separated."""
         return None
 
     @property

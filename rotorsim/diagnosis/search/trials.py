@@ -72,9 +72,9 @@ class Candidate:
     def unphysical(self) -> str:
         """Why this cannot be, empty where it can.
 
-        A parameter of the fault ended at a bound; the data tell none of its sizes from zero (their 90 % intervals hold
-        it, were the rest of its law known); or it needs a parameter of the diagram far beyond all reason, as one that
-        cancels the effect is.
+        A parameter of the fault ended at a bound; none of its sizes differs significantly from zero (their 90 %
+        intervals hold it, were the rest of its law known); or it needs a parameter of the diagram far beyond all
+        reason, as one that cancels the effect is.
         """
         fit = self.fit
         if fit.failure:
@@ -84,9 +84,10 @@ class Candidate:
         names = [item.name for item in fit.free]
         sizes = [name for name in self.parameters if name.rpartition(".")[2] in self.insertion.fault.sizes]
         std = fit.alone if len(fit.alone) else np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-        told = (abs(fit.theta[j]) > Z90 * std[j] for j in map(names.index, sizes))
-        if sizes and not any(told):
-            return f"its {' and '.join(name.rpartition('.')[2] for name in sizes)} cannot be told from zero"
+        significant = (abs(fit.theta[j]) > Z90 * std[j] for j in map(names.index, sizes))
+        if sizes and not any(significant):
+            keys = " and ".join(name.rpartition(".")[2] for name in sizes)
+            return f"its {keys} is not significantly different from zero"
         return f"needs {self.astray}" if self.astray else ""
 
 

@@ -110,10 +110,12 @@ def candidate(theta: float, std: float, *, at_bound: bool = False, astray: str =
 
 
 def test_what_cannot_be_is_no_explanation():
-    assert candidate(20e-12, 250e-12).unphysical == "its growth cannot be told from zero"
-    assert candidate(1.6, 1.0).unphysical == "its growth cannot be told from zero"  # 1.645 is the end of 90 %
+    assert candidate(20e-12, 250e-12).unphysical == "its growth is not significantly different from zero"
+    assert (
+        candidate(1.6, 1.0).unphysical == "its growth is not significantly different from zero"
+    )  # 1.645 is the end of 90 %
     assert candidate(1.7, 1.0).physical
-    assert candidate(1.0, np.inf).unphysical == "its growth cannot be told from zero"
+    assert candidate(1.0, np.inf).unphysical == "its growth is not significantly different from zero"
     assert candidate(1.0, 9.0, sizes=()).physical  # a contact may be as stiff as it likes
     assert candidate(5.0, 1.0, at_bound=True).unphysical == "its growth ended at a physical bound"
     assert candidate(5.0, 1.0, astray="e 1e+04 times as large").unphysical == "needs e 1e+04 times as large"
@@ -254,4 +256,7 @@ def test_a_size_is_told_from_zero_though_only_its_rate_is_known():
     fit = Fit({}, free, theta, np.diag([1.0, np.inf, np.inf]), at_bound, 1.0, 9, 9, alone=_alone(found))
     insertion = SimpleNamespace(free=names[1:], fault=SimpleNamespace(sizes=("growth",)))
     assert Candidate(insertion, fit).physical
-    assert Candidate(insertion, replace(fit, alone=fit.alone * 11)).unphysical == "its growth cannot be told from zero"
+    assert (
+        Candidate(insertion, replace(fit, alone=fit.alone * 11)).unphysical
+        == "its growth is not significantly different from zero"
+    )

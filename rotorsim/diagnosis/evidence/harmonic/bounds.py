@@ -66,15 +66,15 @@ class LowerBounds:
     def _rests(self, force: bool, names: tuple[str, ...]) -> list[tuple[float, float]]:
         """Return of each run misfit and equations with free harmonics of some inputs, or of what some channels read."""
         likelihood, orders = self.likelihood, self.likelihood.orders
-        rests, slopes, counts = [], [], []
-        residual, all_slopes = self.found.apart()
+        rests, jacobians, counts = [], [], []
+        residual, jacobian = self.found.apart()
         if self.found.late is not None:  # with the delay of the pulses as one more parameter, known to one
-            all_slopes = np.column_stack([all_slopes, self.found.late])
+            jacobian = np.column_stack([jacobian, self.found.late])
         at = 0
         for r, white in enumerate(likelihood.whiteners):
             size = len(white.keep)
             part = slice(at, at + size)
-            e, J = residual[part], all_slopes[part]
+            e, J = residual[part], jacobian[part]
             at += size
             effects = self._effects(r, force, names)
             columns = np.zeros((effects.shape[2] * (2 * orders - 1), orders, likelihood.c), complex)
@@ -89,9 +89,9 @@ class LowerBounds:
             length = np.linalg.norm(whitened, axis=0)
             q, _ = np.linalg.qr(whitened[:, length > 0] / length[length > 0])
             rests.append(e - q @ (q.T @ e))
-            slopes.append(J - q @ (q.T @ J))
+            jacobians.append(J - q @ (q.T @ J))
             counts.append(size - q.shape[1])
-        rest, J = np.concatenate(rests), np.concatenate(slopes)
+        rest, J = np.concatenate(rests), np.concatenate(jacobians)
         if self.found.late is not None:
             prior = np.zeros((1, J.shape[1]))
             prior[0, -1] = 1.0

@@ -43,7 +43,7 @@ def find_drifts(base: Fit, runs: HarmonicRuns) -> dict[str, float]:
     response = Likelihood(experiment).response(experiment.theta0)
     c = len(experiment.predicted)
     power, count = np.zeros(c), 0
-    slopes: list[tuple[np.ndarray, np.ndarray]] = []
+    pairs: list[tuple[np.ndarray, np.ndarray]] = []  # of the drift: square of its slope, variance
     for r, item in enumerate(experiment.runs):
         columns = experiment.columns[r][:c]
         if len(item.fit.drift) < 2:
@@ -58,11 +58,11 @@ def find_drifts(base: Fit, runs: HarmonicRuns) -> dict[str, float]:
             rest = (white - (white @ q) @ q.T) / free
             power += np.where(free > LEAST, rest**2 * free, 0.0)
             if degree == 1:
-                slopes.append((rest**2 * variance, np.where(free > LEAST, variance / free, np.inf)))
+                pairs.append((rest**2 * variance, np.where(free > LEAST, variance / free, np.inf)))
         count += 1
     if not count:
         return {}
-    squares, noise = (np.array([pair[k] for pair in slopes]) for k in (0, 1))
+    squares, noise = (np.array([pair[k] for pair in pairs]) for k in (0, 1))
     size = _variance(squares, noise)
     drifts = (power > chi2.isf(CRITERIA.drift, 2 * count)) & experiment.use_mean[:c] & (size > 0)
     return {experiment.predicted[k]: float(np.sqrt(size[k])) for k in np.flatnonzero(drifts)}

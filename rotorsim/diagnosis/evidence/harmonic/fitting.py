@@ -166,7 +166,7 @@ def _best(search: Search, experiment: Experiment, starts: Starts, most: int | No
 
 
 def _sharpened(search: Search, best: Estimate) -> Estimate:
-    """Return a fit carried on with more orders: what is left over may be theirs, where a law has corners."""
+    """Return a fit carried on with more orders: the residual may be theirs, where a law has corners."""
     motion = search.likelihood.experiment.motion
     assert isinstance(motion, NonlinearMotion)
     motion.sharpen()

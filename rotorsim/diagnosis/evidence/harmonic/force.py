@@ -36,19 +36,19 @@ def unknown_force(document: Mapping[str, Any], runs: HarmonicRuns, spot: Spot) -
 
 @dataclass(frozen=True, eq=False)
 class _Force:
-    """What leaves least over beside a diagram: harmonics F (R, K+1, axes) at speeds (R,), told (K+1,): from noise.
+    """The force that explains most: harmonics F (R, K+1, axes) at speeds (R,), significant (K+1,): not made by noise.
 
-    X: of the displacement there, not a number where it was not measured. beside (R, L, axes), beside_told (L,): at the
-    lines beside the harmonics, of orders (L,).
+    X: of the displacement there, not a number where it was not measured. beside (R, L, axes), lines_significant (L,):
+    at the asynchronous lines, of orders (L,).
     """
 
     speeds: np.ndarray
     F: np.ndarray
     X: np.ndarray
-    told: np.ndarray
+    significant: np.ndarray
     orders: np.ndarray
     beside: np.ndarray
-    beside_told: np.ndarray
+    lines_significant: np.ndarray
 
 
 def _equivalent(document: Mapping[str, Any], runs: HarmonicRuns, spot: Spot) -> _Force | None:
@@ -76,7 +76,7 @@ def _equivalent(document: Mapping[str, Any], runs: HarmonicRuns, spot: Spot) -> 
         for k in range(1, likelihood.orders):
             F[r, k], gain, _ = free_amplitudes(likelihood, r, k, H[r, k], D[r, k])
             taken[k] += gain
-    told = chi2.sf(taken, 2 * width * R) < CRITERIA.chance / likelihood.orders
+    significant = chi2.sf(taken, 2 * width * R) < CRITERIA.chance / likelihood.orders
     conjugate = (port.declaration.conjugate if isinstance(port.declaration, In) else None) or "displacement"
     suffix = "" if spot.node is None else f"{spot.node},"
     names = [f"{spot.block}.{conjugate}[{suffix}{axis + 1}]" for axis in range(width)]
@@ -87,10 +87,10 @@ def _equivalent(document: Mapping[str, Any], runs: HarmonicRuns, spot: Spot) -> 
         experiment.motion.speeds,
         F[:, :orders],
         X,
-        told[:orders],
+        significant[:orders],
         experiment.beside_orders,
         F[:, orders:],
-        told[orders:],
+        significant[orders:],
     )
 
 
@@ -100,17 +100,19 @@ def _typical(F: np.ndarray) -> np.ndarray:
 
 
 def _lines(force: _Force, second: Second | None, words: list[str]) -> dict[str, Any]:
-    """Return where lines beside the harmonics are, and the force at them; add it in words."""
-    if second is None or not force.beside_told.any():
+    """Return where asynchronous lines are, and the force at them; add it in words."""
+    if second is None or not force.lines_significant.any():
         return {}
     typical = _typical(force.beside)
     shown = {
-        int(k): float(size) for k, size, told in zip(force.orders, typical, force.beside_told, strict=True) if told
+        int(k): float(size)
+        for k, size, significant in zip(force.orders, typical, force.lines_significant, strict=True)
+        if significant
     }
     value, unit = (second.value, "times the speed") if second.follows else (second.value / TURN, "Hz")
     factor = 1.0 if second.follows else TURN
     sizes = [f"{k:+d}X {size:.2g} N" if k else f"{size:.2g} N" for k, size in shown.items()]
-    words.append(f"lines beside the harmonics at {value:.4g} {unit} ({', '.join(sizes)})")
+    words.append(f"asynchronous lines at {value:.4g} {unit} ({', '.join(sizes)})")
     return {
         "lines": {
             "value": value,
@@ -125,7 +127,7 @@ def _law(force: _Force, words: list[str]) -> dict[str, Any]:
     """Return orders, exponents of speed and amplitude, work per turn; add them in words."""
     F, X, W = force.F, force.X, np.abs(force.speeds)
     size = np.sqrt((np.abs(F) ** 2).sum(axis=2)) * 2
-    typical = np.where(force.told, _typical(F), 0.0)
+    typical = np.where(force.significant, _typical(F), 0.0)
     orders = [int(k) for k in np.flatnonzero(typical > CRITERIA.stated * typical.max(initial=0.0)) if k]
     if not orders:
         return {}

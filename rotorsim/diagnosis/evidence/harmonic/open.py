@@ -59,9 +59,9 @@ def open_harmonics(
     folder = str(Path(diagram.file).parent) if diagram.file else None
     empty = HarmonicEvidence(recording, (), folder, catalogue.trust)
     steps, unseen = stated_steps(diagram, recording)
-    told = [*warnings, *unseen]
+    notes = [*warnings, *unseen]
     conditions = Conditions(steps)
-    given, extra = harmonic_evidence(empty, hold_out, conditions, told)
+    given, extra = harmonic_evidence(empty, hold_out, conditions, notes)
     _refuse_still(given.open(given.load(with_uncertain(diagram))))  # says what is wrong, and where
     before, refined = base_fit(diagram, given)
     for _ in range(PICKUPS):
@@ -69,22 +69,22 @@ def open_harmonics(
         if not more:
             break
         conditions = replace(conditions, picked=[*conditions.picked, *more])
-        given, extra = harmonic_evidence(empty, hold_out, conditions, told)
+        given, extra = harmonic_evidence(empty, hold_out, conditions, notes)
         before, refined = base_fit(diagram, given)
     drifts = {} if before.failure else find_drifts(before, given)
     if drifts:
         drifting = replace(conditions, drifts=drifts)
-        less, less_extra = harmonic_evidence(empty, hold_out, drifting, told)
+        less, less_extra = harmonic_evidence(empty, hold_out, drifting, notes)
         fit, finer = base_fit(diagram, less)
         if tells_drifts(fit):  # else what the diagram lacks may drift, too
             conditions, given, extra, before, refined = drifting, less, less_extra, fit, finer
-            told += drift_warnings(drifts, recording)
+            notes += drift_warnings(drifts, recording)
     evidence, base = given, before
     converters = [] if before.failure or is_adequate(base) else find_converters(base.document, given, catalogue)
     if converters:
         found = {name: step for converter in converters for name, step in converter.steps.items()}
-        told += [problem for converter in converters for problem in converter.warnings]
-        evidence, extra = harmonic_evidence(empty, hold_out, replace(conditions, steps={**steps, **found}), told)
+        notes += [problem for converter in converters for problem in converter.warnings]
+        evidence, extra = harmonic_evidence(empty, hold_out, replace(conditions, steps={**steps, **found}), notes)
         base, refined = base_fit(evidence.load(converters[-1].document), evidence)
     return Opened(
         evidence=replace(evidence, standing=base.nuisances, given=before.free),
@@ -93,7 +93,7 @@ def open_harmonics(
         given=given,
         catalogue=catalogue,
         held_out=evidence.held_out,
-        warnings=[*told, *extra, *(Problem(note, severity="warning") for note in refined)],
+        warnings=[*notes, *extra, *(Problem(note, severity="warning") for note in refined)],
         converters=converters,
     )
 

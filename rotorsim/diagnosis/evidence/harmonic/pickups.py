@@ -34,7 +34,7 @@ class _Explained:
 def find_pickups(base: Fit, record: HarmonicRuns) -> list[float]:
     """Return the frequencies [Hz] of lines that the fitted diagram says are no forces.
 
-    Looked at are the mains and their multiples, and a second frequency without sidebands (`HarmonicRuns.second`).
+    Tried are the mains and their multiples, and an asynchronous frequency without sidebands (`HarmonicRuns.second`).
     """
     odds = dict.fromkeys(find_mains(record.recording, record.harmonics), CRITERIA.pickup_odds)
     second = record.second
@@ -57,23 +57,23 @@ def _is_pickup(base: Fit, record: HarmonicRuns, frequency: float, odds: float) -
     show of it. Pick-up has one for each channel that picks up. Compared by the Bayesian information criterion.
     """
     second = Second(TURN * frequency, 0.0, False, (0,))
-    told, _ = with_second(record.recording, record.harmonics, second)
-    if len(told) < 1:
+    fitted, _ = with_second(record.recording, record.harmonics, second)
+    if len(fitted) < 1:
         return False
-    opened = open_bounds(base, replace(record, harmonics=told, second=second))
+    opened = open_bounds(base, replace(record, harmonics=fitted, second=second))
     if opened is None:  # the diagram is not linear: the mains are taken for what they mostly are
         return odds > 0
     likelihood, order = opened.likelihood, opened.likelihood.K + 1
-    runs = range(len(told))
+    runs = range(len(fitted))
     lines = [likelihood.data[r, order, : likelihood.c] for r in runs]
     unit = np.eye(likelihood.c)
-    rows = 2 * likelihood.c * len(told)
+    rows = 2 * likelihood.c * len(fitted)
 
     def explained(columns: Sequence[np.ndarray]) -> _Explained:
         rest = sum(free_amplitudes(likelihood, r, order, columns[r], lines[r])[2] for r in runs)
-        return _Explained(rest, 2 * columns[0].shape[1] * len(told))
+        return _Explained(rest, 2 * columns[0].shape[1] * len(fitted))
 
-    whole = explained([np.zeros((likelihood.c, 0))] * len(told)).rest
+    whole = explained([np.zeros((likelihood.c, 0))] * len(fitted)).rest
     groups: dict[str, list[int]] = {}
     for name, entry in opened.places.items():
         groups.setdefault(_part(name), []).append(entry)
@@ -82,7 +82,7 @@ def _is_pickup(base: Fit, record: HarmonicRuns, frequency: float, odds: float) -
     for k, name in enumerate(likelihood.experiment.predicted):
         for part in {name, _part(name), name.partition("[")[0]}:
             channels.setdefault(part, []).append(k)
-    some = [explained([unit[:, group]] * len(told)) for group in channels.values() if len(group) < likelihood.c]
+    some = [explained([unit[:, group]] * len(fitted)) for group in channels.values() if len(group) < likelihood.c]
     force = min(forces, key=lambda item: item.criterion(rows))
     partial = min((item.criterion(rows) for item in some), default=np.inf)
     if force.criterion(rows) + odds < partial and whole - force.rest - force.free > CRITERIA.line_force * (

@@ -182,9 +182,9 @@ def standardised(fitted: Prediction) -> tuple[tuple[float, float], ...] | None:
         J, e = S[at : at + size], residual[at : at + size]
         at += size
         values, vectors = np.linalg.eigh(np.eye(size) - J @ inverse @ J.T)
-        told = values > HELD_BY_NONE
-        parts = vectors[:, told].T @ e
-        out.append((float((parts**2 / values[told]).sum()), float(told.sum()) - lost))
+        shared = values > HELD_BY_NONE
+        parts = vectors[:, shared].T @ e
+        out.append((float((parts**2 / values[shared]).sum()), float(shared.sum()) - lost))
     return tuple(out)
 
 

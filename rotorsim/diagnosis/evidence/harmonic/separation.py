@@ -1,10 +1,10 @@
-"""The next experiment: the run, at another speed or with another gain, that two explanations of the data predict apart.
+"""The run, at another speed or with another gain, that separates two hypotheses.
 
 Separation of two fitted diagrams by n runs alike, in standard deviations:
 
     S_n^2 = d^T (I / n + J_1 C_1 J_1^T + J_2 C_2 J_2^T)^-1 d
 
-d: difference of their whitened predictions; J: slopes by the free parameters, C: their covariance. What the
+d: difference of their whitened predictions; J: their Jacobians by the free parameters, C: their covariance. What the
 parameters can still imitate within their intervals does not count (Hunter and Reiner, Technometrics 7 (1965) 307).
 """
 
@@ -40,7 +40,7 @@ RPM = np.pi / 30
 
 @dataclass(frozen=True, eq=False)
 class _Predicted:
-    """A run as a fitted diagram has it: whitened y (n,), slopes by unknowns of unit covariance (n, m)."""
+    """A run as a fitted diagram has it: whitened y (n,), its Jacobian by unknowns of unit covariance (n, m)."""
 
     y: np.ndarray
     scatter: np.ndarray
