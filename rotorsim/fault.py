@@ -73,7 +73,8 @@ class Fault:
     inherits: parameters and options that take the value that the block at the place has under the same name;
     "crack.sag" takes that of the one block of type crack, if there is one. law: in words, what the effect does with
     speed, order and amplitude.
-    confused_with: physics that read alike; told_apart_by: the experiment that tells them apart.
+    confused_with: physics that read alike; told_apart_by: the experiment that separates them; told_apart_at_rest_by: on
+    a machine that does not turn, where that is another one.
     convention: what no run shows and is fixed, so that values and intervals hold only with it: said with them.
     """
 
@@ -92,6 +93,7 @@ class Fault:
     law: str = ""
     confused_with: tuple[str, ...] = ()
     told_apart_by: str = ""
+    told_apart_at_rest_by: str = ""
     convention: str = ""
     source: str = ""
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from rotorsim.diagnosis.evidence.base import with_uncertain
+from rotorsim.diagnosis.evidence.base_fit import with_uncertain
 from rotorsim.identification.estimate import Search, estimate
 from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.likelihood import Likelihood

@@ -29,6 +29,7 @@ class Clearance(Block):
         law=_LAW,
         confused_with=("rub", "cubic_stiffness"),
         told_apart_by="amplitude: change the unbalance or the gains at one speed",
+        told_apart_at_rest_by="amplitude: drive it harder and more softly",
     ).variants(
         {
             "options": {"law": "bilinear"},

@@ -29,6 +29,7 @@ class CoulombFriction(Block):
         law=_LAW,
         confused_with=("hysteretic_damping", "viscous_damping"),
         told_apart_by="amplitude: change it at one speed, by unbalance or gains",
+        told_apart_at_rest_by="amplitude: drive it harder and more softly",
     ).variants(
         {"options": {"law": "axes"}},
         {

@@ -58,6 +58,7 @@ class HystereticDamping(Block):
         confused_with=("viscous_damping", "coulomb_friction"),
         told_apart_by="loss over a wide range of speeds: viscous loss grows with speed; "
         "amplitude: friction falls with it",
+        told_apart_at_rest_by="loss over a wide range of frequencies; amplitude: friction falls with it",
     ).variants({"options": {"law": "band"}, "law": f"{_LAW}; the stiffness rises with the logarithm of frequency"})
 
     displacement = In(shape=_axes, unit="m", doc="displacement")

@@ -28,6 +28,7 @@ class Rub(Block):
             law="none below a threshold in amplitude; above it every order and a mean force",
             confused_with=("clearance", "cubic_stiffness"),
             told_apart_by="amplitude: change the unbalance or the gains at one speed, and watch the threshold",
+            told_apart_at_rest_by="amplitude: drive it harder and more softly, and watch the threshold",
         ),
     )
 

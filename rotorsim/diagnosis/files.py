@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import Spot
-from rotorsim.diagnosis.conclude.conclusions import Diagnosis, Effect, estimates, interval
-from rotorsim.diagnosis.conclude.explaining import Explained
-from rotorsim.diagnosis.evidence.harmonic import Fit
-from rotorsim.diagnosis.search.trials import is_adequate
+from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, estimates, interval
+from rotorsim.diagnosis.conclude.shares import Explained
+from rotorsim.diagnosis.evidence.evidence import Score
+from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.files import write_atomically
 
@@ -44,7 +44,7 @@ def diagnosis_data(found: Diagnosis) -> dict[str, Any]:
             "before": _score(found.score_before, found.before, found),
             "after": _score(found.score_after, found.after, found),
             "noise_floor": found.score_after.noise if found.score_after.noise is not None else found.score_before.noise,
-            "held_out": "hold_out" if found.held else "left_out",
+            "held_out": "hold_out" if found.held_out else "left_out",
         },
         "nearest": _nearest(found),
         "next_experiment": found.next_experiment,
@@ -53,9 +53,9 @@ def diagnosis_data(found: Diagnosis) -> dict[str, Any]:
         "proof": None if found.proof is None else {"status": found.proof.status, "reason": found.proof.reason},
         "residual": None if found.residual is None else dict(found.residual),
         "detectable": {name: dict(values) for name, values in found.detectable.items()},
-        "outside": dict(found.outside),
+        "outside": _unknown(found),
         "warnings": [f"{problem.subject}: {problem.what}" for problem in found.warnings],
-        "counts": dict(found.named.counts),
+        "counts": dict(found.selection.counts),
     }
 
 
@@ -69,7 +69,7 @@ def _missing(found: Diagnosis) -> list[dict[str, Any]]:
             "probability": effect.members[effect.physics],
             "block": effect.candidate.insertion.name,
             "place": str(effect.spot_of(effect.physics)),
-            "parameters": {**_effect_parameters(effect, found.after), **_taken(effect, found)},
+            "parameters": {**_effect_parameters(effect, found.after), **_measured(effect, found)},
             "explained": _explained(found.explained[number]) if number < len(found.explained) else None,
         }
         for number, effect in enumerate(found.effects)
@@ -77,12 +77,16 @@ def _missing(found: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _nearest(found: Diagnosis) -> dict[str, Any] | None:
-    """Return which rows explain most in the fitted runs, and the share of what was to be explained."""
-    named = found.named
-    if not named.chosen:
+    """Return which candidates explain most in the fitted runs, and the share of the misfit."""
+    selection = found.selection
+    if not selection.chosen:
         return None
-    left = _finite(named.fit.misfit / named.fit.freedom)
-    return {"physics": [i.insertion.physics for i in named.chosen], "share": named.share, "excess_variance": left}
+    physics = [item.insertion.physics for item in selection.chosen]
+    return {"physics": physics, "share": selection.share, "excess_variance": _finite(selection.fit.excess_variance)}
+
+
+def _unknown(found: Diagnosis) -> dict[str, Any]:
+    return {} if found.unknown is None else {**found.unknown.data, "description": found.unknown.description}
 
 
 def _explained(item: Explained) -> dict[str, Any] | None:
@@ -102,10 +106,10 @@ def _effect_parameters(effect: Effect, fit: Fit) -> dict[str, Any]:
     return {name.rpartition(".")[2]: every[name] for name in effect.candidate.insertion.free if name in every}
 
 
-def _taken(effect: Effect, found: Diagnosis) -> dict[str, Any]:
-    """Return the parameters that lines beside the harmonics, or steps of the readings, gave."""
+def _measured(effect: Effect, found: Diagnosis) -> dict[str, Any]:
+    """Return the parameters that asynchronous lines, or quantisation steps of the readings, gave."""
     out = {}
-    for key, (value, std, unit) in found.taken(effect).items():
+    for key, (value, std, unit) in found.measured(effect).items():
         ends = [_finite(end) for end in interval(value, std)]
         out[key] = {"value": value, "std": std, "interval90": ends, "unit": unit, "at_bound": False}
     return out
@@ -124,17 +128,14 @@ def _parameters(fit: Fit) -> dict[str, Any]:
     }
 
 
-def _score(scored: Any, fit: Fit, found: Diagnosis) -> dict[str, Any]:
-    from rotorsim.diagnosis.evidence.waveform.source import TimeSource
-
-    independent = not isinstance(found.source, TimeSource)  # samples in time are not
+def _score(scored: Score, fit: Fit, found: Diagnosis) -> dict[str, Any]:
     return {
         "hold_out": scored.total,
         "ports": {k: _finite(v) for k, v in scored.ports.items() if k},
-        "excess_variance": _finite(fit.misfit / fit.freedom),
-        "goodness": fit.goodness if independent else None,
+        "excess_variance": _finite(fit.excess_variance),
+        "goodness": fit.goodness if found.evidence.independent else None,
         "adequate": is_adequate(fit),
-        "reason": getattr(scored, "reason", "") or None,
+        "reason": scored.reason or None,
     }
 
 
@@ -147,7 +148,7 @@ def repaired_document(found: Diagnosis) -> dict[str, Any]:
     document = copy.deepcopy(dict(found.document))
     units = {item.name: item.unit for item in found.after.free}
     for effect in found.effects:
-        taken = found.taken(effect).items()
+        taken = found.measured(effect).items()
         units |= {f"{effect.candidate.insertion.name}.{key}": unit for key, (_, _, unit) in taken}
     for name, unit in units.items():
         block, _, key = name.rpartition(".")

@@ -8,12 +8,12 @@ import jsonschema
 import numpy as np
 import pytest
 
-from rotorsim.diagnosis.conclude.explaining import Explained
+from rotorsim.diagnosis.conclude.shares import Explained, Share
+from rotorsim.diagnosis.conclude.validation import Proof
 from rotorsim.diagnosis.conclude.wording import statement
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
-from rotorsim.diagnosis.evidence.scoring import HeldScore
+from rotorsim.diagnosis.evidence.evidence import HeldScore
 from rotorsim.diagnosis.files import diagnosis_data, diagnosis_schema, save_diagnosis
-from rotorsim.diagnosis.search.proof import Proof, Share
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 from rotorsim.simulation.run import simulate
@@ -149,11 +149,11 @@ def test_without_runs_held_out_each_is_left_out_in_turn():
 
 def test_what_is_unproved_and_what_is_left_are_said():
     found = diagnosed(True)
-    lost = HeldScore({"": float("nan")}, {}, None, 0, reason="its motion is not stable in run run1")
+    lost = HeldScore({"": float("nan")}, {}, reason="its motion is not stable in run run1")
     why = "the repaired diagram predicts nothing: its motion is not stable in run run1"
     text = statement(replace(found, score_after=lost, proof=Proof("unproved", why), explained=()))
     assert text.endswith(
-        "; the repaired diagram has no settled motion there. On held-out runs this is unproved: the repaired diagram "
+        "; the repaired diagram has no settled motion there. On hold-out runs this is unproved: the repaired diagram "
         "predicts nothing: its motion is not stable in run run1."
     )
     freedom = found.after.freedom
@@ -164,11 +164,11 @@ def test_what_is_unproved_and_what_is_left_are_said():
         "place": {"block": "rotor", "port": "force", "node": None},
         "size": {"value": 2e-3, "unit": "N", "orders": {"1": 2e-3}},
     }
-    named = replace(found.named, base=base, fit=fit)
-    text = statement(replace(found, named=named, residual=residual, proof=None))
+    selection = replace(found.selection, base=base, fit=fit)
+    text = statement(replace(found, selection=selection, residual=residual, proof=None))
     assert (
-        " 1.87 times the variance of the noise are left (probability 1e-78 that noise makes as much), 9.78e-05 % of "
-        "what was unexplained: details of a law, or a small effect more. What is left acts most likely at rotor.force: "
+        "The repaired diagram leaves a residual variance 1.87 times the noise (probability 1e-78), 9.78e-05 % of what "
+        "was unexplained: details of a law, or a small further effect. The residual acts most likely at rotor.force: "
         "2 mN rms."
     ) in text
 
@@ -176,7 +176,5 @@ def test_what_is_unproved_and_what_is_left_are_said():
 def test_shares_and_their_intervals_are_said():
     share = Explained(Share(0.994, (0.991, 0.997)), 0.999)
     text = statement(replace(diagnosed(True), explained=(share,)))
-    assert " On held-out runs it explains more than 99.9 % of what anything at" in statement(diagnosed(True))
-    assert (
-        " On held-out runs it explains 99.4 % (99.1 % to 99.7 %) of what anything at that place could explain." in text
-    )
+    assert "On hold-out runs it explains more than 99.9 % of what any law at" in statement(diagnosed(True))
+    assert "On hold-out runs it explains 99.4 % (99.1 % to 99.7 %) of what any law at that place could explain." in text

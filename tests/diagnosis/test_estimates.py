@@ -1,15 +1,16 @@
 """What is said of parameters: one value and one interval for statement, diagnosis.json, report and terminal."""
 
-from dataclasses import dataclass, field
+from dataclasses import fields
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from rotorsim.diagnosis.conclude.conclusions import Effect, estimates, interval
+from rotorsim.diagnosis.conclude.result import Effect, estimates, interval
 from rotorsim.diagnosis.conclude.wording import _sentence
-from rotorsim.diagnosis.evidence.harmonic import Fit
-from rotorsim.diagnosis.evidence.waveform import reference as time_reference
+from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.waveform import evidence as waveform
+from rotorsim.diagnosis.evidence.waveform.open import _allowed
 from rotorsim.diagnosis.files import _parameters
 from rotorsim.diagnosis.search.trials import Candidate
 from rotorsim.diagram.diagram import Free
@@ -79,46 +80,43 @@ def test_every_explanation_stands_at_its_own_place_everywhere():
 def test_statement_and_tables_have_the_values_of_the_fit_of_all_effects():
     after = fitted(misfit=3600.0, goodness=1e-9)
     after.theta[0] = 2.5e-6
-    text = _sentence(effect(), SimpleNamespace(after=after, taken=lambda _: {}))
-    assert (
-        text
-        == (
-            " Missing is one of these, which the data do not tell apart: residual_bow at rotor.force, sensor_gain at "
-            "rotor.displacement (as residual_bow: amplitude 2.5 +- 2.0 um, phase 29 +- 11 deg)."
-        ).strip()
+    text = _sentence(effect(), SimpleNamespace(after=after, measured=lambda _: {}))
+    assert text == (
+        "Missing physics: one of these, which the data do not separate: residual_bow at rotor.force, sensor_gain at "
+        "rotor.displacement (as residual_bow: amplitude 2.5 +- 2.0 um, phase 29 +- 11 deg)."
     )
     assert own_parameters(effect().candidate, after) == "amplitude 2.5 um, phase 28.65 deg"
     assert _parameters(after)["bow.amplitude"]["value"] == 2.5e-6
     assert _parameters(after)["bow.amplitude"]["std"] == pytest.approx(2e-6)
 
 
-@dataclass(frozen=True)
-class Judged:
-    """What stands for a source in time."""
+class Judged(waveform.WaveformEvidence):
+    """What stands for a recording in time."""
 
-    starts: dict = field(default_factory=dict)
-    stretches: tuple = ()
-    variance: dict = field(default_factory=dict)
-    rows: int = 0
-    allowed: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    def __init__(self, **values: object) -> None:
+        known = {"stretches": (), "starts": {}, "runs": (), "rows": 0, **values}
+        for item in fields(waveform.WaveformEvidence):
+            object.__setattr__(self, item.name, known.get(item.name))
 
     def search(self, document):
-        return SimpleNamespace(first=lambda starts: None)
+        return SimpleNamespace(first=lambda starts: None, views=())
 
 
 def test_a_model_in_time_may_err_by_a_quarter_more_than_the_flexible_one(monkeypatch):
-    """1.25 of its rms, squared."""
-    monkeypatch.setattr(time_reference, "_reweighted", lambda search, point: (None, None))
-    monkeypatch.setattr(time_reference, "_independent", lambda *_: 7)
-    monkeypatch.setattr(time_reference, "block_misfit", lambda *_: np.ones(2))
-    monkeypatch.setattr(time_reference, "_variances", lambda *_: {})
-    monkeypatch.setattr(time_reference, "_left_out", lambda *_: np.array([1.0, 2.0]))
-    found = time_reference.judged_by(Judged(), Fit({"blocks": {}}))
+    """1.25 of its rms, squared; a fit takes its place where it leaves less than half of its square."""
+    monkeypatch.setattr(waveform, "reweighted", lambda search, point: (None, None))
+    monkeypatch.setattr(waveform, "independent", lambda *_: 7)
+    monkeypatch.setattr(waveform, "block_misfit", lambda *_: np.ones(2))
+    monkeypatch.setattr(waveform, "variances", lambda *_: {})
+    monkeypatch.setattr(waveform, "weights_of", lambda *_: [])
+    monkeypatch.setattr(waveform, "misfits_left_out", lambda *_: np.array([1.0, 2.0]))
+    found = Judged().recalibrated(Fit({"blocks": {}}, misfit=49.9, rows=100))
     np.testing.assert_allclose(found.allowed, [1.5625, 3.125])
+    assert Judged().recalibrated(Fit({"blocks": {}}, misfit=50.1, rows=100)) is None
 
 
 def test_a_model_in_time_may_leave_a_hundredth_of_what_the_diagram_left():
     """Of its square beyond the flexible model's, or a quarter more than that one's rms; of noise, where that fails."""
     flexible, given = np.array([1.0, 1.0, 4.0]), np.array([57.0, 58.0, 4.0])
-    np.testing.assert_allclose(time_reference._allowed(flexible, given, 1.0), [1.5625, 1.57, 6.25])
-    np.testing.assert_allclose(time_reference._allowed(flexible, given, 0.1), [0.15625, 0.15625, 0.625])
+    np.testing.assert_allclose(_allowed(flexible, given, 1.0), [1.5625, 1.57, 6.25])
+    np.testing.assert_allclose(_allowed(flexible, given, 0.1), [0.15625, 0.15625, 0.625])

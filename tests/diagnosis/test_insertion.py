@@ -6,10 +6,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, starts_of
-from rotorsim.diagnosis.conclude.conclusions import Effect, conventions
-from rotorsim.diagnosis.evidence.harmonic import Fit
+from rotorsim.diagnosis.conclude.result import Effect
+from rotorsim.diagnosis.conclude.verdict import conventions
+from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.search.trials import Candidate, Trials
 from rotorsim.diagram.diff import diff
 from rotorsim.diagram.resolve.registry import Registry
@@ -217,7 +219,7 @@ def without(name: str, recorded: list[str], *keys: str) -> dict:
         item = next(item for item in insertions(load(fits.document), recorded) if item.key == key)
         fits = Fit(item.document(fits.document))
         found.append(Candidate(item, fits))
-    trials = Trials(source, None, None, Jobs())
+    trials = Trials(source, Catalogue(), Jobs())
     return trials.refitted(Fit(given), found[1:], found[-1].fit)[-1].fit.document
 
 

@@ -199,7 +199,7 @@ def test_lines_that_no_row_explains_are_described(name):
     assert lines["unit"] == "Hz"
     assert abs(lines["value"] - SHAKEN / TURN) < 4 * lines["std"]
     assert lines["orders"]["0"] == pytest.approx(machine.mass * machine.shaking, rel=0.01 if name == "shaken" else 0.4)
-    assert f"lines beside the harmonics at {lines['value']:.4g} Hz" in found.statement
+    assert f"asynchronous lines at {lines['value']:.4g} Hz" in found.statement
 
 
 def test_a_swinging_speed_is_named_as_a_class_and_measured():

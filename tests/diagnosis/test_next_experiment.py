@@ -5,10 +5,11 @@ import re
 import numpy as np
 import pytest
 
-from rotorsim.diagnosis.conclude.next_experiment import _Predicted, _predicted, _separated, _speeds
 from rotorsim.diagnosis.conclude.wording import _quantity
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source
+from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
+from rotorsim.diagnosis.evidence.harmonic.separation import _Predicted, _predicted, _separated, _speeds
 from rotorsim.signals.harmonics import harmonics_of
 from tests.diagnosis.test_diagnosis import RPM, recording
 from tests.identification import TRUTH, shipped
@@ -65,8 +66,10 @@ def test_no_run_is_named_whose_signals_go_twice_as_far_as_any_on_record(monkeypa
     fit = Fit(diagram.document, diagram.free, theta, np.eye(len(theta)) * 1e-18)
     sizes = {c.name: np.sqrt(2) * np.std(fast.run.values[key]) for key, c in data.channels.items()}
     for times, proposed in ((1.9, True), (2.1, False), (9.0, False)):
-        monkeypatch.setattr(Source, "largest", lambda self, times=times: {k: v / times for k, v in sizes.items()})
-        passed, asked = _predicted(fit, Source(data, (slow, fast)), (slow, fast))
+        monkeypatch.setattr(
+            HarmonicEvidence, "largest", lambda self, times=times: {k: v / times for k, v in sizes.items()}
+        )
+        passed, asked = _predicted(fit, HarmonicEvidence(data, (slow, fast)), (slow, fast))
         assert passed is not None
         assert (asked is not None) is proposed
 

@@ -7,7 +7,7 @@ import pytest
 
 from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.insertion import LONGEST, Insertion, fixed_of, limits_of, starts_of
-from rotorsim.diagnosis.evidence.harmonic import Source
+from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
 from rotorsim.diagnosis.search.trials import _sizes
 from rotorsim.identification.likelihood import Evaluation
 from rotorsim.identification.periodic_likelihood import likelihood_of
@@ -46,10 +46,10 @@ WITH_STATES = ("hysteretic_damping", "thermal_bow", "eddy_current_lag", "foundat
 
 
 @cache
-def source(model: str) -> Source:
+def source(model: str) -> HarmonicEvidence:
     """Return runs of half a second, so short that filters of a few hertz have no time to settle."""
     recording = recorded(made(model, SPEEDS[model], TRUTH, level=1e-3, duration=0.5))
-    return Source(recording, tuple(harmonics_of(recording, recording.runs)), None)
+    return HarmonicEvidence(recording, tuple(harmonics_of(recording, recording.runs)), None)
 
 
 @cache

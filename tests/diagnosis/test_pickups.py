@@ -6,11 +6,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rotorsim.diagnosis.diagnosis import _prepared, diagnose
-from rotorsim.diagnosis.evidence.base import base_fit
-from rotorsim.diagnosis.evidence.drifts import drift_warnings, find_drifts, with_drifts
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source
-from rotorsim.diagnosis.search.pickups import find_pickups
+from rotorsim.diagnosis.diagnosis import diagnose
+from rotorsim.diagnosis.evidence.base_fit import base_fit
+from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.harmonic.drifts import drift_warnings, find_drifts, with_drifts
+from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
+from rotorsim.diagnosis.evidence.harmonic.open import harmonic_evidence
+from rotorsim.diagnosis.evidence.harmonic.pickups import find_pickups
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.pickup import Pickup, pickup_warnings
@@ -41,8 +43,8 @@ def picked_up(data: Recording, channels: dict[str, float], hertz: float) -> Reco
     return replace(data, runs=tuple(runs))
 
 
-def prepared(data: Recording) -> tuple[Fit, Source]:
-    source = _prepared(Source(data, (), None, False), None, {}, []).source
+def prepared(data: Recording) -> tuple[Fit, HarmonicEvidence]:
+    source = harmonic_evidence(HarmonicEvidence(data, (), None, False), None, {}, []).source
     return base_fit(load("jeffcott"), source)[0], source
 
 

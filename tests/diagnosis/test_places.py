@@ -10,8 +10,9 @@ from scipy.stats import chi2
 from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.insertion import Insertion, fixed_of, starts_of
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source
-from rotorsim.diagnosis.search.places import Places, open_places
+from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.harmonic.bounds import LowerBounds, open_bounds
+from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
 from rotorsim.identification.estimate import Search
 from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.likelihood import Likelihood
@@ -33,21 +34,21 @@ LAWS = ("residual_bow/0", "unbalance_elsewhere/0", "anisotropic_support/0", "sec
 
 
 @cache
-def healthy() -> tuple[Source, Fit]:
+def healthy() -> tuple[HarmonicEvidence, Fit]:
     """Return six runs of the beam as it should be, and the diagram fitted to them."""
     runs = [run for gains in (THESIS_GAINS, OTHER_GAINS) for run in made("fe_rigid", SPEEDS, gains=gains, level=1e-3)]
     data = recorded(runs)
-    source = Source(data, tuple(harmonics_of(data, orders=ORDERS)))
+    source = HarmonicEvidence(data, tuple(harmonics_of(data, orders=ORDERS)))
     return source, source.fit(shipped("fe_rigid").document, [])
 
 
-def items(source: Source, base: Fit) -> dict[str, Insertion]:
+def items(source: HarmonicEvidence, base: Fit) -> dict[str, Insertion]:
     diagram = source.load(values_in(base.document, base.values))
     return {item.key: item for item in insertions(diagram, source.recorded)}
 
 
 @cache
-def concealing(key: str, factor: float = 1.0) -> tuple[Source, Fit, Places]:
+def concealing(key: str, factor: float = 1.0) -> tuple[HarmonicEvidence, Fit, LowerBounds]:
     """Return harmonics that a diagram with something more in it predicts, with noise, and the diagram without it.
 
     factor: of its size.
@@ -70,10 +71,10 @@ def concealing(key: str, factor: float = 1.0) -> tuple[Source, Fit, Places]:
         harmonics.append(replace(item, fit=replace(item.fit, values=values)))
     source = replace(source, harmonics=tuple(harmonics))
     fit = source.fit(base.document, [])
-    return source, fit, open_places(fit, source)
+    return source, fit, open_bounds(fit, source)
 
 
-def fitted(source: Source, base: Fit, item: Insertion) -> Fit:
+def fitted(source: HarmonicEvidence, base: Fit, item: Insertion) -> Fit:
     sizes = dict.fromkeys(item.feeds, 1e-5)
     starts = [dict(zip(item.free, start.values(), strict=True)) for start in starts_of(item, sizes)]
     first = {**fixed_of(item, sizes), **starts_of(item, sizes)[0]}
@@ -81,10 +82,10 @@ def fitted(source: Source, base: Fit, item: Insertion) -> Fit:
     return source.fit(document, [starts])
 
 
-def bound_at(fit: Fit, source: Source, base: Fit, item: Insertion) -> float:
+def bound_at(fit: Fit, source: HarmonicEvidence, base: Fit, item: Insertion) -> float:
     """Return the bound of the diagram at its parameters in a fit with something more."""
     theta = np.array([fit.values[free.name] for free in base.free])
-    return open_places(replace(base, theta=theta), source).bound(item)
+    return open_bounds(replace(base, theta=theta), source).bound(item)
 
 
 @pytest.mark.parametrize("law", [*LAWS[:1], *(pytest.param(law, marks=pytest.mark.slow) for law in LAWS[1:])])
@@ -125,7 +126,7 @@ def test_a_strong_force_leaves_noise_beside_means_of_slow_states():
     assert_noise(bound, base, 6 * 2 * (2 * ORDERS + 1))
 
 
-def dropped(source: Source, base: Fit, names: list[str]) -> tuple[Search, np.ndarray]:
+def dropped(source: HarmonicEvidence, base: Fit, names: list[str]) -> tuple[Search, np.ndarray]:
     """Return the fit of the diagram without some channels, and where it begins."""
     experiment = open_experiment(
         source.load(values_in(base.document, base.values)),

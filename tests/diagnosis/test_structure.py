@@ -306,7 +306,7 @@ SPEEDS = np.array([90.0, 140.0, 200.0])
 CHANNELS = [f"{name}[{axis}]" for name in BOTH for axis in (1, 2)]
 
 
-def _settled(diagram: Diagram, changes: Mapping[str, float]) -> np.ndarray:
+def settled_runs(diagram: Diagram, changes: Mapping[str, float]) -> np.ndarray:
     """Return harmonics 0..14 of the channels by the solver of ``rotorsim periodic``, (R, 15, 4)."""
     names = [diagram.as_measured(name) for name in CHANNELS]
     found = periodic(diagram, speeds=SPEEDS, parameters=changes, signals=names, harmonics=60, stability=False)
@@ -340,7 +340,7 @@ def test_signatures_are_the_limits_of_small_faults(
     runs = runs_of(diagram, SPEEDS)
     found = signatures_of(diagram, [fault], CHANNELS, runs)
     assert found.sizes[key].parameter == parameter
-    base = _settled(diagram, {})
+    base = settled_runs(diagram, {})
     scale = np.sqrt((np.abs(_both(runs, diagram)) ** 2).sum(axis=1).max(axis=0))
     rows = (found.row_set == 0).reshape(2, -1)[0]
     column = found.columns[key][:, 0].reshape(2, -1)[:, rows]
@@ -349,7 +349,7 @@ def test_signatures_are_the_limits_of_small_faults(
     placed = load(fault.document(diagram.document, {**start, **shape, parameter: 0.0}))
     errors = []
     for step in steps:
-        changed = _settled(placed, {f"{fault.name}.{parameter}": step})
+        changed = settled_runs(placed, {f"{fault.name}.{parameter}": step})
         difference = np.abs((changed - base) / step - slope).max(axis=(0, 1))
         size = np.maximum(np.abs(slope).max(axis=(0, 1)), 1e-6 * np.abs(base).max(axis=(0, 1)))  # some do not change
         errors.append(float((difference / size).max()))
@@ -358,7 +358,7 @@ def test_signatures_are_the_limits_of_small_faults(
 
 
 def _starts(fault: Insertion) -> dict[str, float]:
-    largest = _settled(load("jeffcott"), {})
+    largest = settled_runs(load("jeffcott"), {})
     moving = np.abs(largest[:, 0]) + 2 * np.sqrt((np.abs(largest[:, 1:]) ** 2).sum(axis=1))
     return starts_of(fault, {"displacement": float(moving[:, :2].max()), "velocity": 1.0})[0]
 

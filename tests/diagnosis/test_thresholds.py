@@ -7,18 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorsim.diagnosis.conclude.conclusions import _effect
-from rotorsim.diagnosis.conclude.explaining import _taken
-from rotorsim.diagnosis.diagnosis import _settled
-from rotorsim.diagnosis.evidence import drifts, stability
-from rotorsim.diagnosis.evidence.drifts import find_drifts, tells_drifts, with_drifts
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source
-from rotorsim.diagnosis.evidence.resonance.fitting import ModalSource
-from rotorsim.diagnosis.evidence.scoring import standardised
+from rotorsim.diagnosis.conclude.verdict import effect_of
+from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.harmonic import drifts, pickups, stability
+from rotorsim.diagnosis.evidence.harmonic.drifts import find_drifts, tells_drifts, with_drifts
+from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
+from rotorsim.diagnosis.evidence.harmonic.open import settled_runs
+from rotorsim.diagnosis.evidence.harmonic.pickups import find_pickups
+from rotorsim.diagnosis.evidence.harmonic.residual import taken_at
+from rotorsim.diagnosis.evidence.harmonic.scoring import standardised
+from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
 from rotorsim.diagnosis.evidence.waveform.search import Point, TimeSearch
-from rotorsim.diagnosis.search import pickups
-from rotorsim.diagnosis.search.naming import Round
-from rotorsim.diagnosis.search.pickups import find_pickups
+from rotorsim.diagnosis.search.trials import Round
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Place, Problem
 from rotorsim.settled.linear_motion import Motion
@@ -50,7 +50,7 @@ def test_a_parameter_at_either_bound_takes_no_part_in_linear_theory(low, high, o
     assert np.abs(np.array(one) - both).max() > 0.01
 
 
-class Straight(ModalSource):
+class Straight(ResonanceEvidence):
     """Residuals that are ten times what four parameters are off what the data want: beyond a bound, or inside."""
 
     def _problem(self, document: object) -> tuple[None, list[Free], Callable[[np.ndarray], np.ndarray]]:
@@ -61,7 +61,7 @@ class Straight(ModalSource):
 
 def test_a_fit_to_resonances_says_which_parameters_ended_at_a_bound():
     """Above, at zero, below; the search keeps a little off all of them."""
-    found = Straight(None, (), None, found=(None, None), open=()).fit({}, [[{}]])
+    found = Straight(None, (), None, {}, None, False, found=(None, None), open=()).fit({}, [[{}]])
     assert found.theta == pytest.approx([2.0, 0.0, 1.0, 3.0], abs=1e-6)
     assert found.at_bound.tolist() == [True, True, True, False]
 
@@ -86,11 +86,11 @@ def test_a_run_is_left_out_where_half_of_all_its_signals_does_not_follow_the_sha
     angle = SimpleNamespace(contradicted=False)
     item = SimpleNamespace(fit=fit, run=SimpleNamespace(id="a", place=place), angle=angle, lost=0)
     warnings: list[Problem] = []
-    assert _settled([item], warnings, "used") == ((item,) if kept else ())
+    assert settled_runs([item], warnings, "used") == ((item,) if kept else ())
     assert [problem.subject for problem in warnings] == ([] if kept else ["run a"])
     angle.contradicted = True
     warnings.clear()
-    assert _settled([item], warnings, "used") == ((item,) if kept else ())
+    assert settled_runs([item], warnings, "used") == ((item,) if kept else ())
     assert ["than its pulses say" in problem.what for problem in warnings] == [kept]
 
 
@@ -111,7 +111,7 @@ def test_runs_within_two_percent_of_a_speed_are_alike(second, gain, alike):
         SimpleNamespace(fit=SimpleNamespace(speed=speed), run=SimpleNamespace(settings={"speed": speed, "KP": kp}))
         for speed, kp in ((100.0, 1.0), (second, gain))
     ]
-    assert Source(None, tuple(runs)).alike is alike
+    assert HarmonicEvidence(None, tuple(runs)).alike is alike
 
 
 @pytest.mark.parametrize(("square", "orders"), [(15.9, {}), (16.1, {1: pytest.approx(np.sqrt(2 * 16.1))})])
@@ -122,7 +122,7 @@ def test_an_order_of_a_residual_has_a_size_where_noise_makes_any_once_in_a_thous
     )
     D = np.zeros((1, 3, 1), complex)
     D[0, 1] = np.sqrt(square) * np.exp(0.3j)
-    gain, sizes = _taken(likelihood, D, np.ones((1, 3, 1, 1), complex))
+    gain, sizes = taken_at(likelihood, D, np.ones((1, 3, 1, 1), complex))
     assert sizes == orders
     assert gain == pytest.approx(square - 2 * 2)  # two real numbers of two orders beside the mean
 
@@ -136,7 +136,7 @@ def test_places_are_listed_from_one_percent_on(more, places):
     before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
     here, there = candidate("rub", 900.0, 1), candidate("rub", 900.0 + more, 1)
     there.insertion.spot = "rotor.elsewhere"
-    assert {spot for spot, _ in _effect(here, Round(before, (here, there)), 0.0).places} == places
+    assert {spot for spot, _ in effect_of(here, Round(before, (here, there)), 0.0).places} == places
 
 
 # --- lines that channels pick up --------------------------------------------------------------------------------------
@@ -157,11 +157,11 @@ def line(monkeypatch, shown: list[complex], mains: list[float], second: object =
     transfer = np.zeros((1, 3, 2, 1), complex)
     transfer[0, 2, :, 0] = np.sqrt(0.5)
     opened = SimpleNamespace(likelihood=likelihood, places={"rotor.force": 0}, transfer=transfer)
-    monkeypatch.setattr(pickups, "open_places", lambda *_: opened)
+    monkeypatch.setattr(pickups, "open_bounds", lambda *_: opened)
     monkeypatch.setattr(pickups, "find_mains", lambda *_: mains)
     monkeypatch.setattr(pickups, "with_asynchronous", lambda *_: ([None], []))
     run = SimpleNamespace(run=SimpleNamespace(time=np.linspace(0, 2, 9)))
-    return find_pickups(Fit({}), Source(None, (run,), second=second))
+    return find_pickups(Fit({}), HarmonicEvidence(None, (run,), second=second))
 
 
 @pytest.mark.parametrize(("gain", "found"), [(13.7, [50.0]), (13.9, [])])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from rotorsim.diagnosis.evidence.harmonic import Fit
-from rotorsim.diagnosis.search.trials import is_adequate
+from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.identification import advice, identification
 from rotorsim.identification.advice import advise
 from rotorsim.identification.estimate import Estimate, Search

@@ -60,6 +60,11 @@ class Insertion:
         return self.fault.physics
 
     @property
+    def law(self) -> tuple[str, int]:
+        """Physics and variant: what it does, wherever it acts."""
+        return self.physics, self.variant
+
+    @property
     def key(self) -> str:
         """A text that tells this insertion from all others of a diagram."""
         return f"{self.physics}/{self.variant}@{self.spot}"

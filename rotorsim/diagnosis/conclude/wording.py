@@ -1,168 +1,191 @@
-"""What a diagnosis says in words: the statement and the next experiment."""
+"""What a diagnosis says in words, made from its fields: the statement and the next experiment."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
-from rotorsim.diagnosis.conclude.next_experiment import best_change
-from rotorsim.diagnosis.evidence.harmonic import Source
-from rotorsim.diagnosis.search.trials import is_noise
+from rotorsim.criteria import CRITERIA
+from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, estimates
+from rotorsim.diagnosis.conclude.shares import Explained
+from rotorsim.diagnosis.evidence.fit import is_noise
+from rotorsim.fault import Fault
 from rotorsim.units import format_quantity
-
-if TYPE_CHECKING:
-    from rotorsim.diagnosis.conclude.conclusions import Diagnosis, Effect
-    from rotorsim.diagnosis.conclude.explaining import Explained
-    from rotorsim.fault import Fault
 
 __all__ = ["next_experiment", "statement"]
 
-ALL = 0.999  # a share from which its digits say nothing
+WHOLE = 0.999  # a share from which its digits say nothing
 ONE_SPEED = "at one speed unbalance imitates bow and runout, and force factors imitate stiffness and damping"
 MORE_RUNS = "runs at several speeds, from slow roll to above the first critical, and some with other gains"
 
 
-def next_experiment(found: Diagnosis) -> str:
-    """Return the change that would tell apart what is left, or say that none is needed."""
-    parts = []
-    known = () if found.verdict == "outside_catalogue" else found.effects  # else none to tell from its rivals
-    for effect in known:
-        for name, rival in effect.rivals.items():
-            told = _told_apart(effect.candidate.insertion.fault, rival.insertion.fault)
-            change = None
-            if isinstance(found.source, Source):
-                change = best_change(effect.candidate.fit, rival.fit, found.source)
-            text = f"to tell {effect.physics} from {name}: "
-            if change is not None and change.runs:
-                times = "" if change.runs == 1 else f", {change.runs} times,"
-                text += f"{change.words}{times} (predictions {change.separation:.2g} standard deviations apart)"
-            elif change is not None:
-                apart = f"predictions only {change.separation:.2g} standard deviations apart"
-                text += f"{change.words} tells most ({apart})" + (f"; {told}" if told else "")
-            elif isinstance(found.source, Source):
-                text += "no other speed or gain does" + (f"; {told}" if told else "")
-            else:
-                text += told or "another input, or a sensor elsewhere"
-            parts.append(text)
-    if found.verdict == "outside_catalogue":
-        parts.append("runs at more speeds and amplitudes about the place named, to see the law of the unknown force")
-    if parts:
-        return "; ".join(parts)
-    if found.verdict in ("consistent", "not_identifiable") and _alike(found.source):
+def next_experiment(diagnosis: Diagnosis) -> str:
+    """Return the change that would separate the hypotheses that remain, or say that none is needed."""
+    evidence, verdict = diagnosis.evidence, diagnosis.verdict
+    known = () if verdict == "outside_catalogue" else diagnosis.effects  # else none to separate from its rivals
+    parts = [
+        f"to separate {effect.physics} from {name}: {_separating(effect, name, diagnosis)}"
+        for effect in known
+        for name in effect.rivals
+    ]
+    if verdict == "outside_catalogue":
+        parts.append(f"{evidence.terms.more_runs} about the place named, to see the law of the unknown force")
+    open_questions = evidence.open_questions()
+    if parts or open_questions:
+        return "; ".join([*parts, *([open_questions] if open_questions else [])])
+    if verdict in ("consistent", "not_identifiable") and evidence.alike:
         return f"{MORE_RUNS}: {ONE_SPEED}"
-    if found.verdict == "consistent":
+    if verdict == "consistent":
         return "none is needed for what the diagram states; smaller effects need lower noise or longer runs"
-    return "none is needed: one explanation is left"
+    return "none is needed: one hypothesis is left"
 
 
-def _alike(source: Source | None) -> bool:
-    return isinstance(source, Source) and source.alike
+def _separating(effect: Effect, name: str, diagnosis: Diagnosis) -> str:
+    """Return in words the experiment that separates an effect from a rival."""
+    rival, terms = effect.rivals[name], diagnosis.evidence.terms
+    declared = _declared(effect.candidate.insertion.fault, rival.insertion.fault, terms.turns)
+    change = diagnosis.evidence.separation(effect.candidate.fit, rival.fit)
+    more = f"; {declared}" if declared else ""
+    if change is not None and change.runs:
+        times = "" if change.runs == 1 else f", {change.runs} times,"
+        return f"{change.words}{times} (predictions {change.separation:.2g} standard deviations apart)"
+    if change is not None:
+        apart = f"predictions only {change.separation:.2g} standard deviations apart"
+        return f"{change.words} separates them most ({apart}){more}"
+    return (declared or terms.another) if terms.another else f"no other speed or gain does{more}"
 
 
-def _told_apart(first: Fault, second: Fault) -> str:
-    """Return what is declared to tell two faults apart: by one that names the other, else by any."""
+def _declared(first: Fault, second: Fault, turns: bool) -> str:
+    """Return what is declared to separate two faults: by one that names the other, else by any."""
+
+    def said(fault: Fault) -> str:
+        return fault.told_apart_by if turns else fault.told_apart_at_rest_by or fault.told_apart_by
+
     pairs = ((first, second), (second, first))
-    named = [a.told_apart_by for a, b in pairs if b.physics in a.confused_with and a.told_apart_by]
-    return (named or [fault.told_apart_by for fault in (first, second)])[0]
+    named = [said(a) for a, b in pairs if b.physics in a.confused_with and said(a)]
+    return (named or [said(fault) for fault in (first, second)])[0]
 
 
-def statement(found: Diagnosis) -> str:
-    """Return one paragraph in plain words."""
-    name = str(found.document.get("name", "the diagram"))
-    if not found.effects and found.verdict in ("consistent", "not_identifiable"):
-        rest = f"what is left over has {found.before.misfit / found.before.freedom:.3g} times the variance of the noise"
-        if is_noise(found.before):
-            none = "no row of the catalogue explains more of it than noise would"
-            text = f"{name} explains the recording: {rest}, and {none}."
-        else:
-            text = (
-                f"{name} explains the recording, but for little: {rest}, and no row of the catalogue explains that in "
-                f"runs that took no part, too.{_residual(found)}"
-            )
-        if _alike(found.source):
-            text += f" All its runs are alike, though: {ONE_SPEED}."
-        return text + _held_out(found)
-    excess = found.before.misfit / found.before.freedom
-    text = f"{name} does not explain the recording: it leaves {excess:.3g} times the variance of the noise."
-    if found.verdict == "outside_catalogue":
-        nearest = found.effects[0] if found.effects else None
-        text += " No effect of the catalogue, alone or with others, explains it"
-        if nearest is not None:
-            left = found.named.fit.misfit / found.named.fit.freedom
-            text += f": the nearest, {_list([e.physics for e in found.effects])}, leaves {left:.3g} times"
-        if found.proof is not None and found.proof.status == "disproved":
-            text += f", but held-out runs disprove it: {found.proof.reason}"
-        text += "."
-        if found.outside.get("description"):
-            text += " " + str(found.outside["description"])
-        return text + _held_out(found)
-    for number, effect in enumerate(found.effects):
-        text += " " + _sentence(effect, found)
-        if number < len(found.explained):
-            text += _explains(found.explained[number], found)
-    if found.named.mostly and not found.named.explained:
-        fit = found.named.fit
-        text += (
-            f" {fit.misfit / fit.freedom:.3g} times the variance of the noise are left ({_chance(fit.goodness)} that "
-            f"noise makes as much), {_percent(1 - found.named.share)} of what was unexplained: details of a law, or a "
-            f"small effect more.{_residual(found)}"
-        )
-    text += _held_out(found)
-    if found.proof is not None and found.proof.status == "unproved":
-        text += f" On {_kind(found)} this is unproved: {found.proof.reason}."
-    return text
+def statement(diagnosis: Diagnosis) -> str:
+    """Return one paragraph: verdict, what is missing with its sizes, shares and errors on hold-out runs."""
+    if not diagnosis.effects and diagnosis.verdict in ("consistent", "not_identifiable"):
+        parts = _consistent(diagnosis)
+    elif diagnosis.verdict == "outside_catalogue":
+        parts = _outside(diagnosis)
+    else:
+        parts = _missing(diagnosis)
+    return " ".join(part for part in parts if part)
 
 
-def _explains(item: Explained, found: Diagnosis) -> str:
-    """Return how much of what is to be explained an effect explains."""
+def _name(diagnosis: Diagnosis) -> str:
+    return str(diagnosis.document.get("name", "the diagram"))
+
+
+def _variance(ratio: float, diagnosis: Diagnosis) -> str:
+    return f"residual variance {ratio:.3g} times {diagnosis.evidence.terms.noise}"
+
+
+def _consistent(diagnosis: Diagnosis) -> list[str]:
+    name, ratio = _name(diagnosis), _variance(diagnosis.before.excess_variance, diagnosis)
+    if is_noise(diagnosis.before):
+        parts = [f"{name} explains the recording: {ratio}; no fault candidate explains more of it than noise would."]
+    else:
+        none = "no fault candidate explains the rest on hold-out runs too"
+        parts = [f"{name} explains the recording but for a small residual: {ratio}; {none}.", _residual(diagnosis)]
+    if diagnosis.evidence.alike:
+        parts.append(f"All its runs are alike, though: {ONE_SPEED}.")
+    return [*parts, _hold_out(diagnosis)]
+
+
+def _unexplained(diagnosis: Diagnosis) -> str:
+    ratio = _variance(diagnosis.before.excess_variance, diagnosis)
+    return f"{_name(diagnosis)} does not explain the recording: {ratio}."
+
+
+def _outside(diagnosis: Diagnosis) -> list[str]:
+    text = "No fault candidate, alone or with others, explains it"
+    names = [effect.physics for effect in diagnosis.effects]
+    if names:
+        ratio = _variance(diagnosis.selection.fit.excess_variance, diagnosis)
+        text += f": the nearest, {_list(names)}, leaves a {ratio}"
+        text += "; taken twice at one place, it stands for a law that is neither" if diagnosis.twice else ""
+    if diagnosis.proof is not None and diagnosis.proof.status == "disproved":
+        text += f"; hold-out runs disprove it: {diagnosis.proof.reason}"
+    unknown = "" if diagnosis.unknown is None else diagnosis.unknown.description
+    return [_unexplained(diagnosis), f"{text}.", unknown, _hold_out(diagnosis)]
+
+
+def _missing(diagnosis: Diagnosis) -> list[str]:
+    parts = [_unexplained(diagnosis)]
+    for number, effect in enumerate(diagnosis.effects):
+        parts.append(_sentence(effect, diagnosis))
+        if number < len(diagnosis.explained):
+            parts.append(_explains(diagnosis.explained[number], diagnosis))
+    selection = diagnosis.selection
+    if selection.mostly and not selection.explained:
+        share = _percent(1 - selection.share)
+        ratio = _variance(selection.fit.excess_variance, diagnosis)
+        chance = _chance(selection.fit.goodness)
+        parts.append(f"The repaired diagram leaves a {ratio} ({chance}), {share} of what was unexplained: details of")
+        parts[-1] += " a law, or a small further effect."
+        parts.append(_residual(diagnosis))
+    parts.append(_hold_out(diagnosis))
+    if diagnosis.proof is not None and diagnosis.proof.status == "unproved":
+        parts.append(f"On {_runs(diagnosis)} this is unproved: {diagnosis.proof.reason}.")
+    if diagnosis.score_after.rms and diagnosis.after.excess_variance > CRITERIA.model_error:
+        ratio = _variance(diagnosis.after.excess_variance, diagnosis)
+        parts.append(f"The repaired diagram leaves a {ratio}: a further effect would be small beside this one; a")
+        parts[-1] += " diagnosis of the repaired diagram looks for it."
+    return parts
+
+
+def _explains(item: Explained, diagnosis: Diagnosis) -> str:
+    """Return how much of what can be explained an effect explains."""
     if item.share is None:
         return ""
-    of = "is left without it" if item.explainable is None else "anything at that place could explain"
-    if item.share.interval is None or item.share.interval[0] > ALL:
-        much = f"more than {_percent(ALL)}" if item.share.value > ALL else _percent(item.share.value)
+    of = "the residual without it" if item.explainable is None else "what any law at that place could explain"
+    if item.share.interval is None or item.share.interval[0] > WHOLE:
+        much = f"more than {_percent(WHOLE)}" if item.share.value > WHOLE else _percent(item.share.value)
     else:
         much = "{} ({} to {})".format(*(_percent(share) for share in (item.share.value, *item.share.interval)))
-    return f" On {_kind(found)} it explains {much} of what {of}."
+    return f"On {_runs(diagnosis)} it explains {much} of {of}."
 
 
-def _residual(found: Diagnosis) -> str:
-    """Return where what is left over acts most likely, and its size."""
-    place = None if found.residual is None else found.residual["place"]
-    if found.residual is None or place is None:
+def _residual(diagnosis: Diagnosis) -> str:
+    """Return where the residual acts most likely, and its size."""
+    place = None if diagnosis.residual is None else diagnosis.residual["place"]
+    if diagnosis.residual is None or place is None:
         return ""
-    size = found.residual["size"]
+    size = diagnosis.residual["size"]
     node = "" if place["node"] is None else f"[{place['node']}]"
     at = f"{place['block']}.{place['port']}{node}"
-    return f" What is left acts most likely at {at}: {format_quantity(size['value'], size['unit'], 2)} rms."
+    return f"The residual acts most likely at {at}: {format_quantity(size['value'], size['unit'], 2)} rms."
 
 
 def _chance(probability: float) -> str:
     return f"probability {probability:.2g}" if probability > 1e-300 else "probability below 1e-300"
 
 
-def _kind(found: Diagnosis) -> str:
-    return "held-out runs" if found.held else "runs left out one by one"
+def _runs(diagnosis: Diagnosis) -> str:
+    return "hold-out runs" if diagnosis.held_out else diagnosis.evidence.terms.left_out
 
 
-def _sentence(effect: Effect, found: Diagnosis) -> str:
+def _sentence(effect: Effect, diagnosis: Diagnosis) -> str:
     """Return what is missing, with its sizes in the fit of all effects."""
-    from rotorsim.diagnosis.conclude.conclusions import estimates
-
-    names = list(effect.members)
-    known = estimates(found.after)
+    known = estimates(diagnosis.after)
     values = []
     for name in effect.candidate.insertion.free:
         if name in known:
             item = known[name]
             size = _quantity(item.value, 0.0 if item.at_bound else item.std, item.unit)
             values.append(f"{name.rpartition('.')[2]} {size}" + (" at its bound" if item.at_bound else ""))
-    values += [f"{key} {_quantity(size, std, unit)}" for key, (size, std, unit) in found.taken(effect).items()]
+    values += [f"{key} {_quantity(*value)}" for key, value in diagnosis.measured(effect).items()]
     sizes = ", ".join(values)
+    names = [f"{name} at {spot}" if (spot := effect.spot_of(name)) else name for name in effect.members]
     if len(names) == 1:
-        return f"Missing is {names[0]} at {effect.spot_of(names[0])}" + (f" ({sizes})." if sizes else ".")
-    alike = [f"{name} at {effect.spot_of(name)}" if effect.spot_of(name) else name for name in names]
-    text = f"Missing is one of these, which the data do not tell apart: {', '.join(alike)}"
+        return f"Missing physics: {names[0]}" + (f" ({sizes})." if sizes else ".")
+    text = f"Missing physics: one of these, which the data do not separate: {', '.join(names)}"
     return text + (f" (as {effect.physics}: {sizes})." if sizes else ".")
 
 
@@ -180,30 +203,43 @@ def _quantity(value: float, std: float, unit: str) -> str:
     return f"{' +- '.join(both)} {shown}".strip()
 
 
-def _held_out(found: Diagnosis) -> str:
-    before, after, floor = found.score_before.total, found.score_after.total, found.score_before.noise
-    floor = found.score_after.noise if floor is None else floor
-    kind = _kind(found)
-    noise = "" if floor is None else f" (noise {_percent(floor)})"
-    if found.verdict == "consistent":
-        return "" if before is None else f" On {kind} its error is {_percent(before)} of the signals{noise}."
-    lost = [str(getattr(item, "reason", "")) for item in (found.score_before, found.score_after)]
-    if before is None and after is None:
-        return f" On {kind} neither diagram has a settled motion."
-    if before is None:
-        why = f" ({lost[0]})" if lost[0] else ""
-        return f" On {kind} it has no settled motion{why}; the repaired diagram's error is {_percent(after)}{noise}."
-    if after is None:
-        why = f" ({lost[1]})" if lost[1] and found.proof is None else ""
-        lacks = f"the repaired diagram has no settled motion there{why}"
-        return f" On {kind} its error is {_percent(before)} of the signals; {lacks}."
-    change = f"{'falls' if after < before else 'goes'} from {_percent(before)} to {_percent(after)}"
-    return f" On {kind} the error {change} of the signals{noise}."
+def _hold_out(diagnosis: Diagnosis) -> str:
+    """Return the errors on hold-out runs before and after, in the units of the signals where they are of samples."""
+    first, last = diagnosis.score_before, diagnosis.score_after
+    before, after = first.total, last.total
+    floor = last.noise if first.noise is None else first.noise
+    kind, lost = _runs(diagnosis), "the repaired diagram has no settled motion there"
+    of = diagnosis.evidence.terms.signals.format("" if floor is None else _percent(floor))
+    of = of if floor is not None else of.partition(" (")[0]
+    if diagnosis.verdict == "consistent":
+        text = "" if before is None else f"On {kind} its error is {_percent(before)} {of}."
+    elif before is None and after is None:
+        text = f"On {kind} neither diagram has a settled motion."
+    elif before is None:
+        why = f" ({first.reason})" if first.reason else ""
+        text = f"On {kind} it has no settled motion{why}; the error of the repaired diagram is {_percent(after)} {of}."
+    elif after is None:
+        why = f" ({last.reason})" if last.reason and diagnosis.proof is None else ""
+        text = f"On {kind} its error is {_percent(before)} {of.partition(' (')[0]}; {lost}{why}."
+    else:
+        change = f"{'falls' if after < before else 'goes'} from {_percent(before)} to {_percent(after)}"
+        text = f"On {kind} the error {change} {of}."
+    return " ".join(part for part in (text, _errors(diagnosis)) if part)
+
+
+def _errors(diagnosis: Diagnosis) -> str:
+    """Return the errors of the simulation in the units of the signals."""
+    text = []
+    for name, (value, unit) in diagnosis.score_before.rms.items():
+        after = diagnosis.score_after.rms.get(name) if diagnosis.effects else None
+        more = "" if after is None else f", {format_quantity(*after, 3)} after"
+        text.append(f"{name} {format_quantity(value, unit, 3)} rms{more}")
+    return f"Error of the simulation there: {'; '.join(text)}." if text else ""
 
 
 def _percent(share: float | None) -> str:
     return "" if share is None else f"{100 * share:.3g} %"
 
 
-def _list(names: list[str]) -> str:
+def _list(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, starts_of
-from rotorsim.diagnosis.evidence.base import with_uncertain
+from rotorsim.diagnosis.evidence.base_fit import with_uncertain
 from rotorsim.diagnosis.isolability.motion import LinearMotion, NoSignatureError, Runs
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError

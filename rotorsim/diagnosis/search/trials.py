@@ -1,32 +1,27 @@
-"""Every row of the catalogue at every place, put into a fitted diagram and refitted, what is promising to the end."""
+"""Every fault candidate at every place, put into a fitted diagram and refitted, what is promising to the end."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
-from rotorsim.diagnosis.catalogue.finder import insertions
+from rotorsim.criteria import CRITERIA
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import LEAST, LINES, LONGEST, Insertion, fixed_of, limits_of, starts_of
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.harmonic import LATER, Fit, Source, fit_from_plain, fit_to_plain
-from rotorsim.diagnosis.search.places import open_places
-from rotorsim.diagram.resolve.registry import Registry
+from rotorsim.diagnosis.evidence.evidence import Evidence
+from rotorsim.diagnosis.evidence.fit import DEFERRED, Fit, fit_from_plain, fit_to_plain, is_adequate
 from rotorsim.fault import Of
 from rotorsim.identification.coordinates import ANGLE_UNIT
-from rotorsim.identification.estimate import NOT_EXPLAINED
 from rotorsim.identification.profile import Z90
 from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
 from rotorsim.jobs.threads import one_thread
 
-__all__ = ["Candidate", "Round", "Trials", "is_adequate", "is_noise"]
+__all__ = ["Candidate", "Round", "Trials"]
 
-# excess variance that is not worth a name, whatever its probability: a variance estimated from n independent samples is
-# wrong by sqrt(2 / n), 5 % for the 800 between the harmonics of a run of 0.2 s at 5 kHz
-MODEL_ERROR = 1.05
 MOST_FITS = 90  # in one round; places beyond are screened
 # times the least misfit that any place allows: places that allow no less are not looked at. The bound is that of free
 # harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it
@@ -39,11 +34,10 @@ REFINED = 3  # fits carried to the end at least
 PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
 HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
 STARTED = 0.1  # share of what the best explains: of nonlinear laws below, SECOND_EVALUATIONS are the last
-ASTRAY = 100.0  # times its size, as given and in the fit before: nobody states a value so wrong, and what cancels is so
 RESTART = 0.1  # of its scale: how far off a bound a parameter of the diagram begins again
 NEAR = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
 
-_Job = tuple[dict[str, Any], list[list[dict[str, float]]]]
+_Job = tuple[dict[str, Any], list[list[dict[str, float]]]]  # a document with an insertion, groups of starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +72,9 @@ class Candidate:
     def unphysical(self) -> str:
         """Why this cannot be, empty where it can.
 
-        A parameter of the fault ended at a bound; the data tell none of its sizes from zero (their 90 % intervals hold
-        it, were the rest of its law known); or it needs a parameter of the diagram far beyond all reason, as one that
-        cancels the effect is.
+        A parameter of the fault ended at a bound; none of its sizes differs significantly from zero (their 90 %
+        intervals hold it, were the rest of its law known); or it needs a parameter of the diagram far beyond all
+        reason, as one that cancels the effect is.
         """
         fit = self.fit
         if fit.failure:
@@ -90,9 +84,10 @@ class Candidate:
         names = [item.name for item in fit.free]
         sizes = [name for name in self.parameters if name.rpartition(".")[2] in self.insertion.fault.sizes]
         std = fit.alone if len(fit.alone) else np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-        told = (abs(fit.theta[j]) > Z90 * std[j] for j in map(names.index, sizes))
-        if sizes and not any(told):
-            return f"its {' and '.join(name.rpartition('.')[2] for name in sizes)} cannot be told from zero"
+        significant = (abs(fit.theta[j]) > Z90 * std[j] for j in map(names.index, sizes))
+        if sizes and not any(significant):
+            keys = " and ".join(name.rpartition(".")[2] for name in sizes)
+            return f"its {keys} is not significantly different from zero"
         return f"needs {self.astray}" if self.astray else ""
 
 
@@ -109,47 +104,27 @@ class Round:
         return next((item for item in self.tried if not item.fit.failure and item.physical), None)
 
 
-def is_adequate(found: Fit) -> bool:
-    """Return whether a model leaves over what noise can make."""
-    if found.failure:
-        return False
-    return found.goodness >= NOT_EXPLAINED or found.misfit <= MODEL_ERROR * found.freedom
-
-
-def is_noise(found: Fit) -> bool:
-    """Return whether noise can make what a model leaves over, of few lines beside many harmonics too."""
-    return is_adequate(found) and float(chi2.sf(found.line_misfit, max(found.line_rows, 1))) >= NOT_EXPLAINED
-
-
 class Trials:
     """Insertions into fitted diagrams, each refitted; ``slack``: of the misfit, what says nothing."""
 
-    def __init__(self, source: Source, registry: Registry | None, physics: Collection[str] | None, jobs: Jobs) -> None:
-        self.source, self.registry, self.physics, self.jobs = source, registry, physics, jobs
+    def __init__(self, evidence: Evidence, catalogue: Catalogue, jobs: Jobs) -> None:
+        self.evidence, self.catalogue, self.jobs = evidence, catalogue, jobs
         self.counts = {"fits": 0, "rounds": 0}
         self.nominal: dict[str, float] = {}
         self.slack = 0.0
 
-    def has_mesh(self, base: Fit) -> bool:
-        """Return whether a block of the diagram is a mesh, which is never exact."""
-        if not isinstance(self.source, Source):
-            return False
-        return any(node.block.refinement for node in self.source.load(base.document).nodes.values())
-
-    def round(self, before: Fit, only: Collection[str] | None = None) -> Round:
-        """Try every insertion into a fitted diagram, or those of some keys only."""
+    def round(self, before: Fit) -> Round:
+        """Try every insertion into a fitted diagram."""
         document = values_in(before.document, before.values)
-        diagram = self.source.load(document)
-        found = insertions(diagram, self.source.recorded, self.registry)
-        if self.physics is not None:
-            found = [item for item in found if item.physics in self.physics]
-        if only is not None:
-            found = [item for item in found if item.key in only]
+        largest = self.evidence.largest()
+        found = [
+            item
+            for item in self.catalogue.candidates(self.evidence.load(document), self.evidence.recorded)
+            if (LINES in largest or not item.from_lines) and not item.from_steps
+        ]
         self.counts["rounds"] += 1
         jobs = []
-        largest = self.source.largest()
         away = self._off_bounds(before)
-        found = [item for item in found if (LINES in largest or not item.from_lines) and not item.from_steps]
         for item in found:
             sizes = _sizes(item, largest)
             starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
@@ -163,12 +138,12 @@ class Trials:
             found, jobs = [found[k] for k in kept], [jobs[k] for k in kept]
         self.counts["fits"] += len(found)
         fits = self._fit(jobs, FIRST_EVALUATIONS, linear_only=True)
-        later = [k for k, fit in enumerate(fits) if fit.failure == LATER]
+        later = [k for k, fit in enumerate(fits) if fit.failure == DEFERRED]
         explained = is_adequate(before) or any(is_adequate(fit) for fit in fits)
         more = self._fit([jobs[k] for k in later], LAST_EVALUATIONS if explained else FIRST_EVALUATIONS)
         for k, fit in zip(later, more, strict=True):
             fits[k] = fit
-        fits, ended = self._refined(before, jobs, fits, [(item.physics, item.variant) for item in found])
+        fits, ended = self._refined(before, jobs, fits, [item.law for item in found])
         tried = [
             Candidate(item, fit, self._astray(before, fit), bool(fit.failure) or not fit.nonlinear or k in ended)
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
@@ -182,7 +157,7 @@ class Trials:
         for k in sorted(range(len(tried)), key=lambda k: tried[k].fit.misfit):
             item = tried[k]
             if item.insertion.physics in physics and not item.fit.failure:
-                best.setdefault((item.insertion.physics, item.insertion.variant), k)
+                best.setdefault(item.insertion.law, k)
         which = [k for k in best.values() if not tried[k].final]
         jobs: list[_Job] = [(values_in(tried[k].fit.document, tried[k].fit.values), [[{}]]) for k in which]
         for k, fit in zip(which, self._fit(jobs, None), strict=True):
@@ -192,11 +167,11 @@ class Trials:
         return Round(found.before, tuple(_simplest_first(tried, self.slack))) if which else found
 
     def _astray(self, before: Fit, fit: Fit) -> str:
-        """Return in words the parameters of the diagram that are ASTRAY times what was given and fitted before."""
+        """Return in words the parameters of the diagram that are ``astray`` times what was given and fitted."""
         found, known = [], before.values
         for item, value in zip(fit.free, fit.theta, strict=True):
             usual = max(item.scale, abs(self.nominal.get(item.name, 0.0)), abs(known.get(item.name, 0.0)))
-            if item.name in self.nominal and item.unit != ANGLE_UNIT and abs(value) > ASTRAY * usual > 0:
+            if item.name in self.nominal and item.unit != ANGLE_UNIT and abs(value) > CRITERIA.astray * usual > 0:
                 found.append(f"{item.name} {abs(value) / usual:.2g} times as large")
         return " and ".join(found)
 
@@ -219,7 +194,7 @@ class Trials:
         """
         if is_adequate(before):
             return self._promising(found, jobs, before.misfit - HINT * MOST_FITS)
-        places = open_places(before, self.source)
+        places = self.evidence.bounds(before)
         if places is None:
             return self._promising(found, jobs)
         with one_thread():
@@ -230,7 +205,7 @@ class Trials:
         kept = [k for k, bound in enumerate(bounds) if bound is None]
         best: dict[tuple[str, int], int] = {}
         for k in sorted((k for k in range(len(found)) if bounds[k] is not None), key=lambda k: bounds[k] or 0.0):
-            best.setdefault((found[k].physics, found[k].variant), k)
+            best.setdefault(found[k].law, k)
         kept += best.values()
         for least in known:
             if least > POSSIBLE * known[0]:
@@ -249,7 +224,7 @@ class Trials:
         first: list[int] = []
         second: list[int] = []
         for k in order.tolist():
-            law = (found[k].physics, found[k].variant)
+            law = found[k].law
             if not np.isfinite(promises[k]):
                 continue
             if law not in seen:
@@ -260,15 +235,30 @@ class Trials:
         return [*first, *second[: max(MOST_FITS - len(first), MOST_FITS // 3)]]
 
     def _promises(self, jobs: Sequence[_Job]) -> list[float]:
+        promised = self._spread(_promise_batch, jobs, ())
+        return [float("inf") if isinstance(item, Failure) else item for item in promised]
+
+    def _fit(self, jobs: Sequence[_Job], most: int | None, *, linear_only: bool = False) -> list[Fit]:
+        fits = self._spread(_fit_batch, jobs, (most, linear_only))
+        return [
+            Fit(document, failure=plain.text) if isinstance(plain, Failure) else fit_from_plain(document, plain)
+            for (document, _), plain in zip(jobs, fits, strict=True)
+        ]
+
+    def _spread(
+        self, function: Callable[[Any], list[Any]], jobs: Sequence[_Job], options: tuple[Any, ...]
+    ) -> list[Any]:
+        """Return what a function gives for every job, in batches over all workers; `Failure` where a batch is lost."""
+        if not jobs:
+            return []
         count = min(len(jobs), BATCHES * (self.jobs.workers or 2))
         batches = [list(jobs[k::count]) for k in range(count)]
         results = run_jobs(
-            _promise_batch, [(batch, self.source) for batch in batches], jobs=self.jobs, on_error="return"
+            function, [(batch, self.evidence, *options) for batch in batches], jobs=self.jobs, on_error="return"
         )
-        out = [float("inf")] * len(jobs)
+        out: list[Any] = [None] * len(jobs)
         for k, result in enumerate(results):
-            if not isinstance(result, Failure):
-                out[k::count] = result
+            out[k::count] = [result] * len(batches[k]) if isinstance(result, Failure) else result
         return out
 
     def _refined(
@@ -308,27 +298,6 @@ class Trials:
             if not fit.failure and fit.misfit <= fits[k].misfit:
                 fits[k] = replace(fit, seconds=fit.seconds + fits[k].seconds)
 
-    def _fit(self, jobs: Sequence[_Job], most: int | None, *, linear_only: bool = False) -> list[Fit]:
-        if not jobs:
-            return []
-        count = min(len(jobs), BATCHES * (self.jobs.workers or 2))
-        batches = [list(jobs[k::count]) for k in range(count)]
-        results = run_jobs(
-            _fit_batch,
-            [(batch, self.source, most, linear_only) for batch in batches],
-            jobs=self.jobs,
-            on_error="return",
-        )
-        fits: list[Fit] = [Fit(document, failure="was not fitted") for document, _ in jobs]
-        for k, result in enumerate(results):
-            if isinstance(result, Failure):
-                for j in range(k, len(jobs), count):
-                    fits[j] = Fit(jobs[j][0], failure=result.text)
-                continue
-            for j, plain in zip(range(k, len(jobs), count), result, strict=True):
-                fits[j] = fit_from_plain(jobs[j][0], plain)
-        return fits
-
     def refitted(self, base: Fit, effects: Sequence[Candidate], near: Fit) -> tuple[Candidate, ...]:
         """Return these effects only, put in one by one; the last has the fit of all, from their values in ``near``.
 
@@ -337,7 +306,7 @@ class Trials:
         document, known = dict(base.document), dict(near.values)
         entered = []
         for item in effects:
-            here = insertions(self.source.load(document), self.source.recorded, self.registry)
+            here = self.catalogue.candidates(self.evidence.load(document), self.evidence.recorded)
             again = next((other for other in here if other.key == item.insertion.key), None)
             if again is None:
                 return ()
@@ -353,7 +322,7 @@ class Trials:
         known = {name: value for name, value in known.items() if name in document["identify"]}
         document = values_in(document, known)  # a block that was put in the place of another has others
         with one_thread():
-            fit = self.source.fit(document, [[{}], [{**self.nominal, **self._off_bounds(near)}]])
+            fit = self.evidence.fit(document, [[{}], [{**self.nominal, **self._off_bounds(near)}]])
         if fit.failure:
             return ()
         pairs = zip(entered[:-1], effects, strict=False)
@@ -379,17 +348,18 @@ def _simplest_first(tried: list[Candidate], slack: float) -> list[Candidate]:
     return [*near, *(item for item in tried if item not in near)]
 
 
-def _promise_batch(argument: tuple[list[_Job], Source]) -> list[float]:
-    batch, source = argument
+def _promise_batch(argument: tuple[list[_Job], Evidence]) -> list[float]:
+    batch, evidence = argument
     with one_thread():
-        return [source.promise(document, starts) for document, starts in batch]
+        return [evidence.promise(document, starts) for document, starts in batch]
 
 
-def _fit_batch(argument: tuple[list[_Job], Source, int | None, bool]) -> list[dict[str, Any]]:
-    batch, source, most, linear_only = argument
+def _fit_batch(argument: tuple[list[_Job], Evidence, int | None, bool]) -> list[dict[str, Any]]:
+    batch, evidence, most, linear_only = argument
     with one_thread():
         return [
-            fit_to_plain(source.fit(document, starts, most=most, linear_only=linear_only)) for document, starts in batch
+            fit_to_plain(evidence.fit(document, starts, most=most, linear_only=linear_only))
+            for document, starts in batch
         ]
 
 

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.conclude.conclusions import _effect
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source, _alone, fit_from_plain, fit_to_plain, left_out
-from rotorsim.diagnosis.search.naming import least_gain
+from rotorsim.diagnosis.conclude.verdict import effect_of
+from rotorsim.diagnosis.evidence.fit import Fit, fit_from_plain, fit_to_plain, left_out
+from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
+from rotorsim.diagnosis.evidence.harmonic.fitting import _alone
+from rotorsim.diagnosis.search.selection import least_gain
 from rotorsim.diagnosis.search.trials import SECOND_EVALUATIONS, Candidate, Round, Trials
 from rotorsim.diagram.diagram import Free
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
@@ -82,7 +85,7 @@ def test_a_nonlinear_law_that_began_too_far_away_is_carried_on():
         return Fit({}, misfit=times * 1000, rows=1000, equations=1000, goodness=adequate, nonlinear=nonlinear)
 
     def refined(before: float, fits: list[Fit], reached: list[float]) -> list[tuple[int, int | None]]:
-        trials, asked, ends = Trials(None, None, None, Jobs()), [], iter(reached)
+        trials, asked, ends = Trials(None, Catalogue(), Jobs()), [], iter(reached)
 
         def fit(jobs: list, most: int | None) -> list[Fit]:
             asked.append((len(jobs), most))
@@ -107,10 +110,12 @@ def candidate(theta: float, std: float, *, at_bound: bool = False, astray: str =
 
 
 def test_what_cannot_be_is_no_explanation():
-    assert candidate(20e-12, 250e-12).unphysical == "its growth cannot be told from zero"
-    assert candidate(1.6, 1.0).unphysical == "its growth cannot be told from zero"  # 1.645 is the end of 90 %
+    assert candidate(20e-12, 250e-12).unphysical == "its growth is not significantly different from zero"
+    assert (
+        candidate(1.6, 1.0).unphysical == "its growth is not significantly different from zero"
+    )  # 1.645 is the end of 90 %
     assert candidate(1.7, 1.0).physical
-    assert candidate(1.0, np.inf).unphysical == "its growth cannot be told from zero"
+    assert candidate(1.0, np.inf).unphysical == "its growth is not significantly different from zero"
     assert candidate(1.0, 9.0, sizes=()).physical  # a contact may be as stiff as it likes
     assert candidate(5.0, 1.0, at_bound=True).unphysical == "its growth ended at a physical bound"
     assert candidate(5.0, 1.0, astray="e 1e+04 times as large").unphysical == "needs e 1e+04 times as large"
@@ -118,7 +123,7 @@ def test_what_cannot_be_is_no_explanation():
 
 def test_a_law_that_needs_a_parameter_beyond_all_reason_is_told_so():
     """An eccentricity of 0.31 m for 24 um as given is there to cancel what was put in."""
-    trials = Trials(None, None, None, Jobs())
+    trials = Trials(None, Catalogue(), Jobs())
     trials.nominal = {"e": 24e-6, "c": 0.0}
     free = (
         Free("e", "e", 0, 25e-6, "m", 0.0, np.inf, scale=24e-6),
@@ -139,7 +144,7 @@ def test_a_law_that_needs_a_parameter_beyond_all_reason_is_told_so():
 
 
 def test_parameters_of_the_diagram_begin_again_off_their_bounds():
-    trials = Trials(None, None, None, Jobs())
+    trials = Trials(None, Catalogue(), Jobs())
     trials.nominal = {"k": 1e5, "c": 0.0, "s": 0.5}
     free = (
         Free("k", "k", 0, 1e-13, "N/m", 0.0, np.inf, scale=1e5),
@@ -156,9 +161,9 @@ def test_a_later_fit_has_the_sizes_and_priors_of_the_diagram_as_given():
     document = json.loads(shipped_diagrams()["jeffcott"].read_text())
     document["identify"] = {"viscous_damping": {"prior": {"std": "10 %"}}, "eccentricity": {}}
     given = load(document, folder=Path()).free
-    source = Source(None, (), None, given=given)
+    source = HarmonicEvidence(None, (), None, given=given)
     opened = {}
-    with patch("rotorsim.diagnosis.evidence.harmonic.open_experiment", lambda *_, **named: opened.update(named)):
+    with patch("rotorsim.diagnosis.evidence.harmonic.runs.open_experiment", lambda *_, **named: opened.update(named)):
         source.open(source.load(values_in(document, {"viscous_damping": 3.0, "eccentricity": 1e-19})))
     damping, eccentricity = opened["free"]
     assert (damping.value, damping.prior_mean, damping.scale) == (3.0, 76.0, 76.0)
@@ -206,7 +211,7 @@ def test_the_largest_signal_and_rate_are_those_of_a_sine_of_the_same_rms():
 
     sizes: list[list[float]] = []
     runs = (run(20 * np.pi, 1 - 2j, 0.3j), run(60 * np.pi, 0.2, 0.1))
-    found = Source(None, runs).largest()
+    found = HarmonicEvidence(None, runs).largest()
     for k, name in enumerate(("rotor.displacement[2]", "rotor.velocity[2]")):
         both = [size[k] for size in sizes]
         assert found[name] == pytest.approx(max(both), rel=1e-9)
@@ -218,7 +223,7 @@ def test_an_effect_is_where_it_was_put_though_its_other_places_fail():
     insertion = SimpleNamespace(physics="crack_location", spot=spot, key="crack_location/0@rotor.force[2]")
     good = SimpleNamespace(insertion=insertion, fit=Fit({}, misfit=1.0, rows=9, equations=9), physical=True)
     failed = SimpleNamespace(insertion=insertion, fit=Fit({}, failure="was not fitted"), physical=True)
-    found = _effect(good, Round(good.fit, (failed,)), 0.0)
+    found = effect_of(good, Round(good.fit, (failed,)), 0.0)
     assert found.places == ((spot, 1.0),)
 
 
@@ -226,11 +231,9 @@ def test_every_law_is_fitted_at_its_best_place_however_many_places_there_are(mon
     """A law of two ports, with much less left over, must not keep a law of one from the place where it is best."""
     items = [("second_crack", 2, 4e3), ("rub", 4, 5e4), ("rub", 3, 9e7), ("runout", 1, 4.9e4), ("runout", 2, 4e7)]
     items += [("seal", node, 6e4 + node) for node in range(100)]
-    found = [SimpleNamespace(physics=p, variant=0, node=node, left=left) for p, node, left in items]
-    monkeypatch.setattr(
-        "rotorsim.diagnosis.search.trials.open_places", lambda *_: SimpleNamespace(bound=lambda item: item.left)
-    )
-    trials = Trials(None, None, None, Jobs())
+    found = [SimpleNamespace(physics=p, law=(p, 0), node=node, left=left) for p, node, left in items]
+    evidence = SimpleNamespace(bounds=lambda fit: SimpleNamespace(bound=lambda item: item.left))
+    trials = Trials(evidence, Catalogue(), Jobs())
     kept = trials._screened(Fit({}, misfit=1e8, rows=9, equations=9), found, [({}, [])] * len(found))
     told = {(found[k].physics, found[k].node) for k in kept}
     assert told == {("second_crack", 2), ("rub", 4), ("runout", 1), ("seal", 0)}
@@ -253,4 +256,7 @@ def test_a_size_is_told_from_zero_though_only_its_rate_is_known():
     fit = Fit({}, free, theta, np.diag([1.0, np.inf, np.inf]), at_bound, 1.0, 9, 9, alone=_alone(found))
     insertion = SimpleNamespace(free=names[1:], fault=SimpleNamespace(sizes=("growth",)))
     assert Candidate(insertion, fit).physical
-    assert Candidate(insertion, replace(fit, alone=fit.alone * 11)).unphysical == "its growth cannot be told from zero"
+    assert (
+        Candidate(insertion, replace(fit, alone=fit.alone * 11)).unphysical
+        == "its growth is not significantly different from zero"
+    )

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from rotorsim.diagnosis.conclude.next_experiment import _predicted
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source
-from rotorsim.diagnosis.evidence.scoring import Held, HeldScore, _add, _errors, score, standardised, surprise
-from rotorsim.diagnosis.evidence.stability import growth
-from rotorsim.diagnosis.search.proof import share_explained
+from rotorsim.diagnosis.conclude.shares import share_explained
+from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
+from rotorsim.diagnosis.evidence.harmonic.scoring import _errors, held_score, standardised, surprise
+from rotorsim.diagnosis.evidence.harmonic.separation import _predicted
+from rotorsim.diagnosis.evidence.harmonic.stability import growth
 from rotorsim.signals.harmonics import harmonics_of
 from tests.diagnosis.test_diagnosis import RPM, recording
 from tests.identification import shipped
@@ -119,16 +120,14 @@ def test_the_error_is_that_of_the_signal_in_time():
         evaluation=SimpleNamespace(Y=model[None, :, None]),
         likelihood=SimpleNamespace(data=data[None, :, None]),
     )
-    sums: dict[str, np.ndarray] = {}
-    _add(sums, found)
-    errors, floor = _errors(sums)
+    errors, floor = _errors([found])
     error = np.sqrt(np.mean((measured - signal(model)) ** 2))
     assert errors == {"rotor.displacement": pytest.approx(error / rms, rel=1e-12)}
     assert floor == {"rotor.displacement": pytest.approx(0.07 / rms, rel=1e-12)}
 
 
-def of_runs(*misfits: float, rows: float = 100.0) -> HeldScore:
-    return HeldScore({}, {}, None, 0, tuple((value, rows) for value in misfits))
+def of_runs(*misfits: float, rows: float = 100.0) -> list[tuple[float, float]]:
+    return [(value, rows) for value in misfits]
 
 
 def test_the_share_is_of_what_is_explainable_with_the_scatter_of_runs():
@@ -170,7 +169,7 @@ def test_the_growth_of_a_periodic_system_is_not_that_of_its_eigenvalues():
     assert (4 * rates[1] - rates[0]) / 3 == pytest.approx(0.5, abs=1e-4)  # extrapolated: of order 4
 
 
-def unstable() -> tuple[Source, dict, Held]:
+def unstable() -> tuple[HarmonicEvidence, dict]:
     """Return runs, and a diagram whose controller drives the rotor instead of damping it."""
     data = recording(False, [900 * RPM, 1800 * RPM])
     diagram = shipped("jeffcott")
@@ -178,16 +177,16 @@ def unstable() -> tuple[Source, dict, Held]:
     controller = dict(document["blocks"]["controller"])
     document["blocks"]["controller"] = {**controller, "parameters": {**controller.get("parameters", {}), "KD": -5.0}}
     runs = tuple(harmonics_of(data, data.runs[:2]))
-    return Source(data, runs), document, Held(data, runs[:1])
+    return HarmonicEvidence(data, runs), document
 
 
 def test_a_motion_that_is_not_stable_predicts_nothing_and_is_no_experiment():
-    source, document, held = unstable()
-    source = Source(
+    source, document = unstable()
+    source = HarmonicEvidence(
         source.recording, tuple(replace(item, run=replace(item.run, settings={})) for item in source.harmonics)
     )
-    held = Held(held.recording, source.harmonics[:1])
-    found = score(document, source, [held])
+    held = replace(source, harmonics=source.harmonics[:1])
+    found = held_score(document, source, [held])
     assert (found.total, found.misfit) == (None, None)
     assert found.reason == "its motion is not stable in run run0"
     free = source.load(document).free
@@ -195,4 +194,4 @@ def test_a_motion_that_is_not_stable_predicts_nothing_and_is_no_experiment():
     assert list(_predicted(fit, source, source.harmonics)) == [None, None]
     stable = shipped("jeffcott").document
     assert None not in _predicted(replace(fit, document=stable), source, source.harmonics)
-    assert score(stable, source, [held]).misfit is not None
+    assert held_score(stable, source, [held]).misfit is not None

@@ -87,8 +87,8 @@ def test_the_repaired_diagram_moves_as_the_machine(tmp_path):
 
 def test_the_statement_gives_errors_in_the_units_of_the_signals():
     text = diagnosed(machines.CUBIC, machines.NOISE).statement
-    assert "Missing is cubic_stiffness at oscillator.force (stiffness " in text
-    assert "Held-out runs, error of the simulation: oscillator.displacement " in text
+    assert "Missing physics: cubic_stiffness at oscillator.force (stiffness " in text
+    assert "Error of the simulation there: oscillator.displacement " in text
     assert " mm rms, " in text
     assert "stands for" not in text
 

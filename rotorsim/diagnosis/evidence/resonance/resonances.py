@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.evidence.waveform.data import TimeRun
 
 __all__ = ["Resonance", "resonances"]
@@ -20,7 +21,6 @@ STRONG_CHANNELS = 2  # in which a resonance stands out
 SAME = 0.02  # relative distance of peaks of one resonance
 DRIVEN = 1e-2  # power of the inputs, of that at a peak, below which they cease to drive
 BESIDE = 0.05  # of the frequency of a peak
-LEVEL = 0.1  # velocity of a resonance that counts, of the largest
 ORDER = {"displacement": 1.0, "velocity": 0.0, "acceleration": -1.0}  # power of frequency that makes it a velocity
 
 
@@ -28,8 +28,8 @@ ORDER = {"displacement": 1.0, "velocity": 0.0, "acceleration": -1.0}  # power of
 class Resonance:
     """A peak of several channels. frequency [Hz] and its spread over channels; shape (c,), of length 1, complex.
 
-    strong: stands out in STRONG_CHANNELS at least, and its velocity is LEVEL of the largest; the others are peaks that
-    half of the channels hint at. level: velocity, of the largest.
+    strong: stands out in STRONG_CHANNELS at least, and its velocity is ``resonance_level`` of the largest; the others
+    are peaks that half of the channels hint at. level: velocity, of the largest.
     """
 
     frequency: float
@@ -68,7 +68,7 @@ def resonances(runs: Sequence[TimeRun], outputs: Sequence[str], inputs: Sequence
     found_all = [item for item in found_all if not ceases(item.frequency)]
     largest = max((item.level for item in found_all), default=1.0)
     every = (replace(item, level=item.level / largest) for item in found_all)
-    return [replace(item, strong=item.strong and item.level >= LEVEL) for item in every]
+    return [replace(item, strong=item.strong and item.level >= CRITERIA.resonance_level) for item in every]
 
 
 def _ends(run: TimeRun, inputs: Sequence[str], frequencies: np.ndarray) -> Callable[[float], bool]:

@@ -20,7 +20,17 @@ from rotorsim.model.load import load
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.units import compatible
 
-__all__ = ["RATE", "Channels", "OfRuns", "TimeRun", "between_samples", "channels_of", "is_in_time", "read_run"]
+__all__ = [
+    "RATE",
+    "Channels",
+    "SampledRuns",
+    "TimeRun",
+    "between_samples",
+    "channels_of",
+    "chosen_runs",
+    "is_in_time",
+    "read_run",
+]
 
 EVEN = 1e-4  # of a sample period: jitter of the time column that counts as none
 RATE = "rate of "
@@ -91,10 +101,14 @@ class TimeRun:
         return np.asarray(spline(at, 1 if of != name else 0))
 
 
-class OfRuns:
-    """What all sources of runs in time have: diagrams are read as the given one, signals named as it names them."""
+@dataclass(frozen=True, eq=False)
+class SampledRuns:
+    """Runs as samples in time, to be compared with a diagram that is read as the given one was."""
 
+    recording: Recording
+    runs: tuple[TimeRun, ...]
     channels: Channels
+    sizes: Mapping[str, float]
     folder: str | None
     trust_blocks: bool
 
@@ -102,10 +116,23 @@ class OfRuns:
         """Return the diagram of a document. Raises RotorsimError."""
         return load(document, folder=Path(self.folder) if self.folder else None, trust_blocks=self.trust_blocks)
 
+    def largest(self) -> Mapping[str, float]:
+        """Return the largest magnitude of signals by flat name."""
+        return self.sizes
+
     @property
     def recorded(self) -> list[str]:
         """The flat names of the recorded signals."""
         return [*self.channels.inputs, *self.channels.outputs]
+
+
+def chosen_runs(recording: Recording) -> tuple[Run, ...]:
+    """Return the runs to identify from. Raises RotorsimError where there are none."""
+    chosen = recording.select("identify")
+    if not chosen:
+        hint = '"use": "identify" marks the runs that parameters are taken from'
+        raise RotorsimError(Problem("no run to identify from", recording.name, hint=hint))
+    return chosen
 
 
 def between_samples(values: np.ndarray, kind: str, parts: int) -> np.ndarray:

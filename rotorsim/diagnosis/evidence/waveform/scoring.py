@@ -2,75 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from rotorsim.diagnosis.evidence.scoring import Score
-from rotorsim.diagnosis.evidence.waveform.data import TimeRun
-from rotorsim.diagnosis.evidence.waveform.search import Evaluation, TimeSearch
-from rotorsim.diagnosis.evidence.waveform.source import TimeSource
-from rotorsim.diagnosis.evidence.waveform.views import WHOLE, views_of
-from rotorsim.errors import RotorsimError
+from rotorsim.diagnosis.evidence.evidence import Score
+from rotorsim.diagnosis.evidence.waveform.noise import Variance
+from rotorsim.diagnosis.evidence.waveform.search import Point, TimeSearch
+from rotorsim.diagnosis.evidence.waveform.views import WHOLE
 
-__all__ = ["TimeScore", "left_out_in_time", "score_in_time"]
+__all__ = ["held_score", "left_out_score"]
 
 FOLDS = 4  # stretches of all runs, each left out once
 REFITTED = 15  # evaluations for a fit without a stretch
+UNPREDICTED = Score({"": float("nan")}, {})
 
-Sums = dict[str, np.ndarray]  # squares of the error, squares of the signal about its mean, samples
+# squares of the error, squares of the signal about its mean, samples; by signal
+Sums = Mapping[str, np.ndarray]
 
 
-@dataclass(frozen=True)
-class TimeScore(Score):
-    """NRMSE = sqrt(sum (y - y_model)^2 / sum (y - mean)^2) per signal; floor: what the flexible model leaves.
+def held_score(search: TimeSearch, variance: Variance, units: Mapping[str, str]) -> Score:
+    """Return the score of runs that a diagram is simulated for as it is; only their starts are fitted to them.
 
-    rms: of the error, per signal, in its unit.
+    NRMSE = sqrt(sum (y - y_model)^2 / sum (y - mean)^2) per signal; floor: by the variance that counts as noise.
     """
-
-    rms: Mapping[str, float]
-
-
-def score_in_time(document: Mapping[str, Any], source: TimeSource, runs: Sequence[TimeRun]) -> TimeScore:
-    """Return the score of runs that a diagram is simulated for as it is; only their starts are fitted to them."""
-    try:
-        found = _simulated(document, source, runs)
-    except RotorsimError:
-        return _none()
-    if found is None:
-        return _none()
-    search, evaluation = found
-    sums: Sums = {}
-    _add(sums, search, evaluation, [slice(None)] * len(runs))
-    return _score(sums, source)
+    search.hold = "theta"
+    found = search.minimise(search.first())[1]
+    if not np.isfinite(found.cost):
+        return UNPREDICTED
+    return _score([_errors(search, found.errors[0], [slice(None)] * len(search.runs))], variance, units)
 
 
-def left_out_in_time(document: Mapping[str, Any], source: TimeSource) -> TimeScore:
+def left_out_score(search: TimeSearch, first: Point, variance: Variance, units: Mapping[str, str]) -> Score:
     """Return the score of stretches that are left out one by one, the diagram refitted to the others each time.
 
     The states at first samples stay as all samples give them.
     """
-    try:
-        full = source.search(document)
-    except RotorsimError:
-        return _none()
-    start, _ = full.minimise(full.first(source.starts), REFITTED)
-    sums: Sums = {}
-    weights, full.hold = full.weights, "starts"
-    ends = [np.linspace(0, run.size, FOLDS + 1).astype(int) for run in source.runs]
+    start, _ = search.minimise(first, REFITTED)
+    weights, search.hold = search.weights, "starts"
+    ends = [np.linspace(0, run.size, FOLDS + 1).astype(int) for run in search.runs]
+    parts = []
     for fold in range(FOLDS):
-        parts = [slice(int(e[fold]), int(e[fold + 1])) for e in ends]
-        full.weights = [
-            [_without(np.broadcast_to(w, y.shape), part) for w, y, part in zip(each, measured, parts, strict=True)]
-            for each, measured in zip(weights, full.measured, strict=True)
+        out = [slice(int(e[fold]), int(e[fold + 1])) for e in ends]
+        search.weights = [
+            [_without(np.broadcast_to(w, y.shape), part) for w, y, part in zip(each, measured, out, strict=True)]
+            for each, measured in zip(weights, search.measured, strict=True)
         ]
-        _, found = full.minimise(start, REFITTED)
+        _, found = search.minimise(start, REFITTED)
         if not np.isfinite(found.cost):
-            return _none()
-        _add(sums, full, found, parts)
-    return _score(sums, source)
+            return UNPREDICTED
+        parts.append(_errors(search, found.errors[0], out))
+    return _score(parts, variance, units)
 
 
 def _without(weights: np.ndarray, part: slice) -> np.ndarray:
@@ -79,31 +61,19 @@ def _without(weights: np.ndarray, part: slice) -> np.ndarray:
     return out
 
 
-def _simulated(
-    document: Mapping[str, Any], source: TimeSource, runs: Sequence[TimeRun]
-) -> tuple[TimeSearch, Evaluation] | None:
-    view = views_of(source.load(document), source.channels)[0]
-    weights = np.array([1 / source.variance[WHOLE, name] for name in view.outputs])
-    search = TimeSearch([view], runs, [[weights] * len(runs)], least=source.least, hold="theta")
-    found = search.minimise(search.first())[1]
-    return (search, found) if np.isfinite(found.cost) else None
+def _errors(search: TimeSearch, errors: Sequence[np.ndarray], parts: Sequence[slice]) -> Sums:
+    """Return the sums over a part of each run; means are those of whole runs."""
 
-
-def _add(sums: Sums, search: TimeSearch, found: Evaluation, parts: Sequence[slice]) -> None:
-    """Add the errors of the whole diagram over a part of each run; means are those of whole runs."""
-    for r, part in enumerate(parts):
-        y, error = search.measured[0][r], found.errors[0][r]
-        for c, name in enumerate(search.views[0].outputs):
+    def of(c: int) -> Iterator[tuple[float, float, int]]:
+        for y, error, part in zip(search.measured[0], errors, parts, strict=True):
             e, about = error[part, c], y[part, c] - y[:, c].mean()
-            sums.setdefault(name, np.zeros(3))
-            sums[name] += (float(e @ e), float(about @ about), len(e))
+            yield float(e @ e), float(about @ about), len(e)
+
+    return {name: np.sum(list(of(c)), axis=0) for c, name in enumerate(search.views[0].outputs)}
 
 
-def _score(sums: Sums, source: TimeSource) -> TimeScore:
+def _score(parts: Sequence[Sums], variance: Variance, units: Mapping[str, str]) -> Score:
+    sums = {name: np.sum([part[name] for part in parts], axis=0) for name in parts[0]}
     ports = {name: float(np.sqrt(s[0] / s[1])) for name, s in sums.items() if s[1] > 0}
-    floor = {name: float(np.sqrt(source.variance[WHOLE, name] * s[2] / s[1])) for name, s in sums.items() if s[1] > 0}
-    return TimeScore(ports, floor, {name: float(np.sqrt(s[0] / s[2])) for name, s in sums.items()})
-
-
-def _none() -> TimeScore:
-    return TimeScore({"": float("nan")}, {}, {})
+    floor = {name: float(np.sqrt(variance[WHOLE, name] * s[2] / s[1])) for name, s in sums.items() if s[1] > 0}
+    return Score(ports, floor, {name: (float(np.sqrt(s[0] / s[2])), units[name]) for name, s in sums.items()})

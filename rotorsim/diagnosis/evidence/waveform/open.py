@@ -1,89 +1,113 @@
-"""What a recording in time is to be judged by: the flexible model, what it leaves over, and how that scatters."""
+"""Recordings in time as evidence: the base fit, the flexible model, what it leaves, and how that scatters."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from rotorsim.block import In
-from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.harmonic import Fit, left_out
-from rotorsim.diagnosis.evidence.waveform.data import Channels, TimeRun, channels_of, read_run
+from rotorsim.criteria import CRITERIA
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
+from rotorsim.diagnosis.evidence.base_fit import base_fit
+from rotorsim.diagnosis.evidence.opened import Opened
+from rotorsim.diagnosis.evidence.waveform.data import Channels, channels_of, chosen_runs, read_run
 from rotorsim.diagnosis.evidence.waveform.equations import ForceMap, TimeEquations
+from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.diagnosis.evidence.waveform.kernel import TimeKernel
+from rotorsim.diagnosis.evidence.waveform.noise import (
+    block_misfit,
+    independent,
+    misfits_left_out,
+    reweigh,
+    reweighted,
+    scale_of,
+    stretches_of,
+    variance_of,
+    variances,
+    weights_of,
+)
 from rotorsim.diagnosis.evidence.waveform.search import Evaluation, Point, TimeSearch
-from rotorsim.diagnosis.evidence.waveform.source import MATERIAL, MOST, Stretch, TimeSource, block_misfit, stacked
 from rotorsim.diagnosis.evidence.waveform.views import WHOLE, starts_by_name, views_of
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear import linearisation as linear
 from rotorsim.recordings.recording import Recording
 
-__all__ = ["judged_by", "open_time_source"]
+__all__ = ["open_waveforms", "waveform_evidence"]
 
-RESOLUTION = 1e-3  # of the scale of a signal: model errors below are not looked for
 ACCURACY = 3e-4  # of the scale of a signal, of the steps between samples
 MOST_STEPS = 16
-STRETCHES = 20  # of all runs together; 4 of each run at least
-MOST_ROWS = 2000
-LEAST_ROWS = 4  # times the stretches
-REWEIGHTED = 4  # times that a fit and the weights follow one another
-FLEXIBLE_EVALUATIONS = 15
-NOISY = 0.3  # of the rms of a signal: more is left of it by noise alone only where it is white
-WHITE = 0.5  # of the mean square of what is left, from which on it counts as white
 MOST_PORTS = 4  # where a flexible force is tried
 SIGNALS = 200  # whose size is found
 
 
-def open_time_source(diagram: Diagram, recording: Recording, *, trust_blocks: bool = False) -> TimeSource:
-    """Return the runs to identify from, ready to be fitted to.
+def open_waveforms(
+    diagram: Diagram,
+    recording: Recording,
+    hold_out: Recording | None,
+    catalogue: Catalogue,
+    warnings: Sequence[Problem],
+) -> Opened:
+    """Return the samples of a recording as evidence, and the fit of the diagram as given."""
+    evidence = waveform_evidence(diagram, recording, hold_out, trust_blocks=catalogue.trust)
+    base, refined = base_fit(diagram, evidence)
+    notes = [Problem(note, severity="warning") for note in refined]
+    return Opened(evidence, base, base, evidence, catalogue, held_out=bool(evidence.held), warnings=[*warnings, *notes])
+
+
+def waveform_evidence(
+    diagram: Diagram, recording: Recording, hold_out: Recording | None = None, *, trust_blocks: bool = False
+) -> WaveformEvidence:
+    """Return the runs to identify from, ready to be fitted to, and those that are only scored.
 
     Raises RotorsimError with all that does not fit, and where the diagram diverges when it is driven as recorded.
     """
     channels = channels_of(diagram, recording)
-    chosen = recording.select("identify")
-    if not chosen:
-        hint = '"use": "identify" marks the runs that parameters are taken from'
-        raise RotorsimError(Problem("no run to identify from", recording.name, hint=hint))
-    runs = tuple(read_run(diagram, run, channels) for run in chosen)
+    runs = tuple(read_run(diagram, run, channels) for run in chosen_runs(recording))
+    held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
     views = views_of(diagram, channels)
     search = TimeSearch(views, runs, [[np.ones(len(view.outputs))] * len(runs) for view in views])
-    search.weights = [[1 / _scale(search, k)] * len(runs) for k in range(len(views))]
+    search.weights = [[1 / scale_of(search, k)] * len(runs) for k in range(len(views))]
     point, found = _base(search)
     if not np.isfinite(found.cost):
         hint = "start from values nearer to the machine's, or check the signs and units of what drives it"
         raise RotorsimError(Problem("its simulation diverges when it is driven as recorded", diagram.name, hint=hint))
     sizes = _sizes(diagram, channels, search, point)
-    _reweigh(search, found)
+    reweigh(search, found)
     base, found_base = search, found
     search, point, found = _flexible(diagram, channels, search, point, sizes)
-    stretches = _stretches(runs)
-    starts: dict[str, list[float]] = {}
-    for k, view in enumerate(search.views):
-        starts.update(starts_by_name(view, point.starts[k]))
-    variance, noise = _variances(search, found), _noise_in(search, found)
-    source = TimeSource(
+    stretches = stretches_of(runs)
+    starts = {
+        name: values
+        for view, first in zip(search.views, point.starts, strict=True)
+        for name, values in starts_by_name(view, first).items()
+    }
+    noise = _noise_share(search, found)
+    variance = {name: value * noise for name, value in variances(search, found).items()}
+    rows = independent(block_misfit(search, found, stretches), stretches)
+    left = []
+    for fitted, evaluation in ((search, found), (base, found_base)):
+        fitted.weights = weights_of(fitted.views, runs, variance, rows)
+        left.append(misfits_left_out(fitted, evaluation, stretches))
+    return WaveformEvidence(
+        channels=channels,
+        folder=str(Path(diagram.file).parent) if diagram.file else None,
+        trust_blocks=trust_blocks,
         recording=recording,
         runs=runs,
-        channels=channels,
         views=tuple(view.name for view in views),
-        variance={name: value * noise for name, value in variance.items()},
-        rows=_independent(block_misfit(search, found, stretches), stretches),
+        variance=variance,
+        rows=rows,
         stretches=stretches,
-        allowed=np.zeros(0),
+        allowed=_allowed(left[0], left[1], noise),
         least=search.least,
         starts=starts,
         sizes=sizes,
         old=frozenset(item.name for item in diagram.free),
-        folder=str(Path(diagram.file).parent) if diagram.file else None,
-        trust_blocks=trust_blocks,
+        held=tuple(read_run(diagram, run, channels) for run in held),
     )
-    flexible, given = (_left_out(source, *pair) for pair in ((search, found), (base, found_base)))
-    return replace(source, allowed=_allowed(flexible, given, noise))
 
 
 def _allowed(flexible: np.ndarray, given: np.ndarray, noise: float) -> np.ndarray:
@@ -92,29 +116,14 @@ def _allowed(flexible: np.ndarray, given: np.ndarray, noise: float) -> np.ndarra
     flexible, given: what the flexible model and the diagram leave; noise: the share of the former that can be noise.
     """
     if noise < 1:
-        return np.asarray(MATERIAL**2 * noise * flexible)
-    return np.asarray(np.maximum(MATERIAL**2 * flexible, flexible + MOST * (given - flexible)))
+        return np.asarray(CRITERIA.no_worse**2 * noise * flexible)
+    return np.asarray(
+        np.maximum(CRITERIA.no_worse**2 * flexible, flexible + CRITERIA.flexible_share * (given - flexible))
+    )
 
 
-def judged_by(source: TimeSource, fit: Fit) -> TimeSource:
-    """Return a source whose noise is what a fit leaves, for one that leaves less than the flexible model."""
-    search = source.search(values_in(fit.document, fit.values))
-    _, found = _reweighted(search, search.first(source.starts))
-    rows = _independent(block_misfit(search, found, source.stretches), source.stretches)
-    new = replace(source, variance=_variances(search, found), rows=rows)
-    return replace(new, allowed=MATERIAL**2 * _left_out(new, search, found))
-
-
-def _variances(search: TimeSearch, found: Evaluation) -> dict[tuple[str, str], float]:
-    return {
-        (view.name, name): float(value)
-        for k, view in enumerate(search.views)
-        for name, value in zip(view.outputs, _variance(search, found, k), strict=True)
-    }
-
-
-def _noise_in(search: TimeSearch, found: Evaluation) -> float:
-    """Return the share of what is left over that can be noise: 1, unless that is much of a signal, and smooth.
+def _noise_share(search: TimeSearch, found: Evaluation) -> float:
+    """Return the share of the residual that can be noise: 1, unless that is much of a signal, and smooth.
 
     Then it is the share of its white part, half of the mean square of its differences (J. von Neumann, Ann. Math.
     Stat. 12 (1941) 367): the flexible model has failed, and what it leaves is motion.
@@ -126,39 +135,9 @@ def _noise_in(search: TimeSearch, found: Evaluation) -> float:
         signals = [y[:, c] - y[:, c].mean() for y in search.measured[0]]
         total = float(sum(y @ y for y in signals))
         white = float(sum(np.diff(e) @ np.diff(e) for e in errors)) / 2
-        if square > NOISY**2 * total and white < WHITE * square:
+        if square > CRITERIA.noisy**2 * total and white < CRITERIA.white * square:
             least = min(least, white / square)
-    return max(least, RESOLUTION)
-
-
-def _left_out(source: TimeSource, search: TimeSearch, found: Evaluation) -> np.ndarray:
-    """Return the misfits of stretches left out, (B,), in the units of a source."""
-    search.weights = source.weights(search.views)
-    errors, slopes, counts = stacked(search, found, source.stretches)
-    return left_out(errors, slopes[:, : search.m], counts)
-
-
-def _scale(search: TimeSearch, k: int) -> np.ndarray:
-    """Return the mean squares of the outputs of a view less their regression on its inputs at the same instant.
-
-    A position that follows its reference is no larger than the distance between them.
-    """
-    y = np.concatenate(search.measured[k])
-    given = [run.inputs(search.views[k].equations.inputs, 1)[:, 0] for run in search.runs]
-    inputs = np.column_stack([np.ones(len(y)), np.concatenate(given)])
-    left = y - inputs @ np.linalg.lstsq(inputs, y, rcond=None)[0]
-    return np.asarray(np.maximum((left**2).mean(axis=0), 1e-300))
-
-
-def _variance(search: TimeSearch, found: Evaluation, k: int) -> np.ndarray:
-    """Return the mean square of what is left of each output of a view, RESOLUTION of its scale at least."""
-    errors = np.concatenate(found.errors[k])
-    return np.asarray(np.maximum((errors**2).mean(axis=0), RESOLUTION**2 * _scale(search, k)))
-
-
-def _reweigh(search: TimeSearch, found: Evaluation, only: Sequence[int] | None = None) -> None:
-    for k in range(len(search.views)) if only is None else only:
-        search.weights[k] = [1 / _variance(search, found, k)] * len(search.runs)
+    return max(least, CRITERIA.resolution)
 
 
 def _base(search: TimeSearch) -> tuple[Point, Evaluation]:
@@ -174,7 +153,7 @@ def _base(search: TimeSearch) -> tuple[Point, Evaluation]:
         point, found = search.minimise(point)
         search.weights[0] = kept
         if np.isfinite(found.cost):
-            _reweigh(search, found, cells)
+            reweigh(search, found, cells)
     point, found = search.minimise(point)
     while search.least < MOST_STEPS and not _is_fine(search, point):
         search.least *= 2
@@ -193,7 +172,7 @@ def _is_fine(search: TimeSearch, point: Point) -> bool:
     for k, errors in enumerate(fine.errors):
         for r, error in enumerate(errors):
             changed = np.sqrt(((error - coarse.errors[k][r]) ** 2).mean(axis=0))
-            if (changed > ACCURACY * np.sqrt(_scale(search, k))).any():
+            if (changed > ACCURACY * np.sqrt(scale_of(search, k))).any():
                 return False
     return True
 
@@ -239,27 +218,16 @@ def _flexible(
     diagram: Diagram, channels: Channels, base: TimeSearch, point: Point, sizes: dict[str, float]
 ) -> tuple[TimeSearch, Point, Evaluation]:
     """Return the fit of the flexible model that leaves least; the diagram as it is where none does better."""
-    best = base, *_reweighted(base, point)
+    best = base, *reweighted(base, point)
     for force in _force_maps(diagram, channels, sizes):
         views = views_of(diagram, channels, force=force)
         for start in (point, base.first()):  # where the fit went, and where the diagram stood
             theta = np.concatenate([start.theta, np.zeros(force.count)])
             search = TimeSearch(views, base.runs, base.weights, least=base.least)
-            after = search, *_reweighted(search, Point(theta, start.starts))
+            after = search, *reweighted(search, Point(theta, start.starts))
             if _left(after) < _left(best):
                 best = after
     return best
-
-
-def _reweighted(search: TimeSearch, point: Point) -> tuple[Point, Evaluation]:
-    """Return a fit and what it leaves; the weights of the whole follow that, in turns."""
-    found = search.evaluate(point)
-    for _ in range(REWEIGHTED):
-        point, found = search.minimise(point, FLEXIBLE_EVALUATIONS)
-        if not np.isfinite(found.cost):
-            break
-        _reweigh(search, found, [0])
-    return point, found
 
 
 def _left(fit: tuple[TimeSearch, Point, Evaluation]) -> float:
@@ -267,26 +235,4 @@ def _left(fit: tuple[TimeSearch, Point, Evaluation]) -> float:
     search, _, found = fit
     if not np.isfinite(found.cost):
         return np.inf
-    return float(sum(np.log(_variance(search, found, k)).sum() for k in range(len(search.views))))
-
-
-def _stretches(runs: Sequence[TimeRun]) -> tuple[Stretch, ...]:
-    total = sum(run.size for run in runs)
-    found: list[Stretch] = []
-    for r, run in enumerate(runs):
-        count = max(4, round(STRETCHES * run.size / total))
-        ends = np.linspace(0, run.size, count + 1).astype(int)
-        found += [(r, int(a), int(b)) for a, b in pairwise(ends)]
-    return tuple(found)
-
-
-def _independent(energies: np.ndarray, stretches: Sequence[Stretch]) -> int:
-    """Return the number of independent samples whose sums of squares would scatter as those of the stretches do.
-
-    The sum over one of B stretches of n independent samples has the relative variance 2 B / n.
-    """
-    lengths = np.array([last - first for _, first, last in stretches])
-    level = energies / lengths
-    spread = float((level.std(ddof=1) / level.mean()) ** 2) if level.mean() > 0 else 0.0
-    count = 2 * len(level) / max(spread, 1e-9)
-    return int(np.clip(count, LEAST_ROWS * len(level), min(MOST_ROWS, lengths.sum())))
+    return float(sum(np.log(variance_of(search, found, k)).sum() for k in range(len(search.views))))

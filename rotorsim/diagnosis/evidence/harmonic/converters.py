@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from rotorsim.diagnosis.catalogue.finder import insertions
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Insertion
-from rotorsim.diagnosis.evidence.harmonic import Source
-from rotorsim.diagram.resolve.registry import Registry
+from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.errors import Problem
 from rotorsim.signals.converters import SAME, is_entry
 from rotorsim.signals.quantisation import Step, find_steps, readings_of, step_of
@@ -36,23 +35,21 @@ class Converter:
         return max(self.steps.values(), key=lambda step: step.seen)
 
 
-def find_converters(
-    document: Mapping[str, Any], source: Source, registry: Registry, physics: Collection[str] | None
-) -> list[Converter]:
+def find_converters(document: Mapping[str, Any], runs: HarmonicRuns, catalogue: Catalogue) -> list[Converter]:
     """Return the converters whose steps change the recorded harmonics, one put in after another."""
-    seen = find_steps(source.recording, source.harmonics)
+    seen = find_steps(runs.recording, runs.harmonics)
     found: list[Converter] = []
     while seen:
-        for item in insertions(source.load(document), source.recorded, registry):
-            behind = {name for name in source.recorded if any(is_entry(name, said) for said in item.measured)}
-            if item.from_steps and behind & seen.keys() and (physics is None or item.physics in physics):
+        for item in catalogue.candidates(runs.load(document), runs.recorded):
+            behind = {name for name in runs.recorded if any(is_entry(name, said) for said in item.measured)}
+            if item.from_steps and behind & seen.keys():
                 break
         else:
             break
         best = max((seen[name] for name in behind & seen.keys()), key=lambda step: step.seen)
         steps, warnings = {}, []
         for name in sorted(behind):  # one converter has them all
-            step = seen.get(name) or step_of(readings_of(source.recording, name))
+            step = seen.get(name) or step_of(readings_of(runs.recording, name))
             if step is not None and abs(step.size - best.size) <= SAME * best.size:
                 steps[name] = step
             else:

@@ -5,20 +5,19 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.identification.experiment import Experiment
 from rotorsim.settled.linear_motion import Motion
 from rotorsim.settled.motion import NonlinearMotion
 
 __all__ = ["growth", "unsettled"]
 
-GROWS = 0.1  # of a disturbance over the window of a run: growth that a recording of a settled motion would show
-
 
 def unsettled(experiment: Experiment) -> list[int]:
-    """Return the runs whose motion, at the values as given, would grow away by more than GROWS over their windows."""
+    """Return the runs whose motion, as given, would grow by more than ``growth`` over their windows."""
     rates = growth(experiment, experiment.theta0)
     windows = np.broadcast_to(experiment.motion.windows, rates.shape)
-    return np.flatnonzero(rates * windows > GROWS).tolist()
+    return np.flatnonzero(rates * windows > CRITERIA.growth).tolist()
 
 
 def growth(experiment: Experiment, theta: np.ndarray) -> np.ndarray:

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source
+from rotorsim.diagnosis.evidence.evidence import Evidence
+from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagram.diagram import Diagram
 
 __all__ = ["base_fit", "with_uncertain"]
 
-VISIBLE = 0.02  # of the number of equations: change of the misfit by a finer mesh that is worth it
 FINEST = 8
 
 
@@ -45,21 +46,21 @@ def _write_out(document: dict[str, Any], block: str, key: str, values: np.ndarra
         document["blocks"][block].setdefault("parameters", {})[key] = values.tolist()
 
 
-def base_fit(diagram: Diagram, source: Source) -> tuple[Fit, list[str]]:
+def base_fit(diagram: Diagram, evidence: Evidence) -> tuple[Fit, list[str]]:
     """Return the fit of a diagram to a recording, on meshes so fine that finer ones change nothing; what was refined.
 
     A block that declares ``refinement`` is refined until a finer mesh changes the whitened prediction by less than
-    VISIBLE of the equations (sum of squares).
+    `Criteria.mesh_visible` of the equations (sum of squares).
     """
-    found = source.fit(with_uncertain(diagram), [])
+    found = evidence.fit(with_uncertain(diagram), [])
     notes: list[str] = []
     for name, node in diagram.nodes.items():
         option = node.block.refinement
         if option is None or found.failure:
             continue
         level = int(getattr(node.block.option, option))
-        while level < FINEST and _shows(found, source, name, option, 2 * level):
-            finer = source.fit(_with_option(found.document, name, option, 2 * level), [])
+        while level < FINEST and _shows(found, evidence, name, option, 2 * level):
+            finer = evidence.fit(_with_option(found.document, name, option, 2 * level), [])
             if finer.failure:
                 break
             found, level = finer, 2 * level
@@ -67,14 +68,14 @@ def base_fit(diagram: Diagram, source: Source) -> tuple[Fit, list[str]]:
     return found, notes[-1:]
 
 
-def _shows(found: Fit, source: Source, block: str, option: str, value: int) -> bool:
+def _shows(found: Fit, evidence: Evidence, block: str, option: str, value: int) -> bool:
     """Return whether a finer mesh changes what the fit predicts by more than the data can tell."""
     document = values_in(found.document, found.values)
-    coarse, fine = (source.residual(d) for d in (document, _with_option(document, block, option, value)))
+    coarse, fine = (evidence.residual(d) for d in (document, _with_option(document, block, option, value)))
     if coarse is None or fine is None:
         return False
     change = fine - coarse
-    return float(change @ change) > VISIBLE * found.rows
+    return float(change @ change) > CRITERIA.mesh_visible * found.rows
 
 
 def _with_option(document: Mapping[str, Any], block: str, option: str, value: int) -> Mapping[str, Any]:

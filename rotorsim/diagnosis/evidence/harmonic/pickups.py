@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source
-from rotorsim.diagnosis.search.places import open_places
+from rotorsim.criteria import CRITERIA
+from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.harmonic.bounds import open_bounds
+from rotorsim.diagnosis.evidence.harmonic.residual import free_amplitudes
+from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.signals.asynchronous import Asynchronous, with_asynchronous
 from rotorsim.signals.pickup import find_mains
 
 __all__ = ["find_pickups"]
 
 TURN = 2 * np.pi
-FORCE = 0.9  # of what a line holds: a force that explains it, by transfer functions that need not be quite right
-ODDS = 2 * float(np.log(1000.0))  # the mains are picked up, unless a force is a thousand times more likely
 
 
 @dataclass(frozen=True)
@@ -30,22 +31,24 @@ class _Explained:
         return self.rest + self.free * float(np.log(max(rows, 2)))
 
 
-def find_pickups(base: Fit, source: Source) -> list[float]:
+def find_pickups(base: Fit, record: HarmonicRuns) -> list[float]:
     """Return the frequencies [Hz] of lines that the fitted diagram says are no forces.
 
-    Looked at are the mains and their multiples, and a second frequency without sidebands (`Source.second`).
+    Tried are the mains and their multiples, and an asynchronous frequency without sidebands (`HarmonicRuns.second`).
     """
-    odds = dict.fromkeys(find_mains(source.recording, source.harmonics), ODDS)
-    second = source.second
+    odds = dict.fromkeys(find_mains(record.recording, record.harmonics), CRITERIA.pickup_odds)
+    second = record.second
     if second is not None and not second.follows and second.orders == (0,):
-        close = 1 / max(float(np.ptp(item.run.time)) for item in source.harmonics)
+        close = 1 / max(float(np.ptp(item.run.time)) for item in record.harmonics)
         own = second.value / TURN
         near = [at for at in odds if abs(at - own) <= close]
-        odds = {at: value for at, value in odds.items() if at not in near} | {own: ODDS if near else 0.0}
-    return sorted(at for at, value in odds.items() if _is_pickup(base, source, at, value))
+        odds = {at: value for at, value in odds.items() if at not in near} | {
+            own: CRITERIA.pickup_odds if near else 0.0
+        }
+    return sorted(at for at, value in odds.items() if _is_pickup(base, record, at, value))
 
 
-def _is_pickup(base: Fit, source: Source, frequency: float, odds: float) -> bool:
+def _is_pickup(base: Fit, record: HarmonicRuns, frequency: float, odds: float) -> bool:
     """Return whether a line [Hz] is less likely to be a force somewhere than pick-up of some or all channels.
 
     odds: twice the logarithm of those for pick-up before the channels are looked at.
@@ -54,28 +57,23 @@ def _is_pickup(base: Fit, source: Source, frequency: float, odds: float) -> bool
     show of it. Pick-up has one for each channel that picks up. Compared by the Bayesian information criterion.
     """
     second = Asynchronous(TURN * frequency, 0.0, False, (0,))
-    told, _ = with_asynchronous(source.recording, source.harmonics, second)
-    if len(told) < 1:
+    fitted, _ = with_asynchronous(record.recording, record.harmonics, second)
+    if len(fitted) < 1:
         return False
-    opened = open_places(base, replace(source, harmonics=told, second=second))
+    opened = open_bounds(base, replace(record, harmonics=fitted, second=second))
     if opened is None:  # the diagram is not linear: the mains are taken for what they mostly are
         return odds > 0
     likelihood, order = opened.likelihood, opened.likelihood.K + 1
-    runs = range(len(told))
+    runs = range(len(fitted))
     lines = [likelihood.data[r, order, : likelihood.c] for r in runs]
     unit = np.eye(likelihood.c)
-    rows = 2 * likelihood.c * len(told)
+    rows = 2 * likelihood.c * len(fitted)
 
     def explained(columns: Sequence[np.ndarray]) -> _Explained:
-        rest = 0.0
-        for r in runs:
-            both = np.column_stack([columns[r], 1j * columns[r], lines[r]])
-            white = likelihood.white_at(r, order, both)
-            best = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=1e-10)[0]
-            rest += float(np.sum((white[:, -1] - white[:, :-1] @ best) ** 2))
-        return _Explained(rest, 2 * columns[0].shape[1] * len(told))
+        rest = sum(free_amplitudes(likelihood, r, order, columns[r], lines[r])[2] for r in runs)
+        return _Explained(rest, 2 * columns[0].shape[1] * len(fitted))
 
-    whole = explained([np.zeros((likelihood.c, 0))] * len(told)).rest
+    whole = explained([np.zeros((likelihood.c, 0))] * len(fitted)).rest
     groups: dict[str, list[int]] = {}
     for name, entry in opened.places.items():
         groups.setdefault(_part(name), []).append(entry)
@@ -84,10 +82,12 @@ def _is_pickup(base: Fit, source: Source, frequency: float, odds: float) -> bool
     for k, name in enumerate(likelihood.experiment.predicted):
         for part in {name, _part(name), name.partition("[")[0]}:
             channels.setdefault(part, []).append(k)
-    some = [explained([unit[:, group]] * len(told)) for group in channels.values() if len(group) < likelihood.c]
+    some = [explained([unit[:, group]] * len(fitted)) for group in channels.values() if len(group) < likelihood.c]
     force = min(forces, key=lambda item: item.criterion(rows))
     partial = min((item.criterion(rows) for item in some), default=np.inf)
-    if force.criterion(rows) + odds < partial and whole - force.rest - force.free > FORCE * (whole - rows):
+    if force.criterion(rows) + odds < partial and whole - force.rest - force.free > CRITERIA.line_force * (
+        whole - rows
+    ):
         return False
     return min(partial, rows * float(np.log(rows))) < force.criterion(rows) + odds
 

@@ -1,10 +1,10 @@
-"""The next experiment: the run, at another speed or with another gain, that two explanations of the data predict apart.
+"""The run, at another speed or with another gain, that separates two hypotheses.
 
 Separation of two fitted diagrams by n runs alike, in standard deviations:
 
     S_n^2 = d^T (I / n + J_1 C_1 J_1^T + J_2 C_2 J_2^T)^-1 d
 
-d: difference of their whitened predictions; J: slopes by the free parameters, C: their covariance. What the
+d: difference of their whitened predictions; J: their Jacobians by the free parameters, C: their covariance. What the
 parameters can still imitate within their intervals does not count (Hunter and Reiner, Technometrics 7 (1965) 307).
 """
 
@@ -15,11 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source
-from rotorsim.diagnosis.search.naming import CLASS
+from rotorsim.criteria import CRITERIA
+from rotorsim.diagnosis.evidence.evidence import Change
+from rotorsim.diagnosis.evidence.fit import FAILURES, Fit
+from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
-from rotorsim.errors import RotorsimError
 from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.periodic_likelihood import likelihood_of
 from rotorsim.settled.motion import NonlinearMotion
@@ -27,47 +28,33 @@ from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.units import format_quantity
 
-__all__ = ["Change", "best_change"]
+__all__ = ["best_change"]
 
 GAINS = (0.7, 1.5)
 SLOWER, FASTER = (0.1, 0.25, 0.5), 1.25  # times the lowest and the highest speed of the recording
 MOST_GAPS = 6  # between recorded speeds in whose middle a run is tried
-SEEN = CLASS**0.5  # standard deviations by which two explanations must differ to leave one class
-HINT = 1.0  # standard deviations from which a run that does not suffice is named
 MOST_ALIKE = 16  # runs of one kind that anyone would make
 MOST_RUNS = 3  # of the recording that are repeated with another gain
 LARGEST = 2.0  # times the largest signal on record: what exceeds it is not proposed at new gains or higher speeds
 RPM = np.pi / 30
 
 
-@dataclass(frozen=True)
-class Change:
-    """A run in words, how far apart it puts two explanations [standard deviations], and how often it must be made.
-
-    runs: 0 where no number of such runs suffices.
-    """
-
-    words: str
-    separation: float
-    runs: int = 1
-
-
 @dataclass(frozen=True, eq=False)
 class _Predicted:
-    """A run as a fitted diagram has it: whitened y (n,), slopes by unknowns of unit covariance (n, m)."""
+    """A run as a fitted diagram has it: whitened y (n,), its Jacobian by unknowns of unit covariance (n, m)."""
 
     y: np.ndarray
     scatter: np.ndarray
 
 
-def best_change(first: Fit, second: Fit, source: Source) -> Change | None:
+def best_change(first: Fit, second: Fit, record: HarmonicRuns) -> Change | None:
     """Return the run that separates two fitted diagrams most, or None if none does.
 
     Tried are speeds between, below and above those on record, and runs on record with another gain.
     """
     found: Change | None = None
-    for words, runs in _changes(source.load(first.document), source):
-        both = [_predicted(fit, source, runs) for fit in (first, second)]
+    for words, runs in _changes(record.load(first.document), record):
+        both = [_predicted(fit, record, runs) for fit in (first, second)]
         for text, a, b in zip(words, *both, strict=True):
             if a is None or b is None:
                 continue
@@ -89,8 +76,8 @@ def _separated(words: str, a: _Predicted, b: _Predicted) -> Change | None:
     inside = vectors.T @ d
     rest = max(float(d @ d - inside @ inside), 0.0)
     separations = [float(np.sqrt(n * rest + (inside**2 / (1 / n + sizes**2)).sum())) for n in range(1, MOST_ALIKE + 1)]
-    enough = next((n for n, separation in enumerate(separations, 1) if separation > SEEN), 0)
-    if enough or separations[0] > HINT:
+    enough = next((n for n, separation in enumerate(separations, 1) if separation**2 > CRITERIA.equivalent), 0)
+    if enough or separations[0] > CRITERIA.separation:
         return Change(words, separations[max(enough, 1) - 1], enough)
     return None
 
@@ -98,9 +85,9 @@ def _separated(words: str, a: _Predicted, b: _Predicted) -> Change | None:
 # -- what can be changed -----------------------------------------------------------------------------------------------
 
 
-def _changes(diagram: Diagram, source: Source) -> Iterator[tuple[list[str], tuple[RunHarmonics, ...]]]:
+def _changes(diagram: Diagram, record: HarmonicRuns) -> Iterator[tuple[list[str], tuple[RunHarmonics, ...]]]:
     """Yield lists of runs that can be made, with words for each."""
-    on_record = sorted(source.harmonics, key=lambda item: abs(item.fit.speed))
+    on_record = sorted(record.harmonics, key=lambda item: abs(item.fit.speed))
     speeds = np.array([abs(item.fit.speed) for item in on_record])
     wanted = _speeds(speeds)
     nearest = [on_record[int(np.argmin(np.abs(np.log(speeds / speed))))] for speed in wanted]
@@ -171,13 +158,13 @@ def _number(given: object, unit: str, default: float) -> float:
 # -- what diagrams say of it -------------------------------------------------------------------------------------------
 
 
-def _predicted(fit: Fit, source: Source, runs: tuple[RunHarmonics, ...]) -> Sequence[_Predicted | None]:
+def _predicted(fit: Fit, record: HarmonicRuns, runs: tuple[RunHarmonics, ...]) -> Sequence[_Predicted | None]:
     """Return each run as a fitted diagram has it, without its means, or None where it does not settle or goes far."""
     nothing: list[_Predicted | None] = [None] * len(runs)
     try:
         experiment = open_experiment(
-            before_converters(source.load(fit.document)),
-            source.recording,
+            before_converters(record.load(fit.document)),
+            record.recording,
             runs=[item.run for item in runs],
             harmonics=runs,
         )
@@ -192,16 +179,16 @@ def _predicted(fit: Fit, source: Source, runs: tuple[RunHarmonics, ...]) -> Sequ
             Y, slopes = response.outputs(X), response.sensitivity(X)
             rates = np.linalg.eigvals(response.A)
             settled = (rates.real <= 1e-6 * np.abs(rates).max()).all(axis=-1)
-    except (RotorsimError, ValueError, np.linalg.LinAlgError):
+    except FAILURES:
         return nothing
     scale = _spread(fit, [item.name for item in experiment.free])
     lines = likelihood.orders - Y.shape[1]  # a nonlinear diagram says nothing of lines beside the harmonics
     Y, slopes = np.pad(Y, ((0, 0), (0, lines), (0, 0))), np.pad(slopes, ((0, 0), (0, lines), (0, 0), (0, 0)))
     turned = np.pi * 1j * Y * (np.arange(likelihood.orders) > likelihood.K)[:, None]  # their phase will be any
-    largest = source.largest()
+    largest = record.largest()
     limits = LARGEST * np.array([largest.get(name, np.inf) for name in experiment.predicted])
-    fastest = max(abs(item.fit.speed) for item in source.harmonics)
-    settings = [_without(item) for item in source.harmonics]
+    fastest = max(abs(item.fit.speed) for item in record.harmonics)
+    settings = [_without(item) for item in record.harmonics]
     rms = np.sqrt(2 * (np.abs(Y[:, 1:]) ** 2).sum(axis=1))
     for r in range(len(runs)):
         if not settled[r] or not np.isfinite(Y[r]).all():

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source
+from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.recordings.recording import Recording
@@ -19,15 +21,13 @@ from rotorsim.units import conversion
 
 __all__ = ["drift_warnings", "find_drifts", "tells_drifts", "with_drifts"]
 
-FALSE_ALARM = 1e-3  # for a channel of a recording
 # a random walk that starts with a run has Var(mean) = s^2 T / 3, and s^2 3 T / 10 in its slope's Legendre coefficient
 MEAN = 10 / 9
-DRIFTING = 2.0  # times the noise: a diagram that leaves more does not say what drifts of itself
 SCORINGS = 20  # steps of Fisher's scoring
 LEAST = 1e-9  # of a channel's information that slow states leave: below, they take all of its drift
 
 
-def find_drifts(base: Fit, source: Source) -> dict[str, float]:
+def find_drifts(base: Fit, runs: HarmonicRuns) -> dict[str, float]:
     """Return channels whose offset drifts within the runs by more than noise, and the rms of the slope, SI.
 
     The slope is the Legendre coefficient of degree one: half of what the offset changes over a run. What slow states of
@@ -35,7 +35,7 @@ def find_drifts(base: Fit, source: Source) -> dict[str, float]:
     be any channel's that shares them: each is counted as if it were its own alone.
     """
     try:
-        experiment = source.open(source.load(values_in(base.document, base.values)))
+        experiment = runs.open(runs.load(values_in(base.document, base.values)))
     except RotorsimError:
         return {}
     if not isinstance(experiment.motion, Motion):
@@ -43,7 +43,7 @@ def find_drifts(base: Fit, source: Source) -> dict[str, float]:
     response = Likelihood(experiment).response(experiment.theta0)
     c = len(experiment.predicted)
     power, count = np.zeros(c), 0
-    slopes: list[tuple[np.ndarray, np.ndarray]] = []
+    pairs: list[tuple[np.ndarray, np.ndarray]] = []  # of the drift: square of its slope, variance
     for r, item in enumerate(experiment.runs):
         columns = experiment.columns[r][:c]
         if len(item.fit.drift) < 2:
@@ -58,13 +58,13 @@ def find_drifts(base: Fit, source: Source) -> dict[str, float]:
             rest = (white - (white @ q) @ q.T) / free
             power += np.where(free > LEAST, rest**2 * free, 0.0)
             if degree == 1:
-                slopes.append((rest**2 * variance, np.where(free > LEAST, variance / free, np.inf)))
+                pairs.append((rest**2 * variance, np.where(free > LEAST, variance / free, np.inf)))
         count += 1
     if not count:
         return {}
-    squares, noise = (np.array([pair[k] for pair in slopes]) for k in (0, 1))
+    squares, noise = (np.array([pair[k] for pair in pairs]) for k in (0, 1))
     size = _variance(squares, noise)
-    drifts = (power > chi2.isf(FALSE_ALARM, 2 * count)) & experiment.use_mean[:c] & (size > 0)
+    drifts = (power > chi2.isf(CRITERIA.drift, 2 * count)) & experiment.use_mean[:c] & (size > 0)
     return {experiment.predicted[k]: float(np.sqrt(size[k])) for k in np.flatnonzero(drifts)}
 
 
@@ -90,9 +90,9 @@ def with_drifts(runs: Sequence[RunHarmonics], drifts: Mapping[str, float]) -> tu
     return tuple(found)
 
 
-def tells_drifts(found: Fit) -> bool:
+def tells_drifts(fit: Fit) -> bool:
     """Return whether a fit to runs without their drifts leaves so little that those are drifts of offsets."""
-    return not found.failure and found.misfit <= DRIFTING * found.freedom
+    return not fit.failure and fit.misfit <= CRITERIA.drift_judged * fit.freedom
 
 
 def drift_warnings(drifts: Mapping[str, float], recording: Recording) -> list[Problem]:

@@ -1,43 +1,30 @@
-"""Name what is missing: every row of the catalogue at every place is put into the diagram, refitted and judged."""
+"""Forward selection: the effects that explain a recording, one a round, and what is reconsidered at the end."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
+from rotorsim.criteria import CRITERIA
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source
-from rotorsim.diagnosis.search.proof import MOST
-from rotorsim.diagnosis.search.trials import Candidate, Round, Trials, is_adequate, is_noise
-from rotorsim.diagram.resolve.registry import Registry
+from rotorsim.diagnosis.evidence.evidence import Evidence
+from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_noise
+from rotorsim.diagnosis.search.trials import Candidate, Round, Trials
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs, local_workers
 
-__all__ = ["Candidate", "Named", "Round", "least_gain", "name_missing", "without_effects", "without_last"]
+__all__ = ["Selection", "least_gain", "probabilities", "select_effects", "without_effects", "without_last"]
 
-# of the equations, in the misfit: what meshes get wrong where another mesh is the truth. Meshes are refined until a
-# finer one changes 0.02 of them (`base.VISIBLE`); the sum of what still finer ones would change is five times that
-MESH_ERROR = 0.1
-# criterion within which two explanations are not told apart: odds of e^5 = 148 to 1, from which evidence counts as very
-# strong (Kass & Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795, section 3.2)
-CLASS = 10.0
-MOST_EFFECTS = 3
-# probability that noise alone makes any row of the catalogue look as good, by Bonferroni; 200 healthy machines of
-# benchmarks/concealed/results/nuisances_1617.md keep it
-FALSE_ALARM = 0.01
-# share of what is left unexplained that one more effect must explain: details of the first law are many and small, so
-# that none of them is most of the rest
-WORTH = 0.9
-BEAM = 2  # explanations that the next round starts from
-TOLD = 2.0  # standard deviations below which a parameter of a law is tried without: it goes where the criterion falls
+BEAM = 2  # hypotheses that the next round starts from
 
 
 @dataclass(frozen=True, eq=False)
-class Named:
+class Selection:
     """base: the diagram as given, refitted. chosen: the effects, in the order in which they were found; fit: with all.
 
     rounds: what was tried for each of them, with all others in place. level: probability of a false alarm for each.
@@ -49,24 +36,24 @@ class Named:
     rounds: tuple[Round, ...]
     fit: Fit
     level: float
-    counts: Mapping[str, int] = field(default_factory=dict)
-    slack: float = 0.0
-    first: Round | None = None
+    counts: Mapping[str, int]
+    slack: float
+    first: Round
 
     @property
     def explained(self) -> bool:
-        """Whether what is left over is noise; faint lines, where they are all that the diagram as given leaves over."""
+        """Whether noise can make the residual; faint lines, where nothing else is unexplained at first."""
         return is_adequate(self.fit) and (is_noise(self.fit) or not is_adequate(self.base))
 
     @property
     def share(self) -> float:
-        """The share of what the diagram as given leaves over beyond noise that the effects explain."""
+        """The share of the misfit of the diagram as given beyond noise that the effects explain."""
         return _share(self.fit, self.base)
 
     @property
     def mostly(self) -> bool:
-        """Whether the effects explain most of what was to be explained: what is left may be details of their laws."""
-        return bool(self.chosen) and not is_adequate(self.base) and self.share >= MOST
+        """Whether the effects explain most of the misfit: the residual may be details of their laws."""
+        return bool(self.chosen) and not is_adequate(self.base) and self.share >= CRITERIA.cause
 
     @property
     def explains(self) -> bool:
@@ -74,51 +61,39 @@ class Named:
         return self.explained or self.mostly
 
 
-def without_effects(named: Named) -> Named:
-    """Return a search whose effects do not count."""
-    first = named.first or named.rounds[0]
-    return replace(named, chosen=(), rounds=(first,), fit=named.base)
+def without_effects(selection: Selection) -> Selection:
+    """Return the selection result without its effects."""
+    return replace(selection, chosen=(), rounds=(selection.first,), fit=selection.base)
 
 
-def without_last(named: Named) -> Named:
-    """Return a search without the effect that was found beside all others."""
-    if len(named.chosen) < 2:
-        return without_effects(named)
-    return replace(named, chosen=named.chosen[:-1], rounds=named.rounds[:-1], fit=named.chosen[-2].fit)
+def without_last(selection: Selection) -> Selection:
+    """Return the selection result without the effect that was found beside all others."""
+    if len(selection.chosen) < 2:
+        return without_effects(selection)
+    return replace(selection, chosen=selection.chosen[:-1], rounds=selection.rounds[:-1], fit=selection.chosen[-2].fit)
 
 
-def name_missing(
-    base: Fit,
-    source: Source,
-    *,
-    registry: Registry | None = None,
-    physics: Collection[str] | None = None,
-    most: int = MOST_EFFECTS,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Named:
-    """Return what explains a recording that the fitted diagram ``base`` does not, effect by effect.
+def select_effects(base: Fit, evidence: Evidence, catalogue: Catalogue, jobs: Jobs) -> Selection:
+    """Return what explains a recording that the fitted diagram ``base`` does not, effect by effect (forward selection).
 
-    physics: rows of the catalogue that are tried (default: all).
     Raises RotorsimError.
     """
-    with local_workers(Jobs(workers, scheduler, progress)) as jobs:
-        return _named(Trials(source, registry, physics, jobs), base, most)
+    with local_workers(jobs) as shared:
+        return _selected(Trials(evidence, catalogue, shared), base)
 
 
-def _named(trials: Trials, base: Fit, most: int) -> Named:
+def _selected(trials: Trials, base: Fit) -> Selection:
     trials.nominal = {item.name: item.value for item in base.free if item.unit != ANGLE_UNIT}
-    trials.slack = slack = MESH_ERROR * base.rows if trials.has_mesh(base) else 0.0
+    trials.slack = slack = CRITERIA.mesh_error * base.rows if trials.evidence.refines_meshes(base.document) else 0.0
     first = trials.round(base)
     level = _level(first.tried)
     worth = _noticed(first.tried, base, level, slack) if is_adequate(base) else first.tried
     beam: list[tuple[Candidate, ...]] = [(item,) for item in _distinct(worth, base)[:BEAM]]
     if not beam:
-        return Named(base, (), (first,), base, level, trials.counts, slack)
+        return Selection(base, (), (first,), base, level, trials.counts, slack, first)
     chosen: tuple[Candidate, ...] = beam[0]
     rounds = [first]
-    while not is_adequate(chosen[-1].fit) and len(chosen) < most:
+    while not is_adequate(chosen[-1].fit) and len(chosen) < CRITERIA.most_effects:
         grown: list[tuple[tuple[Candidate, ...], Round]] = []
         for path in beam:
             after = trials.round(path[-1].fit)
@@ -130,15 +105,15 @@ def _named(trials: Trials, base: Fit, most: int) -> Named:
             break
         grown.sort(key=lambda pair: pair[0][-1].fit.criterion)
         best, after = grown[0]
-        if not is_adequate(best[-1].fit) and _share(best[-1].fit, chosen[-1].fit) < WORTH:
+        if not is_adequate(best[-1].fit) and _share(best[-1].fit, chosen[-1].fit) < CRITERIA.worth:
             break
         beam, chosen = [path for path, _ in grown], best
         rounds = [*rounds, after]
-    if is_adequate(chosen[-1].fit) or _share(chosen[-1].fit, base) >= MOST:
+    if is_adequate(chosen[-1].fit) or _share(chosen[-1].fit, base) >= CRITERIA.cause:
         chosen, rounds = _reconsidered(trials, base, chosen, rounds)
         chosen, rounds = _completed(trials, chosen, rounds)
         chosen = _simplified(trials, chosen)
-    return Named(base, chosen, tuple(rounds), chosen[-1].fit, level, trials.counts, slack, first)
+    return Selection(base, chosen, tuple(rounds), chosen[-1].fit, level, trials.counts, slack, first)
 
 
 def _completed(
@@ -166,25 +141,29 @@ def _alike(item: Candidate, found: Round) -> set[str]:
 def _simplified(trials: Trials, chosen: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
     """Return the choice without parameters of its laws whose size the data do not tell from zero.
 
-    One by one, the least told first, with the angle that means nothing without it, while the criterion falls.
+    One by one, the least significant first, with the angle that means nothing without it, while the criterion falls.
     """
     fit = chosen[-1].fit
     while True:
         names = [item.name for item in fit.free]
-        told: dict[str, float] = {}
+        ratio: dict[str, float] = {}
         for effect in chosen:
             own = [name for name in effect.insertion.free if name in names]
             for name in own:
                 j = names.index(name)
                 item, std = fit.free[j], float(np.sqrt(max(fit.covariance[j, j], 0.0)))
                 may_be_zero = item.unit != ANGLE_UNIT and item.low <= 0 <= item.high
-                if may_be_zero and abs(fit.theta[j]) <= TOLD * std and len({*own} - _with_angle(name, own)) > 0:
-                    told[name] = abs(float(fit.theta[j])) / std if std else 0.0
-        for name in sorted(told, key=lambda name: told[name]):
+                if (
+                    may_be_zero
+                    and abs(fit.theta[j]) <= CRITERIA.significant * std
+                    and len({*own} - _with_angle(name, own)) > 0
+                ):
+                    ratio[name] = abs(float(fit.theta[j])) / std if std else 0.0
+        for name in sorted(ratio, key=lambda name: ratio[name]):
             gone = _with_angle(name, names)
             document = values_in(fit.document, {**fit.values, name: 0.0})
             document["identify"] = {key: value for key, value in document["identify"].items() if key not in gone}
-            less = trials.source.fit(document, [[{}]])
+            less = trials.evidence.fit(document, [[{}]])
             if not less.failure and less.criterion < fit.criterion:
                 fit = less
                 break
@@ -224,7 +203,7 @@ def _reconsidered(
         again = trials.round(without)  # all: what was rejected before stood beside less
         rounds[k] = again
         best = again.best
-        if best is not None and best.fit.criterion < chosen[-1].fit.criterion - CLASS - trials.slack:
+        if best is not None and best.fit.criterion < chosen[-1].fit.criterion - CRITERIA.equivalent - trials.slack:
             chosen = (*others, best)
             rounds = [*(item for j, item in enumerate(rounds) if j != k), again]
             k = 0
@@ -236,7 +215,7 @@ def _reconsidered(
 def _level(tried: Sequence[Candidate]) -> float:
     """Return the probability of a false alarm that one of these candidates may take up."""
     ways = {(item.insertion.physics, item.insertion.spot) for item in tried if not item.fit.failure}
-    return FALSE_ALARM / max(len(ways), 1)
+    return CRITERIA.false_alarm / max(len(ways), 1)
 
 
 def least_gain(item: Candidate, base: Fit, level: float) -> float:
@@ -249,7 +228,7 @@ def least_gain(item: Candidate, base: Fit, level: float) -> float:
 
 
 def _share(after: Fit, before: Fit) -> float:
-    """Return the share of what was left unexplained before that is explained after."""
+    """Return the share of the misfit beyond noise before that is explained after."""
     return 1 - (after.misfit - after.freedom) / max(before.misfit - before.freedom, 1.0)
 
 
@@ -271,7 +250,7 @@ def _distinct(tried: Sequence[Candidate], before: Fit) -> list[Candidate]:
     return list(best.values())
 
 
-def where(tried: Sequence[Candidate], scale: float) -> list[tuple[Spot, float]]:
+def probabilities(tried: Sequence[Candidate], scale: float) -> list[tuple[Spot, float]]:
     """Return the probability of every spot, by the best candidate there; scale: variance of the noise, as a factor."""
     best: dict[Spot, float] = {}
     for item in tried:

@@ -1,30 +1,28 @@
-"""What no law at a place can do better than: a diagram with free harmonics of a force, or of an error, there.
+"""Lower bounds of the misfit: a diagram with free harmonics of a force, or of a sensor error, at a place.
 
 A force of any law at a node is one set of harmonics in each run. With all of them free, beside one step of the
-diagram's own parameters, what is left over is the least that any row of the catalogue can leave there.
+diagram's own parameters, the misfit is the least that any fault candidate can reach there.
 """
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
 from rotorsim.block import In
 from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.harmonic import Fit, Source
-from rotorsim.diagnosis.evidence.scoring import Held
-from rotorsim.errors import RotorsimError
+from rotorsim.diagnosis.evidence.fit import FAILURES, Fit
+from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
+from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.linear.linearisation import entry_names
 from rotorsim.settled.linear_motion import Motion
 from rotorsim.signals.covariance import real_vector
 
-__all__ = ["Places", "open_places"]
+__all__ = ["LowerBounds", "additive_inputs", "open_bounds"]
 
 
-class Places:
+class LowerBounds:
     """Bounds on the misfit for every place where something may act on a fitted linear diagram."""
 
     def __init__(self, likelihood: Likelihood, theta: np.ndarray, targets: list[str]) -> None:
@@ -52,7 +50,7 @@ class Places:
     def entries(self, item: Insertion) -> tuple[str, ...] | None:
         """Return "force" and the inputs where an insertion acts, or "reading" and the channels that it falsifies."""
         if item.fault.enters == "force":
-            names = [target.replace(" ", "") for source, target in item.wires if source.startswith(f"{item.name}.")]
+            names = [target.replace(" ", "") for runs, target in item.wires if runs.startswith(f"{item.name}.")]
             inside = [name for name in self.places if any(_within(name, target) for target in names)]
             return ("force", *inside) if inside else None
         if item.measured and not item.cut and item.fault.enters in ("reading", "wire"):
@@ -68,15 +66,15 @@ class Places:
     def _rests(self, force: bool, names: tuple[str, ...]) -> list[tuple[float, float]]:
         """Return of each run misfit and equations with free harmonics of some inputs, or of what some channels read."""
         likelihood, orders = self.likelihood, self.likelihood.orders
-        rests, slopes, counts = [], [], []
-        residual, all_slopes = self.found.apart()
+        rests, jacobians, counts = [], [], []
+        residual, jacobian = self.found.apart()
         if self.found.late is not None:  # with the delay of the pulses as one more parameter, known to one
-            all_slopes = np.column_stack([all_slopes, self.found.late])
+            jacobian = np.column_stack([jacobian, self.found.late])
         at = 0
         for r, white in enumerate(likelihood.whiteners):
             size = len(white.keep)
             part = slice(at, at + size)
-            e, J = residual[part], all_slopes[part]
+            e, J = residual[part], jacobian[part]
             at += size
             effects = self._effects(r, force, names)
             columns = np.zeros((effects.shape[2] * (2 * orders - 1), orders, likelihood.c), complex)
@@ -91,9 +89,9 @@ class Places:
             length = np.linalg.norm(whitened, axis=0)
             q, _ = np.linalg.qr(whitened[:, length > 0] / length[length > 0])
             rests.append(e - q @ (q.T @ e))
-            slopes.append(J - q @ (q.T @ J))
+            jacobians.append(J - q @ (q.T @ J))
             counts.append(size - q.shape[1])
-        rest, J = np.concatenate(rests), np.concatenate(slopes)
+        rest, J = np.concatenate(rests), np.concatenate(jacobians)
         if self.found.late is not None:
             prior = np.zeros((1, J.shape[1]))
             prior[0, -1] = 1.0
@@ -122,27 +120,26 @@ def _within(name: str, port: str) -> bool:
     return name == port or name.startswith(f"{port.removesuffix(']')}," if port.endswith("]") else f"{port}[")
 
 
-def open_places(before: Fit, source: Source, held: Held | None = None) -> Places | None:
-    """Return the places of a fitted diagram, or None where it has none that can be judged so (it is not linear).
-
-    held: other runs than those of the source.
-    """
-    document = values_in(before.document, before.values)
-    if held is not None:
-        source = replace(source, recording=held.recording, harmonics=held.harmonics)
+def open_bounds(fit: Fit, runs: HarmonicRuns) -> LowerBounds | None:
+    """Return the lower bounds beside a fit on some runs, None where it has none (it is not linear)."""
     try:
-        diagram = source.load(document)
-        targets = [
-            f"{block}.{port.name}"
-            for block, node in diagram.nodes.items()
-            for port in node.inputs.values()
-            if isinstance(port.declaration, In) and port.declaration.additive
-        ]
-        experiment = source.open(diagram, inject=targets)
+        diagram = runs.load(values_in(fit.document, fit.values))
+        targets = additive_inputs(diagram)
+        experiment = runs.open(diagram, inject=targets)
         if not targets or not isinstance(experiment.motion, Motion):
             return None
         ports = {target: diagram.nodes[target.split(".")[0]].inputs[target.split(".")[1]] for target in targets}
         entries = [name for target, port in ports.items() for name in entry_names(target, port.shape)]
-        return Places(Likelihood(experiment), experiment.theta0, entries)
-    except (RotorsimError, ValueError, np.linalg.LinAlgError):
+        return LowerBounds(Likelihood(experiment), experiment.theta0, entries)
+    except FAILURES:
         return None
+
+
+def additive_inputs(diagram: Diagram) -> list[str]:
+    """Return the inputs "block.port" where a further force or signal can be added."""
+    return [
+        f"{block}.{port.name}"
+        for block, node in diagram.nodes.items()
+        for port in node.inputs.values()
+        if isinstance(port.declaration, In) and port.declaration.additive
+    ]

@@ -1,0 +1,141 @@
+"""The result of a diagnosis: effects with their equivalence classes and places, fits, scores, verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rotorsim._shown import Shown
+from rotorsim.diagnosis.catalogue.insertion import Spot
+from rotorsim.diagnosis.conclude.shares import Explained
+from rotorsim.diagnosis.conclude.unknown_force import UnknownForce
+from rotorsim.diagnosis.conclude.validation import Proof
+from rotorsim.diagnosis.evidence.evidence import Evidence, Score
+from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.harmonic.converters import Converter
+from rotorsim.diagnosis.search.selection import Selection
+from rotorsim.diagnosis.search.trials import Candidate
+from rotorsim.errors import Problem
+from rotorsim.identification.profile import Z90
+from rotorsim.recordings.recording import Recording
+
+__all__ = ["VERDICTS", "Diagnosis", "Effect", "Estimated", "estimates", "interval"]
+
+VERDICTS = ("consistent", "missing_physics", "outside_catalogue", "not_identifiable")
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """One missing effect: the chosen candidate, its equivalence class with probabilities, places with probabilities.
+
+    rivals: of the other members of the class the best candidate each.
+    """
+
+    candidate: Candidate
+    members: Mapping[str, float]
+    rivals: Mapping[str, Candidate]
+    places: tuple[tuple[Spot, float], ...]
+
+    @property
+    def physics(self) -> str:
+        """The name of the physics."""
+        return self.candidate.insertion.physics
+
+    def spot_of(self, physics: str) -> Spot | None:
+        """Return where a member of the class acts, as it explains the data best; None where it is not known."""
+        item = self.candidate if physics == self.physics else self.rivals.get(physics)
+        return None if item is None else item.insertion.spot
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Diagnosis(Shown):
+    """The answer to why a diagram and a recording differ; see `diagnose`.
+
+    effects: what is missing (or, outside the catalogue, what was nearest). before, after: fits of the diagram as
+    given and repaired; document: the repaired one; scores of both. places, rejected (physics, why), open: (physics, how
+    far it came), where a fit was not carried to the end. detectable: physics -> smallest size that would have been
+    seen, where nothing was found. proof: what hold-out runs say; explained: by effect; residual: beyond noise.
+    unknown: a force outside the catalogue. converters: whose quantisation steps the readings show; given: the evidence
+    without them. recordings: as they were given, held-out ones last.
+    """
+
+    verdict: str
+    effects: tuple[Effect, ...]
+    before: Fit
+    after: Fit
+    document: Mapping[str, Any]
+    score_before: Score
+    score_after: Score
+    selection: Selection
+    evidence: Evidence
+    given: Evidence
+    recordings: tuple[Recording, ...]
+    held_out: bool
+    places: tuple[tuple[Spot, float], ...] = ()
+    rejected: tuple[tuple[str, str], ...] = ()
+    open: tuple[tuple[str, str], ...] = ()
+    warnings: tuple[Problem, ...] = ()
+    detectable: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    unknown: UnknownForce | None = None
+    proof: Proof | None = None
+    explained: Sequence[Explained] = ()
+    residual: Mapping[str, Any] | None = None
+    converters: Sequence[Converter] = ()
+    next_experiment: str = ""
+    statement: str = ""
+
+    _figure = "rotorsim.report.diagnosis.evidence:before_and_after_figure"
+
+    def __repr__(self) -> str:
+        return f"Diagnosis({self.verdict}: {self.statement})"
+
+    @property
+    def searched(self) -> tuple[Effect, ...]:
+        """The effects that a search found, without the converters that readings show."""
+        return tuple(effect for effect in self.effects if not effect.candidate.insertion.from_steps)
+
+    @property
+    def twice(self) -> bool:
+        """Whether one effect was taken twice at one place: together they stand for a law that neither has."""
+        return taken_twice(self.effects)
+
+    def measured(self, effect: Effect) -> dict[str, tuple[float, float, str]]:
+        """Return the parameters of an effect that the signals gave by themselves: value, standard deviation, unit."""
+        insertion, line = effect.candidate.insertion, self.evidence.line
+        values = {} if line is None else dict.fromkeys(insertion.from_lines, (*line, "rad/s"))
+        for converter in self.converters:
+            if converter.insertion is insertion:
+                step, declared = converter.step, insertion.kind.parameters
+                values |= {key: (step.size, step.std, declared[key].unit or "") for key in insertion.from_steps}
+        return values
+
+
+def taken_twice(effects: Sequence[Effect]) -> bool:
+    """Return whether one effect was taken twice at one place."""
+    keys = [(effect.physics, effect.candidate.insertion.spot) for effect in effects]
+    return len(set(keys)) < len(keys)
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """A parameter of a fit: value, standard deviation, 90 % interval within its bounds (infinite where open), unit."""
+
+    value: float
+    std: float
+    interval: tuple[float, float]
+    unit: str
+    at_bound: bool = False
+
+
+def estimates(fit: Fit) -> dict[str, Estimated]:
+    """Return the parameters of a fit by name: what all of statement, diagnosis.json and report say of them."""
+    return {
+        item.name: Estimated(float(fit.theta[j]), fit.std(j), fit.interval90(j), item.unit, bool(fit.at_bound[j]))
+        for j, item in enumerate(fit.free)
+    }
+
+
+def interval(value: float, std: float) -> tuple[float, float]:
+    """Return the 90 % interval of an estimate."""
+    return value - Z90 * std, value + Z90 * std

@@ -1,0 +1,201 @@
+"""What follows from a selection: effects with equivalence classes and places, the verdict, why the others lost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rotorsim.criteria import CRITERIA
+from rotorsim.diagnosis.catalogue.insertion import Spot
+from rotorsim.diagnosis.conclude.result import Effect
+from rotorsim.diagnosis.conclude.unknown_force import UnknownForce, unknown_force
+from rotorsim.diagnosis.evidence.evidence import Evidence, Terms
+from rotorsim.diagnosis.evidence.fit import Fit, is_noise
+from rotorsim.diagnosis.evidence.harmonic.converters import Converter
+from rotorsim.diagnosis.search.selection import Selection, least_gain, probabilities
+from rotorsim.diagnosis.search.trials import Candidate, Round
+from rotorsim.errors import Problem
+
+__all__ = [
+    "conventions",
+    "converter_effect",
+    "detectable_sizes",
+    "effects_of",
+    "nearest",
+    "places_of",
+    "rejected_of",
+    "unfinished",
+    "unknown_of",
+    "verdict_of",
+]
+
+REJECTED = 12  # hypotheses that are listed
+
+
+def effects_of(selection: Selection) -> tuple[Effect, ...]:
+    """Return the effects that were chosen, each with what explains the data as well."""
+    pairs = zip(selection.chosen, selection.rounds, strict=False)
+    return tuple(effect_of(item, found, selection.slack) for item, found in pairs)
+
+
+def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
+    """Return an effect with the physics and places that explain the data as well; slack: see `Selection`.
+
+    It is compared as it was in that round: its rivals stood beside the same others.
+    """
+    candidate = _as_tried(candidate, found)
+    own = candidate.insertion.physics
+    scale = max(candidate.fit.excess_variance, 1.0)
+    possible = [item for item in found.tried if not item.fit.failure and item.physical]
+    best: dict[str, float] = {}
+    for item in possible:
+        more = max(item.fit.criterion - candidate.fit.criterion - slack, 0.0) / scale
+        best[item.insertion.physics] = min(best.get(item.insertion.physics, np.inf), more)
+    best[own] = 0.0
+    weights = {name: float(np.exp(-0.5 * value)) for name, value in best.items() if value <= CRITERIA.equivalent}
+    total = sum(weights.values())
+    members = {name: weight / total for name, weight in sorted(weights.items(), key=lambda pair: -pair[1])}
+    same = [candidate, *(item for item in found.tried if item.insertion.physics in members)]  # it is there, if all fail
+    places = tuple((spot, p) for spot, p in probabilities(same, scale) if p >= CRITERIA.listed)
+    rivals: dict[str, Candidate] = {}
+    for item in possible:
+        if item.insertion.physics in members and item.insertion.physics != own:
+            rivals.setdefault(item.insertion.physics, item)
+    return Effect(candidate, members, rivals, places)
+
+
+def _as_tried(candidate: Candidate, found: Round) -> Candidate:
+    """Return a candidate with the fit that it has in a round."""
+    same = (item.fit for item in found.tried if item.insertion.key == candidate.insertion.key and not item.fit.failure)
+    return Candidate(candidate.insertion, next(same, candidate.fit))
+
+
+def converter_effect(converter: Converter, fit: Fit) -> Effect:
+    """Return a converter as an effect that nothing else explains: readings are steps or they are not."""
+    item = converter.insertion
+    return Effect(Candidate(item, fit), {item.physics: 1.0}, {}, ((item.spot, 1.0),))
+
+
+def verdict_of(
+    selection: Selection,
+    effects: Sequence[Effect],
+    *,
+    alike: bool = False,
+    disproved: bool = False,
+    converters: bool = False,
+    faint: bool = False,
+) -> str:
+    """Return one of VERDICTS.
+
+    alike: all runs have one speed and the same settings, which anything explains. disproved: with the effects the
+    diagram does not predict hold-out runs. converters: readings show steps that the diagram lacks. faint: the residual
+    of the diagram is so small that only a named cause makes it physics.
+    """
+    named = bool(effects) and not disproved and selection.explains
+    if not named and (faint or (not effects and is_noise(selection.base))):
+        if converters:
+            return "outside_catalogue" if disproved else "missing_physics"
+        return "not_identifiable" if alike else "consistent"
+    if not named:
+        return "outside_catalogue"
+    if any(len(effect.members) > CRITERIA.most_equivalent for effect in effects):
+        return "not_identifiable"
+    return "missing_physics"
+
+
+def unknown_of(selection: Selection, effects: Sequence[Effect], evidence: Evidence) -> UnknownForce | None:
+    """Return what is known of a force outside the catalogue, at the likeliest place where a force can act."""
+    tried = [item.insertion for found in selection.rounds for item in found.tried]
+    acting = {item.spot for item in tried if item.fault.enters == "force"}
+    spots = [spot for spot, _ in places_of(selection, effects) if spot in acting] or sorted(acting, key=str)
+    return unknown_force(selection.base, evidence, spots[0]) if spots else None
+
+
+def nearest(selection: Selection, unknown: UnknownForce | None, *, disproved: bool = False) -> Fit:
+    """Return the fit that explains most: with the effects, unless disproved, or with the map of an unknown force."""
+    fits = [selection.base if disproved else selection.fit]
+    fits += [] if unknown is None or unknown.fit is None else [unknown.fit]
+    return min(fits, key=lambda fit: fit.criterion)
+
+
+def places_of(selection: Selection, effects: Sequence[Effect]) -> tuple[tuple[Spot, float], ...]:
+    """Return the places of all effects, or of the best candidates where none was chosen, the likeliest first."""
+    found: dict[Spot, float] = {}
+    for effect in effects:
+        for spot, probability in effect.places:
+            found[spot] = max(found.get(spot, 0.0), probability)
+    if not effects and not is_noise(selection.base):
+        found = dict(probabilities(selection.rounds[0].tried, max(selection.base.excess_variance, 1.0)))
+    return tuple(sorted(((s, p) for s, p in found.items() if p >= CRITERIA.listed), key=lambda pair: -pair[1]))
+
+
+def detectable_sizes(selection: Selection) -> dict[str, dict[str, Any]]:
+    """Return for each physics the smallest size that would have been seen: its first parameter, where it is linear."""
+    out: dict[str, dict[str, Any]] = {}
+    for item in selection.rounds[0].tried:
+        fit, physics = item.fit, item.insertion.physics
+        if physics in out or fit.failure or fit.nonlinear or not item.parameters or item.ended:
+            continue
+        j = [free.name for free in fit.free].index(item.parameters[0])
+        std = float(np.sqrt(max(fit.covariance[j, j], 0.0)))
+        if np.isfinite(std) and std > 0:
+            value = float(np.sqrt(least_gain(item, selection.base, selection.level))) * std
+            key = item.parameters[0].rpartition(".")[2]
+            out[physics] = {"parameter": key, "value": value, "unit": fit.free[j].unit}
+    return out
+
+
+def rejected_of(selection: Selection, effects: Sequence[Effect], terms: Terms) -> tuple[tuple[str, str], ...]:
+    """Return the rivals of the first effect and why they lost, the nearest first."""
+    if not effects:
+        return ()
+    passed = {name for effect in effects for name in effect.members}
+    passed |= {name for name, _ in unfinished(selection, effects, terms)}
+    first = selection.first.best
+    best = _as_tried(effects[0].candidate if first is None else first, selection.first).fit
+    out: dict[str, str] = {}
+    for item in selection.first.tried:
+        if item.insertion.physics not in passed and len(out) < REJECTED:
+            out.setdefault(item.insertion.physics, _why(item, best, terms))
+    return tuple(out.items())
+
+
+def unfinished(selection: Selection, effects: Sequence[Effect], terms: Terms) -> tuple[tuple[str, str], ...]:
+    """Return what was tried beside the first effect's like, but not fitted to the end, and how far it came."""
+    if not effects:
+        return ()
+    members = {name for effect in effects for name in effect.members}
+    best: dict[str, Candidate] = {}
+    for item in sorted(selection.first.tried, key=lambda item: item.fit.misfit):
+        if item.insertion.physics not in members:
+            best.setdefault(item.insertion.physics, item)
+    text = "was not fitted to the end; so far its residual variance is {:.3g} times {}"
+    open_ones = ((name, item.fit.excess_variance) for name, item in best.items() if not item.final)
+    return tuple((name, text.format(ratio, terms.noise)) for name, ratio in open_ones)
+
+
+def _why(item: Candidate, best: Fit, terms: Terms) -> str:
+    fit = item.fit
+    if fit.failure:
+        return f"cannot be fitted: {fit.failure}"
+    if item.unphysical:
+        return item.unphysical
+    if fit.misfit > 2 * best.misfit:
+        return f"residual variance {fit.excess_variance:.3g} times {terms.noise}, against {best.excess_variance:.3g}"
+    more = len(fit.free) - len(best.free)
+    if more > 0:
+        lost = float(fit.left_out.sum() - best.left_out.sum())
+        return f"needs {more} more parameters and predicts {terms.predicted} no better (misfit {lost:+.3g})"
+    return f"explains the data less well: criterion higher by {fit.criterion - best.criterion:.3g}"
+
+
+def conventions(effects: Sequence[Effect]) -> list[Problem]:
+    """Return as warnings what no run shows and the laws of these effects take as given."""
+    laws = [item.candidate.insertion for item in effects]
+    return [
+        Problem(item.fault.convention, f"{item.physics} at {item.spot}", severity="warning")
+        for item in laws
+        if item.fault.convention
+    ]

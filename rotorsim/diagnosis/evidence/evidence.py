@@ -1,0 +1,268 @@
+"""What recordings say of a diagram: the interface by which search and conclusions meet every sort of recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
+from rotorsim.diagnosis.evidence.fit import Fit, Starts
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.recordings.recording import Recording
+
+__all__ = ["Bounds", "Change", "Defaults", "Evidence", "HeldScore", "Score", "Terms", "Unknown", "Validation"]
+
+
+@dataclass(frozen=True)
+class Terms:
+    """How statements name what the evidence is made of."""
+
+    noise: str = "the noise"
+    left_out: str = "runs left out one by one"
+    predicted: str = "runs left out"
+    signals: str = "of the signals (noise {})"
+    more_runs: str = "runs at more speeds and amplitudes"
+    another: str = ""  # what separates hypotheses where nothing is declared; empty: speeds and gains were searched
+    turns: bool = True  # whether the experiments that faults declare are those of a turning shaft
+
+
+@dataclass(frozen=True)
+class Score:
+    """NRMSE per port and noise floor per port (not a number where nothing is predicted).
+
+    rms: of the error by signal, with its unit, where errors are those of samples. reason: why nothing is predicted.
+    """
+
+    ports: Mapping[str, float]
+    floor: Mapping[str, float]
+    rms: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    reason: str = ""
+
+    @property
+    def total(self) -> float | None:
+        """NRMSE over all ports."""
+        return _mean(self.ports)
+
+    @property
+    def noise(self) -> float | None:
+        """Noise floor over all ports."""
+        return _mean(self.floor)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldScore(Score):
+    """Score of hold-out runs whose expected misfit is known: chi-squared of ``rows`` equations, for a right diagram.
+
+    misfit: None where it is not known (see reason). runs: (misfit, equations) of each run.
+    """
+
+    misfit: float | None = None
+    rows: int = 0
+    runs: tuple[tuple[float, float], ...] = ()
+
+
+def _mean(values: Mapping[str, float]) -> float | None:
+    found = np.array(list(values.values()))
+    return float(np.sqrt(np.mean(found**2))) if found.size and np.isfinite(found).all() else None
+
+
+@dataclass(frozen=True)
+class Change:
+    """A run in words, how far apart it puts two hypotheses [standard deviations], and how often it must be made.
+
+    runs: 0 where no number of such runs suffices.
+    """
+
+    words: str
+    separation: float
+    runs: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """What is known of a force: plain data for diagnosis.json, and a description in words."""
+
+    data: Mapping[str, Any] = field(default_factory=dict)
+    words: Sequence[str] = ()
+
+
+class Bounds(Protocol):
+    """Lower bounds of the misfit that any law at a place can reach."""
+
+    def bound(self, item: Insertion) -> float | None:
+        """Return the least misfit that an insertion can leave, None where nothing is known of it."""
+
+
+class Validation(Protocol):
+    """Hold-out runs, or runs left out one by one, with the misfit that noise and uncertain parameters make there."""
+
+    @property
+    def held_out(self) -> bool:
+        """Whether runs are held out for good."""
+
+    def score(self, fit: Fit) -> HeldScore:
+        """Return the score of a fit on hold-out runs; without any, on runs left out one by one (refitted each time)."""
+
+    def runs_of(self, fit: Fit) -> Sequence[tuple[float, float]] | None:
+        """Return misfit and equations of each hold-out run, or of each run when it is predicted from the others."""
+
+    def least(self, item: Insertion, without: Fit) -> list[tuple[float, float]] | None:
+        """Return misfit and equations of each run with free harmonics at the place of an insertion."""
+
+    def is_force(self, fit: Fit) -> bool:
+        """Return whether free harmonics of a force at one place explain the residual of a fit."""
+
+    def residual_place(self, base: Fit, after: Fit) -> Mapping[str, Any] | None:
+        """Return where the residual of a fit acts most likely ("place"), and its size there ("size")."""
+
+
+class Evidence(Protocol):
+    """Recorded signals, and how well a diagram predicts them.
+
+    A diagram is handed over as its document. Three implementations: `HarmonicEvidence` (a turning shaft),
+    `WaveformEvidence` (samples in time), `ResonanceEvidence` (frequencies and shapes of modes), chosen by
+    `open_evidence`.
+    """
+
+    @property
+    def recording(self) -> Recording:
+        """The recording that it was made from."""
+
+    @property
+    def terms(self) -> Terms:
+        """How statements name it."""
+
+    @property
+    def recorded(self) -> Sequence[str]:
+        """The flat names of the recorded signals."""
+
+    @property
+    def alike(self) -> bool:
+        """Whether all runs have one speed and the same settings, which almost anything explains."""
+
+    @property
+    def independent(self) -> bool:
+        """Whether the equations are independent, so that the probability of a misfit has its usual meaning."""
+
+    @property
+    def line(self) -> tuple[float, float] | None:
+        """The asynchronous frequency and its standard deviation [rad/s], where there is one."""
+
+    @property
+    def validation(self) -> Validation | None:
+        """Hold-out runs with their expected misfit; None where only their errors are known."""
+
+    def load(self, document: Mapping[str, Any]) -> Diagram:
+        """Return the diagram of a document as it is compared with the recording. Raises RotorsimError."""
+
+    def largest(self) -> Mapping[str, float]:
+        """Return the largest magnitude of every recorded signal by flat name, for starts and bounds."""
+
+    def fit(
+        self, document: Mapping[str, Any], starts: Starts, *, most: int | None = None, linear_only: bool = False
+    ) -> Fit:
+        """Return the best fit of a diagram from groups of starts; most: a limit of evaluations.
+
+        What a start does not name begins as written. linear_only: the failure of a nonlinear one is DEFERRED.
+        """
+
+    def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
+        """Return the misfit that a few steps from the best start promise."""
+
+    def residual(self, document: Mapping[str, Any]) -> np.ndarray | None:
+        """Return the whitened residual of a diagram as it is, None where it has none."""
+
+    def score(self, fit: Fit) -> Score:
+        """Return the score of a fit on hold-out runs, or on parts of the recording left out one by one."""
+
+    def refines_meshes(self, document: Mapping[str, Any]) -> bool:
+        """Return whether errors of a mesh in the diagram may show in the residual."""
+
+    def bounds(self, fit: Fit) -> Bounds | None:
+        """Return lower bounds of the misfit beside a fit, None where there are none (it is not linear)."""
+
+    def recalibrated(self, fit: Fit) -> Evidence | None:
+        """Return the evidence with noise estimated from a fit that leaves less than it assumed; None if it does not."""
+
+    def at(self, fit: Fit) -> Fit:
+        """Return a fit to the evidence before recalibration as this one judges it, at the same parameters."""
+
+    def finished(self, fit: Fit, chosen: Sequence[Insertion]) -> Fit:
+        """Return a fit with what the chosen faults state once free as well, where that explains more."""
+
+    def separation(self, first: Fit, second: Fit) -> Change | None:
+        """Return the further run that separates two hypotheses most; None if none does, or none was searched."""
+
+    def unknown_force(self, document: Mapping[str, Any], spot: Spot) -> Unknown:
+        """Return orders, laws and lines of the force at a place that explains the residual best."""
+
+    def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
+        """Return sentences about this sort of recording; inserted: names of the blocks that a repair puts in."""
+
+    def open_questions(self) -> str:
+        """Return what would have to be measured for what remains open whatever the diagram is; empty: nothing."""
+
+
+class Defaults:
+    """What evidence answers that has nothing of its own to say."""
+
+    terms = Terms()
+    independent = True
+
+    @property
+    def alike(self) -> bool:
+        """False: runs are not compared by their speeds."""
+        return False
+
+    @property
+    def line(self) -> tuple[float, float] | None:
+        """None: no asynchronous line is separated."""
+        return None
+
+    @property
+    def validation(self) -> Validation | None:
+        """None: only the errors of hold-out runs are known."""
+        return None
+
+    def residual(self, document: Mapping[str, Any]) -> np.ndarray | None:
+        """Return None: meshes are taken as they are."""
+        return None
+
+    def refines_meshes(self, document: Mapping[str, Any]) -> bool:
+        """Return False: errors of meshes are below those of the evidence."""
+        return False
+
+    def bounds(self, fit: Fit) -> Bounds | None:
+        """Return None: nothing is known of places but by trying them."""
+        return None
+
+    def recalibrated(self, fit: Fit) -> Evidence | None:
+        """Return None: the noise was measured, whatever a diagram leaves."""
+        return None
+
+    def at(self, fit: Fit) -> Fit:
+        """Return the fit: there was no recalibration."""
+        return fit
+
+    def finished(self, fit: Fit, chosen: Sequence[Insertion]) -> Fit:
+        """Return the fit: what a fault states once stays."""
+        return fit
+
+    def separation(self, first: Fit, second: Fit) -> Change | None:
+        """Return None: no further runs were searched."""
+        return None
+
+    def unknown_force(self, document: Mapping[str, Any], spot: Spot) -> Unknown:
+        """Return nothing: a force is described by its map only."""
+        return Unknown()
+
+    def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
+        """Return nothing: the statement says all."""
+        return []
+
+    def open_questions(self) -> str:
+        """Return nothing: what remains open is in the statement."""
+        return ""

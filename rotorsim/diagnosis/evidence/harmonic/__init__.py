@@ -1,0 +1,1 @@
+"""Harmonics of a turning shaft, compared with the settled motion of a diagram."""

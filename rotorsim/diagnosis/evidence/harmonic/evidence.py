@@ -1,0 +1,132 @@
+"""Evidence of a turning shaft: harmonics about the measured angle, compared with the settled motion of a diagram."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
+from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.evidence.evidence import Change, Defaults, HeldScore, Unknown
+from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts
+from rotorsim.diagnosis.evidence.harmonic.bounds import LowerBounds, open_bounds
+from rotorsim.diagnosis.evidence.harmonic.fitting import fit_document, promise_of
+from rotorsim.diagnosis.evidence.harmonic.force import unknown_force
+from rotorsim.diagnosis.evidence.harmonic.residual import is_force, residual_place
+from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns, has_mesh
+from rotorsim.diagnosis.evidence.harmonic.scoring import held_score, left_out_score, predict, standardised
+from rotorsim.diagnosis.evidence.harmonic.separation import best_change
+from rotorsim.identification.periodic_likelihood import likelihood_of
+from rotorsim.recordings.recording import Recording
+from rotorsim.signals.harmonics import RunHarmonics
+
+__all__ = ["HarmonicEvidence"]
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicEvidence(HarmonicRuns, Defaults):
+    """Harmonics of the runs to identify from, and of hold-out runs, recording by recording."""
+
+    held: tuple[tuple[Recording, tuple[RunHarmonics, ...]], ...] = ()
+
+    @property
+    def line(self) -> tuple[float, float] | None:
+        """The asynchronous frequency and its standard deviation [rad/s], where there is one."""
+        return None if self.second is None else (self.second.value, self.second.std)
+
+    @property
+    def parts(self) -> tuple[HarmonicRuns, ...]:
+        """The hold-out runs, recording by recording."""
+        return tuple(replace(self, recording=recording, harmonics=runs, held=()) for recording, runs in self.held)
+
+    def fit(
+        self, document: Mapping[str, Any], starts: Starts, *, most: int | None = None, linear_only: bool = False
+    ) -> Fit:
+        """Return the best fit of a diagram; see `fit_document`."""
+        return fit_document(document, self, starts, most=most, linear_only=linear_only)
+
+    def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
+        """Return the misfit that one step from the best start promises; see `promise_of`."""
+        return promise_of(document, self, starts)
+
+    def residual(self, document: Mapping[str, Any]) -> np.ndarray | None:
+        """Return the whitened residual of a diagram as it is, or None where it has none."""
+        try:
+            experiment = self.open(self.load(document))
+            return likelihood_of(experiment).evaluate(experiment.theta0).residual
+        except FAILURES:
+            return None
+
+    def refines_meshes(self, document: Mapping[str, Any]) -> bool:
+        """Return whether a block of the diagram is a mesh, which is never exact."""
+        return has_mesh(self.load(document))
+
+    def bounds(self, fit: Fit) -> LowerBounds | None:
+        """Return lower bounds of the misfit for every place; see `open_bounds`."""
+        return open_bounds(fit, self)
+
+    def separation(self, first: Fit, second: Fit) -> Change | None:
+        """Return the speed or gain that separates two hypotheses most; see `best_change`."""
+        return best_change(first, second, self)
+
+    def unknown_force(self, document: Mapping[str, Any], spot: Spot) -> Unknown:
+        """Return orders, exponents, work and lines of the force that explains the residual best."""
+        return unknown_force(document, self, spot)
+
+    # -- validation ----------------------------------------------------------------------------------------------------
+
+    @property
+    def validation(self) -> HarmonicEvidence:
+        """Itself: the noise of its hold-out runs is known."""
+        return self
+
+    @property
+    def held_out(self) -> bool:
+        """Whether runs are held out for good."""
+        return bool(self.held)
+
+    def score(self, fit: Fit) -> HeldScore:
+        """Return the score of a fit on hold-out runs, or on runs left out one by one; computed once."""
+        if fit not in self._scores:
+            document = values_in(fit.document, fit.values)
+            self._scores[fit] = held_score(document, self, self.parts) if self.held else left_out_score(document, self)
+        return self._scores[fit]
+
+    @cached_property
+    def _scores(self) -> dict[Fit, HeldScore]:
+        return {}
+
+    def runs_of(self, fit: Fit) -> Sequence[tuple[float, float]] | None:
+        """Return misfit and equations of each hold-out run, or of each run when it is predicted from the others."""
+        if self.held:
+            return self.score(fit).runs
+        try:
+            runs = standardised(predict(values_in(fit.document, fit.values), self))
+        except FAILURES:
+            runs = None
+        if runs is None and len(fit.left_out):  # as it was when it was fitted
+            return [(float(misfit), fit.rows / len(fit.left_out)) for misfit in fit.left_out]
+        return runs
+
+    def least(self, item: Insertion, without: Fit) -> list[tuple[float, float]] | None:
+        """Return misfit and equations of each run with free harmonics at the place of an insertion."""
+        pairs: list[tuple[float, float]] = []
+        for part in self.parts or (self,):
+            bounds = open_bounds(without, part)
+            runs = None if bounds is None else bounds.least(item)
+            if runs is None:
+                return None
+            pairs += runs
+        return pairs
+
+    def is_force(self, fit: Fit) -> bool:
+        """Return whether free harmonics of a force at one place explain the residual of a linear diagram."""
+        return is_force(fit, self)
+
+    def residual_place(self, base: Fit, after: Fit) -> Mapping[str, Any] | None:
+        """Return where the residual of a fit acts most likely, and its size there; see `residual_place`."""
+        return residual_place(base, after, self)

@@ -1,0 +1,39 @@
+"""Open a recording beside a diagram: which evidence it gives is decided here, and nowhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
+from rotorsim.diagnosis.evidence.harmonic.open import open_harmonics
+from rotorsim.diagnosis.evidence.opened import Opened
+from rotorsim.diagnosis.evidence.resonance.open import is_by_resonances, open_resonances
+from rotorsim.diagnosis.evidence.waveform.data import is_in_time
+from rotorsim.diagnosis.evidence.waveform.open import open_waveforms
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import Problem
+from rotorsim.recordings.recording import Recording
+
+__all__ = ["Opened", "open_evidence"]
+
+TURNING = ("missing_channel", "no_phase_reference")  # codes of findings that matter only of a shaft that turns
+
+
+def open_evidence(
+    diagram: Diagram,
+    recording: Recording,
+    hold_out: Recording | None,
+    catalogue: Catalogue,
+    warnings: Sequence[Problem],
+) -> Opened:
+    """Return a recording as evidence, and the diagram as given fitted to it.
+
+    Harmonics where the shaft turns, else samples in time; resonances where no simulation follows the modes in time.
+    warnings: earlier ones, of which those that do not matter are dropped.
+    Raises RotorsimError for recordings that do not fit the diagram.
+    """
+    if not is_in_time(diagram, recording):
+        return open_harmonics(diagram, recording, hold_out, catalogue, warnings)
+    warnings = [problem for problem in warnings if problem.code not in TURNING]
+    opener = open_resonances if is_by_resonances(diagram, recording) else open_waveforms
+    return opener(diagram, recording, hold_out, catalogue, warnings)
