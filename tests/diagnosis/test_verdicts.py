@@ -402,7 +402,7 @@ def test_a_look_alike_is_carried_on_from_where_it_is_at_its_best_place():
             jobs.append((len(given), most))
             return [better]
 
-    found = Carried(None, None, None, 1, None, None).completed(Round(Fit({}), (far, near)), {"rub"})
+    found = Carried(None, None, None, Jobs(1)).completed(Round(Fit({}), (far, near)), {"rub"})
     assert jobs == [(1, None)]
     assert [(item.insertion.spot, item.fit.misfit, item.final) for item in found.tried] == [
         ("near", 1000.0, True),
