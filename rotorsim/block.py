@@ -166,6 +166,7 @@ class In(Declaration):
 class Out(Declaration):
     """Declare an output port; ``many`` as for `In`."""
 
+    additive: ClassVar[bool] = False
     many: str | None = None
 
 
@@ -210,6 +211,7 @@ class State(Declaration):
     fresh: it begins from ``init`` with the first sample of every recorded run, however slow it is.
     """
 
+    discrete: ClassVar[bool] = False
     init: float | str = 0.0
     unless_wired: str | None = None
     when: Callable[[Any], bool] | None = None
@@ -219,6 +221,8 @@ class State(Declaration):
 @dataclass(frozen=True, kw_only=True)
 class DiscreteState(State):
     """Declare a state that changes only at the hits of the block's sample time."""
+
+    discrete: ClassVar[bool] = True
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -88,15 +88,15 @@ class RotorsimError(Exception):
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
 
-def near_miss(word: str, known: Iterable[str], *, list_all: bool = True) -> str:
-    """Return a hint for a misspelt word: the closest known ones, else the list of all (if short enough)."""
+def near_miss(word: str, known: Iterable[str], *, list_all: bool = True, most: int = 3) -> str:
+    """Return a hint for a misspelt word: the ``most`` closest known ones, else the list of all (if short enough)."""
     from difflib import get_close_matches
 
     names = sorted({str(name) for name in known})
     folded = {name.lower(): name for name in reversed(names)}
     if word.lower() in folded:
         return f"did you mean '{folded[word.lower()]}'?"
-    close = get_close_matches(word, names, n=3, cutoff=0.6)
+    close = get_close_matches(word, names, n=most, cutoff=0.6)
     if close:
         return "did you mean " + " or ".join(f"'{name}'" for name in close) + "?"
     if not list_all or not names:

@@ -72,8 +72,8 @@ def _number(error: OSError | RuntimeError) -> int | None:
     """Return the number of an error of the system; HDF5 writes it into its own."""
     if isinstance(error, OSError):
         return error.errno
-    found = re.search(r"\berrno = (\d+)", str(error))
-    return int(found[1]) if found else None
+    match = re.search(r"\berrno = (\d+)", str(error))
+    return int(match[1]) if match else None
 
 
 def _no_room(path: Path, number: int | None, size: int | None, done: int) -> RotorsimError:

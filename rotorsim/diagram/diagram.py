@@ -36,7 +36,7 @@ class Port:
     @property
     def additive(self) -> bool:
         """Whether it is an input that adds up any number of wires."""
-        return isinstance(self.declaration, In) and self.declaration.additive
+        return self.declaration.additive
 
 
 @dataclass(frozen=True)

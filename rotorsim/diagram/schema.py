@@ -143,16 +143,16 @@ def _parameter(parameter: Param) -> dict[str, Any]:
     kinds: list[Any] = [number, {"type": "string"}]
     if parameter.shape != ():
         kinds.append({"type": "array"})
-    found: dict[str, Any] = {"description": f"{parameter.doc}{unit}", "anyOf": kinds}
+    described: dict[str, Any] = {"description": f"{parameter.doc}{unit}", "anyOf": kinds}
     if parameter.default is not None:
-        found["default"] = parameter.default
-    return found
+        described["default"] = parameter.default
+    return described
 
 
 def _option(option: Option) -> dict[str, Any]:
-    found: dict[str, Any] = {"description": option.doc, "default": option.default}
+    described: dict[str, Any] = {"description": option.doc, "default": option.default}
     if option.choices is not None and not isinstance(option.default, list):
-        return {**found, "anyOf": [{"enum": list(option.choices)}, _REFERENCE]}
+        return {**described, "anyOf": [{"enum": list(option.choices)}, _REFERENCE]}
     kinds = option.kind if isinstance(option.kind, tuple) else (option.kind,) if option.kind else ()
     entry: dict[str, Any] = {"type": [_JSON_TYPE[k] for k in kinds if k in _JSON_TYPE]} if kinds else {}
     for key, bound in (("minimum", option.low), ("maximum", option.high)):
@@ -160,4 +160,4 @@ def _option(option: Option) -> dict[str, Any]:
             entry[key] = bound
     if isinstance(option.default, list):
         entry = {"type": "array", "items": entry}
-    return {**found, "anyOf": [entry, _REFERENCE]} if entry else found
+    return {**described, "anyOf": [entry, _REFERENCE]} if entry else described

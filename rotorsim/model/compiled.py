@@ -83,14 +83,9 @@ class Model:
         for name, value in (overrides or {}).items():
             parts = self._parts_of(name)
             if not parts:
-                known = [*self.diagram.parameters, *self.parameters]
-                problems.append(
-                    Problem(
-                        what="no such parameter",
-                        subject=name,
-                        hint=near_miss(name, known, list_all=False) or "`rotorsim blocks TYPE` lists parameters",
-                    )
-                )
+                near = near_miss(name, [*self.diagram.parameters, *self.parameters], list_all=False, most=1)
+                hint = near or "`rotorsim blocks TYPE` lists parameters"
+                problems.append(Problem(what="no such parameter", subject=name, hint=hint))
                 continue
             for target, part in parts.items():
                 try:
@@ -212,7 +207,7 @@ class Model:
         base, bracket, inside = name.partition("[")
         signal = self.signals.get(base)
         if signal is None:
-            raise RotorsimError(Problem("no such signal", name, hint=near_miss(base, self.signals)))
+            raise RotorsimError(Problem("no such signal", name, hint=near_miss(base, self.signals, most=1)))
         try:
             index = tuple(int(part) - 1 for part in inside.rstrip("]").split(",")) if bracket else ()
             if any(i < 0 for i in index):

@@ -222,12 +222,12 @@ class _Flattener:
             ports.outputs[name] = ends[0]
 
     def end(self, text: Any, scope: Scope, place: Place, subject: str) -> Endpoint | None:
-        found = endpoint(text, scope.prefix)
-        if found is not None and "/" not in found.block[len(scope.prefix) :]:
-            return found
+        parsed = endpoint(text, scope.prefix)
+        if parsed is not None and "/" not in parsed.block[len(scope.prefix) :]:
+            return parsed
         shown = f"'{text}'" if isinstance(text, str) else "this"
         hint = "write 'block.port', or 'block.port[i]' counted from 1"
-        if found is not None:
+        if parsed is not None:
             hint = "inside a sub-diagram only its ports can be wired"
         self.problems.error(f"{shown} is not a port", subject, place, hint)
         return None

@@ -176,8 +176,8 @@ def _usual(node: Node, key: str) -> list[float]:
     """Return the sizes that a block declares for a parameter: its default, and where a diagnosis starts."""
     default = node.block.parameters[key].default
     starts = [start for fault in node.block.faults for start in fault.free.get(key, ())]
-    found = [*(np.ravel(default).tolist() if default is not None else []), *starts]
-    return [abs(float(size)) for size in found if isinstance(size, int | float)]
+    sizes = [*(np.ravel(default).tolist() if default is not None else []), *starts]
+    return [abs(float(size)) for size in sizes if isinstance(size, int | float)]
 
 
 def _lowest(declared: Param, value: float) -> float | None:

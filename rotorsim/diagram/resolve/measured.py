@@ -19,7 +19,7 @@ def measured_signals(
 ) -> dict[Endpoint, Endpoint]:
     """Return what ``measured`` of a document says, recorded signal -> signal of the diagram; add its mistakes."""
     given = flat.data.get("measured")
-    found: dict[Endpoint, Endpoint] = {}
+    measured: dict[Endpoint, Endpoint] = {}
 
     def error(what: str, name: str, hint: str = "", *, key: bool = False) -> None:
         place = flat.source.place(("measured", name), key=key)
@@ -41,8 +41,8 @@ def measured_signals(
             sizes = [" x ".join(map(str, shape)) or "a single number" for shape in shapes]
             error(f"'{said}' is {sizes[0]}, '{meant}' is {sizes[1]}", name, "both are the same quantity")
         else:
-            found[said] = meant
-    return found
+            measured[said] = meant
+    return measured
 
 
 def _shape(node: Node, end: Endpoint) -> Shape:

@@ -92,14 +92,14 @@ class Registry:
 
     def _collect(self, subject: str, load: Any, place: Place | None = None) -> None:
         try:
-            found = load()
+            loaded = load()
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # a foreign file may raise anything, also SystemExit
             text = str(error).strip().split("\n")[0]
             self.problems.warning(f"block file cannot be used: {type(error).__name__}: {text}", subject, place)
             return
-        for block in _classes(found):
+        for block in _classes(loaded):
             other = self._known.setdefault(block.type_name, block)
             if other is not block:
                 what = f"type '{block.type_name}' is defined again; the one in {other.__module__} is used"
@@ -115,10 +115,10 @@ def _built_in() -> dict[str, str]:
     return {file.stem: f"{_PACKAGE}.{file.parent.name}.{file.stem}" for file in files if file.parent.name != _SHARED}
 
 
-def _classes(found: Any) -> list[type[Block]]:
-    values = list(vars(found).values()) if isinstance(found, ModuleType) else [found]
+def _classes(loaded: Any) -> list[type[Block]]:
+    values = list(vars(loaded).values()) if isinstance(loaded, ModuleType) else [loaded]
     blocks = [v for v in values if isinstance(v, type) and issubclass(v, Block) and v is not Block]
-    return [v for v in blocks if v.__module__ == found.__name__] if isinstance(found, ModuleType) else blocks
+    return [v for v in blocks if v.__module__ == loaded.__name__] if isinstance(loaded, ModuleType) else blocks
 
 
 def _import_file(file: Path) -> ModuleType:

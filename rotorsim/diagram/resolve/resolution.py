@@ -234,12 +234,12 @@ def _source(
         )
     path, said = find_diagram(source)
     try:
-        found = read_document(path)
+        document = read_document(path)
     except RotorsimError as error:
         raise RotorsimError(
             *[p if p.hint else replace(p, hint="give the JSON file of a diagram") for p in error.problems]
         ) from None
-    return found, path.parent, said
+    return document, path.parent, said
 
 
 def _removed(flat: FlatDocument, without: Iterable[str]) -> frozenset[str]:
@@ -305,9 +305,8 @@ def _solver(flat: FlatDocument, overrides: Mapping[str, Any]) -> Solver:
             f"step {solver.step:g} s is longer than stop {solver.stop:g} s", "solver", place, "choose a smaller step"
         )
     if solver.rtol > MOST_RTOL:
-        hint = f"errors of steps add up; the default is {Solver.rtol:g}"
-        place = flat.source.place(("solver", "rtol"))
-        flat.problems.error(f"must be at most {MOST_RTOL:g}", "solver.rtol", place, hint)
+        at_rtol, hint = flat.source.place(("solver", "rtol")), f"errors of steps add up; the default is {Solver.rtol:g}"
+        flat.problems.error(f"must be at most {MOST_RTOL:g}", "solver.rtol", at_rtol, hint)
     if solver.stop / solver.step > 1e10:
         flat.problems.error(f"{solver.stop / solver.step:.0e} steps", "solver", place, "at most 1e10: a larger step")
     return solver

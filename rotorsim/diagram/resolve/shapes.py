@@ -40,7 +40,7 @@ class _Variables(Generic[Term]):
         return term
 
     def join(self, a: Term, b: Term) -> bool:
-        """Make two found terms equal where one is a variable; return whether one is."""
+        """Make two terms, as `find` gives them, equal where one is a variable; return whether one is."""
         for one, other in ((a, b), (b, a)):
             if isinstance(one, int) and one < 0:
                 if one != other:
@@ -83,11 +83,11 @@ class Unifier:
 
 def text_of(shape: ShapeTerm, unifier: Unifier | None = None) -> str:
     """Return a shape for messages: ``scalar``, ``(2,)``, ``(11, 2)``, with ? for what is unknown."""
-    found = unifier.shape(shape) if unifier else shape
-    if isinstance(found, int):
+    known = unifier.shape(shape) if unifier else shape
+    if isinstance(known, int):
         return "unknown shape"
-    if not found:
+    if not known:
         return "scalar"
-    numbers = [unifier.dimension(d) if unifier else d for d in found]
+    numbers = [unifier.dimension(d) if unifier else d for d in known]
     inside = ", ".join(str(d) if d >= 0 else "?" for d in numbers)
     return f"({inside},)" if len(numbers) == 1 else f"({inside})"

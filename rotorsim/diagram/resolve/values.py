@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
@@ -132,12 +133,10 @@ def _entry(value: Any, kinds: tuple[type, ...], declared: Option, path: tuple[in
 
 
 def _kind_of(value: Any) -> str:
-    if value is None:
-        return "null"
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
     if isinstance(value, str):
         return f"the text '{value if len(value) < 40 else value[:37] + '...'}'"
-    if isinstance(value, bool):
-        return "true" if value else "false"
     if isinstance(value, int | float):
         return f"the number {value}"
     return "a list" if isinstance(value, list | tuple) else "an object" if isinstance(value, dict) else "this"

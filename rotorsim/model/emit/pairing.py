@@ -36,7 +36,7 @@ def paired_states(program: Program, rates: Sequence[int]) -> list[list[int]]:
 
 def _forms(program: Program, rates: Sequence[int], colours: Sequence[int]) -> dict[int, int]:
     """Return a number for the form of every node: operations alike, states by colour, parameters all alike."""
-    found: dict[int, int] = {}
+    form_of: dict[int, int] = {}
     numbers: dict[object, int] = {}
     for number in program.needed(rates):
         op, a, b = program.nodes[number]
@@ -46,10 +46,10 @@ def _forms(program: Program, rates: Sequence[int], colours: Sequence[int]) -> di
         elif op == ir.INPUT:
             form = ("x", colours[b]) if a == "x" else (str(a),)
         else:
-            parts = [found[k] for k in program.operands(number)]
+            parts = [form_of[k] for k in program.operands(number)]
             form = (op, *(sorted(parts) if op in (ir.ADD, ir.MUL) else parts))
-        found[number] = numbers.setdefault(form, len(numbers))
-    return found
+        form_of[number] = numbers.setdefault(form, len(numbers))
+    return form_of
 
 
 def paired_constants(

@@ -202,9 +202,9 @@ class Program:
                     if self.levels[q] < level:
                         return self.apply(MUL, s, self.apply(MUL, q, low))
             elif op in (ADD, SUB) and inner_op in (ADD, SUB):
-                found = self._regrouped_sum(op, inner_op, c, d, low, level, swapped)
-                if found is not None:
-                    return found
+                joined = self._regrouped_sum(op, inner_op, c, d, low, level, swapped)
+                if joined is not None:
+                    return joined
         return None
 
     def _regrouped_sum(self, op: int, inner: int, c: int, d: int, r: int, level: int, swapped: bool) -> int | None:

@@ -82,9 +82,9 @@ def _find(wanted: str, path: str) -> Compiler | None:
     if wanted.lower() == "none":
         return None
     for name in (wanted,) if wanted else ("cc", "gcc", "clang"):
-        found = shutil.which(name, path=path or None)
-        if found:
-            return Compiler((found,), found)
+        command = shutil.which(name, path=path or None)
+        if command:
+            return Compiler((command,), command)
     if wanted:
         warnings.warn(f"ROTORSIM_CC: there is no compiler {wanted}: none is used", RuntimeWarning, stacklevel=3)
     if not wanted and importlib.util.find_spec("ziglang") is not None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import casadi as ca
 
-from rotorsim.block import Block, DiscreteState, Shape, flatten, matrix_shape, size_of, unflatten
+from rotorsim.block import Block, Shape, flatten, matrix_shape, size_of, unflatten
 
 __all__ = ["BlockTrace", "TraceError", "trace_block"]
 
@@ -116,7 +116,7 @@ def trace_block(
     _refuse_unknown("output", equations.outputs, block.outputs)
 
     active = block.active_states()
-    discrete = {name: shape for name, shape in states.items() if isinstance(active[name], DiscreteState)}
+    discrete = {name: shape for name, shape in states.items() if active[name].discrete}
     continuous = {name: shape for name, shape in states.items() if name not in discrete}
     _refuse_unknown("derivative", equations.derivatives, continuous)
     _refuse_unknown("update", equations.update, discrete)

@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rotorsim.block import DiscreteState, Shape, size_of
+from rotorsim.block import Shape, size_of
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.trace.block import BlockTrace
@@ -153,7 +153,7 @@ class _Tracer:
                 symbols[key] = self.p.add(f"{name}.{key}", np.shape(value), block.parameters[key].unit)
             active = block.active_states()
             for key, shape in node.state_shapes.items():
-                discrete = isinstance(active[key], DiscreteState)
+                discrete = active[key].discrete
                 symbols[key] = (self.z if discrete else self.x).add(f"{name}.{key}", shape, active[key].unit)
                 self.state_blocks += [] if discrete else [name] * size_of(shape)
             start = self.w.size
@@ -182,30 +182,18 @@ class _Tracer:
         wires = self.wires_into.get((block, port), [])
         if not self._is_additive(block, port) and len(wires) == 1 and not wires[0][1].index:
             return self._taken(wires[0][0], signals)
-        total = ca.SX.zeros(size_of(declared.shape))
-        entries = ca.vertsplit(total) if declared.shape else [total]
+        column = ca.SX.zeros(size_of(declared.shape))
         for source, target in wires:
-            value = self._taken(source, signals)
-            parts = ca.vertsplit(value) if value.shape[0] > 1 else [value]
-            where = flat_indices(declared.shape, target.index)
-            if len(parts) == 1 and len(where) > 1:
-                parts = parts * len(where)
-            for position, part in zip(where, parts, strict=True):
-                entries[position] = entries[position] + part
-        column = ca.vertcat(*entries)
+            column[flat_indices(declared.shape, target.index).tolist()] += self._taken(source, signals)
         return column + self.external[block, port] if (block, port) in self.inject else column
 
     def _taken(self, source: Endpoint, signals: Mapping[Key, Any]) -> Any:
         key = (source.block, source.port)
-        value = signals[key]
-        if key in self.replace:
-            value = self.external[key]
-        elif key in self.inject:
+        value = self.external[key] if key in self.replace else signals[key]
+        if key in self.inject:
             value = value + self.external[key]
-        if source.index:
-            shape = self.diagram.nodes[source.block].outputs[source.port].shape
-            return value[flat_indices(shape, source.index).tolist()]
-        return value
+        shape = self.diagram.nodes[source.block].outputs[source.port].shape
+        return value[flat_indices(shape, source.index).tolist()] if source.index else value
 
     def known_inputs(self, block: str, ports: Iterable[str], signals: Mapping[Key, Any]) -> dict[str, Any]:
         return {port: self.input_value(block, port, signals) for port in ports}
