@@ -169,9 +169,8 @@ class _RunCheck:
 
     def phase_reference(self) -> Iterator[Problem]:
         channels = self.recording.channels.values()
-        turns = any(channel.axis is not None for channel in channels)
-        has = any(channel.signal in (ANGLE, TACHO) for channel in channels)
-        if turns and not has and self.run.tacho is None and self.run.speed is None:
+        turns = any(channel.axis for channel in channels) and not any(c.signal in (ANGLE, TACHO) for c in channels)
+        if turns and self.run.tacho is None and self.run.speed is None:
             hint = 'give "tacho": times of a once-per-turn pulse, a channel of clock.theta, or "speed" (0: at rest)'
             what = "no phase reference: neither tacho nor angle nor speed"
             yield self.problem("no_phase_reference", what, hint, stated=True)

@@ -151,7 +151,7 @@ def _residual(recording: Recording, item: RunHarmonics, theta: np.ndarray) -> tu
     """Return harmonics of an angle (n,) with the lines that are picked up, and the residual of the signals, (n, C)."""
     basis = harmonic_basis(item.fit.run, item.run.time, theta, orders=int(item.fit.orders[-1]))
     basis = basis.with_lines(item.run.time, item.fit.pickups)
-    return basis, basis.solve(np.column_stack(list(samples_of(recording, item).signals.values())))[1]
+    return basis, basis.solve(np.column_stack(list(samples_of(recording, item.run, item.angle).signals.values())))[1]
 
 
 def frequency_of_pulses(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
@@ -365,7 +365,7 @@ def with_asynchronous(
             at = nu.at(item.fit.speed)
             theta, std = _even(item, at) if nu.even else (item.angle.theta, item.angle.std)
             fit = fit_harmonics(
-                replace(samples_of(recording, item), theta=theta, angle_std=std),
+                replace(samples_of(recording, item.run, item.angle, item.lost), theta=theta, angle_std=std),
                 orders=int(item.fit.orders[-1]),
                 second=(at, np.array(nu.orders)),
                 pickups=list(item.fit.pickups),

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.threads import one_thread
-from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
+from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.signals.angle_refinement import refined_angle
 from rotorsim.signals.colour import common_colour
 from rotorsim.signals.dropped_samples import fill_dropped
@@ -71,7 +71,7 @@ def harmonics_of(
 
 def _run_harmonics(recording: Recording, run: Run, angle: ShaftAngle, orders: int | None) -> RunHarmonics:
     """Return the harmonics of one run, its angle refined and its dropped samples filled in."""
-    channels = [c for c in recording.channels.values() if c.signal not in (ANGLE, TACHO) and c.column in run.values]
+    channels = _channels(recording, run)
     y = np.column_stack([run.values[c.column] for c in channels])
     check_samples(run.id, [c.name for c in channels], y, angle.theta)
     basis = harmonic_basis(run.id, run.time, angle.theta, orders=orders)
@@ -80,35 +80,29 @@ def _run_harmonics(recording: Recording, run: Run, angle: ShaftAngle, orders: in
     lost = int(dropped.sum(axis=0).max(initial=0))
     if lost:
         run = replace(run, values={**run.values, **{c.column: y[:, k] for k, c in enumerate(channels)}})
-    samples = Samples(
+    fit = fit_harmonics(samples_of(recording, run, angle, lost), basis=basis)
+    return RunHarmonics(run, angle, fit, lost)
+
+
+def samples_of(recording: Recording, run: Run, angle: ShaftAngle, lost: int = 0) -> Samples:
+    """Return what the harmonics of a run are fitted to; see `RunHarmonics`."""
+    channels = _channels(recording, run)
+    return Samples(
         run.id,
         run.time,
         angle.theta,
-        {c.name: y[:, k] for k, c in enumerate(channels)},
+        {c.name: np.asarray(run.values[c.column]) for c in channels},
         {c.name: c.unit for c in channels},
-        {recording.channels[c].name: np.asarray(w) for c, w in run.weights.items()},
+        {c.name: np.asarray(run.weights[c.column]) for c in channels if c.column in run.weights},
         angle.std,
         angle.stamp,
-        lost / len(y),
+        lost / len(run.time),
     )
-    return RunHarmonics(run, angle, fit_harmonics(samples, basis=basis), lost)
 
 
-def samples_of(recording: Recording, item: RunHarmonics) -> Samples:
-    """Return the samples of the channels that were fitted, to be fitted again."""
-    fit, run = item.fit, item.run
-    columns = {channel.name: c for c, channel in recording.channels.items() if c in run.values}
-    return Samples(
-        fit.run,
-        run.time,
-        item.angle.theta,
-        {name: np.asarray(run.values[columns[name]]) for name in fit.names},
-        dict(zip(fit.names, fit.units, strict=True)),
-        {recording.channels[c].name: np.asarray(w) for c, w in run.weights.items()},
-        fit.angle_std,
-        fit.stamp,
-        item.lost / len(run.time),
-    )
+def _channels(recording: Recording, run: Run) -> list[Channel]:
+    """Return the channels of a run that are compared: all but the angle."""
+    return [c for c in recording.channels.values() if c.signal not in (ANGLE, TACHO) and c.column in run.values]
 
 
 def contradictions(runs: Sequence[RunHarmonics]) -> list[Problem]:

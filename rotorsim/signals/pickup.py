@@ -149,7 +149,12 @@ def _hum(item: RunHarmonics, pickups: Sequence[Pickup]) -> dict[int, np.ndarray]
 def _refitted(
     recording: Recording, item: RunHarmonics, frequencies: Sequence[float], hum: Mapping[int, np.ndarray]
 ) -> RunHarmonics:
-    fit = fit_harmonics(samples_of(recording, item), orders=int(item.fit.orders[-1]), pickups=frequencies, hum=hum)
+    fit = fit_harmonics(
+        samples_of(recording, item.run, item.angle, item.lost),
+        orders=int(item.fit.orders[-1]),
+        pickups=frequencies,
+        hum=hum,
+    )
     return replace(item, fit=fit)
 
 

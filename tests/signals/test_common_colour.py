@@ -8,8 +8,8 @@ from rotorsim.signals.colour import bands_of, common_colour, density, variance_o
 from rotorsim.signals.covariance import real_vector
 from rotorsim.signals.harmonics import harmonics_of
 from rotorsim.signals.noise import Noise
-from tests.recordings.test_nuisances import TIME, N, flicker
 from tests.signals.test_asynchronous import HARMONICS, TURN, closed_form, pulses, recording
+from tests.signals.test_nuisances import TIME, N, flicker
 
 SPEEDS = TURN * np.array([2.2, 11.7, 16.9, 23.3, 37.9, 50.1])  # two turns in the first run
 LEVEL, CORNER = 0.05, 40.0
