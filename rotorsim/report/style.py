@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from textwrap import wrap
 from typing import Any
 
 import matplotlib as mpl
@@ -22,8 +24,11 @@ __all__ = [
     "PURPLE",
     "RED",
     "ROUNDING",
+    "STANDS_OUT",
+    "Look",
     "display",
     "figure",
+    "legend_below",
     "order_axis",
     "phase_line",
     "rpm",
@@ -34,6 +39,7 @@ __all__ = [
 BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#6b6b6b"
 INK = "#222222"
 ROUNDING = 1e-9  # of the largest: linear solutions are good to 1e-12, and a sensor resolves 1e-6 of its range
+STANDS_OUT = 2.0  # times the noise level: a harmonic that is worth showing
 AXES = {"x": BLUE, "y": ORANGE}
 
 _STYLE: Any = {
@@ -62,12 +68,32 @@ def styled() -> Iterator[None]:
         yield
 
 
+@dataclass(frozen=True)
+class Look:
+    """What a diagram, or a set of runs, is called in figures and tables, and how it is drawn."""
+
+    label: str
+    colour: str
+    marker: str = "o"
+    line: str = "-"
+    size: float = 7.0
+
+
 def figure(width: float, height: float, title: str) -> Figure:
-    """Return an empty figure with a title; it belongs to no window and no global state."""
+    """Return an empty figure with a title folded to its width; it belongs to no window and no global state."""
     made = Figure(figsize=(width, height), layout="constrained")
-    if title:
-        made.suptitle(title, fontsize=11, fontweight="bold")
+    lines = [part for line in title.splitlines() for part in wrap(line, int(9.5 * width))]
+    if lines:
+        made.suptitle("\n".join(lines), fontsize=11, fontweight="bold")
     return made
+
+
+def legend_below(made: Figure, axes: Axes) -> None:
+    """Put the legend of some axes below the whole figure, every entry once."""
+    handles, labels = axes.get_legend_handles_labels()
+    entries = dict(zip(labels, handles, strict=True))
+    columns = min(len(entries), 6 if len(entries) != 7 else 4)
+    made.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
 
 
 def display(values: Any, unit: str) -> tuple[np.ndarray, str]:

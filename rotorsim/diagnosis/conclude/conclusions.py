@@ -106,7 +106,7 @@ class Diagnosis(Shown):
     readings: tuple[Source, tuple[Held, ...]] | None = None
     recordings: tuple[Recording, ...] = ()
 
-    _figure = "rotorsim.report.diagnosis.evidence:before_and_after_figure"
+    _figure = "rotorsim.report.diagnosis.compared:before_and_after_figure"
 
     def __repr__(self) -> str:
         return f"Diagnosis({self.verdict}: {self.statement})"

@@ -14,8 +14,7 @@ from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagram.diagram import Diagram, Node
 from rotorsim.diagram.draw import draw_svg
-from rotorsim.report.diagnosis.figures import legend, wide_sheet
-from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, styled
+from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, figure, legend_below, styled
 
 __all__ = ["NEW", "SHADES", "block_diagram", "places_figure"]
 
@@ -52,10 +51,10 @@ def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], record
     there = [(spot, p) for spot, p in places if (spot, p) not in here][:OTHERS]
     with styled():
         if shaft is None:
-            made = wide_sheet(7.0, 1.4 + 0.35 * max(len(there), 2), "Where it acts: probability of each place")
+            made = figure(7.0, 1.4 + 0.35 * max(len(there), 2), "Where it acts: probability of each place")
             _draw_others(made.add_subplot(), there, "")
             return made
-        made = wide_sheet(10.5, 4.4 if here else 3.0, _title(places))
+        made = figure(10.5, 4.4 if here else 3.0, _title(places))
         grid = made.add_gridspec(
             2 if here else 1,
             2 if there else 1,
@@ -67,7 +66,7 @@ def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], record
         if here:
             bars = made.add_subplot(grid[0, 0], sharex=machine)
             _draw_bars(bars, shaft, here)
-            legend(made, bars)
+            legend_below(made, bars)
         if there:
             _draw_others(made.add_subplot(grid[:, 1]), there, "elsewhere in the diagram")
     return made

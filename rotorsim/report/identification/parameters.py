@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from textwrap import wrap
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,22 +15,20 @@ from rotorsim.identification.identification import Identification, Identified
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.style import BLUE, GREY, INK, RED, figure, styled
 
-__all__ = ["correlation_figure", "parameters_figure", "sheet"]
+__all__ = ["correlation_figure", "heading", "parameters_figure"]
 
 ZERO = 1e-9  # of the start value: a search that ended at a bound of zero
 MINUS = "\u2212"
 WANTED = "#eaf3ec"
 
 
-def sheet(width: float, height: float, found: Identification, recording: Recording | None, more: str = "") -> Figure:
-    """Return an empty figure whose title says what was identified from what, and whether the model explains it."""
+def heading(found: Identification, recording: Recording | None) -> str:
+    """Return what was identified from what, for titles, and in a second line whether the model explains it."""
     title = found.diagram.name + (f" identified from {recording.name}" if recording is not None else "")
-    lines = [f"{title}: {more}" if more else title]
-    if not found.adequate:
-        lines.append(
-            f"not explained by the model: residual variance {float(f'{found.excess:.3g}'):,.6g} times the noise"
-        )
-    return figure(width, height, "\n".join(part for line in lines for part in wrap(line, int(9.5 * width))))
+    if found.adequate:
+        return title
+    excess = f"{float(f'{found.excess:.3g}'):,.6g}"
+    return f"{title}\nnot explained by the model: residual variance {excess} times the noise"
 
 
 def _shown(unit: str) -> tuple[float, str]:
@@ -90,7 +87,7 @@ def parameters_figure(found: Identification, recording: Recording | None = None)
     linear = 10.0 ** np.clip(np.floor(np.log10(sizes.min(initial=precision))), -4, 0)
     reach = float(np.clip(np.nanmax(np.abs([*sizes, *begins, 2 * precision])), 10, 900)) * 1.5
     with styled():
-        made = sheet(9.0, 1.7 + 0.36 * len(items), found, recording, "parameters")
+        made = figure(9.0, 1.7 + 0.36 * len(items), f"Parameters, {heading(found, recording)}")
         axes = made.add_subplot()
         axes.set_xscale("symlog", linthresh=linear, linscale=0.8)
         axes.axvspan(-precision, precision, color=WANTED, zorder=0)
@@ -159,7 +156,7 @@ def correlation_figure(found: Identification, recording: Recording | None = None
     m = len(names)
     size = 0.62 * m if m <= 12 else 0.42 * m
     with styled():
-        made = sheet(3.4 + size, 2.4 + size, found, recording, "correlation")
+        made = figure(3.4 + size, 2.4 + size, f"Correlation, {heading(found, recording)}")
         axes = made.add_subplot()
         shown = np.where(np.eye(m, dtype=bool), np.nan, values)
         picture = axes.imshow(shown, cmap="RdBu_r", vmin=-1, vmax=1)
