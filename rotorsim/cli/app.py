@@ -13,14 +13,16 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, NoReturn, TextIO, cast
+from typing import Any, NoReturn, TextIO
 
 import click
 
+from rotorsim.cli.shared.output import problem_data, show_problems, warn
 from rotorsim.errors import Problem, RotorsimError, visible
 
-__all__ = ["VERBS", "main", "problem_data", "rotorsim"]
+__all__ = ["VERBS", "main", "rotorsim"]
 
 # Verb -> one line of help. The verb's module is imported only when the verb is called: --help stays instant.
 VERBS = {
@@ -90,7 +92,8 @@ class _Verbs(click.Group):
         arguments = [argument for argument in arguments if argument != "--debug"]
         previous = warnings.showwarning, sys.stdout, sys.stderr
         warnings.showwarning = _show_warning
-        sys.stdout, sys.stderr = cast(TextIO, _Output(sys.stdout)), cast(TextIO, _Messages(sys.stderr))
+        for name, stream in {"stdout": _Output(sys.stdout), "stderr": _Messages(sys.stderr)}.items():
+            setattr(sys, name, stream)
         try:
             code = self._code(arguments, extra, debug)
             sys.stdout.flush()
@@ -117,8 +120,11 @@ class _Verbs(click.Group):
         return code if isinstance(code, int) else 0
 
 
+@dataclass(eq=False)
 class _UnwrittenError(Exception):
     """Standard output took no more. (No OSError, which click would explain itself.)"""
+
+    cause: OSError
 
 
 class _Output:
@@ -140,7 +146,7 @@ class _Output:
         try:
             return act()
         except OSError as error:
-            raise _UnwrittenError from error
+            raise _UnwrittenError(error) from error
 
 
 class _Messages(_Output):
@@ -206,34 +212,8 @@ def _usage_problem(error: click.UsageError) -> Problem:
     return Problem(what=text[:1].lower() + text[1:], hint=hint)
 
 
-def show_problems(problems: Sequence[Problem], file: TextIO | None = None) -> None:
-    """Print problems on stderr, one after the other, with the severity coloured on a terminal."""
-    stream = file or sys.stderr
-    coloured = stream.isatty() and not os.environ.get("NO_COLOR")
-    for index, problem in enumerate(problems):
-        text = str(problem)
-        if coloured:
-            colour = "red" if problem.severity == "error" else "yellow"
-            text = text.replace(f"{problem.severity}:", click.style(f"{problem.severity}:", fg=colour, bold=True), 1)
-        separator = "" if index == len(problems) - 1 else "\n" if problem.hint else ""
-        click.echo(text + separator, file=stream, color=coloured)
-
-
-def problem_data(problem: Problem) -> dict[str, Any]:
-    """Return a problem as plain data for ``--json``."""
-    return {
-        "file": problem.place.file,
-        "line": problem.place.line,
-        "column": problem.place.column,
-        "severity": problem.severity,
-        "subject": problem.subject,
-        "what": problem.what,
-        "hint": problem.hint,
-    }
-
-
 def _show_warning(message: Any, category: Any, *_: Any, **__: Any) -> None:
-    show_problems([Problem(what=str(message), severity="warning")])
+    warn(str(message))
 
 
 def _unwritten(error: _UnwrittenError) -> int:
@@ -241,7 +221,7 @@ def _unwritten(error: _UnwrittenError) -> int:
 
     The exit code is never 0: a finding may not have been said.
     """
-    cause = cast(OSError, error.__cause__)
+    cause = error.cause
     with contextlib.suppress(OSError, ValueError):  # else Python tries again to write what is left, at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if cause.errno == errno.EPIPE:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from rotorsim.cli import common
+from rotorsim.cli.shared.options import json_option
+from rotorsim.cli.shared.output import echo_json, show
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
 __all__ = ["command"]
@@ -15,7 +16,7 @@ __all__ = ["command"]
 
 @click.command("docs")
 @click.argument("page", metavar="[PAGE]", required=False)
-@common.json_option
+@json_option
 def command(page: str | None, as_json: bool) -> None:
     """List the pages that come with rotorsim, or show one.
 
@@ -25,19 +26,17 @@ def command(page: str | None, as_json: bool) -> None:
     """
     pages = {file.stem: file for file in sorted(_folder().glob("*.md"))}
     if page is None:
-        titles = {name: _title(file) for name, file in pages.items()}
-        if as_json:
-            common.echo_json({"pages": {name: {"title": titles[name], "file": str(pages[name])} for name in pages}})
-        else:
-            width = max(map(len, pages))
-            click.echo("\n".join(f"{name:{width}}  {title}" for name, title in titles.items()))
+        titles = {name: {"title": _title(file), "file": str(file)} for name, file in pages.items()}
+        width = max(map(len, pages))
+        lines = (f"{name:{width}}  {entry['title']}" for name, entry in titles.items())
+        show(as_json, lambda: {"pages": titles}, lambda: "\n".join(lines))
         return
-    if page.removesuffix(".md") not in pages:
+    file = pages.get(page.removesuffix(".md"))
+    if file is None:
         raise RotorsimError(Problem(f"no page '{page}'", hint=near_miss(page, pages)))
-    file = pages[page.removesuffix(".md")]
     text = file.read_text(encoding="utf-8")
     if as_json:
-        common.echo_json({"page": file.stem, "title": _title(file), "file": str(file), "text": text})
+        echo_json({"page": file.stem, "title": _title(file), "file": str(file), "text": text})
     else:
         click.echo(text, nl=False)
 

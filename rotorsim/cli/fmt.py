@@ -6,8 +6,10 @@ from pathlib import Path
 
 import click
 
-from rotorsim.cli import common
+from rotorsim.cli.shared.options import json_option
+from rotorsim.cli.shared.output import note, show
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.report.text.table import counted
 
 __all__ = ["command"]
 
@@ -15,7 +17,7 @@ __all__ = ["command"]
 @click.command("fmt")
 @click.argument("files", metavar="FILE...", nargs=-1, required=True)
 @click.option("--check", is_flag=True, help="Write nothing; exit code 1 if a file is not in canonical form.")
-@common.json_option
+@json_option
 def command(files: tuple[str, ...], check: bool, as_json: bool) -> int:
     """Write diagrams in canonical form, in place: one block and one wire a line, so that differences are small.
 
@@ -42,11 +44,8 @@ def command(files: tuple[str, ...], check: bool, as_json: bool) -> int:
     if not check:
         for name in changed:
             write_atomically(Path(name).resolve(), texts[name])
-    if as_json:
-        common.echo_json({"changed": changed, "written": not check, "files": len(files)})
-    else:
-        for name in changed:
-            click.echo(name)
-        verb = "would change" if check else "changed"
-        common.note(f"{len(changed)} of {len(files)} file{'s' if len(files) > 1 else ''} {verb}")
+    data = {"changed": changed, "written": not check, "files": len(files)}
+    show(as_json, lambda: data, lambda: "\n".join(changed))
+    if not as_json:
+        note(f"{len(changed)} of {counted(len(files), 'file')} {'would change' if check else 'changed'}")
     return 1 if check and changed else 0

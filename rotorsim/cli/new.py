@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from rotorsim.cli import common
+from rotorsim.cli.shared.options import json_option
+from rotorsim.cli.shared.output import echo_json, note
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
 __all__ = ["command"]
@@ -17,7 +18,7 @@ SCHEMA = "diagram.schema.json"
 @click.command("new")
 @click.argument("name", metavar="NAME")
 @click.option("--from", "source", metavar="DIAGRAM", default="jeffcott", help="Which one to copy [jeffcott].")
-@common.json_option
+@json_option
 def command(name: str, source: str, as_json: bool) -> None:
     """Copy a diagram that comes with rotorsim to NAME.json, to be edited.
 
@@ -48,5 +49,5 @@ def command(name: str, source: str, as_json: bool) -> None:
     if not schema.exists():
         write_atomically(schema, shipped[source].with_name(SCHEMA).read_bytes())
     if as_json:
-        common.echo_json({"file": str(path), "from": source})
-    common.note(f"written: {path}")
+        echo_json({"file": str(path), "from": source})
+    note(f"written: {path}")

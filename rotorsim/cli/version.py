@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import click
 
-from rotorsim.cli.common import echo_json, json_option
+from rotorsim.cli.shared.options import json_option
+from rotorsim.cli.shared.output import show
 
 __all__ = ["command"]
 
@@ -18,8 +19,4 @@ def command(as_json: bool) -> None:
 
     versions = {"rotorsim": version("rotorsim"), "python": platform.python_version()}
     versions |= {name: version(name) for name in ("casadi", "numpy", "scipy", "fmpy")}
-    if as_json:
-        echo_json(versions)
-    else:
-        for name, text in versions.items():
-            click.echo(f"{name} {text}")
+    show(as_json, lambda: versions, lambda: "\n".join(f"{name} {text}" for name, text in versions.items()))

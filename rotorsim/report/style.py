@@ -15,7 +15,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 __all__ = [
-    "AXES",
     "BLUE",
     "GREEN",
     "GREY",
@@ -31,7 +30,6 @@ __all__ = [
     "legend_below",
     "order_axis",
     "phase_line",
-    "rpm",
     "styled",
 ]
 
@@ -40,7 +38,6 @@ BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E
 INK = "#222222"
 ROUNDING = 1e-9  # of the largest: linear solutions are good to 1e-12, and a sensor resolves 1e-6 of its range
 STANDS_OUT = 2.0  # times the noise level: a harmonic that is worth showing
-AXES = {"x": BLUE, "y": ORANGE}
 
 _STYLE: Any = {
     "font.size": 9.0,
@@ -100,11 +97,6 @@ def display(values: Any, unit: str) -> tuple[np.ndarray, str]:
     """Return values and unit as shown: metres in um, tilts in urad."""
     factor, shown = _DISPLAY.get(unit, (1.0, unit or "1"))
     return np.asarray(values) * factor, shown
-
-
-def rpm(speed: Any) -> Any:
-    """Return rad/s in revolutions per minute."""
-    return np.asarray(speed) * 30 / np.pi
 
 
 def order_axis(axes: Axes, low: int, high: int) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 
 from rotorsim.identification.experiment import Experiment
 from rotorsim.identification.likelihood import harmonics_of_time
-from rotorsim.report.style import Look, rpm
+from rotorsim.report.style import Look
+from rotorsim.report.text.table import rpm
 from rotorsim.signals.harmonic_fit import HarmonicFit
 from rotorsim.units import format_quantity
 

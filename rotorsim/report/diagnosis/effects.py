@@ -9,7 +9,7 @@ from rotorsim.diagnosis.conclude.conclusions import Diagnosis, Effect
 from rotorsim.errors import escape
 from rotorsim.report.diagnosis.page import paragraph, table
 from rotorsim.report.diagnosis.words import estimate, flat, own_parameters, percent, plain_words, quantity
-from rotorsim.report.style import rpm
+from rotorsim.report.text.table import rpm
 
 __all__ = ["what_is_missing"]
 
@@ -46,7 +46,7 @@ def _detectable(sizes: Mapping[str, Mapping[str, Any]]) -> str:
 
 def _unknown_force(found: Diagnosis, speeds: Sequence[float]) -> list[str]:
     known = {name: value for name, value in found.outside.items() if name != "description"}
-    rows = flat(known, speeds=rpm(speeds).tolist())
+    rows = flat(known, speeds=[rpm(speed) for speed in speeds])
     nearest = "The nearest fault candidates, which do not explain it:" if found.effects else ""
     described = str(found.outside.get("description", ""))
     return [paragraph(described), table(["of the unknown force", ""], rows) if rows else "", paragraph(nearest)]

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 
 from rotorsim.identification.profile import Z90
 from rotorsim.report.comparison.harmonics import Comparison, Harmonics, Signal
-from rotorsim.report.style import INK, STANDS_OUT, Look, display, figure, legend_below, order_axis, rpm, styled
+from rotorsim.report.style import INK, STANDS_OUT, Look, display, figure, legend_below, order_axis, styled
+from rotorsim.report.text.table import rpm
 
 __all__ = ["residuals_figure", "spectra_figure"]
 

@@ -27,9 +27,9 @@ from rotorsim.report.style import (
     display,
     figure,
     legend_below,
-    rpm,
     styled,
 )
+from rotorsim.report.text.table import rpm
 
 __all__ = ["speed_curves_figure"]
 

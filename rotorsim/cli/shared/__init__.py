@@ -1,0 +1,1 @@
+"""What the verbs share: options, what is read from them, and what is printed."""
