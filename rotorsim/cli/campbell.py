@@ -13,8 +13,6 @@ from rotorsim.cli.shared.output import note, save_plot, show, warn
 from rotorsim.report.text.table import rpm, table
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from rotorsim.linear.campbell import Campbell
 
 __all__ = ["command"]
@@ -44,12 +42,7 @@ def command(chosen: Chosen, speeds: str, orders: str, plot: str | None, as_json:
 
     found = campbell(loaded, speeds=range_of_speeds, orders=multiples)
 
-    def draw() -> Figure:
-        from rotorsim.report.figures.linear import campbell_figure
-
-        return campbell_figure(found, loaded.name, orders=multiples)
-
-    save_plot(draw, plot)
+    save_plot(lambda: found.plot(loaded.name, orders=multiples), plot)
     unstable = found.speeds[~found.stable]
     if len(unstable):
         between = " .. ".join(dict.fromkeys(f"{rpm(float(speed)):.6g}" for speed in unstable[[0, -1]]))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen, clock_of, quantity
+from rotorsim.cli.shared.inputs import Chosen, clock_of, listed, named_values, quantity
 from rotorsim.cli.shared.options import (
     RESULTS,
     diagram_argument,
@@ -21,6 +21,7 @@ from rotorsim.cli.shared.options import (
     solver_option,
 )
 from rotorsim.cli.shared.output import note, progress_bar, show, show_problems
+from rotorsim.cli.shared.refusals import refuse_if
 from rotorsim.errors import Problem, RotorsimError, visible
 from rotorsim.report.text.table import counted
 
@@ -105,13 +106,11 @@ def command(
 
     width = quantity(step, "s", "--step")
     end = None if stop is None else quantity(stop, "s", "--stop")
-    if end is not None and not end > 0:
-        raise RotorsimError(Problem(f"--stop {stop}: must be positive", hint="such as --stop '0.2 s'"))
+    refuse_if(end is not None and not end > 0, f"--stop {stop}: must be positive", hint="such as --stop '0.2 s'")
     every = _rates(rates)
-    groups = [[name.strip() for name in part.split(",") if name.strip()] for part in parts]
-    if not all(groups):
-        empty = parts[groups.index([])]
-        raise RotorsimError(Problem(f"--part '{empty}': names no block", hint="such as --part controller,reference"))
+    groups, hint = [list(listed(part)) for part in parts], "such as --part controller,reference"
+    for part, names in zip(parts, groups, strict=True):
+        refuse_if(not names, f"--part '{part}': names no block", hint=hint)
     loaded = chosen.open()
     with progress_bar("cosim", progress) as bar, printing_elsewhere(), _logging(log) as hear:
         result = cosimulate_diagram(
@@ -228,16 +227,15 @@ def _peaks(diagram: Diagram, result: Result) -> list[str]:
 
 def _rates(texts: Sequence[str]) -> dict[str, int]:
     """Return participant -> number of steps. Raises RotorsimError."""
-    steps: dict[str, int] = {}
-    for text in texts:
-        name, equals, number = text.partition("=")
-        if not (name.strip() and equals and number.strip().isdecimal()):
-            raise RotorsimError(Problem(f"--rate {text}: not PARTICIPANT=N", hint="such as --rate controller=5"))
-        if name.strip() in steps:
-            what = f"--rate {text}: {name.strip()} has a rate already"
-            raise RotorsimError(Problem(what, hint="give one for each"))
-        steps[name.strip()] = int(number)
-    return steps
+    numbers = named_values(
+        texts,
+        lambda text: Problem(f"--rate {text}: not PARTICIPANT=N", hint="such as --rate controller=5"),
+        lambda name: Problem(f"--rate {name}: has a rate already", hint="give one for each"),
+    )
+    for name, number in numbers.items():
+        hint = "such as --rate controller=5"
+        refuse_if(not number.isdecimal(), f"--rate {name}={number}: not PARTICIPANT=N", hint=hint)
+    return {name: int(number) for name, number in numbers.items()}
 
 
 def _stability(made: Mapping[str, Any]) -> list[str]:

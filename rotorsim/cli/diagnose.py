@@ -18,6 +18,7 @@ from rotorsim.cli.shared.options import (
     progress_option,
 )
 from rotorsim.cli.shared.output import note, progress_bar, show, show_problems
+from rotorsim.cli.shared.refusals import refuse_all, refuse_if
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.report.text.table import table
 
@@ -67,8 +68,7 @@ def command(
     rotorsim diagnose jeffcott measurements/2026-11 --out diagnosis
     rotorsim diagnose jeffcott --sensors rotor.displacement,controller.current
     """
-    if (recording is None) == (sensors is None):
-        raise RotorsimError(Problem("give either a RECORDING or --sensors", hint=EITHER))
+    refuse_if((recording is None) == (sensors is None), "give either a RECORDING or --sensors", hint=EITHER)
     if recording is None:
         given = {"--out": out, "--hold-out": hold_out, "--workers": workers, "--scheduler": scheduler}
         what, hint = "does not go with --sensors", "it goes with a RECORDING"
@@ -76,8 +76,7 @@ def command(
         given = {"--speeds": speeds}
         what, hint = "does not go with a RECORDING", "it goes with --sensors; a recording has its own"
     problems = [Problem(f"{name} {what}", hint=hint) for name, value in given.items() if value is not None]
-    if problems:
-        raise RotorsimError(*problems)
+    refuse_all(problems)
     kinds = None if physics is None else _physics(physics)
     if sensors is not None:
         _show_isolability(chosen, listed(sensors), speeds, kinds, progress, as_json)
@@ -91,9 +90,11 @@ def command(
     loaded = chosen.open()
     _check_free(loaded)
     measured = load_recording(_existing("RECORDING", recording or ""))
-    if measured.runs and not measured.select("identify"):
-        hint = 'give runs to be scored only with --hold-out, or mark some of these "use": "identify"'
-        raise RotorsimError(Problem(f"RECORDING {recording}: all its runs are held out", hint=hint))
+    refuse_if(
+        measured.runs and not measured.select("identify"),
+        f"RECORDING {recording}: all its runs are held out",
+        hint='give runs to be scored only with --hold-out, or mark some of these "use": "identify"',
+    )
     held = None if hold_out is None else load_recording(_existing("--hold-out", hold_out))
     if out:
         _make(out)
@@ -132,8 +133,7 @@ def _show_isolability(
 
     loaded = chosen.open()
     at = [] if speeds is None else speeds_of(speeds).tolist()
-    if 0 in at:
-        raise RotorsimError(Problem(f"--speeds {speeds}: the shaft does not turn", hint="leave 0 out"))
+    refuse_if(0 in at, f"--speeds {speeds}: the shaft does not turn", hint="leave 0 out")
     with progress_bar("signatures", progress) as bar:
         found = isolate(
             loaded,
@@ -147,9 +147,11 @@ def _show_isolability(
 
 
 def _existing(what: str, path: str) -> str:
-    if not Path(path).exists():
-        hint = "a recording is a folder with recording.json and data files; see docs/recordings.md"
-        raise RotorsimError(Problem(f"{what} {path}: does not exist", hint=hint))
+    refuse_if(
+        not Path(path).exists(),
+        f"{what} {path}: does not exist",
+        hint="a recording is a folder with recording.json and data files; see docs/recordings.md",
+    )
     return path
 
 
@@ -180,8 +182,7 @@ def _physics(text: str) -> list[str]:
 
     known = sorted({fault.physics for kind in all_types().values() for fault in kind.faults})
     wanted = known_names(listed(text), known, lambda name: f"--physics {name}: no block declares it")
-    if not wanted:
-        raise RotorsimError(Problem("--physics: names nothing", hint=f"known: {', '.join(known)}"))
+    refuse_if(not wanted, "--physics: names nothing", hint=f"known: {', '.join(known)}")
     return wanted
 
 

@@ -9,7 +9,8 @@ import click
 
 from rotorsim.cli.shared.options import json_option
 from rotorsim.cli.shared.output import echo_json, show
-from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.cli.shared.refusals import refuse_if
+from rotorsim.errors import near_miss
 
 __all__ = ["command"]
 
@@ -31,9 +32,9 @@ def command(page: str | None, as_json: bool) -> None:
         lines = (f"{name:{width}}  {entry['title']}" for name, entry in titles.items())
         show(as_json, lambda: {"pages": titles}, lambda: "\n".join(lines))
         return
-    file = pages.get(page.removesuffix(".md"))
-    if file is None:
-        raise RotorsimError(Problem(f"no page '{page}'", hint=near_miss(page, pages)))
+    name = page.removesuffix(".md")
+    refuse_if(name not in pages, f"no page '{page}'", hint=near_miss(page, pages))
+    file = pages[name]
     text = file.read_text(encoding="utf-8")
     if as_json:
         echo_json({"page": file.stem, "title": _title(file), "file": str(file), "text": text})

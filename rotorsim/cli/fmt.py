@@ -8,6 +8,7 @@ import click
 
 from rotorsim.cli.shared.options import json_option
 from rotorsim.cli.shared.output import note, show
+from rotorsim.cli.shared.refusals import refuse_all
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.report.text.table import counted
 
@@ -38,8 +39,7 @@ def command(files: tuple[str, ...], check: bool, as_json: bool) -> int:
                 problems.append(Problem("a diagram is a JSON object {...}", place=source.locate()))
         except RotorsimError as error:
             problems += error.problems
-    if problems:
-        raise RotorsimError(*problems)
+    refuse_all(problems)
     changed = [name for name, text in texts.items() if Path(name).read_bytes() != text.encode()]
     if not check:
         for name in changed:

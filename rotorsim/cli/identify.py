@@ -17,7 +17,8 @@ from rotorsim.cli.shared.options import (
     recording_argument,
 )
 from rotorsim.cli.shared.output import note, show, show_problems
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.cli.shared.refusals import refuse_all
+from rotorsim.errors import Problem
 from rotorsim.report.text.table import parameter_unit, percent, table
 
 if TYPE_CHECKING:
@@ -119,8 +120,7 @@ def _refuse_unheard(method: str, orders: str | None, reduction: str, given: tupl
     elif given:
         hint = "it takes every port that was measured whole as it was"
         problems = [Problem("--measured-input belongs to --method likelihood", hint=hint)]
-    if problems:
-        raise RotorsimError(*problems)
+    refuse_all(problems)
 
 
 def _text(found: Identification) -> str:

@@ -8,7 +8,8 @@ import click
 
 from rotorsim.cli.shared.options import json_option
 from rotorsim.cli.shared.output import echo_json, note
-from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.cli.shared.refusals import refuse_all
+from rotorsim.errors import Place, Problem, near_miss
 
 __all__ = ["command"]
 
@@ -41,8 +42,7 @@ def command(name: str, source: str, as_json: bool) -> None:
     if path.exists():
         hint = "choose another name, or delete the file"
         problems.append(Problem("is there already", place=Place(str(path)), hint=hint))
-    if problems:
-        raise RotorsimError(*problems)
+    refuse_all(problems)
     document = {**read_document(shipped[source]).data, "name": path.stem}
     write_atomically(path, format_document(document))
     schema = path.with_name(SCHEMA)

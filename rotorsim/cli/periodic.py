@@ -10,12 +10,11 @@ import click
 from rotorsim.cli.shared.inputs import Chosen, speeds_of
 from rotorsim.cli.shared.options import diagram_options, json_option, plot_option
 from rotorsim.cli.shared.output import note, save_plot, show, show_problems, warn
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.cli.shared.refusals import refuse_if
+from rotorsim.errors import Problem
 from rotorsim.report.text.table import degrees, display_unit, rpm, table
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from rotorsim.settled.result import Periodic
 
 __all__ = ["command"]
@@ -56,15 +55,9 @@ def command(
     found = periodic(loaded, speeds=at, harmonics=harmonics, subharmonic=subharmonic, signals=record or None)
     for name in found.drifting:
         note(f"{name} drifts: its mean has no settled value")
-    if plot and len(found.speeds) < 2:
-        raise RotorsimError(Problem("--plot needs several speeds", hint="give --speeds"))
+    refuse_if(plot and len(found.speeds) < 2, "--plot needs several speeds", hint="give --speeds")
 
-    def draw() -> Figure:
-        from rotorsim.report.figures.linear import periodic_figure
-
-        return periodic_figure(found, title=loaded.name)
-
-    save_plot(draw, plot)
+    save_plot(lambda: found.plot(title=loaded.name), plot)
     places = [f"{loaded.name} at {rpm(float(speed)):.6g} rpm" for speed in found.speeds]
     states = zip(found.status, places, found.settled, strict=True)
     failed = [Problem(text, place) for text, place, settled in states if not settled]

@@ -23,6 +23,7 @@ from rotorsim.cli.shared.inputs import (
 )
 from rotorsim.cli.shared.options import diagram_options, json_option, noise_kind_option, progress_option
 from rotorsim.cli.shared.output import note, progress_bar, show, warn
+from rotorsim.cli.shared.refusals import refuse_all, refuse_if
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.report.text.table import counted, rpm, table
 
@@ -117,12 +118,14 @@ def command(
     rotorsim record jeffcott --speeds "1140 rpm:60 rpm:1620 rpm" --settle --noise "1 %" --out measured
     """
     check_folder("--out", out)
-    if (Path(out) / "recording.json").exists() and not overwrite:
-        hint = "choose another folder, or --overwrite"
-        raise RotorsimError(Problem("there is a recording already", place=Place(out), hint=hint))
+    refuse_if(
+        (Path(out) / "recording.json").exists() and not overwrite,
+        "there is a recording already",
+        place=Place(out),
+        hint="choose another folder, or --overwrite",
+    )
     span = window_of(window) if window else None
-    if span and span[0] < 0:
-        raise RotorsimError(Problem(f"--window {window}: begins before the run", hint="runs begin at t = 0"))
+    refuse_if(span and span[0] < 0, f"--window {window}: begins before the run", hint="runs begin at t = 0")
     hertz, level = _hertz(rate) if rate else None, _level(noise) if noise else 0.0
     at, held = _speeds(speeds, hold_out)
     known = [gains_of(text) for text in gains] or [{}]
@@ -222,8 +225,7 @@ def _diagrams(chosen: Chosen, known: Sequence[Mapping[str, Any]]) -> list[Diagra
             problems.append(Problem(f"--gains {name}: no such parameter in {loaded.name}", hint=hint))
         elif name in given:
             problems.append(Problem(f"--gains {name}: is given by --set as well", hint="give it once"))
-    if problems:
-        raise RotorsimError(*problems)
+    refuse_all(problems)
     diagrams = []
     for gains in known:
         try:
@@ -233,35 +235,34 @@ def _diagrams(chosen: Chosen, known: Sequence[Mapping[str, Any]]) -> list[Diagra
             )
         except RotorsimError as error:
             problems += [replace(p, place=Place("--gains")) if p.place.file == "--set" else p for p in error.problems]
-    if problems:
-        raise RotorsimError(*problems)
+    refuse_all(problems)
     return diagrams
 
 
 def _limit(runs: int) -> None:
-    if runs > MOST_RUNS:
-        raise RotorsimError(Problem(f"{runs} runs, at most {MOST_RUNS}", hint="fewer speeds"))
+    refuse_if(runs > MOST_RUNS, f"{runs} runs, at most {MOST_RUNS}", hint="fewer speeds")
 
 
 def _speeds(speeds: str | None, hold_out: str | None) -> tuple[list[float | None], set[float]]:
     """Return the speeds of the runs [rad/s] (None: the diagram's own), and those held out."""
     at: list[float] = speeds_of(speeds).tolist() if speeds else []
     _limit(len(at))
-    if any(after - before < 1e-9 for before, after in itertools.pairwise(sorted(at))):
-        hint = "runs at one speed need different --gains"
-        raise RotorsimError(Problem(f"--speeds {speeds}: the same speed twice", hint=hint))
+    refuse_if(
+        any(after - before < 1e-9 for before, after in itertools.pairwise(sorted(at))),
+        f"--speeds {speeds}: the same speed twice",
+        hint="runs at one speed need different --gains",
+    )
     if hold_out is None:
         return list(at) or [None], set()
-    if not speeds:
-        hint = "for example --speeds '1200 rpm, 1320 rpm' --hold-out '1260 rpm'"
-        raise RotorsimError(Problem("--hold-out needs --speeds", hint=hint))
+    refuse_if(
+        not speeds, "--hold-out needs --speeds", hint="for example --speeds '1200 rpm, 1320 rpm' --hold-out '1260 rpm'"
+    )
     held: set[float] = set()
     for speed in speeds_of(hold_out, "--hold-out").tolist():
         same = [other for other in at if abs(other - speed) < 1e-9]
         at += [] if same else [speed]
         held.add(same[0] if same else speed)
-    if len(held) == len(at):
-        raise RotorsimError(Problem("--hold-out leaves no run to identify from", hint="more --speeds"))
+    refuse_if(len(held) == len(at), "--hold-out leaves no run to identify from", hint="more --speeds")
     return list(at), held
 
 
@@ -270,17 +271,17 @@ def _two_axis(diagram: Diagram) -> list[str]:
     from rotorsim.model.compiled import compile_diagram
 
     model = compile_diagram(diagram)
-    names: list[str] = []
-    for name in map(str, diagram.record):
-        shape = model.shape_of(name)
-        if len(shape) == 2 and shape[1] == 2:
-            names += [f"{name}[{k + 1}]" for k in range(shape[0]) if _moves(model, f"{name}[{k + 1}]")]
-        elif shape == (2,):
-            names.append(name)
-    if not names:
-        hint = "--signal rotor.displacement, for example"
-        raise RotorsimError(Problem("the diagram records no two-axis signal", diagram.name, hint=hint))
-    return names
+    shapes = {str(name): model.shape_of(str(name)) for name in diagram.record}
+    nodes = {name: [f"{name}[{k + 1}]" for k in range(shape[0])] for name, shape in shapes.items() if len(shape) == 2}
+    signals = [
+        signal
+        for name, shape in shapes.items()
+        if shape[1:] == (2,) or shape == (2,)
+        for signal in ([node for node in nodes[name] if _moves(model, node)] if name in nodes else [name])
+    ]
+    hint = "--signal rotor.displacement, for example"
+    refuse_if(not signals, "the diagram records no two-axis signal", diagram.name, hint=hint)
+    return signals
 
 
 def _moves(model: Model, name: str) -> bool:
@@ -297,16 +298,19 @@ def _hertz(text: str) -> float:
         rate, unit = split_quantity(text)
     except UnitError:
         rate, unit = 0.0, ""
-    if not 1e-6 <= rate * HERTZ.get(unit, 0.0) <= 1e12:
-        raise RotorsimError(Problem(f"--rate {text}: not a sample rate", hint="for example --rate '5000 Hz'"))
+    refuse_if(
+        not 1e-6 <= rate * HERTZ.get(unit, 0.0) <= 1e12,
+        f"--rate {text}: not a sample rate",
+        hint="for example --rate '5000 Hz'",
+    )
     return rate * HERTZ[unit]
 
 
 def _level(text: str) -> float:
     level = quantity(text, "1", "--noise")
-    if not 0 <= level <= 1:
-        what = f"is {100 * level:g} %" if level > 1 else "not a share of the rms"
-        raise RotorsimError(Problem(f"--noise {text}: {what}", hint="for example --noise '5 %'"))
+    hint = "for example --noise '5 %'"
+    refuse_if(level > 1, f"--noise {text}: is {100 * level:g} %", hint=hint)
+    refuse_if(not level >= 0, f"--noise {text}: not a share of the rms", hint=hint)
     return level
 
 

@@ -20,6 +20,7 @@ from rotorsim.cli.shared.options import (
     progress_option,
 )
 from rotorsim.cli.shared.output import note, plain, progress_bar, show
+from rotorsim.cli.shared.refusals import refuse_if
 from rotorsim.errors import Problem, RotorsimError
 
 if TYPE_CHECKING:
@@ -110,11 +111,11 @@ def command(
     if listing:
         show(as_json, text.tables_data, text.tables_text)
         return
-    if smallest_crack and controllers:
-        raise RotorsimError(Problem("--smallest-crack and --controllers exclude each other", hint="give one of them"))
+    refuse_if(
+        smallest_crack and controllers, "--smallest-crack and --controllers exclude each other", hint="give one of them"
+    )
     question = "--smallest-crack" if smallest_crack else "--controllers" if controllers else ""
-    if question and store:
-        raise RotorsimError(Problem(f"--store keeps one study; {question} makes several", hint="leave it out"))
+    refuse_if(question and store, f"--store keeps one study; {question} makes several", hint="leave it out")
     study = _study(chosen, table, **options)
     with progress_bar("sensitivity", progress) as bar:
         jobs: dict[str, Any] = {"scheduler": scheduler, "workers": workers, "progress": bar}
@@ -199,23 +200,14 @@ def _check(
     """Refuse options that miss others, or do not go together."""
     from rotorsim.identification.study.printed import TABLES
 
-    mistakes = {
-        "neither a diagram nor --table": (
-            not chosen.name and table is None,
-            "rotorsim sensitivity --table 2-5, or a diagram with --speeds",
-        ),
-        "--speeds is missing": (table is None and speeds is None, '--speeds "1140 rpm:60 rpm:1620 rpm"'),
-        f"--table {table}: no such table": (table is not None and table not in TABLES, f"one of {', '.join(TABLES)}"),
-        "--measured-input belongs to --method likelihood": (
-            bool(given) and method == "regression",
-            "it takes every port that was measured whole as it was",
-        ),
-        "--reduction belongs to --method regression": (reduction is not None and method == "likelihood", ""),
-        "--wrong needs --bias": (bool(wrong) and bias is None and table is None, "for example --bias 1,2,5"),
-    }
-    for what, (wrong_so, hint) in mistakes.items():
-        if wrong_so:
-            raise RotorsimError(Problem(what, hint=hint))
+    new, hint = table is None, "rotorsim sensitivity --table 2-5, or a diagram with --speeds"
+    refuse_if(new and not chosen.name, "neither a diagram nor --table", hint=hint)
+    refuse_if(new and speeds is None, "--speeds is missing", hint='--speeds "1140 rpm:60 rpm:1620 rpm"')
+    refuse_if(not new and table not in TABLES, f"--table {table}: no such table", hint=f"one of {', '.join(TABLES)}")
+    hint = "it takes every port that was measured whole as it was"
+    refuse_if(given and method == "regression", "--measured-input belongs to --method likelihood", hint=hint)
+    refuse_if(reduction and method == "likelihood", "--reduction belongs to --method regression")
+    refuse_if(new and wrong and bias is None, "--wrong needs --bias", hint="for example --bias 1,2,5")
 
 
 def _levels(text: str, option: str) -> tuple[float, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,11 +11,14 @@ import click
 
 from rotorsim.cli.shared.inputs import Chosen, clock_of, is_recording, known_names, window_of
 from rotorsim.cli.shared.options import RESULTS, given_options, json_option, plot_option
-from rotorsim.cli.shared.output import echo_json, note, save_plot, show, show_problems, warn
+from rotorsim.cli.shared.output import note, save_plot, show, show_problems, warn
+from rotorsim.cli.shared.refusals import refuse_all, refuse_if
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.report.text.table import rpm
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from rotorsim.recordings.recording import Recording, Run
     from rotorsim.signals.shaft_angle import ShaftAngle
     from rotorsim.simulation.result import Result
@@ -36,6 +39,7 @@ class Wanted:
     method: str | None
     threshold: float
     plot: str | None
+    as_json: bool
 
 
 @click.command("spectrum")
@@ -85,18 +89,17 @@ def command(
     rotorsim spectrum jeffcott --window "4 s:5 s" --plot spectrum.png
     rotorsim spectrum jeffcott --window "4 s:5 s" --harmonics fft
     """
-    wanted = Wanted(signals, window_of(window) if window else None, method, threshold, plot)
+    wanted = Wanted(signals, window_of(window) if window else None, method, threshold, plot, as_json)
     if is_recording(chosen.name):
         chosen.refuse_changes("a recording")
-        _show_recording(chosen.name, runs, wanted, as_json)
+        _show_recording(chosen.name, runs, wanted)
         return
-    if runs:
-        raise RotorsimError(Problem("--run needs a recording", chosen.name))
-    _show_result(chosen, wanted, as_json)
+    refuse_if(runs, "--run needs a recording", chosen.name)
+    _show_result(chosen, wanted)
 
 
 def _draw(result: Result, name: str, window: Window | None, plot: str | None) -> None:
-    def draw() -> Any:
+    def draw() -> Figure:
         from rotorsim.report.figures.run import spectrum_figure
 
         return spectrum_figure(result, name, window=window)
@@ -104,28 +107,59 @@ def _draw(result: Result, name: str, window: Window | None, plot: str | None) ->
     save_plot(draw, plot)
 
 
+def _need_angle(angle: object, wanted: Wanted, hint: str) -> None:
+    """Refuse what nobody can say of a shaft whose angle is not known."""
+    if angle is None and (wanted.method or wanted.plot):
+        option = "--harmonics" if wanted.method else "--plot"
+        raise RotorsimError(Problem(f"{option} needs the shaft angle", hint=hint))
+
+
+def _of_signal(
+    result: Result, name: str, wanted: Wanted, angle: str | None, span: Window | None, even: bool = True, **known: Any
+) -> tuple[dict[str, Any], str]:
+    """Return spectrum and harmonics of a signal, as data and as text; even: its samples are equally spaced.
+
+    known: of the shaft: its frequency [Hz] (running), or how harmonics are fitted about a measured angle.
+    """
+    from rotorsim.report.text import spectrum as text
+    from rotorsim.signals.spectrum import full_spectrum, harmonics
+
+    data: dict[str, Any] = {"unit": result.unit(name)}
+    running, said = known.pop("running", None), ""
+    if even:
+        spectrum = full_spectrum(result, name, window=span, angle=angle)
+        data |= text.spectrum_data(spectrum)
+        said = text.spectrum_text(spectrum, running, wanted.threshold)
+    if angle and wanted.method:
+        from rotorsim.signals.two_axis import two_axis_harmonics
+
+        fit = two_axis_harmonics(result, name, wanted.method, angle=angle, **{"window": span, **known})
+        data["harmonics"], said = text.two_axis_data(fit), text.harmonics_text(fit, wanted.threshold)
+    elif angle and wanted.as_json:
+        data["harmonics"] = text.harmonics_data(harmonics(result, name, angle=angle, window=span))
+    return data, said
+
+
 # -- of a saved result, or of a diagram that is run --------------------------------------------------------------------
 
 
-def _show_result(chosen: Chosen, wanted: Wanted, as_json: bool) -> None:
+def _show_result(chosen: Chosen, wanted: Wanted) -> None:
     result, angle = _saved(chosen) if Path(chosen.name).suffix.lower() in RESULTS else _simulated(chosen, wanted)
     import numpy as np
 
-    from rotorsim.report.text import spectrum as text
     from rotorsim.report.text.run import two_axis_signals
-    from rotorsim.signals.spectrum import few_samples, full_spectrum, harmonics, last_turns
+    from rotorsim.signals.spectrum import few_samples, last_turns
 
     names = list(wanted.signals) or two_axis_signals(result)
-    if not names:
-        hint = "record a signal [x, y], such as rotor.displacement"
-        raise RotorsimError(Problem("no two-axis signal was recorded", chosen.name, hint=hint))
-    if len(result.time) < 8:
-        raise RotorsimError(Problem(f"only {len(result.time)} samples", chosen.name), exit_code=1)
-    if angle is None and (wanted.method or wanted.plot):
-        option = "--harmonics" if wanted.method else "--plot"
-        raise RotorsimError(Problem(f"{option} needs the shaft angle", hint="record clock.theta"))
-    span = _inside(result, wanted.window, angle) if wanted.window else None
-    running = None
+    refuse_if(
+        not names,
+        "no two-axis signal was recorded",
+        chosen.name,
+        hint="record a signal [x, y], such as rotor.displacement",
+    )
+    refuse_if(len(result.time) < 8, f"only {len(result.time)} samples", chosen.name, exit_code=1)
+    _need_angle(angle, wanted, "record clock.theta")
+    span, running = _inside(result, wanted.window, angle) if wanted.window else None, None
     if angle is not None:
         from rotorsim.signals.shaft_angle import refuse_run_up
 
@@ -137,29 +171,12 @@ def _show_result(chosen: Chosen, wanted: Wanted, as_json: bool) -> None:
         if count is not None:
             what = f"{count:.3g} samples a turn: orders beyond {count / 2:.3g} appear as lower ones"
             warn(what, chosen.name, "record more often: --set solver.record_every=..., or a smaller step")
-    spectra = {name: full_spectrum(result, name, window=span, angle=angle) for name in names}
-    fits = {}
-    if wanted.method and angle is not None:
-        from rotorsim.signals.two_axis import two_axis_harmonics
-
-        fits = {name: two_axis_harmonics(result, name, wanted.method, window=span, angle=angle) for name in names}
-    if wanted.plot and running is None:
-        raise RotorsimError(Problem("--plot needs a shaft that turns", chosen.name))
+    refuse_if(wanted.plot and running is None, "--plot needs a shaft that turns", chosen.name)
     _draw(result, names[0], span, wanted.plot)
-    if not as_json:
-        texts = [text.harmonics_text(fit, wanted.threshold) for fit in fits.values()]
-        texts = texts or [text.spectrum_text(one, running, wanted.threshold) for one in spectra.values()]
-        click.echo("\n\n".join(texts))
-        return
-    data: dict[str, Any] = {}
-    for name, one in spectra.items():
-        data[one.signal] = {"unit": one.unit, **text.spectrum_data(one)}
-        if fits:
-            data[one.signal]["harmonics"] = text.two_axis_data(fits[name])
-        elif angle:
-            item = harmonics(result, one.signal, angle=angle, window=span)
-            data[one.signal]["harmonics"] = text.harmonics_data(item)
-    echo_json({"window": span, "running_hz": running, "signals": data})
+    every = {name: _of_signal(result, name, wanted, angle, span, running=running) for name in names}
+    signals = {name: data for name, (data, _) in every.items()}
+    data = {"window": span, "running_hz": running, "signals": signals}
+    show(wanted.as_json, lambda: data, lambda: "\n\n".join(text for _, text in every.values()))
 
 
 def _saved(chosen: Chosen) -> tuple[Result, str | None]:
@@ -171,10 +188,13 @@ def _saved(chosen: Chosen) -> tuple[Result, str | None]:
     chosen.refuse_changes("a saved result")
     result = load_result(chosen.name)
     bad = result.status in ("unstable", "diverged")
-    if bad or any((np.abs(values) > HUGE).any() for values in result.signals.values()):
-        hint = "what was computed until then has no spectrum; 'rotorsim modes' shows which modes grow"
-        what = result.message if bad else "this run diverged: its values are beyond 1e100"
-        raise RotorsimError(Problem(what, place=Place(chosen.name), hint=hint), exit_code=1)
+    refuse_if(
+        bad or any((np.abs(values) > HUGE).any() for values in result.signals.values()),
+        result.message if bad else "this run diverged: its values are beyond 1e100",
+        place=Place(chosen.name),
+        hint="what was computed until then has no spectrum; 'rotorsim modes' shows which modes grow",
+        exit_code=1,
+    )
     angles = [name for name in result.signals if name.endswith(".theta")]
     return result, "clock.theta" if "clock.theta" in angles else angles[0] if len(angles) == 1 else None
 
@@ -189,8 +209,7 @@ def _simulated(chosen: Chosen, wanted: Wanted) -> tuple[Result, str | None]:
     recorded = list(map(str, loaded.record))
     more = [name for name in wanted.signals if name.partition("[")[0] not in recorded]
     result = simulate(loaded, record=tuple(dict.fromkeys([*recorded, *more, *([angle] if angle else [])])))
-    if result.status != "finished":
-        raise RotorsimError(Problem(result.message, loaded.name), exit_code=1)
+    refuse_if(result.status != "finished", result.message, loaded.name, exit_code=1)
     if result.message:
         warn(result.message, loaded.name, "a smaller step: --set solver.step=...")
     return result, angle
@@ -210,9 +229,11 @@ def _inside(result: Result, span: Window, angle: str | None) -> Window:
 
     first, last = float(result.time[0]), float(result.time[-1])
     step = (last - first) / (len(result.time) - 1)
-    if span[0] < first - step or span[1] > last + 1.5 * step:
-        what = f"--window {span[0]:g} s:{span[1]:g} s: the run covers {first:g} to {last:g} s"
-        raise RotorsimError(Problem(what, hint="a window inside it, or a longer run: --set solver.stop=..."))
+    refuse_if(
+        span[0] < first - step or span[1] > last + 1.5 * step,
+        f"--window {span[0]:g} s:{span[1]:g} s: the run covers {first:g} to {last:g} s",
+        hint="a window inside it, or a longer run: --set solver.stop=...",
+    )
     cut = span if angle is None else whole_turns(result, span, angle)
     if abs(cut[0] - span[0]) <= 1.5 * step and abs(cut[1] - span[1]) <= 1.5 * step:
         return span
@@ -223,7 +244,7 @@ def _inside(result: Result, span: Window, angle: str | None) -> Window:
 # -- of the runs of a recording ----------------------------------------------------------------------------------------
 
 
-def _show_recording(source: str, wanted_runs: Sequence[str], wanted: Wanted, as_json: bool) -> None:
+def _show_recording(source: str, wanted_runs: Sequence[str], wanted: Wanted) -> None:
     """Print the spectra of the runs of a recording; draw that of one."""
     from rotorsim.recordings.loading import load_recording
 
@@ -245,10 +266,9 @@ def _show_recording(source: str, wanted_runs: Sequence[str], wanted: Wanted, as_
         except RotorsimError as error:
             problems += [replace(problem, subject=_subject(problem.subject, name)) for problem in error.problems]
             code = max(code, error.exit_code)
-    if not (as_json and problems) and (texts or as_json):
-        show(as_json, lambda: {"recording": recording.name, "runs": data}, lambda: "\n\n".join(texts))
-    if problems:
-        raise RotorsimError(*problems, exit_code=code)
+    if not (wanted.as_json and problems):
+        show(wanted.as_json, lambda: {"recording": recording.name, "runs": data}, lambda: "\n\n".join(texts))
+    refuse_all(problems, exit_code=code)
 
 
 def _subject(subject: str, run: str) -> str:
@@ -263,19 +283,19 @@ def _of_run(recording: Recording, run: Run, wanted: Wanted) -> tuple[dict[str, A
     import numpy as np
 
     from rotorsim.measure.as_result import as_result, has_angle
+    from rotorsim.recordings.recording import ANGLE
     from rotorsim.signals.shaft_angle import refuse_run_up, shaft_angle
     from rotorsim.signals.two_axis import two_axis_names, whole_turns
 
     angle = shaft_angle(recording, run) if has_angle(recording, run) else None
-    if angle is None and (wanted.method or wanted.plot):
-        hint = 'a "tacho", a channel of clock.theta, or a "speed" other than zero'
-        option = "--harmonics" if wanted.method else "--plot"
-        raise RotorsimError(Problem(f"{option} needs the shaft angle", hint=hint))
+    _need_angle(angle, wanted, 'a "tacho", a channel of clock.theta, or a "speed" other than zero')
     result = as_result(recording, run, angle)
     known = two_axis_names(result)
-    if not known:
-        hint = "spectra of both whirls need channels of axis x and of axis y"
-        raise RotorsimError(Problem("no two-axis signal was measured", hint=hint))
+    refuse_if(
+        not known,
+        "no two-axis signal was measured",
+        hint="spectra of both whirls need channels of axis x and of axis y",
+    )
     names = known_names(wanted.signals, known, lambda name: f"{name}: not a two-axis signal that was measured") or known
     steps = np.diff(result.time)
     even = bool(np.ptp(steps) <= 1e-6 * abs(steps[0]))
@@ -287,52 +307,21 @@ def _of_run(recording: Recording, run: Run, wanted: Wanted) -> tuple[dict[str, A
         if len(time) > 1:
             angle = replace(angle, speed=float((theta[-1] - theta[0]) / (time[-1] - time[0])))
         span = whole_turns(result, span)
+    if not even:
+        note(f"{run.id}: the samples are not equally spaced: harmonics, but no full spectrum")
+        refuse_if(angle is None, "neither a shaft angle nor evenly spaced samples", names[0])
     data: dict[str, Any] = {"speed": angle.speed if angle else run.speed, "samples": len(run.time)}
     data |= {"angle": angle.source if angle else None, "phase_known": bool(angle and angle.phase_known), "signals": {}}
     texts = [_head(run, angle, result, wanted.window)]
-    for name, entry, text in _signals(recording, result, names, angle, span if even else None, even, wanted):
-        data["signals"][name] = entry
+    fitted = replace(wanted, method=wanted.method or METHODS[0])
+    for name in names:
+        about: dict[str, Any] = {"window": wanted.window, "use_mean": _use_mean(recording, name)}
+        about |= {"angle_std": angle.std} if angle else {}
+        entry, text = _of_signal(result, name, fitted, ANGLE if angle else None, span, even, **about)
+        data["signals"][name] = entry | ({"window": span} if even else {})
         texts.append(text)
-    if not even:
-        note(f"{run.id}: the samples are not equally spaced: harmonics, but no full spectrum")
     _draw(result, names[0], span, wanted.plot)
     return data, "\n\n".join(texts)
-
-
-def _signals(
-    recording: Recording,
-    result: Result,
-    names: Sequence[str],
-    angle: ShaftAngle | None,
-    span: Window | None,
-    even: bool,
-    wanted: Wanted,
-) -> Iterator[tuple[str, dict[str, Any], str]]:
-    """Return name, data and text of the signals of one run; even: its samples are equally spaced."""
-    from rotorsim.recordings.recording import ANGLE
-    from rotorsim.report.text import spectrum as text
-    from rotorsim.signals.spectrum import full_spectrum
-    from rotorsim.signals.two_axis import two_axis_harmonics
-
-    for name in names:
-        entry: dict[str, Any] = {"unit": result.unit(name)}
-        if even:
-            spectrum = full_spectrum(result, name, window=span, angle=ANGLE if angle else None)
-            entry |= {"window": span, **text.spectrum_data(spectrum)}
-            said = text.spectrum_text(spectrum, None, wanted.threshold)
-        elif angle is None:
-            raise RotorsimError(Problem("neither a shaft angle nor evenly spaced samples", name))
-        if angle is not None:
-            fit = two_axis_harmonics(
-                result,
-                name,
-                wanted.method or METHODS[0],
-                window=wanted.window,
-                angle_std=angle.std,
-                use_mean=_use_mean(recording, name),
-            )
-            entry["harmonics"], said = text.two_axis_data(fit), text.harmonics_text(fit, wanted.threshold)
-        yield name, entry, said
 
 
 def _use_mean(recording: Recording, name: str) -> bool:

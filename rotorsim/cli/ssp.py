@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen, check_folder
+from rotorsim.cli.shared.inputs import Chosen, check_folder, listed, named_values
 from rotorsim.cli.shared.options import (
     Group,
     diagram_options,
@@ -15,7 +15,7 @@ from rotorsim.cli.shared.options import (
     show_help,
 )
 from rotorsim.cli.shared.output import show, show_problems
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem
 from rotorsim.report.text.table import table
 
 __all__ = ["command"]
@@ -85,20 +85,13 @@ def export(
 
 def _parts(parts: tuple[str, ...]) -> dict[str, list[str]]:
     """Return name -> blocks of ``NAME=BLOCK,...`` texts."""
-    cut: dict[str, list[str]] = {}
-    problems = []
-    for text in parts:
-        name, equals, blocks = (word.strip() for word in text.partition("="))
-        if not equals or not name or not blocks:
-            hint = "for example --part controller=controller,reference"
-            problems.append(Problem(f"--part {text}: not NAME=BLOCK,...", hint=hint))
-        elif name in cut:
-            problems.append(Problem(f"--part {text}: there are two parts of this name"))
-        else:
-            cut[name] = [word.strip() for word in blocks.split(",") if word.strip()]
-    if problems:
-        raise RotorsimError(*problems)
-    return cut
+    hint = "for example --part controller=controller,reference"
+    cut = named_values(
+        parts,
+        lambda text: Problem(f"--part {text}: not NAME=BLOCK,...", hint=hint),
+        lambda name: Problem(f"--part {name}: there are two parts of this name"),
+    )
+    return {name: list(listed(blocks)) for name, blocks in cut.items()}
 
 
 @command.command("import")

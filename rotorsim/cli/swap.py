@@ -12,6 +12,7 @@ import click
 from rotorsim.cli.shared.inputs import document_of, known_names, parse_settings
 from rotorsim.cli.shared.options import diagram_argument, file_option, json_option, trust_option
 from rotorsim.cli.shared.output import echo_json, note
+from rotorsim.cli.shared.refusals import refuse_if
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
 __all__ = ["command"]
@@ -63,11 +64,13 @@ def command(
     from rotorsim.files import write_atomically
     from rotorsim.model.load import load
 
-    if out and in_place:
-        raise RotorsimError(Problem(what="--out and --in-place exclude each other", hint="give one of them"))
+    refuse_if(out and in_place, "--out and --in-place exclude each other", hint="give one of them")
     path, old = document_of(diagram)
-    if in_place and path in shipped_diagrams().values():
-        raise RotorsimError(Problem(what=f"{diagram} comes with rotorsim and stays as it is", hint="use -o FILE"))
+    refuse_if(
+        in_place and path in shipped_diagrams().values(),
+        f"{diagram} comes with rotorsim and stays as it is",
+        hint="use -o FILE",
+    )
     given = {name.removeprefix(f"{block}."): value for name, value in parse_settings(settings).items()}
     load(diagram, trust_blocks=trust_blocks)  # mistakes of the diagram itself, with their places
     folders = old.get("block_folders", []) if trust_blocks else []
@@ -106,16 +109,12 @@ def _with_fmu(old: dict[str, Any], block: str, given: dict[str, Any], folder: Pa
 
     folder: of the new diagram, to which its file is relative; the one given is relative to the current folder.
     """
-    if block not in old["blocks"]:
-        raise RotorsimError(Problem(what=f"no block '{block}'", subject=block, hint=near_miss(block, old["blocks"])))
-    file = given.get("file")
-    if not isinstance(file, str):
-        raise RotorsimError(Problem(what="an FMU needs its file", subject=block, hint="add --set file=controller.fmu"))
-    if not os.path.isfile(file):
-        what = "is a folder" if os.path.isdir(file) else "there is no such file"
-        raise RotorsimError(
-            Problem(f"--set file={file}: {what}", hint=f"it is taken from where you stand, {Path.cwd()}")
-        )
+    refuse_if(block not in old["blocks"], f"no block '{block}'", block, hint=near_miss(block, old["blocks"]))
+    is_text = isinstance(given.get("file"), str)
+    refuse_if(not is_text, "an FMU needs its file", block, hint="add --set file=controller.fmu")
+    file, hint = str(given["file"]), f"it is taken from where you stand, {Path.cwd()}"
+    refuse_if(os.path.isdir(file), f"--set file={file}: is a folder", hint=hint)
+    refuse_if(not os.path.isfile(file), f"--set file={file}: there is no such file", hint=hint)
     rest = {name: value for name, value in given.items() if name != "file"}
     entry = {"type": "fmu", "file": _from(folder, file), **({"parameters": rest} if rest else {})}
     return {**old, "blocks": {**old["blocks"], block: entry}}

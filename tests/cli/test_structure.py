@@ -66,8 +66,8 @@ Group 1, isolable from all others but not within:
   rotor.displacement: runout, sensor_gain
 
 further sensor             faults detected  pairs isolated
-second rotor.displacement            0                 2
-amb.force                            0                 2
+second rotor.displacement                0               2
+amb.force                                0               2
 (second: the same signal measured once more, by a chain with faults of its own)
 
 All that sensors can tell is told with second rotor.displacement (2 pairs more).

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rotorsim.cli.shared.output import show_problems
+from rotorsim.cli.shared.refusals import refuse_all, refuse_if
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
 if TYPE_CHECKING:
@@ -29,11 +30,11 @@ __all__ = [
     "keep_diagram",
     "known_names",
     "listed",
+    "named_values",
     "parse_settings",
     "quantity",
     "share_of",
     "speeds_of",
-    "values_of",
     "whole_numbers",
     "window_of",
 ]
@@ -64,8 +65,7 @@ class Chosen:
 
     def refuse_changes(self, what: str) -> None:
         """Raise RotorsimError where --set or --without are given of what is no diagram."""
-        if self.settings or self.without:
-            raise RotorsimError(Problem(f"--set and --without need a diagram, not {what}", self.name))
+        refuse_if(self.settings or self.without, f"--set and --without need a diagram, not {what}", self.name)
 
 
 def document_of(diagram: str) -> tuple[Path, dict[str, Any]]:
@@ -76,8 +76,7 @@ def document_of(diagram: str) -> tuple[Path, dict[str, Any]]:
     path, said = find_diagram(diagram)
     show_problems(said)
     source = read_document(path)
-    if not isinstance(source.data, dict):
-        raise RotorsimError(Problem("a diagram is a JSON object {...}", place=source.locate()))
+    refuse_if(not isinstance(source.data, dict), "a diagram is a JSON object {...}", place=source.locate())
     return path, source.data
 
 
@@ -121,8 +120,7 @@ def check_target(option: str, file: str | None, suffixes: Sequence[str]) -> None
         what, hint = "is a folder", "give the name of a file"
     elif not path.parent.is_dir():
         what, hint = f"folder {path.parent} does not exist", "create it first"
-    if what:
-        raise RotorsimError(Problem(f"{option} {file}: {what}", hint=hint))
+    refuse_if(what, f"{option} {file}: {what}", hint=hint)
 
 
 def check_folder(option: str, folder: str | None) -> None:
@@ -131,58 +129,62 @@ def check_folder(option: str, folder: str | None) -> None:
         return
     path = Path(folder)
     parent = next((p for p in path.absolute().parents if p.exists()), None)
-    is_file = path.exists() and not path.is_dir()
-    if is_file or parent is None or not parent.is_dir():
-        what = "is a file" if is_file else "cannot be made"
-        raise RotorsimError(Problem(f"{option} {folder}: {what}", hint="give the name of a folder"))
+    hint = "give the name of a folder"
+    refuse_if(path.exists() and not path.is_dir(), f"{option} {folder}: is a file", hint=hint)
+    refuse_if(parent is None or not parent.is_dir(), f"{option} {folder}: cannot be made", hint=hint)
 
 
 def keep_diagram(out: str | None, diagram: str) -> None:
     """Refuse a folder in which the new diagram.json would overwrite the given one."""
-    if out and Path(diagram).exists() and (Path(out) / "diagram.json").resolve() == Path(diagram).resolve():
-        raise RotorsimError(Problem(f"--out {out}: would overwrite {diagram}", hint="give another folder"))
+    refuse_if(
+        out and Path(diagram).exists() and (Path(out) / "diagram.json").resolve() == Path(diagram).resolve(),
+        f"--out {out}: would overwrite {diagram}",
+        hint="give another folder",
+    )
 
 
 # -- settings and lists ------------------------------------------------------------------------------------------------
 
 
-def values_of(texts: Iterable[str], refuse: Callable[[str], Problem]) -> dict[str, Any]:
-    """Return ``NAME=VALUE`` texts as a mapping; a value is JSON (number, list, true) or text with a unit.
+def named_values(
+    texts: Iterable[str], refuse: Callable[[str], Problem], twice: Callable[[str], Problem] | None = None
+) -> dict[str, str]:
+    """Return ``NAME=VALUE`` texts as a mapping. Raises RotorsimError with what is said of all wrong ones.
 
-    Raises RotorsimError with what is refused of all wrong ones.
+    twice: what is said of a name that is there twice; without it the last value counts.
     """
-    values: dict[str, Any] = {}
-    problems = []
-    for text in texts:
-        name, equals, value = (part.strip() for part in text.partition("="))
-        if not equals or not name or not value:
-            problems.append(refuse(text.strip()))
-            continue
-        try:
-            values[name] = json.loads(value, parse_constant=lambda constant: constant)
-        except (ValueError, RecursionError):
-            values[name] = value
-    if problems:
-        raise RotorsimError(*problems)
-    return values
+    pairs = [(text.strip(), *(part.strip() for part in text.partition("="))) for text in texts]
+    names = [name for _, name, *_ in pairs]
+    problems = [refuse(text) for text, name, equals, value in pairs if not (name and equals and value)]
+    problems += [twice(name) for name in dict.fromkeys(names) if twice and names.count(name) > 1]
+    refuse_all(problems)
+    return {name: value for _, name, _, value in pairs}
+
+
+def _json_or_text(value: str) -> Any:
+    """Return a value that is JSON (number, list, true), else the text (with a unit) as it is."""
+    try:
+        return json.loads(value, parse_constant=lambda constant: constant)
+    except (ValueError, RecursionError):
+        return value
 
 
 def parse_settings(settings: Sequence[str]) -> dict[str, Any]:
     """Return the ``NAME=VALUE`` texts of --set as a mapping."""
     hint = "for example --set controller.KP=14000"
-    return values_of(settings, lambda text: Problem(f"--set {text}: not NAME=VALUE", hint=hint))
+    values = named_values(settings, lambda text: Problem(f"--set {text}: not NAME=VALUE", hint=hint))
+    return {name: _json_or_text(value) for name, value in values.items()}
 
 
 def gains_of(text: str) -> dict[str, Any]:
     """Return ``"controller.KP=9000, controller.KD=4.5"`` of --gains as a mapping."""
     hint = "for example --gains 'controller.KP=9000, controller.KD=4.5'"
-    parts = NEXT.split(text)
-    values = values_of(parts, lambda part: Problem(f"--gains {text}: '{part}' is not NAME=VALUE", hint=hint))
-    names = [part.partition("=")[0].strip() for part in parts]
-    for name in values:
-        if names.count(name) > 1:
-            raise RotorsimError(Problem(f"--gains {text}: {name} is there twice", hint="a --gains for each value"))
-    return values
+    values = named_values(
+        NEXT.split(text),
+        lambda part: Problem(f"--gains {text}: '{part}' is not NAME=VALUE", hint=hint),
+        lambda name: Problem(f"--gains {text}: {name} is there twice", hint="a --gains for each value"),
+    )
+    return {name: _json_or_text(value) for name, value in values.items()}
 
 
 def listed(text: str) -> tuple[str, ...]:
@@ -207,8 +209,11 @@ def whole_numbers(option: str, text: str, hint: str) -> tuple[int, ...]:
         numbers = tuple(int(part) for part in text.split(","))
     except ValueError:
         numbers = ()
-    if not numbers or len(set(numbers)) < len(numbers):
-        raise RotorsimError(Problem(f"{option} {text}: not a list of different whole numbers", hint=hint))
+    refuse_if(
+        not numbers or len(set(numbers)) < len(numbers),
+        f"{option} {text}: not a list of different whole numbers",
+        hint=hint,
+    )
     return numbers
 
 
@@ -218,8 +223,7 @@ def share_of(option: str, text: str, hint: str) -> float:
         value = float(text.rstrip("% ")) / (100 if "%" in text else 1)
     except ValueError:
         value = -1.0
-    if not 0 < value <= 1:
-        raise RotorsimError(Problem(f"{option} {text}: not a share", hint=hint))
+    refuse_if(not 0 < value <= 1, f"{option} {text}: not a share", hint=hint)
     return value
 
 
@@ -239,8 +243,11 @@ def quantity(text: str, unit: str, option: str) -> float:
 def window_of(window: str) -> tuple[float, float]:
     """Return the ends [s] of a text such as ``"4 s:5 s"``."""
     ends = [quantity(part.strip(), "s", "--window") for part in window.split(":")]
-    if len(ends) != 2 or ends[1] <= ends[0]:
-        raise RotorsimError(Problem(f"--window {window}: not START:STOP", hint="for example --window '4 s:5 s'"))
+    refuse_if(
+        len(ends) != 2 or ends[1] <= ends[0],
+        f"--window {window}: not START:STOP",
+        hint="for example --window '4 s:5 s'",
+    )
     return ends[0], ends[1]
 
 
@@ -264,13 +271,11 @@ def speeds_of(text: str, option: str = "--speeds") -> np.ndarray:
     if ":" not in text:
         return np.array(values)
     hint = "write start:step:stop, as in '900 rpm:100 rpm:6000 rpm', or a list as in '900 rpm, 1200 rpm'"
-    if len(values) != 3:
-        raise RotorsimError(Problem(f"{option} {text}: {len(values)} parts, 3 expected", hint=hint))
+    refuse_if(len(values) != 3, f"{option} {text}: {len(values)} parts, 3 expected", hint=hint)
     start, step, stop = values
-    if step == 0 or (stop - start) / step < -1e-9:
-        raise RotorsimError(Problem(f"{option} {text}: these steps never reach the stop", hint=hint))
+    refuse_if(
+        step == 0 or (stop - start) / step < -1e-9, f"{option} {text}: these steps never reach the stop", hint=hint
+    )
     count = math.floor((stop - start) / step * (1 + 1e-12) + 1e-9) + 1
-    if count > MAX_SPEEDS:
-        what = f"{option} {text}: {count} speeds, at most {MAX_SPEEDS}"
-        raise RotorsimError(Problem(what, hint="use a larger step"))
+    refuse_if(count > MAX_SPEEDS, f"{option} {text}: {count} speeds, at most {MAX_SPEEDS}", hint="use a larger step")
     return start + step * np.arange(count)

@@ -72,8 +72,9 @@ def _key(axes: Axes, columns: int = 1) -> None:
 
 
 def _draw_time(axes: Axes, result: Result, signal: str, part: slice) -> None:
-    values, unit = display(result[signal][part].reshape(len(result.time[part]), -1), result.unit(signal))
-    two_axis = result[signal].shape[1:] == (2,)
+    shape = result[signal].shape[1:]
+    values, unit = display(result[signal][part].reshape(-1, int(np.prod(shape))), result.unit(signal))
+    two_axis = shape == (2,)
     names = list("xy") if two_axis else [f"[{k + 1}]" for k in range(values.shape[1])]
     grown = _has_grown(result, signal, part)
     if grown:  # growth without bound is a straight line on a logarithmic scale

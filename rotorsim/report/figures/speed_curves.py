@@ -46,7 +46,8 @@ BESIDE = (
     Look("", ORANGE, "v", "-"),
     Look("", INK, "P", "--"),
 )
-Branch = tuple[np.ndarray, np.ndarray]  # speeds (n,) [rad/s] and the phase there [deg]
+Curve = tuple[np.ndarray, np.ndarray]  # speeds (n,) [rad/s], and harmonics (n, orders) or a phase (n,) [deg]
+NOWHERE: Curve = (np.zeros(1), np.zeros(1))
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,16 @@ class _Set:
     @property
     def runs(self) -> PredictedRuns:
         return self.diagrams[-1][1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Panels:
+    """Amplitude above phase for each order, (2, orders); branches: the phase drawn last, on which all others lie."""
+
+    grid: np.ndarray
+    signal: Signal
+    orders: np.ndarray
+    branches: list[Curve]
 
 
 def speed_curves_figure(
@@ -81,21 +92,21 @@ def speed_curves_figure(
         made = figure(0.8 + 3.2 * max(len(orders), 2), 1.2 + 4.2 * len(rows), title)
         heights = (1.5, 1.0) * len(rows)
         grid = made.subplots(2 * len(rows), len(orders), squeeze=False, sharex=True, height_ratios=heights)
-        for panels, row in zip(np.split(grid, len(rows)), rows, strict=True):
-            middle = np.full(len(orders), np.nan)  # phase of every column, so that all lie on the same branch
-            for axes, order in zip(panels[0], orders, strict=True):
+        for half, row in zip(np.split(grid, len(rows)), rows, strict=True):
+            panels = _Panels(half, signal, orders, [NOWHERE] * len(orders))
+            for axes, order in zip(half[0], orders, strict=True):
                 kind = "" if signal.y is None else " (forward)" if order > 0 else " (backward)"
                 only = f"\n{row[0].group}" if len(rows) > 1 and order == orders[0] else ""
                 axes.set_title(f"{order}X{kind}{only}", loc="left", fontsize=9)
                 axes.set_yscale("log")
             for item in row:
-                branches = _draw_set(panels, item, signal, orders, middle)
+                _draw_set(panels, item)
                 if fitted is not None:
-                    _draw_fitted(panels, item, fitted, signal, orders, middle, branches)
-            for upper, lower in panels.T:
+                    _draw_fitted(panels, item, fitted)
+            for upper, lower in half.T:
                 _plain_ticks(upper, lower)
-            panels[0, 0].set_ylabel(f"{signal.title}\n[{display(1.0, signal.unit)[1]}, 0-peak]")
-            panels[1, 0].set_ylabel("phase [deg]")
+            half[0, 0].set_ylabel(f"{signal.title}\n[{display(1.0, signal.unit)[1]}, 0-peak]")
+            half[1, 0].set_ylabel("phase [deg]")
         for axes in grid[-1]:
             axes.set_xlabel("speed [rpm]")
         legend_below(made, grid[0, 0])
@@ -140,102 +151,68 @@ def _plain_ticks(upper: Axes, lower: Axes) -> None:
     lower.yaxis.set_major_locator(MultipleLocator(next((s for s in PHASE_STEPS if span / s <= 5), 180)))
 
 
-def _draw_set(panels: np.ndarray, item: _Set, signal: Signal, orders: np.ndarray, middle: np.ndarray) -> list[Branch]:
-    """Draw diagrams and runs with the same settings; return the phase of the last diagram, order by order."""
+def _draw_set(panels: _Panels, item: _Set) -> None:
+    """Draw diagrams and runs with the same settings."""
     members = sorted(item.runs.groups[item.group], key=lambda r: item.runs.speeds[r])
-    branches: list[Branch] = []
     for look, runs in item.diagrams:
         group = item.group if item.group in runs.groups else runs.group_of(members[0])
-        curve = speed_curve(runs, group, signal, orders)
+        curve = speed_curve(runs, group, panels.signal, panels.orders)
         form: dict[str, Any] = {"ls": look.line, "color": look.colour, "label": look.label}
         if curve is None:
             form |= {"ls": "none", "marker": look.marker, "ms": 9, "mfc": "none"}
-            columns = np.searchsorted(runs.orders(signal), orders)
-            curve = runs.speeds[members], np.array([runs.prediction(r, signal)[columns] for r in members])
-        branches = _draw_curve(panels, *curve, signal.unit, middle, form)
-    _draw_points(panels, item.runs, members, signal, orders, branches, middle, item.measured)
-    return branches
+            columns = np.searchsorted(runs.orders(panels.signal), panels.orders)
+            curve = runs.speeds[members], np.array([runs.prediction(r, panels.signal)[columns] for r in members])
+        panels.branches[:] = _draw_curve(panels, curve, form)
+    _draw_points(panels, item.runs, members, item.measured)
 
 
-def _draw_curve(
-    panels: np.ndarray, speeds: np.ndarray, values: np.ndarray, unit: str, middle: np.ndarray, form: dict[str, Any]
-) -> list[Branch]:
-    """Draw harmonics (n, orders) over speed near the phases ``middle``, which follow; return the phases."""
-    branches = []
-    for k, (upper, lower) in enumerate(panels.T):
-        upper.plot(rpm(speeds), display(np.abs(values[:, k]), unit)[0], **form)
-        angle = _continuous(values[:, k], middle[k])
-        if np.isfinite(angle).any():
-            middle[k] = np.nanmedian(angle)
+def _draw_curve(panels: _Panels, curve: Curve, form: dict[str, Any]) -> list[Curve]:
+    """Draw harmonics over speed; return their phases, those drawn before where there are none."""
+    branches, (speeds, values) = [], curve
+    for (upper, lower), branch, own in zip(panels.grid.T, panels.branches, values.T, strict=True):
+        angle = _continuous(own, float(np.nanmedian(branch[1])))
+        upper.plot(rpm(speeds), display(np.abs(own), panels.signal.unit)[0], **form)
         lower.plot(rpm(speeds), angle, **form)
-        branches.append((speeds, angle))
+        branches.append((speeds, angle) if np.isfinite(angle).any() else branch)
     return branches
 
 
 def _continuous(values: np.ndarray, middle: float) -> np.ndarray:
-    """Return a phase [deg] without jumps, over gaps too, its median near another, or in -180..180 without one."""
-    angle = np.full(len(values), np.nan)
-    there = np.isfinite(values)
-    if there.any():
-        some = np.degrees(np.unwrap(np.angle(values[there])))
-        angle[there] = some - 360 * np.round((np.median(some) - (0.0 if np.isnan(middle) else middle)) / 360)
-    return angle
+    """Return a phase [deg] without jumps, over gaps too, its median within half a turn of another."""
+    angle, there = np.full(len(values), np.nan), np.isfinite(values)
+    angle[there] = np.degrees(np.unwrap(np.angle(values[there])))
+    return angle - 360 * np.round((np.median(angle[there]) - middle) / 360) if there.any() else angle
 
 
-def _draw_points(
-    panels: np.ndarray,
-    runs: PredictedRuns,
-    members: Sequence[int],
-    signal: Signal,
-    orders: np.ndarray,
-    branches: Sequence[Branch],
-    middle: np.ndarray,
-    look: Look,
-    **more: Any,
-) -> None:
+def _draw_points(panels: _Panels, runs: PredictedRuns, members: Sequence[int], look: Look, **more: Any) -> None:
     """Draw measured amplitudes and phases with 90 % intervals, phases on the branch of a diagram."""
-    measured, at = [runs.measured(r, signal) for r in members], runs.speeds[list(members)]
+    measured, at = [runs.measured(r, panels.signal) for r in members], runs.speeds[list(members)]
+    rows = [(one.value, one.amplitude_std, one.phase_std) for one in measured]
+    values, size_stds, phase_stds = (np.array(part) for part in zip(*rows, strict=True))
     form: dict[str, Any] = {"elinewidth": 1.0, "capsize": 2.5, "zorder": 5} | more
     form |= {"fmt": look.marker, "ms": look.size, "color": look.colour, "label": look.label}
-    for k, column in enumerate(np.searchsorted(runs.orders(signal), orders)):
-        upper, lower = panels[:, k]
-        value = np.array([one.value[column] for one in measured])
-        amplitude_std, std = (
-            np.array([part[column] for part in parts])
-            for parts in zip(*((one.amplitude_std, one.phase_std) for one in measured), strict=True)
-        )
-        size, bar = (display(part, signal.unit)[0] for part in (np.abs(value), Z90 * amplitude_std))
+    columns = np.searchsorted(runs.orders(panels.signal), panels.orders)
+    for (upper, lower), (speeds, angle), column in zip(panels.grid.T, panels.branches, columns, strict=True):
+        value, std, there = values[:, column], phase_stds[:, column], np.isfinite(angle)
+        size, bar = (display(part, panels.signal.unit)[0] for part in (np.abs(value), Z90 * size_stds[:, column]))
         upper.errorbar(rpm(at), size, [np.minimum(bar, size * (1 - 1e-6)), bar], **form)
-        speeds, angle = branches[k]
-        there = np.isfinite(angle)
-        near = np.interp(at, speeds[there], angle[there]) if there.any() else np.nan_to_num(middle[k])
-        phase = np.degrees(np.angle(value))
+        phase, near = np.degrees(np.angle(value)), np.interp(at, speeds[there], angle[there])
         phase += 360 * np.round((near - phase) / 360)
         sure = std < 1.0
         lower.errorbar(rpm(at)[sure], phase[sure], np.degrees(Z90 * std[sure]), **form)
 
 
-def _draw_fitted(
-    panels: np.ndarray,
-    item: _Set,
-    fitted: Comparison,
-    signal: Signal,
-    orders: np.ndarray,
-    middle: np.ndarray,
-    branches: Sequence[Branch],
-) -> None:
+def _draw_fitted(panels: _Panels, item: _Set, fitted: Comparison) -> None:
     """Draw the fitted runs that have the settings of some others, and thinly the diagrams beyond those."""
-    one, other, every = item.runs.experiment, fitted.runs.experiment, fitted.runs.orders(signal)
-    if signal.x not in other.predicted or one.p.shape[1] != other.p.shape[1] or not set(orders) <= set(every):
+    one, other = item.runs.experiment, fitted.runs.experiment
+    if panels.signal.x not in other.predicted or one.p.shape[1] != other.p.shape[1]:
         return
     still, p = ~item.runs.follows_speed, one.p[item.runs.groups[item.group][0]]
     members = [r for r, row in enumerate(other.p) if np.array_equal(row[still], p[still])]
-    if not members:
+    if not members or not set(panels.orders) <= set(fitted.runs.orders(panels.signal)):
         return
     for look, runs in fitted.diagrams:
-        curve = speed_curve(runs, runs.group_of(members[0]), signal, orders)
+        curve = speed_curve(runs, runs.group_of(members[0]), panels.signal, panels.orders)
         if curve is not None:
-            thin = {"color": look.colour, "ls": look.line, "lw": 0.8, "zorder": 1}
-            _draw_curve(panels, *curve, signal.unit, middle.copy(), thin)
-    form = {"mfc": "white", "capsize": 0, "zorder": 4}
-    _draw_points(panels, fitted.runs, members, signal, orders, branches, middle, FITTED, **form)
+            _draw_curve(panels, curve, {"color": look.colour, "ls": look.line, "lw": 0.8, "zorder": 1})
+    _draw_points(panels, fitted.runs, members, FITTED, mfc="white", capsize=0, zorder=4)

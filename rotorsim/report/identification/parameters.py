@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,6 +15,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from rotorsim.identification.identification import Identification, Identified
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.style import BLUE, GREY, INK, RED, figure, styled
+from rotorsim.report.text.table import parameter_unit
 
 __all__ = ["correlation_figure", "heading", "parameters_figure"]
 
@@ -31,77 +33,68 @@ def heading(found: Identification, recording: Recording | None) -> str:
     return f"{title}\nnot explained by the model: residual variance {excess} times the noise"
 
 
-def _shown(unit: str) -> tuple[float, str]:
-    """Return factor and unit in which a parameter is written."""
-    return {"m": (1e6, "um"), "rad": (180 / math.pi, "deg")}.get(unit, (1.0, "" if unit == "1" else unit))
-
-
 def _number(item: Identified, start: float) -> str:
     """Return 'value +- half width unit', to two digits of the half width."""
-    factor, unit = _shown(item.unit)
+    unit, factor = parameter_unit("" if item.unit == "1" else item.unit)
+    value, low, high = (part * factor for part in (item.value, *item.interval90))
     if _is_zero(item.value, start):
         return f"0 {unit}".strip()
-    value, low, high = (part * factor for part in (item.value, *item.interval90))
     if not (math.isfinite(low) and math.isfinite(high)) or high <= low:
         return f"{value:.6g} {unit}".strip()
     up, down = high - value, value - low
-    digits = 1 - math.floor(math.log10(max(up, down)))
+    most, digits = max(up, down), 1 - math.floor(math.log10(max(up, down)))
     if abs(value) >= 1e7 or digits > 8:
-        return f"{value:.6g} +- {max(up, down):.2g} {unit}".strip()
-
-    def text(number: float) -> str:
-        return f"{round(number, digits):.{max(digits, 0)}f}".replace("-", MINUS)
-
-    spread = (
-        f"\u00b1 {text(max(up, down))}" if 0.8 < up / max(down, 1e-300) < 1.25 else f"+{text(up)} {MINUS}{text(down)}"
-    )
-    return f"{text(value)} {spread} {unit}".strip()
-
-
-def _scale(item: Identified, start: float) -> float:
-    """Return what counts as 100 %: the value; of one that is zero its start value; for an angle one radian."""
-    if item.unit == "rad":
-        return 1.0
-    known = abs(start) if math.isfinite(start) and start else 1.0
-    return known if _is_zero(item.value, start) else abs(item.value)
+        return f"{value:.6g} +- {most:.2g} {unit}".strip()
+    texts = (f"{round(n, digits):.{max(digits, 0)}f}".replace("-", MINUS) for n in (value, up, down, most))
+    number, above, below, half = texts
+    alike = 0.8 < up / max(down, 1e-300) < 1.25
+    spread = f"\u00b1 {half}" if alike else f"+{above} {MINUS}{below}"
+    return f"{number} {spread} {unit}".strip()
 
 
 def _is_zero(value: float, start: float) -> bool:
     return value == 0 or abs(value) <= ZERO * abs(start)
 
 
+def _relative(item: Identified, start: float) -> list[float]:
+    """Return both ends of the interval and the start value, less the value, in % of the value; angles: of one radian.
+
+    A value of zero is compared with its start value.
+    """
+    scale, change = abs(item.value), start - item.value
+    if _is_zero(item.value, start):
+        scale = abs(start) if math.isfinite(start) and start else 1.0
+    if item.unit == "rad":
+        scale, change = 1.0, math.remainder(change, 2 * math.pi) if math.isfinite(change) else change
+    return [100 * part / scale for part in (*(end - item.value for end in item.interval90), change)]
+
+
 def parameters_figure(found: Identification, recording: Recording | None = None) -> Figure:
     """Return every parameter's 90 % interval and start value, relative to the identified value, with its number."""
-    items, starts = list(found.parameters.values()), {item.name: item.value for item in found.free}
-    ends, begins = [], []
-    for item in items:
-        start = starts.get(item.name, math.nan)
-        ends.append([100 * (end - item.value) / _scale(item, start) for end in item.interval90])
-        change = start - item.value
-        if item.unit == "rad":
-            change = math.remainder(change, 2 * math.pi)
-        begins.append(100 * change / _scale(item, start))
+    items, known = list(found.parameters.values()), {item.name: item.value for item in found.free}
+    starts = [known.get(item.name, math.nan) for item in items]
+    moved = np.array([_relative(item, start) for item, start in zip(items, starts, strict=True)])
     precision = 100 * float(found.settings.get("precision", 0.05))
-    sizes = np.array([(high - low) / 2 for low, high in ends])
+    sizes = (moved[:, 1] - moved[:, 0]) / 2
     sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
     linear = 10.0 ** np.clip(np.floor(np.log10(sizes.min(initial=precision))), -4, 0)
-    reach = float(np.clip(np.nanmax(np.abs([*sizes, *begins, 2 * precision])), 10, 900)) * 1.5
+    reach = float(np.clip(np.nanmax(np.abs([*sizes, *moved[:, 2], 2 * precision])), 10, 900)) * 1.5
+    colours = [BLUE if item.verdict.identifiable else GREY for item in items]
     with styled():
         made = figure(9.0, 1.7 + 0.36 * len(items), f"Parameters, {heading(found, recording)}")
         axes = made.add_subplot()
         axes.set_xscale("symlog", linthresh=linear, linscale=0.8)
         axes.axvspan(-precision, precision, color=WANTED, zorder=0)
         axes.axvline(0, color=GREY, lw=0.8)
-        for k, (item, (low, high), start) in enumerate(zip(items, ends, begins, strict=True)):
-            colour = BLUE if item.verdict.identifiable else GREY
-            low, high = (max(low, -2 * reach), min(high, 2 * reach)) if high > low else (0.0, 0.0)
-            axes.plot([low, high], [k, k], color=colour, lw=2.0, marker="|", ms=7, mew=1.5)
+        for k, ((low, high, start), colour) in enumerate(zip(moved, colours, strict=True)):
+            ends = np.clip([low, high], -2 * reach, 2 * reach) if high > low else np.zeros(2)
+            axes.plot(ends, [k, k], color=colour, lw=2.0, marker="|", ms=7, mew=1.5)
             axes.plot(0, k, "o", ms=5, color=colour, zorder=3)
             if math.isfinite(start):
                 outside = abs(start) > reach
-                mark = (">" if start > 0 else "<") if outside else "|"
+                mark, size = ((">" if start > 0 else "<"), 6) if outside else ("|", 11)
                 at = math.copysign(0.97 * reach, start) if outside else start
-                axes.plot(at, k, mark, ms=6 if outside else 11, mew=1.8, color=RED, zorder=4)
+                axes.plot(at, k, mark, ms=size, mew=1.8, color=RED, zorder=4)
         _key_of_parameters(axes, items, precision)
         axes.set(
             xlabel="difference from the identified value [%], angles: of one radian; "
@@ -110,16 +103,16 @@ def parameters_figure(found: Identification, recording: Recording | None = None)
             ylim=(len(items) - 0.5, -0.5),
         )
         _symlog_ticks(axes, linear, reach)
-        axes.set_yticks(range(len(items)), [item.name for item in items])
-        axes.grid(axis="y", visible=False)
         right = axes.twinx()
         right.set(ylim=axes.get_ylim())
-        right.set_yticks(range(len(items)), [_number(item, starts.get(item.name, math.nan)) for item in items])
-        right.grid(visible=False)
-        for side in (axes, right):
+        numbers = [_number(item, start) for item, start in zip(items, starts, strict=True)]
+        for side, texts in ((axes, [item.name for item in items]), (right, numbers)):
+            side.set_yticks(range(len(items)), texts)
+            side.grid(axis="y", visible=False)
             side.tick_params(axis="y", length=0)
-            for text, item in zip(side.get_yticklabels(), items, strict=True):
-                text.set_color(INK if item.verdict.identifiable else GREY)
+            for text, colour in zip(side.get_yticklabels(), colours, strict=True):
+                text.set_color(INK if colour == BLUE else GREY)
+        right.grid(visible=False)
     return made
 
 
@@ -129,15 +122,8 @@ def _key_of_parameters(axes: Axes, items: Sequence[Identified], precision: float
         axes.plot([], [], "o-", ms=5, lw=2.0, color=GREY, label="not identified")
     axes.plot([], [], "|", ms=11, mew=1.8, color=RED, label="start value in the diagram")
     handles = [*axes.get_legend_handles_labels()[0], Patch(color=WANTED, label=f"wanted: \u00b1{precision:g} %")]
-    axes.legend(
-        handles=handles,
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncols=4,
-        borderaxespad=0.2,
-        columnspacing=1.2,
-        handlelength=1.4,
-    )
+    form: Any = {"ncols": 4, "borderaxespad": 0.2, "columnspacing": 1.2, "handlelength": 1.4}
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), **form)
 
 
 def _symlog_ticks(axes: Axes, linear: float, reach: float) -> None:
