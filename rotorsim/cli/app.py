@@ -19,7 +19,7 @@ from typing import Any, NoReturn, TextIO
 
 import click
 
-from rotorsim.cli.shared.output import problem_data, show_problems, warn
+from rotorsim.cli.shared import echo_json, problem_data, show_problems, warn
 from rotorsim.errors import Problem, RotorsimError, visible
 
 __all__ = ["VERBS", "main", "rotorsim"]
@@ -64,8 +64,7 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in VERBS:
             return None
-        module = import_module(f"rotorsim.cli.{cmd_name}")
-        command: click.Command = module.command
+        command: click.Command = import_module(f"rotorsim.cli.{cmd_name}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -190,9 +189,7 @@ def _explain(error: BaseException, as_json: bool) -> int:
         problems, code = (Problem(what=f"internal error: {type(error).__name__}: {text}", hint=hint),), 1
     show_problems(problems)
     if as_json:
-        import json
-
-        click.echo(json.dumps({"problems": [problem_data(problem) for problem in problems]}, indent=2))
+        echo_json({"problems": [problem_data(problem) for problem in problems]})
     return code
 
 
@@ -201,13 +198,9 @@ def _usage_problem(error: click.UsageError) -> Problem:
     verb = error.ctx.command_path if error.ctx else "rotorsim"
     hint = f"'{verb} --help' shows how it is used"
     if isinstance(error, click.NoSuchOption):
-        near = list(error.possibilities or [])
-        if not near and error.ctx:
-            known = [name for parameter in error.ctx.command.params for name in parameter.opts]
-            near = difflib.get_close_matches(error.option_name, known, n=1)
-        if near:
-            hint = f"did you mean '{near[0]}'?"
-        return Problem(what=f"unknown option '{error.option_name}'", hint=hint)
+        known = [name for parameter in error.ctx.command.params for name in parameter.opts] if error.ctx else []
+        near = error.possibilities or difflib.get_close_matches(error.option_name, known, n=1)
+        return Problem(f"unknown option '{error.option_name}'", hint=f"did you mean '{near[0]}'?" if near else hint)
     text = error.format_message().rstrip(".")
     return Problem(what=text[:1].lower() + text[1:], hint=hint)
 
@@ -227,9 +220,8 @@ def _unwritten(error: _UnwrittenError) -> int:
     if cause.errno == errno.EPIPE:
         return 128 + 13  # as of a program that SIGPIPE ends
     what = f"standard output cannot be written: {(cause.strerror or str(cause)).lower()}"
-    show_problems(
-        [Problem(what=what, hint="make room there; what was printed is lost, files that were named as written are not")]
-    )
+    hint = "make room there; what was printed is lost, files that were named as written are not"
+    show_problems([Problem(what, hint=hint)])
     return 1
 
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from rotorsim.cli.shared.options import json_option
-from rotorsim.cli.shared.output import echo_json, show_problems
+from rotorsim.cli.shared import echo_json, json_option, show_problems
 from rotorsim.errors import Problem, RotorsimError
 
 __all__ = ["command"]

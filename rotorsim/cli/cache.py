@@ -7,8 +7,7 @@ import shutil
 
 import click
 
-from rotorsim.cli.shared.options import json_option
-from rotorsim.cli.shared.output import show
+from rotorsim.cli.shared import json_option, show
 
 __all__ = ["command"]
 

@@ -7,9 +7,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen, speeds_of, whole_numbers
-from rotorsim.cli.shared.options import diagram_options, json_option, plot_option
-from rotorsim.cli.shared.output import note, save_plot, show, warn
+from rotorsim.cli.shared import (
+    Chosen,
+    diagram_options,
+    json_option,
+    note,
+    plot_option,
+    save_plot,
+    show,
+    speeds_of,
+    warn,
+    whole_numbers,
+)
 from rotorsim.report.text.table import rpm, table
 
 if TYPE_CHECKING:

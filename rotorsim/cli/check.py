@@ -8,9 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen, is_recording, parse_settings
-from rotorsim.cli.shared.options import json_option, set_option, trust_option, without_option
-from rotorsim.cli.shared.output import echo_json, note_mistakes, problem_data, show_problems
+from rotorsim.cli.shared import (
+    Chosen,
+    echo_json,
+    is_recording,
+    json_option,
+    note_mistakes,
+    parse_settings,
+    problem_data,
+    set_option,
+    show_problems,
+    trust_option,
+    without_option,
+)
 from rotorsim.errors import Problem, RotorsimError
 
 if TYPE_CHECKING:

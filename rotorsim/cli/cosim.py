@@ -10,18 +10,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen, clock_of, listed, named_values, quantity
-from rotorsim.cli.shared.options import (
+from rotorsim.cli.shared import (
     RESULTS,
+    Chosen,
+    clock_of,
     diagram_argument,
     file_option,
     json_option,
+    listed,
+    named_values,
+    note,
     parameter_options,
+    progress_bar,
     progress_option,
+    quantity,
+    refuse_if,
+    show,
+    show_problems,
     solver_option,
 )
-from rotorsim.cli.shared.output import note, progress_bar, show, show_problems
-from rotorsim.cli.shared.refusals import refuse_if
 from rotorsim.errors import Problem, RotorsimError, visible
 from rotorsim.report.text.table import counted
 

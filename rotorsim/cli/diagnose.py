@@ -8,17 +8,26 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen, check_folder, keep_diagram, known_names, listed, speeds_of
-from rotorsim.cli.shared.options import (
+from rotorsim.cli.shared import (
+    Chosen,
+    check_folder,
     diagram_argument,
     hold_out_option,
     jobs_options,
     json_option,
+    keep_diagram,
+    known_names,
+    listed,
+    note,
     parameter_options,
+    progress_bar,
     progress_option,
+    refuse_all,
+    refuse_if,
+    show,
+    show_problems,
+    speeds_of,
 )
-from rotorsim.cli.shared.output import note, progress_bar, show, show_problems
-from rotorsim.cli.shared.refusals import refuse_all, refuse_if
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.report.text.table import table
 

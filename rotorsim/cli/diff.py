@@ -6,9 +6,7 @@ from dataclasses import asdict
 
 import click
 
-from rotorsim.cli.shared.inputs import document_of
-from rotorsim.cli.shared.options import json_option
-from rotorsim.cli.shared.output import show
+from rotorsim.cli.shared import document_of, json_option, show
 
 __all__ = ["command"]
 

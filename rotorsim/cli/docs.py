@@ -7,9 +7,7 @@ from pathlib import Path
 
 import click
 
-from rotorsim.cli.shared.options import json_option
-from rotorsim.cli.shared.output import echo_json, show
-from rotorsim.cli.shared.refusals import refuse_if
+from rotorsim.cli.shared import json_option, refuse_if, show
 from rotorsim.errors import near_miss
 
 __all__ = ["command"]
@@ -36,10 +34,8 @@ def command(page: str | None, as_json: bool) -> None:
     refuse_if(name not in pages, f"no page '{page}'", hint=near_miss(page, pages))
     file = pages[name]
     text = file.read_text(encoding="utf-8")
-    if as_json:
-        echo_json({"page": file.stem, "title": _title(file), "file": str(file), "text": text})
-    else:
-        click.echo(text, nl=False)
+    data = {"page": name, "title": _title(file), "file": str(file), "text": text}
+    show(as_json, lambda: data, lambda: text.removesuffix("\n"))
 
 
 def _folder() -> Path:

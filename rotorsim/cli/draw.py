@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen
-from rotorsim.cli.shared.options import diagram_options, file_option, json_option
-from rotorsim.cli.shared.output import note, show
+from rotorsim.cli.shared import Chosen, diagram_options, file_option, json_option, note, show
 
 __all__ = ["command"]
 

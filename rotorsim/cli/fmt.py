@@ -6,9 +6,7 @@ from pathlib import Path
 
 import click
 
-from rotorsim.cli.shared.options import json_option
-from rotorsim.cli.shared.output import note, show
-from rotorsim.cli.shared.refusals import refuse_all
+from rotorsim.cli.shared import json_option, note, object_of, refuse_all, show
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.report.text.table import counted
 
@@ -25,18 +23,13 @@ def command(files: tuple[str, ...], check: bool, as_json: bool) -> int:
     Values and the order of blocks and wires stay as they are.
     """
     from rotorsim.diagram.parse.fmt import format_document
-    from rotorsim.diagram.parse.source import read_document
     from rotorsim.files import write_atomically
 
     texts: dict[str, str] = {}
     problems: list[Problem] = []
     for name in files:
         try:
-            source = read_document(name)
-            if isinstance(source.data, dict):
-                texts[name] = format_document(source.data)
-            else:
-                problems.append(Problem("a diagram is a JSON object {...}", place=source.locate()))
+            texts[name] = format_document(object_of(name))
         except RotorsimError as error:
             problems += error.problems
     refuse_all(problems)

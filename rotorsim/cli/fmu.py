@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen
-from rotorsim.cli.shared.options import (
+from rotorsim.cli.shared import (
+    Chosen,
     Group,
     diagram_options,
     file_option,
     fmi_option,
     json_option,
+    note_mistakes,
     platform_option,
+    problem_data,
+    show,
     show_help,
+    show_problems,
 )
-from rotorsim.cli.shared.output import note_mistakes, problem_data, show, show_problems
 from rotorsim.errors import RotorsimError
 from rotorsim.report.text.table import counted, table
 

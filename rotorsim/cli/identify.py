@@ -7,17 +7,23 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen, check_folder, keep_diagram, share_of, whole_numbers
-from rotorsim.cli.shared.options import (
+from rotorsim.cli.shared import (
+    Chosen,
+    check_folder,
     diagram_argument,
     given_options,
     hold_out_option,
     json_option,
+    keep_diagram,
     measured_input_option,
+    note,
     recording_argument,
+    refuse_all,
+    share_of,
+    show,
+    show_problems,
+    whole_numbers,
 )
-from rotorsim.cli.shared.output import note, show, show_problems
-from rotorsim.cli.shared.refusals import refuse_all
 from rotorsim.errors import Problem
 from rotorsim.report.text.table import parameter_unit, percent, table
 

@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen
-from rotorsim.cli.shared.options import (
+from rotorsim.cli.shared import (
+    Chosen,
     diagram_argument,
     file_option,
     given_options,
     json_option,
     measured_input_option,
+    note,
     recording_argument,
+    show,
 )
-from rotorsim.cli.shared.output import note, show
 from rotorsim.report.text.table import table
 
 if TYPE_CHECKING:

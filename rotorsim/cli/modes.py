@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen
-from rotorsim.cli.shared.options import diagram_options, json_option
-from rotorsim.cli.shared.output import note, show
+from rotorsim.cli.shared import Chosen, diagram_options, json_option, note, show
 from rotorsim.report.text.table import table
 
 if TYPE_CHECKING:

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import click
 
-from rotorsim.cli.shared.options import json_option
-from rotorsim.cli.shared.output import echo_json, note
-from rotorsim.cli.shared.refusals import refuse_all
+from rotorsim.cli.shared import echo_json, json_option, note, refuse_all
 from rotorsim.errors import Place, Problem, near_miss
 
 __all__ = ["command"]

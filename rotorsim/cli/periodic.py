@@ -7,10 +7,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen, speeds_of
-from rotorsim.cli.shared.options import diagram_options, json_option, plot_option
-from rotorsim.cli.shared.output import note, save_plot, show, show_problems, warn
-from rotorsim.cli.shared.refusals import refuse_if
+from rotorsim.cli.shared import (
+    Chosen,
+    diagram_options,
+    json_option,
+    note,
+    plot_option,
+    refuse_if,
+    save_plot,
+    show,
+    show_problems,
+    speeds_of,
+    warn,
+)
 from rotorsim.errors import Problem
 from rotorsim.report.text.table import degrees, display_unit, rpm, table
 

@@ -11,19 +11,26 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli.shared.inputs import (
+from rotorsim.cli.shared import (
     Chosen,
     check_folder,
     clock_of,
+    diagram_options,
     gains_of,
+    json_option,
+    noise_kind_option,
+    note,
     parse_settings,
+    progress_bar,
+    progress_option,
     quantity,
+    refuse_all,
+    refuse_if,
+    show,
     speeds_of,
+    warn,
     window_of,
 )
-from rotorsim.cli.shared.options import diagram_options, json_option, noise_kind_option, progress_option
-from rotorsim.cli.shared.output import note, progress_bar, show, warn
-from rotorsim.cli.shared.refusals import refuse_all, refuse_if
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.report.text.table import counted, rpm, table
 

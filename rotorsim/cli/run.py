@@ -8,17 +8,22 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen, clock_of, quantity
-from rotorsim.cli.shared.options import (
+from rotorsim.cli.shared import (
     RESULTS,
+    Chosen,
+    clock_of,
     diagram_options,
     file_option,
     json_option,
+    note,
     plot_option,
+    progress_bar,
     progress_option,
+    quantity,
+    show,
+    show_problems,
     solver_option,
 )
-from rotorsim.cli.shared.output import note, progress_bar, show, show_problems
 from rotorsim.errors import Problem
 
 if TYPE_CHECKING:

@@ -9,18 +9,26 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen, gains_of, known_names, listed, speeds_of, window_of
-from rotorsim.cli.shared.options import (
+from rotorsim.cli.shared import (
+    Chosen,
     file_option,
+    gains_of,
     given_options,
     jobs_options,
     json_option,
+    known_names,
+    listed,
     measured_input_option,
     noise_kind_option,
+    note,
+    plain,
+    progress_bar,
     progress_option,
+    refuse_if,
+    show,
+    speeds_of,
+    window_of,
 )
-from rotorsim.cli.shared.output import note, plain, progress_bar, show
-from rotorsim.cli.shared.refusals import refuse_if
 from rotorsim.errors import Problem, RotorsimError
 
 if TYPE_CHECKING:

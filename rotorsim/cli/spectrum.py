@@ -9,10 +9,24 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen, clock_of, is_recording, known_names, window_of
-from rotorsim.cli.shared.options import RESULTS, given_options, json_option, plot_option
-from rotorsim.cli.shared.output import note, save_plot, show, show_problems, warn
-from rotorsim.cli.shared.refusals import refuse_all, refuse_if
+from rotorsim.cli.shared import (
+    RESULTS,
+    Chosen,
+    clock_of,
+    given_options,
+    is_recording,
+    json_option,
+    known_names,
+    note,
+    plot_option,
+    refuse_all,
+    refuse_if,
+    save_plot,
+    show,
+    show_problems,
+    warn,
+    window_of,
+)
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.report.text.table import rpm
 

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import click
 
-from rotorsim.cli.shared.inputs import Chosen, check_folder, listed, named_values
-from rotorsim.cli.shared.options import (
+from rotorsim.cli.shared import (
+    Chosen,
     Group,
+    check_folder,
     diagram_options,
     file_option,
     fmi_option,
     json_option,
+    listed,
+    named_values,
     platform_option,
+    show,
     show_help,
+    show_problems,
 )
-from rotorsim.cli.shared.output import show, show_problems
 from rotorsim.errors import Problem
 from rotorsim.report.text.table import table
 

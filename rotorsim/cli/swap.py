@@ -9,10 +9,18 @@ from typing import Any
 
 import click
 
-from rotorsim.cli.shared.inputs import document_of, known_names, parse_settings
-from rotorsim.cli.shared.options import diagram_argument, file_option, json_option, trust_option
-from rotorsim.cli.shared.output import echo_json, note
-from rotorsim.cli.shared.refusals import refuse_if
+from rotorsim.cli.shared import (
+    diagram_argument,
+    document_of,
+    echo_json,
+    file_option,
+    json_option,
+    known_names,
+    note,
+    parse_settings,
+    refuse_if,
+    trust_option,
+)
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
 __all__ = ["command"]
@@ -97,11 +105,13 @@ def command(
     if as_json:
         rows = [asdict(change) for change in diff(old, new)]
         echo_json({"file": name, "designed": designed, "changes": rows, "diagram": new})
-    words = [f"{block}: {old['blocks'][block]['type']} -> {new_type}"]
-    words += ["designed from the linearised plant"] if designed else []
-    words += [f"written: {name}"] if name else []
-    words += [f"its file is relative to {folder.resolve()}"] if new_type == "fmu" and not name else []
-    note("; ".join(words))
+    words = (
+        f"{block}: {old['blocks'][block]['type']} -> {new_type}",
+        "designed from the linearised plant" if designed else "",
+        f"written: {name}" if name else "",
+        f"its file is relative to {folder.resolve()}" if new_type == "fmu" and not name else "",
+    )
+    note("; ".join(filter(None, words)))
 
 
 def _with_fmu(old: dict[str, Any], block: str, given: dict[str, Any], folder: Path) -> dict[str, Any]:

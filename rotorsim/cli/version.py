@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rotorsim.cli.shared.options import json_option
-from rotorsim.cli.shared.output import show
+from rotorsim.cli.shared import json_option, show
 
 __all__ = ["command"]
 

@@ -21,12 +21,13 @@ from matplotlib.patches import Rectangle
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
 from rotorsim.diagnosis.files import diagnosis_data
+from rotorsim.errors import RotorsimError
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.comparison import speed_curves
 from rotorsim.report.comparison.harmonics import Comparison
 from rotorsim.report.comparison.speed_curves import speed_curve
-from rotorsim.report.diagnosis.compared import GIVEN, REPAIRED, OfHarmonics, OfSamples, compared
+from rotorsim.report.diagnosis.compared import GIVEN, REPAIRED, OfHarmonics, OfResonances, OfSamples, compared
 from rotorsim.report.diagnosis.parameters import parameters_figure
 from rotorsim.report.diagnosis.places import NEW, SHADES, block_diagram, places_figure
 from rotorsim.report.diagnosis.report import save_report
@@ -448,6 +449,17 @@ def test_a_curve_of_another_motion_is_not_drawn(monkeypatch) -> None:
     far = lambda runs, r, speeds, signal, orders: np.full((len(speeds), len(orders)), 66.7e-3 + 0j)  # noqa: E731
     monkeypatch.setattr(speed_curves, "settled_harmonics", far)
     assert speed_curve(both.runs, group, both.signals[0], np.array([1, 2])) is None
+
+
+def test_a_diagnosis_by_resonances_says_that_it_draws_nothing(monkeypatch):
+    """FAULT: plot() of such a diagnosis was an IndexError."""
+    monkeypatch.setattr("rotorsim.report.diagnosis.compared.compared", lambda found: OfResonances(None))
+    with pytest.raises(RotorsimError, match="can be drawn beside its recording"):
+        bowed().plot()
+
+
+def test_a_diagnosis_is_drawn_over_speed():
+    assert bowed().plot().get_suptitle() == "Main harmonics of rotor.displacement over speed, hold-out runs"
 
 
 def test_what_is_left_and_what_is_open_stand_in_the_report(tmp_path):

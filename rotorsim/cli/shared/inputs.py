@@ -31,6 +31,7 @@ __all__ = [
     "known_names",
     "listed",
     "named_values",
+    "object_of",
     "parse_settings",
     "quantity",
     "share_of",
@@ -70,14 +71,21 @@ class Chosen:
 
 def document_of(diagram: str) -> tuple[Path, dict[str, Any]]:
     """Return the file and the JSON of a diagram (a file, or the name of a shipped one), not validated."""
-    from rotorsim.diagram.parse.source import read_document
     from rotorsim.diagram.resolve.resolution import find_diagram
 
     path, said = find_diagram(diagram)
     show_problems(said)
-    source = read_document(path)
+    return path, object_of(path)
+
+
+def object_of(file: str | Path) -> dict[str, Any]:
+    """Return the JSON of a file of a diagram, not validated."""
+    from rotorsim.diagram.parse.source import read_document
+
+    source = read_document(file)
     refuse_if(not isinstance(source.data, dict), "a diagram is a JSON object {...}", place=source.locate())
-    return path, source.data
+    data: dict[str, Any] = source.data
+    return data
 
 
 def is_recording(source: str) -> bool:
