@@ -9,8 +9,6 @@ import click
 from rotorsim.cli.shared import echo_json, json_option, show_problems
 from rotorsim.errors import Problem, RotorsimError
 
-__all__ = ["command"]
-
 _MOST = 200  # files that are looked into
 
 

@@ -9,8 +9,6 @@ import click
 
 from rotorsim.cli.shared import json_option, show
 
-__all__ = ["command"]
-
 
 @click.command("cache")
 @click.option("--clear", is_flag=True, help="Delete the compiled models.")

@@ -24,8 +24,6 @@ from rotorsim.report.text.table import rpm, table
 if TYPE_CHECKING:
     from rotorsim.linear.campbell import Campbell
 
-__all__ = ["command"]
-
 
 @click.command("campbell")
 @diagram_options

@@ -26,8 +26,6 @@ from rotorsim.errors import Problem, RotorsimError
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
 
-__all__ = ["command"]
-
 Found = tuple[dict[str, Any], Sequence[Problem], int, str]  # entry for --json, problems, exit code, what it holds
 
 

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.simulation.result import Result
 
-__all__ = ["command"]
-
 TOLD = 100  # characters of a text variable
 Hear = Callable[[str, float, str, str, str], None]  # block, time, status, category, text
 

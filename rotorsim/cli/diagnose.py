@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from rotorsim.diagnosis.conclude.conclusions import Diagnosis
     from rotorsim.diagram.diagram import Diagram
 
-__all__ = ["command"]
-
 EITHER = "--sensors rotor.displacement,controller.current asks what could be told, a RECORDING what is"
 
 

@@ -8,8 +8,6 @@ import click
 
 from rotorsim.cli.shared import document_of, json_option, show
 
-__all__ = ["command"]
-
 
 @click.command("diff")
 @click.argument("old", metavar="OLD")

@@ -10,8 +10,6 @@ import click
 from rotorsim.cli.shared import json_option, refuse_if, show
 from rotorsim.errors import near_miss
 
-__all__ = ["command"]
-
 
 @click.command("docs")
 @click.argument("page", metavar="[PAGE]", required=False)

@@ -6,8 +6,6 @@ import click
 
 from rotorsim.cli.shared import Chosen, diagram_options, file_option, json_option, note, show
 
-__all__ = ["command"]
-
 
 @click.command("draw")
 @diagram_options

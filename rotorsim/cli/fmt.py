@@ -10,8 +10,6 @@ from rotorsim.cli.shared import json_option, note, object_of, refuse_all, show
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.report.text.table import counted
 
-__all__ = ["command"]
-
 
 @click.command("fmt")
 @click.argument("files", metavar="FILE...", nargs=-1, required=True)

@@ -21,8 +21,6 @@ from rotorsim.cli.shared import (
 from rotorsim.errors import RotorsimError
 from rotorsim.report.text.table import counted, table
 
-__all__ = ["command"]
-
 SOURCE = "source"
 
 

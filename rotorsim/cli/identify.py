@@ -30,8 +30,6 @@ from rotorsim.report.text.table import parameter_unit, percent, table
 if TYPE_CHECKING:
     from rotorsim.identification.identification import Identification
 
-__all__ = ["command"]
-
 USES = {"identify": "identified from", "hold_out": "held out"}
 
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.identification.locate import Location
 
-__all__ = ["command"]
-
 SURE = 0.9  # probability of a place
 NOT_EXPLAINED = 1e-3  # probability of the misfit
 

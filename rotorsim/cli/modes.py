@@ -12,8 +12,6 @@ from rotorsim.report.text.table import table
 if TYPE_CHECKING:
     from rotorsim.linear.eigenmodes import Modes
 
-__all__ = ["command"]
-
 ROUNDING = 1e-9  # damping ratio of an undamped mode, but for rounding
 HEADER = ("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl")
 

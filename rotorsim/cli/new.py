@@ -9,8 +9,6 @@ import click
 from rotorsim.cli.shared import echo_json, json_option, note, refuse_all
 from rotorsim.errors import Place, Problem, near_miss
 
-__all__ = ["command"]
-
 SCHEMA = "diagram.schema.json"
 
 

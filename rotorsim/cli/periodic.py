@@ -26,8 +26,6 @@ from rotorsim.report.text.table import degrees, display_unit, rpm, table
 if TYPE_CHECKING:
     from rotorsim.settled.result import Periodic
 
-__all__ = ["command"]
-
 NOTICED = 0.01  # of the largest harmonic: a change of others by the orders that --harmonics leaves out
 SHOWN = 1e-4  # of the largest harmonic at a speed
 

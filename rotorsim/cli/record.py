@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from rotorsim.recordings.writing import NewRun
     from rotorsim.simulation.result import Result
 
-__all__ = ["command"]
-
 MOST_RUNS = 10_000
 LEAST = 4.0  # samples a turn
 SHARE = 0.2  # of the run that is kept, at its end

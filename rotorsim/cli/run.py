@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from rotorsim.signals.spectrum import Harmonics
     from rotorsim.simulation.result import Result
 
-__all__ = ["command"]
-
 
 @dataclass(frozen=True)
 class Output:

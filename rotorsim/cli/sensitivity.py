@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.identification.study.study import Study
 
-__all__ = ["command"]
-
 NOISE = "0,1,2,5"  # levels in %
 
 

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from rotorsim.signals.shaft_angle import ShaftAngle
     from rotorsim.simulation.result import Result
 
-__all__ = ["command"]
-
 HUGE = 1e100  # beyond what a machine can do; a CSV of another program has no status
 METHODS = ("least-squares", "fft", "regression")  # those of rotorsim.signals.two_axis
 Window = tuple[float, float]

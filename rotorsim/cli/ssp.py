@@ -22,8 +22,6 @@ from rotorsim.cli.shared import (
 from rotorsim.errors import Problem
 from rotorsim.report.text.table import table
 
-__all__ = ["command"]
-
 SOURCE = "source"
 
 

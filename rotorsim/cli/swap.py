@@ -23,8 +23,6 @@ from rotorsim.cli.shared import (
 )
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
-__all__ = ["command"]
-
 DESIGNED = "state_feedback"
 WEIGHTS = {"current_weight": float, "noise_weight": float, "integral": bool, "states": int}
 

@@ -6,8 +6,6 @@ import click
 
 from rotorsim.cli.shared import json_option, show
 
-__all__ = ["command"]
-
 
 @click.command("version")
 @json_option

@@ -45,13 +45,13 @@ class Page:
         write_atomically(self.folder / name, content)
         self.files.append(self.folder / name)
 
+    @styled()
     def figure(self, drawn: Drawn | None) -> str:
         """Write a figure as PNG and return it for the page, with its pixels inside; nothing for none."""
         if drawn is None or drawn.figure is None:
             return ""
         buffer = io.BytesIO()
-        with styled():
-            drawn.figure.savefig(buffer, format="png", dpi=DPI)
+        drawn.figure.savefig(buffer, format="png", dpi=DPI)
         pixels = buffer.getvalue()
         self.write(f"{drawn.name}.png", pixels)
         title = " ".join(str(drawn.figure.get_suptitle()).split())

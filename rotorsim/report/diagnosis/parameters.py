@@ -18,6 +18,7 @@ WIDEST = {"%": 150.0, "deg": 180.0}  # change of a parameter to which the axis r
 Estimates = Mapping[str, Mapping[str, Any]]  # name -> value, interval90, unit, at_bound
 
 
+@styled()
 def parameters_figure(before: Estimates, after: Estimates, looks: Sequence[Look]) -> Figure | None:
     """Return how parameters move: both values with 90 % intervals, in parts of the later one, or degrees for angles.
 
@@ -30,13 +31,12 @@ def parameters_figure(before: Estimates, after: Estimates, looks: Sequence[Look]
     panels = {unit: some for unit, some in panels.items() if some}
     if not panels:
         return None
-    with styled():
-        height = 1.5 + 0.42 * max(len(some) for some in panels.values())
-        made = figure(5.2 * len(panels), height, "How identified parameters move, with 90 % intervals")
-        grid = made.subplots(1, len(panels), squeeze=False)
-        for axes, (unit, some) in zip(grid[0], panels.items(), strict=True):
-            _draw_moves(axes, [(name, before[name], after[name]) for name in reversed(some)], looks, unit)
-        legend_below(made, grid[0, 0])
+    height = 1.5 + 0.42 * max(len(some) for some in panels.values())
+    made = figure(5.2 * len(panels), height, "How identified parameters move, with 90 % intervals")
+    grid = made.subplots(1, len(panels), squeeze=False)
+    for axes, (unit, some) in zip(grid[0], panels.items(), strict=True):
+        _draw_moves(axes, [(name, before[name], after[name]) for name in reversed(some)], looks, unit)
+    legend_below(made, grid[0, 0])
     return made
 
 
@@ -69,15 +69,14 @@ def _draw_moves(
             low = high = centre = 0.97 * side * limit
             place: Any = {"xytext": (-8 * side, 0), "textcoords": "offset points", "va": "center", "fontsize": 8}
             axes.annotate(text, (centre, height), ha="right" if side > 0 else "left", **place)
-        reach = [[max(centre - low, 0)], [max(high - centre, 0)]]
-        axes.errorbar(centre, height, xerr=reach, fmt=marker, label=label, **form)
+        bars = [[max(centre - low, 0)], [max(high - centre, 0)]]
+        axes.errorbar(centre, height, xerr=bars, fmt=marker, label=label, **form)
     axes.axvline(0.0, color=GREY, lw=0.8, zorder=0)
     axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
-    axes.set_ylim(-0.6, len(rows) - 0.4)
     least, most = min(0.0, ends.min()), max(0.0, ends.max())
     room = 0.08 * (most - least)
-    axes.set_xlim(max(least - room, -limit), min(most + room, limit))
-    axes.set_xlabel(f"change against {looks[1].label} [{unit}]")
+    reach = max(least - room, -limit), min(most + room, limit)
+    axes.set(xlim=reach, ylim=(-0.6, len(rows) - 0.4), xlabel=f"change against {looks[1].label} [{unit}]")
 
 
 def _relative(item: Mapping[str, Any], base: float, unit: str) -> tuple[float, float, float]:

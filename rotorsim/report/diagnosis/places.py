@@ -40,6 +40,7 @@ class _Shaft:
         return self.only if self.only is not None else index[0] if index else None
 
 
+@styled()
 def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], recorded: Iterable[str]) -> Figure:
     """Return the machine along its shaft with the probability of each place, and other places beside it.
 
@@ -51,20 +52,19 @@ def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], record
     left = [*(["bars"] if here else []), *(["machine"] if shaft is not None else [])]
     right = ["others"] if there or shaft is None else []
     width, height = (7.0, 1.4 + 0.35 * max(len(there), 2)) if shaft is None else (10.5, 4.4 if here else 3.0)
-    with styled():
-        made = figure(width, height, _title(places))
-        widths = (2.6, 1.0) if left and right else (1.0,)
-        heights = (1.0, 1.5)[: max(len(left), 1)]
-        mosaic: list[Any] = [[name, *right] for name in left] or [right]
-        axes = made.subplot_mosaic(mosaic, width_ratios=widths, height_ratios=heights)
-        if shaft is not None:
-            _draw_machine(axes["machine"], diagram, shaft, recorded)
-        if shaft is not None and here:
-            axes["bars"].sharex(axes["machine"])
-            _draw_bars(axes["bars"], shaft, here)
-            legend_below(made, axes["bars"])
-        if right:
-            _draw_others(axes["others"], there, "elsewhere in the diagram" if left else "")
+    made = figure(width, height, _title(places))
+    widths = (2.6, 1.0) if left and right else (1.0,)
+    heights = (1.0, 1.5)[: max(len(left), 1)]
+    mosaic: list[Any] = [[name, *right] for name in left] or [right]
+    axes = made.subplot_mosaic(mosaic, width_ratios=widths, height_ratios=heights)
+    if shaft is not None:
+        _draw_machine(axes["machine"], diagram, shaft, recorded)
+    if shaft is not None and here:
+        axes["bars"].sharex(axes["machine"])
+        _draw_bars(axes["bars"], shaft, here)
+        legend_below(made, axes["bars"])
+    if right:
+        _draw_others(axes["others"], there, "elsewhere in the diagram" if left else "")
     return made
 
 

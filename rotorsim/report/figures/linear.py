@@ -67,36 +67,33 @@ def _fits(frame: Bbox, inside: Bbox, taken: Sequence[Bbox]) -> bool:
     return corners and not any(frame.overlaps(other) for other in taken)
 
 
+@styled()
 def campbell_figure(found: Campbell, title: str = "", *, orders: Sequence[int] = (1, 2)) -> Figure:
     """Return damped natural frequencies over speed, with the lines of the orders and the critical speeds.
 
     Modes with a damping ratio above 1/sqrt(2) at all speeds, which have no resonance, are left out.
     """
     speed = rpm(found.speeds)
-    with styled():
-        made = figure(7.5, 5.0, title or str(found.provenance.get("diagram", "")))
-        axes = made.add_subplot()
-        resonant = np.flatnonzero(found.resonant)
-        for mode in resonant:
-            for part, kind in _stretches(found.whirl[:, mode]):
-                colour, line = _WHIRL.get(kind, (GREY, "-"))
-                axes.plot(speed[part], found.frequency_hz[part, mode], line, color=colour, label=kind)
-        top = _top(found, orders)
-        if len(found.stable) and not found.stable.all():
-            there = ~found.stable
-            axes.plot(
-                speed[there], found.frequency_hz[there][:, resonant], "x", ms=4, color=RED, label="machine unstable"
-            )
-        for order in orders:
-            line_hz = order * np.asarray(found.speeds) / (2 * np.pi)
-            inside = np.flatnonzero(line_hz <= top)
-            axes.plot(speed, np.where(line_hz <= top, line_hz, np.nan), color=GREY, lw=0.8)
-            at = (speed[inside[-1]], line_hz[inside[-1]])
-            axes.annotate(f"{order}X", at, color=GREY, ha="right", va="bottom")
-        axes.set(xlabel="speed [rpm]", ylabel="damped natural frequency [Hz]", ylim=(0, top))
-        axes.margins(x=0)
-        _mark_crossings(axes, found)
-        _legend_above(axes)
+    made = figure(7.5, 5.0, title or str(found.provenance.get("diagram", "")))
+    axes = made.add_subplot()
+    resonant = np.flatnonzero(found.resonant)
+    for mode in resonant:
+        for part, kind in _stretches(found.whirl[:, mode]):
+            colour, line = _WHIRL.get(kind, (GREY, "-"))
+            axes.plot(speed[part], found.frequency_hz[part, mode], line, color=colour, label=kind)
+    top = _top(found, orders)
+    if len(found.stable) and not found.stable.all():
+        there = ~found.stable
+        axes.plot(speed[there], found.frequency_hz[there][:, resonant], "x", ms=4, color=RED, label="machine unstable")
+    for order in orders:
+        line_hz = order * np.asarray(found.speeds) / (2 * np.pi)
+        inside = np.flatnonzero(line_hz <= top)
+        axes.plot(speed, np.where(line_hz <= top, line_hz, np.nan), color=GREY, lw=0.8)
+        at = (speed[inside[-1]], line_hz[inside[-1]])
+        axes.annotate(f"{order}X", at, color=GREY, ha="right", va="bottom")
+    axes.set(xlabel="speed [rpm]", ylabel="damped natural frequency [Hz]", ylim=(0, top), xmargin=0)
+    _mark_crossings(axes, found)
+    _legend_above(axes)
     return made
 
 
@@ -120,6 +117,7 @@ def _top(found: Campbell, orders: Sequence[int]) -> float:
     return min(highest, max(1.25 * line, 1.2 * float(lowest.max(initial=0.0))))
 
 
+@styled()
 def frequency_response_figure(found: FrequencyResponse, title: str = "") -> Figure:
     """Return magnitude and phase over frequency of every output to every input (entries that are zero left out).
 
@@ -127,50 +125,47 @@ def frequency_response_figure(found: FrequencyResponse, title: str = "") -> Figu
     """
     if not found.stable:
         title = f"{title} (not stable: no settled response)".strip()
-    with styled():
-        made = figure(7.5, 5.0, title)
-        upper, lower = made.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-        largest = float(np.nanmax(np.abs(found.value), initial=0.0))
-        pairs = list(np.ndindex(found.value.shape[1:]))
-        drawn = [(o, i) for o, i in pairs if np.nanmax(np.abs(found.value[:, o, i]), initial=0.0) > 1e-12 * largest]
-        for k, (o, i) in enumerate(drawn):
-            value, line = found.value[:, o, i], LINES[k % 4]
-            label = f"{found.outputs[o]} / {found.inputs[i]} [{found.units[o][i]}]"
-            upper.loglog(found.frequencies, np.abs(value), line, label=label)
-            angle = np.degrees(np.unwrap(np.angle(value)))
-            angle -= 360 * np.round(angle[0] / 360 - 1e-6)  # begin in -180..180
-            lower.semilogx(found.frequencies, angle, line)
-        units = {found.units[o][i] for o, i in drawn}
-        upper.set(ylabel=f"magnitude [{units.pop()}]" if len(units) == 1 else "magnitude")
-        lower.set(ylabel="phase [deg]", xlabel="frequency [Hz]")
-        lower.yaxis.set_major_locator(MultipleLocator(90))
-        for axes in (upper, lower):
-            axes.margins(x=0)
-        if drawn:
-            upper.legend(loc="lower left")
+    made = figure(7.5, 5.0, title)
+    upper, lower = made.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    largest = float(np.nanmax(np.abs(found.value), initial=0.0))
+    pairs = list(np.ndindex(found.value.shape[1:]))
+    drawn = [(o, i) for o, i in pairs if np.nanmax(np.abs(found.value[:, o, i]), initial=0.0) > 1e-12 * largest]
+    for k, (o, i) in enumerate(drawn):
+        value, line = found.value[:, o, i], LINES[k % 4]
+        label = f"{found.outputs[o]} / {found.inputs[i]} [{found.units[o][i]}]"
+        upper.loglog(found.frequencies, np.abs(value), line, label=label)
+        angle = np.degrees(np.unwrap(np.angle(value)))
+        angle -= 360 * np.round(angle[0] / 360 - 1e-6)  # begin in -180..180
+        lower.semilogx(found.frequencies, angle, line)
+    units = {found.units[o][i] for o, i in drawn}
+    upper.set(ylabel=f"magnitude [{units.pop()}]" if len(units) == 1 else "magnitude", xmargin=0)
+    lower.set(ylabel="phase [deg]", xlabel="frequency [Hz]", xmargin=0)
+    lower.yaxis.set_major_locator(MultipleLocator(90))
+    if drawn:
+        upper.legend(loc="lower left")
     return made
 
 
+@styled()
 def sensitivity_figure(found: Sensitivity, title: str = "") -> Figure:
     """Return the sensitivity of every axis with the zones of ISO 14839-3."""
-    with styled():
-        made = figure(7.5, 4.2, title)
-        axes = made.add_subplot()
-        top = max(6.0, 1.15 * float(np.nanmax(found.singular)))
-        zones = ((0, 3, "A", "#dff0e3"), (3, 4, "B", "#eef3d2"), (4, 5, "C", "#fbe8c8"), (5, top, "D", "#f7d4cb"))
-        for low, high, name, colour in zones:
-            axes.axhspan(low, high, color=colour, zorder=0)
-            axes.annotate(name, (0.985, (low + high) / 2), xycoords=("axes fraction", "data"), ha="right", va="center")
-        for k, name in enumerate(found.names):
-            label = f"{name}: peak {found.peaks[k]:.2f} at {found.peak_frequencies[k]:.0f} Hz, zone {found.zones[k]}"
-            axes.semilogx(found.frequencies, np.abs(found.axes[:, k]), LINES[k % 4], label=label)
-        axes.semilogx(found.frequencies, found.singular, color=GREY, lw=0.8, zorder=1.9, label="largest singular value")
-        axes.set(xlabel="frequency [Hz]", ylabel="sensitivity |S|", ylim=(0, top))
-        axes.margins(x=0)
-        axes.legend(loc="upper left")
+    made = figure(7.5, 4.2, title)
+    axes = made.add_subplot()
+    top = max(6.0, 1.15 * float(np.nanmax(found.singular)))
+    zones = ((0, 3, "A", "#dff0e3"), (3, 4, "B", "#eef3d2"), (4, 5, "C", "#fbe8c8"), (5, top, "D", "#f7d4cb"))
+    for low, high, name, colour in zones:
+        axes.axhspan(low, high, color=colour, zorder=0)
+        axes.annotate(name, (0.985, (low + high) / 2), xycoords=("axes fraction", "data"), ha="right", va="center")
+    for k, name in enumerate(found.names):
+        label = f"{name}: peak {found.peaks[k]:.2f} at {found.peak_frequencies[k]:.0f} Hz, zone {found.zones[k]}"
+        axes.semilogx(found.frequencies, np.abs(found.axes[:, k]), LINES[k % 4], label=label)
+    axes.semilogx(found.frequencies, found.singular, color=GREY, lw=0.8, zorder=1.9, label="largest singular value")
+    axes.set(xlabel="frequency [Hz]", ylabel="sensitivity |S|", ylim=(0, top), xmargin=0)
+    axes.legend(loc="upper left")
     return made
 
 
+@styled()
 def periodic_figure(
     found: Periodic,
     signals: Sequence[str] | str | None = None,
@@ -188,46 +183,40 @@ def periodic_figure(
     speed = rpm(found.speeds)
     unstable = np.array([stable is False for stable in found.stable], bool)
     mark = "-" if len(speed) > 1 else "o"
-    with styled():
-        made = figure(9.5, 0.7 + 2.6 * len(names), title or str(found.provenance.get("diagram", "")))
-        panels = made.subplots(len(names), 2, sharex=True, squeeze=False)
-        for (left, right), name in zip(panels, names, strict=True):
-            unit = found.units.get(name, "")
-            curves = np.array([found.harmonic(name, order) for order in there])
-            floor = ROUNDING * np.nanmax(np.abs(curves), initial=0.0)
-            for order, curve in zip(there, curves, strict=True):
-                seen = np.where(np.abs(curve) > floor, curve, np.nan)
-                sizes, shown = display(np.abs(seen), unit)
-                (line,) = left.plot(speed, sizes, mark, label=f"{order:+g}X")
-                right.plot(*phase_line(speed, seen), mark, color=line.get_color())
-                left.plot(speed[unstable], sizes[unstable], "x", ms=5, color=line.get_color())
-            left.set_title(name, loc="left")
-            left.set_ylabel(f"amplitude [{shown}, 0-peak]")
-            right.set_ylabel("phase [deg]")
-            right.set(ylim=(-190, 190), yticks=range(-180, 181, 90))
-            if floor > 0:
-                left.set_yscale("log")
-            left.margins(x=0)
-        if unstable.any():
-            panels[0, 0].plot([], [], "x", ms=5, color=GREY, label="unstable")
-        for axes in panels[-1]:
-            axes.set_xlabel("speed [rpm]")
-        made.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=len(there) + 1)
+    made = figure(9.5, 0.7 + 2.6 * len(names), title or str(found.provenance.get("diagram", "")))
+    panels = made.subplots(len(names), 2, sharex=True, squeeze=False)
+    for (left, right), name in zip(panels, names, strict=True):
+        unit = found.units.get(name, "")
+        curves = np.array([found.harmonic(name, order) for order in there])
+        floor = ROUNDING * np.nanmax(np.abs(curves), initial=0.0)
+        for order, curve in zip(there, curves, strict=True):
+            seen = np.where(np.abs(curve) > floor, curve, np.nan)
+            sizes, shown = display(np.abs(seen), unit)
+            (line,) = left.plot(speed, sizes, mark, label=f"{order:+g}X")
+            right.plot(*phase_line(speed, seen), mark, color=line.get_color())
+            left.plot(speed[unstable], sizes[unstable], "x", ms=5, color=line.get_color())
+        left.set_title(name, loc="left")
+        left.set(ylabel=f"amplitude [{shown}, 0-peak]", yscale="log" if floor > 0 else "linear", xmargin=0)
+        right.set(ylabel="phase [deg]", ylim=(-190, 190), yticks=range(-180, 181, 90))
+    panels[0, 0].plot([], [], "x", ms=5, color=GREY, label="unstable" if unstable.any() else None)
+    for axes in panels[-1]:
+        axes.set_xlabel("speed [rpm]")
+    made.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=len(there) + 1)
     return made
 
 
+@styled()
 def modes_figure(found: Modes, title: str = "") -> Figure:
     """Return the poles that oscillate: frequency [Hz] against damping ratio; unstable ones stand left of zero."""
-    with styled():
-        made = figure(6.5, 4.2, title or str(found.provenance.get("diagram", "")))
-        axes = made.add_subplot()
-        for whirl, (colour, _) in _WHIRL.items():
-            chosen = [mode for mode in found.modes if mode.whirl == whirl]
-            sizes = [mode.damping_ratio for mode in chosen], [mode.frequency_hz for mode in chosen]
-            if chosen:
-                axes.plot(*sizes, "o", ms=6, mfc="white", mec=colour, label=whirl)
-        axes.axvline(0.0, color=RED, lw=0.8)
-        axes.set(xlabel="damping ratio (below zero: unstable)", ylabel="damped natural frequency [Hz]")
-        axes.set_ylim(bottom=0)
-        _legend_above(axes)
+    made = figure(6.5, 4.2, title or str(found.provenance.get("diagram", "")))
+    axes = made.add_subplot()
+    for whirl, (colour, _) in _WHIRL.items():
+        chosen = [mode for mode in found.modes if mode.whirl == whirl]
+        sizes = [mode.damping_ratio for mode in chosen], [mode.frequency_hz for mode in chosen]
+        if chosen:
+            axes.plot(*sizes, "o", ms=6, mfc="white", mec=colour, label=whirl)
+    axes.axvline(0.0, color=RED, lw=0.8)
+    label = "damped natural frequency [Hz]"
+    axes.set(xlabel="damping ratio (below zero: unstable)", ylabel=label, ylim=(0, None))
+    _legend_above(axes)
     return made

@@ -15,6 +15,7 @@ RUNS = 4  # shown
 RAW = 4000  # samples shown
 
 
+@styled()
 def orbits_figure(compared: Comparison, count: int = RUNS) -> Figure | None:
     """Return orbits of some runs: samples, their synchronous part, and every diagram; None without two axes."""
     signal = next((one for one in compared.signals if one.y is not None), None)
@@ -23,16 +24,15 @@ def orbits_figure(compared: Comparison, count: int = RUNS) -> Figure | None:
     chosen = compared.runs.spread(count)
     columns = min(len(chosen), 2)
     rows = -(-len(chosen) // columns)
-    with styled():
-        title = f"Orbits of {signal.title}, {compared.of}"
-        made = figure(4.4 * columns + 0.4, 1.2 + 4.0 * rows, title)
-        for k, r in enumerate(chosen):
-            axes = made.add_subplot(rows, columns, k + 1)
-            _draw_orbit(axes, compared, r, signal)
-            axes.set_title(compared.runs.title(r), loc="left", fontsize=8.5)
-            unit = display(1.0, signal.unit)[1]
-            axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
-        legend_below(made, made.axes[0])
+    title = f"Orbits of {signal.title}, {compared.of}"
+    made = figure(4.4 * columns + 0.4, 1.2 + 4.0 * rows, title)
+    for k, r in enumerate(chosen):
+        axes = made.add_subplot(rows, columns, k + 1)
+        _draw_orbit(axes, compared, r, signal)
+        axes.set_title(compared.runs.title(r), loc="left", fontsize=8.5)
+        unit = display(1.0, signal.unit)[1]
+        axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
+    legend_below(made, made.axes[0])
     return made
 
 

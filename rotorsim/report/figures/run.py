@@ -87,8 +87,7 @@ def _draw_time(axes: Axes, result: Result, signal: str, part: slice) -> None:
     if grown and np.isfinite(values).any():
         axes.set_yscale("log")
     axes.set_title(signal, loc="left")
-    axes.set(ylabel=f"[{unit}]", xlabel="time [s]")
-    axes.margins(x=0)
+    axes.set(ylabel=f"[{unit}]", xlabel="time [s]", xmargin=0)
     if 1 < len(names) <= 8:
         _key(axes, len(names))
 
@@ -100,14 +99,14 @@ def _has_grown(result: Result, signal: str, part: slice) -> bool:
     return bool(result.status == "diverged" or unstable or np.abs(result[signal][part]).max(initial=0.0) > HUGE)
 
 
+@styled()
 def time_histories(result: Result, signals: Sequence[str] = ()) -> Figure:
     """Return the signals against time, one panel each; default: all but speed and shaft angle."""
     hidden = (angle_of(result), _speed_of(result))
     names = signals or [n for n in result.signals if n not in hidden] or list(result.signals)
-    with styled():
-        made = figure(8.0, 1.2 + 1.8 * len(names), _title_of(result))
-        for k, name in enumerate(names):
-            _draw_time(made.add_subplot(len(names), 1, k + 1), result, name, slice(None))
+    made = figure(8.0, 1.2 + 1.8 * len(names), _title_of(result))
+    for k, name in enumerate(names):
+        _draw_time(made.add_subplot(len(names), 1, k + 1), result, name, slice(None))
     return made
 
 
@@ -131,23 +130,21 @@ def _draw_orbit(axes: Axes, result: Result, angle: str, signal: str, part: slice
     axes.set_aspect("equal", adjustable="datalim")
 
 
-def _draw_spectrum(axes: Axes, found: FullSpectrum, orders: int, title: str) -> np.ndarray:
+def _draw_spectrum(axes: Axes, found: FullSpectrum, title: str) -> np.ndarray:
     """Draw the amplitudes of a spectrum; return where its lines are."""
     amplitude, unit = display(found.amplitude, found.unit)
     order, size = found.frequency / (found.running or 1.0), np.abs(amplitude)
-    inside = np.abs(order) <= orders + 0.5
-    nearest = np.abs(order[:, None] - np.arange(-orders, orders + 1)).argmin(axis=0)
+    inside = np.abs(order) <= ORDERS + 0.5
+    nearest = np.abs(order[:, None] - np.arange(-ORDERS, ORDERS + 1)).argmin(axis=0)
     peaks = nearest[size[nearest] > 1e-4 * size.max()]
     axes.plot(order[inside], size[inside], color=GREY, lw=0.6)
     for (side, name), colour in SIDES.items():
         chosen = peaks[_side(order[peaks]) == side]
         axes.vlines(order[chosen], 0, size[chosen], color=colour, lw=2.2, label=name)
     axes.set_title(title, loc="left")
-    axes.set(ylabel=f"[{unit}, 0-peak]")
-    axes.set_xticks(range(-orders, orders + 1), minor=True)
-    axes.set_xticks(range(-orders + 1, orders, 2))
-    axes.set_xlim(-orders - 0.5, orders + 0.5)
-    axes.set_ylim(0, float(size[inside].max()) * 1.05 or 1.0)
+    axes.set_xticks(range(-ORDERS, ORDERS + 1), minor=True)
+    ends = (-ORDERS - 0.5, ORDERS + 0.5), (0, float(size[inside].max()) * 1.05 or 1.0)
+    axes.set(xticks=range(-ORDERS + 1, ORDERS, 2), xlim=ends[0], ylim=ends[1], ylabel=f"[{unit}, 0-peak]")
     _key(axes, 3)
     return np.asarray(peaks)
 
@@ -168,25 +165,23 @@ def _spectrum(result: Result, signal: str, window: tuple[float, float] | None) -
     return found
 
 
-def spectrum_figure(
-    result: Result, signal: str, *, window: tuple[float, float] | None = None, orders: int = ORDERS
-) -> Figure:
+@styled()
+def spectrum_figure(result: Result, signal: str, *, window: tuple[float, float] | None = None) -> Figure:
     """Return amplitude and phase of the full spectrum over orders of the running speed.
 
     window: times [s] (default: the last whole turns). Phases count from shaft angle zero.
     Raises RotorsimError when the shaft angle was not recorded or the shaft does not turn.
     """
     found = _spectrum(result, signal, window)
-    with styled():
-        made = figure(7.5, 5.0, _title_of(result))
-        axes, phase = made.subplots(2, 1, height_ratios=(2, 1), sharex=True)
-        peaks = _draw_spectrum(axes, found, orders, f"full spectrum of {signal}")
-        order = found.frequency[peaks] / (found.running or 1.0)
-        phase.axhline(0, color=GREY, lw=0.6)
-        for (side, _), colour in SIDES.items():
-            chosen = _side(order) == side
-            phase.plot(order[chosen], np.degrees(np.angle(found.amplitude[peaks[chosen]])), "o", ms=4, color=colour)
-        phase.set(ylabel="phase [deg]", ylim=(-190, 190), yticks=range(-180, 181, 90), xlabel=ORDER)
+    made = figure(7.5, 5.0, _title_of(result))
+    axes, phase = made.subplots(2, 1, height_ratios=(2, 1), sharex=True)
+    peaks = _draw_spectrum(axes, found, f"full spectrum of {signal}")
+    order = found.frequency[peaks] / (found.running or 1.0)
+    phase.axhline(0, color=GREY, lw=0.6)
+    for (side, _), colour in SIDES.items():
+        chosen = _side(order) == side
+        phase.plot(order[chosen], np.degrees(np.angle(found.amplitude[peaks[chosen]])), "o", ms=4, color=colour)
+    phase.set(ylabel="phase [deg]", ylim=(-190, 190), yticks=range(-180, 181, 90), xlabel=ORDER)
     return made
 
 
@@ -208,11 +203,11 @@ def _draw_run_up(axes: Axes, found: RunUp) -> None:
         axes.plot(rpm(speed), height, mark, ms=6, mfc="white", mec=INK, ls="none", label=label, zorder=4)
     top = 1.12 * float(peaks[len(peaks) // 50 :].max())
     axes.set_title(f"run-up: {found.signal}, about its mean", loc="left")
-    axes.set(xlabel="speed [rpm]", ylabel=f"[{unit}, 0-peak]", ylim=(-top, top))
-    axes.margins(x=0)
+    axes.set(xlabel="speed [rpm]", ylabel=f"[{unit}, 0-peak]", ylim=(-top, top), xmargin=0)
     axes.legend(loc="lower left", fontsize=7.5)
 
 
+@styled()
 def overview(result: Result) -> Figure:
     """Return one page of a run: time histories, orbit, full spectrum; of a run-up its orders.
 
@@ -224,24 +219,22 @@ def overview(result: Result) -> Figure:
     if speed is not None and np.ptp(result[speed]) > 1e-6 * np.abs(result[speed]).max():
         if not (np.diff(result[speed]) >= 0).all():
             return time_histories(result)
-        with styled():
-            made = figure(9.0, 1.0 + 2.8 * len(pairs), _title_of(result))
-            for k, name in enumerate(pairs):
-                found = run_up(result, flat_name(name, (0,)), speed=speed)
-                _draw_run_up(made.add_subplot(len(pairs), 1, k + 1), found)
+        made = figure(9.0, 1.0 + 2.8 * len(pairs), _title_of(result))
+        for k, name in enumerate(pairs):
+            found = run_up(result, flat_name(name, (0,)), speed=speed)
+            _draw_run_up(made.add_subplot(len(pairs), 1, k + 1), found)
         return made
     if angle is None or abs(float(result[angle][-1] - result[angle][0])) < 2 * np.pi:
         return time_histories(result)
     part = _last_turns(result, angle)
-    with styled():
-        made = figure(11.0, 1.0 + 3.0 * len(pairs), _title_of(result))
-        grid = made.add_gridspec(len(pairs), 3, width_ratios=(1.5, 1.0, 1.5))
-        for k, name in enumerate(pairs):
-            _draw_time(made.add_subplot(grid[k, 0]), result, name, part)
-            _draw_orbit(made.add_subplot(grid[k, 1]), result, angle, name, part)
-            axes = made.add_subplot(grid[k, 2])
-            _draw_spectrum(axes, _spectrum(result, name, None), ORDERS, "full spectrum")
-            axes.set_xlabel(ORDER)
+    made = figure(11.0, 1.0 + 3.0 * len(pairs), _title_of(result))
+    grid = made.add_gridspec(len(pairs), 3, width_ratios=(1.5, 1.0, 1.5))
+    for k, name in enumerate(pairs):
+        _draw_time(made.add_subplot(grid[k, 0]), result, name, part)
+        _draw_orbit(made.add_subplot(grid[k, 1]), result, angle, name, part)
+        axes = made.add_subplot(grid[k, 2])
+        _draw_spectrum(axes, _spectrum(result, name, None), "full spectrum")
+        axes.set_xlabel(ORDER)
     return made
 
 

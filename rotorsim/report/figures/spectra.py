@@ -23,21 +23,21 @@ LEVELS = (0, 2, 4, 10, 30, 100, 300, 1000)  # standard deviations
 LEVEL_COLOURS = ("#ffffff", "#fdebd0", "#fdc98c", "#f39c46", "#d9670f", "#a63c00", "#6a2300", "#330d00")
 
 
+@styled()
 def spectra_figure(compared: Comparison, count: int = RUNS) -> Figure:
     """Return full spectra of up to ``count`` runs: measured with 90 % intervals, every diagram and its residual."""
     signals, chosen = compared.signals[:SIGNALS], compared.runs.spread(count)
-    with styled():
-        title = f"Full spectra, {compared.of}"
-        made = figure(5.5 * len(signals) + 0.5, 1.5 + 2.05 * len(chosen), title)
-        grid = made.subplots(len(chosen), len(signals), squeeze=False, sharex="col", sharey="col")
-        for column, signal in zip(grid.T, signals, strict=True):
-            for axes, r in zip(column, chosen, strict=True):
-                _draw_spectrum(axes, compared, r, signal)
-                axes.set_title(f"{signal.title}, {compared.runs.title(r)}", loc="left", fontsize=8.5)
-                axes.set_ylabel(f"[{display(1.0, signal.unit)[1]}, 0-peak]")
-            _limit(column, compared, signal, chosen)
-            column[-1].set_xlabel("order of running speed" + (" (negative: backward)" if signal.y else ""))
-        legend_below(made, grid[0, 0])
+    title = f"Full spectra, {compared.of}"
+    made = figure(5.5 * len(signals) + 0.5, 1.5 + 2.05 * len(chosen), title)
+    grid = made.subplots(len(chosen), len(signals), squeeze=False, sharex="col", sharey="col")
+    for column, signal in zip(grid.T, signals, strict=True):
+        for axes, r in zip(column, chosen, strict=True):
+            _draw_spectrum(axes, compared, r, signal)
+            axes.set_title(f"{signal.title}, {compared.runs.title(r)}", loc="left", fontsize=8.5)
+            axes.set_ylabel(f"[{display(1.0, signal.unit)[1]}, 0-peak]")
+        _limit(column, compared, signal, chosen)
+        column[-1].set_xlabel("order of running speed" + (" (negative: backward)" if signal.y else ""))
+    legend_below(made, grid[0, 0])
     return made
 
 
@@ -126,6 +126,7 @@ def _limit(column: Sequence[Axes], compared: Comparison, signal: Signal, chosen:
         column[0].set_ylim(max(float(low), 1e-7 * high), high)
 
 
+@styled()
 def residuals_figure(compared: Comparison) -> Figure:
     """Return what each diagram leaves of every harmonic of every run, in standard deviations of the noise."""
     runs, signals = compared.runs, compared.signals[:SIGNALS]
@@ -133,31 +134,30 @@ def residuals_figure(compared: Comparison) -> Figure:
     order = np.lexsort((runs.speeds, group))
     rows = [_shown_orders(compared, signal) for signal in signals]
     heights = [len(orders) for orders in rows]
-    with styled():
-        width = 1.6 + max(0.42 * len(order), 2.6) * len(compared.diagrams)
-        title = f"Residual of each harmonic, {compared.of} [standard deviations of the noise]"
-        made = figure(max(width, 8.0), 1.6 + 0.15 * sum(heights) + 0.75 * len(signals), title)
-        grid = made.subplots(len(signals), len(compared.diagrams), squeeze=False, height_ratios=heights)
-        norm, colours = BoundaryNorm(LEVELS, len(LEVELS), extend="max"), ListedColormap(LEVEL_COLOURS)
-        for (row, column), axes in np.ndenumerate(grid):
-            (look, own), signal, orders = compared.diagrams[column], signals[row], rows[row]
-            places = np.searchsorted(own.orders(signal), orders)
-            values = np.ma.masked_invalid([own.residual(r, signal)[places] for r in order])
-            image = axes.pcolormesh(values.T, norm=norm, cmap=colours, edgecolors="#e8e8e8", lw=0.4)
-            axes.grid(visible=False)
-            axes.set_title(f"{signal.title}: {look.label}", loc="left", fontsize=8.5)
-            ticks = [j for j, k in enumerate(orders) if len(orders) < 12 or k % 2 or k == 0]
-            names = [f"{orders[j]}X" if orders[j] else "mean" for j in ticks]
-            axes.set_yticks(np.array(ticks) + 0.5, names, fontsize=7)
-            for border in np.flatnonzero(np.diff(group[order])):
-                axes.axvline(border + 1, color=INK, lw=1.0)
-            shown = np.arange(0, len(order), max(1, len(order) // 12))
-            speeds = [f"{speed:.0f}" for speed in rpm(own.speeds[order[shown]])]
-            axes.set_xticks(shown + 0.5, speeds, rotation=60, fontsize=7.5)
-            if row == len(signals) - 1:
-                axes.set_xlabel("speed of the runs [rpm]; lines part sets of settings")
-        bar = made.colorbar(image, ax=grid, ticks=LEVELS, shrink=0.9, pad=0.01, aspect=35)
-        bar.set_label("|measured - model| / noise")
+    width = 1.6 + max(0.42 * len(order), 2.6) * len(compared.diagrams)
+    title = f"Residual of each harmonic, {compared.of} [standard deviations of the noise]"
+    made = figure(max(width, 8.0), 1.6 + 0.15 * sum(heights) + 0.75 * len(signals), title)
+    grid = made.subplots(len(signals), len(compared.diagrams), squeeze=False, height_ratios=heights)
+    norm, colours = BoundaryNorm(LEVELS, len(LEVELS), extend="max"), ListedColormap(LEVEL_COLOURS)
+    for (row, column), axes in np.ndenumerate(grid):
+        (look, own), signal, orders = compared.diagrams[column], signals[row], rows[row]
+        places = np.searchsorted(own.orders(signal), orders)
+        values = np.ma.masked_invalid([own.residual(r, signal)[places] for r in order])
+        image = axes.pcolormesh(values.T, norm=norm, cmap=colours, edgecolors="#e8e8e8", lw=0.4)
+        axes.grid(visible=False)
+        axes.set_title(f"{signal.title}: {look.label}", loc="left", fontsize=8.5)
+        ticks = [j for j, k in enumerate(orders) if len(orders) < 12 or k % 2 or k == 0]
+        names = [f"{orders[j]}X" if orders[j] else "mean" for j in ticks]
+        axes.set_yticks(np.array(ticks) + 0.5, names, fontsize=7)
+        for border in np.flatnonzero(np.diff(group[order])):
+            axes.axvline(border + 1, color=INK, lw=1.0)
+        shown = np.arange(0, len(order), max(1, len(order) // 12))
+        speeds = [f"{speed:.0f}" for speed in rpm(own.speeds[order[shown]])]
+        axes.set_xticks(shown + 0.5, speeds, rotation=60, fontsize=7.5)
+        if row == len(signals) - 1:
+            axes.set_xlabel("speed of the runs [rpm]; lines part sets of settings")
+    bar = made.colorbar(image, ax=grid, ticks=LEVELS, shrink=0.9, pad=0.01, aspect=35)
+    bar.set_label("|measured - model| / noise")
     return made
 
 

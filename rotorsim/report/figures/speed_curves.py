@@ -73,6 +73,7 @@ class _Panels:
     branches: list[Curve]
 
 
+@styled()
 def speed_curves_figure(
     compared: Comparison, fitted: Comparison | None = None, signal: Signal | None = None
 ) -> Figure | None:
@@ -87,29 +88,28 @@ def speed_curves_figure(
     if len(compared.runs.speeds) < 2 or not len(orders):
         return None
     rows = _rows(compared)
-    with styled():
-        title = f"Main harmonics of {signal.title} over speed, {compared.of}"
-        made = figure(0.8 + 3.2 * max(len(orders), 2), 1.2 + 4.2 * len(rows), title)
-        heights = (1.5, 1.0) * len(rows)
-        grid = made.subplots(2 * len(rows), len(orders), squeeze=False, sharex=True, height_ratios=heights)
-        for half, row in zip(np.split(grid, len(rows)), rows, strict=True):
-            panels = _Panels(half, signal, orders, [NOWHERE] * len(orders))
-            for axes, order in zip(half[0], orders, strict=True):
-                kind = "" if signal.y is None else " (forward)" if order > 0 else " (backward)"
-                only = f"\n{row[0].group}" if len(rows) > 1 and order == orders[0] else ""
-                axes.set_title(f"{order}X{kind}{only}", loc="left", fontsize=9)
-                axes.set_yscale("log")
-            for item in row:
-                _draw_set(panels, item)
-                if fitted is not None:
-                    _draw_fitted(panels, item, fitted)
-            for upper, lower in half.T:
-                _plain_ticks(upper, lower)
-            half[0, 0].set_ylabel(f"{signal.title}\n[{display(1.0, signal.unit)[1]}, 0-peak]")
-            half[1, 0].set_ylabel("phase [deg]")
-        for axes in grid[-1]:
-            axes.set_xlabel("speed [rpm]")
-        legend_below(made, grid[0, 0])
+    title = f"Main harmonics of {signal.title} over speed, {compared.of}"
+    made = figure(0.8 + 3.2 * max(len(orders), 2), 1.2 + 4.2 * len(rows), title)
+    heights = (1.5, 1.0) * len(rows)
+    grid = made.subplots(2 * len(rows), len(orders), squeeze=False, sharex=True, height_ratios=heights)
+    for half, row in zip(np.split(grid, len(rows)), rows, strict=True):
+        panels = _Panels(half, signal, orders, [NOWHERE] * len(orders))
+        for axes, order in zip(half[0], orders, strict=True):
+            kind = "" if signal.y is None else " (forward)" if order > 0 else " (backward)"
+            only = f"\n{row[0].group}" if len(rows) > 1 and order == orders[0] else ""
+            axes.set_title(f"{order}X{kind}{only}", loc="left", fontsize=9)
+            axes.set_yscale("log")
+        for item in row:
+            _draw_set(panels, item)
+            if fitted is not None:
+                _draw_fitted(panels, item, fitted)
+        for upper, lower in half.T:
+            _plain_ticks(upper, lower)
+        half[0, 0].set_ylabel(f"{signal.title}\n[{display(1.0, signal.unit)[1]}, 0-peak]")
+        half[1, 0].set_ylabel("phase [deg]")
+    for axes in grid[-1]:
+        axes.set_xlabel("speed [rpm]")
+    legend_below(made, grid[0, 0])
     return made
 
 

@@ -16,15 +16,15 @@ SHOWN = 2500  # samples of a residual that are drawn
 PERIODS = 15  # of a trace that are drawn in full
 
 
+@styled()
 def traces_figure(compared: SampleComparison) -> Figure:
     """Return signals in time beside what every diagram simulates, and below each its residual."""
     shown = compared.traces[:TRACES]
-    with styled():
-        made = figure(9.0, 1.2 + 3.4 * len(shown), f"Signals in time, {compared.of}")
-        grid = made.subplots(2 * len(shown), 1, squeeze=False, height_ratios=(1.6, 1.0) * len(shown))
-        for (upper, lower), trace in zip(grid.reshape(-1, 2), shown, strict=True):
-            _draw_trace(upper, lower, trace, compared)
-        legend_below(made, grid[0, 0])
+    made = figure(9.0, 1.2 + 3.4 * len(shown), f"Signals in time, {compared.of}")
+    grid = made.subplots(2 * len(shown), 1, squeeze=False, height_ratios=(1.6, 1.0) * len(shown))
+    for (upper, lower), trace in zip(grid.reshape(-1, 2), shown, strict=True):
+        _draw_trace(upper, lower, trace, compared)
+    legend_below(made, grid[0, 0])
     return made
 
 
@@ -39,11 +39,8 @@ def _draw_trace(upper: Axes, lower: Axes, trace: Trace, compared: SampleComparis
         upper.plot(trace.time[part], simulated[part], look.line, color=look.colour, lw=1.1, label=look.label)
         lower.plot(trace.time[::step], (measured - simulated)[::step], color=look.colour, lw=0.7)
     upper.set_title(f"{trace.name}, run {trace.run}", loc="left", fontsize=9)
-    upper.set_ylabel(f"[{unit}]")
-    lower.set_ylabel(f"residual\n[{unit}]")
-    for axes in (upper, lower):
-        axes.set_xlabel("time [s]")
-        axes.margins(x=0)
+    upper.set(xlabel="time [s]", ylabel=f"[{unit}]", xmargin=0)
+    lower.set(xlabel="time [s]", ylabel=f"residual\n[{unit}]", xmargin=0)
 
 
 def _window(trace: Trace) -> slice:

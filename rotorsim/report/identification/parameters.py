@@ -69,6 +69,7 @@ def _relative(item: Identified, start: float) -> list[float]:
     return [100 * part / scale for part in (*(end - item.value for end in item.interval90), change)]
 
 
+@styled()
 def parameters_figure(found: Identification, recording: Recording | None = None) -> Figure:
     """Return every parameter's 90 % interval and start value, relative to the identified value, with its number."""
     items, known = list(found.parameters.values()), {item.name: item.value for item in found.free}
@@ -80,39 +81,38 @@ def parameters_figure(found: Identification, recording: Recording | None = None)
     linear = 10.0 ** np.clip(np.floor(np.log10(sizes.min(initial=precision))), -4, 0)
     reach = float(np.clip(np.nanmax(np.abs([*sizes, *moved[:, 2], 2 * precision])), 10, 900)) * 1.5
     colours = [BLUE if item.verdict.identifiable else GREY for item in items]
-    with styled():
-        made = figure(9.0, 1.7 + 0.36 * len(items), f"Parameters, {heading(found, recording)}")
-        axes = made.add_subplot()
-        axes.set_xscale("symlog", linthresh=linear, linscale=0.8)
-        axes.axvspan(-precision, precision, color=WANTED, zorder=0)
-        axes.axvline(0, color=GREY, lw=0.8)
-        for k, ((low, high, start), colour) in enumerate(zip(moved, colours, strict=True)):
-            ends = np.clip([low, high], -2 * reach, 2 * reach) if high > low else np.zeros(2)
-            axes.plot(ends, [k, k], color=colour, lw=2.0, marker="|", ms=7, mew=1.5)
-            axes.plot(0, k, "o", ms=5, color=colour, zorder=3)
-            if math.isfinite(start):
-                outside = abs(start) > reach
-                mark, size = ((">" if start > 0 else "<"), 6) if outside else ("|", 11)
-                at = math.copysign(0.97 * reach, start) if outside else start
-                axes.plot(at, k, mark, ms=size, mew=1.8, color=RED, zorder=4)
-        _key_of_parameters(axes, items, precision)
-        axes.set(
-            xlabel="difference from the identified value [%], angles: of one radian; "
-            f"logarithmic beyond \u00b1{linear:g} %",
-            xlim=(-reach, reach),
-            ylim=(len(items) - 0.5, -0.5),
-        )
-        _symlog_ticks(axes, linear, reach)
-        right = axes.twinx()
-        right.set(ylim=axes.get_ylim())
-        numbers = [_number(item, start) for item, start in zip(items, starts, strict=True)]
-        for side, texts in ((axes, [item.name for item in items]), (right, numbers)):
-            side.set_yticks(range(len(items)), texts)
-            side.grid(axis="y", visible=False)
-            side.tick_params(axis="y", length=0)
-            for text, colour in zip(side.get_yticklabels(), colours, strict=True):
-                text.set_color(INK if colour == BLUE else GREY)
-        right.grid(visible=False)
+    made = figure(9.0, 1.7 + 0.36 * len(items), f"Parameters, {heading(found, recording)}")
+    axes = made.add_subplot()
+    axes.set_xscale("symlog", linthresh=linear, linscale=0.8)
+    axes.axvspan(-precision, precision, color=WANTED, zorder=0)
+    axes.axvline(0, color=GREY, lw=0.8)
+    for k, ((low, high, start), colour) in enumerate(zip(moved, colours, strict=True)):
+        ends = np.clip([low, high], -2 * reach, 2 * reach) if high > low else np.zeros(2)
+        axes.plot(ends, [k, k], color=colour, lw=2.0, marker="|", ms=7, mew=1.5)
+        axes.plot(0, k, "o", ms=5, color=colour, zorder=3)
+        if math.isfinite(start):
+            outside = abs(start) > reach
+            mark, size = ((">" if start > 0 else "<"), 6) if outside else ("|", 11)
+            at = math.copysign(0.97 * reach, start) if outside else start
+            axes.plot(at, k, mark, ms=size, mew=1.8, color=RED, zorder=4)
+    _key_of_parameters(axes, items, precision)
+    axes.set(
+        xlabel="difference from the identified value [%], angles: of one radian; "
+        f"logarithmic beyond \u00b1{linear:g} %",
+        xlim=(-reach, reach),
+        ylim=(len(items) - 0.5, -0.5),
+    )
+    _symlog_ticks(axes, linear, reach)
+    right = axes.twinx()
+    right.set(ylim=axes.get_ylim())
+    numbers = [_number(item, start) for item, start in zip(items, starts, strict=True)]
+    for side, texts in ((axes, [item.name for item in items]), (right, numbers)):
+        side.set_yticks(range(len(items)), texts)
+        side.grid(axis="y", visible=False)
+        side.tick_params(axis="y", length=0)
+        for text, colour in zip(side.get_yticklabels(), colours, strict=True):
+            text.set_color(INK if colour == BLUE else GREY)
+    right.grid(visible=False)
     return made
 
 
@@ -136,26 +136,26 @@ def _symlog_ticks(axes: Axes, linear: float, reach: float) -> None:
     axes.xaxis.set_minor_locator(NullLocator())
 
 
+@styled()
 def correlation_figure(found: Identification, recording: Recording | None = None) -> Figure:
     """Return the correlation of the estimates as a matrix with numbers."""
     names, values = list(found.parameters), np.asarray(found.correlation)
     m = len(names)
     size = 0.62 * m if m <= 12 else 0.42 * m
-    with styled():
-        made = figure(3.4 + size, 2.4 + size, f"Correlation, {heading(found, recording)}")
-        axes = made.add_subplot()
-        shown = np.where(np.eye(m, dtype=bool), np.nan, values)
-        picture = axes.imshow(shown, cmap="RdBu_r", vmin=-1, vmax=1)
-        for i, j in np.ndindex(m, m):
-            if i != j:
-                colour = "white" if abs(values[i, j]) > 0.65 else INK
-                text = f"{values[i, j]:+.2f}".replace("-", MINUS) if abs(values[i, j]) >= 0.005 else "0"
-                axes.text(j, i, text, ha="center", va="center", fontsize=8.5 if m <= 12 else 6.5, color=colour)
-        axes.set_xticks(range(m), names, rotation=40, ha="right", rotation_mode="anchor")
-        axes.set_yticks(range(m), names)
-        axes.tick_params(length=0)
-        axes.grid(visible=False)
-        axes.spines[:].set_visible(False)
-        bar = made.colorbar(picture, ax=axes, shrink=0.8, aspect=25, ticks=[-1, -0.5, 0, 0.5, 1])
-        bar.outline.set_visible(False)
+    made = figure(3.4 + size, 2.4 + size, f"Correlation, {heading(found, recording)}")
+    axes = made.add_subplot()
+    shown = np.where(np.eye(m, dtype=bool), np.nan, values)
+    picture = axes.imshow(shown, cmap="RdBu_r", vmin=-1, vmax=1)
+    for i, j in np.ndindex(m, m):
+        if i != j:
+            colour = "white" if abs(values[i, j]) > 0.65 else INK
+            text = f"{values[i, j]:+.2f}".replace("-", MINUS) if abs(values[i, j]) >= 0.005 else "0"
+            axes.text(j, i, text, ha="center", va="center", fontsize=8.5 if m <= 12 else 6.5, color=colour)
+    axes.set_xticks(range(m), names, rotation=40, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(m), names)
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    bar = made.colorbar(picture, ax=axes, shrink=0.8, aspect=25, ticks=[-1, -0.5, 0, 0.5, 1])
+    bar.outline.set_visible(False)
     return made
