@@ -150,7 +150,7 @@ def test_no_verb_steers_the_terminal_or_fails_for_a_name(run, monkeypatch):
     import click
 
     from rotorsim.cli.app import rotorsim
-    from rotorsim.cli.common import note
+    from rotorsim.cli.shared.output import note
 
     @click.command()
     def speak() -> None:

@@ -1,4 +1,4 @@
-"""The command line: one thin file per verb."""
+"""The command line: one thin file per verb, whose name is the verb and which offers its `command`."""
 
 from rotorsim.cli.app import main
 

@@ -13,14 +13,16 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, NoReturn, TextIO, cast
+from typing import Any, NoReturn, TextIO
 
 import click
 
+from rotorsim.cli.shared import echo_json, problem_data, show_problems, warn
 from rotorsim.errors import Problem, RotorsimError, visible
 
-__all__ = ["VERBS", "main", "problem_data", "rotorsim"]
+__all__ = ["VERBS", "main", "rotorsim"]
 
 # Verb -> one line of help. The verb's module is imported only when the verb is called: --help stays instant.
 VERBS = {
@@ -62,8 +64,7 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in VERBS:
             return None
-        module = import_module(f"rotorsim.cli.{cmd_name}")
-        command: click.Command = module.command
+        command: click.Command = import_module(f"rotorsim.cli.{cmd_name}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -90,7 +91,8 @@ class _Verbs(click.Group):
         arguments = [argument for argument in arguments if argument != "--debug"]
         previous = warnings.showwarning, sys.stdout, sys.stderr
         warnings.showwarning = _show_warning
-        sys.stdout, sys.stderr = cast(TextIO, _Output(sys.stdout)), cast(TextIO, _Messages(sys.stderr))
+        for name, stream in {"stdout": _Output(sys.stdout), "stderr": _Messages(sys.stderr)}.items():
+            setattr(sys, name, stream)
         try:
             code = self._code(arguments, extra, debug)
             sys.stdout.flush()
@@ -117,8 +119,11 @@ class _Verbs(click.Group):
         return code if isinstance(code, int) else 0
 
 
+@dataclass(eq=False)
 class _UnwrittenError(Exception):
     """Standard output took no more. (No OSError, which click would explain itself.)"""
+
+    cause: OSError
 
 
 class _Output:
@@ -140,7 +145,7 @@ class _Output:
         try:
             return act()
         except OSError as error:
-            raise _UnwrittenError from error
+            raise _UnwrittenError(error) from error
 
 
 class _Messages(_Output):
@@ -184,9 +189,7 @@ def _explain(error: BaseException, as_json: bool) -> int:
         problems, code = (Problem(what=f"internal error: {type(error).__name__}: {text}", hint=hint),), 1
     show_problems(problems)
     if as_json:
-        import json
-
-        click.echo(json.dumps({"problems": [problem_data(problem) for problem in problems]}, indent=2))
+        echo_json({"problems": [problem_data(problem) for problem in problems]})
     return code
 
 
@@ -195,45 +198,15 @@ def _usage_problem(error: click.UsageError) -> Problem:
     verb = error.ctx.command_path if error.ctx else "rotorsim"
     hint = f"'{verb} --help' shows how it is used"
     if isinstance(error, click.NoSuchOption):
-        near = list(error.possibilities or [])
-        if not near and error.ctx:
-            known = [name for parameter in error.ctx.command.params for name in parameter.opts]
-            near = difflib.get_close_matches(error.option_name, known, n=1)
-        if near:
-            hint = f"did you mean '{near[0]}'?"
-        return Problem(what=f"unknown option '{error.option_name}'", hint=hint)
+        known = [name for parameter in error.ctx.command.params for name in parameter.opts] if error.ctx else []
+        near = error.possibilities or difflib.get_close_matches(error.option_name, known, n=1)
+        return Problem(f"unknown option '{error.option_name}'", hint=f"did you mean '{near[0]}'?" if near else hint)
     text = error.format_message().rstrip(".")
     return Problem(what=text[:1].lower() + text[1:], hint=hint)
 
 
-def show_problems(problems: Sequence[Problem], file: TextIO | None = None) -> None:
-    """Print problems on stderr, one after the other, with the severity coloured on a terminal."""
-    stream = file or sys.stderr
-    coloured = stream.isatty() and not os.environ.get("NO_COLOR")
-    for index, problem in enumerate(problems):
-        text = str(problem)
-        if coloured:
-            colour = "red" if problem.severity == "error" else "yellow"
-            text = text.replace(f"{problem.severity}:", click.style(f"{problem.severity}:", fg=colour, bold=True), 1)
-        separator = "" if index == len(problems) - 1 else "\n" if problem.hint else ""
-        click.echo(text + separator, file=stream, color=coloured)
-
-
-def problem_data(problem: Problem) -> dict[str, Any]:
-    """Return a problem as plain data for ``--json``."""
-    return {
-        "file": problem.place.file,
-        "line": problem.place.line,
-        "column": problem.place.column,
-        "severity": problem.severity,
-        "subject": problem.subject,
-        "what": problem.what,
-        "hint": problem.hint,
-    }
-
-
 def _show_warning(message: Any, category: Any, *_: Any, **__: Any) -> None:
-    show_problems([Problem(what=str(message), severity="warning")])
+    warn(str(message))
 
 
 def _unwritten(error: _UnwrittenError) -> int:
@@ -241,15 +214,14 @@ def _unwritten(error: _UnwrittenError) -> int:
 
     The exit code is never 0: a finding may not have been said.
     """
-    cause = cast(OSError, error.__cause__)
+    cause = error.cause
     with contextlib.suppress(OSError, ValueError):  # else Python tries again to write what is left, at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if cause.errno == errno.EPIPE:
         return 128 + 13  # as of a program that SIGPIPE ends
     what = f"standard output cannot be written: {(cause.strerror or str(cause)).lower()}"
-    show_problems(
-        [Problem(what=what, hint="make room there; what was printed is lost, files that were named as written are not")]
-    )
+    hint = "make room there; what was printed is lost, files that were named as written are not"
+    show_problems([Problem(what, hint=hint)])
     return 1
 
 

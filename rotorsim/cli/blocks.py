@@ -6,10 +6,8 @@ from pathlib import Path
 
 import click
 
-from rotorsim.cli.common import echo_json, json_option
+from rotorsim.cli.shared import echo_json, json_option, show_problems
 from rotorsim.errors import Problem, RotorsimError
-
-__all__ = ["command"]
 
 _MOST = 200  # files that are looked into
 
@@ -31,9 +29,8 @@ def command(
     rotorsim blocks pid
     rotorsim blocks hardening_spring --trust-blocks
     """
-    from rotorsim.cli.app import show_problems
-    from rotorsim.cli.block_pages import block_data, block_list, block_text, markdown_page
     from rotorsim.diagram.resolve.registry import Registry
+    from rotorsim.report.text.blocks import block_data, block_list, block_text, markdown_page
 
     registry = Registry(_folders(diagram) if trust_blocks else ())
     known = registry.all_types()
@@ -46,20 +43,17 @@ def command(
         raise RotorsimError(
             *[Problem(what=f"unknown block type '{name}'", hint=more + registry.hint(name)) for name in unknown]
         )
+    chosen = [known[name] for name in types] or list(known.values())
     if schema:
         from rotorsim.diagram.schema import schema_text
 
         click.echo(schema_text(), nl=False)
-        return
-    chosen = [known[name] for name in types] or list(known.values())
-    if markdown:
+    elif markdown:
         click.echo(markdown_page(chosen), nl=False)
     elif as_json:
         echo_json({"blocks": {cls.type_name: block_data(cls) for cls in chosen}})
-    elif types:
-        click.echo("\n\n\n".join(block_text(cls) for cls in chosen))
     else:
-        click.echo(block_list(chosen))
+        click.echo("\n\n\n".join(map(block_text, chosen)) if types else block_list(chosen))
 
 
 def _folders(diagram: str | None) -> list[Path]:

@@ -7,9 +7,7 @@ import shutil
 
 import click
 
-from rotorsim.cli.common import echo_json, json_option
-
-__all__ = ["command"]
+from rotorsim.cli.shared import json_option, show
 
 
 @click.command("cache")
@@ -33,8 +31,8 @@ def command(clear: bool, as_json: bool) -> None:
             elif re.fullmatch(r"fmu-[0-9a-f]{32}\.\d+", left.name):
                 left.unlink(missing_ok=True)
         sweep(folder, HIDDEN)
-    if as_json:
-        echo_json({"folder": str(folder), "files": len(files), "bytes": size, "cleared": clear})
-    else:
-        verb = "deleted from" if clear else "in"
-        click.echo(f"{len(files)} compiled models, {size / 1e6:.1f} MB, {verb} {folder}")
+    show(
+        as_json,
+        lambda: {"folder": str(folder), "files": len(files), "bytes": size, "cleared": clear},
+        lambda: f"{len(files)} compiled models, {size / 1e6:.1f} MB, {'deleted from' if clear else 'in'} {folder}",
+    )

@@ -2,26 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli import common, recorded
+from rotorsim.cli.shared import (
+    Chosen,
+    echo_json,
+    is_recording,
+    json_option,
+    note_mistakes,
+    parse_settings,
+    problem_data,
+    set_option,
+    show_problems,
+    trust_option,
+    without_option,
+)
 from rotorsim.errors import Problem, RotorsimError
 
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
 
-__all__ = ["command"]
+Found = tuple[dict[str, Any], Sequence[Problem], int, str]  # entry for --json, problems, exit code, what it holds
 
 
 @click.command("check")
 @click.argument("sources", metavar="DIAGRAM|RECORDING...", nargs=-1, required=True)
-@common.set_option
-@common.without_option
-@common.trust_option
-@common.json_option
+@set_option
+@without_option
+@trust_option
+@json_option
 def command(
     sources: tuple[str, ...], settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, as_json: bool
 ) -> int:
@@ -34,54 +47,42 @@ def command(
     \b
     rotorsim check jeffcott measured
     """
-    from rotorsim.cli.app import show_problems
-
-    values = common.parse_settings(settings)
-    kinds = {source: recorded.is_recording(source) for source in sources}
-    if (settings or without) and all(kinds.values()):
-        raise RotorsimError(Problem(what="--set and --without need a diagram, not a recording", subject=sources[0]))
+    chosen = Chosen(sources[0], settings, without, trust_blocks)
+    parse_settings(settings)
+    if all(map(is_recording, sources)):
+        chosen.refuse_changes("a recording")
     report: dict[str, list[dict[str, Any]]] = {"diagrams": [], "recordings": []}
     mistakes = code = 0
     against: Diagram | None = None
     for source in sources:
-        if kinds[source]:
-            entry, problems, found, line = _recording(source, against)
+        if is_recording(source):
+            kind, (entry, problems, found, line) = "recordings", _recording(source, against)
         else:
-            against, (entry, problems, found, line) = _diagram(source, values, without, trust_blocks)
+            kind, (against, (entry, problems, found, line)) = "diagrams", _diagram(replace(chosen, name=source))
+        report[kind].append({**entry, "valid": found == 0, "problems": [problem_data(problem) for problem in problems]})
         code = max(code, found)
         mistakes += sum(problem.severity == "error" for problem in problems)
-        report["recordings" if kinds[source] else "diagrams"].append(entry)
         show_problems(problems)
         if not found and not as_json:
             click.echo(f"{source}: {line}, no mistakes")
     if as_json:
-        common.echo_json({key: entries for key, entries in report.items() if entries})
-    if mistakes:
-        common.note(f"\n{mistakes} mistake{'s' if mistakes > 1 else ''}")
+        echo_json({key: entries for key, entries in report.items() if entries})
+    note_mistakes(mistakes)
     return code
 
 
-Found = tuple[dict[str, Any], Sequence[Problem], int, str]
-
-
-def _diagram(
-    name: str, settings: Mapping[str, Any], without: Sequence[str], trust_blocks: bool
-) -> tuple[Diagram | None, Found]:
-    """Return a diagram, and its entry for --json, its problems, the exit code and what it holds."""
-    from rotorsim.cli.app import problem_data
+def _diagram(chosen: Chosen) -> tuple[Diagram | None, Found]:
+    """Return a diagram, and what is found in it."""
     from rotorsim.model.load import load
 
-    entry: dict[str, Any] = {"diagram": name, "valid": True}
-    loaded = None
+    entry: dict[str, Any] = {"diagram": chosen.name, "valid": False}
     try:
-        loaded = load(name, set=settings, without=without, trust_blocks=trust_blocks)
-        problems, code = loaded.warnings, 0
-        entry |= {"blocks": len(loaded.nodes), "wires": len(loaded.wires)}
+        values = parse_settings(chosen.settings)
+        loaded = load(chosen.name, set=values, without=chosen.without, trust_blocks=chosen.trust_blocks)
     except RotorsimError as error:
-        problems, code = error.problems, 2
-        entry["valid"] = False
-    entry["problems"] = [problem_data(problem) for problem in problems]
-    return loaded, (entry, problems, code, "" if code else f"{entry['blocks']} blocks, {entry['wires']} wires")
+        return None, (entry, error.problems, 2, "")
+    entry |= {"blocks": len(loaded.nodes), "wires": len(loaded.wires)}
+    return loaded, (entry, loaded.warnings, 0, f"{entry['blocks']} blocks, {entry['wires']} wires")
 
 
 def _recording(name: str, against: Diagram | None) -> Found:
@@ -89,28 +90,23 @@ def _recording(name: str, against: Diagram | None) -> Found:
 
     against: the diagram whose signals and parameters it names.
     """
-    from rotorsim.cli.app import problem_data
     from rotorsim.measure.checks import check_signals
     from rotorsim.recordings.loading import load_recording
+    from rotorsim.report.text.recording import contents, contents_line
     from rotorsim.signals.pickup import check_harmonics
 
-    entry: dict[str, Any] = {"recording": name, "valid": True}
-    line = ""
+    entry: dict[str, Any] = {"recording": name, "valid": False}
     try:
         recording = load_recording(name)
-        problems = (*recording.warnings, *check_signals(recording))
-        code = 1 if any(problem.severity == "error" for problem in problems) else 0
-        if not code:
-            problems = (*problems, *check_harmonics(recording))
+        problems = [*recording.warnings, *check_signals(recording)]
+        code = int(any(problem.severity == "error" for problem in problems))
+        problems += [] if code else check_harmonics(recording)
         if against is not None:
             from rotorsim.identification.experiment import check_against
 
             foreign = check_against(against, recording)
-            problems, code = (*problems, *foreign), 2 if foreign else code
-        entry |= recorded.contents(recording)
-        line = recorded.contents_line(recording)
+            problems, code = [*problems, *foreign], 2 if foreign else code
     except RotorsimError as error:
-        problems, code = error.problems, error.exit_code
-    entry["valid"] = code == 0
-    entry["problems"] = [problem_data(problem) for problem in problems]
-    return entry, problems, code, line
+        return entry, error.problems, error.exit_code, ""
+    held = contents(recording)
+    return entry | held, problems, code, contents_line(held)

@@ -3,27 +3,45 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli import common
-from rotorsim.cli.app import show_problems
-from rotorsim.diagram.solver import METHODS
+from rotorsim.cli.shared import (
+    RESULTS,
+    Chosen,
+    clock_of,
+    diagram_argument,
+    file_option,
+    json_option,
+    listed,
+    named_values,
+    note,
+    parameter_options,
+    progress_bar,
+    progress_option,
+    quantity,
+    refuse_if,
+    show,
+    show_problems,
+    solver_option,
+)
 from rotorsim.errors import Problem, RotorsimError, visible
+from rotorsim.report.text.table import counted
 
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.simulation.result import Result
 
-__all__ = ["command"]
+TOLD = 100  # characters of a text variable
+Hear = Callable[[str, float, str, str, str], None]  # block, time, status, category, text
 
 
 @click.command("cosim")
-@click.argument("diagram", metavar="DIAGRAM")
+@diagram_argument
 @click.option("--step", required=True, metavar="TIME", help="Communication step, such as '0.1 ms'.")
 @click.option("--stop", metavar="TIME", help="Stop time (default: the diagram's).")
 @click.option(
@@ -53,22 +71,17 @@ __all__ = ["command"]
     help="Relative error allowed per step; the step then adapts.",
 )
 @click.option("--fast", is_flag=True, help="The plain loop in C, for FMUs for Co-Simulation.")
-@click.option(
-    "--solver",
-    type=click.Choice(METHODS, case_sensitive=False),
-    default="rk4",
-    show_default=True,
-    help="Of the states of FMUs for Model Exchange; radau, bdf and lsoda are implicit.",
+@solver_option(
+    "Of the states of FMUs for Model Exchange; radau, bdf and lsoda are implicit.", default="rk4", show_default=True
 )
 @click.option("--no-check", is_flag=True, help="Run even if the linearised coupled loop is unstable.")
-@click.option("--out", metavar="FILE", help="Write the signals: .csv, .h5 or .npz.")
+@file_option("--out", suffixes=RESULTS, help="Write the signals: .csv, .h5 or .npz.")
 @click.option("--log", "log", metavar="FILE", help="Write all that the FMUs say, every category; - is the terminal.")
-@common.set_option
-@common.trust_option
-@common.progress_option
-@common.json_option
+@parameter_options
+@progress_option
+@json_option
 def command(
-    diagram: str,
+    chosen: Chosen,
     step: str,
     stop: str | None,
     master: str,
@@ -81,8 +94,6 @@ def command(
     no_check: bool,
     out: str | None,
     log: str | None,
-    settings: tuple[str, ...],
-    trust_blocks: bool,
     progress: bool | None,
     as_json: bool,
 ) -> None:
@@ -98,18 +109,15 @@ def command(
     from rotorsim.cosim.cosimulation import cosimulate_diagram
     from rotorsim.fmi.runtime.process import printing_elsewhere
 
-    common.check_target("--out", out, (".csv", ".h5", ".npz"))
-    width = common.quantity(step, "s", "--step")
-    end = None if stop is None else common.quantity(stop, "s", "--stop")
-    if end is not None and not end > 0:
-        raise RotorsimError(Problem(f"--stop {stop}: must be positive", hint="such as --stop '0.2 s'"))
+    width = quantity(step, "s", "--step")
+    end = None if stop is None else quantity(stop, "s", "--stop")
+    refuse_if(end is not None and not end > 0, f"--stop {stop}: must be positive", hint="such as --stop '0.2 s'")
     every = _rates(rates)
-    groups = [[name.strip() for name in part.split(",") if name.strip()] for part in parts]
+    groups, hint = [list(listed(part)) for part in parts], "such as --part controller,reference"
     for part, names in zip(parts, groups, strict=True):
-        if not names:
-            raise RotorsimError(Problem(f"--part '{part}': names no block", hint="such as --part controller,reference"))
-    loaded = common.open_diagram(diagram, settings, (), trust_blocks)
-    with common.progress_bar("cosim", progress) as show, printing_elsewhere(), _logging(log) as hear:
+        refuse_if(not names, f"--part '{part}': names no block", hint=hint)
+    loaded = chosen.open()
+    with progress_bar("cosim", progress) as bar, printing_elsewhere(), _logging(log) as hear:
         result = cosimulate_diagram(
             loaded,
             groups,
@@ -122,48 +130,20 @@ def command(
             check=not no_check,
             rates=every,
             solver=solver.lower(),
-            progress=show,
+            progress=bar,
             log=hear,
         )
     if out:
         from rotorsim.simulation.files import save
 
         save(result, out)
-        common.note(f"written: {out}")
+        note(f"written: {out}")
     made = dict(result.provenance)
     show_problems(_warnings(made, log))
-    if as_json:
-        import numpy as np
-
-        peaks = {name: float(np.nanmax(np.abs(values))) for name, values in result.signals.items() if values.size}
-        units = {name: result.units[name] for name in peaks}
-        common.echo_json(
-            {
-                "status": result.status,
-                "message": result.message,
-                "coupling": made,
-                "counters": dict(result.counters),
-                "time": result.time[[0, -1]],
-                "peak": peaks,
-                "units": units,
-            }
-        )
-    else:
-        click.echo(
-            f"{result.status}: {result.counters['steps']} communication steps to {result.time[-1]:g} s, {master}"
-        )
-        for line in ["stability of the coupling: not analysed (--no-check)"] if no_check else _stability(made):
-            click.echo(line)
-        for name, about in made.get("fmus", {}).items():
-            if about["most_parts"] > 1:
-                click.echo(
-                    f"{name}: its inputs move within a step: taken in up to {about['most_parts']} parts, "
-                    f"{about['do_steps']} calls of doStep"
-                )
-            for text, said in about["texts"].items():
-                click.echo(f"{name}: {text} is '{visible(' '.join(said.split())[:100])}' at the end")
-        if text := _peaks(loaded, result):
-            click.echo(f"\n{text}")
+    head = f"{result.status}: {result.counters['steps']} communication steps to {result.time[-1]:g} s, {master}"
+    stability = ["stability of the coupling: not analysed (--no-check)"] if no_check else _stability(made)
+    lines = [head, *stability, *_participants(made)]
+    show(as_json, lambda: _data(result), lambda: "\n".join([*lines, *_peaks(loaded, result)]))
     if result.status != "finished":
         what, _, hint = result.message.partition("\n\nhint: ")
         kept = f"what was computed until then is in {out}" if out else "--out FILE keeps what was computed until then"
@@ -171,8 +151,37 @@ def command(
         sys.exit(1)
 
 
+def _data(result: Result) -> dict[str, Any]:
+    import numpy as np
+
+    peaks = {name: float(np.nanmax(np.abs(values))) for name, values in result.signals.items() if values.size}
+    return {
+        "status": result.status,
+        "message": result.message,
+        "coupling": dict(result.provenance),
+        "counters": dict(result.counters),
+        "time": result.time[[0, -1]],
+        "peak": peaks,
+        "units": {name: result.units[name] for name in peaks},
+    }
+
+
+def _participants(made: Mapping[str, Any]) -> list[str]:
+    """Return what is said of the FMUs: parts of steps, texts at the end."""
+    lines = []
+    for name, about in made.get("fmus", {}).items():
+        if about["most_parts"] > 1:
+            parts = f"taken in up to {about['most_parts']} parts, {about['do_steps']} calls of doStep"
+            lines.append(f"{name}: its inputs move within a step: {parts}")
+        lines += [
+            f"{name}: {text} is '{visible(' '.join(said.split())[:TOLD])}' at the end"
+            for text, said in about["texts"].items()
+        ]
+    return lines
+
+
 @contextmanager
-def _logging(file: str | None) -> Iterator[Callable[[str, float, str, str, str], None] | None]:
+def _logging(file: str | None) -> Iterator[Hear | None]:
     """Give a function that writes messages of FMUs to a file, or None."""
     if file is None:
         yield None
@@ -196,44 +205,42 @@ def _logging(file: str | None) -> Iterator[Callable[[str, float, str, str, str],
 
 def _warnings(made: Mapping[str, Any], log: str | None) -> list[Problem]:
     """Return what FMUs have warned of."""
-    found = []
+    hint = "" if log else "--log FILE keeps all that it says"
+    problems = []
     for name, about in made.get("fmus", {}).items():
         odd = sum(count for status, count in about["messages"].items() if status != "OK")
-        parts = [f"{about['warnings']} call{'s' * (about['warnings'] != 1)} returned a warning"] * bool(
-            about["warnings"]
-        )
-        parts += [f"{odd} message{'s' * (odd != 1)} of warnings or errors"] * bool(odd)
-        if parts:
-            what = "; ".join(parts) + "".join(f"\n  it said: {line[:300]}" for line in about["said"])
-            hint = "" if log else "--log FILE keeps all that it says"
-            found.append(Problem(what, name, hint=hint, severity="warning"))
-    return found
+        calls = f"{counted(about['warnings'], 'call')} returned a warning" if about["warnings"] else ""
+        messages = f"{counted(odd, 'message')} of warnings or errors" if odd else ""
+        if calls or messages:
+            what = "; ".join(filter(None, (calls, messages)))
+            said = "".join(f"\n  it said: {line[:300]}" for line in about["said"])
+            problems.append(Problem(what + said, name, hint=hint, severity="warning"))
+    return problems
 
 
-def _peaks(diagram: Diagram, result: Result) -> str:
-    """Return peak and rms of the recorded signals as a table."""
-    from rotorsim.cli.summary import peaks_table
+def _peaks(diagram: Diagram, result: Result) -> list[str]:
+    """Return peak and rms of the recorded signals as a table, after an empty line."""
+    from rotorsim.report.text.run import peaks_table
 
-    clock = common.clock_of(diagram)
+    clock = clock_of(diagram)
     wanted = dict.fromkeys(str(name).partition("[")[0] for name in diagram.record)
-    signals = {
-        name: values for base in wanted for name, values in result.signals.items() if name.partition("[")[0] == base
-    }
-    return peaks_table(replace(result, signals=signals), f"{clock}.theta" if clock else "")
+    names = [name for base in wanted for name in result.signals if name.partition("[")[0] == base]
+    recorded = replace(result, signals={name: result.signals[name] for name in names})
+    text = peaks_table(recorded, f"{clock}.theta" if clock else "")
+    return ["", text] if text else []
 
 
-def _rates(texts: tuple[str, ...]) -> dict[str, int]:
+def _rates(texts: Sequence[str]) -> dict[str, int]:
     """Return participant -> number of steps. Raises RotorsimError."""
-    found: dict[str, int] = {}
-    for text in texts:
-        name, equals, number = text.partition("=")
-        if not (name.strip() and equals and number.strip().isdecimal()):
-            raise RotorsimError(Problem(f"--rate {text}: not PARTICIPANT=N", hint="such as --rate controller=5"))
-        if name.strip() in found:
-            what = f"--rate {text}: {name.strip()} has a rate already"
-            raise RotorsimError(Problem(what, hint="give one for each"))
-        found[name.strip()] = int(number)
-    return found
+    numbers = named_values(
+        texts,
+        lambda text: Problem(f"--rate {text}: not PARTICIPANT=N", hint="such as --rate controller=5"),
+        lambda name: Problem(f"--rate {name}: has a rate already", hint="give one for each"),
+    )
+    for name, number in numbers.items():
+        hint = "such as --rate controller=5"
+        refuse_if(not number.isdecimal(), f"--rate {name}={number}: not PARTICIPANT=N", hint=hint)
+    return {name: int(number) for name, number in numbers.items()}
 
 
 def _stability(made: Mapping[str, Any]) -> list[str]:

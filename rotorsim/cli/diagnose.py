@@ -2,44 +2,56 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from rotorsim.cli import common
-from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.cli.shared import (
+    Chosen,
+    check_folder,
+    diagram_argument,
+    hold_out_option,
+    jobs_options,
+    json_option,
+    keep_diagram,
+    known_names,
+    listed,
+    note,
+    parameter_options,
+    progress_bar,
+    progress_option,
+    refuse_all,
+    refuse_if,
+    show,
+    show_problems,
+    speeds_of,
+)
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.report.text.table import table
 
 if TYPE_CHECKING:
-    from rotorsim.diagnosis.conclude.conclusions import Diagnosis
+    from rotorsim.diagnosis.conclude.result import Diagnosis
     from rotorsim.diagram.diagram import Diagram
 
-__all__ = ["command"]
-
-_EITHER = "--sensors rotor.displacement,controller.current asks what could be told, a RECORDING what is"
+EITHER = "--sensors rotor.displacement,controller.current asks what could be told, a RECORDING what is"
 
 
 @click.command("diagnose")
-@click.argument("diagram", metavar="DIAGRAM")
+@diagram_argument
 @click.argument("recording", metavar="[RECORDING]", required=False)
 @click.option("--out", metavar="DIR", help="Write diagnosis.json, the repaired diagram.json and report.html there.")
-@click.option("--hold-out", metavar="RECORDING", help="Further runs, for scoring only.")
-@click.option("--sensors", metavar="LIST", help="Without RECORDING: say which faults these signals tell apart.")
+@hold_out_option
+@click.option("--sensors", metavar="LIST", help="Without RECORDING: say which faults these signals detect and isolate.")
 @click.option("--speeds", metavar="SPEEDS", help="With --sensors: of the runs, as '900 rpm:300 rpm:2100 rpm'.")
-@click.option("--physics", metavar="LIST", help="Only these rows of the catalogue, such as runout,residual_bow.")
-@click.option("--workers", type=click.IntRange(1), metavar="N", help="Processes (default: one for every CPU).")
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Dask cluster that you trust to run code here, tls://host:port or tcp://host:port (default: this machine).",
-)
-@common.set_option
-@common.trust_option
-@common.progress_option
-@common.json_option
+@click.option("--physics", metavar="LIST", help="Only these faults of the catalogue, such as runout,residual_bow.")
+@jobs_options
+@parameter_options
+@progress_option
+@json_option
 def command(
-    diagram: str,
+    chosen: Chosen,
     recording: str | None,
     out: str | None,
     hold_out: str | None,
@@ -48,94 +60,109 @@ def command(
     physics: str | None,
     workers: int | None,
     scheduler: str | None,
-    settings: tuple[str, ...],
-    trust_blocks: bool,
     progress: bool | None,
     as_json: bool,
-) -> None:
+) -> int:
     """Say where DIAGRAM and RECORDING differ, what physics is missing, and repair the diagram.
 
-    The free parameters are refitted first. If noise does not explain the rest, every row of the catalogue (blocks
-    that declare a fault, `rotorsim blocks`) is put at every place, refitted and judged; the best is kept, with what
-    explains the data as well. Exit code 1: something is missing.
+    The free parameters are refitted first. If noise does not explain the residual, every fault of the catalogue
+    (blocks that declare one, `rotorsim blocks`) is put at every place, refitted and judged; the best is kept, with
+    what explains the data as well. Exit code 1: something is missing.
 
-    With --sensors and no RECORDING: which faults signals can tell apart, and which sensor to add.
+    With --sensors and no RECORDING: which faults signals can detect and isolate, and which sensor to add.
 
     \b
     rotorsim diagnose jeffcott measurements/2026-11 --out diagnosis
     rotorsim diagnose jeffcott --sensors rotor.displacement,controller.current
     """
-    from rotorsim.cli.app import show_problems
-    from rotorsim.cli.structure import show_isolation
+    refuse_if((recording is None) == (sensors is None), "give either a RECORDING or --sensors", hint=EITHER)
+    if recording is None:
+        given = {"--out": out, "--hold-out": hold_out, "--workers": workers, "--scheduler": scheduler}
+        what, hint = "does not go with --sensors", "it goes with a RECORDING"
+    else:
+        given = {"--speeds": speeds}
+        what, hint = "does not go with a RECORDING", "it goes with --sensors; a recording has its own"
+    problems = [Problem(f"{name} {what}", hint=hint) for name, value in given.items() if value is not None]
+    refuse_all(problems)
+    kinds = None if physics is None else _physics(physics)
+    if sensors is not None:
+        _show_isolability(chosen, listed(sensors), speeds, kinds, progress, as_json)
+        return 0
     from rotorsim.diagnosis.diagnosis import diagnose
     from rotorsim.diagnosis.files import diagnosis_data, save_diagnosis
     from rotorsim.recordings.loading import load_recording
 
-    if (recording is None) == (sensors is None):
-        raise RotorsimError(Problem("give either a RECORDING or --sensors", hint=_EITHER))
-    given = {"--out": out, "--hold-out": hold_out, "--workers": workers, "--scheduler": scheduler}
-    misfits = [
-        name for name, value in ({"--speeds": speeds} if sensors is None else given).items() if value is not None
-    ]
-    if misfits:
-        hint = "it goes with a RECORDING" if sensors is not None else "it goes with --sensors; a recording has its own"
-        other = "--sensors" if sensors is not None else "a RECORDING"
-        raise RotorsimError(*(Problem(f"{name} does not go with {other}", hint=hint) for name in misfits))
-    if sensors is not None:
-        rows = None if physics is None else _rows(physics)
-        plain = common.open_diagram(diagram, settings, (), trust_blocks)
-        show_isolation(
-            plain, sensors, speeds, physics=rows, trust_blocks=trust_blocks, progress=progress, as_json=as_json
-        )
-        return
-    assert recording is not None
-    common.check_folder("--out", out)
-    if out and Path(diagram).exists() and (Path(out) / "diagram.json").resolve() == Path(diagram).resolve():
-        raise RotorsimError(Problem(f"--out {out}: would overwrite {diagram}", hint="give another folder"))
-    rows = None if physics is None else _rows(physics)
-    loaded = common.open_diagram(diagram, settings, (), trust_blocks)
+    check_folder("--out", out)
+    keep_diagram(out, chosen.name)
+    loaded = chosen.open()
     _check_free(loaded)
-    measured = load_recording(_existing("RECORDING", recording))
-    if measured.runs and not measured.select("identify"):
-        hint = 'give runs to be scored only with --hold-out, or mark some of these "use": "identify"'
-        raise RotorsimError(Problem(f"RECORDING {recording}: all its runs are held out", hint=hint))
+    measured = load_recording(_existing("RECORDING", recording or ""))
+    refuse_if(
+        measured.runs and not measured.select("identify"),
+        f"RECORDING {recording}: all its runs are held out",
+        hint='give runs to be scored only with --hold-out, or mark some of these "use": "identify"',
+    )
     held = None if hold_out is None else load_recording(_existing("--hold-out", hold_out))
     if out:
-        _made(out)
-    with common.progress_bar("diagnose", progress) as show:
+        _make(out)
+    with progress_bar("diagnose", progress) as bar:
         found = diagnose(
             loaded,
             measured,
             hold_out=held,
-            physics=rows,
-            trust_blocks=trust_blocks,
+            physics=kinds,
+            trust_blocks=chosen.trust_blocks,
             workers=workers,
             scheduler=scheduler,
-            progress=show,
+            progress=bar,
         )
     show_problems(found.warnings)
     if out:
         from rotorsim.report.diagnosis.report import save_report
 
-        for save in (save_diagnosis, save_report):
-            for file in save(found, out):
-                common.note(f"written: {file}")
-    if as_json:
-        common.echo_json(diagnosis_data(found))
-    else:
-        click.echo(_text(found))
-    if found.verdict != "consistent":
-        sys.exit(1)
+        for file in (*save_diagnosis(found, out), *save_report(found, out)):
+            note(f"written: {file}")
+    show(as_json, lambda: diagnosis_data(found), lambda: _text(found))
+    return 0 if found.verdict == "consistent" else 1
+
+
+def _show_isolability(
+    chosen: Chosen,
+    sensors: Collection[str],
+    speeds: str | None,
+    physics: Collection[str] | None,
+    progress: bool | None,
+    as_json: bool,
+) -> None:
+    """Print which faults of a diagram sensors detect and isolate; physics: only these (default: all)."""
+    from rotorsim.diagnosis.isolability.isolation import isolate, isolation_data
+    from rotorsim.report.text.isolability import isolability_text
+
+    loaded = chosen.open()
+    at = [] if speeds is None else speeds_of(speeds).tolist()
+    refuse_if(0 in at, f"--speeds {speeds}: the shaft does not turn", hint="leave 0 out")
+    with progress_bar("signatures", progress) as bar:
+        found = isolate(
+            loaded,
+            list(dict.fromkeys(sensors)),
+            speeds=at,
+            physics=physics,
+            trust_blocks=chosen.trust_blocks,
+            progress=bar,
+        )
+    show(as_json, lambda: isolation_data(found), lambda: isolability_text(found))
 
 
 def _existing(what: str, path: str) -> str:
-    if not Path(path).exists():
-        hint = "a recording is a folder with recording.json and data files; see docs/recordings.md"
-        raise RotorsimError(Problem(f"{what} {path}: does not exist", hint=hint))
+    refuse_if(
+        not Path(path).exists(),
+        f"{what} {path}: does not exist",
+        hint="a recording is a folder with recording.json and data files; see docs/recordings.md",
+    )
     return path
 
 
-def _made(folder: str) -> None:
+def _make(folder: str) -> None:
     """Make a folder before the work begins. Raises RotorsimError."""
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
@@ -146,7 +173,7 @@ def _made(folder: str) -> None:
 
 def _check_free(diagram: Diagram) -> None:
     """Raise RotorsimError where nothing may be refitted."""
-    from rotorsim.diagnosis.evidence.base import with_uncertain
+    from rotorsim.diagnosis.evidence.base_fit import with_uncertain
 
     if not with_uncertain(diagram).get("identify"):
         known = [name for name in diagram.parameters if name != "speed"]
@@ -156,19 +183,13 @@ def _check_free(diagram: Diagram) -> None:
         raise RotorsimError(Problem("no free parameters: identify is empty", diagram.file or diagram.name, hint=hint))
 
 
-def _rows(text: str) -> list[str]:
+def _physics(text: str) -> list[str]:
     """Return names of physics. Raises RotorsimError for those that no block declares."""
     from rotorsim.diagram.resolve.registry import all_types
 
     known = sorted({fault.physics for kind in all_types().values() for fault in kind.faults})
-    wanted = [name.strip() for name in text.split(",") if name.strip()]
-    problems = [
-        Problem(f"--physics {name}: no block declares it", hint=near_miss(name, known))
-        for name in wanted
-        if name not in known
-    ]
-    if problems or not wanted:
-        raise RotorsimError(*(problems or [Problem("--physics: names nothing", hint=f"known: {', '.join(known)}")]))
+    wanted = known_names(listed(text), known, lambda name: f"--physics {name}: no block declares it")
+    refuse_if(not wanted, "--physics: names nothing", hint=f"known: {', '.join(known)}")
     return wanted
 
 
@@ -181,9 +202,9 @@ def _text(found: Diagnosis) -> str:
         for name, probability in effect.members.items()
     ]
     if rows and found.verdict != "outside_catalogue":
-        parts.append(common.table(("missing", "probability", "at"), rows))
+        parts.append(table(("missing", "probability", "at"), rows))
     elif found.places:
-        parts.append(common.table(("place", "probability"), [(str(s), f"{p:.2g}") for s, p in found.places[:8]]))
+        parts.append(table(("place", "probability"), [(str(s), f"{p:.2g}") for s, p in found.places[:8]]))
     parts.append(found.statement)
     parts.append(f"Next experiment: {found.next_experiment}.")
     return "\n\n".join(parts)

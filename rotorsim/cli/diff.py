@@ -6,16 +6,14 @@ from dataclasses import asdict
 
 import click
 
-from rotorsim.cli import common
-
-__all__ = ["command"]
+from rotorsim.cli.shared import document_of, json_option, show
 
 
 @click.command("diff")
 @click.argument("old", metavar="OLD")
 @click.argument("new", metavar="NEW")
 @click.option("--layout", is_flag=True, help="Compare layout and descriptions too.")
-@common.json_option
+@json_option
 def command(old: str, new: str, layout: bool, as_json: bool) -> int:
     """Say what differs between two diagrams by meaning; exit code 1 if anything does.
 
@@ -23,10 +21,7 @@ def command(old: str, new: str, layout: bool, as_json: bool) -> int:
     """
     from rotorsim.diagram.diff import diff
 
-    changes = diff(common.document_of(old)[1], common.document_of(new)[1], layout=layout)
-    if as_json:
-        common.echo_json({"equal": not changes, "changes": [asdict(change) for change in changes]})
-    else:
-        for change in changes:
-            click.echo(str(change))
+    changes = diff(document_of(old)[1], document_of(new)[1], layout=layout)
+    rows = [asdict(change) for change in changes]
+    show(as_json, lambda: {"equal": not rows, "changes": rows}, lambda: "\n".join(map(str, changes)))
     return 1 if changes else 0

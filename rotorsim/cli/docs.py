@@ -7,15 +7,13 @@ from pathlib import Path
 
 import click
 
-from rotorsim.cli import common
-from rotorsim.errors import Problem, RotorsimError, near_miss
-
-__all__ = ["command"]
+from rotorsim.cli.shared import json_option, refuse_if, show
+from rotorsim.errors import near_miss
 
 
 @click.command("docs")
 @click.argument("page", metavar="[PAGE]", required=False)
-@common.json_option
+@json_option
 def command(page: str | None, as_json: bool) -> None:
     """List the pages that come with rotorsim, or show one.
 
@@ -25,21 +23,17 @@ def command(page: str | None, as_json: bool) -> None:
     """
     pages = {file.stem: file for file in sorted(_folder().glob("*.md"))}
     if page is None:
-        titles = {name: _title(file) for name, file in pages.items()}
-        if as_json:
-            common.echo_json({"pages": {name: {"title": titles[name], "file": str(pages[name])} for name in pages}})
-        else:
-            width = max(map(len, pages))
-            click.echo("\n".join(f"{name:{width}}  {title}" for name, title in titles.items()))
+        titles = {name: {"title": _title(file), "file": str(file)} for name, file in pages.items()}
+        width = max(map(len, pages))
+        lines = (f"{name:{width}}  {entry['title']}" for name, entry in titles.items())
+        show(as_json, lambda: {"pages": titles}, lambda: "\n".join(lines))
         return
-    if page.removesuffix(".md") not in pages:
-        raise RotorsimError(Problem(f"no page '{page}'", hint=near_miss(page, pages)))
-    file = pages[page.removesuffix(".md")]
+    name = page.removesuffix(".md")
+    refuse_if(name not in pages, f"no page '{page}'", hint=near_miss(page, pages))
+    file = pages[name]
     text = file.read_text(encoding="utf-8")
-    if as_json:
-        common.echo_json({"page": file.stem, "title": _title(file), "file": str(file), "text": text})
-    else:
-        click.echo(text, nl=False)
+    data = {"page": name, "title": _title(file), "file": str(file), "text": text}
+    show(as_json, lambda: data, lambda: text.removesuffix("\n"))
 
 
 def _folder() -> Path:

@@ -1,57 +1,41 @@
-"""``rotorsim fmu``: export here; info and validate in their own module, imported when called."""
+"""``rotorsim fmu``."""
 
 from __future__ import annotations
 
-from importlib import import_module
-from importlib.util import find_spec
-
 import click
 
-from rotorsim.cli import common
-from rotorsim.cli.app import show_problems
+from rotorsim.cli.shared import (
+    Chosen,
+    Group,
+    diagram_options,
+    file_option,
+    fmi_option,
+    json_option,
+    note_mistakes,
+    platform_option,
+    problem_data,
+    show,
+    show_help,
+    show_problems,
+)
+from rotorsim.errors import RotorsimError
+from rotorsim.report.text.table import counted, table
 
-__all__ = ["command"]
-
-_HELP = {
-    "export": "Write a diagram, or some of its blocks, as an FMU.",
-    "info": "What is in an FMU: variables, units, platforms, what it can do.",
-    "validate": "Find every mistake in an FMU.",
-}
-_ELSEWHERE = ("info", "validate")
 SOURCE = "source"
 
 
-class _Group(common.Group):
-    """Group of which some verbs are in another module."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*super().list_commands(ctx), *(_ELSEWHERE if find_spec("rotorsim.cli.fmu_info") else ())]
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name in self.list_commands(ctx) and cmd_name in _ELSEWHERE:
-            found: click.Command = getattr(import_module("rotorsim.cli.fmu_info"), cmd_name)
-            return found
-        return super().get_command(ctx, cmd_name)
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        lines = [(name, _HELP[name]) for name in self.list_commands(ctx)]
-        with formatter.section("Verbs"):
-            formatter.write_dl(lines)
-
-
-@click.group("fmu", cls=_Group, invoke_without_command=True)
+@click.group("fmu", cls=Group, invoke_without_command=True)
 @click.pass_context
-def command(ctx: click.Context) -> None:
+def command(context: click.Context) -> None:
     """Functional mock-up units: export diagrams for other tools, look into FMUs.
 
     Each verb prints machine-readable JSON with --json.
     """
-    if ctx.invoked_subcommand is None:
-        click.echo(ctx.get_help())
+    show_help(context)
 
 
 @command.command("export")
-@common.diagram_options
+@diagram_options
 @click.option("--block", "blocks", multiple=True, metavar="NAME", help="Export only this block; repeatable.")
 @click.option(
     "--input",
@@ -67,24 +51,14 @@ def command(ctx: click.Context) -> None:
     metavar="SIGNAL",
     help="Output this signal (default: what is recorded, or all ports of --block); repeatable.",
 )
-@click.option("--fmi", "version", type=click.Choice(["2.0", "3.0"]), default="2.0", help="Version of FMI [2.0].")
-@click.option(
-    "--platform",
-    "platforms",
-    multiple=True,
-    metavar="NAME",
-    help="linux64, aarch64-linux, win64, darwin64, aarch64-darwin, ... or source (no library); repeatable. "
-    "Default: this machine's. Others need ziglang.",
-)
+@fmi_option
+@platform_option
 @click.option("--arrays", is_flag=True, help="Vectors and matrices as arrays instead of scalars (FMI 3.0).")
 @click.option("--fixed", is_flag=True, help="Parameters cannot change after initialisation.")
-@click.option("-o", "--out", required=True, metavar="FILE.fmu", help="Write the FMU here.")
-@common.json_option
+@file_option("-o", "--out", suffixes=(".fmu",), required=True, metavar="FILE.fmu", help="Write the FMU here.")
+@json_option
 def export(
-    diagram: str,
-    settings: tuple[str, ...],
-    without: tuple[str, ...],
-    trust_blocks: bool,
+    chosen: Chosen,
     blocks: tuple[str, ...],
     inputs: tuple[str, ...],
     outputs: tuple[str, ...],
@@ -103,17 +77,15 @@ def export(
     rotorsim fmu export jeffcott -o jeffcott.fmu
     rotorsim fmu export jeffcott --block rotor --fmi 3.0 -o rotor.fmu
     """
-    common.check_target("--out", out, (".fmu",))
-    loaded = common.open_diagram(diagram, settings, without, trust_blocks)
+    loaded = chosen.open()
     from rotorsim.fmi.export.export import export_fmu
 
-    wanted = [name for name in platforms if name != SOURCE] if platforms else None
     done = export_fmu(
         loaded,
         out,
         blocks=blocks or None,
         version=version,
-        platforms=wanted,
+        platforms=[name for name in platforms if name != SOURCE] if platforms else None,
         arrays=arrays,
         inputs=inputs,
         outputs=outputs or None,
@@ -121,21 +93,62 @@ def export(
     )
     show_problems(done.warnings)
     counts = {role: done.interface.count(role) for role in ("parameter", "input", "output", "state", "event")}
-    if as_json:
-        common.echo_json(
-            {
-                "file": out,
-                "fmi": version,
-                "model": done.interface.identifier,
-                "token": done.token,
-                "blocks": list(done.interface.part.blocks),
-                "step": loaded.solver.step,
-                "variables": counts,
-                "libraries": done.libraries,
-            }
-        )
-        return
-    click.echo(f"{out}: FMI {version}, model exchange and co-simulation, step {loaded.solver.step:g} s")
-    click.echo(", ".join(f"{n} {role}{'' if n == 1 else 's'}" for role, n in counts.items()))
-    lines = [[name, f"{size / 1e3:.0f} kB"] for name, size in done.libraries.items()]
-    click.echo(common.table(["platform", "library"], lines) if lines else "sources only")
+    data = {
+        "file": out,
+        "fmi": version,
+        "model": done.interface.identifier,
+        "token": done.token,
+        "blocks": list(done.interface.part.blocks),
+        "step": loaded.solver.step,
+        "variables": counts,
+        "libraries": done.libraries,
+    }
+    sizes = [(name, f"{size / 1e3:.0f} kB") for name, size in done.libraries.items()]
+    lines = [
+        f"{out}: FMI {version}, model exchange and co-simulation, step {loaded.solver.step:g} s",
+        ", ".join(counted(n, role) for role, n in counts.items()),
+        table(("platform", "library"), sizes) if sizes else "sources only",
+    ]
+    show(as_json, lambda: data, lambda: "\n".join(lines))
+
+
+@command.command("info")
+@click.argument("file", metavar="FILE")
+@click.option("--all", "every", is_flag=True, help="Show local variables too, and all of every kind.")
+@json_option
+def info(file: str, every: bool, as_json: bool) -> None:
+    """Show what an FMU holds: platforms, kinds, variables with units, and what of it is supported.
+
+    Nothing of it is loaded or unpacked.
+    """
+    from rotorsim.fmi.description.info import information, information_text
+    from rotorsim.fmi.runtime.slave import describe_fmu
+
+    data = information(describe_fmu(file), every=every)
+    show(as_json, lambda: data, lambda: information_text(data, every=every))
+
+
+@command.command("validate")
+@click.argument("file", metavar="FILE")
+@click.option("--load", is_flag=True, help="Instantiate and initialise it too, in a process of its own: it is code.")
+@click.option("--no-fmpy", is_flag=True, help="Do not ask FMPy's validator.")
+@json_option
+def validate(file: str, load: bool, no_fmpy: bool, as_json: bool) -> int:
+    """Find every mistake in an FMU: archive, model description, libraries.
+
+    Its code is not run without --load. Exit code 0: no mistake, 1: mistakes, 2: it cannot be read at all.
+    """
+    from rotorsim.fmi.validate import validate_fmu
+
+    try:
+        problems, code = validate_fmu(file, load=load, fmpy=not no_fmpy), 0
+    except RotorsimError as error:
+        problems, code = list(error.problems), 2
+    mistakes = sum(problem.severity == "error" for problem in problems)
+    code = code or int(mistakes > 0)
+    show_problems(problems)
+    fine = f"{file}: no mistakes" + (f", {counted(len(problems), 'warning')}" if problems else "")
+    data = {"fmu": file, "valid": code == 0, "problems": [problem_data(problem) for problem in problems]}
+    show(as_json, lambda: data, lambda: "" if code else fine)
+    note_mistakes(mistakes)
+    return code

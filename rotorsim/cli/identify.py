@@ -2,24 +2,40 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
+import math
 from typing import TYPE_CHECKING
 
 import click
 
-from rotorsim.cli import common
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.cli.shared import (
+    Chosen,
+    check_folder,
+    diagram_argument,
+    given_options,
+    hold_out_option,
+    json_option,
+    keep_diagram,
+    measured_input_option,
+    note,
+    recording_argument,
+    refuse_all,
+    share_of,
+    show,
+    show_problems,
+    whole_numbers,
+)
+from rotorsim.errors import Problem
+from rotorsim.report.text.table import parameter_unit, percent, table
 
 if TYPE_CHECKING:
     from rotorsim.identification.identification import Identification
 
-__all__ = ["command"]
+USES = {"identify": "identified from", "hold_out": "held out"}
 
 
 @click.command("identify")
-@click.argument("diagram", metavar="DIAGRAM")
-@click.argument("recording", metavar="RECORDING")
+@diagram_argument
+@recording_argument
 @click.option("--out", metavar="DIR", help="Write identification.json, diagram.json and figures into this folder.")
 @click.option(
     "--method",
@@ -28,14 +44,8 @@ __all__ = ["command"]
     show_default=True,
     help="Maximum likelihood, or the thesis' least squares.",
 )
-@click.option(
-    "--measured-input",
-    "given",
-    multiple=True,
-    metavar="PORT",
-    help="Take this port as it was measured; what makes it need not be right.",
-)
-@click.option("--hold-out", metavar="RECORDING", help="Further runs on which the fit is scored.")
+@measured_input_option
+@hold_out_option
 @click.option(
     "--precision",
     metavar="SHARE",
@@ -51,12 +61,10 @@ __all__ = ["command"]
     show_default=True,
     help="Elimination of what was not measured, in the regression; central: as in the thesis.",
 )
-@common.set_option
-@common.without_option
-@common.trust_option
-@common.json_option
+@given_options
+@json_option
 def command(
-    diagram: str,
+    chosen: Chosen,
     recording: str,
     out: str | None,
     method: str,
@@ -65,11 +73,8 @@ def command(
     precision: str,
     orders: str | None,
     reduction: str,
-    settings: tuple[str, ...],
-    without: tuple[str, ...],
-    trust_blocks: bool,
     as_json: bool,
-) -> None:
+) -> int:
     """Estimate the free parameters of DIAGRAM (its key "identify") from the measurements in RECORDING.
 
     RECORDING is a folder with recording.json. Every parameter comes with a 90 % interval and a verdict: identified,
@@ -79,20 +84,17 @@ def command(
     \b
     rotorsim identify jeffcott measurements/2026-11 --out result
     """
-    from rotorsim.cli.app import show_problems
     from rotorsim.identification.files import identification_data, save_identification
     from rotorsim.identification.identification import identify
     from rotorsim.identification.regression import THESIS_ORDERS
     from rotorsim.recordings.loading import load_recording
 
-    common.check_folder("--out", out)
-    if out and Path(diagram).exists() and (Path(out) / "diagram.json").resolve() == Path(diagram).resolve():
-        raise RotorsimError(Problem(f"--out {out}: would overwrite {diagram}", hint="give another folder"))
-    share = _share(precision)
-    wanted = THESIS_ORDERS if orders is None else _orders(orders)
+    check_folder("--out", out)
+    keep_diagram(out, chosen.name)
+    share = share_of("--precision", precision, "for example --precision '5 %'")
+    wanted = THESIS_ORDERS if orders is None else whole_numbers("--orders", orders, "--orders 0,1,2,-1")
     _refuse_unheard(method, orders, reduction, given)
-    loaded = common.open_diagram(diagram, settings, without, trust_blocks)
-    measured = load_recording(recording)
+    loaded, measured = chosen.open(), load_recording(recording)
     found = identify(
         loaded,
         measured,
@@ -108,78 +110,41 @@ def command(
         from rotorsim.report.identification.figures import save_figures
 
         for file in [*save_identification(found, out), *save_figures(found, measured, out)]:
-            common.note(f"written: {file}")
-    if as_json:
-        common.echo_json(identification_data(found))
-    else:
-        click.echo(_text(found))
-    if found.open or not found.adequate:
-        sys.exit(1)
+            note(f"written: {file}")
+    show(as_json, lambda: identification_data(found), lambda: _text(found))
+    return 1 if found.open or not found.adequate else 0
 
 
 def _refuse_unheard(method: str, orders: str | None, reduction: str, given: tuple[str, ...]) -> None:
     """Refuse options that belong to the other method."""
     problems = []
     if method == "likelihood":
-        options = [("--orders", orders is not None), ("--reduction", reduction != "exact")]
-        problems = [Problem(f"{name} belongs to --method regression") for name, used in options if used]
+        options = {"--orders": orders is not None, "--reduction": reduction != "exact"}
+        problems = [Problem(f"{name} belongs to --method regression") for name, used in options.items() if used]
     elif given:
         hint = "it takes every port that was measured whole as it was"
         problems = [Problem("--measured-input belongs to --method likelihood", hint=hint)]
-    if problems:
-        raise RotorsimError(*problems)
+    refuse_all(problems)
 
 
 def _text(found: Identification) -> str:
     """Return the table of parameters, the fit and the statement."""
     rows = []
     for item in found.parameters.values():
-        scale, unit = _shown(item.unit)
+        unit, scale = parameter_unit(item.unit)
         low, high = (f"{end * scale:.6g}" for end in item.interval90)
         verdict = ("yes" if found.adequate else "if the model is right") if item.verdict.identifiable else "NO"
         rows.append(
             (item.name, f"{item.value * scale:.6g}", f"{item.std * scale:.2g}", f"{low} .. {high}", unit, verdict)
         )
-    header = ("parameter", "value", "std", "90 % interval", "unit", "identified")
-    parts = [common.table(header, rows)]
-    signals = list(found.noise_floor)
-    fit_rows = [
-        (
-            signal,
-            *(f"{found.fit[use].get(signal, float('nan')) * 100:.3g} %" for use in found.fit),
-            f"{found.noise_floor[signal] * 100:.3g} %",
-        )
-        for signal in signals
+    errors = [
+        (signal, *(f"{fit.get(signal, math.nan) * 100:.3g} %" for fit in found.fit.values()), percent(floor))
+        for signal, floor in found.noise_floor.items()
     ]
-    uses = [{"identify": "identified from", "hold_out": "held out"}[use] for use in found.fit]
-    parts.append(common.table(("NRMSE of signal", *uses, "noise floor"), fit_rows))
-    parts.append(found.statement)
-    return "\n\n".join(parts)
-
-
-def _shown(unit: str) -> tuple[float, str]:
-    import math
-
-    return {"m": (1e6, "um"), "rad": (180 / math.pi, "deg")}.get(unit, (1.0, unit))
-
-
-def _share(text: str) -> float:
-    try:
-        value = float(text.rstrip("% ")) / (100 if "%" in text else 1)
-    except ValueError:
-        value = -1.0
-    if not 0 < value <= 1:
-        raise RotorsimError(Problem(f"--precision {text}: not a share", hint="for example --precision '5 %'"))
-    return value
-
-
-def _orders(text: str) -> tuple[int, ...]:
-    try:
-        orders = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        orders = ()
-    if not orders or len(set(orders)) < len(orders):
-        raise RotorsimError(
-            Problem(f"--orders {text}: not a list of different whole numbers", hint="--orders 0,1,2,-1")
-        )
-    return orders
+    return "\n\n".join(
+        [
+            table(("parameter", "value", "std", "90 % interval", "unit", "identified"), rows),
+            table(("NRMSE of signal", *(USES[use] for use in found.fit), "noise floor"), errors),
+            found.statement,
+        ]
+    )

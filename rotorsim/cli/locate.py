@@ -2,46 +2,45 @@
 
 from __future__ import annotations
 
-import sys
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli import common
+from rotorsim.cli.shared import (
+    Chosen,
+    diagram_argument,
+    file_option,
+    given_options,
+    json_option,
+    measured_input_option,
+    note,
+    recording_argument,
+    show,
+)
+from rotorsim.report.text.table import table
 
 if TYPE_CHECKING:
+    from rotorsim.diagram.diagram import Diagram
     from rotorsim.identification.locate import Location
-
-__all__ = ["command"]
 
 SURE = 0.9  # probability of a place
 NOT_EXPLAINED = 1e-3  # probability of the misfit
 
 
 @click.command("locate")
-@click.argument("diagram", metavar="DIAGRAM")
-@click.argument("recording", metavar="RECORDING")
+@diagram_argument
+@recording_argument
 @click.option("--block", default="crack", show_default=True, help="Block whose force is moved from node to node.")
 @click.option("--count", type=click.IntRange(1, 2), default=1, show_default=True, help="2: tries a pair at two nodes.")
-@click.option("--measured-input", "given", multiple=True, metavar="PORT", help="Take this port as it was measured.")
-@click.option("--out", metavar="FILE", help="Write the diagram with the block at the most probable place.")
-@common.set_option
-@common.without_option
-@common.trust_option
-@common.json_option
+@measured_input_option
+@file_option("--out", suffixes=(".json",), help="Write the diagram with the block at the most probable place.")
+@given_options
+@json_option
 def command(
-    diagram: str,
-    recording: str,
-    block: str,
-    count: int,
-    given: tuple[str, ...],
-    out: str | None,
-    settings: tuple[str, ...],
-    without: tuple[str, ...],
-    trust_blocks: bool,
-    as_json: bool,
-) -> None:
+    chosen: Chosen, recording: str, block: str, count: int, given: tuple[str, ...], out: str | None, as_json: bool
+) -> int:
     """Find the node at which a crack (or another force) acts: every node is tried and refitted.
 
     Exit code 1: the place is not sure, or the model does not explain the data even there.
@@ -50,43 +49,39 @@ def command(
     \b
     rotorsim locate fe_rigid measurements --block crack
     """
-    from rotorsim.identification.files import with_values
     from rotorsim.identification.locate import locate
     from rotorsim.recordings.loading import load_recording
 
-    common.check_target("--out", out, (".json",))
-    loaded = common.open_diagram(diagram, settings, without, trust_blocks)
-    measured = load_recording(recording)
-    found = locate(loaded, measured, block, count=count, given=given, trust_blocks=trust_blocks)
-    single = locate(loaded, measured, block, given=given, trust_blocks=trust_blocks)[0] if count == 2 else None
+    loaded, measured, trust = chosen.open(), load_recording(recording), chosen.trust_blocks
+    found = locate(loaded, measured, block, count=count, given=given, trust_blocks=trust)
+    single = locate(loaded, measured, block, given=given, trust_blocks=trust)[0] if count == 2 else None
     if out:
-        from rotorsim.diagram.parse.fmt import format_document
-        from rotorsim.files import write_atomically
-        from rotorsim.model.load import load
-
-        best = found[0]
-        folder = Path(loaded.file).parent if loaded.file else None
-        placed = load(best.document, folder=folder, trust_blocks=trust_blocks)
-        document = with_values(placed, list(zip(best.estimate.free, best.estimate.theta.tolist(), strict=True)))
-        write_atomically(out, format_document(document))
-        common.note(f"written: {out}")
-    sure = found[0].probability > SURE and found[0].estimate.goodness >= NOT_EXPLAINED
-    if as_json:
-        common.echo_json(_data(found, single))
-        sys.exit(0 if sure else 1)
+        _save(found[0], loaded, out, trust)
+        note(f"written: {out}")
     rows = [
         (" and ".join(map(str, item.nodes)), f"{item.probability:.3g}", f"{item.misfit / item.estimate.freedom:.4g}")
         for item in found
     ]
-    click.echo(common.table((f"node of {block}", "probability", "misfit / freedom"), rows))
-    click.echo("\n" + _statement(found, single, block))
-    sys.exit(0 if sure else 1)
+    places = table((f"node of {block}", "probability", "misfit / freedom"), rows)
+    show(as_json, lambda: _data(found, single), lambda: f"{places}\n\n{_statement(found, single, block)}")
+    return 0 if found[0].probability > SURE and found[0].estimate.goodness >= NOT_EXPLAINED else 1
+
+
+def _save(best: Location, diagram: Diagram, file: str, trust_blocks: bool) -> None:
+    """Write the diagram with the block at a place, with the values identified there."""
+    from rotorsim.diagram.parse.fmt import format_document
+    from rotorsim.files import write_atomically
+    from rotorsim.identification.files import with_values
+    from rotorsim.model.load import load
+
+    folder = Path(diagram.file).parent if diagram.file else None
+    placed = load(best.document, folder=folder, trust_blocks=trust_blocks)
+    values = list(zip(best.estimate.free, best.estimate.theta.tolist(), strict=True))
+    write_atomically(file, format_document(with_values(placed, values)))
 
 
 def _criterion(item: Location) -> float:
     """Return the Bayesian information criterion: misfit and a charge for every parameter."""
-    import math
-
     return item.misfit + len(item.values) * math.log(item.estimate.evaluation.rows)
 
 
@@ -95,20 +90,14 @@ def _statement(found: list[Location], single: Location | None, block: str) -> st
     places = " and ".join(map(str, best.nodes))
     if single is None and best.probability <= SURE:
         return f"The node of {block} cannot be told: {places} is most probable, with {best.probability:.2g} only."
-    if best.estimate.goodness < NOT_EXPLAINED:
-        poor = f"; but even there the model leaves {best.estimate.excess:.3g} times the variance of the noise"
-    else:
-        poor = ""
+    poor = f"; but even there the residual variance is {best.estimate.excess:.3g} times the noise"
+    poor = poor if best.estimate.goodness < NOT_EXPLAINED else ""
     if single is None:
         return f"{block} acts at node {places} (probability {best.probability:.3g}){poor}."
     gain = _criterion(single) - _criterion(best)
     if gain > 10:
-        return (
-            f"Two of {block} at nodes {places} explain the data better than one (criterion lower by {gain:.3g}){poor}."
-        )
-    return (
-        f"One {block} at node {single.nodes[0]} is enough: a second one gains nothing (criterion {-gain:+.3g}){poor}."
-    )
+        return f"Two of {block} at nodes {places} explain the data better than one (BIC lower by {gain:.3g}){poor}."
+    return f"One {block} at node {single.nodes[0]} is enough: a second one gains nothing (BIC {-gain:+.3g}){poor}."
 
 
 def _data(found: list[Location], single: Location | None) -> dict[str, Any]:

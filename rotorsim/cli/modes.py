@@ -2,64 +2,51 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import click
 
-from rotorsim.cli import common
+from rotorsim.cli.shared import Chosen, diagram_options, json_option, note, show
+from rotorsim.report.text.table import table
 
-__all__ = ["command"]
+if TYPE_CHECKING:
+    from rotorsim.linear.eigenmodes import Modes
 
 ROUNDING = 1e-9  # damping ratio of an undamped mode, but for rounding
+HEADER = ("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl")
 
 
 @click.command("modes")
-@common.diagram_options
-@common.json_option
-def command(
-    diagram: str, settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, as_json: bool
-) -> None:
+@diagram_options
+@json_option
+def command(chosen: Chosen, as_json: bool) -> None:
     """Natural frequencies, damping ratios and whirl of the linearised diagram, in ascending damped frequency.
 
     \b
     rotorsim modes fe_rigid --without amb --set "speed=3000 rpm"
     """
-    loaded = common.open_diagram(diagram, settings, without, trust_blocks)
+    loaded = chosen.open()
     from rotorsim.linear.eigenmodes import modes
 
     found = modes(loaded)
-    for text in found.notes:
-        common.note(text)
-    if not found.stable:
-        common.note("unstable: a pole has a positive real part")
-    if as_json:
-        common.echo_json(
-            {
-                "diagram": loaded.name,
-                "speed": found.speed,
-                "stable": found.stable,
-                "modes": found.to_table(),
-                "real_poles": found.real_poles,
-            }
-        )
-        return
-    numbered = list(enumerate(found.modes, 1))
-    for title, resonant in (("", True), ("\ndamped beyond 0.707, which no force brings to resonance", False)):
-        rows = [
-            (
-                str(k),
-                f"{mode.frequency_hz:.4f}",
-                f"{mode.natural_frequency_hz:.4f}",
-                f"{round(mode.damping_ratio, 6) + 0.0:.6f}",
-                mode.whirl + (", grows" if mode.damping_ratio < -ROUNDING else ""),
-            )
-            for k, mode in numbered
-            if mode.resonant == resonant
-        ]
-        if rows and title:
-            click.echo(title)
-        if rows or resonant:
-            click.echo(common.table(("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl"), rows))
+    for text in (*found.notes, *([] if found.stable else ["unstable: a pole has a positive real part"])):
+        note(text)
+    data = {"diagram": loaded.name, "speed": found.speed, "stable": found.stable, "modes": found.to_table()}
+    show(as_json, lambda: {**data, "real_poles": found.real_poles}, lambda: _text(found))
+
+
+def _text(found: Modes) -> str:
+    rows: dict[bool, list[tuple[str, ...]]] = {True: [], False: []}
+    for k, mode in enumerate(found.modes, 1):
+        frequencies = f"{mode.frequency_hz:.4f}", f"{mode.natural_frequency_hz:.4f}"
+        damping = f"{round(mode.damping_ratio, 6) + 0.0:.6f}"
+        grows = ", grows" if mode.damping_ratio < -ROUNDING else ""
+        rows[mode.resonant].append((str(k), *frequencies, damping, mode.whirl + grows))
+    parts = [table(HEADER, rows[True])]
+    if rows[False]:
+        parts.append(f"damped beyond 0.707, which no force brings to resonance\n{table(HEADER, rows[False])}")
     if len(found.real_poles):
-        grows = 0.0 if found.stable else 1e-9 * float(abs(found.real_poles).max())
-        marks = [" (grows)" if not found.stable and pole > grows else "" for pole in found.real_poles]
-        poles = ", ".join(f"{pole:.4g}{mark}" for pole, mark in zip(found.real_poles, marks, strict=True))
-        click.echo(f"\npoles that do not oscillate [1/s]: {poles}")
+        least = 0.0 if found.stable else 1e-9 * float(abs(found.real_poles).max())
+        poles = (f"{p:.4g}{' (grows)' if not found.stable and p > least else ''}" for p in found.real_poles)
+        parts.append(f"poles that do not oscillate [1/s]: {', '.join(poles)}")
+    return "\n\n".join(parts)

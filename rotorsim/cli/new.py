@@ -6,10 +6,8 @@ from pathlib import Path
 
 import click
 
-from rotorsim.cli import common
-from rotorsim.errors import Place, Problem, RotorsimError, near_miss
-
-__all__ = ["command"]
+from rotorsim.cli.shared import echo_json, json_option, note, refuse_all
+from rotorsim.errors import Place, Problem, near_miss
 
 SCHEMA = "diagram.schema.json"
 
@@ -17,7 +15,7 @@ SCHEMA = "diagram.schema.json"
 @click.command("new")
 @click.argument("name", metavar="NAME")
 @click.option("--from", "source", metavar="DIAGRAM", default="jeffcott", help="Which one to copy [jeffcott].")
-@common.json_option
+@json_option
 def command(name: str, source: str, as_json: bool) -> None:
     """Copy a diagram that comes with rotorsim to NAME.json, to be edited.
 
@@ -40,13 +38,12 @@ def command(name: str, source: str, as_json: bool) -> None:
     if path.exists():
         hint = "choose another name, or delete the file"
         problems.append(Problem("is there already", place=Place(str(path)), hint=hint))
-    if problems:
-        raise RotorsimError(*problems)
+    refuse_all(problems)
     document = {**read_document(shipped[source]).data, "name": path.stem}
     write_atomically(path, format_document(document))
     schema = path.with_name(SCHEMA)
     if not schema.exists():
         write_atomically(schema, shipped[source].with_name(SCHEMA).read_bytes())
     if as_json:
-        common.echo_json({"file": str(path), "from": source})
-    common.note(f"written: {path}")
+        echo_json({"file": str(path), "from": source})
+    note(f"written: {path}")

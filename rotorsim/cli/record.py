@@ -3,36 +3,62 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
-import re
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli import common
-from rotorsim.cli.spectrum import window_of
+from rotorsim.cli.shared import (
+    Chosen,
+    check_folder,
+    clock_of,
+    diagram_options,
+    gains_of,
+    json_option,
+    noise_kind_option,
+    note,
+    parse_settings,
+    progress_bar,
+    progress_option,
+    quantity,
+    refuse_all,
+    refuse_if,
+    show,
+    speeds_of,
+    warn,
+    window_of,
+)
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.report.text.table import counted, rpm, table
 
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.measure.record import Noise
     from rotorsim.model.compiled import Model
     from rotorsim.recordings.writing import NewRun
-
-__all__ = ["command", "parse_gains"]
+    from rotorsim.simulation.result import Result
 
 MOST_RUNS = 10_000
 LEAST = 4.0  # samples a turn
 SHARE = 0.2  # of the run that is kept, at its end
-_NEXT = re.compile(r",(?=\s*[A-Za-z_][\w/.]*\s*=)")  # a comma before NAME=, not one inside a list
+HERTZ = {"": 1.0, "Hz": 1.0, "kHz": 1e3, "MHz": 1e6}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How each run is measured: part that is kept [s], settled from the start, sample rate [Hz], noise."""
+
+    window: tuple[float, float] | None
+    settle: bool
+    rate: float | None
+    noise: Noise | None
 
 
 @click.command("record")
-@common.diagram_options
+@diagram_options
 @click.option(
     "--out", required=True, metavar="FOLDER", help="Folder of the recording: recording.json and a file a run."
 )
@@ -57,25 +83,21 @@ _NEXT = re.compile(r",(?=\s*[A-Za-z_][\w/.]*\s*=)")  # a comma before NAME=, not
 @click.option("--settle", is_flag=True, help="Begin in the settled motion: no transient.")
 @click.option("--rate", metavar="RATE", help="Samples, as '5000 Hz' (default: as the diagram records).")
 @click.option("--noise", metavar="LEVEL", help="Noise on every channel, as '5 %' of its rms about its mean.")
-@click.option(
-    "--noise-kind",
-    type=click.Choice(common.NOISE_KINDS),
+@noise_kind_option(
+    "noise_kind",
+    "white: additive; thesis: eq. (2.67) with normal R; uniform: with R from 0 to 1.",
     default="white",
     show_default=True,
-    help="white: additive; thesis: eq. (2.67) with normal R; uniform: with R from 0 to 1.",
 )
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the noise.")
 @click.option(
     "--format", "form", type=click.Choice(("npz", "csv")), default="npz", show_default=True, help="Of the data files."
 )
 @click.option("--overwrite", is_flag=True, help="Replace a recording that is in the folder.")
-@common.progress_option
-@common.json_option
+@progress_option
+@json_option
 def command(
-    diagram: str,
-    settings: tuple[str, ...],
-    without: tuple[str, ...],
-    trust_blocks: bool,
+    chosen: Chosen,
     out: str,
     speeds: str | None,
     gains: tuple[str, ...],
@@ -100,102 +122,104 @@ def command(
     \b
     rotorsim record jeffcott --speeds "1140 rpm:60 rpm:1620 rpm" --settle --noise "1 %" --out measured
     """
-    _check_folder(out, overwrite)
+    check_folder("--out", out)
+    refuse_if(
+        (Path(out) / "recording.json").exists() and not overwrite,
+        "there is a recording already",
+        place=Place(out),
+        hint="choose another folder, or --overwrite",
+    )
     span = window_of(window) if window else None
-    if span and span[0] < 0:
-        raise RotorsimError(Problem(f"--window {window}: begins before the run", hint="runs begin at t = 0"))
-    hertz = _hertz(rate) if rate else None
-    level = _level(noise) if noise else 0.0
-    chosen, held = _speeds(speeds, hold_out)
-    known = [parse_gains(text) for text in gains] or [{}]
-    _limit(len(chosen) * len(known))
-    diagrams = _diagrams(diagram, settings, without, trust_blocks, known)
+    refuse_if(span and span[0] < 0, f"--window {window}: begins before the run", hint="runs begin at t = 0")
+    hertz, level = _hertz(rate) if rate else None, _level(noise) if noise else 0.0
+    at, held = _speeds(speeds, hold_out)
+    known = [gains_of(text) for text in gains] or [{}]
+    _limit(len(at) * len(known))
+    diagrams = _diagrams(chosen, known)
     measured = list(signals) or _two_axis(diagrams[0])
     from rotorsim.measure.record import Noise
+    from rotorsim.model.compiled import compile_diagram
+    from rotorsim.recordings.writing import NewRun, save_recording
 
-    disturbance = Noise(level, noise_kind, seed) if level else None
-    runs = _simulate(diagrams, known, chosen, held, measured, span, settle, hertz, disturbance, progress)
-    source = _source(settings, without, settle, disturbance)
-    from rotorsim.recordings.writing import save_recording
+    plan = Plan(span, settle, hertz, Noise(level, noise_kind, seed) if level else None)
+    cases = list(itertools.product(zip(map(compile_diagram, diagrams), known, strict=True), at))
+    width = max(len(str(len(cases))), 2)
+    runs: list[NewRun] = []
+    with progress_bar(diagrams[0].name, progress) as bar:
+        for k, ((model, settings), speed) in enumerate(cases):
 
-    _warn(runs)
+            def forward(fraction: float, k: int = k) -> None:
+                if bar:
+                    bar((k + fraction) / len(cases))
+
+            run = NewRun(f"run{k + 1:0{width}}", *_measured(model, measured, speed, plan, k, forward), settings)
+            runs.append(replace(run, use="hold_out" if speed in held else "identify"))
+    for run in runs:
+        _warn(run)
+    source = _source(chosen, plan)
     path = save_recording(
         out, runs, name=diagrams[0].name, source=source, signals=measured, suffix=f".{form}", overwrite=overwrite
     )
-    common.note(f"written: {path} and {len(runs)} data file{'s' if len(runs) > 1 else ''}")
-    _show(runs, out, measured, as_json)
+    note(f"written: {path} and {counted(len(runs), 'data file')}")
+    data = [
+        {"id": run.id, "speed": run.speed, "samples": len(run.result.time), "use": run.use, "set": dict(run.settings)}
+        for run in runs
+    ]
+    rows = [
+        (
+            run.id,
+            "-" if run.speed is None else f"{rpm(run.speed):.6g}",
+            str(len(run.result.time)),
+            run.use,
+            ", ".join(f"{name} = {value}" for name, value in run.settings.items()) or "-",
+        )
+        for run in runs
+    ]
+    header = ("run", "speed [rpm]", "samples", "use", "set")
+    show(as_json, lambda: {"folder": out, "signals": measured, "runs": data}, lambda: table(header, rows))
 
 
-def _simulate(
-    diagrams: Sequence[Diagram],
-    known: Sequence[dict[str, Any]],
-    speeds: Sequence[float | None],
-    held: set[float],
+def _measured(
+    model: Model,
     signals: Sequence[str],
-    span: tuple[float, float] | None,
-    settle: bool,
-    rate: float | None,
-    noise: Noise | None,
-    progress: bool | None,
-) -> list[NewRun]:
-    """Return one run per set of gains and speed, in this order."""
+    speed: float | None,
+    plan: Plan,
+    number: int,
+    progress: Callable[[float], None],
+) -> tuple[Result, float | None]:
+    """Return the result of one run, and its nominal speed [rad/s]."""
     from rotorsim.linear.eigenmodes import require_speed
     from rotorsim.linear.linearisation import speed_of
     from rotorsim.measure.record import measure, noisy
-    from rotorsim.model.compiled import compile_diagram
-    from rotorsim.recordings.writing import NewRun
 
-    clock = common.clock_of(diagrams[0])
-    rising = clock is not None and diagrams[0].nodes[clock].block.option.profile != "constant"
-    if rising and (speeds != [None] or settle):
-        option = "--settle" if settle else "--speeds"
+    diagram = model.diagram
+    clock, stop = clock_of(diagram), diagram.solver.stop
+    rising = clock is not None and diagram.nodes[clock].block.option.profile != "constant"
+    if rising and (speed is not None or plan.settle):
+        option = "--settle" if plan.settle else "--speeds"
         hint = f"{option} needs a diagram with the clock profile 'constant'"
-        raise RotorsimError(Problem(f"{option}: the speed of this diagram changes", diagrams[0].name, hint=hint))
-    stop = diagrams[0].solver.stop
-    window = span or (0.0 if rising else (1 - SHARE) * stop, stop)
-    total = len(diagrams) * len(speeds)
-    width = max(len(str(total)), 2)
-    runs: list[NewRun] = []
-    with common.progress_bar(diagrams[0].name, progress) as show:
-        for loaded, gains in zip(diagrams, known, strict=True):
-            model = compile_diagram(loaded)
-            if speeds != [None]:
-                require_speed(model, "--speeds")
-            for speed in speeds:
-                done = len(runs)
-
-                def forward(fraction: float, done: int = done) -> None:
-                    if show:
-                        show((done + fraction) / total)
-
-                result = measure(
-                    model,
-                    signals,
-                    f"{clock}.theta" if clock else None,
-                    window=window,
-                    rate=rate,
-                    speed=speed,
-                    settle=settle,
-                    progress=forward,
-                )
-                if noise:
-                    result = noisy(result, noise, done)
-                nominal = speed if speed is not None or rising else speed_of(model, model.p0)
-                use = "hold_out" if speed in held else "identify"
-                runs.append(NewRun(f"run{done + 1:0{width}}", result, nominal, gains, use))
-    return runs
+        raise RotorsimError(Problem(f"{option}: the speed of this diagram changes", diagram.name, hint=hint))
+    if speed is not None:
+        require_speed(model, "--speeds")
+    result = measure(
+        model,
+        signals,
+        f"{clock}.theta" if clock else None,
+        window=plan.window or (0.0 if rising else (1 - SHARE) * stop, stop),
+        rate=plan.rate,
+        speed=speed,
+        settle=plan.settle,
+        progress=progress,
+    )
+    nominal = speed if speed is not None or rising else speed_of(model, model.p0)
+    return noisy(result, plan.noise, number) if plan.noise else result, nominal
 
 
-def _diagrams(
-    diagram: str, settings: Sequence[str], without: Sequence[str], trust_blocks: bool, known: Sequence[dict[str, Any]]
-) -> list[Diagram]:
+def _diagrams(chosen: Chosen, known: Sequence[Mapping[str, Any]]) -> list[Diagram]:
     """Return the diagram with each set of gains."""
-    from rotorsim.cli.app import show_problems
     from rotorsim.model.load import load
 
-    given = common.parse_settings(settings)
-    loaded = load(diagram, set=given, without=without, trust_blocks=trust_blocks)
-    show_problems(loaded.warnings)
+    given, loaded = parse_settings(chosen.settings), chosen.open()
     parameters = {*loaded.parameters, *(f"{n}.{key}" for n, node in loaded.nodes.items() for key in node.values)}
     problems = []
     for name in dict.fromkeys(name for gains in known for name in gains):
@@ -206,63 +230,45 @@ def _diagrams(
             problems.append(Problem(f"--gains {name}: no such parameter in {loaded.name}", hint=hint))
         elif name in given:
             problems.append(Problem(f"--gains {name}: is given by --set as well", hint="give it once"))
-    if problems:
-        raise RotorsimError(*problems)
-    found = []
+    refuse_all(problems)
+    diagrams = []
     for gains in known:
         try:
-            both = {**given, **gains}
-            found.append(load(diagram, set=both, without=without, trust_blocks=trust_blocks) if gains else loaded)
+            both, trust = {**given, **gains}, chosen.trust_blocks
+            diagrams.append(
+                load(chosen.name, set=both, without=chosen.without, trust_blocks=trust) if gains else loaded
+            )
         except RotorsimError as error:
             problems += [replace(p, place=Place("--gains")) if p.place.file == "--set" else p for p in error.problems]
-    if problems:
-        raise RotorsimError(*problems)
-    return found
-
-
-def parse_gains(text: str) -> dict[str, Any]:
-    """Return ``"controller.KP=9000, controller.KD=4.5"`` as a mapping; values as in `common.parse_settings`."""
-    values: dict[str, Any] = {}
-    hint = "for example --gains 'controller.KP=9000, controller.KD=4.5'"
-    for part in _NEXT.split(text):
-        name, equals, value = (piece.strip() for piece in part.partition("="))
-        if not equals or not name or not value:
-            raise RotorsimError(Problem(f"--gains {text}: '{part.strip()}' is not NAME=VALUE", hint=hint))
-        if name in values:
-            raise RotorsimError(Problem(f"--gains {text}: {name} is there twice", hint="a --gains for each value"))
-        try:
-            values[name] = json.loads(value, parse_constant=lambda constant: constant)
-        except (ValueError, RecursionError):
-            values[name] = value
-    return values
+    refuse_all(problems)
+    return diagrams
 
 
 def _limit(runs: int) -> None:
-    if runs > MOST_RUNS:
-        raise RotorsimError(Problem(f"{runs} runs, at most {MOST_RUNS}", hint="fewer speeds"))
+    refuse_if(runs > MOST_RUNS, f"{runs} runs, at most {MOST_RUNS}", hint="fewer speeds")
 
 
 def _speeds(speeds: str | None, hold_out: str | None) -> tuple[list[float | None], set[float]]:
     """Return the speeds of the runs [rad/s] (None: the diagram's own), and those held out."""
-    chosen = [float(speed) for speed in common.speeds_of(speeds)] if speeds else []
-    _limit(len(chosen))
-    if any(after - before < 1e-9 for before, after in itertools.pairwise(sorted(chosen))):
-        hint = "runs at one speed need different --gains"
-        raise RotorsimError(Problem(f"--speeds {speeds}: the same speed twice", hint=hint))
+    at: list[float] = speeds_of(speeds).tolist() if speeds else []
+    _limit(len(at))
+    refuse_if(
+        any(after - before < 1e-9 for before, after in itertools.pairwise(sorted(at))),
+        f"--speeds {speeds}: the same speed twice",
+        hint="runs at one speed need different --gains",
+    )
     if hold_out is None:
-        return list(chosen) or [None], set()
-    if not speeds:
-        hint = "for example --speeds '1200 rpm, 1320 rpm' --hold-out '1260 rpm'"
-        raise RotorsimError(Problem("--hold-out needs --speeds", hint=hint))
+        return list(at) or [None], set()
+    refuse_if(
+        not speeds, "--hold-out needs --speeds", hint="for example --speeds '1200 rpm, 1320 rpm' --hold-out '1260 rpm'"
+    )
     held: set[float] = set()
-    for speed in map(float, common.speeds_of(hold_out, "--hold-out")):
-        same = [other for other in chosen if abs(other - speed) < 1e-9]
-        if not same:
-            chosen.append(speed)
+    for speed in speeds_of(hold_out, "--hold-out").tolist():
+        same = [other for other in at if abs(other - speed) < 1e-9]
+        at += [] if same else [speed]
         held.add(same[0] if same else speed)
-    if len(held) == len(chosen):
-        raise RotorsimError(Problem("--hold-out leaves no run to identify from", hint="more --speeds"))
-    return list(chosen), held
+    refuse_if(len(held) == len(at), "--hold-out leaves no run to identify from", hint="more --speeds")
+    return list(at), held
 
 
 def _two_axis(diagram: Diagram) -> list[str]:
@@ -270,17 +276,17 @@ def _two_axis(diagram: Diagram) -> list[str]:
     from rotorsim.model.compiled import compile_diagram
 
     model = compile_diagram(diagram)
-    found: list[str] = []
-    for name in map(str, diagram.record):
-        shape = model.shape_of(name)
-        if len(shape) == 2 and shape[1] == 2:
-            found += [f"{name}[{k + 1}]" for k in range(shape[0]) if _moves(model, f"{name}[{k + 1}]")]
-        elif shape == (2,):
-            found.append(name)
-    if not found:
-        hint = "--signal rotor.displacement, for example"
-        raise RotorsimError(Problem("the diagram records no two-axis signal", diagram.name, hint=hint))
-    return found
+    shapes = {str(name): model.shape_of(str(name)) for name in diagram.record}
+    nodes = {name: [f"{name}[{k + 1}]" for k in range(shape[0])] for name, shape in shapes.items() if len(shape) == 2}
+    signals = [
+        signal
+        for name, shape in shapes.items()
+        if shape[1:] == (2,) or shape == (2,)
+        for signal in ([node for node in nodes[name] if _moves(model, node)] if name in nodes else [name])
+    ]
+    hint = "--signal rotor.displacement, for example"
+    refuse_if(not signals, "the diagram records no two-axis signal", diagram.name, hint=hint)
+    return signals
 
 
 def _moves(model: Model, name: str) -> bool:
@@ -289,80 +295,49 @@ def _moves(model: Model, name: str) -> bool:
     return not (expression.is_constant() and expression.is_zero())
 
 
-def _check_folder(out: str, overwrite: bool) -> None:
-    common.check_folder("--out", out)
-    if (Path(out) / "recording.json").exists() and not overwrite:
-        hint = "choose another folder, or --overwrite"
-        raise RotorsimError(Problem("there is a recording already", place=Place(out), hint=hint))
-
-
 def _hertz(text: str) -> float:
     """Return a sample rate [Hz]: samples are counted in a second, never in a turn."""
     from rotorsim.units import UnitError, split_quantity
 
     try:
         rate, unit = split_quantity(text)
-        known = unit in ("", "Hz", "kHz", "MHz")
     except UnitError:
-        rate, known = 0.0, False
-    rate *= {"kHz": 1e3, "MHz": 1e6}.get(unit, 1.0) if known else 1.0
-    if not known or not 1e-6 <= rate <= 1e12:
-        raise RotorsimError(Problem(f"--rate {text}: not a sample rate", hint="for example --rate '5000 Hz'"))
-    return rate
+        rate, unit = 0.0, ""
+    refuse_if(
+        not 1e-6 <= rate * HERTZ.get(unit, 0.0) <= 1e12,
+        f"--rate {text}: not a sample rate",
+        hint="for example --rate '5000 Hz'",
+    )
+    return rate * HERTZ[unit]
 
 
 def _level(text: str) -> float:
-    level = common.quantity(text, "1", "--noise")
-    if level > 1:
-        raise RotorsimError(Problem(f"--noise {text}: is {100 * level:g} %", hint="for example --noise '5 %'"))
-    if not 0 <= level <= 10:
-        raise RotorsimError(Problem(f"--noise {text}: not a share of the rms", hint="for example --noise '5 %'"))
+    level = quantity(text, "1", "--noise")
+    hint = "for example --noise '5 %'"
+    refuse_if(level > 1, f"--noise {text}: is {100 * level:g} %", hint=hint)
+    refuse_if(not level >= 0, f"--noise {text}: not a share of the rms", hint=hint)
     return level
 
 
-def _source(settings: Sequence[str], without: Sequence[str], settle: bool, noise: Noise | None) -> str:
+def _source(chosen: Chosen, plan: Plan) -> str:
     """Return what the recording says about where it is from."""
     from rotorsim import __version__
 
-    parts = [f"simulated by rotorsim {__version__}" + (", settled" if settle else "")]
-    if settings:
-        parts.append("set " + ", ".join(settings))
-    if without:
-        parts.append("without " + ", ".join(without))
-    if noise:
-        parts.append(f"{noise.kind} noise of {100 * noise.level:g} %, seed {noise.seed}")
-    return "; ".join(parts)
+    parts = (
+        f"simulated by rotorsim {__version__}" + (", settled" if plan.settle else ""),
+        f"set {', '.join(chosen.settings)}" if chosen.settings else "",
+        f"without {', '.join(chosen.without)}" if chosen.without else "",
+        f"{plan.noise.kind} noise of {100 * plan.noise.level:g} %, seed {plan.noise.seed}" if plan.noise else "",
+    )
+    return "; ".join(filter(None, parts))
 
 
-def _warn(runs: Sequence[NewRun]) -> None:
+def _warn(run: NewRun) -> None:
     """Say where samples are too far apart for the second harmonic, and where the step was too large."""
-    from rotorsim.cli.app import show_problems
-
-    problems = []
-    for run in runs:
-        if run.result.message:
-            hint = "a smaller step: --set solver.step=..."
-            problems.append(Problem(run.result.message, run.id, hint=hint, severity="warning"))
-        time = run.result.time
-        turns = abs(run.speed or 0.0) * float(time[-1] - time[0]) / (2 * math.pi) if len(time) > 1 else 0.0
-        if turns and (len(time) - 1) / turns < LEAST:
-            what = f"{(len(time) - 1) / turns:.3g} samples a turn: harmonics are mistaken for each other"
-            problems.append(Problem(what, run.id, hint="a higher --rate", severity="warning"))
-    show_problems(problems)
-
-
-def _show(runs: Sequence[NewRun], out: str, signals: Sequence[str], as_json: bool) -> None:
-    """Print the runs."""
-    rows = []
-    for run in runs:
-        speed = f"{common.rpm(run.speed):.6g}" if run.speed is not None else "-"
-        gains = ", ".join(f"{name} = {value}" for name, value in run.settings.items()) or "-"
-        rows.append((run.id, speed, str(len(run.result.time)), run.use, gains))
-    if not as_json:
-        click.echo(common.table(("run", "speed [rpm]", "samples", "use", "set"), rows))
-        return
-    data = [
-        {"id": run.id, "speed": run.speed, "samples": len(run.result.time), "use": run.use, "set": dict(run.settings)}
-        for run in runs
-    ]
-    common.echo_json({"folder": out, "signals": list(signals), "runs": data})
+    if run.result.message:
+        warn(run.result.message, run.id, "a smaller step: --set solver.step=...")
+    time = run.result.time
+    turns = abs(run.speed or 0.0) * float(time[-1] - time[0]) / (2 * math.pi) if len(time) > 1 else 0.0
+    if turns and (len(time) - 1) / turns < LEAST:
+        what = f"{(len(time) - 1) / turns:.3g} samples a turn: harmonics are mistaken for each other"
+        warn(what, run.id, "a higher --rate")

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli import common
-from rotorsim.cli.app import show_problems
-from rotorsim.diagram.solver import METHODS
+from rotorsim.cli.shared import (
+    RESULTS,
+    Chosen,
+    clock_of,
+    diagram_options,
+    file_option,
+    json_option,
+    note,
+    plot_option,
+    progress_bar,
+    progress_option,
+    quantity,
+    show,
+    show_problems,
+    solver_option,
+)
 from rotorsim.errors import Problem
 
 if TYPE_CHECKING:
@@ -17,25 +31,31 @@ if TYPE_CHECKING:
     from rotorsim.signals.spectrum import Harmonics
     from rotorsim.simulation.result import Result
 
-__all__ = ["command"]
+
+@dataclass(frozen=True)
+class Output:
+    """What is wanted of a run: signals that are shown, name of the shaft angle, files."""
+
+    shown: tuple[str, ...]
+    angle: str
+    out: str | None
+    plot: str | None
+    as_json: bool
 
 
 @click.command("run")
-@common.diagram_options
-@click.option("--solver", type=click.Choice(METHODS, case_sensitive=False), help="Method; rk4 has a fixed step.")
+@diagram_options
+@solver_option("Method; rk4 has a fixed step.")
 @click.option("--step", metavar="TIME", help="Step, as '0.1 ms' or in seconds.")
 @click.option("--stop", metavar="TIME", help="Stop time, as '5 s' or in seconds.")
 @click.option("--record", multiple=True, metavar="SIGNAL", help="Record this signal as well (block.port); repeatable.")
-@click.option("--out", metavar="FILE", help="Write the recorded signals: .csv (as FMPy does), .h5 or .npz.")
-@click.option("--plot", metavar="FILE", help="Draw the recorded signals: .png, .svg or .pdf.")
+@file_option("--out", suffixes=RESULTS, help="Write the recorded signals: .csv (as FMPy does), .h5 or .npz.")
+@plot_option("the recorded signals")
 @click.option("--no-compiler", is_flag=True, help="Use CasADi's virtual machine instead of compiled C (slower).")
-@common.progress_option
-@common.json_option
+@progress_option
+@json_option
 def command(
-    diagram: str,
-    settings: tuple[str, ...],
-    without: tuple[str, ...],
-    trust_blocks: bool,
+    chosen: Chosen,
     solver: str | None,
     step: str | None,
     stop: str | None,
@@ -55,16 +75,13 @@ def command(
     rotorsim run jeffcott --plot jeffcott.png
     rotorsim run diagrams/jeffcott.json --set "speed=1800 rpm" --stop "8 s" --out run.csv
     """
-    common.check_target("--out", out, (".csv", ".h5", ".npz"))
-    common.check_target("--plot", plot, common.FIGURES)
-    times = {name: common.quantity(text, "s", f"--{name}") for name, text in (("step", step), ("stop", stop)) if text}
-    loaded = common.open_diagram(diagram, settings, without, trust_blocks)
+    times = {name: quantity(text, "s", f"--{name}") for name, text in (("step", step), ("stop", stop)) if text}
+    loaded = chosen.open()
 
-    clock = common.clock_of(loaded)
-    shown = [*map(str, loaded.record), *record]
+    clock = clock_of(loaded)
+    shown = tuple(dict.fromkeys([*map(str, loaded.record), *record]))
     rising = clock is not None and loaded.nodes[clock].block.option.profile != "constant"
     hidden = [f"{clock}.theta", *([f"{clock}.speed"] if rising else [])] if clock else []
-    signals = tuple(dict.fromkeys([*shown, *hidden]))
 
     from rotorsim.model.compiled import compile_diagram
     from rotorsim.simulation.run import simulate
@@ -72,74 +89,74 @@ def command(
 
     check_sinks(loaded)
     model = compile_diagram(loaded)
-    with common.progress_bar(loaded.name, progress) as show:
+    with progress_bar(loaded.name, progress) as bar:
         # With a function to call, the run is cut into pieces, so that Ctrl-C is heard between them.
         result = simulate(
             model,
             stop=times.get("stop"),
             step=times.get("step"),
             method=solver,
-            record=signals,
+            record=tuple(dict.fromkeys([*shown, *hidden])),
             use_compiler=not no_compiler,
-            progress=show or _silent,
+            progress=bar or _silent,
         )
     angle = f"{clock}.theta" if clock else ""
-    return _report(model, result, [name for name in signals if name in set(shown)], angle, out, plot, as_json)
+    return _report(model, result, Output(shown, angle, out, plot, as_json))
 
 
 def _silent(fraction: float) -> None:
     """Take the place of a progress bar."""
 
 
-def _report(
-    model: Model, result: Result, shown: list[str], angle: str, out: str | None, plot: str | None, as_json: bool
-) -> int:
+def _report(model: Model, result: Result, wanted: Output) -> int:
     """Write, draw and print a result; return the exit code."""
-    from rotorsim.cli import summary
+    from rotorsim.report.text import run as text
     from rotorsim.simulation.sinks import write_sinks
 
-    common.note(summary.run_line(result))
-    asked = replace(result, signals={name: result.signals[name] for name in shown})
+    note(text.run_line(result))
+    asked = replace(result, signals={name: result.signals[name] for name in wanted.shown})
     files = [str(path) for path in write_sinks(model.diagram, result)]
-    if out:
+    if wanted.out:
         from rotorsim.simulation.files import save
 
-        save(asked, out)
-        files.append(out)
-    if plot and len(result.time) > 1:
+        save(asked, wanted.out)
+        files.append(wanted.out)
+    if wanted.plot and len(result.time) > 1:
         from rotorsim.report.figures.run import overview, save_figure
 
-        save_figure(overview(result), plot)
-        files.append(plot)
+        save_figure(overview(result), wanted.plot)
+        files.append(wanted.plot)
     if files:
-        common.note("written: " + ", ".join(files))
-    found = summary.harmonics_of(result, angle)
-    found = [item for item in found if item.signal.partition("[")[0] in {name.partition("[")[0] for name in shown}]
-    motion = summary.motion(result, angle, found, summary.settled_motion(model, result, angle, found))
-    if as_json:
-        common.echo_json(
-            _data(asked, found, files) | {"motion": motion, "run_up": summary.run_ups(result, angle, shown)}
-        )
-    else:
-        tables = [summary.peaks_table(asked, angle), summary.motion_line(motion), *(item.table() for item in found)]
-        tables.append(summary.run_up_table(result, angle, shown))
-        click.echo("\n\n".join(text for text in tables if text))
+        note("written: " + ", ".join(files))
+    ports = {name.partition("[")[0] for name in wanted.shown}
+    angle = wanted.angle
+    harmonics = [item for item in text.harmonics_of(result, angle) if item.signal.partition("[")[0] in ports]
+    motion = text.motion(result, angle, harmonics, text.settled_motion(model, result, angle, harmonics))
+    run_ups = text.run_ups(result, angle, wanted.shown)
+    tables = [text.peaks_table(asked, angle), text.motion_line(motion), *(item.table() for item in harmonics)]
+    tables.append(text.run_up_table(run_ups))
+    show(
+        wanted.as_json,
+        lambda: _data(asked, harmonics, files) | {"motion": motion, "run_up": run_ups},
+        lambda: "\n\n".join(part for part in tables if part),
+    )
     if not result.message:
         return 0
     fine = result.status == "finished"
-    subject, hint = str(result.provenance.get("diagram", "")), _hint(result, out)
+    subject, hint = str(result.provenance.get("diagram", "")), _hint(result, wanted.out)
     show_problems([Problem(result.message, subject, hint=hint, severity="warning" if fine else "error")])
     return 0 if fine else 130 if result.status == "stopped" else 1
 
 
 def _hint(result: Result, out: str | None) -> str:
     """Return what helps: a smaller step, or a look at the modes; and where the part is that was computed."""
-    smaller = "a smaller --step, or --solver dop853 or radau, which choose their own" if too_large(result) else ""
+    smaller = ""
+    if "is too large" in result.message:
+        smaller = "a smaller --step, or --solver dop853 or radau, which choose their own"
     if result.status == "finished":
         return smaller
-    kept = f"what was computed until then is in {out}" if out else "--out FILE keeps what was computed until then"
-    if result.status == "unstable":
-        kept = f"what was computed is in {out}" if out else "--out FILE keeps what was computed"
+    computed = "what was computed" + ("" if result.status == "unstable" else " until then")
+    kept = f"{computed} is in {out}" if out else f"--out FILE keeps {computed}"
     if result.status == "stopped":
         return kept
     if smaller:
@@ -147,13 +164,9 @@ def _hint(result: Result, out: str | None) -> str:
     return kept if "sampled blocks" in result.message else f"{kept}; 'rotorsim modes' shows which modes grow"
 
 
-def too_large(result: Result) -> bool:
-    """Return whether the message is about the step."""
-    return "is too large" in result.message
-
-
-def _data(result: Result, found: list[Harmonics], files: list[str]) -> dict[str, Any]:
-    from rotorsim.cli.summary import peaks
+def _data(result: Result, harmonics: Sequence[Harmonics], files: Sequence[str]) -> dict[str, Any]:
+    from rotorsim.report.text.run import peaks
+    from rotorsim.report.text.spectrum import harmonics_data
 
     return {
         "diagram": result.provenance.get("diagram"),
@@ -161,17 +174,8 @@ def _data(result: Result, found: list[Harmonics], files: list[str]) -> dict[str,
         "message": result.message,
         "time": {"stop": float(result.time[-1]) if len(result.time) else None, "samples": len(result.time)},
         "signals": peaks(result),
-        "harmonics": {
-            item.signal: {
-                "unit": item.unit,
-                "orders": list(item.orders),
-                "real": item.values.real,
-                "imag": item.values.imag,
-                "residual": item.residual,
-            }
-            for item in found
-        },
+        "harmonics": {item.signal: {"unit": item.unit, **harmonics_data(item)} for item in harmonics},
         "counters": dict(result.counters),
         "provenance": dict(result.provenance),
-        "files": files,
+        "files": list(files),
     }

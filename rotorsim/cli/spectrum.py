@@ -2,32 +2,61 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorsim.cli import common, recorded
-from rotorsim.cli.app import show_problems
+from rotorsim.cli.shared import (
+    RESULTS,
+    Chosen,
+    clock_of,
+    given_options,
+    is_recording,
+    json_option,
+    known_names,
+    note,
+    plot_option,
+    refuse_all,
+    refuse_if,
+    save_plot,
+    show,
+    show_problems,
+    warn,
+    window_of,
+)
 from rotorsim.errors import Place, Problem, RotorsimError
+from rotorsim.report.text.table import rpm
 
 if TYPE_CHECKING:
-    from rotorsim.signals.spectrum import FullSpectrum
-    from rotorsim.signals.two_axis import TwoAxis
+    from matplotlib.figure import Figure
+
+    from rotorsim.recordings.recording import Recording, Run
+    from rotorsim.signals.shaft_angle import ShaftAngle
     from rotorsim.simulation.result import Result
 
-__all__ = ["command", "spectrum_text", "window_of"]
-
-HUGE = 1e100
-RESULTS = (".csv", ".h5", ".npz")
+HUGE = 1e100  # beyond what a machine can do; a CSV of another program has no status
 METHODS = ("least-squares", "fft", "regression")  # those of rotorsim.signals.two_axis
+Window = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is asked of the signals."""
+
+    signals: tuple[str, ...]
+    window: Window | None
+    method: str | None
+    threshold: float
+    plot: str | None
+    as_json: bool
 
 
 @click.command("spectrum")
-@click.argument("source", metavar="RECORDING|RESULT|DIAGRAM")
-@common.set_option
-@common.without_option
-@common.trust_option
+@click.argument("diagram", metavar="RECORDING|RESULT|DIAGRAM")
+@given_options
 @click.option("--signal", "signals", multiple=True, metavar="SIGNAL", help="Two-axis signal (default: all).")
 @click.option("--run", "runs", multiple=True, metavar="ID", help="Run of the recording (default: all); repeatable.")
 @click.option(
@@ -48,13 +77,10 @@ METHODS = ("least-squares", "fft", "regression")  # those of rotorsim.signals.tw
     show_default=True,
     help="Smallest line shown, as a share of the largest.",
 )
-@click.option("--plot", metavar="FILE", help="Draw the full spectrum of the first signal: .png, .svg or .pdf.")
-@common.json_option
+@plot_option("the full spectrum of the first signal")
+@json_option
 def command(
-    source: str,
-    settings: tuple[str, ...],
-    without: tuple[str, ...],
-    trust_blocks: bool,
+    chosen: Chosen,
     signals: tuple[str, ...],
     runs: tuple[str, ...],
     window: str | None,
@@ -67,7 +93,7 @@ def command(
 
     RECORDING is a folder with recording.json, RESULT a file (.csv, .h5, .npz) of 'rotorsim run'. Positive
     frequencies and orders turn forward, negative ones backward; phases count from shaft angle zero.
-    least-squares: with 90 % intervals and the lines that do not follow the shaft; any window, drifting speed.
+    least-squares: with 90 % intervals and the asynchronous lines; any window, drifting speed.
     fft: lines of the FFT over whole turns; regression: the thesis' least squares, both of its nine orders.
     --json gives the whole spectrum and all harmonics.
 
@@ -75,181 +101,254 @@ def command(
     rotorsim spectrum jeffcott --window "4 s:5 s" --plot spectrum.png
     rotorsim spectrum jeffcott --window "4 s:5 s" --harmonics fft
     """
-    common.check_target("--plot", plot, common.FIGURES)
-    span = window_of(window) if window else None
-    if recorded.is_recording(source):
-        if settings or without:
-            raise RotorsimError(Problem(what="--set and --without need a diagram, not a recording", subject=source))
-        recorded.recording_spectrum(source, runs, signals, span, method, threshold, plot, as_json)
+    wanted = Wanted(signals, window_of(window) if window else None, method, threshold, plot, as_json)
+    if is_recording(chosen.name):
+        chosen.refuse_changes("a recording")
+        _show_recording(chosen.name, runs, wanted)
         return
-    if runs:
-        raise RotorsimError(Problem(what="--run needs a recording", subject=source))
-    result, angle = _result(source, settings, without, trust_blocks, signals)
+    refuse_if(runs, "--run needs a recording", chosen.name)
+    _show_result(chosen, wanted)
+
+
+def _draw(result: Result, name: str, window: Window | None, plot: str | None) -> None:
+    def draw() -> Figure:
+        from rotorsim.report.figures.run import spectrum_figure
+
+        return spectrum_figure(result, name, window=window)
+
+    save_plot(draw, plot)
+
+
+def _need_angle(angle: object, wanted: Wanted, hint: str) -> None:
+    """Refuse what nobody can say of a shaft whose angle is not known."""
+    if angle is None and (wanted.method or wanted.plot):
+        option = "--harmonics" if wanted.method else "--plot"
+        raise RotorsimError(Problem(f"{option} needs the shaft angle", hint=hint))
+
+
+def _of_signal(
+    result: Result, name: str, wanted: Wanted, angle: str | None, span: Window | None, even: bool = True, **known: Any
+) -> tuple[dict[str, Any], str]:
+    """Return spectrum and harmonics of a signal, as data and as text; even: its samples are equally spaced.
+
+    known: of the shaft: its frequency [Hz] (running), or how harmonics are fitted about a measured angle.
+    """
+    from rotorsim.report.text import spectrum as text
+    from rotorsim.signals.spectrum import full_spectrum, harmonics
+
+    data: dict[str, Any] = {"unit": result.unit(name)}
+    running, said = known.pop("running", None), ""
+    if even:
+        spectrum = full_spectrum(result, name, window=span, angle=angle)
+        data |= text.spectrum_data(spectrum)
+        said = text.spectrum_text(spectrum, running, wanted.threshold)
+    if angle and wanted.method:
+        from rotorsim.signals.two_axis import two_axis_harmonics
+
+        fit = two_axis_harmonics(result, name, wanted.method, angle=angle, **{"window": span, **known})
+        data["harmonics"], said = text.two_axis_data(fit), text.harmonics_text(fit, wanted.threshold)
+    elif angle and wanted.as_json:
+        data["harmonics"] = text.harmonics_data(harmonics(result, name, angle=angle, window=span))
+    return data, said
+
+
+# -- of a saved result, or of a diagram that is run --------------------------------------------------------------------
+
+
+def _show_result(chosen: Chosen, wanted: Wanted) -> None:
+    result, angle = _saved(chosen) if Path(chosen.name).suffix.lower() in RESULTS else _simulated(chosen, wanted)
     import numpy as np
 
-    from rotorsim.cli.summary import two_axis
-    from rotorsim.signals.spectrum import few_samples, full_spectrum, harmonics, last_turns
+    from rotorsim.report.text.run import two_axis_signals
+    from rotorsim.signals.spectrum import few_samples, last_turns
 
-    names = list(signals) or two_axis(result)
-    if not names:
-        hint = "record a signal [x, y], such as rotor.displacement"
-        raise RotorsimError(Problem(what="no two-axis signal was recorded", subject=source, hint=hint))
-    if len(result.time) < 8:
-        raise RotorsimError(Problem(what=f"only {len(result.time)} samples", subject=source), exit_code=1)
-    if span is not None:
-        span = _inside(result, span, angle, window or "")
-    span = span or (last_turns(result, angle) if angle else None)
-    if angle is not None and span is not None:
+    names = list(wanted.signals) or two_axis_signals(result)
+    refuse_if(
+        not names,
+        "no two-axis signal was recorded",
+        chosen.name,
+        hint="record a signal [x, y], such as rotor.displacement",
+    )
+    refuse_if(len(result.time) < 8, f"only {len(result.time)} samples", chosen.name, exit_code=1)
+    _need_angle(angle, wanted, "record clock.theta")
+    span, running = _inside(result, wanted.window, angle) if wanted.window else None, None
+    if angle is not None:
         from rotorsim.signals.shaft_angle import refuse_run_up
 
+        span = span or last_turns(result, angle)
         part = slice(*np.searchsorted(result.time, span))
-        refuse_run_up(source, Place(), result.time[part], result[angle][part])
-    count = few_samples(result, angle) if angle else None
-    if count is not None:
-        what = f"{count:.3g} samples a turn: orders beyond {count / 2:.3g} appear as lower ones"
-        hint = "record more often: --set solver.record_every=..., or a smaller step"
-        show_problems([Problem(what, source, hint=hint, severity="warning")])
-    found = [full_spectrum(result, name, window=span, angle=angle) for name in names]
-    running = _running(result, angle, span)
-    fits = _fits(result, names, method, span, angle) if method else None
-    if plot:
-        if running is None:
-            raise RotorsimError(Problem(what="--plot needs the shaft angle", hint="record clock.theta"))
-        from rotorsim.report.figures.run import save_figure, spectrum_figure
-
-        save_figure(spectrum_figure(result, names[0], window=span), plot)
-        common.note(f"written: {plot}")
-    if as_json:
-        data: dict[str, Any] = {}
-        for item in found:
-            data[item.signal] = {
-                "unit": item.unit,
-                "frequency_hz": item.frequency,
-                "real": item.amplitude.real,
-                "imag": item.amplitude.imag,
-            }
-            if fits:
-                data[item.signal]["harmonics"] = recorded.harmonics_data(fits[item.signal])
-            elif angle:
-                fit = harmonics(result, item.signal, angle=angle, window=span)
-                data[item.signal]["harmonics"] = {
-                    "orders": fit.orders,
-                    "real": fit.values.real,
-                    "imag": fit.values.imag,
-                    "residual": fit.residual,
-                }
-        common.echo_json({"window": span, "running_hz": running, "signals": data})
-    elif fits:
-        click.echo("\n\n".join(recorded.harmonics_text(item, threshold) for item in fits.values()))
-    else:
-        click.echo("\n\n".join(spectrum_text(item, running, threshold) for item in found))
+        refuse_run_up(chosen.name, Place(), result.time[part], result[angle][part])
+        running = _running(result, angle, span)
+        count = few_samples(result, angle)
+        if count is not None:
+            what = f"{count:.3g} samples a turn: orders beyond {count / 2:.3g} appear as lower ones"
+            warn(what, chosen.name, "record more often: --set solver.record_every=..., or a smaller step")
+    refuse_if(wanted.plot and running is None, "--plot needs a shaft that turns", chosen.name)
+    _draw(result, names[0], span, wanted.plot)
+    every = {name: _of_signal(result, name, wanted, angle, span, running=running) for name in names}
+    signals = {name: data for name, (data, _) in every.items()}
+    data = {"window": span, "running_hz": running, "signals": signals}
+    show(wanted.as_json, lambda: data, lambda: "\n\n".join(text for _, text in every.values()))
 
 
-def _fits(
-    result: Result, names: list[str], method: str, span: tuple[float, float] | None, angle: str | None
-) -> dict[str, TwoAxis]:
-    """Return the harmonics of the signals by method."""
-    from rotorsim.signals.two_axis import two_axis_harmonics
-
-    if angle is None:
-        raise RotorsimError(Problem(what="--harmonics needs the shaft angle", hint="record clock.theta"))
-    return {name: two_axis_harmonics(result, name, method, window=span, angle=angle) for name in names}
-
-
-def spectrum_text(found: FullSpectrum, running: float | None, threshold: float) -> str:
-    """Return the lines of a spectrum: what exceeds both neighbours and the threshold."""
+def _saved(chosen: Chosen) -> tuple[Result, str | None]:
+    """Return a saved result and the name of the shaft angle in it."""
     import numpy as np
 
-    size = np.abs(found.amplitude)
-    padded = np.concatenate(([0.0], size, [0.0]))
-    peaks = np.flatnonzero((size > padded[:-2]) & (size >= padded[2:]) & (size >= threshold * size.max()))
-    unit, scale = common.display_unit(found.unit)
-    rows = [
-        (
-            f"{found.frequency[k]:.4f}",
-            f"{found.frequency[k] / running:.4g}" if running else "-",
-            f"{size[k] * scale:.6g}",
-            f"{common.degrees(found.amplitude[k]):.2f}",
-        )
-        for k in peaks
-    ]
-    header = ("frequency [Hz]", "order", f"amplitude [{unit}, 0-peak]", "phase [deg]")
-    return found.signal + "\n" + common.table(header, rows)
+    from rotorsim.simulation.files import load_result
+
+    chosen.refuse_changes("a saved result")
+    result = load_result(chosen.name)
+    bad = result.status in ("unstable", "diverged")
+    refuse_if(
+        bad or any((np.abs(values) > HUGE).any() for values in result.signals.values()),
+        result.message if bad else "this run diverged: its values are beyond 1e100",
+        place=Place(chosen.name),
+        hint="what was computed until then has no spectrum; 'rotorsim modes' shows which modes grow",
+        exit_code=1,
+    )
+    angles = [name for name in result.signals if name.endswith(".theta")]
+    return result, "clock.theta" if "clock.theta" in angles else angles[0] if len(angles) == 1 else None
 
 
-def _running(result: Result, angle: str | None, span: tuple[float, float] | None) -> float | None:
-    """Return the running frequency [Hz] in the window, if the shaft angle is known."""
-    if angle is None:
-        return None
+def _simulated(chosen: Chosen, wanted: Wanted) -> tuple[Result, str | None]:
+    """Return the result of a diagram and the name of the shaft angle in it."""
+    loaded = chosen.open()
+    from rotorsim.simulation.run import simulate
+
+    clock = clock_of(loaded)
+    angle = f"{clock}.theta" if clock else None
+    recorded = list(map(str, loaded.record))
+    more = [name for name in wanted.signals if name.partition("[")[0] not in recorded]
+    result = simulate(loaded, record=tuple(dict.fromkeys([*recorded, *more, *([angle] if angle else [])])))
+    refuse_if(result.status != "finished", result.message, loaded.name, exit_code=1)
+    if result.message:
+        warn(result.message, loaded.name, "a smaller step: --set solver.step=...")
+    return result, angle
+
+
+def _running(result: Result, angle: str, span: Window) -> float | None:
+    """Return the running frequency [Hz] in the window, if the shaft turns."""
     import numpy as np
 
-    start, stop = span or (result.time[0], result.time[-1])
-    theta = np.interp((start, stop), result.time, result[angle])
-    turns = float(theta[1] - theta[0]) / (2 * np.pi)
-    return turns / (stop - start) if turns > 0 and stop > start else None
+    turns = float(np.diff(np.interp(span, result.time, result[angle]))[0]) / (2 * np.pi)
+    return turns / (span[1] - span[0]) if turns > 0 and span[1] > span[0] else None
 
 
-def _inside(result: Result, span: tuple[float, float], angle: str | None, text: str) -> tuple[float, float]:
+def _inside(result: Result, span: Window, angle: str | None) -> Window:
     """Return the window cut to whole turns (what it lacks of them leaks); refuse one that the run does not cover."""
     from rotorsim.signals.two_axis import whole_turns
 
     first, last = float(result.time[0]), float(result.time[-1])
     step = (last - first) / (len(result.time) - 1)
-    if span[0] < first - step or span[1] > last + 1.5 * step:
-        hint = "a window inside it, or a longer run: --set solver.stop=..."
-        raise RotorsimError(Problem(f"--window {text}: the run covers {first:g} to {last:g} s", hint=hint))
-    if angle is None:
+    refuse_if(
+        span[0] < first - step or span[1] > last + 1.5 * step,
+        f"--window {span[0]:g} s:{span[1]:g} s: the run covers {first:g} to {last:g} s",
+        hint="a window inside it, or a longer run: --set solver.stop=...",
+    )
+    cut = span if angle is None else whole_turns(result, span, angle)
+    if abs(cut[0] - span[0]) <= 1.5 * step and abs(cut[1] - span[1]) <= 1.5 * step:
         return span
-    cut = whole_turns(result, span, angle)
-    if abs(cut[0] - span[0]) > 1.5 * step or abs(cut[1] - span[1]) > 1.5 * step:
-        common.note(f"window cut to whole turns: {cut[0]:g} to {cut[1]:g} s")
-        return cut
-    return span
+    note(f"window cut to whole turns: {cut[0]:g} to {cut[1]:g} s")
+    return cut
 
 
-def window_of(window: str) -> tuple[float, float]:
-    """Return the ends [s] of a text such as ``"4 s:5 s"``."""
-    parts = [common.quantity(part.strip(), "s", "--window") for part in window.split(":")]
-    if len(parts) != 2 or parts[1] <= parts[0]:
-        raise RotorsimError(Problem(what=f"--window {window}: not START:STOP", hint="for example --window '4 s:5 s'"))
-    return parts[0], parts[1]
+# -- of the runs of a recording ----------------------------------------------------------------------------------------
 
 
-def _is_huge(result: Result) -> bool:
-    """Return whether values are beyond what a machine can do; a CSV of another program has no status."""
+def _show_recording(source: str, wanted_runs: Sequence[str], wanted: Wanted) -> None:
+    """Print the spectra of the runs of a recording; draw that of one."""
+    from rotorsim.recordings.loading import load_recording
+
+    recording = load_recording(source)
+    show_problems(recording.warnings)
+    every = {run.id: run for run in recording.runs}
+    ids = known_names(wanted_runs, every, lambda name: f"--run {name}: no such run in {recording.name}") or list(every)
+    if wanted.plot and len(ids) > 1:
+        hint = f"--run {ids[0]}, for example"
+        raise RotorsimError(Problem(f"--plot draws one run, {source} has {len(ids)}", hint=hint))
+    data: dict[str, Any] = {}
+    texts: list[str] = []
+    problems: list[Problem] = []
+    code = 0
+    for name in ids:
+        try:
+            data[name], text = _of_run(recording, every[name], wanted)
+            texts.append(text)
+        except RotorsimError as error:
+            problems += [replace(problem, subject=_subject(problem.subject, name)) for problem in error.problems]
+            code = max(code, error.exit_code)
+    if not (wanted.as_json and problems):
+        show(wanted.as_json, lambda: {"recording": recording.name, "runs": data}, lambda: "\n\n".join(texts))
+    refuse_all(problems, exit_code=code)
+
+
+def _subject(subject: str, run: str) -> str:
+    """Return what a problem is about, the run first."""
+    head, _, rest = subject.partition(": ")
+    about = rest if head in (run, f"run {run}") else subject
+    return f"{run}: {about}" if about else run
+
+
+def _of_run(recording: Recording, run: Run, wanted: Wanted) -> tuple[dict[str, Any], str]:
+    """Return what is printed of one run, as data and as text."""
     import numpy as np
 
-    return any(bool((np.abs(values) > HUGE).any()) for values in result.signals.values())
+    from rotorsim.measure.as_result import as_result, has_angle
+    from rotorsim.recordings.recording import ANGLE
+    from rotorsim.signals.shaft_angle import refuse_run_up, shaft_angle
+    from rotorsim.signals.two_axis import two_axis_names, whole_turns
+
+    angle = shaft_angle(recording, run) if has_angle(recording, run) else None
+    _need_angle(angle, wanted, 'a "tacho", a channel of clock.theta, or a "speed" other than zero')
+    result = as_result(recording, run, angle)
+    known = two_axis_names(result)
+    refuse_if(
+        not known,
+        "no two-axis signal was measured",
+        hint="spectra of both whirls need channels of axis x and of axis y",
+    )
+    names = known_names(wanted.signals, known, lambda name: f"{name}: not a two-axis signal that was measured") or known
+    steps = np.diff(result.time)
+    even = bool(np.ptp(steps) <= 1e-6 * abs(steps[0]))
+    span = wanted.window
+    if angle is not None:
+        part = slice(None) if span is None else slice(*np.searchsorted(result.time, span))
+        time, theta = run.time[part], angle.theta[part]
+        refuse_run_up(run.id, run.place, time, theta)
+        if len(time) > 1:
+            angle = replace(angle, speed=float((theta[-1] - theta[0]) / (time[-1] - time[0])))
+        span = whole_turns(result, span)
+    if not even:
+        note(f"{run.id}: the samples are not equally spaced: harmonics, but no full spectrum")
+        refuse_if(angle is None, "neither a shaft angle nor evenly spaced samples", names[0])
+    data: dict[str, Any] = {"speed": angle.speed if angle else run.speed, "samples": len(run.time)}
+    data |= {"angle": angle.source if angle else None, "phase_known": bool(angle and angle.phase_known), "signals": {}}
+    texts = [_head(run, angle, result, wanted.window)]
+    fitted = replace(wanted, method=wanted.method or METHODS[0])
+    for name in names:
+        about: dict[str, Any] = {"window": wanted.window, "use_mean": _use_mean(recording, name)}
+        about |= {"angle_std": angle.std} if angle else {}
+        entry, text = _of_signal(result, name, fitted, ANGLE if angle else None, span, even, **about)
+        data["signals"][name] = entry | ({"window": span} if even else {})
+        texts.append(text)
+    _draw(result, names[0], span, wanted.plot)
+    return data, "\n\n".join(texts)
 
 
-def _result(
-    source: str, settings: tuple[str, ...], without: tuple[str, ...], trust_blocks: bool, signals: tuple[str, ...]
-) -> tuple[Result, str | None]:
-    """Return the saved or the computed result and the name of the shaft angle in it."""
-    if Path(source).suffix.lower() in RESULTS:
-        from rotorsim.simulation.files import load_result
+def _use_mean(recording: Recording, name: str) -> bool:
+    """Return whether the mean of both axes of a signal means something."""
+    from rotorsim.simulation.result import flat_name
 
-        if settings or without:
-            raise RotorsimError(Problem(what="--set and --without need a diagram, not a saved result", subject=source))
-        result = load_result(source)
-        bad = result.status in ("unstable", "diverged")
-        if bad or _is_huge(result):
-            hint = "what was computed until then has no spectrum; 'rotorsim modes' shows which modes grow"
-            what = result.message if bad else "this run diverged: its values are beyond 1e100"
-            raise RotorsimError(Problem(what, place=Place(source), hint=hint), exit_code=1)
-        angles = [name for name in result.signals if name.endswith(".theta")]
-        return result, "clock.theta" if "clock.theta" in angles else angles[0] if len(angles) == 1 else None
-    loaded = common.open_diagram(source, settings, without, trust_blocks)
-    from rotorsim.simulation.run import simulate
+    axes = [flat_name(name, (k,)) for k in (0, 1)]
+    return all(c.coupling == "dc" for c in recording.channels.values() if c.name in axes)
 
-    clock = common.clock_of(loaded)
-    angle = f"{clock}.theta" if clock else None
-    bases = list(map(str, loaded.record))
-    wanted = [*bases, *(name for name in signals if name.partition("[")[0] not in bases), *([angle] if angle else [])]
-    result = simulate(loaded, record=tuple(dict.fromkeys(wanted)))
-    if result.status != "finished":
-        raise RotorsimError(Problem(what=result.message, subject=loaded.name), exit_code=1)
-    if result.message:
-        hint = "a smaller step: --set solver.step=..."
-        show_problems([Problem(result.message, loaded.name, hint=hint, severity="warning")])
-    return result, angle
+
+def _head(run: Run, angle: ShaftAngle | None, result: Result, window: Window | None) -> str:
+    first, last = window or (float(result.time[0]), float(result.time[-1]))
+    text = f"{run.id}: {first:g}..{last:g} s"
+    if angle is None:
+        return f"{text}, no shaft angle"
+    source = {"channel": "measured angle", "tacho": "tacho", "speed": "stated speed"}[angle.source]
+    known = "" if angle.phase_known else "; phases count from the start of the run"
+    return f"{text}, {rpm(angle.speed):.6g} rpm by the {source}{known}"

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import os
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
 
-from rotorsim.cli import common
+from rotorsim.cli.shared import (
+    diagram_argument,
+    document_of,
+    echo_json,
+    file_option,
+    json_option,
+    known_names,
+    note,
+    parse_settings,
+    refuse_if,
+    trust_option,
+)
 from rotorsim.errors import Problem, RotorsimError, near_miss
-
-__all__ = ["command"]
 
 DESIGNED = "state_feedback"
 WEIGHTS = {"current_weight": float, "noise_weight": float, "integral": bool, "states": int}
 
 
 @click.command("swap")
-@click.argument("diagram", metavar="DIAGRAM")
+@diagram_argument
 @click.argument("block", metavar="BLOCK")
 @click.argument("new_type", metavar="TYPE")
 @click.option(
@@ -28,10 +38,10 @@ WEIGHTS = {"current_weight": float, "noise_weight": float, "integral": bool, "st
     metavar="NAME=VALUE",
     help="Parameter of the new block, or weight of the design; repeatable.",
 )
-@click.option("-o", "--out", metavar="FILE", help="Write the new diagram here (default: to stdout).")
+@file_option("-o", "--out", suffixes=(".json",), help="Write the new diagram here (default: to stdout).")
 @click.option("--in-place", is_flag=True, help="Write the new diagram over the old one.")
-@common.trust_option
-@common.json_option
+@trust_option
+@json_option
 def command(
     diagram: str,
     block: str,
@@ -60,13 +70,14 @@ def command(
     from rotorsim.files import write_atomically
     from rotorsim.model.load import load
 
-    if out and in_place:
-        raise RotorsimError(Problem(what="--out and --in-place exclude each other", hint="give one of them"))
-    common.check_target("--out", out, (".json",))
-    path, old = common.document_of(diagram)
-    if in_place and path in shipped_diagrams().values():
-        raise RotorsimError(Problem(what=f"{diagram} comes with rotorsim and stays as it is", hint="use -o FILE"))
-    given = {name.removeprefix(f"{block}."): value for name, value in common.parse_settings(settings).items()}
+    refuse_if(out and in_place, "--out and --in-place exclude each other", hint="give one of them")
+    path, old = document_of(diagram)
+    refuse_if(
+        in_place and path in shipped_diagrams().values(),
+        f"{diagram} comes with rotorsim and stays as it is",
+        hint="use -o FILE",
+    )
+    given = {name.removeprefix(f"{block}."): value for name, value in parse_settings(settings).items()}
     load(diagram, trust_blocks=trust_blocks)  # mistakes of the diagram itself, with their places
     folders = old.get("block_folders", []) if trust_blocks else []
     registry = Registry([path.parent / folder for folder in folders])
@@ -89,15 +100,16 @@ def command(
         write_atomically(target.resolve(), format_document(new))
     elif not as_json:
         click.echo(format_document(new), nl=False)
-    changes = diff(old, new)
     if as_json:
-        rows = [{"kind": c.kind, "where": c.where, "old": c.old, "new": c.new} for c in changes]
-        common.echo_json({"file": name, "designed": designed, "changes": rows, "diagram": new})
-    words = [f"{block}: {old['blocks'][block]['type']} -> {new_type}"]
-    words += ["designed from the linearised plant"] if designed else []
-    words += [f"written: {name}"] if name else []
-    words += [f"its file is relative to {folder.resolve()}"] if new_type == "fmu" and not name else []
-    common.note("; ".join(words))
+        rows = [asdict(change) for change in diff(old, new)]
+        echo_json({"file": name, "designed": designed, "changes": rows, "diagram": new})
+    words = (
+        f"{block}: {old['blocks'][block]['type']} -> {new_type}",
+        "designed from the linearised plant" if designed else "",
+        f"written: {name}" if name else "",
+        f"its file is relative to {folder.resolve()}" if new_type == "fmu" and not name else "",
+    )
+    note("; ".join(filter(None, words)))
 
 
 def _with_fmu(old: dict[str, Any], block: str, given: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -105,16 +117,12 @@ def _with_fmu(old: dict[str, Any], block: str, given: dict[str, Any], folder: Pa
 
     folder: of the new diagram, to which its file is relative; the one given is relative to the current folder.
     """
-    if block not in old["blocks"]:
-        raise RotorsimError(Problem(what=f"no block '{block}'", subject=block, hint=near_miss(block, old["blocks"])))
-    file = given.get("file")
-    if not isinstance(file, str):
-        raise RotorsimError(Problem(what="an FMU needs its file", subject=block, hint="add --set file=controller.fmu"))
-    if not os.path.isfile(file):
-        what = "is a folder" if os.path.isdir(file) else "there is no such file"
-        raise RotorsimError(
-            Problem(f"--set file={file}: {what}", hint=f"it is taken from where you stand, {Path.cwd()}")
-        )
+    refuse_if(block not in old["blocks"], f"no block '{block}'", block, hint=near_miss(block, old["blocks"]))
+    is_text = isinstance(given.get("file"), str)
+    refuse_if(not is_text, "an FMU needs its file", block, hint="add --set file=controller.fmu")
+    file, hint = str(given["file"]), f"it is taken from where you stand, {Path.cwd()}"
+    refuse_if(os.path.isdir(file), f"--set file={file}: is a folder", hint=hint)
+    refuse_if(not os.path.isfile(file), f"--set file={file}: there is no such file", hint=hint)
     rest = {name: value for name, value in given.items() if name != "file"}
     entry = {"type": "fmu", "file": _from(folder, file), **({"parameters": rest} if rest else {})}
     return {**old, "blocks": {**old["blocks"], block: entry}}
@@ -136,13 +144,7 @@ def _designed(diagram: str, block: str, given: dict[str, Any], trust_blocks: boo
     from rotorsim.linear.design import design_state_feedback
     from rotorsim.model.load import load
 
-    unknown = [
-        Problem(what=f"the design has no weight '{name}'", subject=block, hint=near_miss(name, WEIGHTS))
-        for name in given
-        if name not in WEIGHTS
-    ]
-    if unknown:
-        raise RotorsimError(*unknown)
+    known_names(given, WEIGHTS, lambda name: f"the design has no weight '{name}'", block)
     try:
         chosen = {name: WEIGHTS[name](value) for name, value in given.items()}
     except (TypeError, ValueError):

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rotorsim.cli.common import echo_json, json_option
-
-__all__ = ["command"]
+from rotorsim.cli.shared import json_option, show
 
 
 @click.command("version")
@@ -18,8 +16,4 @@ def command(as_json: bool) -> None:
 
     versions = {"rotorsim": version("rotorsim"), "python": platform.python_version()}
     versions |= {name: version(name) for name in ("casadi", "numpy", "scipy", "fmpy")}
-    if as_json:
-        echo_json(versions)
-    else:
-        for name, text in versions.items():
-            click.echo(f"{name} {text}")
+    show(as_json, lambda: versions, lambda: "\n".join(f"{name} {text}" for name, text in versions.items()))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from textwrap import wrap
 from typing import Any
 
 import matplotlib as mpl
@@ -13,7 +15,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 __all__ = [
-    "AXES",
     "BLUE",
     "GREEN",
     "GREY",
@@ -22,11 +23,13 @@ __all__ = [
     "PURPLE",
     "RED",
     "ROUNDING",
+    "STANDS_OUT",
+    "Look",
     "display",
     "figure",
+    "legend_below",
     "order_axis",
     "phase_line",
-    "rpm",
     "styled",
 ]
 
@@ -34,7 +37,7 @@ __all__ = [
 BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#6b6b6b"
 INK = "#222222"
 ROUNDING = 1e-9  # of the largest: linear solutions are good to 1e-12, and a sensor resolves 1e-6 of its range
-AXES = {"x": BLUE, "y": ORANGE}
+STANDS_OUT = 2.0  # times the noise level: a harmonic that is worth showing
 
 _STYLE: Any = {
     "font.size": 9.0,
@@ -62,23 +65,38 @@ def styled() -> Iterator[None]:
         yield
 
 
+@dataclass(frozen=True)
+class Look:
+    """What a diagram, or a set of runs, is called in figures and tables, and how it is drawn."""
+
+    label: str
+    colour: str
+    marker: str = "o"
+    line: str = "-"
+    size: float = 7.0
+
+
 def figure(width: float, height: float, title: str) -> Figure:
-    """Return an empty figure with a title; it belongs to no window and no global state."""
+    """Return an empty figure with a title folded to its width; it belongs to no window and no global state."""
     made = Figure(figsize=(width, height), layout="constrained")
-    if title:
-        made.suptitle(title, fontsize=11, fontweight="bold")
+    lines = [part for line in title.splitlines() for part in wrap(line, int(9.5 * width))]
+    if lines:
+        made.suptitle("\n".join(lines), fontsize=11, fontweight="bold")
     return made
+
+
+def legend_below(made: Figure, axes: Axes) -> None:
+    """Put the legend of some axes below the whole figure, every entry once."""
+    handles, labels = axes.get_legend_handles_labels()
+    entries = dict(zip(labels, handles, strict=True))
+    columns = min(len(entries), 6 if len(entries) != 7 else 4)
+    made.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
 
 
 def display(values: Any, unit: str) -> tuple[np.ndarray, str]:
     """Return values and unit as shown: metres in um, tilts in urad."""
     factor, shown = _DISPLAY.get(unit, (1.0, unit or "1"))
     return np.asarray(values) * factor, shown
-
-
-def rpm(speed: Any) -> Any:
-    """Return rad/s in revolutions per minute."""
-    return np.asarray(speed) * 30 / np.pi
 
 
 def order_axis(axes: Axes, low: int, high: int) -> None:

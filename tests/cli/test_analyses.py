@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorsim.cli.common import speeds_of
+from rotorsim.cli.shared.inputs import speeds_of
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.errors import RotorsimError
 from tests.reference.published import FE_RIGID_AT_3000_RPM, as_printed
@@ -45,7 +45,10 @@ def test_campbell(run) -> None:
 def test_campbell_orders(run) -> None:
     result = run("campbell", "jeffcott", "--orders", "one")
     assert result.exit_code == 2
-    assert result.stderr == "error: --orders one: not a list of whole numbers\n\nhint: for example --orders 1,2\n"
+    assert (
+        result.stderr
+        == "error: --orders one: not a list of different whole numbers\n\nhint: for example --orders 1,2\n"
+    )
 
 
 def test_periodic_is_where_a_long_run_settles(run) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from rotorsim.cli import app
 from rotorsim.cli.app import VERBS, rotorsim
+from rotorsim.cli.shared.output import show_problems
 from rotorsim.errors import Place, Problem, RotorsimError
 
 
@@ -142,11 +143,11 @@ class Terminal:
 def test_colour_on_a_terminal_unless_no_color(monkeypatch) -> None:
     monkeypatch.delenv("NO_COLOR", raising=False)
     terminal = Terminal()
-    app.show_problems([Problem("bad")], terminal)
+    show_problems([Problem("bad")], terminal)
     assert terminal.text == "\x1b[31m\x1b[1merror:\x1b[0m bad\n"
     monkeypatch.setenv("NO_COLOR", "1")
     plain = Terminal()
-    app.show_problems([Problem("bad")], plain)
+    show_problems([Problem("bad")], plain)
     assert plain.text == "error: bad\n"
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorsim.cli import common
-from rotorsim.cli.record import parse_gains
+from rotorsim.cli.shared.inputs import gains_of
+from rotorsim.cli.shared.options import NOISE_KINDS
 from rotorsim.measure import record as measuring
 from rotorsim.measure.checks import check_signals
 from rotorsim.recordings.loading import load_recording
@@ -143,7 +143,7 @@ def test_noise_by_kind_and_seed(run) -> None:
 
 
 def test_the_options_offer_all_kinds_of_noise() -> None:
-    assert common.NOISE_KINDS == measuring.KINDS
+    assert NOISE_KINDS == measuring.KINDS
 
 
 @pytest.mark.slow
@@ -161,7 +161,7 @@ def test_identify_finds_what_record_hid(run) -> None:
 
 def test_progress_goes_over_all_runs(run, monkeypatch) -> None:
     shown: list[float] = []
-    monkeypatch.setattr("rotorsim.cli.common.progress_bar", lambda label, wanted: nullcontext(shown.append))
+    monkeypatch.setattr("rotorsim.cli.record.progress_bar", lambda label, wanted: nullcontext(shown.append))
     run("record", "jeffcott", "--out", "m", "--speeds", "1200 rpm, 1500 rpm", "--progress")
     assert shown == sorted(shown)
     assert {0.5, 1.0} <= set(shown)
@@ -177,7 +177,7 @@ def test_progress_goes_over_all_runs(run, monkeypatch) -> None:
     ],
 )
 def test_gains_as_text(text: str, expected) -> None:
-    assert parse_gains(text) == expected
+    assert gains_of(text) == expected
 
 
 NOT_GAINS = "hint: for example --gains 'controller.KP=9000, controller.KD=4.5'"

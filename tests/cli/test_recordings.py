@@ -107,10 +107,10 @@ def test_lines_that_do_not_follow_the_shaft_are_named(run) -> None:
     table["x"] += 1e-6 * np.cos(2 * np.pi * 61.7 * time)
     table["y"] += 1e-6 * np.sin(2 * np.pi * 61.7 * time)
     made.write(Path("m"), made.document(), {"run1.npz": table})
-    [line] = [line for line in run("spectrum", "m").stdout.splitlines() if line.startswith("not of the shaft")]
+    [line] = [line for line in run("spectrum", "m").stdout.splitlines() if line.startswith("asynchronous line")]
     number = r"([\d.e+-]+)"
     found = re.fullmatch(
-        rf"not of the shaft: {number} Hz, order {number}, forward {number} um, backward {number} um", line
+        rf"asynchronous line: {number} Hz, order {number}, forward {number} um, backward {number} um", line
     )
     assert found
     frequency, order, forward, backward = map(float, found.groups())

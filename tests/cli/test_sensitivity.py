@@ -95,7 +95,7 @@ def test_mistakes(run: Run) -> None:
         (("--table", "9-9"), "one of 2-5, 2-6"),
         (("jeffcott", "--speeds", "100", "--noise", "much"), "not a list of numbers"),
         (("jeffcott", "--speeds", "100", "--noise", "300"), "3 is no level of noise"),
-        (("jeffcott", "--speeds", "100", "--window", "5 s"), "not FROM:TO"),
+        (("jeffcott", "--speeds", "100", "--window", "5 s"), "not START:STOP"),
         (("jeffcott", "--speeds", "100", "--gains", "controller.KQ=1"), "did you mean 'controller.K"),
         (("jeffcott", "--speeds", "100", "--free", "crack"), "did you mean 'crack_phase'"),
         (("jeffcott", "--speeds", "100", "--bias", "2"), "--wrong rotor.mass"),

@@ -18,7 +18,7 @@ def test_what_sensors_can_tell(run: Run):
     assert "STRUCTURE (one run, faults of any form): 4 equations more than unknowns" in text
     assert "LAWS (harmonics of runs at 900, 1500, 2100 rpm; free: viscous_damping, crack_stiffness," in text
     lines = text.splitlines()
-    start = lines.index("Not seen: the free parameters imitate:")
+    start = lines.index("Not detectable: the free parameters imitate:")
     assert lines[start + 1 : start + 3] == [
         "  rotor.force: magnetic_pull, support_stiffness, unbalance_elsewhere",
         "  rotor.displacement: sensor_gain",
@@ -61,13 +61,13 @@ jeffcott, sensors rotor.displacement: 3 faults
 
 STRUCTURE (one run, faults of any form): 2 equations more than unknowns
 
-Group 1, told from all others but not within:
+Group 1, isolable from all others but not within:
   rotor.force: residual_bow
   rotor.displacement: runout, sensor_gain
 
-further sensor             faults seen  pairs told apart
-second rotor.displacement            0                 2
-amb.force                            0                 2
+further sensor             faults detected  pairs isolated
+second rotor.displacement                0               2
+amb.force                                0               2
 (second: the same signal measured once more, by a chain with faults of its own)
 
 All that sensors can tell is told with second rotor.displacement (2 pairs more).
@@ -75,7 +75,7 @@ All that sensors can tell is told with second rotor.displacement (2 pairs more).
 LAWS (harmonics of runs at 900, 1500, 2100 rpm; free: viscous_damping, crack_stiffness, crack_phase,
   eccentricity, unbalance_phase, force_displacement_factor, force_current_factor)
 
-Not seen: the free parameters imitate:
+Not detectable: the free parameters imitate:
   rotor.displacement: sensor_gain
 """
 
@@ -115,11 +115,11 @@ def test_like_faults_of_several_nodes_stand_in_one_line(run: Run):
     assert result.exit_code == 0
     text = result.stdout
     lines = text.splitlines()
-    assert "Group 1, told from all others:\n  rotor.force: residual_bow\n" in text  # of the whole shaft, in shapes
-    assert "Groups 2-5, each node told from all others but not within:\n  rotor.force[2-5]: residual_bow" in text
-    assert "Group 6, told from all others:\n  controller.current: current_sensor_gain" in text
-    assert "Groups 7-12, each node told from all others:\n  rotor.moment[1-6]: moment_unbalance" in text
-    start = lines.index("Not told apart, line by line:")
+    assert "Group 1, isolable from all others:\n  rotor.force: residual_bow\n" in text  # of the whole shaft, in shapes
+    assert "Groups 2-5, each node isolable from all others but not within:\n  rotor.force[2-5]: residual_bow" in text
+    assert "Group 6, isolable from all others:\n  controller.current: current_sensor_gain" in text
+    assert "Groups 7-12, each node isolable from all others:\n  rotor.moment[1-6]: moment_unbalance" in text
+    start = lines.index("Not isolable, line by line:")
     assert lines[start + 1] == "  rotor.force[2-5]: residual_bow, thermal_bow (at each node)"
 
 
@@ -131,7 +131,7 @@ def test_angles_are_no_harmonics(run: Run):
     assert asked.stdout == (
         "jeffcott, sensors clock.theta: 1 fault\n\n"
         "STRUCTURE (one run, faults of any form): 1 equation more than unknowns\n\n"
-        "Not seen:\n  rotor.displacement: runout\n\n"
+        "Not detectable:\n  rotor.displacement: runout\n\n"
         "No further sensor tells more.\n\n"
         "By their laws faults were not compared: clock.theta does not repeat from turn to turn.\n"
     )

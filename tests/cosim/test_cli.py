@@ -201,7 +201,7 @@ MISTAKES = {  # arguments -> what, hint
         "0 holds the inputs, 1 linear, 2 quadratic; 3 for the iterative master",
     ),
     f"{BASE} --rate controller": ("--rate controller: not PARTICIPANT=N", "such as --rate controller=5"),
-    f"{BASE} --rate rotor=2 --rate rotor=3": ("--rate rotor=3: rotor has a rate already", "give one for each"),
+    f"{BASE} --rate rotor=2 --rate rotor=3": ("--rate rotor: has a rate already", "give one for each"),
     f"{BASE} --rate controler=2": ("controler: no such participant", "did you mean 'controller'?"),
     f"{BASE} --rate controller=0": ("controller: rate 0: not a whole number of base steps", "1 or more"),
     f"{BASE} --rate controller=2 --master iterative": (

@@ -14,7 +14,7 @@ from rotorsim.diagnosis.evidence.waveform.open import _allowed
 from rotorsim.diagnosis.files import _parameters
 from rotorsim.diagnosis.search.trials import Candidate
 from rotorsim.diagram.diagram import Free
-from rotorsim.report.diagnosis.tables import estimate, own_parameters
+from rotorsim.report.diagnosis.words import estimate, own_parameters
 
 
 def fitted(*, misfit: float = 900.0, goodness: float = 0.5, ended: tuple[bool, ...] = (False, False, False)) -> Fit:

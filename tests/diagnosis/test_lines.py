@@ -14,8 +14,9 @@ from rotorsim.diagnosis.files import diagnosis_data, save_diagnosis
 from rotorsim.errors import Place
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Channel, Recording, Run
-from rotorsim.report.diagnosis.comparison import fitted_pair, held_pair
-from rotorsim.report.diagnosis.figures import spectra_figure
+from rotorsim.report.comparison.speed_curves import settled_harmonics
+from rotorsim.report.diagnosis.compared import compared
+from rotorsim.report.figures.spectra import spectra_figure
 from rotorsim.signals.harmonics import harmonics_of
 from rotorsim.simulation.run import simulate
 
@@ -233,8 +234,8 @@ def test_nothing_is_found_in_a_healthy_machine():
     found = diagnosed("healthy")
     assert (found.verdict, found.effects, found.source.second) == ("consistent", (), None)
     assert found.score_after.total < 1.05 * found.score_after.noise
-    pair = held_pair(found)
-    assert pair.any.lines(0, pair.every[0]) is None
+    runs = compared(found).held.runs
+    assert runs.lines(0, runs.signals[0]) is None
 
 
 @pytest.mark.parametrize("name", ["shaken", *SWUNG])
@@ -251,11 +252,11 @@ def test_repaired_diagrams_predict_runs_that_took_no_part(name, tmp_path):
 
 @pytest.mark.parametrize("name", ["shaken", SWUNG[0]])
 def test_curves_over_speed_pass_through_what_is_predicted_of_the_runs(name):
-    compared = fitted_pair(diagnosed(name)).after
-    signal, orders = compared.signals[0], np.arange(-3, 4)
-    for r, fit in enumerate(compared.experiment.fits):
-        here = compared._at(r, np.array([fit.speed]), signal, orders)[0]
-        there = signal.combined(compared.predicted[r : r + 1], compared.experiment.predicted, orders)[0]
+    both = compared(diagnosed(name)).fitted
+    signal, runs, orders = both.signals[0], both.runs, np.arange(-3, 4)
+    for r in range(len(runs.speeds)):
+        here = settled_harmonics(runs, r, runs.speeds[r : r + 1], signal, orders)[0]
+        there = signal.combined(runs.predicted[r : r + 1], runs.experiment.predicted, orders)[0]
         moving = orders != 0  # the mean of a run that has not settled is its own
         assert np.abs(here - there)[moving].max() < 0.01 * NOISE["r"]
 
@@ -263,16 +264,16 @@ def test_curves_over_speed_pass_through_what_is_predicted_of_the_runs(name):
 @pytest.mark.parametrize("name", ["shaken", *SWUNG])
 def test_spectra_show_lines_that_the_repaired_diagram_explains(name):
     """|measured - model|^2 over its variance is one on average, in both directions; as given it is far more."""
-    pair = held_pair(diagnosed(name))
+    both = compared(diagnosed(name)).held
     ratios = {"before": [], "after": []}
-    for label, compared in (("before", pair.before), ("after", pair.after)):
-        for r in range(len(compared.experiment.runs)):
-            for signal in compared.every:
-                measured, model = compared.lines(r, signal)
+    for label, (_, runs) in zip(ratios, both.diagrams, strict=True):
+        for r in range(len(runs.speeds)):
+            for signal in runs.signals:
+                measured, model = runs.lines(r, signal)
                 ratios[label] += (np.abs(measured.value - model) ** 2 / (2 * measured.amplitude_std**2)).tolist()
     count = len(ratios["after"])
     assert count >= 8
     assert np.mean(ratios["after"]) < 1 + 4 / np.sqrt(count)
     assert np.mean(ratios["before"]) > 100
-    made = spectra_figure(pair)
+    made = spectra_figure(both)
     assert "measured at kX + nu" in [text.get_text() for text in made.legends[0].get_texts()]

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from rotorsim.cli.block_pages import markdown_page
 from rotorsim.diagram.resolve.registry import all_types
 from rotorsim.diagram.schema import schema_text
+from rotorsim.report.text.blocks import markdown_page
 from tests.docs.pages import FENCE, ROOT, blocks
 
 

@@ -21,14 +21,21 @@ from matplotlib.patches import Rectangle
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
 from rotorsim.diagnosis.files import diagnosis_data
+from rotorsim.errors import RotorsimError
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
-from rotorsim.report.diagnosis.comparison import Pair, excess_of, fitted_pair, held_pair, traces
-from rotorsim.report.diagnosis.evidence import parameters_figure, residuals_figure, traces_figure
-from rotorsim.report.diagnosis.figures import orbits_figure, spectra_figure, speed_curves_figure
+from rotorsim.report.comparison import speed_curves
+from rotorsim.report.comparison.harmonics import Comparison
+from rotorsim.report.comparison.speed_curves import speed_curve
+from rotorsim.report.diagnosis.compared import GIVEN, REPAIRED, OfHarmonics, OfResonances, OfSamples, compared
+from rotorsim.report.diagnosis.parameters import parameters_figure
 from rotorsim.report.diagnosis.places import NEW, SHADES, block_diagram, places_figure
 from rotorsim.report.diagnosis.report import save_report
-from rotorsim.report.diagnosis.tables import estimate, flat
+from rotorsim.report.diagnosis.words import estimate, flat
+from rotorsim.report.figures.orbits import orbits_figure
+from rotorsim.report.figures.spectra import residuals_figure, spectra_figure
+from rotorsim.report.figures.speed_curves import speed_curves_figure
+from rotorsim.report.figures.traces import traces_figure
 from tests.diagnosis.evidence.machines import OSCILLATOR, oscillator_recording
 from tests.diagnosis.test_diagnosis import HELD, SPEEDS, recording
 from tests.identification import OTHER_GAINS, changed, shipped
@@ -156,7 +163,7 @@ def test_numbers_are_those_of_the_diagnosis() -> None:
     data = diagnosis_data(found)
     assert set(files) == FIGURES | {"report.html", "diagram.svg"}
     before, after = (100 * data["fit"][which]["hold_out"] for which in ("before", "after"))
-    sentence = "The diagram lacks residual bow at rotor.force; with it the error on held-out runs falls from"
+    sentence = "The diagram lacks residual bow at rotor.force; with it the error in hold-out runs falls from"
     assert f"{sentence} {before:.3g} % to {after:.3g} %." in page.text
     for name, score in found.score_after.ports.items():
         row = f"{name} {100 * found.score_before.ports[name]:.3g} % {100 * score:.3g} %"
@@ -171,74 +178,81 @@ def test_numbers_are_those_of_the_diagnosis() -> None:
     best = found.effects[0].candidate.fit
     ratio = (rival.misfit / rival.freedom) / (best.misfit / best.freedom)
     assert ratio > 2
-    assert f"leaves {ratio:.3g} times as much" in page.text  # the rival, and why it lost
+    assert f"residual variance {ratio:.3g} times as large" in page.text  # the rival, and why it lost
 
 
 @pytest.mark.slow
 def test_a_report_of_nothing_missing() -> None:
     page, files, _ = _reported("healthy", drawn=False)
     assert "Nothing is missing" in page.text
-    assert "What would have been seen" in page.text
+    assert "What would have been detected" in page.text
     assert "residual bow amplitude" in page.text
     assert "repaired" not in page.text.replace("repaired diagram, sha256", "")
-    assert "There were no held-out runs: the figures show runs that were fitted." in page.text
+    assert "There were no hold-out runs: the figures show fitted runs." in page.text
     assert "parameters.png" not in files
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------
 
 
-def test_what_is_left_over_is_noise_after_and_not_before() -> None:
+def of_harmonics(found: Diagnosis) -> OfHarmonics:
+    both = compared(found)
+    assert isinstance(both, OfHarmonics)
+    return both
+
+
+def fitted_runs(found: Diagnosis) -> Comparison:
+    fitted = of_harmonics(found).fitted
+    assert fitted is not None
+    return fitted
+
+
+def held_runs(found: Diagnosis) -> Comparison:
+    held = of_harmonics(found).held
+    assert held is not None
+    return held
+
+
+def test_the_residual_is_noise_after_and_not_before() -> None:
     """In units of the noise the squares have a mean of one: of N harmonics the mean of them scatters by sqrt(1 / N)."""
-    pair = fitted_pair(bowed())
-    assert pair is not None
-    assert pair.before is not None
-    assert pair.after is not None
-    squares = {
-        name: np.concatenate(
-            [excess_of(compared, r, signal) ** 2 for signal in pair.every for r in range(len(compared.experiment.runs))]
-        )
-        for name, compared in pair.models
-    }
-    count = len(squares["after"])
-    assert count > 150
-    assert abs(squares["after"].mean() - 1) < 4 / np.sqrt(count)
-    assert squares["before"].mean() > 100
+    both = fitted_runs(bowed())
+    before, after = (
+        np.concatenate([runs.residual(r, signal) ** 2 for signal in runs.signals for r in range(len(runs.speeds))])
+        for _, runs in both.diagrams
+    )
+    assert len(after) > 150
+    assert abs(after.mean() - 1) < 4 / np.sqrt(len(after))
+    assert before.mean() > 100
 
 
 def test_spectra_show_measured_and_both_diagrams() -> None:
-    pair = held_pair(bowed())
-    assert pair is not None
-    assert pair.held
-    made = spectra_figure(pair)
+    both = held_runs(bowed())
+    made = spectra_figure(both)
     labels = [text.get_text() for text in made.legends[0].get_texts()]
     assert {"diagram as given", "repaired diagram", "measured, 90 % interval"} <= set(labels)
     axes = made.axes[0]
-    signal, r = pair.telling[0], pair.any.chosen(3)[0]
+    signal, r = both.signals[0], both.runs.spread(4)[0]
     assert signal.title in axes.get_title(loc="left")
     assert "rpm" in axes.get_title(loc="left")
     drawn = next(line for line in axes.lines if line.get_label() == "repaired diagram")
-    assert pair.after is not None
-    np.testing.assert_allclose(drawn.get_ydata(), np.abs(pair.after.model(r, signal)) * 1e6)  # um
-    np.testing.assert_array_equal(drawn.get_xdata(), pair.any.orders(signal))
+    np.testing.assert_allclose(drawn.get_ydata(), np.abs(both.runs.prediction(r, signal)) * 1e6)  # um
+    np.testing.assert_array_equal(drawn.get_xdata(), both.runs.orders(signal))
     assert axes.get_yscale() == "log"
 
 
 def test_curves_over_speed_go_through_what_the_diagram_says_at_the_runs() -> None:
     found = bowed()
-    pair = held_pair(found)
-    assert pair is not None
-    assert pair.after is not None
-    made = speed_curves_figure(pair, fitted_pair(found))
+    both = held_runs(found)
+    made = speed_curves_figure(both, fitted_runs(found))
     assert made is not None
     upper = made.axes[0]
     assert upper.get_title(loc="left").startswith("1X (forward)")
     line = next(line for line in upper.lines if line.get_label() == "repaired diagram")
-    signal = pair.telling[0]
-    column = int(np.flatnonzero(pair.after.orders(signal) == 1)[0])
-    for r, fit in enumerate(pair.after.experiment.fits):
-        expected = abs(pair.after.model(r, signal)[column]) * 1e6
-        at = np.interp(fit.speed * 30 / np.pi, line.get_xdata(), line.get_ydata())
+    signal, after = both.signals[0], both.runs
+    column = int(np.flatnonzero(after.orders(signal) == 1)[0])
+    for r, speed in enumerate(after.speeds):
+        expected = abs(after.prediction(r, signal)[column]) * 1e6
+        at = np.interp(speed * 30 / np.pi, line.get_xdata(), line.get_ydata())
         assert abs(at / expected - 1) < 0.02  # between points of the curve
     speeds = [path.get_offsets() for path in upper.collections]
     assert speeds is not None
@@ -248,9 +262,7 @@ def test_curves_over_speed_go_through_what_the_diagram_says_at_the_runs() -> Non
 
 
 def test_orbits_close_and_have_both_axes() -> None:
-    pair = held_pair(bowed())
-    assert pair is not None
-    made = orbits_figure(pair)
+    made = orbits_figure(held_runs(bowed()))
     assert made is not None
     for axes in made.axes:
         line = next(line for line in axes.lines if line.get_label() == "repaired diagram")
@@ -262,9 +274,8 @@ def test_orbits_close_and_have_both_axes() -> None:
 
 @pytest.mark.slow
 def test_without_a_motion_of_the_diagram_as_given_the_figures_show_the_other() -> None:
-    pair = held_pair(bowed())
-    assert pair is not None
-    alone = Pair(None, pair.after, pair.held, False, pair.labels)
+    both = held_runs(bowed())
+    alone = replace(both, diagrams=both.diagrams[1:])
     for made in (spectra_figure(alone), orbits_figure(alone), speed_curves_figure(alone), residuals_figure(alone)):
         assert made is not None
     labels = [text.get_text() for text in spectra_figure(alone).legends[0].get_texts()]
@@ -272,11 +283,10 @@ def test_without_a_motion_of_the_diagram_as_given_the_figures_show_the_other() -
 
 
 def test_residuals_are_drawn_for_every_run_and_order() -> None:
-    pair = fitted_pair(bowed())
-    assert pair is not None
-    made = residuals_figure(pair)
+    both = fitted_runs(bowed())
+    made = residuals_figure(both)
     drawn = [axes.collections[0].get_array() for axes in made.axes if axes.collections and axes.get_xlabel() != ""]
-    runs = len(pair.any.experiment.runs)
+    runs = len(both.runs.speeds)
     assert all(array is not None and array.shape[-1] == runs for array in drawn[:2])
     titles = [axes.get_title(loc="left") for axes in made.axes]
     assert any("diagram as given" in title for title in titles)
@@ -289,8 +299,8 @@ def test_parameters_move_by_parts_of_the_later_value() -> None:
 
     before = {"k": item(150.0), "phase": item(0.1 + 2 * np.pi, "rad"), "old": item(1.0)}
     after = {"k": item(100.0), "phase": item(0.2, "rad"), "new": item(5.0)}
-    labels = {"before": "diagram as given", "after": "repaired diagram"}
-    made = parameters_figure(before, after, labels)
+    looks = GIVEN, REPAIRED
+    made = parameters_figure(before, after, looks)
     assert made is not None
     left, right = made.axes
     assert [text.get_text() for text in left.get_yticklabels()] == ["k"]
@@ -299,15 +309,14 @@ def test_parameters_move_by_parts_of_the_later_value() -> None:
     assert places == pytest.approx([50.0, 0.0])
     turned = [float(box.lines[0].get_xdata()[0]) for box in right.containers]
     assert turned == pytest.approx([np.degrees(-0.1), 0.0])
-    assert parameters_figure({}, after, labels) is None
+    assert parameters_figure({}, after, looks) is None
 
 
 def test_a_parameter_at_its_bound_has_no_interval_and_is_nothing_to_compare_with() -> None:
     """FAULT: a stiffness of 2 nN/m at its bound made the axis reach to 600 000 %."""
     low = {"value": 2e-9, "interval90": [2e-9, 2e-9], "unit": "N/m", "at_bound": True}
     free = {"value": 1e5, "interval90": [0.5e5, 1.5e5], "unit": "N/m"}
-    labels = {"before": "diagram as given", "after": "repaired diagram"}
-    made = parameters_figure({"k": free, "c": low}, {"k": low, "c": low}, labels)
+    made = parameters_figure({"k": free, "c": low}, {"k": low, "c": low}, (GIVEN, REPAIRED))
     assert made is not None
     [axes] = made.axes
     assert [text.get_text() for text in axes.get_yticklabels()] == ["k"]  # c says nothing
@@ -319,7 +328,7 @@ def test_a_parameter_at_its_bound_has_no_interval_and_is_nothing_to_compare_with
 def test_a_large_change_is_written_at_the_edge() -> None:
     before = {"k": {"value": 55.0, "interval90": [54.0, 56.0], "unit": "1"}}
     after = {"k": {"value": 1.0, "interval90": [0.9, 1.1], "unit": "1"}}
-    made = parameters_figure(before, after, {"before": "diagram as given", "after": "repaired diagram"})
+    made = parameters_figure(before, after, (GIVEN, REPAIRED))
     assert made is not None
     [axes] = made.axes
     assert axes.get_xlim()[1] == 150.0
@@ -389,18 +398,18 @@ def swinging() -> Diagnosis:
 
 @pytest.mark.slow
 def test_signals_in_time_are_simulated_again() -> None:
-    found = swinging()
-    shown = traces(found)
-    assert shown
-    for trace in shown:
+    both = compared(swinging())
+    assert isinstance(both, OfSamples)
+    shown = both.comparison()
+    assert shown.traces
+    for trace in shown.traces:
         assert trace.time.shape == trace.measured.shape
-        assert trace.before is not None
-        assert trace.after is not None
-        wrong = [
-            np.sqrt(np.mean((trace.measured - y) ** 2)) / trace.measured.std() for y in (trace.before, trace.after)
-        ]
+        before, after = trace.simulated
+        assert before is not None
+        assert after is not None
+        wrong = [np.sqrt(np.mean((trace.measured - y) ** 2)) / trace.measured.std() for y in (before, after)]
         assert wrong[1] < wrong[0]
-    made = traces_figure(shown, {"before": "diagram as given", "after": "repaired diagram"}, False)
+    made = traces_figure(shown)
     assert made.axes[0].get_ylabel().startswith("[")
     assert made.axes[1].get_xlabel() == "time [s]"
 
@@ -418,27 +427,39 @@ def test_a_report_in_time(tmp_path: Path) -> None:
     assert "cubic stiffness" in page.text
 
 
-def test_curves_over_speed_pass_through_the_motion_of_the_runs():
-    compared = held_pair(bowed()).after
-    signal = compared.signals[0]
+def test_curves_over_speed_pass_through_the_motion_of_the_runs() -> None:
+    both = held_runs(bowed())
+    signal, repaired = both.signals[0], both.runs
     orders = np.array([1, 2])
-    every = compared.orders(signal).tolist()
-    for group, runs in compared.groups.items():
-        speeds, values = compared.curve(group, signal, orders)
+    every = repaired.orders(signal).tolist()
+    for group, runs in repaired.groups.items():
+        curve = speed_curve(repaired, group, signal, orders)
+        assert curve is not None
+        speeds, values = curve
         for r in runs:
-            [at] = np.flatnonzero(speeds == compared.experiment.fits[r].speed)
-            there = compared.model(r, signal)[[every.index(1), every.index(2)]]
+            [at] = np.flatnonzero(speeds == repaired.speeds[r])
+            there = repaired.prediction(r, signal)[[every.index(1), every.index(2)]]
             np.testing.assert_allclose(values[at], there, rtol=0.01, atol=0.01 * np.abs(there).max())
 
 
-def test_a_curve_of_another_motion_is_not_drawn(monkeypatch):
+def test_a_curve_of_another_motion_is_not_drawn(monkeypatch) -> None:
     """The repaired diagram was once drawn at 66.7 mm beside 11 um measured."""
-    compared = held_pair(bowed()).after
-    signal, [group, *_] = compared.signals[0], compared.groups
-    far = lambda self, r, speeds, signal, orders: np.full((len(speeds), len(orders)), 66.7e-3 + 0j)  # noqa: E731
-    monkeypatch.setattr(type(compared), "_at", far)
-    speeds, values = compared.curve(group, signal, np.array([1, 2]))
-    assert (speeds.shape, values.shape) == ((0,), (0, 2))
+    both = held_runs(bowed())
+    group = next(iter(both.runs.groups))
+    far = lambda runs, r, speeds, signal, orders: np.full((len(speeds), len(orders)), 66.7e-3 + 0j)  # noqa: E731
+    monkeypatch.setattr(speed_curves, "settled_harmonics", far)
+    assert speed_curve(both.runs, group, both.signals[0], np.array([1, 2])) is None
+
+
+def test_a_diagnosis_by_resonances_says_that_it_draws_nothing(monkeypatch):
+    """FAULT: plot() of such a diagnosis was an IndexError."""
+    monkeypatch.setattr("rotorsim.report.diagnosis.compared.compared", lambda found: OfResonances(None))
+    with pytest.raises(RotorsimError, match="can be drawn beside its recording"):
+        bowed().plot()
+
+
+def test_a_diagnosis_is_drawn_over_speed():
+    assert bowed().plot().get_suptitle() == "Main harmonics of rotor.displacement over speed, hold-out runs"
 
 
 def test_what_is_left_and_what_is_open_stand_in_the_report(tmp_path):
@@ -460,4 +481,4 @@ def test_what_is_left_and_what_is_open_stand_in_the_report(tmp_path):
         "Tried, but not fitted to the end: not rejected",
     ):
         assert text in words, text
-    assert "Proved on held-out runs: what it leaves there" in words
+    assert "Proved on hold-out runs: what it leaves there" in words

@@ -10,7 +10,7 @@ import pytest
 
 from rotorsim.errors import RotorsimError
 from rotorsim.model.load import load
-from rotorsim.report.figures.run import orbit, overview, run_up_figure, save_figure, spectrum_figure, time_histories
+from rotorsim.report.figures.run import overview, save_figure, spectrum_figure, time_histories
 from rotorsim.report.style import BLUE, ORANGE
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate
@@ -48,8 +48,7 @@ def test_the_spectrum_figure_shows_the_amplitudes_of_the_harmonics(result):
 
 
 def test_the_orbit_marks_every_turn_of_the_shaft(result):
-    made = orbit(result, "rotor.displacement", turns=4)
-    marks = made.axes[0].lines[1]
+    marks = overview(result).axes[1].lines[1]
     assert len(marks.get_xdata()) == 4
     assert np.ptp(marks.get_xdata()) < 0.1  # um: the same place every turn
 
@@ -57,7 +56,7 @@ def test_the_orbit_marks_every_turn_of_the_shaft(result):
 @pytest.mark.slow
 def test_a_run_up_figure_names_resonances_and_peaks(tmp_path):
     result = simulate(load("jeffcott_runup"), record_every=5)
-    made = drawn(run_up_figure(result, "rotor.displacement[1]"), tmp_path / "r.png")
+    made = drawn(overview(result), tmp_path / "r.png")
     texts = legend(made.axes[0])
     assert texts[:4] == ["peak of each turn", "1X", "2X", "3X"]
     assert texts[4].startswith("1X at 73")
@@ -65,12 +64,11 @@ def test_a_run_up_figure_names_resonances_and_peaks(tmp_path):
     assert texts[5].startswith("2X at 36")
     assert texts[6].startswith("3X at 24")
     assert made.axes[0].get_xlabel() == "speed [rpm]"
-    page = overview(result)
-    assert [axes.get_title("left") for axes in page.axes] == [
+    assert [axes.get_title("left") for axes in made.axes] == [
         "run-up: rotor.displacement[1], about its mean",
         "run-up: controller.current[1], about its mean",
     ]
-    assert page.get_suptitle() == f"jeffcott_runup, 0 to {result['clock.speed'][-1] * 30 / np.pi:.0f} rpm"
+    assert made.get_suptitle() == f"jeffcott_runup, 0 to {result['clock.speed'][-1] * 30 / np.pi:.0f} rpm"
 
 
 def test_other_signals_are_drawn_against_time(result):
@@ -99,7 +97,7 @@ def test_the_overview_shows_the_node_that_moves_most():
 
 
 def test_every_panel_says_what_its_axes_are(result):
-    for made in (overview(result), orbit(result, "controller.current"), spectrum_figure(result, "controller.current")):
+    for made in (overview(result), spectrum_figure(result, "controller.current")):
         for axes in made.axes:
             assert axes.get_ylabel()
         assert made.axes[-1].get_xlabel()
@@ -111,7 +109,7 @@ def test_marks_of_the_key_phasor_lie_between_samples():
     theta = 2 * np.pi * 7.3 * time
     r = 1e-6 * np.exp(1j * (theta + 0.5))
     result = Result(time, {"r.d": np.column_stack([r.real, r.imag]), "clock.theta": theta}, {"r.d": "m"})
-    marks = orbit(result, "r.d").axes[0].lines[1]
+    marks = overview(result).axes[1].lines[1]
     places = np.asarray(marks.get_xdata()) + 1j * np.asarray(marks.get_ydata())
     assert places == pytest.approx(
         np.full(4, np.exp(0.5j)), abs=2.7e-4
@@ -169,5 +167,5 @@ def test_figures_leave_matplotlib_as_it_was(result):
 
 @pytest.mark.parametrize("suffix", ["png", "svg", pytest.param("pdf", marks=pytest.mark.slow)])
 def test_figures_are_written_whole(result, tmp_path, suffix):
-    drawn(orbit(result, "rotor.displacement"), tmp_path / f"orbit.{suffix}")
-    assert [path.name for path in tmp_path.iterdir()] == [f"orbit.{suffix}"]
+    drawn(spectrum_figure(result, "rotor.displacement"), tmp_path / f"spectrum.{suffix}")
+    assert [path.name for path in tmp_path.iterdir()] == [f"spectrum.{suffix}"]

@@ -13,15 +13,12 @@ from rotorsim.errors import Place
 from rotorsim.identification.identification import identify
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Channel, Recording, Run
-from rotorsim.report.identification.comparison import compare
-from rotorsim.report.identification.figures import (
-    correlation_figure,
-    orbits_figure,
-    parameters_figure,
-    save_figures,
-    spectrum_figure,
-    speed_curve_figure,
-)
+from rotorsim.report.comparison.speed_curves import speed_curve
+from rotorsim.report.figures.orbits import orbits_figure
+from rotorsim.report.figures.spectra import spectra_figure
+from rotorsim.report.figures.speed_curves import speed_curves_figure
+from rotorsim.report.identification.figures import compare, save_figures
+from rotorsim.report.identification.parameters import correlation_figure, parameters_figure
 from rotorsim.report.style import BLUE, GREY, INK, RED
 from rotorsim.settled.periodic import periodic
 from tests.recordings import made as written
@@ -82,10 +79,15 @@ def compared(found, recording):
     return compare(found, recording)
 
 
-def test_a_curve_leaves_out_what_is_rounding(compared):
+@pytest.fixture(scope="module")
+def runs(compared):
+    return compared.runs
+
+
+def test_a_curve_leaves_out_what_is_rounding(runs):
     """The series of the crack has no fourth harmonic: a solver gives 1e-20 m there, with phases of no meaning."""
-    group = next(iter(compared.groups))
-    _, values = compared.curve(group, compared.signals[0], np.array([1, 4]))
+    group = next(iter(runs.groups))
+    _, values = speed_curve(runs, group, runs.signals[0], np.array([1, 4]))
     assert np.isfinite(values[:, 0]).all()
     assert np.isnan(values[:, 1]).all()
 
@@ -127,7 +129,7 @@ def test_the_command_writes_them(recording, tmp_path):
 def test_parameters_have_names_intervals_numbers_and_start_values(found, recording):
     made = parameters_figure(found, recording)
     axes, right = made.axes
-    assert made.get_suptitle() == "jeffcott identified from bench: parameters"
+    assert made.get_suptitle() == "Parameters, jeffcott identified from bench"
     assert [text.get_text() for text in axes.get_yticklabels()] == list(found.parameters)
     assert axes.get_xlabel().startswith("difference from the identified value [%]")
     assert [text.get_text() for text in axes.get_legend().get_texts()] == [
@@ -193,12 +195,12 @@ def test_correlation_shows_its_numbers(found, recording):
     assert [text.get_text() for text in axes.get_xticklabels()] == list(found.parameters)
 
 
-def test_measured_harmonics_have_the_uncertainty_of_white_noise(compared):
+def test_measured_harmonics_have_the_uncertainty_of_white_noise(runs):
     """Of n samples with noise of standard deviation s in x and y, R_k has s / sqrt(n) in every direction."""
-    for signal in compared.signals:
+    for signal in runs.signals:
         sigma = SIGMA[signal.title] / np.sqrt(SAMPLES)
         for r in range(len(PLAN)):
-            one = compared.measured(r, signal)
+            one = runs.measured(r, signal)
             inner = np.abs(one.orders) > 2  # the drift of the mean is fitted along and costs the lowest orders
             assert one.noise[inner] == pytest.approx(np.sqrt(2 * np.log(20)) * sigma, rel=0.1)
             weak = inner & (np.abs(one.value) < 1e-3 * np.abs(one.value).max())  # no share of the shaft angle
@@ -215,7 +217,7 @@ def test_an_uncertain_shaft_angle_turns_harmonics_but_does_not_change_their_size
     jitter = 1e-2  # rad, of angle zero; harmonic k turns by k times that
     runs = tuple(replace(item, fit=replace(item.fit, angle_std=jitter)) for item in found.runs)
     signal, shaken = compared.signals[0], compare(replace(found, runs=runs), recording)
-    before, after = compared.measured(1, signal), shaken.measured(1, signal)
+    before, after = compared.runs.measured(1, signal), shaken.runs.measured(1, signal)
     own = np.hypot(before.phase_std, np.abs(before.orders) * jitter)
     strong = np.abs(before.value) > 20 * before.noise
     assert {-3, -1, 1, 2} <= set(before.orders[strong])
@@ -225,22 +227,21 @@ def test_an_uncertain_shaft_angle_turns_harmonics_but_does_not_change_their_size
 
 
 def test_spectra_show_measured_and_predicted_harmonics(compared):
-    made = spectrum_figure(compared)
-    assert legend(made) == ["measured, 90 % interval", "model", "noise alone (95 % of harmonics)"]
+    made = spectra_figure(compared)
+    assert legend(made) == ["noise alone (95 %)", "model", "residual, model", "measured, 90 % interval"]
     assert len(made.axes) == 8
-    assert made.axes[0].get_title(loc="left").endswith(LABEL)
-    assert made.axes[0].texts[0].get_text() == "rotor.displacement"
+    assert made.axes[0].get_title(loc="left") == f"rotor.displacement, 600 rpm, {LABEL}"
     assert made.axes[-2].get_xlabel() == "order of running speed (negative: backward)"
     ticks = [text.get_text() for text in made.axes[-1].get_xticklabels()]
     assert {"-3X", "0", "1X", "7X"} <= set(ticks)
     for k, axes in enumerate(made.axes):
-        signal, r = compared.signals[k % 2], compared.chosen()[k // 2]
+        signal, r = compared.signals[k % 2], compared.runs.spread(4)[k // 2]
         factor = (1e6, 1.0)[k % 2]
         assert axes.get_ylabel() == ("[um, 0-peak]", "[A, 0-peak]")[k % 2]
         assert axes.get_yscale() == "log"
         values, half = bars(axes.containers[0])
         orders = axes.containers[0].lines[0].get_xdata().astype(int)
-        one = compared.measured(r, signal)
+        one = compared.runs.measured(r, signal)
         place = np.searchsorted(one.orders, orders)
         assert values == pytest.approx(factor * np.abs(one.value[place]))
         assert half == pytest.approx(1.6449 * factor * one.amplitude_std[place], rel=1e-4)
@@ -251,24 +252,24 @@ def test_spectra_show_measured_and_predicted_harmonics(compared):
         assert np.asarray(rings.get_ydata())[chosen] == pytest.approx(factor * np.abs(truth[chosen]), rel=2e-3)
 
 
-def test_chosen_runs_are_spread_over_speed_and_gains(compared):
-    assert [PLAN[r] for r in compared.chosen()] == [PLAN[0], PLAN[2], PLAN[3], PLAN[4]]
-    assert len(compared.chosen(9)) == 5
+def test_chosen_runs_are_spread_over_speed_and_gains(runs):
+    assert [PLAN[r] for r in runs.spread(4)] == [PLAN[0], PLAN[2], PLAN[3], PLAN[4]]
+    assert len(runs.spread(9)) == 5
 
 
 @pytest.mark.parametrize("which", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_curves_over_speed_are_those_of_the_true_rotor(compared, which):
     signal, factor = compared.signals[which], (1e6, 1.0)[which]
-    made = speed_curve_figure(compared, signal)
+    made = speed_curves_figure(compared, signal=signal)
     count = len(made.axes) // 2
     assert legend(made) == [
         f"model, {LABEL}",
         "model, KP = 9000 A/m, KD = 4.5 A s/m",
-        f"measured, 90 %, {LABEL}",
-        "measured, 90 %, KP = 9000 A/m, KD = 4.5 A s/m",
+        f"measured, 90 % interval, {LABEL}",
+        "measured, 90 % interval, KP = 9000 A/m, KD = 4.5 A s/m",
     ]
     titles = [axes.get_title(loc="left") for axes in made.axes[:count]]
-    assert titles[:2] == ["1X (forward)", "2X (forward)"]
+    assert titles[:2] == ["1X (forward)", "-1X (backward)"]
     assert made.axes[0].get_ylabel() == f"{signal.title}\n[{('um', 'A')[which]}, 0-peak]"
     assert made.axes[count].get_ylabel() == "phase [deg]"
     for k, title in enumerate(titles):
@@ -293,20 +294,20 @@ def test_curves_over_speed_are_those_of_the_true_rotor(compared, which):
                 assert (np.abs(values - np.interp(at, speeds, line.get_ydata())) < 2.7 * half + between).all()
 
 
-def test_orbits_are_measured_and_predicted_with_their_start_and_direction(compared):
+def test_orbits_are_measured_and_predicted_with_their_start_and_direction(compared, runs):
     made = orbits_figure(compared)
     assert legend(made) == ["samples", "measured, synchronous", "model", "shaft angle zero"]
-    assert made.get_suptitle() == "jeffcott identified from bench: orbits of rotor.displacement"
-    for axes, r in zip(made.axes, compared.chosen(), strict=True):
+    assert made.get_suptitle() == "Orbits of rotor.displacement, jeffcott identified from bench"
+    for axes, r in zip(made.axes, runs.spread(4), strict=True):
         assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_aspect()) == ("x [um]", "y [um]", 1.0)
         drawn = {line.get_label(): line.get_xdata() + 1j * line.get_ydata() for line in axes.lines}
-        one = compared.measured(r, compared.signals[0])
+        one = runs.measured(r, runs.signals[0])
         theta = np.linspace(0, 2 * np.pi, 721)
         orbit = 1e6 * np.exp(1j * np.outer(theta, one.orders)) @ one.value
         assert drawn["measured, synchronous"] == pytest.approx(orbit)
         assert drawn["shaft angle zero"] == pytest.approx(orbit[:1])
         assert np.abs(drawn["model"] - orbit).max() < 0.05
-        x, y = (1e6 * compared.recording.runs[r].values[name] for name in "xy")
+        x, y = (1e6 * runs.experiment.recording.runs[r].values[name] for name in "xy")
         assert drawn["samples"] == pytest.approx(x + 1j * y)
         (arrow,) = axes.texts
         tip, tail = complex(*arrow.xy), complex(*arrow.get_position())
@@ -320,7 +321,7 @@ def test_a_model_that_takes_measured_currents_has_no_line_between_the_runs(diagr
     chosen = replace(diagram, free=tuple(item for item in diagram.free if item.name != "force_current_factor"))
     compared = compare(identify(chosen, recording, given=["controller.current"]), recording)
     assert [signal.title for signal in compared.signals] == ["rotor.displacement"]
-    axes = speed_curve_figure(compared).axes[0]
+    axes = speed_curves_figure(compared).axes[0]
     models = [line for line in axes.lines if line.get_label().startswith("model")]
     assert [line.get_linestyle() for line in models] == ["None", "None"]
     points = np.concatenate([container.lines[0].get_ydata() for container in axes.containers])
@@ -335,13 +336,13 @@ def test_one_run_has_no_curve_and_one_axis_no_orbit(diagram, recording, tmp_path
     free = tuple(item for item in diagram.free if item.name == "crack_stiffness")
     found = identify(replace(diagram, free=free), single)
     compared = compare(found, single)
-    (signal,) = compared.signals
-    assert (signal.title, signal.y, compared.orders(signal)[0]) == ("rotor.displacement, x", None, 0)
-    c = compared.experiment.fits[0].values[:, 0]
-    assert np.abs(compared.measured(0, signal).value) == pytest.approx(np.abs([c[0], *(2 * c[1:])]))
-    made = spectrum_figure(compared)
+    runs, (signal,) = compared.runs, compared.signals
+    assert (signal.title, signal.y, runs.orders(signal)[0]) == ("rotor.displacement, x", None, 0)
+    c = runs.experiment.fits[0].values[:, 0]
+    assert np.abs(runs.measured(0, signal).value) == pytest.approx(np.abs([c[0], *(2 * c[1:])]))
+    made = spectra_figure(compared)
     assert (len(made.axes), made.axes[0].get_xlabel()) == (1, "order of running speed")
-    assert made.axes[0].get_title(loc="left") == "1500 rpm"
+    assert made.axes[0].get_title(loc="left") == "rotor.displacement, x, 1500 rpm"
     names = [file.name for file in save_figures(found, single, tmp_path)]
     assert names == ["parameters.png", "correlation.png", "spectrum.png"]
 
@@ -351,7 +352,7 @@ def test_a_mean_that_is_not_measured_is_not_shown(diagram, recording):
     moved = tuple(replace(run, values={c: v + 1e-3 for c, v in run.values.items()}) for run in recording.runs[:2])
     alternating = replace(recording, channels=channels, runs=moved)
     compared = compare(identify(diagram, alternating), alternating)
-    assert 0 not in compared.orders(compared.signals[0])
+    assert 0 not in compared.runs.orders(compared.signals[0])
     axes = orbits_figure(compared).axes[0]
     samples = next(line for line in axes.lines if line.get_label() == "samples")
     assert abs(samples.get_xdata().mean() + 1j * samples.get_ydata().mean()) < 1e-6

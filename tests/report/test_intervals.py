@@ -6,41 +6,51 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from rotorsim.report.diagnosis import figures as diagnosis_figures
-from rotorsim.report.identification import figures as identification_figures
+from rotorsim.report.comparison.harmonics import Harmonics, Signal
+from rotorsim.report.figures import speed_curves
+from rotorsim.report.figures.spectra import spectra_figure
+from rotorsim.report.figures.speed_curves import speed_curves_figure
+from rotorsim.report.style import BLUE, Look
 from tests.report.test_identification_figures import bars
 
-SIGNAL = SimpleNamespace(unit="m", title="rotor.displacement", y="")
+SIGNAL = Signal("rotor.displacement", "rotor.displacement[1]", "rotor.displacement[2]", "m")
 STD, PHASE_STD = np.array([1e-7, 2e-7]), np.array([0.1, 0.05])
-MEASURED = SimpleNamespace(
-    orders=np.array([1, 2]),
-    value=np.array([3e-6, 2e-6j]),
-    amplitude_std=STD,
-    phase_std=PHASE_STD,
-    noise=np.full(2, 1e-7),
-)
+MEASURED = Harmonics(np.array([1, 2]), np.array([3e-6, 2e-6j]), STD, PHASE_STD, np.full(2, 1e-7))
 
 
-class Run:
-    """What a diagram says of one run at 100 rad/s, and what was measured."""
+class Runs:
+    """What a diagram says of two runs, and what was measured."""
 
-    groups = {"": [0]}
-    experiment = SimpleNamespace(fits=[SimpleNamespace(speed=100.0)])
+    groups = {"": [0, 1]}
+    speeds = np.array([100.0, 110.0])
 
-    def measured(self, r: int, signal: object) -> SimpleNamespace:
+    def measured(self, r: int, signal: Signal) -> Harmonics:
         return MEASURED
 
-    def model(self, r: int, signal: object) -> np.ndarray:
+    def prediction(self, r: int, signal: Signal) -> np.ndarray:
         return MEASURED.value
 
-    def orders(self, signal: object) -> np.ndarray:
+    def orders(self, signal: Signal) -> np.ndarray:
         return MEASURED.orders
 
-    def lines(self, r: int, signal: object) -> tuple[SimpleNamespace, np.ndarray]:
+    def lines(self, r: int, signal: Signal) -> tuple[Harmonics, np.ndarray]:
         return MEASURED, MEASURED.value
 
-    def curve(self, group: str, signal: object, orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.array([90.0, 110.0]), np.array([MEASURED.value[:1]] * 2)
+    def spread(self, count: int) -> list[int]:
+        return [0]
+
+    def title(self, r: int) -> str:
+        return "955 rpm"
+
+
+RUNS = Runs()
+ONE = SimpleNamespace(
+    runs=RUNS,
+    diagrams=((Look("model", BLUE), RUNS),),
+    signals=[SIGNAL],
+    of="runs",
+    largest=lambda r, signal: MEASURED.size,
+)
 
 
 def halves(made: Figure) -> list[list[float]]:
@@ -48,31 +58,13 @@ def halves(made: Figure) -> list[list[float]]:
     return [bars(container)[1].tolist() for axes in made.axes for container in axes.containers]
 
 
-def test_bars_of_spectra_of_an_identification():
-    made = Figure()
-    identification_figures._draw_spectrum(made.subplots(), Run(), 0, SIGNAL)
-    assert halves(made) == [pytest.approx([0.1644854, 0.3289708], rel=1e-6)]  # um
-
-
-def test_bars_over_speed_of_an_identification():
-    made = Figure()
-    style = ("k", "o", "-")
-    identification_figures._draw_group(
-        made.subplots(2, 1, squeeze=False), Run(), SIGNAL, np.array([1]), "", style, np.full(1, np.nan)
-    )
-    assert halves(made) == [[pytest.approx(0.1644854, rel=1e-6)], [pytest.approx(np.degrees(0.1644854), rel=1e-6)]]
-
-
-def test_bars_of_spectra_of_a_diagnosis():
+def test_bars_of_spectra():
     """Of the harmonics, then of the lines beside them."""
-    run, made = Run(), Figure()
-    pair = SimpleNamespace(any=run, models=[("after", run)], labels={"after": "repaired diagram"})
-    diagnosis_figures._draw_spectrum(made.subplots(), pair, 0, SIGNAL)
-    assert halves(made) == 2 * [pytest.approx([0.1644854, 0.3289708], rel=1e-6)]
+    assert halves(spectra_figure(ONE)) == 2 * [pytest.approx([0.1644854, 0.3289708], rel=1e-6)]  # um
 
 
-def test_bars_over_speed_of_a_diagnosis():
-    made = Figure()
-    curve = np.array([90.0, 110.0]), np.zeros(2)
-    diagnosis_figures._points(*made.subplots(2), Run(), [0], SIGNAL, 0, np.array([100.0]), curve, 0.0, "measured")
-    assert halves(made) == [[pytest.approx(0.1644854, rel=1e-6)], [pytest.approx(np.degrees(0.1644854), rel=1e-6)]]
+def test_bars_over_speed(monkeypatch):
+    monkeypatch.setattr(speed_curves, "speed_curve", lambda runs, group, signal, orders: None)
+    um, degrees = (0.1644854, 0.3289708), np.degrees((0.1644854, 0.0822427))
+    expected = [2 * [pytest.approx(half, rel=1e-6)] for half in (*um, *degrees)]
+    assert halves(speed_curves_figure(ONE)) == expected

@@ -85,7 +85,7 @@ class Diagnosis(Shown):
     next_experiment: str = ""
     statement: str = ""
 
-    _figure = "rotorsim.report.diagnosis.evidence:before_and_after_figure"
+    _figure = "rotorsim.report.diagnosis.compared:before_and_after_figure"
 
     def __repr__(self) -> str:
         return f"Diagnosis({self.verdict}: {self.statement})"

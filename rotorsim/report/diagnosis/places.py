@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
 
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagram.diagram import Diagram, Node
 from rotorsim.diagram.draw import draw_svg
-from rotorsim.report.diagnosis.figures import legend, wide_sheet
-from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, styled
+from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, figure, legend_below, styled
 
 __all__ = ["NEW", "SHADES", "block_diagram", "places_figure"]
 
@@ -42,6 +40,7 @@ class _Shaft:
         return self.only if self.only is not None else index[0] if index else None
 
 
+@styled()
 def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], recorded: Iterable[str]) -> Figure:
     """Return the machine along its shaft with the probability of each place, and other places beside it.
 
@@ -50,26 +49,22 @@ def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], record
     shaft = _shaft(diagram)
     here = [(spot, p) for spot, p in places if shaft is not None and spot.block == shaft.block]
     there = [(spot, p) for spot, p in places if (spot, p) not in here][:OTHERS]
-    with styled():
-        if shaft is None:
-            made = wide_sheet(7.0, 1.4 + 0.35 * max(len(there), 2), "Where it acts: probability of each place")
-            _draw_others(made.add_subplot(), there, "")
-            return made
-        made = wide_sheet(10.5, 4.4 if here else 3.0, _title(places))
-        grid = made.add_gridspec(
-            2 if here else 1,
-            2 if there else 1,
-            height_ratios=(1.0, 1.5) if here else (1.0,),
-            width_ratios=(2.6, 1.0) if there else (1.0,),
-        )
-        machine = made.add_subplot(grid[-1, 0])
-        _draw_machine(machine, diagram, shaft, recorded)
-        if here:
-            bars = made.add_subplot(grid[0, 0], sharex=machine)
-            _draw_bars(bars, shaft, here)
-            legend(made, bars)
-        if there:
-            _draw_others(made.add_subplot(grid[:, 1]), there, "elsewhere in the diagram")
+    left = [*(["bars"] if here else []), *(["machine"] if shaft is not None else [])]
+    right = ["others"] if there or shaft is None else []
+    width, height = (7.0, 1.4 + 0.35 * max(len(there), 2)) if shaft is None else (10.5, 4.4 if here else 3.0)
+    made = figure(width, height, _title(places))
+    widths = (2.6, 1.0) if left and right else (1.0,)
+    heights = (1.0, 1.5)[: max(len(left), 1)]
+    mosaic: list[Any] = [[name, *right] for name in left] or [right]
+    axes = made.subplot_mosaic(mosaic, width_ratios=widths, height_ratios=heights)
+    if shaft is not None:
+        _draw_machine(axes["machine"], diagram, shaft, recorded)
+    if shaft is not None and here:
+        axes["bars"].sharex(axes["machine"])
+        _draw_bars(axes["bars"], shaft, here)
+        legend_below(made, axes["bars"])
+    if right:
+        _draw_others(axes["others"], there, "elsewhere in the diagram" if left else "")
     return made
 
 
@@ -99,81 +94,53 @@ def _shaft(diagram: Diagram) -> _Shaft | None:
 
 
 def _finite_elements(name: str, node: Node, count: int) -> _Shaft:
-    lengths = np.broadcast_to(node.values["element_length"], count - 1)
-    z = np.concatenate([[0.0], np.cumsum(lengths)])
+    z = np.append(0.0, np.cumsum(np.broadcast_to(node.values["element_length"], count - 1)))
     span = float(z[-1])
     diameters = np.broadcast_to(node.values.get("outer_diameter", 0.02 * span), count - 1)
-    radius = diameters / diameters.max() * 0.02 * span
-    masses = np.atleast_1d(node.values.get("disc_mass", np.zeros(0)))
-    nodes = [int(k) - 1 for k in getattr(node.block.option, "disc_nodes", ())]
-    size = np.cbrt(masses / masses.max()) if masses.size and masses.max() > 0 else masses
-    discs = tuple((k, 0.12 * span * float(s), 0.03 * span) for k, s in zip(nodes, size, strict=False) if s > 0)
-    pinned = tuple(int(k) - 1 for k in getattr(node.block.option, "pinned_nodes", ()))
-    return _Shaft(name, z, radius, discs, pinned)
+    masses, options = np.atleast_1d(node.values.get("disc_mass", np.zeros(0))), vars(node.block.option)
+    size = np.cbrt(masses / masses.max(initial=1e-300))
+    discs = zip(options.get("disc_nodes", ()), size, strict=False)
+    shown = tuple((int(k) - 1, 0.12 * span * float(s), 0.03 * span) for k, s in discs if s > 0)
+    pinned = tuple(int(k) - 1 for k in options.get("pinned_nodes", ()))
+    return _Shaft(name, z, diameters / diameters.max() * 0.02 * span, shown, pinned)
 
 
 def _draw_machine(axes: Axes, diagram: Diagram, shaft: _Shaft, recorded: Iterable[str]) -> None:
-    span = float(shaft.z[-1] - shaft.z[0])
-    for k, radius in enumerate(shaft.radius):
-        z0, z1 = shaft.z[k : k + 2]
-        axes.add_patch(Rectangle((z0, -radius), z1 - z0, 2 * radius, fc=STEEL, ec=INK, lw=0.8, zorder=2))
+    z, span = shaft.z, float(shaft.z[-1] - shaft.z[0])
+    edge: dict[str, Any] = {"ec": INK, "lw": 0.8}
+    axes.bar(z[:-1], 2 * shaft.radius, np.diff(z), -shaft.radius, align="edge", fc=STEEL, zorder=2, **edge)
     for k, radius, width in shaft.discs:
-        axes.add_patch(
-            Rectangle((shaft.z[k] - width / 2, -radius), width, 2 * radius, fc=DISC, ec=INK, lw=0.9, zorder=3)
-        )
+        axes.bar(z[k], 2 * radius, width, -radius, fc=DISC, zorder=3, **edge)
     for k in shaft.pinned:
-        _support(axes, float(shaft.z[k]), span)
+        axes.plot(z[k], -0.045 * span, "^", ms=17, mfc="white", mec=INK, zorder=1.5)
     for k, names in _acting(diagram, shaft, "bearing").items():
         for number, name in enumerate(names):
-            _magnet(axes, float(shaft.z[k]) + 0.05 * span * number, span, name, diagram.nodes[name])
+            _draw_bearing(axes, float(z[k]) + 0.05 * span * number, span, name, "current" in diagram.nodes[name].inputs)
     for k, names in _acting(diagram, shaft, "excitation").items():
-        axes.annotate(", ".join(names), (shaft.z[k], -0.25 * span), ha="center", va="top", fontsize=7.5, color=GREY)
+        axes.annotate(", ".join(names), (z[k], -0.25 * span), ha="center", va="top", fontsize=7.5, color=GREY)
     for k in _probes(shaft, recorded):
-        z = float(shaft.z[k]) - 0.035 * span
-        axes.annotate(
-            "", (z, 0.03 * span), (z, 0.19 * span), arrowprops={"arrowstyle": "-|>", "color": GREEN, "lw": 1.4}
-        )
-        axes.annotate("probe", (z, 0.2 * span), ha="center", va="bottom", fontsize=7.5, color=GREEN)
+        at, arrow = float(z[k]) - 0.035 * span, {"arrowstyle": "-|>", "color": GREEN, "lw": 1.4}
+        axes.annotate("", (at, 0.03 * span), (at, 0.19 * span), arrowprops=arrow)
+        axes.annotate("probe", (at, 0.2 * span), ha="center", va="bottom", fontsize=7.5, color=GREEN)
     if shaft.only is None:
-        axes.plot(shaft.z, np.zeros(len(shaft.z)), "o", ms=3.5, color=INK, zorder=4)
-        axes.set_xticks(shaft.z, [f"{k + 1}" for k in range(len(shaft.z))])
+        axes.plot(z, np.zeros(len(z)), "o", ms=3.5, color=INK, zorder=4)
+        axes.set_xticks(z, [f"{k + 1}" for k in range(len(z))])
         axes.set_xlabel(f"node of {shaft.block}, {span:.3g} m from end to end")
     else:
-        axes.set_xticks([shaft.z[1]], [shaft.block])
-    axes.set_ylim(-0.33 * span, 0.3 * span)
-    axes.set_xlim(-0.06 * span, 1.06 * span)
-    axes.set_yticks([])
+        axes.set_xticks([z[1]], [shaft.block])
+    axes.set(ylim=(-0.33 * span, 0.3 * span), xlim=(-0.06 * span, 1.06 * span), yticks=[])
     axes.grid(visible=False)
     axes.spines["left"].set_visible(False)
 
 
-def _support(axes: Axes, z: float, span: float) -> None:
-    s = 0.03 * span
-    points = [(z, -0.02 * span), (z - s, -0.02 * span - 1.7 * s), (z + s, -0.02 * span - 1.7 * s)]
-    axes.add_patch(Polygon(points, closed=True, fc="white", ec=INK, lw=1.0, zorder=2))
-
-
-def _magnet(axes: Axes, z: float, span: float, name: str, node: Node) -> None:
-    """Draw a bearing: the poles of a magnet on both sides, or a spring to the ground."""
-    if "current" in node.inputs:
-        for sign in (-1, 1):
-            low = 0.135 * span if sign > 0 else -0.185 * span
-            axes.add_patch(
-                FancyBboxPatch(
-                    (z - 0.03 * span, low),
-                    0.06 * span,
-                    0.05 * span,
-                    fc=MAGNET,
-                    ec=INK,
-                    lw=0.9,
-                    boxstyle=f"round,pad=0,rounding_size={0.008 * span}",
-                    zorder=4,
-                )
-            )
+def _draw_bearing(axes: Axes, z: float, span: float, name: str, magnetic: bool) -> None:
+    """Draw the poles of a magnet on both sides, or a spring to the ground."""
+    if magnetic:
+        poles = np.array([-0.185, 0.135]) * span
+        axes.bar([z, z], 0.05 * span, 0.06 * span, poles, fc=MAGNET, ec=INK, lw=0.9, zorder=4)
         axes.annotate(name, (z + 0.04 * span, 0.16 * span), ha="left", va="center", fontsize=8)
         return
-    y = np.linspace(-0.02 * span, -0.15 * span, 9)
-    x = z + 0.012 * span * np.array([0, 0, 1, -1, 1, -1, 1, 0, 0])
+    x, y = z + 0.012 * span * np.array([0, 0, 1, -1, 1, -1, 1, 0, 0]), np.linspace(-0.02 * span, -0.15 * span, 9)
     axes.plot(x, y, color=INK, lw=1.0, zorder=2)
     axes.plot([z - 0.03 * span, z + 0.03 * span], [y[-1]] * 2, color=INK, lw=1.4)
     axes.annotate(name, (z, -0.165 * span), ha="center", va="top", fontsize=8)
@@ -181,25 +148,21 @@ def _magnet(axes: Axes, z: float, span: float, name: str, node: Node) -> None:
 
 def _acting(diagram: Diagram, shaft: _Shaft, category: str) -> dict[int, list[str]]:
     """Return node (from 0) -> blocks of a category whose force acts there."""
-    found: dict[int, list[str]] = {}
+    acting: dict[int, list[str]] = {}
     for wire in diagram.wires:
-        source = diagram.nodes[wire.source.block]
-        if wire.target.block == shaft.block and wire.target.port == "force" and source.block.category == category:
-            k = shaft.node(wire.target.index)
-            if k is not None and wire.source.block not in found.setdefault(k, []):
-                found[k].append(wire.source.block)
-    return found
+        k, name = shaft.node(wire.target.index), wire.source.block
+        onto = (wire.target.block, wire.target.port) == (shaft.block, "force")
+        if onto and k is not None and diagram.nodes[name].block.category == category:
+            acting.setdefault(k, []).append(name)
+    return {k: list(dict.fromkeys(names)) for k, names in acting.items()}
 
 
 def _probes(shaft: _Shaft, recorded: Iterable[str]) -> list[int]:
-    found = set()
-    for name in recorded:
-        port, _, inside = name.partition("[")
-        if port == f"{shaft.block}.displacement":
-            numbers = inside.rstrip("]").split(",")
-            k = shaft.node((int(numbers[0]) - 1,)) if len(numbers) > 1 or shaft.only is not None else None
-            found |= {k} if k is not None and 0 <= k < len(shaft.z) else set()
-    return sorted(found)
+    """Return the nodes (from 0) whose displacement is recorded."""
+    entries = (name.removesuffix("]").partition("[") for name in recorded)
+    inside = [entry.split(",") for port, _, entry in entries if port == f"{shaft.block}.displacement"]
+    nodes = {shaft.node((int(index[0]) - 1,)) for index in inside if len(index) > 1 or shaft.only is not None}
+    return sorted(k for k in nodes if k is not None and 0 <= k < len(shaft.z))
 
 
 # -- probabilities -----------------------------------------------------------------------------------------------------
@@ -207,45 +170,31 @@ def _probes(shaft: _Shaft, recorded: Iterable[str]) -> list[int]:
 
 def _draw_bars(axes: Axes, shaft: _Shaft, places: Sequence[tuple[Spot, float]]) -> None:
     ports = list(dict.fromkeys(spot.port for spot, _ in places))
-    span = float(shaft.z[-1] - shaft.z[0])
-    width = min(0.05 * span, 0.6 * float(np.diff(shaft.z).min()) / max(len(ports), 1))
+    width = min(0.05 * float(np.ptp(shaft.z)), 0.6 * float(np.diff(shaft.z).min()) / max(len(ports), 1))
     for spot, probability in places:
-        k = shaft.only if spot.node is None else spot.node - 1
+        k, number = shaft.only if spot.node is None else spot.node - 1, ports.index(spot.port)
         if k is None or not 0 <= k < len(shaft.z):
             continue
-        number = ports.index(spot.port)
         colour, hatch = PORTS[number % len(PORTS)]
-        z = float(shaft.z[k]) + width * (number - (len(ports) - 1) / 2)
-        axes.bar(
-            z, probability, width, color=colour, alpha=0.55, hatch=hatch, ec=colour, label=f"{shaft.block}.{spot.port}"
-        )
+        z, label = float(shaft.z[k]) + width * (number - (len(ports) - 1) / 2), f"{shaft.block}.{spot.port}"
+        axes.bar(z, probability, width, color=colour, alpha=0.55, hatch=hatch, ec=colour, label=label)
         axes.annotate(f"{probability:.2f}", (z, probability), ha="center", va="bottom", fontsize=8)
-    axes.set_ylim(0, 1.15)
-    axes.set_yticks([0, 0.5, 1.0])
-    axes.set_ylabel("probability")
+    axes.set(ylim=(0, 1.15), yticks=[0, 0.5, 1.0], ylabel="probability")
     axes.tick_params(labelbottom=False)
 
 
 def _draw_others(axes: Axes, places: Sequence[tuple[Spot, float]], title: str) -> None:
-    names = [str(spot) for spot, _ in places]
-    axes.barh(range(len(places)), [p for _, p in places], color=RED, alpha=0.55, height=0.6)
-    for row, (_, probability) in enumerate(places):
-        axes.annotate(f" {probability:.2f}", (probability, row), va="center", fontsize=8)
-    axes.set_yticks(range(len(places)), names)
-    axes.set_ylim(max(len(places), 2) - 0.4, -0.6)
-    axes.set_xlim(0, 1.15)
-    axes.set_xlabel("probability")
+    bars = axes.barh(range(len(places)), [p for _, p in places], color=RED, alpha=0.55, height=0.6)
+    axes.bar_label(bars, fmt=" %.2f", fontsize=8)
+    axes.set_yticks(range(len(places)), [str(spot) for spot, _ in places])
+    axes.set(ylim=(max(len(places), 2) - 0.4, -0.6), xlim=(0, 1.15), xlabel="probability")
     axes.set_title(title, loc="left")
 
 
 def block_diagram(diagram: Diagram, places: Sequence[tuple[Spot, float]], new: Iterable[str]) -> str:
     """Return the SVG of a diagram, its blocks framed by the probability that the fault acts there; new ones in blue."""
-    probability: dict[str, float] = {}
-    for spot, p in places:
-        probability[spot.block] = max(probability.get(spot.block, 0.0), p)
-    frames: Mapping[str, Any] = {
-        block: next(colour for least, colour in SHADES if p >= least)
-        for block, p in probability.items()
-        if block in diagram.nodes
-    }
-    return draw_svg(diagram, {**frames, **{name: NEW for name in new if name in diagram.nodes}})
+    frames: dict[str, str] = {}
+    for spot, probability in sorted(places, key=lambda place: place[1]):
+        frames[spot.block] = next(colour for least, colour in SHADES if probability >= least)
+    frames |= dict.fromkeys(new, NEW)
+    return draw_svg(diagram, {block: colour for block, colour in frames.items() if block in diagram.nodes})

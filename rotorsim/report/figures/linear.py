@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
+from matplotlib.transforms import Bbox
 
-from rotorsim.report.style import BLUE, GREEN, GREY, ORANGE, RED, ROUNDING, display, figure, phase_line, rpm, styled
+from rotorsim.report.style import BLUE, GREEN, GREY, ORANGE, RED, ROUNDING, display, figure, phase_line, styled
+from rotorsim.report.text.table import rpm
 
 if TYPE_CHECKING:
     from rotorsim.linear.campbell import Campbell
@@ -20,107 +23,101 @@ if TYPE_CHECKING:
 
 __all__ = ["campbell_figure", "frequency_response_figure", "modes_figure", "periodic_figure", "sensitivity_figure"]
 
+LEVELS = (-13, 5, -25, 17, -37, 29, -49, 41)  # points below or above a mark at which its speed is written
+LINES = ("-", "--", ":", "-.")  # of curves that may lie on each other
 _WHIRL = {"forward": (BLUE, "-"), "backward": (ORANGE, "--"), "planar": (GREEN, ":")}
 
 
-def _stretches(whirl: np.ndarray) -> list[tuple[int, int, str]]:
-    """Return (first, last, whirl) of every stretch of a mode between two speeds that whirls alike.
+def _stretches(whirl: np.ndarray) -> list[tuple[slice, str]]:
+    """Return the parts of a mode between speeds in which it whirls alike.
 
     The kind of the higher speed counts: at rest most modes are planar, or any combination of two equal ones.
     """
-    found: list[tuple[int, int, str]] = []
-    for k in range(1, len(whirl)):
-        kind = str(whirl[k]) or str(whirl[k - 1])
-        if found and found[-1][2] == kind:
-            found[-1] = (found[-1][0], k, kind)
-        else:
-            found.append((k - 1, k, kind))
-    return found
+    kinds = [str(after or before) for before, after in pairwise(whirl)]
+    parts = [list(part) for _, part in groupby(range(len(kinds)), kinds.__getitem__)]
+    return [(slice(part[0], part[-1] + 2), kinds[part[0]]) for part in parts]
 
 
 def _mark_crossings(axes: Axes, found: Campbell) -> None:
     """Mark critical speeds, and write each where it hides no other."""
     crossings = sorted((c for c in found.crossings if found.resonant[c.mode - 1]), key=lambda c: (c.order, c.speed))
-    for crossing in crossings:
-        axes.plot(rpm(crossing.speed), crossing.frequency_hz, "o", ms=5, mfc="white", mec=RED, zorder=4)
+    places = np.array([(rpm(c.speed), c.frequency_hz) for c in crossings]).reshape(-1, 2)
     if crossings:
-        axes.plot([], [], "o", ms=5, mfc="white", mec=RED, label="critical speed [rpm]")
-    box = axes.get_window_extent()
-    points = 72 / axes.figure.dpi
-    size = np.array([box.width, box.height]) * points  # of the axes
-    spots = [
-        np.array([rpm(c.speed) / axes.get_xlim()[1], c.frequency_hz / axes.get_ylim()[1]]) * size for c in crossings
-    ]
-    taken = [(*(spot - 4), *(spot + 4)) for spot in spots]
-    for crossing, spot in zip(crossings, spots, strict=True):
-        text = f"{float(rpm(crossing.speed)):.0f}"
+        axes.plot(*places.T, "o", ms=5, mfc="white", mec=RED, zorder=4, label="critical speed [rpm]")
+    inside, pixels = axes.get_window_extent(), axes.figure.dpi / 72
+    spots = axes.transData.transform(places) if crossings else places
+    taken = [Bbox([spot - 4 * pixels, spot + 4 * pixels]) for spot in spots]
+    for (speed, frequency), spot in zip(places, spots, strict=True):
+        text = f"{speed:.0f}"
         width = 0.62 * 8 * len(text)  # of 8-point digits
-        places = [(side, level) for level in (-13, 5, -25, 17, -37, 29, -49, 41) for side in (6.0, -6.0 - width)]
-        for side, level in places:
-            frame = (spot[0] + side, spot[1] + level, spot[0] + side + width, spot[1] + level + 9)
-            inside = frame[0] > 0 and frame[1] > 0 and frame[2] < size[0] and frame[3] < size[1]
-            if inside and not any(_overlap(frame, other) for other in taken):
+        for shift in ((side, level) for level in LEVELS for side in (6.0, -6.0 - width)):
+            low = spot + pixels * np.array(shift)
+            frame = Bbox([low, low + pixels * np.array([width, 9.0])])
+            if _fits(frame, inside, taken):
                 taken.append(frame)
-                line = {"arrowprops": {"arrowstyle": "-", "color": RED, "lw": 0.4}} if abs(level) > 13 else {}
-                place: Any = {"xytext": (side, level), "textcoords": "offset points", **line}
-                axes.annotate(text, (rpm(crossing.speed), crossing.frequency_hz), fontsize=8, color=RED, **place)
+                line = {"arrowprops": {"arrowstyle": "-", "color": RED, "lw": 0.4}} if abs(shift[1]) > 13 else {}
+                form: Any = {"xytext": shift, "textcoords": "offset points", "fontsize": 8, "color": RED, **line}
+                axes.annotate(text, (speed, frequency), **form)
                 break
 
 
-def _overlap(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
-    """Return whether two frames (left, bottom, right, top) overlap."""
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+def _fits(frame: Bbox, inside: Bbox, taken: Sequence[Bbox]) -> bool:
+    """Return whether a frame is inside another and overlaps none of those that are taken."""
+    corners = all(inside.contains(*corner) for corner in frame.corners())
+    return corners and not any(frame.overlaps(other) for other in taken)
 
 
+@styled()
 def campbell_figure(found: Campbell, title: str = "", *, orders: Sequence[int] = (1, 2)) -> Figure:
     """Return damped natural frequencies over speed, with the lines of the orders and the critical speeds.
 
     Modes with a damping ratio above 1/sqrt(2) at all speeds, which have no resonance, are left out.
     """
     speed = rpm(found.speeds)
-    with styled():
-        made = figure(7.5, 5.0, title or str(found.provenance.get("diagram", "")))
-        axes = made.add_subplot()
-        shown: set[str] = set()
-        resonant = np.flatnonzero(found.resonant)
-        for mode in resonant:
-            for first, last, kind in _stretches(found.whirl[:, mode]):
-                colour, line = _WHIRL.get(kind, (GREY, "-"))
-                label = kind if kind and kind not in shown else None
-                part = slice(first, last + 1)
-                axes.plot(speed[part], found.frequency_hz[part, mode], line, color=colour, label=label)
-                shown.add(kind)
-        top = _top(found, orders)
-        if len(found.stable) and not found.stable.all():
-            there = ~found.stable
-            for mode in resonant:
-                axes.plot(speed[there], found.frequency_hz[there, mode], "x", ms=4, color=RED)
-            axes.plot([], [], "x", ms=4, color=RED, label="machine unstable")
-        for order in orders:
-            line_hz = order * np.asarray(found.speeds) / (2 * np.pi)
-            inside = np.flatnonzero(line_hz <= top)
-            axes.plot(speed, np.where(line_hz <= top, line_hz, np.nan), color=GREY, lw=0.8)
-            at = (speed[inside[-1]], line_hz[inside[-1]])
-            axes.annotate(f"{order}X", at, color=GREY, ha="right", va="bottom")
-        axes.set(xlabel="speed [rpm]", ylabel="damped natural frequency [Hz]", ylim=(0, top))
-        axes.margins(x=0)
-        _mark_crossings(axes, found)
-        if axes.get_legend_handles_labels()[0]:
-            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
+    made = figure(7.5, 5.0, title or str(found.provenance.get("diagram", "")))
+    axes = made.add_subplot()
+    resonant = np.flatnonzero(found.resonant)
+    for mode in resonant:
+        for part, kind in _stretches(found.whirl[:, mode]):
+            colour, line = _WHIRL.get(kind, (GREY, "-"))
+            axes.plot(speed[part], found.frequency_hz[part, mode], line, color=colour, label=kind)
+    top = _top(found, orders)
+    if len(found.stable) and not found.stable.all():
+        there = ~found.stable
+        axes.plot(speed[there], found.frequency_hz[there][:, resonant], "x", ms=4, color=RED, label="machine unstable")
+    for order in orders:
+        line_hz = order * np.asarray(found.speeds) / (2 * np.pi)
+        inside = np.flatnonzero(line_hz <= top)
+        axes.plot(speed, np.where(line_hz <= top, line_hz, np.nan), color=GREY, lw=0.8)
+        at = (speed[inside[-1]], line_hz[inside[-1]])
+        axes.annotate(f"{order}X", at, color=GREY, ha="right", va="bottom")
+    axes.set(xlabel="speed [rpm]", ylabel="damped natural frequency [Hz]", ylim=(0, top), xmargin=0)
+    _mark_crossings(axes, found)
+    _legend_above(axes)
     return made
+
+
+def _legend_above(axes: Axes) -> None:
+    """Put the legend above the axes, every entry once, if there is any."""
+    handles, labels = axes.get_legend_handles_labels()
+    entries = {label: handle for label, handle in zip(labels, handles, strict=True) if label}
+    if entries:
+        place: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 4, "borderaxespad": 0.2}
+        axes.legend(list(entries.values()), list(entries), **place)
 
 
 def _top(found: Campbell, orders: Sequence[int]) -> float:
     """Return the highest frequency shown [Hz]: modes far above every order are never excited."""
+    line = max(orders) * float(found.speeds[-1]) / (2 * np.pi)
     if not np.isfinite(found.frequency_hz).any():
-        return max(max(orders) * float(found.speeds[-1]) / (2 * np.pi), 1.0)
-    reach = 1.25 * max(orders) * float(found.speeds[-1]) / (2 * np.pi)
+        return max(line, 1.0)
     shown = found.frequency_hz[:, found.resonant]
     lowest = np.sort(shown[0][np.isfinite(shown[0])])[:4] if shown.size else np.zeros(0)
-    highest = float(np.nanmax(shown, initial=0.0)) * 1.08 or reach
-    return min(highest, max(reach, 1.2 * float(lowest.max(initial=0.0))))
+    highest = float(np.nanmax(shown, initial=0.0)) * 1.08 or 1.25 * line
+    return min(highest, max(1.25 * line, 1.2 * float(lowest.max(initial=0.0))))
 
 
+@styled()
 def frequency_response_figure(found: FrequencyResponse, title: str = "") -> Figure:
     """Return magnitude and phase over frequency of every output to every input (entries that are zero left out).
 
@@ -128,51 +125,47 @@ def frequency_response_figure(found: FrequencyResponse, title: str = "") -> Figu
     """
     if not found.stable:
         title = f"{title} (not stable: no settled response)".strip()
-    with styled():
-        made = figure(7.5, 5.0, title)
-        upper, lower = made.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-        largest = float(np.nanmax(np.abs(found.value), initial=0.0))
-        pairs = list(np.ndindex(found.value.shape[1:]))
-        drawn = [(o, i) for o, i in pairs if np.nanmax(np.abs(found.value[:, o, i]), initial=0.0) > 1e-12 * largest]
-        for k, (o, i) in enumerate(drawn):
-            value, line = found.value[:, o, i], ("-", "--", ":", "-.")[k % 4]  # equal axes lie on each other
-            label = f"{found.outputs[o]} / {found.inputs[i]} [{found.units[o][i]}]"
-            upper.loglog(found.frequencies, np.abs(value), line, label=label)
-            angle = np.degrees(np.unwrap(np.angle(value)))
-            angle -= 360 * np.round(angle[0] / 360 - 1e-6)  # begin in -180..180
-            lower.semilogx(found.frequencies, angle, line)
-        units = {found.units[o][i] for o, i in drawn}
-        upper.set(ylabel=f"magnitude [{units.pop()}]" if len(units) == 1 else "magnitude")
-        lower.set(ylabel="phase [deg]", xlabel="frequency [Hz]")
-        lower.yaxis.set_major_locator(MultipleLocator(90))
-        for axes in (upper, lower):
-            axes.margins(x=0)
-        if drawn:
-            upper.legend(loc="lower left")
+    made = figure(7.5, 5.0, title)
+    upper, lower = made.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    largest = float(np.nanmax(np.abs(found.value), initial=0.0))
+    pairs = list(np.ndindex(found.value.shape[1:]))
+    drawn = [(o, i) for o, i in pairs if np.nanmax(np.abs(found.value[:, o, i]), initial=0.0) > 1e-12 * largest]
+    for k, (o, i) in enumerate(drawn):
+        value, line = found.value[:, o, i], LINES[k % 4]
+        label = f"{found.outputs[o]} / {found.inputs[i]} [{found.units[o][i]}]"
+        upper.loglog(found.frequencies, np.abs(value), line, label=label)
+        angle = np.degrees(np.unwrap(np.angle(value)))
+        angle -= 360 * np.round(angle[0] / 360 - 1e-6)  # begin in -180..180
+        lower.semilogx(found.frequencies, angle, line)
+    units = {found.units[o][i] for o, i in drawn}
+    upper.set(ylabel=f"magnitude [{units.pop()}]" if len(units) == 1 else "magnitude", xmargin=0)
+    lower.set(ylabel="phase [deg]", xlabel="frequency [Hz]", xmargin=0)
+    lower.yaxis.set_major_locator(MultipleLocator(90))
+    if drawn:
+        upper.legend(loc="lower left")
     return made
 
 
+@styled()
 def sensitivity_figure(found: Sensitivity, title: str = "") -> Figure:
     """Return the sensitivity of every axis with the zones of ISO 14839-3."""
-    with styled():
-        made = figure(7.5, 4.2, title)
-        axes = made.add_subplot()
-        top = max(6.0, 1.15 * float(np.nanmax(found.singular)))
-        zones = ((0, 3, "A", "#dff0e3"), (3, 4, "B", "#eef3d2"), (4, 5, "C", "#fbe8c8"), (5, top, "D", "#f7d4cb"))
-        for low, high, name, colour in zones:
-            axes.axhspan(low, high, color=colour, zorder=0)
-            axes.annotate(name, (0.985, (low + high) / 2), xycoords=("axes fraction", "data"), ha="right", va="center")
-        for k, name in enumerate(found.names):
-            line = ("-", "--", ":", "-.")[k % 4]  # equal axes lie on each other
-            label = f"{name}: peak {found.peaks[k]:.2f} at {found.peak_frequencies[k]:.0f} Hz, zone {found.zones[k]}"
-            axes.semilogx(found.frequencies, np.abs(found.axes[:, k]), line, label=label)
-        axes.semilogx(found.frequencies, found.singular, color=GREY, lw=0.8, zorder=1.9, label="largest singular value")
-        axes.set(xlabel="frequency [Hz]", ylabel="sensitivity |S|", ylim=(0, top))
-        axes.margins(x=0)
-        axes.legend(loc="upper left")
+    made = figure(7.5, 4.2, title)
+    axes = made.add_subplot()
+    top = max(6.0, 1.15 * float(np.nanmax(found.singular)))
+    zones = ((0, 3, "A", "#dff0e3"), (3, 4, "B", "#eef3d2"), (4, 5, "C", "#fbe8c8"), (5, top, "D", "#f7d4cb"))
+    for low, high, name, colour in zones:
+        axes.axhspan(low, high, color=colour, zorder=0)
+        axes.annotate(name, (0.985, (low + high) / 2), xycoords=("axes fraction", "data"), ha="right", va="center")
+    for k, name in enumerate(found.names):
+        label = f"{name}: peak {found.peaks[k]:.2f} at {found.peak_frequencies[k]:.0f} Hz, zone {found.zones[k]}"
+        axes.semilogx(found.frequencies, np.abs(found.axes[:, k]), LINES[k % 4], label=label)
+    axes.semilogx(found.frequencies, found.singular, color=GREY, lw=0.8, zorder=1.9, label="largest singular value")
+    axes.set(xlabel="frequency [Hz]", ylabel="sensitivity |S|", ylim=(0, top), xmargin=0)
+    axes.legend(loc="upper left")
     return made
 
 
+@styled()
 def periodic_figure(
     found: Periodic,
     signals: Sequence[str] | str | None = None,
@@ -190,47 +183,40 @@ def periodic_figure(
     speed = rpm(found.speeds)
     unstable = np.array([stable is False for stable in found.stable], bool)
     mark = "-" if len(speed) > 1 else "o"
-    with styled():
-        made = figure(9.5, 0.7 + 2.6 * len(names), title or str(found.provenance.get("diagram", "")))
-        panels = made.subplots(len(names), 2, sharex=True, squeeze=False)
-        for (left, right), name in zip(panels, names, strict=True):
-            unit = found.units.get(name, "")
-            curves = np.array([found.harmonic(name, order) for order in there])
-            floor = ROUNDING * np.nanmax(np.abs(curves), initial=0.0)
-            for order, curve in zip(there, curves, strict=True):
-                seen = np.where(np.abs(curve) > floor, curve, np.nan)
-                sizes, shown = display(np.abs(seen), unit)
-                (line,) = left.plot(speed, sizes, mark, label=f"{order:+g}X")
-                right.plot(*phase_line(speed, seen), mark, color=line.get_color())
-                left.plot(speed[unstable], sizes[unstable], "x", ms=5, color=line.get_color())
-            left.set_title(name, loc="left")
-            left.set_ylabel(f"amplitude [{shown}, 0-peak]")
-            right.set_ylabel("phase [deg]")
-            right.set(ylim=(-190, 190), yticks=range(-180, 181, 90))
-            if floor > 0:
-                left.set_yscale("log")
-            left.margins(x=0)
-        if unstable.any():
-            panels[0, 0].plot([], [], "x", ms=5, color=GREY, label="unstable")
-        for axes in panels[-1]:
-            axes.set_xlabel("speed [rpm]")
-        made.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=len(there) + 1)
+    made = figure(9.5, 0.7 + 2.6 * len(names), title or str(found.provenance.get("diagram", "")))
+    panels = made.subplots(len(names), 2, sharex=True, squeeze=False)
+    for (left, right), name in zip(panels, names, strict=True):
+        unit = found.units.get(name, "")
+        curves = np.array([found.harmonic(name, order) for order in there])
+        floor = ROUNDING * np.nanmax(np.abs(curves), initial=0.0)
+        for order, curve in zip(there, curves, strict=True):
+            seen = np.where(np.abs(curve) > floor, curve, np.nan)
+            sizes, shown = display(np.abs(seen), unit)
+            (line,) = left.plot(speed, sizes, mark, label=f"{order:+g}X")
+            right.plot(*phase_line(speed, seen), mark, color=line.get_color())
+            left.plot(speed[unstable], sizes[unstable], "x", ms=5, color=line.get_color())
+        left.set_title(name, loc="left")
+        left.set(ylabel=f"amplitude [{shown}, 0-peak]", yscale="log" if floor > 0 else "linear", xmargin=0)
+        right.set(ylabel="phase [deg]", ylim=(-190, 190), yticks=range(-180, 181, 90))
+    panels[0, 0].plot([], [], "x", ms=5, color=GREY, label="unstable" if unstable.any() else None)
+    for axes in panels[-1]:
+        axes.set_xlabel("speed [rpm]")
+    made.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=len(there) + 1)
     return made
 
 
+@styled()
 def modes_figure(found: Modes, title: str = "") -> Figure:
     """Return the poles that oscillate: frequency [Hz] against damping ratio; unstable ones stand left of zero."""
-    with styled():
-        made = figure(6.5, 4.2, title or repr(found).partition(":")[0].removeprefix("Modes("))
-        axes = made.add_subplot()
-        for whirl, (colour, _) in _WHIRL.items():
-            chosen = [mode for mode in found.modes if mode.whirl == whirl]
-            sizes = [mode.damping_ratio for mode in chosen], [mode.frequency_hz for mode in chosen]
-            if chosen:
-                axes.plot(*sizes, "o", ms=6, mfc="white", mec=colour, label=whirl)
-        axes.axvline(0.0, color=RED, lw=0.8)
-        axes.set(xlabel="damping ratio (below zero: unstable)", ylabel="damped natural frequency [Hz]")
-        axes.set_ylim(bottom=0)
-        if found.modes:
-            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2)
+    made = figure(6.5, 4.2, title or str(found.provenance.get("diagram", "")))
+    axes = made.add_subplot()
+    for whirl, (colour, _) in _WHIRL.items():
+        chosen = [mode for mode in found.modes if mode.whirl == whirl]
+        sizes = [mode.damping_ratio for mode in chosen], [mode.frequency_hz for mode in chosen]
+        if chosen:
+            axes.plot(*sizes, "o", ms=6, mfc="white", mec=colour, label=whirl)
+    axes.axvline(0.0, color=RED, lw=0.8)
+    label = "damped natural frequency [Hz]"
+    axes.set(xlabel="damping ratio (below zero: unstable)", ylabel=label, ylim=(0, None))
+    _legend_above(axes)
     return made

@@ -88,6 +88,20 @@ class WaveformEvidence(SampledRuns, Defaults):
         weights = np.array([1 / self.variance[WHOLE, name] for name in view.outputs])
         return TimeSearch([view], runs, [[weights] * len(runs)], least=self.least, hold="theta")
 
+    def simulated(self, document: Mapping[str, Any], runs: Sequence[TimeRun]) -> list[np.ndarray] | None:
+        """Return the outputs of a document as it is in every run, (N, c), from the best starts; None if it diverges."""
+        try:
+            search = self.simulation(document, runs)
+            evaluation = search.minimise(search.first())[1]
+        except (*FAILURES, KeyError):
+            return None
+        if not np.isfinite(evaluation.cost):
+            return None
+        outputs = search.views[0].outputs
+        order = [outputs.index(name) for name in self.channels.outputs]
+        pairs = zip(runs, evaluation.errors[0], strict=True)
+        return [(run.measured(outputs) - errors)[:, order] for run, errors in pairs]
+
     def fit(
         self, document: Mapping[str, Any], starts: Starts, *, most: int | None = None, linear_only: bool = False
     ) -> Fit:

@@ -1,0 +1,22 @@
+"""How the verbs refuse what cannot be done."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rotorsim.errors import Problem, RotorsimError
+
+__all__ = ["refuse_all", "refuse_if"]
+
+
+def refuse_if(wrong: object, what: str, subject: str = "", *, exit_code: int = 2, **more: Any) -> None:
+    """Raise RotorsimError if something is wrong; more: place and hint of the `Problem`."""
+    if wrong:
+        raise RotorsimError(Problem(what, subject, **more), exit_code=exit_code)
+
+
+def refuse_all(problems: Sequence[Problem], exit_code: int = 2) -> None:
+    """Raise RotorsimError with problems, if there are any."""
+    if problems:
+        raise RotorsimError(*problems, exit_code=exit_code)

@@ -1,0 +1,124 @@
+"""The settled motion of a diagram over speed, between and beside the runs that were measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotorsim.identification.likelihood import harmonics_of_time
+from rotorsim.jobs.threads import one_thread
+from rotorsim.report.comparison.harmonics import PredictedRuns, Signal
+from rotorsim.report.style import ROUNDING
+from rotorsim.settled.linear_motion import Motion
+from rotorsim.settled.motion import NonlinearMotion
+
+__all__ = ["settled_harmonics", "speed_curve"]
+
+SPEEDS, STEP, REFINEMENTS = 121, 0.2, 4  # of a curve: first points; change between two that is refined
+UNSEEN = 0.1  # of the noise of the best run: a line at its tenth adds 0.5 % to what is measured
+AGREES = 0.05  # of the largest order: how far a curve may be from the motion in a run
+BATCH = 64  # speeds solved at a time
+
+
+def speed_curve(
+    runs: PredictedRuns, group: str, signal: Signal, orders: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return ascending speeds (n,) [rad/s] over the range of all runs, and the harmonics (n, orders) there.
+
+    nan where the diagram is not stable and so never settles, and where it is rounding or far below the noise. None
+    where the diagram needs measured inputs, which nobody knows between the runs; and where the motion that it settles
+    to over speed is not the one that it has in the runs (a nonlinear diagram may have several).
+    """
+    members, every = runs.groups[group], runs.speeds
+    side = every[np.sign(every) == np.sign(every[members[0]])]
+    if runs.experiment.given or np.ptp(side) == 0:
+        return None
+    margin = 0.03 * np.ptp(side)
+    low, high = np.abs(side).min() - margin, np.abs(side).max() + margin
+    grid = np.linspace(max(low, 0.5 * np.abs(side).min()), high, SPEEDS) * np.sign(side[0])
+    own = [r for r in members if every[r] in side]
+    speeds = np.unique(np.concatenate([grid, every[own]]))
+    with one_thread():  # many small matrices
+        values = settled_harmonics(runs, members[0], speeds, signal, orders)
+        for _ in range(REFINEMENTS):
+            size = np.maximum(np.abs(values), 1e-3 * np.nan_to_num(np.abs(values)).max(axis=0) + 1e-300)
+            change = (np.abs(np.diff(values, axis=0)) / np.minimum(size[1:], size[:-1])).max(axis=1)
+            where = np.flatnonzero(change > STEP)
+            if not len(where):
+                break
+            between = (speeds[where] + speeds[where + 1]) / 2
+            values = np.insert(values, where + 1, settled_harmonics(runs, members[0], between, signal, orders), axis=0)
+            speeds = np.insert(speeds, where + 1, between)
+    if not _meets(runs, own, signal, orders, speeds, values):
+        return None
+    noise = min(float(runs.measured(r, signal).noise.min()) for r in range(len(every)))
+    least = max(ROUNDING * float(np.nanmax(np.abs(values), initial=0.0)), UNSEEN * noise)
+    return speeds, np.where(np.abs(values) > least, values, np.nan)
+
+
+def _meets(
+    runs: PredictedRuns,
+    members: Sequence[int],
+    signal: Signal,
+    orders: np.ndarray,
+    speeds: np.ndarray,
+    values: np.ndarray,
+) -> bool:
+    """Return whether a curve over speed goes through the motion that the diagram has in some runs."""
+    alternating = orders != 0  # means may not have settled
+    columns = np.searchsorted(runs.orders(signal), orders[alternating])
+    for r in members:
+        there = runs.prediction(r, signal)[columns]
+        apart = np.abs(values[np.argmin(np.abs(speeds - runs.speeds[r])), alternating] - there)
+        if np.isfinite(apart).all() and (apart > AGREES * np.abs(there).max(initial=0.0)).any():
+            return False
+    return True
+
+
+def settled_harmonics(
+    runs: PredictedRuns, r: int, speeds: np.ndarray, signal: Signal, orders: np.ndarray
+) -> np.ndarray:
+    """Return the harmonics (n, orders) of a diagram with the settings of run r at speeds (n,) of one sign."""
+    experiment, K = runs.experiment, int(np.abs(orders).max())
+    parts = []
+    for some in np.array_split(speeds, -(-len(speeds) // BATCH)):
+        p = np.repeat(experiment.p[r][None], len(some), axis=0)
+        moved = np.array([experiment.model.parameter_vector({"speed": speed}) for speed in some])
+        p[:, runs.follows_speed] = moved[:, runs.follows_speed]
+        if isinstance(experiment.motion, NonlinearMotion):
+            Y = _balanced(runs, experiment.motion, r, p, some, K)
+        else:
+            Y = _linear(experiment.motion, runs.theta, r, p, some, K)
+        parts.append(signal.combined(harmonics_of_time(Y, some[0]), experiment.predicted, orders))
+    return np.concatenate(parts)
+
+
+def _linear(motion: Motion, theta: np.ndarray, r: int, p: np.ndarray, speeds: np.ndarray, K: int) -> np.ndarray:
+    """Return harmonics of time (n, K+1, c) of a linear diagram; nan where it is not stable."""
+    beside = None if motion.beside is None else motion.beside.at(speeds)
+    windows, phase = [motion.windows[r]] * len(speeds), np.full(len(speeds), motion.phase[r])
+    # of asynchronous forces alone, all orders at once
+    own = Motion(motion.equations, p, speeds, K if beside is None else beside.K, windows, phase, beside)
+    own.slow = [motion.slow[r]] * len(speeds) if motion.slow else None
+    response = own.response(theta)
+    Y = response.outputs(response.states())[:, : K + 1]
+    grows = np.linalg.eigvals(response.A).real.max(axis=1) > 1e-6 * np.abs(response.A).max() ** 0.5
+    Y[grows] = np.nan
+    return Y
+
+
+def _balanced(
+    runs: PredictedRuns, motion: NonlinearMotion, r: int, p: np.ndarray, speeds: np.ndarray, K: int
+) -> np.ndarray:
+    """Return harmonics of time (n, K+1, c), begun at each speed from the nearest run with the settings of run r."""
+    windows, phase = [motion.windows[r]] * len(speeds), np.full(len(speeds), motion.phase[r])
+    balanced = NonlinearMotion(motion.equations, p, speeds, K, windows, phase)
+    if motion.last is not None:
+        members = np.array(runs.groups[runs.group_of(r)])
+        nearest = members[np.argmin(np.abs(runs.speeds[members][:, None] - speeds), axis=0)]
+        last = motion.last[nearest, : balanced.H + 1]
+        balanced.opened(runs.theta)
+        if last.shape[2] == len(balanced.inner.S):
+            balanced.last = np.pad(last, ((0, 0), (0, balanced.H + 1 - last.shape[1]), (0, 0)))
+    return balanced.predict(runs.theta).Y

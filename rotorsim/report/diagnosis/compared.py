@@ -1,0 +1,230 @@
+"""The diagrams of a diagnosis beside what was measured: harmonics, samples in time, or resonances."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.conclude.result import Diagnosis
+from rotorsim.diagnosis.evidence.fit import FAILURES
+from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
+from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
+from rotorsim.diagnosis.evidence.harmonic.scoring import predict
+from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
+from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.jobs.threads import one_thread
+from rotorsim.report.comparison.harmonics import Comparison, PredictedRuns, predicted_runs
+from rotorsim.report.comparison.samples import SampleComparison, Trace
+from rotorsim.report.figures.orbits import orbits_figure
+from rotorsim.report.figures.spectra import residuals_figure, spectra_figure
+from rotorsim.report.figures.speed_curves import speed_curves_figure
+from rotorsim.report.figures.traces import traces_figure
+from rotorsim.report.style import BLUE, RED, Look
+
+__all__ = ["Compared", "Drawn", "OfHarmonics", "OfResonances", "OfSamples", "before_and_after_figure", "compared"]
+
+GIVEN = Look("diagram as given", RED, "s", "--", 8.5)
+REPAIRED = Look("repaired diagram", BLUE, "o", "-", 7.0)
+HELD, FITTED = "hold-out runs", "fitted runs"
+SPECTRA = (
+    "Full spectra: what noise alone would give is grey; a residual (cross) below it is explained. Small marks, where "
+    "there are any: asynchronous lines, at kX + nu."
+)
+ORBITS = "Motion that is synchronous with the shaft, over one turn; the arrow shows its direction."
+CURVES = (
+    "Amplitude and phase against shaft angle zero over speed, for each set of settings; thin lines: beyond the "
+    "hold-out speeds."
+)
+
+
+class Drawn(NamedTuple):
+    """A figure with its name and caption; None where there is nothing to show."""
+
+    name: str
+    figure: Figure | None
+    caption: str
+
+
+class Compared(Protocol):
+    """Both diagrams beside what was measured, as the evidence of a diagnosis allows it."""
+
+    @property
+    def speeds(self) -> Sequence[float]:
+        """The speeds of the fitted runs [rad/s]; none of a machine that does not turn."""
+
+    def figures(self) -> Iterator[Drawn]:
+        """Return figures of both diagrams beside hold-out runs, beside fitted ones without any."""
+
+    def residuals(self) -> Drawn | None:
+        """Return the figure of residuals in units of independent noise; None where it is not independent."""
+
+
+def before_and_after_figure(found: Diagnosis) -> Figure:
+    """Return both diagrams beside hold-out runs (fitted ones without any): over speed, or in time.
+
+    Raises RotorsimError where there is nothing to draw.
+    """
+    figures = {drawn.name: drawn.figure for drawn in compared(found).figures() if drawn.figure is not None}
+    for name in ("speed_curves", *figures):
+        if name in figures:
+            return figures[name]
+    hint = "a recording of a turning shaft, or in time, of a diagram that can be simulated"
+    raise RotorsimError(Problem("nothing of this diagnosis can be drawn beside its recording", hint=hint))
+
+
+def is_unchanged(found: Diagnosis) -> bool:
+    """Return whether the diagram stayed as it was given."""
+    return not found.effects and found.after is found.before
+
+
+def looks_of(found: Diagnosis) -> tuple[Look, ...]:
+    """Return how the diagram as given and the repaired one are called and drawn; one where nothing was changed."""
+    if is_unchanged(found):
+        return (replace(REPAIRED, label=GIVEN.label),)
+    return GIVEN, replace(REPAIRED, label="nearest model") if found.verdict == "outside_catalogue" else REPAIRED
+
+
+def _documents(found: Diagnosis) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    return values_in(found.before.document, found.before.values), found.document
+
+
+# -- harmonics of a turning shaft --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class OfHarmonics:
+    """Diagrams beside harmonics of a turning shaft."""
+
+    found: Diagnosis
+    evidence: HarmonicEvidence
+    given: HarmonicEvidence  # with the readings as they are, without converters that the diagram lacks
+
+    @property
+    def speeds(self) -> Sequence[float]:
+        """The speeds of the fitted runs [rad/s]."""
+        return [item.fit.speed for item in self.evidence.harmonics]
+
+    @cached_property
+    def fitted(self) -> Comparison | None:
+        """Both diagrams beside the runs that they were fitted to; None where neither has a settled motion."""
+        return self._beside((self.given, self.evidence), FITTED)
+
+    @cached_property
+    def held(self) -> Comparison | None:
+        """Both diagrams beside the hold-out runs, the larger set of two; None without any."""
+        sets = [evidence.parts for evidence in (self.given, self.evidence)]
+        parts = [max(some, key=lambda part: len(part.harmonics)) for some in sets if some]
+        return self._beside((parts[0], parts[-1]), HELD) if parts else None
+
+    def _beside(self, parts: tuple[HarmonicRuns, HarmonicRuns], of: str) -> Comparison | None:
+        """Return both diagrams beside runs: the first beside readings as they are, where converters were found."""
+        items = zip(looks_of(self.found), _documents(self.found), parts, strict=False)
+        both = ((look, self._predicted(document, part)) for look, document, part in items)
+        diagrams = tuple((look, runs) for look, runs in both if runs is not None)
+        return Comparison(diagrams, of) if diagrams else None
+
+    def _predicted(self, document: Mapping[str, Any], part: HarmonicRuns) -> PredictedRuns | None:
+        try:
+            with one_thread():
+                prediction = predict(document, part)
+        except FAILURES:
+            return None
+        experiment, Y = prediction.experiment, prediction.evaluation.Y
+        return predicted_runs(experiment, experiment.theta0, Y) if np.isfinite(Y).any() else None
+
+    def figures(self) -> Iterator[Drawn]:
+        """Return spectra, orbits and curves over speed, beside hold-out runs or else fitted ones."""
+        shown = self.held or self.fitted
+        if shown is not None:
+            yield Drawn("spectra", spectra_figure(shown), SPECTRA)
+            yield Drawn("orbits", orbits_figure(shown), ORBITS)
+            fitted = None if self.held is None else self.fitted
+            yield Drawn("speed_curves", speed_curves_figure(shown, fitted), CURVES)
+
+    def residuals(self) -> Drawn | None:
+        """Return the residuals of all harmonics of the fitted runs."""
+        if self.fitted is None:
+            return None
+        caption = "White is what noise alone makes; 2 is exceeded in 2 % of cases."
+        return Drawn("residuals", residuals_figure(self.fitted), caption)
+
+
+# -- samples in time ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class OfSamples:
+    """Diagrams beside samples in time; each sample is not independent of the one before."""
+
+    found: Diagnosis
+    evidence: WaveformEvidence
+    given: WaveformEvidence
+    speeds: Sequence[float] = ()
+
+    def figures(self) -> Iterator[Drawn]:
+        """Return signals in time."""
+        caption = "The stretch that the diagram as given explains least."
+        yield Drawn("traces", traces_figure(self.comparison()), caption)
+
+    def residuals(self) -> None:
+        """Return nothing."""
+
+    def comparison(self) -> SampleComparison:
+        """Return both diagrams beside the signals of hold-out runs, of fitted ones without any."""
+        evidence, looks = self.evidence, looks_of(self.found)
+        runs = evidence.held or evidence.runs
+        with one_thread():
+            documents = zip(looks, _documents(self.found), strict=False)
+            simulated = [evidence.simulated(document, runs) for _, document in documents]
+        traces = tuple(
+            Trace(
+                run.id,
+                name,
+                evidence.units[name],
+                run.start + run.dt * np.arange(run.size),
+                run.values[name],
+                tuple(None if one is None else one[r][:, c] for one in simulated),
+            )
+            for r, run in enumerate(runs)
+            for c, name in enumerate(evidence.channels.outputs)
+        )
+        return SampleComparison(looks, traces, HELD if evidence.held else FITTED)
+
+
+# -- resonances --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class OfResonances:
+    """Recorded resonances: nothing is drawn of them."""
+
+    found: Diagnosis
+    evidence: ResonanceEvidence
+    given: ResonanceEvidence
+    speeds: Sequence[float] = ()
+
+    def figures(self) -> Iterator[Drawn]:
+        """Return nothing."""
+        return iter(())
+
+    def residuals(self) -> None:
+        """Return nothing."""
+
+
+_BY_EVIDENCE: Mapping[type[Any], Callable[[Diagnosis, Any, Any], Compared]] = {
+    HarmonicEvidence: OfHarmonics,
+    WaveformEvidence: OfSamples,
+    ResonanceEvidence: OfResonances,
+}
+
+
+def compared(found: Diagnosis) -> Compared:
+    """Return the comparison that the evidence of a diagnosis allows."""
+    return _BY_EVIDENCE[type(found.evidence)](found, found.evidence, found.given)
