@@ -69,8 +69,8 @@ def test_what_is_missing_and_the_repaired_diagram(run: Run, bowed: str, held: st
     assert text[0] == "verdict: missing_physics"
     assert text[2].split() == ["missing", "probability", "at"]
     assert text[3].split() == ["residual_bow", "1", "rotor.force"]
-    assert "Missing is residual_bow at rotor.force (amplitude 1." in result.stdout
-    assert "On held-out runs the error falls from" in result.stdout
+    assert "Missing physics: residual_bow at rotor.force (amplitude 1." in result.stdout
+    assert "On hold-out runs the error falls from" in result.stdout
     data = json.loads(Path("found/diagnosis.json").read_text())
     assert data["verdict"] == "missing_physics"
     assert "The diagram lacks residual bow at rotor.force" in Path("found/report.html").read_text()

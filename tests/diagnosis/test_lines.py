@@ -232,7 +232,7 @@ def test_the_free_parameters_are_the_true_ones(name):
 
 def test_nothing_is_found_in_a_healthy_machine():
     found = diagnosed("healthy")
-    assert (found.verdict, found.effects, found.source.second) == ("consistent", (), None)
+    assert (found.verdict, found.effects, found.evidence.second) == ("consistent", (), None)
     assert found.score_after.total < 1.05 * found.score_after.noise
     runs = compared(found).held.runs
     assert runs.lines(0, runs.signals[0]) is None

@@ -11,7 +11,7 @@ from rotorsim.diagnosis.evidence.base_fit import base_fit
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.harmonic.drifts import drift_warnings, find_drifts, with_drifts
 from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
-from rotorsim.diagnosis.evidence.harmonic.open import harmonic_evidence
+from rotorsim.diagnosis.evidence.harmonic.open import Conditions, harmonic_evidence
 from rotorsim.diagnosis.evidence.harmonic.pickups import find_pickups
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
@@ -44,7 +44,7 @@ def picked_up(data: Recording, channels: dict[str, float], hertz: float) -> Reco
 
 
 def prepared(data: Recording) -> tuple[Fit, HarmonicEvidence]:
-    source = harmonic_evidence(HarmonicEvidence(data, (), None, False), None, {}, []).source
+    source, _ = harmonic_evidence(HarmonicEvidence(data, (), None, False), None, Conditions())
     return base_fit(load("jeffcott"), source)[0], source
 
 

@@ -29,7 +29,7 @@ def test_the_step_of_a_converter_is_read_off_the_recording(tmp_path):
     size, std, unit = found.taken(found.effects[0])["interval"]
     assert unit == "m"
     assert size == pytest.approx(case.truth()["effect"]["lsb"], abs=4 * std)
-    assert "Missing is quantisation at rotor.displacement (interval " in found.statement
+    assert "Missing physics: quantisation at rotor.displacement (interval " in found.statement
     save_diagnosis(found, tmp_path / "out")
     again = diagnose(load(tmp_path / "out" / "diagram.json"), recording, workers=1, physics=["quantisation", "runout"])
     assert (again.verdict, again.effects) == ("consistent", ())

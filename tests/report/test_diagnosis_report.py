@@ -174,7 +174,7 @@ def test_numbers_are_those_of_the_diagnosis() -> None:
     low, high = (float(shown[k]) for k in (2, 3))
     assert low < phase < high
     assert abs(float(shown[1]) - phase) < 0.1 * (high - low)
-    rival = next(item.fit for item in found.named.rounds[0].tried if item.insertion.physics == "runout")
+    rival = next(item.fit for item in found.selection.rounds[0].tried if item.insertion.physics == "runout")
     best = found.effects[0].candidate.fit
     ratio = (rival.misfit / rival.freedom) / (best.misfit / best.freedom)
     assert ratio > 2
@@ -453,7 +453,7 @@ def test_a_curve_of_another_motion_is_not_drawn(monkeypatch) -> None:
 
 def test_a_diagnosis_by_resonances_says_that_it_draws_nothing(monkeypatch):
     """FAULT: plot() of such a diagnosis was an IndexError."""
-    monkeypatch.setattr("rotorsim.report.diagnosis.compared.compared", lambda found: OfResonances(None))
+    monkeypatch.setattr("rotorsim.report.diagnosis.compared.compared", lambda found: OfResonances(found, None, None))
     with pytest.raises(RotorsimError, match="can be drawn beside its recording"):
         bowed().plot()
 
@@ -481,4 +481,4 @@ def test_what_is_left_and_what_is_open_stand_in_the_report(tmp_path):
         "Tried, but not fitted to the end: not rejected",
     ):
         assert text in words, text
-    assert "Proved on hold-out runs: what it leaves there" in words
+    assert "Proved on hold-out runs: its residual variance there" in words

@@ -170,7 +170,7 @@ def test_held_out_runs_are_compared_by_their_resonances():
     found = diagnose(load(document()), made, hold_out=held, physics={"disc_rotary_inertia"}, workers=1)
     measured = np.array([30.48, 64.63, 109.73, 165.17, 317.04, 353.52])  # of the matrices; see the next test
     assert frequencies(1.0)[:6] == pytest.approx(measured, rel=1e-4)
-    mine = found.source.frequencies(found.after)
+    mine = found.evidence.frequencies(found.after)
     assert found.score_after.total == pytest.approx(float(np.sqrt(np.mean((mine / measured - 1) ** 2))), abs=2e-3)
     assert "On held-out runs the error falls from " in found.statement
 
