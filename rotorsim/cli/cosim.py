@@ -95,7 +95,7 @@ def command(
     rotorsim cosim jeffcott --part controller --step "20 us" --order 1 --rate controller=5
     """
     from rotorsim.cosim.cosimulation import cosimulate_diagram
-    from rotorsim.fmi.runtime.process import printing_elsewhere
+    from rotorsim.fmi.runtime.printing import printing_elsewhere
 
     common.check_target("--out", out, (".csv", ".h5", ".npz"))
     width = common.quantity(step, "s", "--step")

@@ -112,8 +112,7 @@ class Coupling(Generic[P_co]):
     def has_loop(self) -> bool:
         """Whether outputs and inputs make an algebraic loop across participants."""
         pattern = (self.L != 0).astype(int) @ self.feedthrough.astype(int)
-        graph = nx.from_numpy_array(pattern, create_using=nx.DiGraph)
-        return not nx.is_directed_acyclic_graph(graph)
+        return not nx.is_directed_acyclic_graph(nx.from_numpy_array(pattern, create_using=nx.DiGraph))
 
     def consistent(
         self, t: float, u: np.ndarray, y: np.ndarray | None = None, due: Sequence[int] | None = None

@@ -158,8 +158,7 @@ class _Reader:
     def _in_utf8(self, data: bytes) -> bytes:
         """Return a document in UTF-8, decoded as its first bytes and its declaration say (XML 1.0, appendix F)."""
         wide = next((name for start, name in _STARTS.items() if data.startswith(start)), "")
-        head = data[:400].decode(wide or "ascii", "replace").lstrip("\ufeff")
-        declared = _DECLARED.match(head)
+        declared = _DECLARED.match(data[:400].decode(wide or "ascii", "replace").lstrip("\ufeff"))
         name = declared[1] if declared else wide or "utf-8"
         codec = _codec(name)
         if not codec:

@@ -156,8 +156,7 @@ class Instance:
 
     def jacobian(self, unknowns: Sequence[str], knowns: Sequence[str]) -> np.ndarray:
         """Return the derivatives (n_unknowns, n_knowns) of the unknowns by the knowns."""
-        columns = self._directional(unknowns, knowns, None)
-        return columns.T
+        return self._directional(unknowns, knowns, None).T
 
     def _directional(self, unknowns: Sequence[str], knowns: Sequence[str], seeds: np.ndarray | None) -> np.ndarray:
         """Return one row for each row of seeds; None: the unit vectors."""
