@@ -114,11 +114,13 @@ class _Reader:
             self.wrong(element, "has no source: nothing implements it", subject)
             return ""
         name = unquote(uri, errors="replace").removeprefix("./")
-        why = "it is not relative" if re.match(r"[A-Za-z][\w+.-]*:|/", uri) else check_name(name)
-        if "#" in uri or "?" in uri:
-            why = "a part of a document is not supported"
-        if not why and name not in self.archive:
-            why = "there is no such file in the archive"
+        reasons = {
+            "a part of a document is not supported": "#" in uri or "?" in uri,
+            "it is not relative": re.match(r"[A-Za-z][\w+.-]*:|/", uri),
+            check_name(name): True,
+            "there is no such file in the archive": name not in self.archive,
+        }
+        why = next((why for why, is_so in reasons.items() if why and is_so), "")
         if why:
             self.wrong(element, f"source '{uri[:80]}': {why}", subject)
         return "" if why else name

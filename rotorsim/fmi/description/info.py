@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 from rotorsim.fmi.description.model import KINDS, FmuUnit, FmuVariable, Kind, ModelDescription
@@ -103,21 +103,14 @@ def _display(variable: FmuVariable, unit: FmuUnit | None) -> str:
 
 def _not_supported(description: ModelDescription) -> list[str]:
     """Return what of the FMU cannot be used here."""
-    found = []
-    if "se" in description.kinds:
-        found.append("Scheduled Execution")
-    clocks = description.clocks
-    if clocks:
-        found.append(f"clocks: {_some(clocks)}")
     binary = [name for name, variable in description.variables.items() if variable.type == "Binary"]
-    if binary:
-        found.append(f"binary variables: {_some(binary)}")
-    return found
+    names = {"clocks": description.clocks, "binary variables": binary}
+    found = ["Scheduled Execution"] if "se" in description.kinds else []
+    return found + [f"{what}: {_some(which)}" for what, which in names.items() if which]
 
 
-def _some(names: Iterable[str]) -> str:
-    listed = list(names)
-    return ", ".join(listed[:5]) + (f", and {len(listed) - 5} more" if len(listed) > 5 else "")
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:5]) + (f", and {len(names) - 5} more" if len(names) > 5 else "")
 
 
 def information_text(data: dict[str, Any], *, every: bool = False) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
+from itertools import accumulate
 from typing import Any
 
 import casadi as ca
@@ -144,29 +145,32 @@ def _tables(interface: Interface, sizes: dict[str, int]) -> list[str]:
         f"#define RF_STEP {_number(part.diagram.solver.step)}",
         f"#define RF_LOOP_TOLERANCE {_number(_LOOP_TOLERANCE)}",
     ]
-    starts: list[int] = [0]
-    follow: list[int] = []
-    for parameter in parameters:
-        follow += parameter.follow
-        starts.append(len(follow))
+    starts = accumulate((len(parameter.follow) for parameter in parameters), initial=0)
+    follow = [place for parameter in parameters for place in parameter.follow]
     nominal = [v.nominal or 1.0 for v in interface.of_role(STATE) for _ in range(v.size)]
-    lines += [
-        _table("double", "rf_p0", map(_number, part.p0)),
-        _table("double", "rf_x0", map(_number, interface.x0)),
-        _table("double", "rf_z0", map(_number, interface.z0)),
-        _table("double", "rf_nominal", map(_number, nominal)),
-        _table("double", "rf_low", (_number(p.low) for p in parameters)),
-        _table("double", "rf_high", (_number(p.high) for p in parameters)),
-        _table("unsigned char", "rf_open", (str(int(p.open)) for p in parameters)),
-        _table("unsigned char", "rf_fixed", (str(int(p.fixed)) for p in parameters)),
-        _table("unsigned char", "rf_x_exact", (str(int(e)) for e in interface.x_exact)),
-        _table("unsigned char", "rf_z_exact", (str(int(e)) for e in interface.z_exact)),
+    doubles: dict[str, Iterable[float]] = {
+        "rf_p0": part.p0,
+        "rf_x0": interface.x0,
+        "rf_z0": interface.z0,
+        "rf_nominal": nominal,
+        "rf_low": [p.low for p in parameters],
+        "rf_high": [p.high for p in parameters],
+    }
+    flags: dict[str, Iterable[bool]] = {
+        "rf_open": [p.open for p in parameters],
+        "rf_fixed": [p.fixed for p in parameters],
+        "rf_x_exact": interface.x_exact,
+        "rf_z_exact": interface.z_exact,
+    }
+    return [
+        *lines,
+        *(_table("double", name, map(_number, values)) for name, values in doubles.items()),
+        *(_table("unsigned char", name, (str(int(flag)) for flag in values)) for name, values in flags.items()),
         _table("int", "rf_follow_at", map(str, starts)),
         _table("int", "rf_follow", map(str, follow)),
         _table("unsigned", "rf_width", map(str, interface.widths)),
         _table("char *const", "rf_name", (f'"{name}"' for name in interface.names)),
     ]
-    return lines
 
 
 def _number(value: float) -> str:
