@@ -71,7 +71,7 @@ class FmuParticipant(Participant):
 
     def initialise(self, t: float, u: np.ndarray) -> None:
         if self._begun:
-            self._forget()
+            self.slave.free_states()
             self.slave.reset()
         self._begun, self._started = True, False
         self.slave.setup(
@@ -89,9 +89,15 @@ class FmuParticipant(Participant):
         self.slave.exit_initialisation()
         self._started = True
 
+    def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return rates of the outputs by a very short step that is taken back."""
+        h = RATE_STEP * self._last
+        before = self.output(t, u)
+        return np.asarray((self._output_after(t, h, Polynomial([u, rate * h], h)) - before) / h)
+
     @abstractmethod
-    def _forget(self) -> None:
-        """Free all saved states."""
+    def _output_after(self, t: float, h: float, u: InputHistory) -> np.ndarray:
+        """Return the outputs a very short time h later; the state stays as it is."""
 
     def _of_fmu(self, u: np.ndarray) -> np.ndarray:
         """Return inputs (n_u,) in the units of the FMU."""
@@ -201,7 +207,6 @@ class CoSimulationFmu(FmuParticipant):
         self.equal_steps = not self.kind.can_vary_step
         self._width = 0.0  # of all steps, where these must be equal
         self._sampled = bool(self._y_names) and not self.moving.any()
-        self._saved: list[int] = []
 
     def initialise(self, t: float, u: np.ndarray) -> None:
         super().initialise(t, u)
@@ -215,15 +220,12 @@ class CoSimulationFmu(FmuParticipant):
     def output(self, t: float, u: np.ndarray) -> np.ndarray:
         return self._si(self.slave.exchange(self._of_fmu(u), t))
 
-    def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Return rates of the outputs by a very short step that is taken back."""
-        h = RATE_STEP * self._last
-        before = self.output(t, u)
+    def _output_after(self, t: float, h: float, u: InputHistory) -> np.ndarray:
         saved = self.slave.save_state()
-        after = self._advance(t, h, Polynomial([u, rate * h], h), 1)
+        after = self._advance(t, h, u, 1)
         self.slave.restore_state(saved)
         self.slave.free_state(saved)
-        return np.asarray((after - before) / h)
+        return after
 
     def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
         self._last = h
@@ -265,18 +267,13 @@ class CoSimulationFmu(FmuParticipant):
     def save(self) -> Any:
         if not self.can_restore:
             return None
-        self._saved.append(self.slave.save_state())
-        while len(self._saved) > KEPT:
-            self.slave.free_state(self._saved.pop(0))
-        return self._saved[-1]
+        handle = self.slave.save_state()
+        self.slave.free_states(but=KEPT)
+        return handle
 
     def restore(self, saved: Any) -> None:
         if saved is not None:
             self.slave.restore_state(saved)
-
-    def _forget(self) -> None:
-        while self._saved:
-            self.slave.free_state(self._saved.pop())
 
 
 class ModelExchangeFmu(FmuParticipant):
@@ -298,12 +295,8 @@ class ModelExchangeFmu(FmuParticipant):
         u = self._of_fmu(u)
         return self._si(self.integrator.output(t, u) if self._started else self.slave.outputs(t, None, u))
 
-    def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Return rates of the outputs by a very short step that is taken back."""
-        h = RATE_STEP * self._last
-        before = self.output(t, u)
-        after = self._si(self.integrator.output_after(t, h, lambda tau: self._of_fmu(u + rate * tau)))
-        return np.asarray((after - before) / h)
+    def _output_after(self, t: float, h: float, u: InputHistory) -> np.ndarray:
+        return self._si(self.integrator.output_after(t, h, lambda tau: self._of_fmu(u(tau))))
 
     def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
         self._last = h
@@ -319,9 +312,6 @@ class ModelExchangeFmu(FmuParticipant):
 
     def restore(self, saved: Any) -> None:
         self.integrator.restore(saved)
-
-    def _forget(self) -> None:
-        self.integrator.forget()
 
     def unstable_step(self) -> str:
         return self.integrator.unstable_step()

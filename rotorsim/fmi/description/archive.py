@@ -142,9 +142,9 @@ class Archive(contextlib.AbstractContextManager["Archive"]):
             return
         if sum(member.file_size for member in self.members) > self._allowed():
             yield self._too_large()
-        wrong = [(m.orig_filename, why) for m in self.members if (why := _wrong(m))]
-        for name, why in wrong[:_SHOWN]:
-            yield Problem(f"{_shown(name)}: {why}", place=self.place, hint="this archive is hostile or damaged")
+        wrong = [f"{_shown(m.orig_filename)}: {why}" for m in self.members if (why := _wrong(m))]
+        hint = "this archive is hostile or damaged"
+        yield from (Problem(what, place=self.place, hint=hint) for what in wrong[:_SHOWN])
         if len(wrong) > _SHOWN:
             yield Problem(f"... and {len(wrong) - _SHOWN} more such files", place=self.place)
         if not wrong:

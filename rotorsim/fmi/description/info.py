@@ -115,20 +115,19 @@ def _some(names: Sequence[str]) -> str:
 
 def information_text(data: dict[str, Any], *, every: bool = False) -> str:
     """Return `information` for people."""
-    kinds = " and ".join(KINDS[name] for name in data["kinds"])
-    lines = [f"{data['name']}: FMI {data['fmi']}, {kinds}"]
-    if data["description"]:
-        lines.append(f"  {_line(data['description'])}")
     made = ", ".join(_line(part) for part in (data["tool"], data["date"]) if part)
-    lines += [f"made by     {made}"] if made else []
     inside = ", ".join(data["platforms"]) or "none (no library inside)"
     here = "one of them fits" if data["runs_here"] else "none fits"
-    lines.append(f"platforms   {inside}; this machine is {data['this_platform']}: {here}")
-    lines.append(f"states      {data['states']}, event indicators {data['event_indicators']}")
     experiment = {key: value for key, value in data["experiment"].items() if value is not None}
-    if experiment:
-        told = [f"{key} {value:g}{'' if key == 'tolerance' else ' s'}" for key, value in experiment.items()]
-        lines.append("experiment  " + ", ".join(told))
+    proposed = [f"{key} {value:g}{'' if key == 'tolerance' else ' s'}" for key, value in experiment.items()]
+    lines = [
+        f"{data['name']}: FMI {data['fmi']}, {' and '.join(KINDS[name] for name in data['kinds'])}",
+        *([f"  {_line(data['description'])}"] if data["description"] else []),
+        *([f"made by     {made}"] if made else []),
+        f"platforms   {inside}; this machine is {data['this_platform']}: {here}",
+        f"states      {data['states']}, event indicators {data['event_indicators']}",
+        *(["experiment  " + ", ".join(proposed)] if proposed else []),
+    ]
     for name, kind in data["kinds"].items():
         yes = [key.replace("_", " ") for key, value in kind.items() if value is True]
         more = [
