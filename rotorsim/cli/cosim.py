@@ -107,7 +107,7 @@ def command(
     rotorsim cosim jeffcott --part controller --step "20 us" --order 1 --rate controller=5
     """
     from rotorsim.cosim.cosimulation import cosimulate_diagram
-    from rotorsim.fmi.runtime.process import printing_elsewhere
+    from rotorsim.fmi.runtime.printing import printing_elsewhere
 
     width = quantity(step, "s", "--step")
     end = None if stop is None else quantity(stop, "s", "--stop")

@@ -112,8 +112,7 @@ class Coupling(Generic[P_co]):
     def has_loop(self) -> bool:
         """Whether outputs and inputs make an algebraic loop across participants."""
         pattern = (self.L != 0).astype(int) @ self.feedthrough.astype(int)
-        graph = nx.from_numpy_array(pattern, create_using=nx.DiGraph)
-        return not nx.is_directed_acyclic_graph(graph)
+        return not nx.is_directed_acyclic_graph(nx.from_numpy_array(pattern, create_using=nx.DiGraph))
 
     def consistent(
         self, t: float, u: np.ndarray, y: np.ndarray | None = None, due: Sequence[int] | None = None
@@ -136,11 +135,9 @@ class Coupling(Generic[P_co]):
             residual = self.inputs_of(y) - u
             if np.abs(residual).max(initial=0.0) <= CLOSE * (1 + np.abs(u).max(initial=0.0)):
                 return u, y
-            J = np.empty((len(u), len(u)))
-            for k in range(len(u)):
-                moved = u.copy()
-                moved[k] += 1e-6 * scale[k]
-                J[:, k] = (self.inputs_of(self._outputs(t, moved, y, due)) - moved - residual) / (1e-6 * scale[k])
+            moves = np.diag(1e-6 * scale)
+            moved = [self.inputs_of(self._outputs(t, u + move, y, due)) - (u + move) for move in moves]
+            J = (np.column_stack(moved) - residual[:, None]) / (1e-6 * scale)
             try:
                 u = u - np.linalg.solve(J, residual)
             except np.linalg.LinAlgError:

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from rotorsim.cosim.compiled_participant import CompiledParticipant
 from rotorsim.cosim.coupling import Coupling
-from rotorsim.cosim.fmu_participant import fmu_participant
+from rotorsim.cosim.fmu_block import fmu_participant
 from rotorsim.cosim.participant import Participant
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError, near_miss

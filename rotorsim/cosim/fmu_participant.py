@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from abc import abstractmethod
-from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from itertools import compress
 from typing import Any
@@ -14,17 +13,16 @@ import numpy as np
 from rotorsim.cosim.inputs import Held, InputHistory, Polynomial
 from rotorsim.cosim.linear_model import LinearModel
 from rotorsim.cosim.participant import Participant
-from rotorsim.diagram.diagram import Node
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import RotorsimError
 from rotorsim.fmi.block import FmuPort
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
 from rotorsim.fmi.runtime.binding import CallError
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.model_exchange import KEPT, ModelExchange
-from rotorsim.fmi.runtime.slave import Fmu, Slave, open_fmu
+from rotorsim.fmi.runtime.slave import Fmu, Slave
 from rotorsim.linear.linearisation import entry_names
 
-__all__ = ["CoSimulationFmu", "FmuParticipant", "ModelExchangeFmu", "fmu_participant"]
+__all__ = ["CoSimulationFmu", "FmuParticipant", "ModelExchangeFmu"]
 
 MOST_STEPS = 10_000  # of Model Exchange, in one step
 RATE_STEP = 1e-3  # of the last step, over which rates of outputs are taken
@@ -73,7 +71,7 @@ class FmuParticipant(Participant):
 
     def initialise(self, t: float, u: np.ndarray) -> None:
         if self._begun:
-            self._forget()
+            self.slave.free_states()
             self.slave.reset()
         self._begun, self._started = True, False
         self.slave.setup(
@@ -91,9 +89,15 @@ class FmuParticipant(Participant):
         self.slave.exit_initialisation()
         self._started = True
 
+    def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return rates of the outputs by a very short step that is taken back."""
+        h = RATE_STEP * self._last
+        before = self.output(t, u)
+        return np.asarray((self._output_after(t, h, Polynomial([u, rate * h], h)) - before) / h)
+
     @abstractmethod
-    def _forget(self) -> None:
-        """Free all saved states."""
+    def _output_after(self, t: float, h: float, u: InputHistory) -> np.ndarray:
+        """Return the outputs a very short time h later; the state stays as it is."""
 
     def _of_fmu(self, u: np.ndarray) -> np.ndarray:
         """Return inputs (n_u,) in the units of the FMU."""
@@ -203,7 +207,6 @@ class CoSimulationFmu(FmuParticipant):
         self.equal_steps = not self.kind.can_vary_step
         self._width = 0.0  # of all steps, where these must be equal
         self._sampled = bool(self._y_names) and not self.moving.any()
-        self._saved: list[int] = []
 
     def initialise(self, t: float, u: np.ndarray) -> None:
         super().initialise(t, u)
@@ -217,15 +220,12 @@ class CoSimulationFmu(FmuParticipant):
     def output(self, t: float, u: np.ndarray) -> np.ndarray:
         return self._si(self.slave.exchange(self._of_fmu(u), t))
 
-    def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Return rates of the outputs by a very short step that is taken back."""
-        h = RATE_STEP * self._last
-        before = self.output(t, u)
+    def _output_after(self, t: float, h: float, u: InputHistory) -> np.ndarray:
         saved = self.slave.save_state()
-        after = self._advance(t, h, Polynomial([u, rate * h], h), 1)
+        after = self._advance(t, h, u, 1)
         self.slave.restore_state(saved)
         self.slave.free_state(saved)
-        return np.asarray((after - before) / h)
+        return after
 
     def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
         self._last = h
@@ -267,18 +267,13 @@ class CoSimulationFmu(FmuParticipant):
     def save(self) -> Any:
         if not self.can_restore:
             return None
-        self._saved.append(self.slave.save_state())
-        while len(self._saved) > KEPT:
-            self.slave.free_state(self._saved.pop(0))
-        return self._saved[-1]
+        handle = self.slave.save_state()
+        self.slave.free_states(but=KEPT)
+        return handle
 
     def restore(self, saved: Any) -> None:
         if saved is not None:
             self.slave.restore_state(saved)
-
-    def _forget(self) -> None:
-        while self._saved:
-            self.slave.free_state(self._saved.pop())
 
 
 class ModelExchangeFmu(FmuParticipant):
@@ -300,12 +295,8 @@ class ModelExchangeFmu(FmuParticipant):
         u = self._of_fmu(u)
         return self._si(self.integrator.output(t, u) if self._started else self.slave.outputs(t, None, u))
 
-    def output_rate(self, t: float, u: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Return rates of the outputs by a very short step that is taken back."""
-        h = RATE_STEP * self._last
-        before = self.output(t, u)
-        after = self._si(self.integrator.output_after(t, h, lambda tau: self._of_fmu(u + rate * tau)))
-        return np.asarray((after - before) / h)
+    def _output_after(self, t: float, h: float, u: InputHistory) -> np.ndarray:
+        return self._si(self.integrator.output_after(t, h, lambda tau: self._of_fmu(u(tau))))
 
     def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
         self._last = h
@@ -321,9 +312,6 @@ class ModelExchangeFmu(FmuParticipant):
 
     def restore(self, saved: Any) -> None:
         self.integrator.restore(saved)
-
-    def _forget(self) -> None:
-        self.integrator.forget()
 
     def unstable_step(self) -> str:
         return self.integrator.unstable_step()
@@ -350,87 +338,3 @@ def _depends(description: ModelDescription, output: str, name: str) -> bool:
     inside = description.resolve([output])[0].variable.causality == "local"
     known = dependencies.get(output, dependencies.get(base, None if inside else ()))
     return known is None or name in known or name.partition("[")[0] in known
-
-
-def fmu_participant(
-    name: str,
-    node: Node,
-    wired: Collection[str],
-    stop: float,
-    internal: float,
-    *,
-    tolerance: float | None = None,
-    log: Callable[[str, float, str, str, str], None] | None = None,
-) -> FmuParticipant:
-    """Open the FMU of a block and return it as a participant.
-
-    wired: its input ports that something feeds; the others keep the values that the block gives them. tolerance: told
-    to the FMU, None: the one that it proposes for its own solver. log: gets block, time, status, category and text of
-    every message.
-    Raises RotorsimError.
-    """
-    block: Any = node.block
-    option = block.option
-    own: list[Slave] = []
-
-    def hear(status: str, category: str, text: str) -> None:
-        if log is not None:
-            log(name, own[0].time if own else 0.0, status, category, text)
-
-    fmu = open_fmu(
-        block.fmu_path,
-        in_process=bool(option.in_process),
-        log=hear if log is not None else None,
-        sizes=block.fmu_description.sizes,
-    )
-    with contextlib.ExitStack() as opened:
-        opened.callback(fmu.close)
-        kind = _kind(name, node, fmu.description, str(option.interface))
-        own.append(fmu.instantiate(kind, name))
-        opened.pop_all()
-    proposed = fmu.description.experiment.tolerance if kind == "cs" else None  # of its own solver
-    return _KINDS[kind](
-        name=name,
-        fmu=fmu,
-        slave=own[0],
-        input_ports={key: port for key, port in block.fmu_inputs.items() if key in wired},
-        output_ports=block.fmu_outputs,
-        parameters=_given(node, wired),
-        stop=stop,
-        internal=internal,
-        tolerance=proposed if tolerance is None else tolerance,
-    )
-
-
-_KINDS: dict[str, type[FmuParticipant]] = {"cs": CoSimulationFmu, "me": ModelExchangeFmu}
-
-
-def _kind(name: str, node: Node, description: ModelDescription, interface: str) -> str:
-    """Return which of its kinds an FMU is to be. Raises RotorsimError where it does not offer that."""
-    kinds = description.kinds
-    kind = interface if interface != "any" else "cs" if "cs" in kinds else "me"
-    if kind in kinds:
-        return kind
-    what, hint = f"the FMU offers no interface '{kind}'", f"it offers {', '.join(kinds) or 'neither'}"
-    if list(kinds) == ["se"]:
-        clocks = ", ".join(description.clocks[:5])
-        what = "the FMU offers Scheduled Execution only, which is driven by clocks: not supported"
-        hint = f"its clocks are {clocks}" if clocks else ""
-    raise RotorsimError(Problem(what, name, node.place, hint))
-
-
-def _given(node: Node, wired: Collection[str]) -> dict[str, Any]:
-    """Return the values that a block gives to variables of its FMU: those that are not the start values."""
-    block: Any = node.block
-    ports = {**block.fmu_parameters, **{key: port for key, port in block.fmu_inputs.items() if key not in wired}}
-    given: dict[str, Any] = {}
-    for key in (key for key in ports if key in node.values):
-        port, values = ports[key], np.ravel(node.values[key])
-        starts = [None] * len(port.entries) if port.start is None else np.ravel(port.start)
-        rows = zip(port.entries, values, port.of_fmu(values), starts, strict=True)
-        given |= {entry: float(raw) for entry, value, raw, start in rows if value != start}
-    for key, chosen in block.fmu_options.items():
-        settable = chosen.variable.causality != "structuralParameter" and key not in wired
-        if settable and getattr(block.option, key) != chosen.default:
-            given[chosen.variable.name] = chosen.of_fmu(getattr(block.option, key))
-    return given

@@ -142,17 +142,13 @@ class Flat:
         factor, offset, converted = 1.0, 0.0, True
         for target, connection in reversed(hops):
             own = unit_of(target)
-            scale = (1.0, 0.0)
-            if unit is not None and own is not None and not connection.suppress:
-                found = rescaled(unit, own)
-                if found is None:
-                    what = f"units do not fit: {unit.name} into {own.name}"
-                    self._wrong(what, f"{_text(point)} -> {_text(target)}", connection)
-                scale = found or scale
-            else:
-                converted = converted and connection.suppress
+            fit = rescaled(unit, own) if unit and own and not connection.suppress else (1.0, 0.0)
+            if fit is None and unit and own:
+                what = f"units do not fit: {unit.name} into {own.name}"
+                self._wrong(what, f"{_text(point)} -> {_text(target)}", connection)
+            converted = converted and bool(connection.suppress or (unit and own))
             unit = own or unit
-            for a, b in (scale, (connection.factor, connection.offset)):
+            for a, b in (fit or (1.0, 0.0), (connection.factor, connection.offset)):
                 factor, offset = a * factor, a * offset + b
         return Feed(point[0], point[1], indices, factor, offset, setting, converted)
 

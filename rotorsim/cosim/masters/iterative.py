@@ -134,7 +134,7 @@ class Iterative(SteppingMaster):
             residual = L @ y + offset - end
             self.scale = np.maximum(self.scale, np.maximum(np.abs(u), np.abs(end[:m])))
             floor = np.maximum(self.scale, 1e-12 * max(float(self.scale.max(initial=0.0)), 1e-30))
-            floor = np.tile(floor, len(end) // m) if m else floor
+            floor = np.tile(floor, 1 + self.hermite)
             size = float((np.abs(residual) / floor).max(initial=0.0))
             if size <= self.tolerance:
                 self.mismatch = size

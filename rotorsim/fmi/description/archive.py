@@ -142,9 +142,9 @@ class Archive(contextlib.AbstractContextManager["Archive"]):
             return
         if sum(member.file_size for member in self.members) > self._allowed():
             yield self._too_large()
-        wrong = [(m.orig_filename, why) for m in self.members if (why := _wrong(m))]
-        for name, why in wrong[:_SHOWN]:
-            yield Problem(f"{_shown(name)}: {why}", place=self.place, hint="this archive is hostile or damaged")
+        wrong = [f"{_shown(m.orig_filename)}: {why}" for m in self.members if (why := _wrong(m))]
+        hint = "this archive is hostile or damaged"
+        yield from (Problem(what, place=self.place, hint=hint) for what in wrong[:_SHOWN])
         if len(wrong) > _SHOWN:
             yield Problem(f"... and {len(wrong) - _SHOWN} more such files", place=self.place)
         if not wrong:
@@ -199,39 +199,32 @@ class Archive(contextlib.AbstractContextManager["Archive"]):
 def check_name(name: str) -> str:
     """Return why a name inside an archive is refused, or "" if it is fine."""
     parts = name.rstrip("/").split("/")
-    if not name or _CONTROL.search(name):
-        return "the name is empty or has control characters"
-    if "\\" in name:
-        return "the name has a backslash"
-    if name.startswith("/") or _DRIVE.match(name):
-        return "the name is absolute"
-    if any(part in ("", ".", "..") for part in parts):
-        return "the name leaves its folder"
-    if len(name) > 500 or any(len(part.encode("utf-8", "surrogatepass")) > 200 for part in parts) or len(parts) > 32:
-        return "the name is too long"
-    if any("\ud800" <= character <= "\udfff" for character in name):
-        return "the name is not text"
-    if sys.platform == "win32" and any(
-        _RESERVED.fullmatch(part) or part[-1] in ". " or set(part) & set('<>:"|?*') for part in parts
-    ):
-        return "the name cannot be used on Windows"
-    return ""
+    longest = max(len(part.encode("utf-8", "surrogatepass")) for part in parts)
+    on_windows = [_RESERVED.fullmatch(part) or part[-1:] in (".", " ") or set(part) & set('<>:"|?*') for part in parts]
+    reasons = {
+        "the name is empty or has control characters": not name or _CONTROL.search(name),
+        "the name has a backslash": "\\" in name,
+        "the name is absolute": name.startswith("/") or _DRIVE.match(name),
+        "the name leaves its folder": any(part in ("", ".", "..") for part in parts),
+        "the name is too long": len(name) > 500 or longest > 200 or len(parts) > 32,
+        "the name is not text": any("\ud800" <= character <= "\udfff" for character in name),
+        "the name cannot be used on Windows": sys.platform == "win32" and any(on_windows),
+    }
+    return next((why for why, is_so in reasons.items() if is_so), "")
 
 
 def _wrong(member: zipfile.ZipInfo) -> str:
     """Return why one entry is refused, or ""."""
     kind = stat.S_IFMT(member.external_attr >> 16)
-    if wrong := check_name(member.orig_filename) or check_name(member.filename):
-        return wrong
-    if kind == stat.S_IFLNK:
-        return "is a link"
-    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-        return "is not a plain file"
-    if member.flag_bits & 0x1:
-        return "is encrypted"
-    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        return "is packed by a method other than deflate"
-    return ""
+    reasons = {
+        check_name(member.orig_filename) or check_name(member.filename): True,
+        "is a link": kind == stat.S_IFLNK,
+        "is not a plain file": kind not in (0, stat.S_IFREG, stat.S_IFDIR),
+        "is encrypted": member.flag_bits & 0x1,
+        "is packed by a method other than deflate": member.compress_type
+        not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED),
+    }
+    return next((why for why, is_so in reasons.items() if why and is_so), "")
 
 
 def _open(path: Path, place: Place) -> _Guarded:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 from rotorsim.fmi.description.model import KINDS, FmuUnit, FmuVariable, Kind, ModelDescription
@@ -103,39 +103,31 @@ def _display(variable: FmuVariable, unit: FmuUnit | None) -> str:
 
 def _not_supported(description: ModelDescription) -> list[str]:
     """Return what of the FMU cannot be used here."""
-    found = []
-    if "se" in description.kinds:
-        found.append("Scheduled Execution")
-    clocks = description.clocks
-    if clocks:
-        found.append(f"clocks: {_some(clocks)}")
     binary = [name for name, variable in description.variables.items() if variable.type == "Binary"]
-    if binary:
-        found.append(f"binary variables: {_some(binary)}")
-    return found
+    names = {"clocks": description.clocks, "binary variables": binary}
+    found = ["Scheduled Execution"] if "se" in description.kinds else []
+    return found + [f"{what}: {_some(which)}" for what, which in names.items() if which]
 
 
-def _some(names: Iterable[str]) -> str:
-    listed = list(names)
-    return ", ".join(listed[:5]) + (f", and {len(listed) - 5} more" if len(listed) > 5 else "")
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:5]) + (f", and {len(names) - 5} more" if len(names) > 5 else "")
 
 
 def information_text(data: dict[str, Any], *, every: bool = False) -> str:
     """Return `information` for people."""
-    kinds = " and ".join(KINDS[name] for name in data["kinds"])
-    lines = [f"{data['name']}: FMI {data['fmi']}, {kinds}"]
-    if data["description"]:
-        lines.append(f"  {_line(data['description'])}")
     made = ", ".join(_line(part) for part in (data["tool"], data["date"]) if part)
-    lines += [f"made by     {made}"] if made else []
     inside = ", ".join(data["platforms"]) or "none (no library inside)"
     here = "one of them fits" if data["runs_here"] else "none fits"
-    lines.append(f"platforms   {inside}; this machine is {data['this_platform']}: {here}")
-    lines.append(f"states      {data['states']}, event indicators {data['event_indicators']}")
     experiment = {key: value for key, value in data["experiment"].items() if value is not None}
-    if experiment:
-        told = [f"{key} {value:g}{'' if key == 'tolerance' else ' s'}" for key, value in experiment.items()]
-        lines.append("experiment  " + ", ".join(told))
+    proposed = [f"{key} {value:g}{'' if key == 'tolerance' else ' s'}" for key, value in experiment.items()]
+    lines = [
+        f"{data['name']}: FMI {data['fmi']}, {' and '.join(KINDS[name] for name in data['kinds'])}",
+        *([f"  {_line(data['description'])}"] if data["description"] else []),
+        *([f"made by     {made}"] if made else []),
+        f"platforms   {inside}; this machine is {data['this_platform']}: {here}",
+        f"states      {data['states']}, event indicators {data['event_indicators']}",
+        *(["experiment  " + ", ".join(proposed)] if proposed else []),
+    ]
     for name, kind in data["kinds"].items():
         yes = [key.replace("_", " ") for key, value in kind.items() if value is True]
         more = [

@@ -10,8 +10,7 @@ from typing import Any
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.fmi.description.attributes import Mistakes
 from rotorsim.fmi.description.model import KINDS, Experiment, FmuUnit, Kind, ModelDescription
-from rotorsim.fmi.description.structure import read_model_structure
-from rotorsim.fmi.description.variables import VariableReader
+from rotorsim.fmi.description.variables import VariableReader, reference_in
 from rotorsim.fmi.description.xml_reader import Element, XmlLimits, read_xml
 
 __all__ = ["read_description"]
@@ -19,6 +18,11 @@ __all__ = ["read_description"]
 MAX_EVENTS = 100_000
 _SHOWN = 20  # mistakes
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,199}")
+_GROUPS = {  # of the model structure: in FMI 2.0, in FMI 3.0
+    "outputs": ("Outputs", "Output"),
+    "derivatives": ("Derivatives", "ContinuousStateDerivative"),
+    "initial_unknowns": ("InitialUnknowns", "InitialUnknown"),
+}
 _SKIP = frozenset({"Annotations", "VendorAnnotations", "Tool"})
 
 
@@ -44,7 +48,7 @@ def read_description(
     groups = {tag: root.first(tag) or _missing(root, tag, mistakes) for tag in ("ModelVariables", "ModelStructure")}
     reader.read(groups["ModelVariables"])
     resized = reader.resized(place)
-    structure: dict[str, Any] = read_model_structure(groups["ModelStructure"], reader, mistakes)
+    structure: dict[str, Any] = _model_structure(groups["ModelStructure"], reader, mistakes)
     log = root.first("LogCategories")
     experiment = _experiment(root, mistakes)
     mistakes.refuse(_SHOWN, place)
@@ -156,3 +160,53 @@ def _items(name: str, element: Element, mistakes: Mistakes) -> dict[str, int]:
     reads = [mistakes.attributes(item, f"type {name[:80]}") for item in element.all("Item")]
     low, high = -(2**63), 2**63 - 1
     return {read.text("name", needed=True): read.whole("value", None, least=low, most=high) for read in reads}
+
+
+def _model_structure(group: Element, reader: VariableReader, mistakes: Mistakes) -> dict[str, Any]:
+    """Return what `ModelDescription` takes of <ModelStructure>: names of unknowns, states, dependencies, n_events."""
+    listed: dict[str, tuple[str, ...]] = {}
+    dependencies: dict[str, tuple[str, ...] | None] = {}
+    for key, (old, new) in _GROUPS.items():
+        elements = group.all(new) if reader.three else (u for e in group.all(old) for u in e.all("Unknown"))
+        unknowns = [(element, _unknown(element, reader, mistakes)) for element in elements]
+        listed[key] = tuple(name for _, name in unknowns if name)
+        if key != "initial_unknowns":
+            dependencies |= {name: _dependencies(e, name, reader, mistakes) for e, name in unknowns if name}
+    rates = [reader.variables[name] for name in listed["derivatives"]]
+    states = []
+    for rate in rates:
+        state = rate.derivative_of
+        if state and reader.variables[state].size == rate.size:
+            states.append(reader.variables[state])
+        elif rate.name not in reader.stray:
+            what = f"has not the shape of its state {state}" if state else "does not say of which state it is"
+            mistakes.problems.append(Problem(f"is listed as a derivative but {what}", rate.name, rate.place))
+    events = (reader.at(reference_in(e.get("valueReference"))) for e in group.all("EventIndicator"))
+    return {
+        **listed,
+        "dependencies": dependencies,
+        "states": tuple(name for state in states for name in state.names()),
+        "derivatives": tuple(name for rate in rates for name in rate.names()),
+        "n_events": sum(variable.size for variable in events if variable is not None),
+    }
+
+
+def _unknown(element: Element, reader: VariableReader, mistakes: Mistakes) -> str:
+    """Return the name of an unknown of the model structure, "" where there is no such variable."""
+    key = "valueReference" if reader.three else "index"
+    variable = reader.at(mistakes.attributes(element, element.tag).whole(key, -1, most=2**32 - 1))
+    if variable is None:
+        mistakes.wrong(element, f'{key}="{element.get(key)[:40]}" is not a variable', "ModelStructure")
+    return variable.name if variable else ""
+
+
+def _dependencies(element: Element, subject: str, reader: VariableReader, mistakes: Mistakes) -> tuple[str, ...] | None:
+    """Return the variables that an unknown depends on, None: not said."""
+    if "dependencies" not in element.attributes:
+        return None
+    known = {word: reader.at(reference_in(word)) for word in element.get("dependencies").split()}
+    wrong = next((word for word, variable in known.items() if variable is None), None)
+    if wrong is not None:
+        mistakes.wrong(element, f"depends on '{wrong[:40]}', which is not a variable", subject)
+        return None
+    return tuple(variable.name for variable in known.values() if variable)

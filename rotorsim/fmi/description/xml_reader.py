@@ -115,14 +115,15 @@ class _Reader:
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self.depth += 1
         self.count += 1
-        if self.depth > self.limits.depth:
-            self._refuse(f"elements are nested deeper than {self.limits.depth}")
-        if self.count > self.limits.elements:
-            self._refuse(f"more than {self.limits.elements} elements")
-        if len(attributes) > self.limits.attributes:
-            self._refuse(f"<{tag[:80]}> has more than {self.limits.attributes} attributes")
-        if any(len(value) > self.limits.characters for value in attributes.values()):
-            self._refuse(f"an attribute of <{tag[:80]}> has more than {self.limits.characters} characters")
+        longest = max(map(len, attributes.values()), default=0)
+        for size, most, what in (
+            (self.depth, self.limits.depth, "elements are nested deeper than {0}"),
+            (self.count, self.limits.elements, "more than {0} elements"),
+            (len(attributes), self.limits.attributes, "<{1}> has more than {0} attributes"),
+            (longest, self.limits.characters, "an attribute of <{1}> has more than {0} characters"),
+        ):
+            if size > most:
+                self._refuse(what.format(most, tag[:80]))
         if self.hidden:
             self.hidden += 1
             return
@@ -158,8 +159,7 @@ class _Reader:
     def _in_utf8(self, data: bytes) -> bytes:
         """Return a document in UTF-8, decoded as its first bytes and its declaration say (XML 1.0, appendix F)."""
         wide = next((name for start, name in _STARTS.items() if data.startswith(start)), "")
-        head = data[:400].decode(wide or "ascii", "replace").lstrip("\ufeff")
-        declared = _DECLARED.match(head)
+        declared = _DECLARED.match(data[:400].decode(wide or "ascii", "replace").lstrip("\ufeff"))
         name = declared[1] if declared else wide or "utf-8"
         codec = _codec(name)
         if not codec:

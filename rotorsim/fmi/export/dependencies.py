@@ -46,27 +46,30 @@ def find_dependencies(
     by_column, by_parameter = _rows(rows, moving_columns), _rows(rows, trace.p)
     n_x = part.n_x
     moving = frozenset(k for k in range(y.numel()) if by_column[n_x + k])
-    own = part.n_z - u.numel()
-    if trace.samplers and y.numel() and own:
+    own, outputs = part.n_z - u.numel(), slice(n_x, n_x + y.numel())
+    if trace.samplers and y.numel() and own:  # what passes through at a sample hit
         new = ca.substitute(trace.z_next, trace.hit, ca.SX.ones(*trace.hit.shape))[:own]
         at_hit = ca.substitute(y, trace.z[:own], new)
-        for k, columns in enumerate(_rows(at_hit, u)):  # what passes through at a sample hit
-            by_column[n_x + k] = sorted({*by_column[n_x + k], *(c + n_x for c in columns)})
-        for k, columns in enumerate(_rows(at_hit, trace.p)):
-            by_parameter[n_x + k] = sorted({*by_parameter[n_x + k], *columns})
+        passing = [[c + n_x for c in columns] for columns in _rows(at_hit, u)]
+        by_column[outputs] = _joined(by_column[outputs], passing)
+        by_parameter[outputs] = _joined(by_parameter[outputs], _rows(at_hit, trace.p))
     first = ca.vertcat(trace.xdot, y, trace.x0)
     for symbols, begun, constant in ((trace.x, trace.x0, x_constant), (trace.z[:own], trace.z0, z_constant[:own])):
         if not constant.all():
             begun = ca.densify(begun)
             start = [symbols[k] if exact else begun[k] for k, exact in enumerate(constant)]
             first = ca.substitute(first, symbols, ca.vertcat(*start))
-    initial_u = _rows(first, u)
-    for k in range(y.numel()):
-        initial_u[n_x + k] = sorted({*initial_u[n_x + k], *(c - n_x for c in by_column[n_x + k] if c >= n_x)})
-        initial_u[n_x + k] = [c for c in initial_u[n_x + k] if c < u.numel()]
-    initial_x, initial_z = _rows(first, trace.x), _rows(first, trace.z[:own])
-    initial_p, initial_t = _rows(first, trace.p), _rows(first, trace.t)
+    initial_x, initial_z, initial_u, initial_p, initial_t = (
+        _rows(first, symbols) for symbols in (trace.x, trace.z[:own], u, trace.p, trace.t)
+    )
+    following = [[c - n_x for c in columns if n_x <= c < n_x + u.numel()] for columns in by_column[outputs]]
+    initial_u[outputs] = _joined(initial_u[outputs], following)
     return Dependencies(by_column, by_parameter, initial_x, initial_z, initial_u, initial_p, initial_t, moving)
+
+
+def _joined(first: Rows, second: Rows) -> Rows:
+    """Return the columns that are in either."""
+    return [sorted({*a, *b}) for a, b in zip(first, second, strict=True)]
 
 
 def inputs_of(part: Part) -> Any:

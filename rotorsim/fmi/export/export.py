@@ -97,32 +97,28 @@ def export_fmu(
 
 
 def _check(diagram: Diagram, blocks: Sequence[str], version: str, arrays: bool, inputs: Sequence[str]) -> None:
-    problems = []
-    if version not in VERSIONS:
-        problems.append(Problem(f"unknown version of FMI '{version}'", hint=f"one of {', '.join(VERSIONS)}"))
-    if arrays and version == "2.0":
-        problems.append(Problem("FMI 2.0 has no arrays", hint="export as FMI 3.0, or without arrays"))
-    problems += [
-        Problem("no such block", block, hint=near_miss(block, diagram.nodes))
-        for block in blocks
-        if block not in diagram.nodes
+    unknown = [block for block in blocks if block not in diagram.nodes]
+    ports = {f"{b}.{name}": port for b in blocks if b not in unknown for name, port in diagram.nodes[b].inputs.items()}
+    additive = [name for name, port in ports.items() if getattr(port.declaration, "additive", False)]
+    problems = [
+        *(
+            []
+            if version in VERSIONS
+            else [Problem(f"unknown version of FMI '{version}'", hint=f"one of {', '.join(VERSIONS)}")]
+        ),
+        *(
+            [Problem("FMI 2.0 has no arrays", hint="export as FMI 3.0, or without arrays")]
+            if arrays and version == "2.0"
+            else []
+        ),
+        *(Problem("no such block", block, hint=near_miss(block, diagram.nodes)) for block in unknown),
     ]
-    additive = [
-        f"{block}.{name}"
-        for block in blocks
-        if block in diagram.nodes
-        for name, port in diagram.nodes[block].inputs.items()
-        if getattr(port.declaration, "additive", False)
-    ]
-    for name in inputs:
-        block, _, port = name.rpartition(".")
-        node = diagram.nodes.get(block)
-        if node is not None and block in blocks and port in node.inputs and name not in additive:
-            what = "no value can be added to this input port"
-            feeding = [w.source.block for w in diagram.wires if f"{w.target.block}.{w.target.port}" == name]
-            hint = f"leave out block {feeding[0]}, and it becomes an input" if feeding else "wire it"
-            problems.append(Problem(what, name, hint=hint))
-        elif name not in additive:
+    for name in (name for name in inputs if name not in additive):
+        feeding = [w.source.block for w in diagram.wires if f"{w.target.block}.{w.target.port}" == name]
+        hint = f"leave out block {feeding[0]}, and it becomes an input" if feeding else "wire it"
+        if name in ports:
+            problems.append(Problem("no value can be added to this input port", name, hint=hint))
+        else:
             problems.append(Problem("no such additive input port", name, hint=near_miss(name, additive)))
     if problems:
         raise RotorsimError(*problems)

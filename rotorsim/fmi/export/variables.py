@@ -145,8 +145,7 @@ def make_interface(
         collector.add_port(name, OUTPUT, shape, unit, variability=kind, initial="calculated")
     x0, z0 = part.initial()
     own = part.n_z - sum(size_of(signal.shape) for signal in part.inputs.values())
-    nominals = _nominals(part)
-    for state in collector.add_states(STATE, part.states, x0, x_const, "continuous", nominals):
+    for state in collector.add_states(STATE, part.states, x0, x_const, "continuous", _nominals(part)):
         collector.add(
             f"der({state.name})",
             DERIVATIVE,

@@ -231,20 +231,21 @@ def format_message(message: bytes, whole: tuple[int, ...], real: tuple[float, ..
             return b"%"
         form = "%" + flags.decode() + _size(width, numbers)
         form += "" if precision is None else "." + (_size(precision, numbers) or "0")
-        if letter in b"eEfFgGaA":
-            value = next(floats)
-            return value.hex().encode() if letter in b"aA" else (form + letter.decode()).encode() % value
-        bits = 64 if length in (b"l", b"ll", b"z", b"j", b"t", b"q") else 32
+        code = letter.decode()
+        if letter in b"eEfFgG":
+            return (form + code).encode() % next(floats)
+        if letter in b"aA":
+            return next(floats).hex().encode()
         number = next(numbers)
         if letter == b"s":
-            text = (c_char_p(number).value or b"") if number else b"(null)"
-            return (form + "s").encode() % text[:LONGEST]
+            return (form + "s").encode() % ((c_char_p(number).value or b"") if number else b"(null)")[:LONGEST]
         if letter in b"pn":
             return hex(number).encode() if letter == b"p" else b""
+        bits = 64 if length in (b"l", b"ll", b"z", b"j", b"t", b"q") else 32
         number &= (1 << bits) - 1
         if letter in b"di" and number >> (bits - 1):
             number -= 1 << bits
-        return bytes([number & 255]) if letter == b"c" else (form + letter.decode().replace("u", "d")).encode() % number
+        return bytes([number & 255]) if letter == b"c" else (form + code.replace("u", "d")).encode() % number
 
     return _FORMAT.sub(one, message[:LONGEST])
 

@@ -26,8 +26,7 @@ def main() -> None:
     """Serve one FMU: arguments are given as JSON in the last argument of the command line."""
     given = json.loads(sys.argv[-1])
     source, sink = os.dup(0), os.dup(1)
-    nothing = os.open(os.devnull, os.O_RDWR)
-    os.dup2(nothing, 0)
+    os.dup2(os.open(os.devnull, os.O_RDWR), 0)
     os.dup2(2, 1)  # what the FMU prints goes where its errors go
     _limit(given["memory"])
     threading.Thread(target=_watch, args=(given["lifeline"], given["folder"]), daemon=True).start()

@@ -46,7 +46,8 @@ class Instance:
         self.ended = False
         self._heard = 0  # messages taken
         self._phase = "new"
-        self._handles = 0
+        self._handles = 0  # of saved states, given so far
+        self._saved: list[int] = []
         self._head: Any = worker.block.head
         self._numbers: Any = worker.block.numbers
         self._run: Callable[[int], None] = worker.run
@@ -156,8 +157,7 @@ class Instance:
 
     def jacobian(self, unknowns: Sequence[str], knowns: Sequence[str]) -> np.ndarray:
         """Return the derivatives (n_unknowns, n_knowns) of the unknowns by the knowns."""
-        columns = self._directional(unknowns, knowns, None)
-        return columns.T
+        return self._directional(unknowns, knowns, None).T
 
     def _directional(self, unknowns: Sequence[str], knowns: Sequence[str], seeds: np.ndarray | None) -> np.ndarray:
         """Return one row for each row of seeds; None: the unit vectors."""
@@ -180,8 +180,13 @@ class Instance:
         """Return a handle of the whole state of the instance."""
         if not self.description.kinds[self.kind].can_get_set_state:
             raise self._refused("its state cannot be saved")
+        return self._saved_by("save")
+
+    def _saved_by(self, command: str, **arguments: Any) -> int:
+        """Return the new handle of a state that a command saves."""
         self._handles += 1
-        self.command("save", handle=self._handles)
+        self.command(command, handle=self._handles, **arguments)
+        self._saved.append(self._handles)
         return self._handles
 
     def restore_state(self, handle: int) -> None:
@@ -198,13 +203,17 @@ class Instance:
         """Return the handle of a state made of bytes."""
         if not self.description.kinds[self.kind].can_serialise_state:
             raise self._refused("its state cannot be serialised")
-        self._handles += 1
-        self.command("deserialise", handle=self._handles, data=base64.b64encode(data).decode())
-        return self._handles
+        return self._saved_by("deserialise", data=base64.b64encode(data).decode())
 
     def free_state(self, handle: int) -> None:
         """Forget a saved state."""
         self.command("free_state", handle=handle)
+        self._saved = [other for other in self._saved if other != handle]
+
+    def free_states(self, *, but: int = 0) -> None:
+        """Forget all saved states but so many of the newest."""
+        for handle in self._saved[: max(len(self._saved) - but, 0)]:
+            self.free_state(handle)
 
     # -- help ----------------------------------------------------------------------------------------------------------
 

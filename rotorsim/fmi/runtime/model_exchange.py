@@ -67,7 +67,7 @@ class ModelExchange:
         self.fed = np.zeros(0)
         self.clock = -np.inf  # time of the last event
         self.epoch = self._epochs = 0  # grows with every event
-        self._handles: list[tuple[int, int]] = []  # (epoch, handle)
+        self._saved = (0, 0)  # epoch and handle of the state saved last
         self._last: dict[tuple[int, bool], float] = {}
         self.method = "rk4"
         self._width, self._inputs = 0.0, np.zeros(0)  # of the last step
@@ -276,19 +276,13 @@ class ModelExchange:
         Discrete states change at events only, or also at completed steps where the FMU wants to be told of these: the
         state of the FMU itself is saved once between two events, or every time.
         """
-        if self.saves and (self.reports or not self._handles or self._handles[-1][0] != self.epoch):
-            self._handles.append((self.epoch, self.slave.save_state()))
-        if len(self._handles) > KEPT:
-            self.slave.free_state(self._handles.pop(0)[1])
-        handle = self._handles[-1][1] if self.saves else None
+        if self.saves and (self.reports or self._saved[0] != self.epoch):
+            self._saved = self.epoch, self.slave.save_state()
+            self.slave.free_states(but=KEPT)
+        handle = self._saved[1] if self.saves else None
         return SavedState(
             self.x.copy(), self.next_time, self.sides.copy(), self.touching, self.fed, self.clock, self.epoch, handle
         )
-
-    def forget(self) -> None:
-        """Free all saved states."""
-        while self._handles:
-            self.slave.free_state(self._handles.pop()[1])
 
     def restore(self, saved: SavedState) -> None:
         """Go back to a saved state. Raises FmuError where events came between and the FMU cannot be set back."""

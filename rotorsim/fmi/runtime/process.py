@@ -6,7 +6,6 @@ This protects against faults, not against malice: a library of another's making 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import json
 import mmap
 import os
@@ -14,14 +13,13 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import rotorsim
 from rotorsim.errors import Problem, RotorsimError
@@ -29,35 +27,15 @@ from rotorsim.fmi.runtime.binding import CallError
 from rotorsim.fmi.runtime.calls import FUNCTIONS
 from rotorsim.fmi.runtime.channel import ClosedError, LateError, Pipe, ordered, seen
 from rotorsim.fmi.runtime.memory import Block, Head, Op, Sizes
+from rotorsim.fmi.runtime.printing import Printed
 from rotorsim.fmi.runtime.session import Session
 from rotorsim.fmi.runtime.steps import PROCESS, Member, State
 
-__all__ = ["LocalWorker", "RemoteWorker", "Worker", "printing_elsewhere"]
+__all__ = ["LocalWorker", "RemoteWorker", "Worker"]
 
 START = 60.0  # s for Python itself to start on a busy machine
 GRACE = 2.0  # s to leave, before it is killed
-PRINTED = 4000  # characters kept of what it prints
 _CODE = "import sys; sys.path.append(sys.argv[1]); from rotorsim.fmi.runtime.host import main; main()"
-
-
-@contextlib.contextmanager
-def printing_elsewhere() -> Iterator[None]:
-    """Send what libraries in this process print to where errors go, so that standard output stays ours."""
-    libc: Any = ctypes.cdll.msvcrt if sys.platform == "win32" else ctypes.CDLL(None)
-    sys.stdout.flush()
-    try:
-        kept = os.dup(1)
-    except OSError:  # there is none
-        yield
-        return
-    try:
-        libc.fflush(None)
-        os.dup2(2, 1)
-        yield
-    finally:
-        libc.fflush(None)  # what C holds back was printed there
-        os.dup2(kept, 1)
-        os.close(kept)
 
 
 class Worker(ABC):
@@ -193,7 +171,7 @@ class RemoteWorker(Worker):
             os.close(descriptor)
         assert self.process.stderr
         self.pipe = _Watched(self.process, in_order)
-        self.printed = _Printed(self.process.stderr)
+        self.printed = Printed(self.process.stderr)
         self._finalizer = weakref.finalize(self, _end, self.process, self._lifeline)
         self.limit = START  # of the first command
         self.dead: CallError | None = None
@@ -345,25 +323,6 @@ class _Watched(Pipe):
     def look(self) -> None:
         if _has_ended(self.process):
             raise ClosedError
-
-
-class _Printed:
-    """Reads what a subprocess prints, so that it never waits for a reader; the end of it is kept."""
-
-    def __init__(self, stream: IO[bytes]) -> None:
-        self._stream, self.text = stream, b""
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
-
-    def _read(self) -> None:
-        with contextlib.suppress(OSError, ValueError), self._stream as stream:
-            while piece := os.read(stream.fileno(), 1 << 16):
-                self.text = (self.text + piece)[-PRINTED:]
-
-    def close(self) -> str:
-        """Return the end of what was printed, once the process is gone."""
-        self._thread.join(1.0)
-        return self.text.decode("utf-8", "replace").strip()
 
 
 def _end(process: subprocess.Popen[bytes], lifeline: int, grace: float = GRACE) -> tuple[int, int]:

@@ -6,7 +6,9 @@ A run: {"type", "refs": value references, "n": values in all, "offset": of its f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
+from itertools import accumulate, groupby
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,8 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.model import FLOATS, INTEGERS, NUMERIC, Entry, FmuVariable, ModelDescription
 
 __all__ = ["make_run", "make_runs"]
+
+_PYTHON: dict[str, Callable[[Any], Any]] = {**dict.fromkeys(FLOATS, float), "Boolean": bool, "String": str}  # else int
 
 
 def make_runs(entries: Sequence[Entry], use: str) -> list[dict[str, Any]]:
@@ -30,17 +34,9 @@ def make_runs(entries: Sequence[Entry], use: str) -> list[dict[str, Any]]:
         problems += [Problem("is an input twice", name) for name in twice]
     if problems:
         raise RotorsimError(*dict.fromkeys(problems))
-    runs: list[list[Entry]] = []
-    for entry in entries:
-        if not runs or _group(runs[-1][0], use) != _group(entry, use):
-            runs.append([])
-        runs[-1].append(entry)
-    offset = 0
-    made = []
-    for run in runs:
-        made.append(_run(run, offset))
-        offset += len(run)
-    return made
+    runs = [list(run) for _, run in groupby(entries, key=lambda entry: _group(entry, use))]
+    offsets = accumulate(map(len, runs), initial=0)
+    return [_run(run, offset) for run, offset in zip(runs, offsets, strict=False)]
 
 
 def make_run(
@@ -52,14 +48,16 @@ def make_run(
     """
     entries = description.resolve([name])
     variable = entries[0].variable
-    wrong = _unfit(variable, "")
-    if wrong is None and variable.causality in ("independent", "calculatedParameter"):
-        wrong = Problem(f"is of causality {variable.causality}: it cannot be set", name)
-    if wrong is None and variable.variability == "constant":
-        wrong = Problem("is a constant: it cannot be set", name)
-    if wrong is None and variable.causality == "structuralParameter" and not sizes:
-        hint = "give it when the FMU is opened: open_fmu(path, sizes={...}), or among the parameters of a block"
-        wrong = Problem("is a structural parameter, which gives arrays their shapes", name, hint=hint)
+    structural = "is a structural parameter, which gives arrays their shapes"
+    reasons = {
+        f"is of causality {variable.causality}: it cannot be set": variable.causality
+        in ("independent", "calculatedParameter"),
+        "is a constant: it cannot be set": variable.variability == "constant",
+        structural: variable.causality == "structuralParameter" and not sizes,
+    }
+    why = next((why for why, is_so in reasons.items() if is_so), "")
+    hint = "give it when the FMU is opened: open_fmu(path, sizes={...}), or among the parameters of a block"
+    wrong = _unfit(variable, "") or (Problem(why, name, hint=hint if why == structural else "") if why else None)
     if wrong:
         raise RotorsimError(wrong)
     given = [value] * len(entries) if np.ndim(value) == 0 else list(np.ravel(value))
@@ -71,18 +69,16 @@ def make_run(
 
 def _run(entries: Sequence[Entry], offset: int) -> dict[str, Any]:
     variables = list({id(entry.variable): entry.variable for entry in entries}.values())
-    first, at = {}, 0
-    for variable in variables:
-        first[id(variable)] = at
-        at += variable.size
+    ends = list(accumulate((variable.size for variable in variables), initial=0))
+    first = {id(variable): at for variable, at in zip(variables, ends, strict=False)}
     index = [first[id(entry.variable)] + entry.index for entry in entries]
     variable = variables[0]
     return {
         "type": variable.type,
         "refs": [v.reference for v in variables],
-        "n": at,
+        "n": ends[-1],
         "offset": offset,
-        "index": None if index == list(range(at)) else index,
+        "index": None if index == list(range(ends[-1])) else index,
         "discrete": variable.variability != "continuous",
     }
 
@@ -94,36 +90,31 @@ def _group(entry: Entry, use: str) -> tuple[str, bool]:
 
 def _unfit(variable: FmuVariable, use: str) -> Problem | None:
     """Return why a variable cannot be used so, or None."""
-    name, place = variable.name, variable.place
-    if variable.type == "Clock" or variable.clocked:
-        what = "is a clock" if variable.type == "Clock" else "belongs to a clock"
-        return Problem(f"{what}: clocks are not supported", name, place)
-    if variable.type == "Binary":
-        return Problem("is binary data, which is not supported", name, place)
-    if use in ("input", "output") and variable.type not in NUMERIC:
-        return Problem(f"is of type {variable.type}: only numbers can be exchanged", name, place)
-    if use == "float" and variable.type not in FLOATS:
-        return Problem(f"is of type {variable.type}: it has no derivatives", name, place)
     settable = variable.causality == "input" or (
         variable.causality == "parameter" and variable.variability == "tunable"
     )
-    if use == "input" and not settable:
-        return Problem(f"is of causality {variable.causality}, not an input", name, place)
-    return None
+    reasons = {
+        "is a clock: clocks are not supported": variable.type == "Clock",
+        "belongs to a clock: clocks are not supported": variable.clocked,
+        "is binary data, which is not supported": variable.type == "Binary",
+        f"is of type {variable.type}: only numbers can be exchanged": use in ("input", "output")
+        and variable.type not in NUMERIC,
+        f"is of type {variable.type}: it has no derivatives": use == "float" and variable.type not in FLOATS,
+        f"is of causality {variable.causality}, not an input": use == "input" and not settable,
+    }
+    return next((Problem(why, variable.name, variable.place) for why, is_so in reasons.items() if is_so), None)
 
 
 def _converted(variable: FmuVariable, name: str, value: Any) -> Any:
     """Return a value as the type of the variable wants it. Raises RotorsimError."""
     value = value.item() if isinstance(value, np.generic) else value
-    good: Any = None
-    if variable.type in FLOATS and isinstance(value, int | float):
-        good = float(value)
-    elif variable.type in INTEGERS and isinstance(value, int | float) and float(value).is_integer():
-        good = int(value)
-    elif variable.type == "Boolean" and value in (False, True):
-        good = bool(value)
-    elif variable.type == "String" and isinstance(value, str):
-        good = value
-    if good is None or (isinstance(good, float) and not np.isfinite(good)):
+    number = isinstance(value, int | float) and abs(value) <= sys.float_info.max
+    good = {
+        **dict.fromkeys(FLOATS, number),
+        **dict.fromkeys(INTEGERS, number and float(value).is_integer()),
+        "Boolean": value in (False, True),
+        "String": isinstance(value, str),
+    }
+    if not good.get(variable.type):
         raise RotorsimError(Problem(f"{value!r} is not a value of type {variable.type}", name))
-    return good
+    return _PYTHON.get(variable.type, int)(value)

@@ -36,17 +36,17 @@ class Session:
             "instantiate": self._instantiate,
             "begin": self._begin,
             "exit_initialisation": self._exit_initialisation,
-            "terminate": self._terminate,
+            "terminate": lambda: self.calls.call("Terminate"),
             "reset": self._reset,
             "in_c": self._in_c,
             "free": self._free,
-            "log": self._log,
-            "get": self._get,
-            "set": self._set,
+            "log": lambda: {"log": self.calls.log.taken(), "counts": dict(self.calls.log.counts)},
+            "get": lambda run: {"values": self.calls.get(run)},
+            "set": lambda run, numbers: (self._begun or self.calls).set(run, numbers),
             "directional": self._directional,
             "output_derivatives": self._output_derivatives,
             "save": self._save,
-            "restore": self._restore,
+            "restore": lambda handle: self.calls.call("SetFMUState", self._saved(handle)),
             "free_state": self._free_state,
             "serialise": self._serialise,
             "deserialise": self._deserialise,
@@ -152,9 +152,6 @@ class Session:
         self.calls.call("ExitInitializationMode")
         self.steps.begin()
 
-    def _terminate(self) -> None:
-        self.calls.call("Terminate")
-
     def _reset(self) -> None:
         self.calls.call("Reset")
         self._begun, self._stepping, self.run, self.member = None, None, _not_yet, None
@@ -176,17 +173,7 @@ class Session:
         self.run, self.member = _not_yet, None
         return {"log": self.calls.log.taken()}
 
-    def _log(self) -> dict[str, Any]:
-        log = self.calls.log
-        return {"log": log.taken(), "counts": dict(log.counts)}
-
     # -- values --------------------------------------------------------------------------------------------------------
-
-    def _get(self, run: Any) -> dict[str, Any]:
-        return {"values": self.calls.get(run)}
-
-    def _set(self, run: Any, numbers: Sequence[Any]) -> None:
-        (self._begun or self.calls).set(run, numbers)
 
     def _directional(
         self, unknowns: Sequence[int], knowns: Sequence[int], seeds: Sequence[Sequence[float]], n: int
@@ -213,9 +200,6 @@ class Session:
         self.calls.call("GetFMUState", address(pointer))
         self.saved[handle] = pointer
         self._note_saved()
-
-    def _restore(self, handle: int) -> None:
-        self.calls.call("SetFMUState", self._saved(handle))
 
     def _free_state(self, handle: int) -> None:
         pointer = self.saved.pop(handle, None)

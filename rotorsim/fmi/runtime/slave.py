@@ -28,7 +28,7 @@ from rotorsim.fmi.description.reader import read_description
 from rotorsim.fmi.runtime.exchange import EventUpdate, Slave
 from rotorsim.fmi.runtime.instance import Log
 from rotorsim.fmi.runtime.memory import Sizes
-from rotorsim.fmi.runtime.process import LocalWorker, RemoteWorker, Worker
+from rotorsim.fmi.runtime.process import LocalWorker, RemoteWorker
 
 __all__ = [
     "MAX_DESCRIPTION",
@@ -123,32 +123,29 @@ class Fmu(AbstractContextManager["Fmu"]):
         """Return an instance for Co-Simulation ("cs") or Model Exchange ("me"). Raises RotorsimError."""
         description = self.description
         chosen = description.kind(kind)
-        if kind == "se":
-            clocks = ", ".join(description.clocks[:5])
-            what = "Scheduled Execution is not supported" + (f": it is driven by clocks ({clocks})" if clocks else "")
-            raise RotorsimError(Problem(what, description.name, description.place))
+        clocks = ", ".join(description.clocks[:5])
         ticking = [name for name in description.clocks if description.variables[name].causality == "input"]
-        if ticking:
-            shown = ", ".join(ticking[:5]) + (", ..." if len(ticking) > 5 else "")
-            what = f"has clocks as inputs, which are not supported: {shown}"
-            raise RotorsimError(Problem(what, description.name, description.place))
-        key = (chosen.identifier, description.token)
-        if not (self.in_process and chosen.once_per_process):
-            return self._instantiate(kind, instance or description.name, lambda: None)
-        if key in _ONCE:
-            hint = "let it run in a process of its own (the default), or free the other instance first"
-            what = "allows one instance in a process, and there is one already"
-            raise RotorsimError(Problem(what, description.name, description.place, hint))
-        _ONCE.add(key)
+        own = {(chosen.identifier, description.token)} if self.in_process and chosen.once_per_process else set()
+        hint = "let it run in a process of its own (the default), or free the other instance first"
+        shown = ", ".join([*ticking[:5], *(["..."] if len(ticking) > 5 else [])])
+        driven = f": it is driven by clocks ({clocks})" if clocks else ""
+        reasons = {
+            f"Scheduled Execution is not supported{driven}": kind == "se",
+            f"has clocks as inputs, which are not supported: {shown}": ticking,
+            "allows one instance in a process, and there is one already": own & _ONCE,
+        }
+        what = next((what for what, is_so in reasons.items() if is_so), "")
+        if what:
+            raise RotorsimError(Problem(what, description.name, description.place, hint if own & _ONCE else ""))
+        _ONCE.update(own)
         try:
-            return self._instantiate(kind, instance or description.name, lambda: _ONCE.discard(key))
+            return self._instantiate(kind, instance or description.name, lambda: _ONCE.difference_update(own))
         except BaseException:
-            _ONCE.discard(key)
+            _ONCE.difference_update(own)
             raise
 
     def _instantiate(self, kind: str, instance: str, released: Callable[[], None]) -> Slave:
-        description = self.description
-        folder = self._unpacked()
+        description, folder = self.description, self._unpacked()
         library = find_library(description, kind, folder)
         sizes = Sizes(
             sum(v.size for v in description.variables.values()),
@@ -156,15 +153,11 @@ class Fmu(AbstractContextManager["Fmu"]):
             description.n_events,
             _INPUT_ORDER if description.kinds[kind].can_interpolate_inputs else 0,
         )
-        worker: Worker
-        if self.in_process:
-            worker = LocalWorker(sizes)
-        else:
-            worker = RemoteWorker(sizes, folder, library, self.timeout, self.memory)
+        worker = (
+            LocalWorker(sizes) if self.in_process else RemoteWorker(sizes, folder, library, self.timeout, self.memory)
+        )
         resources = folder / "resources"
-        where: str | None = resources.as_uri() if description.version == "2.0" else f"{resources}/"
-        if description.version == "3.0" and not resources.is_dir():
-            where = None
+        where = resources.as_uri() if description.version == "2.0" else f"{resources}/" if resources.is_dir() else None
         wanted = [c for c in description.log_categories if c.startswith("logStatus")] if self.log is None else []
         slave = Slave(description, worker, kind, instance, str(self.path), self.log, released)
         slave.owner = self
