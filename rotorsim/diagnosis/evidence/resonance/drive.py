@@ -29,21 +29,20 @@ def driven_at(runs: SampledRuns, found: Sequence[Resonance], document: Mapping[s
         return []
     port = f"{target.block}.{target.port}"
     bearings = [
-        wire.target
+        wire.target.index[0]
         for wire in diagram.wires
-        if f"{wire.target.block}.{wire.target.port}" == port
+        if (wire.target.block, wire.target.port) == (target.block, target.port)
         and wire.target.index
         and diagram.nodes[wire.source.block].block.category == "bearing"
     ]
-    nodes = list(dict.fromkeys([target.index[0], *(end.index[0] for end in bearings)]))
+    nodes = list(dict.fromkeys([target.index[0], *bearings]))
     if len(nodes) < 2:
         return []
     run = max(runs.runs, key=lambda item: item.size)
     frequencies = np.fft.rfftfreq(run.size, run.dt)
     Y = np.fft.rfft(run.measured(runs.channels.outputs), axis=0)
     U = np.fft.rfft(run.values[runs.channels.inputs[0]])
-    cross = Y * np.conj(U)[:, None]
-    H = gaussian_filter1d(cross.real, SMOOTH, axis=0) + 1j * gaussian_filter1d(cross.imag, SMOOTH, axis=0)
+    H = gaussian_filter1d(Y * np.conj(U)[:, None], SMOOTH, axis=0)
     ends = [found[0].frequency / 2, found[-1].frequency * 1.1]
     lines = np.flatnonzero((frequencies > ends[0]) & (frequencies < ends[1]))[::LINES]
     outputs = [_moved(name) for name in runs.channels.outputs]

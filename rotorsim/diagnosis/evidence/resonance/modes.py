@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,9 +12,9 @@ from scipy.sparse.csgraph import connected_components
 
 from rotorsim.diagnosis.evidence.waveform.data import Channels
 from rotorsim.diagnosis.evidence.waveform.equations import measured_expression
-from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.diagram.diagram import Diagram
 from rotorsim.linear import linearisation as linear
-from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.linear_equations import slots_of
 
@@ -24,28 +25,28 @@ SEEN = 1e-9  # of the largest shape at the sensors
 
 
 class Modes:
-    """The modes of a linear diagram at rest, as its recorded channels see them."""
+    """The modes of a linear diagram at rest with the settings of a run, as its recorded channels see them."""
 
-    def __init__(self, diagram: Diagram, channels: Channels, free: Sequence[Free]) -> None:
-        self.model: Model = compile_diagram(diagram)
-        linear.refuse_sampled(self.model, "a comparison of modes")
-        self.slots = [slots_of(self.model, item) for item in free]
-        trace = self.model.trace
-        self._A = linear.functions(self.model).state_matrix()
-        y = ca.vertcat(*[measured_expression(self.model, name) for name in channels.outputs])
+    def __init__(self, diagram: Diagram, channels: Channels, settings: Mapping[str, Any]) -> None:
+        model = compile_diagram(diagram)
+        linear.refuse_sampled(model, "a comparison of modes")
+        trace = model.trace
+        y = ca.vertcat(*[measured_expression(model, name) for name in channels.outputs])
         closed = ca.substitute(ca.jacobian(y, trace.x), trace.v, ca.SX.zeros(*trace.v.shape))
+        self._A = linear.functions(model).state_matrix()
         self._C = MatrixFunction([trace.t, trace.x, trace.z, trace.p], closed)
+        self._model, self._p = model, model.parameter_vector(settings)
+        self._slots = [slots_of(model, item) for item in diagram.free]
 
-    def parameters(self, theta: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Return p with the free parameters in it."""
-        out = p.copy()
-        for value, slots in zip(theta, self.slots, strict=True):
-            out[slots] = value
-        return out
+    def at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return frequencies (k,) [Hz], ascending, and shapes over the channels (k, c) of the modes that they see.
 
-    def at(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return frequencies (k,) [Hz], ascending, and shapes over the channels (k, c) of the modes that they see."""
-        x, z = np.zeros(self.model.n_x), self.model.z0(p)
+        theta (m,): the free parameters of the diagram. Raises LinAlgError where the matrices are not finite.
+        """
+        p = self._p.copy()
+        for value, slots in zip(theta, self._slots, strict=True):
+            p[slots] = value
+        x, z = np.zeros(self._model.n_x), self._model.z0(p)
         A, C = (f(np.zeros((1, 1)), x, z, p)[0] for f in (self._A, self._C))
         if not (np.isfinite(A).all() and np.isfinite(C).all()):
             raise np.linalg.LinAlgError("the linearised diagram is not finite at rest")

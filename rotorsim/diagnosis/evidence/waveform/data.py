@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
 
+from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, reason_of
 from rotorsim.diagnosis.evidence.waveform.equations import driven_parameters, measured_expression
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
@@ -23,8 +26,8 @@ from rotorsim.units import compatible
 __all__ = [
     "RATE",
     "Channels",
+    "SampledRun",
     "SampledRuns",
-    "TimeRun",
     "between_samples",
     "channels_of",
     "chosen_runs",
@@ -51,7 +54,7 @@ class Channels:
 
 
 @dataclass(frozen=True, eq=False)
-class TimeRun:
+class SampledRun:
     """Samples of one run: values {flat name: (N,)}, SI; dt: sample period [s]; start: time of the first [s]."""
 
     id: str
@@ -60,15 +63,15 @@ class TimeRun:
     dt: float
     start: float
     settings: Mapping[str, Any]
-    _found: dict[tuple[str, int], np.ndarray] = field(default_factory=dict, repr=False)
+    _inputs: dict[tuple[tuple[str, ...], int], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without what can be computed again."""
-        return TimeRun, (self.id, dict(self.values), dict(self.kinds), self.dt, self.start, dict(self.settings))
+        return SampledRun, (self.id, self.values, self.kinds, self.dt, self.start, self.settings)
 
-    def first(self, count: int) -> TimeRun:
+    def first(self, count: int) -> SampledRun:
         """Return the run up to a number of samples."""
-        return replace(self, values={name: array[:count] for name, array in self.values.items()}, _found={})
+        return replace(self, values={name: array[:count] for name, array in self.values.items()})
 
     @property
     def size(self) -> int:
@@ -79,34 +82,35 @@ class TimeRun:
         """Return samples of signals, (N, c)."""
         return np.stack([self.values[name] for name in names], axis=1)
 
-    def inputs(self, names: Sequence[str], sub: int) -> np.ndarray:
+    def inputs(self, names: tuple[str, ...], sub: int) -> np.ndarray:
         """Return signals at ends and middles of the ``sub`` steps after each sample, (N, 2 sub + 1, n_v).
 
         A name that begins with "rate of " stands for the time derivative of the rest; measured outputs and rates go
         between samples on a cubic spline.
         """
-        for name in names:
-            if (name, sub) not in self._found:
-                self._found[name, sub] = self._input(name, 2 * sub)
-        columns = [self._found[name, sub] for name in names]
-        return np.stack(columns, axis=2) if columns else np.zeros((self.size, 2 * sub + 1, 0))
+        if (names, sub) not in self._inputs:
+            values = [self._input(name, 2 * sub) for name in names]
+            self._inputs[names, sub] = np.array(values).reshape(-1, self.size, 2 * sub + 1).transpose(1, 2, 0).copy()
+        return self._inputs[names, sub]
 
     def _input(self, name: str, parts: int) -> np.ndarray:
-        of = name.removeprefix(RATE)
-        if of == name and name in self.kinds:
+        if name in self.kinds:
             return between_samples(self.values[name], self.kinds[name], parts)
-        spline = CubicSpline(np.arange(self.size) * self.dt, self.values[of])
+        spline = CubicSpline(np.arange(self.size) * self.dt, self.values[name.removeprefix(RATE)])
         at = (np.arange(self.size)[:, None] + np.linspace(0.0, 1.0, parts + 1)) * self.dt
         at[-1] = at[-1, 0]
-        return np.asarray(spline(at, 1 if of != name else 0))
+        return np.asarray(spline(at, int(name.startswith(RATE))))
 
 
 @dataclass(frozen=True, eq=False)
-class SampledRuns:
-    """Runs as samples in time, to be compared with a diagram that is read as the given one was."""
+class SampledRuns(ABC):
+    """Runs as samples in time, to be compared with a diagram that is read as the given one was.
+
+    sizes: largest magnitude of signals by flat name.
+    """
 
     recording: Recording
-    runs: tuple[TimeRun, ...]
+    runs: tuple[SampledRun, ...]
     channels: Channels
     sizes: Mapping[str, float]
     folder: str | None
@@ -124,6 +128,25 @@ class SampledRuns:
     def recorded(self) -> list[str]:
         """The flat names of the recorded signals."""
         return [*self.channels.inputs, *self.channels.outputs]
+
+    def fit(
+        self, document: Mapping[str, Any], starts: Starts, *, most: int | None = None, linear_only: bool = False
+    ) -> Fit:
+        """Return the best fit of a diagram from the best of each group of starts {free parameter: SI value}.
+
+        What a start does not name begins as written. most: a limit of evaluations. linear_only is not heeded: a
+        nonlinear diagram costs no more.
+        """
+        began = process_time()
+        try:
+            fit = self._fit(document, starts, most)
+        except FAILURES as error:
+            fit = Fit(document, failure=reason_of(error))
+        return replace(fit, seconds=process_time() - began)
+
+    @abstractmethod
+    def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None) -> Fit:
+        """Return the best fit of a diagram. Raises one of FAILURES where it cannot be compared with the runs."""
 
 
 def chosen_runs(recording: Recording) -> tuple[Run, ...]:
@@ -239,7 +262,7 @@ def node_name(model: Model, channel: Channel) -> str:
     return channel.name.replace(f"{channel.position:g} m", str(k + 1))
 
 
-def read_run(diagram: Diagram, run: Run, channels: Channels) -> TimeRun:
+def read_run(diagram: Diagram, run: Run, channels: Channels) -> SampledRun:
     """Return the samples of a run. Raises RotorsimError for uneven samples and settings that are not numbers."""
     problems: list[Problem] = []
     dt = float(run.time[-1] - run.time[0]) / (len(run.time) - 1)
@@ -261,7 +284,7 @@ def read_run(diagram: Diagram, run: Run, channels: Channels) -> TimeRun:
     if missing:
         raise RotorsimError(Problem(f"has no column '{missing[0]}'", f"run {run.id}", run.place))
     values = {name: run.values[column] for name, column in channels.columns.items()}
-    return TimeRun(run.id, values, channels.kinds, dt, float(run.time[0]), settings)
+    return SampledRun(run.id, values, channels.kinds, dt, float(run.time[0]), settings)
 
 
 def _unit(diagram: Diagram, name: str) -> str | None:

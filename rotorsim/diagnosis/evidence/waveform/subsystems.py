@@ -1,0 +1,128 @@
+"""What is compared with runs: the diagram as a whole, and each controller with its measured inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from rotorsim.diagnosis.evidence.waveform.data import RATE, Channels
+from rotorsim.diagnosis.evidence.waveform.equations import (
+    DrivenEquations,
+    ForceMap,
+    driven_equations,
+    driven_parameters,
+    measured_expression,
+    rate_of,
+)
+from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.model.compiled import Model, compile_diagram
+
+__all__ = ["WHOLE", "Subsystem", "subsystems_of"]
+
+WHOLE = ""  # name of the whole diagram
+CONTROLLER = "controller"
+ALIKE = 1e-9  # relative, of two expressions at points of chance: rounding
+POINTS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Subsystem:
+    """What is predicted from what. name: `WHOLE`, or the controller that is tested with its measured inputs."""
+
+    name: str
+    equations: DrivenEquations
+
+    @cached_property
+    def simulation(self) -> Simulation:
+        """The simulation of the equations."""
+        return Simulation(self.equations)
+
+    @cached_property
+    def measured_states(self) -> Mapping[int, tuple[str, float]]:
+        """State -> output and factor, where an output is a constant times one state and nothing else."""
+        eq, measured = self.equations, {}
+        for c, name in enumerate(eq.outputs):
+            row = eq.g_jacobian[c, : eq.n]
+            if row.nnz() == 1 and row.nz[0].is_constant() and name not in eq.inputs:
+                [k], factor = row.sparsity().get_triplet()[1], float(row.nz[0])
+                if (eq.g[c] - factor * eq.arguments[1][k]).is_zero():
+                    measured[k] = name, factor
+        return measured
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The flat names of what is predicted."""
+        return self.equations.outputs
+
+    def by_signal(self, values: Iterable[float]) -> dict[tuple[str, str], float]:
+        """Return values of the outputs by (name, output)."""
+        return {(self.name, output): float(value) for output, value in zip(self.outputs, values, strict=True)}
+
+
+def subsystems_of(diagram: Diagram, channels: Channels, *, force: ForceMap | None = None) -> tuple[Subsystem, ...]:
+    """Return the whole diagram, and every controller whose inputs and output were measured.
+
+    A controller's output is predicted from the measured motion, so that what is wrong elsewhere in the loop does not
+    touch it, nor its faults the rest. force: acts in the whole diagram.
+    Raises RotorsimError for signals that the diagram does not have.
+    """
+    whole = driven_equations(diagram, channels.outputs, channels.inputs, diagram.free, force=force)
+    systems = [Subsystem(WHOLE, whole)]
+    controllers = {
+        name: [output for output in channels.outputs if output.partition("[")[0].rpartition(".")[0] == name]
+        for name, node in diagram.nodes.items()
+        if node.block.category == CONTROLLER
+    }
+    for name, outputs in controllers.items():
+        equations = _controller(diagram, channels, outputs) if outputs else None
+        systems += [Subsystem(name, equations)] if equations else []
+    return tuple(systems)
+
+
+def _controller(diagram: Diagram, channels: Channels, outputs: Sequence[str]) -> DrivenEquations | None:
+    """Return the equations of a controller; None where what was measured does not cut it from the rest."""
+    others = [output for output in channels.outputs if output not in outputs]
+    passed = {*driven_parameters(diagram), *(output.partition("[")[0] for output in outputs)}
+    cut = _measured_ports(compile_diagram(diagram), others, passed)
+    if not cut:
+        return None
+    given = [*channels.inputs, *dict.fromkeys(name for names in cut.values() for name in names)]
+    equations = driven_equations(diagram, outputs, given, diagram.free, cut=cut)
+    owners = (state.rpartition(".")[0] for state in equations.state_names)
+    return None if any(diagram.nodes[owner].block.category == "rotor" for owner in owners) else equations
+
+
+def _measured_ports(model: Model, outputs: Sequence[str], passed: set[str]) -> dict[str, list[str]]:
+    """Return the output ports of which every entry was measured, or is the rate of what was, with names for v."""
+    known: dict[str, ca.SX] = {}
+    for name in outputs:
+        known[name] = measured_expression(model, name)
+        known[RATE + name] = rate_of(model, known[name])
+    own = {f"{name}.{port}" for name, node in model.diagram.nodes.items() for port in node.outputs}
+    ports = {port: model.trace.signals[port] for port in model.signals if port in own - passed}
+    values = _at_random(model, [*ports.values(), *known.values()])
+    names, measured = [*known], np.concatenate([np.zeros((POINTS, 0)), *values[len(ports) :]], axis=1)
+    cut: dict[str, list[str]] = {}
+    for port, entries in zip(ports, values, strict=False):
+        apart = np.abs(measured[:, None] - entries[:, :, None]).max(axis=0)
+        close = apart <= ALIKE * np.abs(entries).max(axis=0)[:, None]
+        if close.any(axis=1).all() and entries.any(axis=0).all():
+            cut[port] = [names[k] for k in close.argmax(axis=1)]
+    return cut
+
+
+def _at_random(model: Model, expressions: Sequence[ca.SX]) -> list[np.ndarray]:
+    """Return expressions (size,) at points of chance, each (POINTS, size)."""
+    trace = model.trace
+    function = ca.Function("f", [trace.t, trace.x, trace.p, trace.z], [ca.densify(e) for e in expressions])
+    random = np.random.default_rng(1)
+    p = model.p0 * random.uniform(0.9, 1.1, (POINTS, model.n_p)) + 1e-3 * random.uniform(0.5, 1.0, (POINTS, model.n_p))
+    x = random.normal(size=(POINTS, model.n_x))
+    z = np.zeros(model.n_z)
+    points = [function.call([0.3 * k, x[k], p[k], z]) for k in range(POINTS)]
+    return [np.array([np.array(value).ravel() for value in values]) for values in zip(*points, strict=True)]
