@@ -99,7 +99,7 @@ def test_the_virtual_machine_gives_the_same_without_a_compiler(equations):
 def test_samples_after_a_divergence_are_not_numbers(equations, use_compiler):
     theta = theta_of(equations)
     theta[3] = -2e4  # softening: it runs away
-    simulation = Simulation(equations, use_compiler)
+    simulation = Simulation(equations, use_compiler=use_compiler)
     y, derivatives = simulation.simulate(parameters(equations, theta), np.array([0.5, 0.0]), inputs(400, 4), DT)
     gone = np.isnan(y).any(axis=1)
     assert gone[-1]

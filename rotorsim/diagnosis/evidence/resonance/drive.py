@@ -49,13 +49,11 @@ def driven_at(runs: SampledRuns, found: Sequence[Resonance], document: Mapping[s
     system = linearise(diagram, inputs=[port], outputs=outputs)
     response = system.response(frequencies[lines])
     width, axis = diagram.nodes[target.block].inputs[target.port].shape[1], target.index[1] if target.index[1:] else 0
-    alike = {}
-    for node in nodes:
-        G = response[:, :, node * width + axis]
-        sizes = np.linalg.norm(G, axis=1) * np.linalg.norm(H[lines], axis=1)
-        alike[node] = float((np.abs((np.conj(G) * H[lines]).sum(axis=1)) / sizes).mean())
-    best = max(alike, key=lambda node: alike[node])
-    each = ", ".join(f"{port}[{node + 1}] {value:.2f}" for node, value in alike.items())
+    G, H = response[:, :, [node * width + axis for node in nodes]], H[lines, :, None]
+    overlap = np.abs((np.conj(G) * H).sum(axis=1)) / (np.linalg.norm(G, axis=1) * np.linalg.norm(H, axis=1))
+    alike = overlap.mean(axis=0)
+    best = nodes[int(alike.argmax())]
+    each = ", ".join(f"{port}[{node + 1}] {value:.2f}" for node, value in zip(nodes, alike, strict=True))
     said = "as the diagram says" if best == target.index[0] else "not where the diagram says"
     return [f"The recorded input acts at {port}[{best + 1}], {said} (likeness of responses: {each})."]
 

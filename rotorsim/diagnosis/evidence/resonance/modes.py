@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import scipy.linalg
 from scipy.sparse.csgraph import connected_components
 
 from rotorsim.diagnosis.evidence.waveform.data import Channels
-from rotorsim.diagnosis.evidence.waveform.equations import measured_expression
+from rotorsim.diagnosis.evidence.waveform.equations import driven_equations
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.linear import linearisation as linear
-from rotorsim.model.compiled import compile_diagram
-from rotorsim.model.matrix_function import MatrixFunction
-from rotorsim.settled.linear_equations import slots_of
 
 __all__ = ["Modes"]
 
@@ -28,26 +23,16 @@ class Modes:
     """The modes of a linear diagram at rest with the settings of a run, as its recorded channels see them."""
 
     def __init__(self, diagram: Diagram, channels: Channels, settings: Mapping[str, Any]) -> None:
-        model = compile_diagram(diagram)
-        linear.refuse_sampled(model, "a comparison of modes")
-        trace = model.trace
-        y = ca.vertcat(*[measured_expression(model, name) for name in channels.outputs])
-        closed = ca.substitute(ca.jacobian(y, trace.x), trace.v, ca.SX.zeros(*trace.v.shape))
-        self._A = linear.functions(model).state_matrix()
-        self._C = MatrixFunction([trace.t, trace.x, trace.z, trace.p], closed)
-        self._model, self._p = model, model.parameter_vector(settings)
-        self._slots = [slots_of(model, item) for item in diagram.free]
+        self._equations = driven_equations(diagram, channels.outputs, (), diagram.free)
+        self._p = self._equations.model.parameter_vector(settings)
 
     def at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return frequencies (k,) [Hz], ascending, and shapes over the channels (k, c) of the modes that they see.
 
         theta (m,): the free parameters of the diagram. Raises LinAlgError where the matrices are not finite.
         """
-        p = self._p.copy()
-        for value, slots in zip(theta, self._slots, strict=True):
-            p[slots] = value
-        x, z = np.zeros(self._model.n_x), self._model.z0(p)
-        A, C = (f(np.zeros((1, 1)), x, z, p)[0] for f in (self._A, self._C))
+        eq = self._equations
+        A, C = (f(0.0, np.zeros(eq.n), np.zeros(0), eq.parameters(self._p, theta))[0] for f in eq.matrices)
         if not (np.isfinite(A).all() and np.isfinite(C).all()):
             raise np.linalg.LinAlgError("the linearised diagram is not finite at rest")
         _, group = connected_components(A != 0, directed=False)

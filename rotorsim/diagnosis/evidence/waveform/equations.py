@@ -86,7 +86,7 @@ class DrivenEquations:
 
     kept (n,): of the states of the model. inputs: flat names of what v holds. p: parameters of the model, then the
     coefficients of a `ForceMap`; slots: the entries of p that each of the m parameters sets. arguments: t, x, v, p.
-    f (n,), g (c,); f_jacobian (n, n + m), g_jacobian (c, n + m): sparse, by x, then by the m parameters.
+    f (n,), g (c,).
     """
 
     model: Model
@@ -98,8 +98,6 @@ class DrivenEquations:
     arguments: tuple[Any, Any, Any, Any]
     f: Any
     g: Any
-    f_jacobian: Any
-    g_jacobian: Any
 
     @property
     def n(self) -> int:
@@ -118,9 +116,29 @@ class DrivenEquations:
         return tuple(names[k] for k in self.kept)
 
     @cached_property
-    def state_matrix(self) -> MatrixFunction:
-        """The Jacobian of f by x, (1, n, n), as a function of t, x, v, p."""
-        return MatrixFunction(self.arguments, self.f_jacobian[:, : self.n])
+    def measured_states(self) -> Mapping[int, tuple[str, float]]:
+        """State -> output and factor, where an output is a constant times one state and nothing else."""
+        x, measured = self.arguments[1], {}
+        for output, y in zip(self.outputs, ca.vertsplit(self.g), strict=True):
+            row = ca.sparsify(ca.jacobian(y, x))
+            if row.nnz() == 1 and row.nz[0].is_constant() and output not in self.inputs:
+                [k], factor = row.sparsity().get_triplet()[1], float(row.nz[0])
+                if (y - factor * x[k]).is_zero():
+                    measured[k] = output, factor
+        return measured
+
+    @cached_property
+    def matrices(self) -> tuple[MatrixFunction, MatrixFunction]:
+        """The Jacobians of f and g by x, (1, n, n) and (1, c, n), as functions of t, x, v, p."""
+        by_x = (ca.jacobian(of, self.arguments[1]) for of in (self.f, self.g))
+        f, g = (MatrixFunction(self.arguments, jacobian) for jacobian in by_x)
+        return f, g
+
+    def jacobian(self, of: Any) -> Any:
+        """Return the sparse Jacobian of an expression (k,) by x, then by the m parameters, (k, n + m)."""
+        _, x, _, p = self.arguments
+        by_slots = [sum((ca.jacobian(of, p[slot]) for slot in own), ca.SX(*of.shape)) for own in self.slots]
+        return ca.sparsify(ca.horzcat(ca.jacobian(of, x), *by_slots))
 
     def parameters(self, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """Return p of the equations from p (n_p,) of the model and the m free parameters."""
@@ -175,11 +193,4 @@ def driven_equations(
     known = tuple(item for item in free if slots_of(model, item))
     slots = [slots_of(model, item) for item in known] + [[model.n_p + k] for k in range(coefficients.numel())]
     arguments = trace.t, x, v, ca.vertcat(trace.p, coefficients)
-
-    def jacobian(of: Any) -> Any:
-        by_slots = [sum((ca.jacobian(of, arguments[3][slot]) for slot in own), ca.SX(*of.shape)) for own in slots]
-        return ca.sparsify(ca.horzcat(ca.jacobian(of, x), *by_slots))
-
-    return DrivenEquations(
-        model, tuple(outputs), tuple(inputs), known, kept, slots, arguments, f, g, jacobian(f), jacobian(g)
-    )
+    return DrivenEquations(model, tuple(outputs), tuple(inputs), known, kept, slots, arguments, f, g)

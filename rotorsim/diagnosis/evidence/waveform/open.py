@@ -28,7 +28,8 @@ from rotorsim.diagnosis.evidence.waveform.noise import (
     weights_of,
 )
 from rotorsim.diagnosis.evidence.waveform.search import Evaluation, OutputErrorSearch
-from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE, Subsystem, subsystems_of
+from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
+from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE, subsystems_of
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear import linearisation as linear
@@ -128,7 +129,7 @@ def _noise_share(search: OutputErrorSearch, found: Evaluation) -> float:
     return float(max((white[failed] / square[failed]).min(initial=1.0), CRITERIA.resolution))
 
 
-def _base(systems: tuple[Subsystem, ...], runs: Sequence[SampledRun]) -> tuple[OutputErrorSearch, Evaluation]:
+def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[OutputErrorSearch, Evaluation]:
     """Return the fit of the diagram as it is, at steps that are short enough.
 
     Controllers with their measured inputs come first; what they leave is their noise, whatever the whole leaves.
@@ -168,7 +169,7 @@ def _sizes(diagram: Diagram, channels: Channels, base: OutputErrorSearch, found:
     """Return the largest magnitude of every signal of the diagram, simulated, and of every recorded one."""
     signals = base.systems[0].equations.model.signals
     names = [name for port, signal in signals.items() for name in linear.entry_names(port, signal.shape)][:SIGNALS]
-    whole = Subsystem(WHOLE, driven_equations(diagram, names, channels.inputs, diagram.free))
+    whole = Simulation(driven_equations(diagram, names, channels.inputs, diagram.free), WHOLE)
     search = replace(base, systems=(whole,))
     unknowns = search.first(base.starts(found.unknowns))
     unknowns[: search.m] = found.unknowns[: search.m]

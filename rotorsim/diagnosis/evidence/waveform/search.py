@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from rotorsim.diagnosis.evidence.waveform.data import SampledRun
-from rotorsim.diagnosis.evidence.waveform.subsystems import Subsystem
+from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
 from rotorsim.diagram.diagram import Free
 
 __all__ = ["Evaluation", "OutputErrorSearch"]
@@ -53,7 +53,7 @@ class OutputErrorSearch:
     or "starts" are not searched. unused: samples of each run that count nothing.
     """
 
-    systems: tuple[Subsystem, ...]
+    systems: tuple[Simulation, ...]
     runs: Sequence[SampledRun]
     weights: Mapping[tuple[str, str], float]
     least: int = 1
@@ -117,7 +117,7 @@ class OutputErrorSearch:
         for system, (r, run) in product(self.systems, enumerate(self.runs)):
             eq = system.equations
             start = eq.model.x0(self.p[r])[eq.kept]
-            for k, (output, factor) in system.measured_states.items():
+            for k, (output, factor) in eq.measured_states.items():
                 start[k] = run.values[output][0] / factor if output in run.values else start[k]
             given = [(known or {}).get(f"{system.name}:{name}") for name in eq.state_names]
             unknowns.append(np.array([x if of is None else of[r] for x, of in zip(start, given, strict=True)]))
@@ -146,7 +146,7 @@ class OutputErrorSearch:
             eq, own = system.equations, unknowns[self.columns(k, r)]
             p, v = eq.parameters(self.p[r], own[: eq.m]), run.inputs(eq.inputs, 1)[0, 0]
             for x in (np.zeros(eq.n), own[eq.m :]):
-                A = eq.state_matrix(run.start, x, v, p)[0]
+                A = eq.matrices[0](run.start, x, v, p)[0]
                 if A.size and np.isfinite(A).all():
                     fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()) * run.dt)
         sub = self.least
@@ -161,7 +161,7 @@ class OutputErrorSearch:
         system, run, own = self.systems[k], self.runs[r], unknowns[self.columns(k, r)]
         eq = system.equations
         p, v = eq.parameters(self.p[r], own[: eq.m]), run.inputs(eq.inputs, sub)
-        return system.simulation.simulate(p, own[eq.m :], v, run.dt, t0=run.start, sensitivities=sensitivities)
+        return system.simulate(p, own[eq.m :], v, run.dt, t0=run.start, sensitivities=sensitivities)
 
     @np.errstate(over="ignore", invalid="ignore")
     def evaluate(self, unknowns: np.ndarray, sub: int, sensitivities: bool = True) -> Evaluation:

@@ -7,7 +7,7 @@ are those of the steps themselves. Without a C compiler CasADi's virtual machine
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -102,10 +102,23 @@ RS_EXPORT int64_t rs_run(int exact, int64_t N, int64_t sub, double t0, double dt
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Driven equations, ready to be simulated over runs."""
+    """Driven equations, ready to be simulated over runs.
+
+    name: "" for those of the whole diagram, or the controller that they are of.
+    """
 
     equations: DrivenEquations
+    name: str = ""
     use_compiler: bool = True
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The flat names of what is simulated."""
+        return self.equations.outputs
+
+    def by_signal(self, values: Iterable[float]) -> dict[tuple[str, str], float]:
+        """Return values of the outputs by (name, output)."""
+        return {(self.name, output): float(value) for output, value in zip(self.outputs, values, strict=True)}
 
     @cached_property
     def _library(self) -> tuple[Any, int] | None:
@@ -164,30 +177,31 @@ def _interpreter(eq: DrivenEquations, N: int, sub: int, K: int) -> tuple[Any, An
     """Return CasADi functions of all N samples: states after each, and outputs; both with K sensitivities behind."""
     t, x, v, p = eq.arguments
     S = ca.SX.sym("S", K, eq.n)  # column-major: the rows of S one after another, as in memory
-    state = ca.vertcat(x, ca.vec(S))
+    state, inputs, dt = ca.vertcat(x, ca.vec(S)), ca.SX.sym("v", len(eq.inputs), 2 * sub + 1), ca.SX.sym("dt")
 
-    def with_sensitivities(name: str, of: Any, jacobian: Any) -> ca.Function:
+    def with_sensitivities(of: Any) -> Any:
+        if not K:
+            return ca.densify(of)
+        jacobian = eq.jacobian(of)
         by_parameters = ca.horzcat(jacobian[:, eq.n :], ca.SX(of.shape[0], eq.n))
-        rows = ca.vec(S @ jacobian[:, : eq.n].T + by_parameters.T) if K else ca.SX(0, 1)
-        return ca.Function(name, [state, t, v, p], [ca.densify(ca.vertcat(of, rows))])
+        return ca.densify(ca.vertcat(of, ca.vec(S @ jacobian[:, : eq.n].T + by_parameters.T)))
 
-    f = with_sensitivities("f", eq.f, eq.f_jacobian)
-    inputs, dt, w = ca.SX.sym("v", len(eq.inputs), 2 * sub + 1), ca.SX.sym("dt"), state
-    h = dt / sub
+    f, h, w = ca.Function("f", [x, t, v, p], [eq.f]), dt / sub, x
     for s in range(sub):
         k: list[Any] = []
         for c, row in zip(RK4.c, RK4.a, strict=True):
             at = w + h * sum((a * stage for a, stage in zip(row, k, strict=True)), ca.SX(0))
             k.append(f(at, t + h * (s + c), inputs[:, 2 * s + round(2 * c)], p))
         w = w + h * sum((b * stage for b, stage in zip(RK4.b, k, strict=True)), ca.SX(0))
-    step = ca.Function("step", [state, t, ca.vec(inputs), p, dt], [w])
-    read = with_sensitivities("read", eq.g, eq.g_jacobian)
+    step = ca.Function("step", [state, t, ca.vec(inputs), p, dt], [with_sensitivities(w)])
+    read = ca.Function("read", [state, t, v, p], [with_sensitivities(eq.g)])
     return step.mapaccum("steps", N, [0], [0]), read.map("reads", "serial", N, [3], [])
 
 
 def _source(eq: DrivenEquations) -> tuple[str, int]:
     """Return the C source of a simulation, and the size of its memory beside the states."""
-    expressions = [eq.f, _nonzeros(eq.f_jacobian), eq.g, _nonzeros(eq.g_jacobian)]
+    jacobians = {"f": eq.jacobian(eq.f), "g": eq.jacobian(eq.g)}
+    expressions = [eq.f, _nonzeros(jacobians["f"]), eq.g, _nonzeros(jacobians["g"])]
     function = ca.Function("f", list(eq.arguments), [ca.densify(expression) for expression in expressions])
     program = Program()
     leaves = [lambda i, name=name: program.input(name, i) for name in ("t", "x", "v", "p")]
@@ -229,7 +243,7 @@ def _source(eq: DrivenEquations) -> tuple[str, int]:
     head += [f"#define {name} {value}" for name, value in sizes.items()]
     head += ["#if defined(_WIN32)", "#define RS_EXPORT __declspec(dllexport)", "#else"]
     head += ['#define RS_EXPORT __attribute__((visibility("default")))', "#endif"]
-    for name, jacobian in (("f", eq.f_jacobian), ("g", eq.g_jacobian)):
+    for name, jacobian in jacobians.items():
         for key, places in zip(("rows", "cols"), jacobian.sparsity().get_triplet(), strict=True):
             head.append(f"static const int rs_{name}_{key}[] = {{{', '.join(map(str, places)) or 0}}};")
     text = "\n".join([*head, *(text for text, _ in parts), _RUNTIME.replace("RS_STEP", _step_in_c())])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
@@ -22,7 +20,7 @@ from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.model.compiled import Model, compile_diagram
 
-__all__ = ["WHOLE", "Subsystem", "subsystems_of"]
+__all__ = ["WHOLE", "subsystems_of"]
 
 WHOLE = ""  # name of the whole diagram
 CONTROLLER = "controller"
@@ -30,41 +28,7 @@ ALIKE = 1e-9  # relative, of two expressions at points of chance: rounding
 POINTS = 3
 
 
-@dataclass(frozen=True, eq=False)
-class Subsystem:
-    """What is predicted from what. name: `WHOLE`, or the controller that is tested with its measured inputs."""
-
-    name: str
-    equations: DrivenEquations
-
-    @cached_property
-    def simulation(self) -> Simulation:
-        """The simulation of the equations."""
-        return Simulation(self.equations)
-
-    @cached_property
-    def measured_states(self) -> Mapping[int, tuple[str, float]]:
-        """State -> output and factor, where an output is a constant times one state and nothing else."""
-        eq, measured = self.equations, {}
-        for c, name in enumerate(eq.outputs):
-            row = eq.g_jacobian[c, : eq.n]
-            if row.nnz() == 1 and row.nz[0].is_constant() and name not in eq.inputs:
-                [k], factor = row.sparsity().get_triplet()[1], float(row.nz[0])
-                if (eq.g[c] - factor * eq.arguments[1][k]).is_zero():
-                    measured[k] = name, factor
-        return measured
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """The flat names of what is predicted."""
-        return self.equations.outputs
-
-    def by_signal(self, values: Iterable[float]) -> dict[tuple[str, str], float]:
-        """Return values of the outputs by (name, output)."""
-        return {(self.name, output): float(value) for output, value in zip(self.outputs, values, strict=True)}
-
-
-def subsystems_of(diagram: Diagram, channels: Channels, *, force: ForceMap | None = None) -> tuple[Subsystem, ...]:
+def subsystems_of(diagram: Diagram, channels: Channels, *, force: ForceMap | None = None) -> tuple[Simulation, ...]:
     """Return the whole diagram, and every controller whose inputs and output were measured.
 
     A controller's output is predicted from the measured motion, so that what is wrong elsewhere in the loop does not
@@ -72,7 +36,7 @@ def subsystems_of(diagram: Diagram, channels: Channels, *, force: ForceMap | Non
     Raises RotorsimError for signals that the diagram does not have.
     """
     whole = driven_equations(diagram, channels.outputs, channels.inputs, diagram.free, force=force)
-    systems = [Subsystem(WHOLE, whole)]
+    systems = [Simulation(whole, WHOLE)]
     controllers = {
         name: [output for output in channels.outputs if output.partition("[")[0].rpartition(".")[0] == name]
         for name, node in diagram.nodes.items()
@@ -80,7 +44,7 @@ def subsystems_of(diagram: Diagram, channels: Channels, *, force: ForceMap | Non
     }
     for name, outputs in controllers.items():
         equations = _controller(diagram, channels, outputs) if outputs else None
-        systems += [Subsystem(name, equations)] if equations else []
+        systems += [Simulation(equations, name)] if equations else []
     return tuple(systems)
 
 
