@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import networkx as nx
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
@@ -68,13 +69,7 @@ def _target(diagram: Diagram, inputs: Sequence[str]) -> Endpoint | None:
     """Return the first input with nodes that the recorded input leads to."""
     if len(inputs) != 1:
         return None
-    waiting = [inputs[0].rpartition(".")[0]]
-    for reached in waiting:
-        for wire in diagram.wires:
-            if wire.source.block != reached:
-                continue
-            if wire.target.index and diagram.nodes[wire.target.block].block.category == "rotor":
-                return wire.target
-            if wire.target.block not in waiting:
-                waiting.append(wire.target.block)
-    return None
+    first = inputs[0].rpartition(".")[0]
+    reached = [first, *(block for _, block in nx.bfs_edges(diagram.graph(), first))]
+    targets = (wire.target for block in reached for wire in diagram.wires if wire.source.block == block)
+    return next((end for end in targets if end.index and diagram.nodes[end.block].block.category == "rotor"), None)

@@ -124,14 +124,14 @@ class ResonanceEvidence(SampledRuns, Defaults):
         """Return the frequencies [Hz] of the modes of a fit that are compared with the M resonances."""
         return self._modes(self.load(fit.document)).at(fit.theta)[0][: len(self.strong)]
 
-    def errors(self, fit: Fit) -> np.ndarray | None:
-        """Return the relative errors f / f_measured - 1 of the M frequencies of a fit, None where modes are missing."""
+    def errors(self, fit: Fit) -> np.ndarray:
+        """Return the relative errors f / f_measured - 1 of the M frequencies of a fit; NaN where modes are missing."""
         measured = np.array([item.frequency for item in self.strong])
         try:
             modes = self.frequencies(fit)
         except FAILURES:
-            return None
-        return modes / measured - 1 if len(modes) == len(measured) else None
+            modes = measured[:0]
+        return modes / measured - 1 if len(modes) == len(measured) else np.full(len(measured), np.nan)
 
     def score(self, fit: Fit) -> Score:
         """Return the root mean square error of frequencies of hold-out runs, or of resonances left out one by one.
@@ -140,13 +140,10 @@ class ResonanceEvidence(SampledRuns, Defaults):
         """
         errors = [part.errors(fit) for part in self.held]
         for k in range(len(self.strong) if not self.held else 0):
-            document = values_in(fit.document, fit.values)
-            every = self.errors(replace(self, without=k).fit(document, []))
-            errors.append(None if every is None else every[k : k + 1])
+            refitted = replace(self, without=k).fit(values_in(fit.document, fit.values), [])
+            errors.append(self.errors(refitted)[k : k + 1])
         floor = [item.spread / item.frequency for part in self.held or (self,) for item in part.strong]
-        known = [item for item in errors if item is not None]
-        size = _rms(np.concatenate(known)) if len(known) == len(errors) else float("nan")
-        return Score({"frequencies": size}, {"frequencies": _rms(np.array(floor))})
+        return Score({"frequencies": _rms(np.concatenate(errors))}, {"frequencies": _rms(np.array(floor))})
 
     @property
     def missing(self) -> list[Resonance]:
@@ -167,7 +164,7 @@ class ResonanceEvidence(SampledRuns, Defaults):
         for when, fit in (("before", before), *((("after", after),) if after is not before else ())):
             text += f"; {', '.join(f'{value:.1f}' for value in self.frequencies(fit))} Hz {when}"
             errors = self.errors(fit)
-            text += "" if errors is None else f" (relative error {_rms(errors):.3g} rms)"
+            text += f" (relative error {_rms(errors):.3g} rms)" if np.isfinite(errors).all() else ""
         parts = [f"{text}."]
         for item in self.missing:
             near = min((other.frequency for other in self.strong), key=lambda value: abs(value - item.frequency))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,9 +59,10 @@ def resonances(runs: Sequence[SampledRun], outputs: Sequence[str], inputs: Seque
         peaks += zip(frequencies[at], [c] * len(at), about["prominences"], strict=True)
     sorted_peaks = np.array(sorted(peaks)).reshape(-1, 3)
     apart = np.flatnonzero(sorted_peaks[1:, 0] > (1 + SAME) * sorted_peaks[:-1, 0]) + 1
-    ceases = _ends(run, inputs, frequencies)
+    u = run.measured(inputs) if inputs else np.zeros((run.size, 1))
+    power = gaussian_filter1d((np.abs(np.fft.rfft(u - u.mean(axis=0), axis=0)) ** 2).sum(axis=1), SMOOTH)
     groups = (_resonance(group, frequencies, Y, total) for group in np.split(sorted_peaks, apart))
-    every = [item for item in groups if item is not None and not ceases(item.frequency)]
+    every = [item for item in groups if item is not None and not _ceases(item.frequency, frequencies, power)]
     largest = max((item.level for item in every), default=1.0)
     return [
         replace(item, level=level, strong=item.strong and level >= CRITERIA.resonance_level)
@@ -70,17 +71,10 @@ def resonances(runs: Sequence[SampledRun], outputs: Sequence[str], inputs: Seque
     ]
 
 
-def _ends(run: SampledRun, inputs: Sequence[str], frequencies: np.ndarray) -> Callable[[float], bool]:
-    """Return a function that says whether the inputs cease to drive beside a frequency."""
-    u = run.measured(inputs) if inputs else np.zeros((run.size, 1))
-    power = gaussian_filter1d((np.abs(np.fft.rfft(u - u.mean(axis=0), axis=0)) ** 2).sum(axis=1), SMOOTH)
-
-    def ceases(at: float) -> bool:
-        beside = np.abs(frequencies - at) <= max(BESIDE * at, SMOOTH * frequencies[1])
-        here = power[int(np.argmin(np.abs(frequencies - at)))]
-        return bool(power[beside].min() < DRIVEN * here)
-
-    return ceases
+def _ceases(at: float, frequencies: np.ndarray, power: np.ndarray) -> bool:
+    """Return whether the inputs cease to drive beside a frequency; power: theirs by frequency."""
+    beside = np.abs(frequencies - at) <= max(BESIDE * at, SMOOTH * frequencies[1])
+    return bool(power[beside].min() < DRIVEN * power[np.abs(frequencies - at).argmin()])
 
 
 def _resonance(peaks: np.ndarray, frequencies: np.ndarray, Y: np.ndarray, total: np.ndarray) -> Resonance | None:

@@ -10,8 +10,9 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import next_fast_len
 from scipy.interpolate import CubicSpline
+from scipy.signal import resample
 
 from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, reason_of
 from rotorsim.diagnosis.evidence.waveform.equations import driven_parameters, measured_expression
@@ -169,12 +170,8 @@ def between_samples(values: np.ndarray, kind: str, parts: int) -> np.ndarray:
     if kind == "linear" or n < 4:
         later = np.append(values[1:], values[-1])
         return np.asarray(values[:, None] + (later - values)[:, None] * np.linspace(0.0, 1.0, parts + 1))
-    size = next_fast_len(n - 1, real=True) * 2
-    mirrored = np.concatenate([values, values[-2:0:-1], np.full(size - 2 * n + 2, values[0])])
-    spectrum = np.zeros(parts * size // 2 + 1, complex)
-    spectrum[: size // 2 + 1] = rfft(mirrored)
-    spectrum[size // 2] /= 2  # shared with the negative frequency
-    fine = irfft(spectrum, parts * size) * parts
+    size = 2 * next_fast_len(n - 1, real=True)
+    fine = resample(np.concatenate([values, values[-2:0:-1], np.full(size - 2 * n + 2, values[0])]), parts * size)
     return np.lib.stride_tricks.sliding_window_view(fine[: parts * n + 1], parts + 1)[::parts].copy()
 
 
@@ -186,79 +183,66 @@ def is_in_time(diagram: Diagram, recording: Recording) -> bool:
 
 def channels_of(diagram: Diagram, recording: Recording) -> Channels:
     """Return what a recording gives to a diagram and what it measures of it. Raises RotorsimError with all mistakes."""
-    model = compile_diagram(diagram)
-    driven = driven_parameters(diagram)
+    model, driven = compile_diagram(diagram), driven_parameters(diagram)
     problems: list[Problem] = []
-    inputs: dict[str, str] = {}
+    kinds: dict[str, str] = {}
     outputs: list[str] = []
     columns: dict[str, str] = {}
     for column, channel in recording.channels.items():
-        name = _checked(model, channel, column, problems)
-        if name is None:
+        try:
+            name = _signal_name(model, channel)
+        except RotorsimError as error:
+            problem = error.problems[0]
+            hint = problem.hint or near_miss(channel.signal, model.signals)
+            problems.append(Problem(problem.what, f"channel {column}", hint=hint))
             continue
         if name in columns:
             problems.append(Problem(f"'{name}' is measured by two channels", f"channel {column}"))
         elif channel.signal in driven:
             option = diagram.nodes[channel.signal.rpartition(".")[0]].block.option
-            inputs[name] = str(getattr(option, "interpolation", "linear"))
+            kinds[name] = str(getattr(option, "interpolation", "linear"))
         else:
             outputs.append(name)
         columns[name] = column
     if not outputs and not problems:
+        what = "nothing was measured that the diagram could be compared with"
         hint = "a channel must name a signal that the diagram computes"
-        problems.append(
-            Problem("nothing was measured that the diagram could be compared with", recording.name, hint=hint)
-        )
+        problems.append(Problem(what, recording.name, hint=hint))
     if problems:
         raise RotorsimError(*problems)
-    return Channels(tuple(inputs), tuple(outputs), columns, inputs)
+    return Channels(tuple(kinds), tuple(outputs), columns, kinds)
 
 
-def _checked(model: Model, channel: Channel, column: str, problems: list[Problem]) -> str | None:
-    """Return the flat name of a channel's signal in the diagram, None where there is none; add what is wrong."""
-    subject = f"channel {column}"
-    try:
-        name = node_name(model, channel)
-        expression = measured_expression(model, name)
-    except RotorsimError as error:
-        hint = error.problems[0].hint or near_miss(channel.signal, model.signals)
-        problems.append(Problem(error.problems[0].what, subject, hint=hint))
-        return None
-    if expression.numel() != 1:
-        problems.append(Problem(f"'{name}' is {expression.numel()} numbers", subject, hint="say node and axis"))
-        return None
-    signal = model.signals.get(channel.signal)
-    if (
-        signal is not None
-        and signal.unit is not None
-        and compatible(channel.unit, signal.unit) not in ("same", "scaled")
-    ):
-        what = f"unit '{channel.unit}' does not fit '{channel.signal}', which is in {signal.unit}"
-        problems.append(Problem(what, subject, hint="correct the unit, or the signal, in recording.json"))
-        return None
+def _signal_name(model: Model, channel: Channel) -> str:
+    """Return the flat name of a channel's signal. Raises RotorsimError where the diagram has no such number."""
+    name = _node_name(model, channel)
+    size = measured_expression(model, name).numel()
+    if size != 1:
+        raise RotorsimError(Problem(f"'{name}' is {size} numbers", hint="say node and axis"))
+    unit = model.signals[channel.signal].unit if channel.signal in model.signals else None
+    if unit is not None and compatible(channel.unit, unit) not in ("same", "scaled"):
+        what = f"unit '{channel.unit}' does not fit '{channel.signal}', which is in {unit}"
+        raise RotorsimError(Problem(what, hint="correct the unit, or the signal, in recording.json"))
     return name
 
 
-def node_name(model: Model, channel: Channel) -> str:
+def _node_name(model: Model, channel: Channel) -> str:
     """Return the flat name of a channel's signal, a place along the shaft replaced by the node there.
 
     Raises RotorsimError where the shaft has no node at this place.
     """
     if channel.position is None or channel.node is not None:
         return channel.name
-    block = channel.signal.rpartition(".")[0]
-    node = model.diagram.nodes.get(block)
+    node = model.diagram.nodes.get(channel.signal.rpartition(".")[0])
     if node is None or "element_length" not in node.values:
-        raise RotorsimError(Problem("a position along the shaft, but this block has no elements", channel.name))
-    lengths = np.ravel(node.values["element_length"])
-    count = int(node.block.option.elements)
-    places = np.concatenate([[0.0], np.cumsum(np.broadcast_to(lengths, (count,)))])
+        raise RotorsimError(Problem("a position along the shaft, but this block has no elements"))
+    lengths = np.broadcast_to(np.ravel(node.values["element_length"]), int(node.block.option.elements))
+    places = np.cumsum([0.0, *lengths])
     k = int(np.argmin(np.abs(places - channel.position)))
     if abs(places[k] - channel.position) > CLOSE:
-        hint = (
-            f"the nearest is node {k + 1} at {places[k]:g} m; divide the shaft so that a node is where it was measured"
-        )
-        raise RotorsimError(Problem(f"no node at {channel.position:g} m", channel.name, hint=hint))
+        nearest = f"the nearest is node {k + 1} at {places[k]:g} m"
+        hint = f"{nearest}; divide the shaft so that a node is where it was measured"
+        raise RotorsimError(Problem(f"no node at {channel.position:g} m", hint=hint))
     return channel.name.replace(f"{channel.position:g} m", str(k + 1))
 
 
@@ -266,30 +250,22 @@ def read_run(diagram: Diagram, run: Run, channels: Channels) -> SampledRun:
     """Return the samples of a run. Raises RotorsimError for uneven samples and settings that are not numbers."""
     problems: list[Problem] = []
     dt = float(run.time[-1] - run.time[0]) / (len(run.time) - 1)
-    uneven = np.abs(run.time - run.time[0] - dt * np.arange(len(run.time))).max() if len(run.time) > 2 else 0.0
+    uneven = np.abs(run.time - run.time[0] - dt * np.arange(len(run.time))).max()
     if uneven > EVEN * dt:
-        hint = "resample the run at equal steps"
-        problems.append(
-            Problem(f"its samples are not evenly spaced (by up to {uneven / dt:.2g} periods)", run.id, run.place, hint)
-        )
+        what = f"its samples are not evenly spaced (by up to {uneven / dt:.2g} periods)"
+        problems.append(Problem(what, run.id, run.place, "resample the run at equal steps"))
+    blocks = ((name, node.block.parameters) for name, node in diagram.nodes.items())
+    units = {f"{name}.{key}": declared.unit for name, parameters in blocks for key, declared in parameters.items()}
+    units |= diagram.parameter_units
     settings: dict[str, Any] = {}
     for name, value in run.settings.items():
         try:
-            settings[name] = numeric(value, _unit(diagram, name))
+            settings[name] = numeric(value, units.get(name))
         except ValueProblem as problem:
             problems.append(Problem(problem.what, f"run {run.id}: set {name}", run.place, problem.hint))
+    missing = [column for column in channels.columns.values() if column not in run.values]
+    problems += [Problem(f"has no column '{column}'", f"run {run.id}", run.place) for column in missing]
     if problems:
         raise RotorsimError(*problems)
-    missing = [column for column in channels.columns.values() if column not in run.values]
-    if missing:
-        raise RotorsimError(Problem(f"has no column '{missing[0]}'", f"run {run.id}", run.place))
     values = {name: run.values[column] for name, column in channels.columns.items()}
     return SampledRun(run.id, values, channels.kinds, dt, float(run.time[0]), settings)
-
-
-def _unit(diagram: Diagram, name: str) -> str | None:
-    if name in diagram.parameters:
-        return diagram.parameter_units.get(name)
-    block, _, key = name.rpartition(".")
-    node = diagram.nodes.get(block)
-    return node.block.parameters[key].unit if node is not None and key in node.block.parameters else None

@@ -5,8 +5,9 @@ What counts as noise, and what is adequate: `rotorsim.diagnosis.evidence.wavefor
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -30,9 +31,9 @@ from rotorsim.diagnosis.evidence.waveform.noise import (
     weights_of,
 )
 from rotorsim.diagnosis.evidence.waveform.scoring import held_score, left_out_score
-from rotorsim.diagnosis.evidence.waveform.search import MOST_EVALUATIONS, Evaluation, OutputErrorSearch
+from rotorsim.diagnosis.evidence.waveform.search import MOST_EVALUATIONS, Evaluation, Label, OutputErrorSearch
 from rotorsim.diagnosis.evidence.waveform.subsystems import subsystems_of
-from rotorsim.diagram.diagram import Diagram, Endpoint, Port
+from rotorsim.diagram.diagram import Diagram, Port
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.units import compatible
 
@@ -59,7 +60,7 @@ class WaveformEvidence(SampledRuns, Defaults):
 
     sizes: largest magnitude of every signal, recorded or simulated. rows: independent samples. stretches: into which
     the runs are divided. allowed (B,): what an adequate model may leave of each when it is left out. least: steps
-    between samples. starts: "subsystem:state" -> value at the start of each run. old: names of the parameters that were
+    between samples. starts: states at the first samples. old: names of the parameters that were
     free at first. held: hold-out runs.
     """
 
@@ -68,7 +69,7 @@ class WaveformEvidence(SampledRuns, Defaults):
     stretches: tuple[Stretch, ...]
     allowed: np.ndarray
     least: int
-    starts: Mapping[str, Sequence[float]]
+    starts: Mapping[Label, float]
     old: frozenset[str]
     held: tuple[SampledRun, ...]
 
@@ -79,7 +80,7 @@ class WaveformEvidence(SampledRuns, Defaults):
         """Return the search for the free parameters of a document. Raises RotorsimError."""
         diagram = self.load(document)
         systems = subsystems_of(diagram, self.channels)
-        if [system.name for system in systems] != list(dict.fromkeys(name for name, _ in self.variance)):
+        if [signal for system in systems for signal in system.signals] != list(self.variance):
             what = "its controllers can no longer be told from the rest by what was measured"
             raise RotorsimError(Problem(what, diagram.name))
         return OutputErrorSearch(systems, self.runs, weights_of(self.variance, self.runs, self.rows), self.least)
@@ -96,11 +97,11 @@ class WaveformEvidence(SampledRuns, Defaults):
         search = self.search(document)
         short = search.shortened(SHORT)
         tried = [self._followed(search, short, group) for group in starts or [[{}]]]
-        ends = [short.minimise(min(group, key=_cost).unknowns, limit) for group in tried if group]
+        ends = [short.minimise(min(group, key=attrgetter("cost")).unknowns, limit) for group in tried if group]
         if not ends:
             return Fit(document, failure=DIVERGES)
         last = limit if short is search else min(limit, LAST_STEPS)
-        return self._summary(document, search, search.minimise(min(ends, key=_cost).unknowns, last))
+        return self._summary(document, search, search.minimise(min(ends, key=attrgetter("cost")).unknowns, last))
 
     def recalibrated(self, fit: Fit) -> WaveformEvidence | None:
         """Return the evidence whose noise is what a fit leaves, for one that leaves less than the flexible model."""
@@ -233,39 +234,30 @@ class WaveformEvidence(SampledRuns, Defaults):
 
     def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
         """Return how well controllers follow from measured motion alone, and which units stand for others."""
-        text = []
-        for (view, name), value in self.variance.items():
-            if view:
-                share = 100 * np.sqrt(value) / np.concatenate([run.values[name] for run in self.runs]).std()
-                text.append(f"{name} follows from the measured motion by the law of {view} to {share:.2g} %.")
+        measured = {name: np.concatenate([run.values[name] for run in self.runs]) for name in self.channels.outputs}
+        text = [
+            f"{name} follows from the measured motion by the law of {controller} to "
+            f"{100 * np.sqrt(value) / measured[name].std():.2g} %."
+            for (controller, name), value in self.variance.items()
+            if controller
+        ]
+        units = {name.partition("[")[0]: self.recording.channels[c].unit for name, c in self.channels.columns.items()}
         diagram = self.load(after.document)
         for block in inserted:
-            stands: dict[str, tuple[str, str]] = {}
-            for port, signal in _neighbours(diagram, block):
-                for column in (c for n, c in self.channels.columns.items() if n.partition("[")[0] == signal):
-                    unit = self.recording.channels[column].unit
-                    if port.unit and compatible(unit, port.unit) not in ("same", "scaled"):
-                        stands[port.unit] = unit, signal
-            if stands:
-                each = " and ".join(f"{unit} stands for the {other} of {at}" for other, (unit, at) in stands.items())
-                text.append(f"{block} has the units of a machine: {each}.")
+            stands = {
+                port.unit: f"{units[signal]} stands for the {port.unit} of {signal}"
+                for port, signal in _neighbours(diagram, block)
+                if port.unit and signal in units and compatible(units[signal], port.unit) not in ("same", "scaled")
+            }
+            text += [f"{block} has the units of a machine: {' and '.join(stands.values())}."] if stands else []
         return text
 
 
-def _neighbours(diagram: Diagram, name: str) -> Iterator[tuple[Port, str]]:
-    """Yield each port of a block with the signals that it takes, or that act where its output acts."""
-
-    def port(end: Endpoint) -> str:
-        return f"{end.block}.{end.port}"
-
-    for wire in diagram.wires:
-        if wire.target.block == name:
-            yield diagram.nodes[name].inputs[wire.target.port], port(wire.source)
-        elif wire.source.block == name:
-            for other in diagram.wires:
-                if other.target == wire.target and other.source.block != name:
-                    yield diagram.nodes[name].outputs[wire.source.port], port(other.source)
-
-
-def _cost(end: Evaluation) -> float:
-    return end.cost
+def _neighbours(diagram: Diagram, name: str) -> list[tuple[Port, str]]:
+    """Return each port of a block with the signals that it takes, or that act where its output acts."""
+    node, wires = diagram.nodes[name], diagram.wires
+    taken = [(node.inputs[wire.target.port], wire.source) for wire in wires if wire.target.block == name]
+    own = [wire for wire in wires if wire.source.block == name]
+    beside = [(wire, other.source) for wire in own for other in wires if other.target == wire.target]
+    acting = [(node.outputs[wire.source.port], end) for wire, end in beside if end.block != name]
+    return [(port, f"{end.block}.{end.port}") for port, end in taken + acting]

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def variance_scale(search: OutputErrorSearch) -> dict[tuple[str, str], float]:
         given = np.concatenate([run.inputs(system.equations.inputs, 1)[:, 0] for run in search.runs])
         inputs = np.column_stack([np.ones(len(y)), given])
         residual = y - inputs @ np.linalg.lstsq(inputs, y, rcond=None)[0]
-        scale |= system.by_signal(np.maximum((residual**2).mean(axis=0), 1e-300))
+        scale |= zip(system.signals, np.maximum((residual**2).mean(axis=0), 1e-300).tolist(), strict=True)
     return scale
 
 
@@ -76,7 +76,7 @@ def residual_variance(search: OutputErrorSearch, found: Evaluation) -> dict[tupl
     scale = variance_scale(search)
     squares: dict[tuple[str, str], float] = {}
     for system, residuals in zip(search.systems, found.residuals, strict=True):
-        squares |= system.by_signal((np.concatenate(residuals) ** 2).mean(axis=0))
+        squares |= zip(system.signals, (np.concatenate(residuals) ** 2).mean(axis=0).tolist(), strict=True)
     return {signal: max(value, CRITERIA.resolution**2 * scale[signal]) for signal, value in squares.items()}
 
 
@@ -116,19 +116,16 @@ def stacked(
     search: OutputErrorSearch, found: Evaluation, stretches: Sequence[Stretch]
 ) -> tuple[np.ndarray, np.ndarray, list[int]]:
     """Return the weighted residual (n,), its Jacobian (n, q) by all unknowns, stretch by stretch, and rows of each."""
-    residuals: list[np.ndarray] = []
-    jacobians: list[np.ndarray] = []
-    sizes: list[int] = []
-    for r, first, last in stretches:
-        for k in range(len(search.systems)):
-            root = search.root(k, r)[first:last]
-            J = np.zeros((root.size, len(found.unknowns)))
-            own = root[:, :, None] * found.jacobians[k][r][first:last]
-            J[:, search.columns(k, r)] = own.reshape(root.size, -1)
-            residuals.append((root * found.residuals[k][r][first:last]).ravel())
-            jacobians.append(J)
-        sizes.append(sum(len(part) for part in residuals) - sum(sizes))
-    return np.concatenate(residuals), np.concatenate(jacobians), sizes
+
+    def rows(k: int, r: int, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+        root, J = search.root(k, r)[first:last], found.jacobians[k][r][first:last]
+        jacobian = np.zeros((root.size, len(found.unknowns)))
+        jacobian[:, search.columns(k, r)] = (root[:, :, None] * J).reshape(root.size, -1)
+        return (root * found.residuals[k][r][first:last]).ravel(), jacobian
+
+    parts = [[rows(k, *stretch) for k in range(len(search.systems))] for stretch in stretches]
+    residual, jacobian = (np.concatenate(arrays) for arrays in zip(*chain(*parts), strict=True))
+    return residual, jacobian, [sum(len(own) for own, _ in part) for part in parts]
 
 
 def block_misfit(search: OutputErrorSearch, found: Evaluation, stretches: Sequence[Stretch]) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from math import log
 from pathlib import Path
 
@@ -134,8 +135,7 @@ def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[
 
     Controllers with their measured inputs come first; what they leave is their noise, whatever the whole leaves.
     """
-    equal = {signal: 1.0 for system in systems for signal in system.by_signal(np.ones(len(system.outputs)))}
-    search = OutputErrorSearch(systems, runs, equal)
+    search = OutputErrorSearch(systems, runs, {})
     scale = variance_scale(search)
     search = replace(search, weights={signal: 1 / value for signal, value in scale.items()})
     start = search.first()
@@ -158,11 +158,12 @@ def _is_fine(search: OutputErrorSearch, found: Evaluation, scale: Mapping[tuple[
     fine = search.evaluate(found.unknowns, 2 * found.sub, sensitivities=False)
     if not (np.isfinite(found.cost) and np.isfinite(fine.cost)):
         return not np.isfinite(fine.cost)
-    for system, coarse, finer in zip(search.systems, found.residuals, fine.residuals, strict=True):
-        most = ACCURACY * np.sqrt([scale[system.name, output] for output in system.outputs])
-        if any((np.sqrt(((b - a) ** 2).mean(axis=0)) > most).any() for a, b in zip(coarse, finer, strict=True)):
-            return False
-    return True
+    changed = [
+        np.sqrt(((b - a) ** 2).mean(axis=0)) / np.sqrt([scale[signal] for signal in system.signals])
+        for system, coarse, finer in zip(search.systems, found.residuals, fine.residuals, strict=True)
+        for a, b in zip(coarse, finer, strict=True)
+    ]
+    return bool(np.concatenate(changed).max() <= ACCURACY)
 
 
 def _sizes(diagram: Diagram, channels: Channels, base: OutputErrorSearch, found: Evaluation) -> dict[str, float]:
@@ -173,27 +174,25 @@ def _sizes(diagram: Diagram, channels: Channels, base: OutputErrorSearch, found:
     search = replace(base, systems=(whole,))
     unknowns = search.first(base.starts(found.unknowns))
     unknowns[: search.m] = found.unknowns[: search.m]
-    sizes: dict[str, float] = {}
-    for r, run in enumerate(base.runs):
+    sizes = {name: max(float(np.abs(run.values[name]).max()) for run in base.runs) for name in base.runs[0].values}
+    for r in range(len(base.runs)):
         y, _ = search.simulated(unknowns, 0, r, found.sub, sensitivities=False)
-        largest = {name: np.nan_to_num(size) for name, size in zip(names, np.abs(y).max(axis=0), strict=True)}
-        for name, size in [*largest.items(), *((name, np.abs(values).max()) for name, values in run.values.items())]:
+        for name, size in zip(names, np.nan_to_num(np.abs(y).max(axis=0)), strict=True):
             sizes[name] = max(sizes.get(name, 0.0), float(size))
     return sizes
 
 
 def _force_maps(diagram: Diagram, channels: Channels, sizes: Mapping[str, float]) -> list[ForceMap]:
     """Return a flexible force at every additive scalar port whose displacement was measured."""
-    forces = []
-    for name, node in diagram.nodes.items():
-        for port, declared in node.inputs.items():
-            declaration = declared.declaration
-            if not (isinstance(declaration, In) and declaration.additive and declaration.conjugate):
-                continue
-            q, v = f"{name}.{declaration.conjugate}", f"{name}.velocity"
-            if declared.shape == () and q in channels.outputs and sizes.get(q) and sizes.get(v):
-                forces.append(ForceMap(f"{name}.{port}", q, v, (sizes[q], sizes[v])))
-    return forces[:MOST_PORTS]
+    ports = (
+        (str(port), f"{name}.{port.declaration.conjugate}", f"{name}.velocity")
+        for name, node in diagram.nodes.items()
+        for port in node.inputs.values()
+        if port.shape == () and isinstance(port.declaration, In)
+        if port.declaration.additive and port.declaration.conjugate
+    )
+    measured = ((port, q, v) for port, q, v in ports if q in channels.outputs and sizes.get(q) and sizes.get(v))
+    return [ForceMap(port, q, v, (sizes[q], sizes[v])) for port, q, v in islice(measured, MOST_PORTS)]
 
 
 def _flexible(

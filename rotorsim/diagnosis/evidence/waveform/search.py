@@ -13,7 +13,7 @@ from rotorsim.diagnosis.evidence.waveform.data import SampledRun
 from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
 from rotorsim.diagram.diagram import Free
 
-__all__ = ["Evaluation", "OutputErrorSearch"]
+__all__ = ["Evaluation", "Label", "OutputErrorSearch"]
 
 MOST_EVALUATIONS = 60
 CLOSE = 1e-8  # relative fall of the cost below which a step was the last, twice
@@ -24,6 +24,8 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8
 AMPLITUDES = tuple(10.0**-k for k in range(0, 25, 2))
 NEARBY = (100.0, 30.0, 10.0, 3.0, 0.3, 0.1)
 WORSE = 4.0  # times the cost without the effect, of a start that is taken
+
+Label = tuple[str, str, int]  # subsystem, state, run
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,33 +106,34 @@ class OutputErrorSearch:
     def root(self, k: int, r: int) -> np.ndarray:
         """Return the square roots of the weights of a subsystem's outputs in a run, (N, c)."""
         system = self.systems[k]
-        weights = [self.weights[system.name, output] for output in system.outputs]
+        weights = [self.weights[signal] for signal in system.signals]
         root: np.ndarray = np.tile(np.sqrt(weights), (self.runs[r].size, 1))
         if self.unused:
             root[self.unused[r]] = 0.0
         return root
 
-    def first(self, known: Mapping[str, Sequence[float]] | None = None) -> np.ndarray:
-        """Return the unknowns that the diagram states. known: "subsystem:state" -> value at the start of each run."""
-        theta = np.array([item.value for item in self.free] + [0.0] * (self.m - len(self.free)))
-        unknowns = [theta]
+    @cached_property
+    def labels(self) -> list[Label]:
+        """The names of the states at the first samples among the unknowns."""
+        pairs = product(self.systems, range(len(self.runs)))
+        return [(system.name, state, r) for system, r in pairs for state in system.equations.state_names]
+
+    def first(self, known: Mapping[Label, float] | None = None) -> np.ndarray:
+        """Return the unknowns that the diagram states; known: states at the first samples, as `starts` returns them."""
+        starts: list[float] = []
         for system, (r, run) in product(self.systems, enumerate(self.runs)):
             eq = system.equations
             start = eq.model.x0(self.p[r])[eq.kept]
             for k, (output, factor) in eq.measured_states.items():
                 start[k] = run.values[output][0] / factor if output in run.values else start[k]
-            given = [(known or {}).get(f"{system.name}:{name}") for name in eq.state_names]
-            unknowns.append(np.array([x if of is None else of[r] for x, of in zip(start, given, strict=True)]))
-        return np.concatenate(unknowns)
+            starts += start.tolist()
+        theta = [item.value for item in self.free] + [0.0] * (self.m - len(self.free))
+        known = known or {}
+        return np.array([*theta, *(known.get(label, x) for label, x in zip(self.labels, starts, strict=True))])
 
-    def starts(self, unknowns: np.ndarray) -> dict[str, list[float]]:
-        """Return the states at the first sample of each run by "subsystem:state"."""
-        starts: dict[str, list[float]] = {}
-        for k, system in enumerate(self.systems):
-            eq = system.equations
-            own = np.array([unknowns[self.columns(k, r)[eq.m :]] for r in range(len(self.runs))])
-            starts |= {f"{system.name}:{name}": own[:, j].tolist() for j, name in enumerate(eq.state_names)}
-        return starts
+    def starts(self, unknowns: np.ndarray) -> dict[Label, float]:
+        """Return the states at the first samples."""
+        return dict(zip(self.labels, unknowns[self.m :].tolist(), strict=True))
 
     def shortened(self, samples: int) -> OutputErrorSearch:
         """Return the search on the beginning of every run, as many samples in all; itself if there are no more."""
@@ -238,16 +241,18 @@ class OutputErrorSearch:
         its cost is within WORSE times that without it, and from there takes the size of NEARBY that costs least. None
         where no start is found. old: names that are no effect.
         """
-        (low, high), set_to = self.bounds, unknowns.copy()
+        low, high = self.bounds
         index = {item.name: j for j, item in enumerate(self.free)}
         named = {name: index[name] for name in values if name in index}
-        for name, j in named.items():
-            set_to[j] = np.clip(values[name], low[j], high[j])
-        effects = [j for name, j in named.items() if name not in old and set_to[j] != 0 and low[j] <= 0 <= high[j]]
+        stated = unknowns.copy()
+        stated[[*named.values()]] = [values[name] for name in named]
+        stated = np.clip(stated, low, high)
+        effects = [j for name, j in named.items() if name not in old and stated[j] != 0 and low[j] <= 0 <= high[j]]
 
         def scaled(group: Sequence[int], factor: float) -> tuple[float, np.ndarray]:
-            point = set_to.copy()
-            point[group] = np.clip(factor * set_to[group], low[group], high[group])
+            point = stated.copy()
+            point[group] *= factor
+            point = np.clip(point, low, high)
             return self.evaluate(point, self.substeps(point), sensitivities=False).cost, point
 
         groups = [*([j] for j in effects), *([effects] if len(effects) > 1 else [])]

@@ -7,7 +7,7 @@ are those of the steps themselves. Without a C compiler CasADi's virtual machine
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -116,9 +116,10 @@ class Simulation:
         """The flat names of what is simulated."""
         return self.equations.outputs
 
-    def by_signal(self, values: Iterable[float]) -> dict[tuple[str, str], float]:
-        """Return values of the outputs by (name, output)."""
-        return {(self.name, output): float(value) for output, value in zip(self.outputs, values, strict=True)}
+    @property
+    def signals(self) -> list[tuple[str, str]]:
+        """What stands for the outputs where there are several simulations: (name, output)."""
+        return [(self.name, output) for output in self.outputs]
 
     @cached_property
     def _library(self) -> tuple[Any, int] | None:
@@ -201,7 +202,7 @@ def _interpreter(eq: DrivenEquations, N: int, sub: int, K: int) -> tuple[Any, An
 def _source(eq: DrivenEquations) -> tuple[str, int]:
     """Return the C source of a simulation, and the size of its memory beside the states."""
     jacobians = {"f": eq.jacobian(eq.f), "g": eq.jacobian(eq.g)}
-    expressions = [eq.f, _nonzeros(jacobians["f"]), eq.g, _nonzeros(jacobians["g"])]
+    expressions = [eq.f, jacobians["f"].nz[:], eq.g, jacobians["g"].nz[:]]
     function = ca.Function("f", list(eq.arguments), [ca.densify(expression) for expression in expressions])
     program = Program()
     leaves = [lambda i, name=name: program.input(name, i) for name in ("t", "x", "v", "p")]
@@ -248,10 +249,6 @@ def _source(eq: DrivenEquations) -> tuple[str, int]:
             head.append(f"static const int rs_{name}_{key}[] = {{{', '.join(map(str, places)) or 0}}};")
     text = "\n".join([*head, *(text for text, _ in parts), _RUNTIME.replace("RS_STEP", _step_in_c())])
     return text, len(constants) + work + jac
-
-
-def _nonzeros(jacobian: Any) -> Any:
-    return jacobian.nz[:] if jacobian.nnz() else ca.SX(0, 1)
 
 
 def _step_in_c() -> str:

@@ -19,6 +19,7 @@ from rotorsim.diagnosis.evidence.waveform.equations import (
 from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.model.matrix_function import MatrixFunction
 
 __all__ = ["WHOLE", "subsystems_of"]
 
@@ -82,11 +83,9 @@ def _measured_ports(model: Model, outputs: Sequence[str], passed: set[str]) -> d
 
 def _at_random(model: Model, expressions: Sequence[ca.SX]) -> list[np.ndarray]:
     """Return expressions (size,) at points of chance, each (POINTS, size)."""
-    trace = model.trace
-    function = ca.Function("f", [trace.t, trace.x, trace.p, trace.z], [ca.densify(e) for e in expressions])
-    random = np.random.default_rng(1)
+    trace, random = model.trace, np.random.default_rng(1)
     p = model.p0 * random.uniform(0.9, 1.1, (POINTS, model.n_p)) + 1e-3 * random.uniform(0.5, 1.0, (POINTS, model.n_p))
-    x = random.normal(size=(POINTS, model.n_x))
-    z = np.zeros(model.n_z)
-    points = [function.call([0.3 * k, x[k], p[k], z]) for k in range(POINTS)]
-    return [np.array([np.array(value).ravel() for value in values]) for values in zip(*points, strict=True)]
+    x, t = random.normal(size=(POINTS, model.n_x)), 0.3 * np.arange(POINTS)
+    function = MatrixFunction([trace.t, trace.x, trace.p, trace.z], ca.vertcat(*expressions))
+    ends = np.cumsum([expression.numel() for expression in expressions])[:-1]
+    return np.split(function(t[None], x.T, p.T, np.zeros((model.n_z, POINTS)))[:, :, 0], ends, axis=1)
