@@ -16,10 +16,10 @@ from rotorsim.linear.linearisation import linearise
 
 __all__ = ["driven_at"]
 
-LINES = 8  # of the spectrum, of which one is compared
+LINES = 8  # of the spectrum, of which one is compared: smoothed neighbours say the same
 
 
-def driven_at(runs: SampledRuns, found: Sequence[Resonance], document: Mapping[str, Any]) -> list[str]:
+def driven_at(runs: SampledRuns, measured: Sequence[Resonance], document: Mapping[str, Any]) -> list[str]:
     """Return in words where the recorded input acts: at the node that the diagram says, or rather at one of a bearing.
 
     Compared is the shape of the response at each frequency with that to a force there, whatever its size.
@@ -44,13 +44,11 @@ def driven_at(runs: SampledRuns, found: Sequence[Resonance], document: Mapping[s
     Y = np.fft.rfft(run.measured(runs.channels.outputs), axis=0)
     U = np.fft.rfft(run.values[runs.channels.inputs[0]])
     H = gaussian_filter1d(Y * np.conj(U)[:, None], SMOOTH, axis=0)
-    ends = [found[0].frequency / 2, found[-1].frequency * 1.1]
-    lines = np.flatnonzero((frequencies > ends[0]) & (frequencies < ends[1]))[::LINES]
-    outputs = [_moved(name) for name in runs.channels.outputs]
-    system = linearise(diagram, inputs=[port], outputs=outputs)
-    response = system.response(frequencies[lines])
+    between = (frequencies > measured[0].frequency / 2) & (frequencies < measured[-1].frequency * 1.1)
+    lines = np.flatnonzero(between)[::LINES]
+    system = linearise(diagram, inputs=[port], outputs=[_moved(name) for name in runs.channels.outputs])
     width, axis = diagram.nodes[target.block].inputs[target.port].shape[1], target.index[1] if target.index[1:] else 0
-    G, H = response[:, :, [node * width + axis for node in nodes]], H[lines, :, None]
+    G, H = system.response(frequencies[lines])[:, :, [node * width + axis for node in nodes]], H[lines, :, None]
     overlap = np.abs((np.conj(G) * H).sum(axis=1)) / (np.linalg.norm(G, axis=1) * np.linalg.norm(H, axis=1))
     alike = overlap.mean(axis=0)
     best = nodes[int(alike.argmax())]

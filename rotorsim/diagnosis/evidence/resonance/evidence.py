@@ -21,7 +21,7 @@ from rotorsim.diagnosis.evidence.resonance.drive import driven_at
 from rotorsim.diagnosis.evidence.resonance.modes import Modes
 from rotorsim.diagnosis.evidence.resonance.resonances import Resonance
 from rotorsim.diagnosis.evidence.waveform.data import SampledRuns
-from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.diagram.diagram import Free
 
 __all__ = ["ResonanceEvidence"]
 
@@ -73,7 +73,7 @@ class ResonanceEvidence(SampledRuns, Defaults):
         theta = _best_start(free, starts, residual)
         if len(free) and (most is None or most > 1):
             scale = np.maximum(np.abs(theta), 1e-12)
-            found = least_squares(
+            solution = least_squares(
                 lambda q: residual(q * scale),
                 theta / scale,
                 bounds=(low / scale, high / scale),
@@ -81,7 +81,7 @@ class ResonanceEvidence(SampledRuns, Defaults):
                 diff_step=STEP,
                 max_nfev=MOST_EVALUATIONS if most is None else most,
             )
-            theta = found.x * scale
+            theta = solution.x * scale
         r, J = residual(theta), _jacobian(residual, theta, low, high)
         near = AT_BOUND * np.maximum(np.abs(theta), [item.scale for item in free])  # by itself nothing is near to zero
         norm = np.linalg.norm(J, axis=0)
@@ -100,14 +100,13 @@ class ResonanceEvidence(SampledRuns, Defaults):
             goodness=float(chi2.sf(misfit, max(len(r) - len(free), 1))),
         )
 
-    def _modes(self, diagram: Diagram) -> Modes:
-        return Modes(diagram, self.channels, self.runs[0].settings)
+    def _modes(self, document: Mapping[str, Any]) -> Modes:
+        return Modes(self.load(document), self.channels, self.runs[0].settings)
 
     def _problem(self, document: Mapping[str, Any]) -> tuple[Sequence[Free], Residual]:
         """Return the free parameters of a diagram and the residual as a function of them. Raises RotorsimError."""
-        diagram = self.load(document)
-        modes = self._modes(diagram)
-        return diagram.free, lambda theta: self._residual_of(*modes.at(theta))
+        modes = self._modes(document)
+        return modes.free, lambda theta: self._residual_of(*modes.at(theta))
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
         """Return the misfit that one step of all parameters from the best start promises."""
@@ -122,7 +121,7 @@ class ResonanceEvidence(SampledRuns, Defaults):
 
     def frequencies(self, fit: Fit) -> np.ndarray:
         """Return the frequencies [Hz] of the modes of a fit that are compared with the M resonances."""
-        return self._modes(self.load(fit.document)).at(fit.theta)[0][: len(self.strong)]
+        return self._modes(fit.document).at(fit.theta)[0][: len(self.strong)]
 
     def errors(self, fit: Fit) -> np.ndarray:
         """Return the relative errors f / f_measured - 1 of the M frequencies of a fit; NaN where modes are missing."""
@@ -183,9 +182,8 @@ def _best_start(free: Sequence[Free], starts: Starts, residual: Residual) -> np.
     """Return the free parameters of the start of least misfit, within the bounds; as written where there is none."""
     written = {item.name: item.value for item in free}
     every = [start for group in starts for start in group] or [{}]
-    trials = [np.array([{**written, **start}[item.name] for item in free]) for start in every]
-    inside = [np.clip(theta, *_bounds(free)) for theta in trials]
-    return min(inside, key=lambda theta: float(np.sum(residual(theta) ** 2)))
+    trials = [np.clip([{**written, **start}[item.name] for item in free], *_bounds(free)) for start in every]
+    return min(trials, key=lambda theta: float(np.sum(residual(theta) ** 2)))
 
 
 def _jacobian(residual: Residual, theta: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

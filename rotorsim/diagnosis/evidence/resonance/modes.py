@@ -20,10 +20,14 @@ SEEN = 1e-9  # of the largest shape at the sensors
 
 
 class Modes:
-    """The modes of a linear diagram at rest with the settings of a run, as its recorded channels see them."""
+    """The modes of a linear diagram at rest with the settings of a run, as its recorded channels see them.
+
+    free: the parameters that they are functions of.
+    """
 
     def __init__(self, diagram: Diagram, channels: Channels, settings: Mapping[str, Any]) -> None:
         self._equations = driven_equations(diagram, channels.outputs, (), diagram.free)
+        self.free = self._equations.free
         self._p = self._equations.model.parameter_vector(settings)
 
     def at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

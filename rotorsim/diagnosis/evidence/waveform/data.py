@@ -255,8 +255,10 @@ def read_run(diagram: Diagram, run: Run, channels: Channels) -> SampledRun:
         what = f"its samples are not evenly spaced (by up to {uneven / dt:.2g} periods)"
         problems.append(Problem(what, run.id, run.place, "resample the run at equal steps"))
     blocks = ((name, node.block.parameters) for name, node in diagram.nodes.items())
-    units = {f"{name}.{key}": declared.unit for name, parameters in blocks for key, declared in parameters.items()}
-    units |= diagram.parameter_units
+    units = {
+        **{f"{name}.{key}": declared.unit for name, parameters in blocks for key, declared in parameters.items()},
+        **diagram.parameter_units,
+    }
     settings: dict[str, Any] = {}
     for name, value in run.settings.items():
         try:

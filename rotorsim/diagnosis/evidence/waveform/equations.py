@@ -19,7 +19,6 @@ from rotorsim.settled.linear_equations import reached_states, slots_of
 
 __all__ = ["DrivenEquations", "ForceMap", "driven_equations", "driven_parameters", "measured_expression", "rate_of"]
 
-INPUT = "input"  # category of blocks whose parameter `value` a recording gives
 RATES = {"acceleration": "velocity", "velocity": "displacement"}  # recorded, but no port: the rate of this one
 POWERS = tuple((order - j, j) for order in (0, 2, 3, 4, 5) for j in range(order + 1))
 WIDTHS = (0.02, 0.2)  # over which friction changes its sign, of the largest velocity
@@ -52,11 +51,11 @@ class ForceMap:
 
 
 def driven_parameters(diagram: Diagram) -> dict[str, str]:
-    """Return signal -> parameter for the blocks of category `INPUT`: what a recording gives takes its place."""
+    """Return signal -> parameter for the blocks of category input: what a recording gives takes its place."""
     return {
         f"{name}.{port}": f"{name}.value"
         for name, node in diagram.nodes.items()
-        if node.block.category == INPUT and "value" in node.values
+        if node.block.category == "input" and "value" in node.values
         for port in node.outputs
     }
 
@@ -84,9 +83,9 @@ def rate_of(model: Model, of: Any) -> Any:
 class DrivenEquations:
     """dx/dt = f(t, x, v; p), y = g(t, x, v; p): n states that the outputs depend on, m free parameters.
 
-    kept (n,): of the states of the model. inputs: flat names of what v holds. p: parameters of the model, then the
-    coefficients of a `ForceMap`; slots: the entries of p that each of the m parameters sets. arguments: t, x, v, p.
-    f (n,), g (c,).
+    kept (n,): of the states of the model, with names. inputs: flat names of what v holds. p: parameters of the model,
+    then the coefficients of a `ForceMap`; slots: the entries of p that each of the m parameters sets. arguments: t, x,
+    v, p. f (n,), g (c,).
     """
 
     model: Model
@@ -94,6 +93,7 @@ class DrivenEquations:
     inputs: tuple[str, ...]
     free: tuple[Free, ...]
     kept: np.ndarray
+    state_names: tuple[str, ...]
     slots: Sequence[Sequence[int]]
     arguments: tuple[Any, Any, Any, Any]
     f: Any
@@ -110,12 +110,6 @@ class DrivenEquations:
         return len(self.slots)
 
     @cached_property
-    def state_names(self) -> tuple[str, ...]:
-        """The flat names of the states."""
-        names = linear.state_names(self.model)
-        return tuple(names[k] for k in self.kept)
-
-    @cached_property
     def measured_states(self) -> Mapping[int, tuple[str, float]]:
         """State -> output and factor, where an output is a constant times one state and nothing else."""
         x, measured = self.arguments[1], {}
@@ -130,9 +124,8 @@ class DrivenEquations:
     @cached_property
     def matrices(self) -> tuple[MatrixFunction, MatrixFunction]:
         """The Jacobians of f and g by x, (1, n, n) and (1, c, n), as functions of t, x, v, p."""
-        by_x = (ca.jacobian(of, self.arguments[1]) for of in (self.f, self.g))
-        f, g = (MatrixFunction(self.arguments, jacobian) for jacobian in by_x)
-        return f, g
+        given, x = self.arguments, self.arguments[1]
+        return MatrixFunction(given, ca.jacobian(self.f, x)), MatrixFunction(given, ca.jacobian(self.g, x))
 
     def jacobian(self, of: Any) -> Any:
         """Return the sparse Jacobian of an expression (k,) by x, then by the m parameters, (k, n + m)."""
@@ -192,5 +185,6 @@ def driven_equations(
     f, g = ca.substitute([xdot[keep], y], [trace.p, trace.x], [driven, states])
     known = tuple(item for item in free if slots_of(model, item))
     slots = [slots_of(model, item) for item in known] + [[model.n_p + k] for k in range(coefficients.numel())]
+    names = tuple(linear.state_names(model)[k] for k in keep)
     arguments = trace.t, x, v, ca.vertcat(trace.p, coefficients)
-    return DrivenEquations(model, tuple(outputs), tuple(inputs), known, kept, slots, arguments, f, g)
+    return DrivenEquations(model, tuple(outputs), tuple(inputs), known, kept, names, slots, arguments, f, g)

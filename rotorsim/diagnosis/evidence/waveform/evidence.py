@@ -58,10 +58,10 @@ DIVERGES = "the simulation diverges"
 class WaveformEvidence(SampledRuns, Defaults):
     """Runs in time, driven by their recorded inputs.
 
-    sizes: largest magnitude of every signal, recorded or simulated. rows: independent samples. stretches: into which
-    the runs are divided. allowed (B,): what an adequate model may leave of each when it is left out. least: steps
-    between samples. starts: states at the first samples. old: names of the parameters that were
-    free at first. held: hold-out runs.
+    sizes: largest magnitude of every signal, recorded or simulated. variance: what counts as noise. rows: independent
+    samples. stretches: into which the runs are divided. allowed (B,): what an adequate model may leave of each when it
+    is left out. least: steps between samples. starts: states at the first samples. old: names of the parameters that
+    were free at first. held: hold-out runs.
     """
 
     variance: Variance
@@ -108,18 +108,18 @@ class WaveformEvidence(SampledRuns, Defaults):
         if fit.misfit >= CRITERIA.surpassed * fit.freedom:
             return None
         search = self.search(values_in(fit.document, fit.values))
-        search, found = reweighted(search, search.first(self.starts))
-        variance = residual_variance(search, found)
-        rows = independent(block_misfit(search, found, self.stretches), self.stretches)
+        search, evaluation = reweighted(search, search.first(self.starts))
+        variance = residual_variance(search, evaluation)
+        rows = independent(block_misfit(search, evaluation, self.stretches), self.stretches)
         weighted = replace(search, weights=weights_of(variance, self.runs, rows))
-        allowed = CRITERIA.no_worse**2 * misfits_left_out(weighted, found, self.stretches)
+        allowed = CRITERIA.no_worse**2 * misfits_left_out(weighted, evaluation, self.stretches)
         return replace(self, variance=variance, rows=rows, allowed=allowed)
 
     def at(self, fit: Fit) -> Fit:
         """Return a fit to the evidence before recalibration as this one judges it, at the same parameters."""
         search = replace(self.search(values_in(fit.document, fit.values)), hold="theta")
-        found = search.minimise(search.first(self.starts))
-        return replace(self._summary(fit.document, search, found), seconds=fit.seconds)
+        evaluation = search.minimise(search.first(self.starts))
+        return replace(self._summary(fit.document, search, evaluation), seconds=fit.seconds)
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
         """Return the misfit after FIRST_STEPS steps from the best start, per sample as on all samples."""
@@ -128,7 +128,7 @@ class WaveformEvidence(SampledRuns, Defaults):
             tried = self._followed(search, search.shortened(SHORT), starts[0] if starts else [])
         except FAILURES:
             return np.inf
-        return min((found.cost for found in tried), default=np.inf)
+        return min((evaluation.cost for evaluation in tried), default=np.inf)
 
     def residual(self, document: Mapping[str, Any]) -> np.ndarray | None:
         """Return the weighted residual of a diagram as it is, starts of runs at their best; None where it diverges."""
@@ -136,8 +136,8 @@ class WaveformEvidence(SampledRuns, Defaults):
             search = replace(self.search(document), hold="theta")
         except FAILURES:
             return None
-        found = search.minimise(search.first(self.starts))
-        return stacked(search, found, self.stretches)[0] if np.isfinite(found.cost) else None
+        evaluation = search.minimise(search.first(self.starts))
+        return stacked(search, evaluation, self.stretches)[0] if np.isfinite(evaluation.cost) else None
 
     def _followed(
         self, search: OutputErrorSearch, short: OutputErrorSearch, group: Sequence[Mapping[str, float]]
@@ -147,22 +147,22 @@ class WaveformEvidence(SampledRuns, Defaults):
         points = (short.started(first, start, self.old) for start in group)
         distinct = {point.tobytes(): point for point in points if point is not None}
         ends = [short.minimise(point, FIRST_STEPS) for point in distinct.values()]
-        return [found for found in ends if np.isfinite(found.cost)]
+        return [evaluation for evaluation in ends if np.isfinite(evaluation.cost)]
 
-    def _summary(self, document: Mapping[str, Any], search: OutputErrorSearch, found: Evaluation) -> Fit:
+    def _summary(self, document: Mapping[str, Any], search: OutputErrorSearch, evaluation: Evaluation) -> Fit:
         """Return a fit from the end of a search."""
-        if not np.isfinite(found.cost):
+        if not np.isfinite(evaluation.cost):
             return Fit(document, failure=DIVERGES)
         m, count = search.m, len(search.free)
-        residual, J, sizes = stacked(search, found, self.stretches)
-        at_bound = search.at_bound(found.unknowns)
+        residual, J, sizes = stacked(search, evaluation, self.stretches)
+        at_bound = search.at_bound(evaluation.unknowns)
         loo = left_out(residual, J[:, :m][:, ~at_bound[:m]], sizes)
-        energies = block_misfit(search, found, self.stretches)
+        energies = block_misfit(search, evaluation, self.stretches)
         return Fit(
             document=document,
             free=search.free,
-            theta=found.unknowns[:count],
-            covariance=self._covariance(found.information, residual, J, sizes, ~at_bound)[:count, :count],
+            theta=evaluation.unknowns[:count],
+            covariance=self._covariance(evaluation.information, residual, J, sizes, ~at_bound)[:count, :count],
             at_bound=at_bound[:count],
             misfit=float(energies.sum()),
             rows=self.rows,
@@ -228,9 +228,9 @@ class WaveformEvidence(SampledRuns, Defaults):
             return fit
         document = values_in(fit.document, fit.values)
         document["identify"] = {**document.get("identify", {}), **{name: {} for name in fixed}}
-        found = self.fit(document, [[{}]])
-        better = not found.failure and found.criterion < fit.criterion
-        return found if better and not found.at_bound[-len(fixed) :].any() else fit
+        freed = self.fit(document, [[{}]])
+        better = not freed.failure and freed.criterion < fit.criterion
+        return freed if better and not freed.at_bound[-len(fixed) :].any() else fit
 
     def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
         """Return how well controllers follow from measured motion alone, and which units stand for others."""

@@ -23,7 +23,7 @@ import numpy as np
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.evidence.fit import left_out
 from rotorsim.diagnosis.evidence.waveform.data import SampledRun
-from rotorsim.diagnosis.evidence.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.diagnosis.evidence.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
 from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE
 
 __all__ = [
@@ -44,7 +44,6 @@ STRETCHES = 20  # of all runs together; 4 of each run at least
 MOST_ROWS = 2000
 LEAST_ROWS = 4  # times the stretches
 REWEIGHTED = 4  # times that a fit and the weights follow one another
-FLEXIBLE_EVALUATIONS = 15
 
 Stretch = tuple[int, int, int]  # run, first sample, last sample but one
 Variance = Mapping[tuple[str, str], float]  # (subsystem, output) -> mean square that counts as noise
@@ -71,11 +70,11 @@ def variance_scale(search: OutputErrorSearch) -> dict[tuple[str, str], float]:
     return scale
 
 
-def residual_variance(search: OutputErrorSearch, found: Evaluation) -> dict[tuple[str, str], float]:
+def residual_variance(search: OutputErrorSearch, evaluation: Evaluation) -> dict[tuple[str, str], float]:
     """Return the mean square of the residual of every output, ``resolution`` of its scale at least."""
     scale = variance_scale(search)
     squares: dict[tuple[str, str], float] = {}
-    for system, residuals in zip(search.systems, found.residuals, strict=True):
+    for system, residuals in zip(search.systems, evaluation.residuals, strict=True):
         squares |= zip(system.signals, (np.concatenate(residuals) ** 2).mean(axis=0).tolist(), strict=True)
     return {signal: max(value, CRITERIA.resolution**2 * scale[signal]) for signal, value in squares.items()}
 
@@ -83,13 +82,13 @@ def residual_variance(search: OutputErrorSearch, found: Evaluation) -> dict[tupl
 def reweighted(search: OutputErrorSearch, start: np.ndarray) -> tuple[OutputErrorSearch, Evaluation]:
     """Return a fit and the search it is of, whose weights of the whole diagram follow the residual, in turns."""
     for _ in range(REWEIGHTED):
-        found = search.minimise(start, FLEXIBLE_EVALUATIONS)
-        if not np.isfinite(found.cost):
+        evaluation = search.minimise(start, REFIT_EVALUATIONS)
+        if not np.isfinite(evaluation.cost):
             break
-        start, variance = found.unknowns, residual_variance(search, found)
+        start, variance = evaluation.unknowns, residual_variance(search, evaluation)
         whole = {signal: 1 / value for signal, value in variance.items() if signal[0] == WHOLE}
         search = replace(search, weights={**search.weights, **whole})
-    return search, found
+    return search, evaluation
 
 
 def stretches_of(runs: Sequence[SampledRun]) -> tuple[Stretch, ...]:
@@ -113,28 +112,28 @@ def independent(energies: np.ndarray, stretches: Sequence[Stretch]) -> int:
 
 
 def stacked(
-    search: OutputErrorSearch, found: Evaluation, stretches: Sequence[Stretch]
+    search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]
 ) -> tuple[np.ndarray, np.ndarray, list[int]]:
     """Return the weighted residual (n,), its Jacobian (n, q) by all unknowns, stretch by stretch, and rows of each."""
 
     def rows(k: int, r: int, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
-        root, J = search.root(k, r)[first:last], found.jacobians[k][r][first:last]
-        jacobian = np.zeros((root.size, len(found.unknowns)))
+        root, J = search.root(k, r)[first:last], evaluation.jacobians[k][r][first:last]
+        jacobian = np.zeros((root.size, len(evaluation.unknowns)))
         jacobian[:, search.columns(k, r)] = (root[:, :, None] * J).reshape(root.size, -1)
-        return (root * found.residuals[k][r][first:last]).ravel(), jacobian
+        return (root * evaluation.residuals[k][r][first:last]).ravel(), jacobian
 
     parts = [[rows(k, *stretch) for k in range(len(search.systems))] for stretch in stretches]
     residual, jacobian = (np.concatenate(arrays) for arrays in zip(*chain(*parts), strict=True))
     return residual, jacobian, [sum(len(own) for own, _ in part) for part in parts]
 
 
-def block_misfit(search: OutputErrorSearch, found: Evaluation, stretches: Sequence[Stretch]) -> np.ndarray:
+def block_misfit(search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]) -> np.ndarray:
     """Return the weighted sum of squares of each stretch, (B,)."""
-    residual, _, sizes = stacked(search, found, stretches)
+    residual, _, sizes = stacked(search, evaluation, stretches)
     return np.array([part @ part for part in np.split(residual, np.cumsum(sizes)[:-1])])
 
 
-def misfits_left_out(search: OutputErrorSearch, found: Evaluation, stretches: Sequence[Stretch]) -> np.ndarray:
+def misfits_left_out(search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]) -> np.ndarray:
     """Return the misfits of stretches left out, (B,)."""
-    residual, jacobian, sizes = stacked(search, found, stretches)
+    residual, jacobian, sizes = stacked(search, evaluation, stretches)
     return left_out(residual, jacobian[:, : search.m], sizes)

@@ -41,7 +41,7 @@ __all__ = ["open_waveforms", "waveform_evidence"]
 ACCURACY = 3e-4  # of the scale of a signal, of the steps between samples
 MOST_STEPS = 16  # between samples, to be as accurate
 MOST_PORTS = 4  # where a flexible force is tried
-SIGNALS = 200  # whose size is found
+SIGNALS = 200  # whose size is evaluation
 
 
 def open_waveforms(
@@ -68,20 +68,20 @@ def waveform_evidence(
     channels = channels_of(diagram, recording)
     runs = tuple(read_run(diagram, run, channels) for run in chosen_runs(recording))
     held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
-    base, found = _base(subsystems_of(diagram, channels), runs)
-    if not np.isfinite(found.cost):
+    base, evaluation = _base(subsystems_of(diagram, channels), runs)
+    if not np.isfinite(evaluation.cost):
         hint = "start from values nearer to the machine's, or check the signs and units of what drives it"
         raise RotorsimError(Problem("its simulation diverges when it is driven as recorded", diagram.name, hint=hint))
-    sizes = _sizes(diagram, channels, base, found)
-    weights = {signal: 1 / value for signal, value in residual_variance(base, found).items()}
-    flexible, residual = _flexible(diagram, channels, replace(base, weights=weights), found, sizes)
+    sizes = _sizes(diagram, channels, base, evaluation)
+    weights = {signal: 1 / value for signal, value in residual_variance(base, evaluation).items()}
+    flexible, residual = _flexible(diagram, channels, replace(base, weights=weights), evaluation, sizes)
     stretches = stretches_of(runs)
     noise = _noise_share(flexible, residual)
     variance = {signal: value * noise for signal, value in residual_variance(flexible, residual).items()}
     rows = independent(block_misfit(flexible, residual, stretches), stretches)
     weights = weights_of(variance, runs, rows)
     least = misfits_left_out(replace(flexible, weights=weights), residual, stretches)
-    given = misfits_left_out(replace(base, weights=weights), found, stretches)
+    given = misfits_left_out(replace(base, weights=weights), evaluation, stretches)
     return WaveformEvidence(
         channels=channels,
         folder=str(Path(diagram.file).parent) if diagram.file else None,
@@ -112,7 +112,7 @@ def _allowed(flexible: np.ndarray, given: np.ndarray, noise: float) -> np.ndarra
     )
 
 
-def _noise_share(search: OutputErrorSearch, found: Evaluation) -> float:
+def _noise_share(search: OutputErrorSearch, evaluation: Evaluation) -> float:
     """Return the share of the residual that can be noise: 1, unless that is much of a signal, and smooth.
 
     Then it is the share of its white part, half of the mean square of its differences (J. von Neumann, Ann. Math.
@@ -121,8 +121,8 @@ def _noise_share(search: OutputErrorSearch, found: Evaluation) -> float:
     square, white, total = (
         sum((part**2).sum(axis=0) for part in parts)
         for parts in (
-            found.residuals[0],
-            [np.diff(error, axis=0) / np.sqrt(2) for error in found.residuals[0]],
+            evaluation.residuals[0],
+            [np.diff(error, axis=0) / np.sqrt(2) for error in evaluation.residuals[0]],
             [y - y.mean(axis=0) for y in search.measured[0]],
         )
     )
@@ -141,42 +141,43 @@ def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[
     start = search.first()
     if len(systems) > 1:
         whole = {signal: weight for signal, weight in search.weights.items() if signal[0] == WHOLE}
-        found = replace(search, weights={**search.weights, **dict.fromkeys(whole, 0.0)}).minimise(start)
-        start = found.unknowns
-        if np.isfinite(found.cost):
-            weights = {signal: 1 / value for signal, value in residual_variance(search, found).items()}
+        evaluation = replace(search, weights={**search.weights, **dict.fromkeys(whole, 0.0)}).minimise(start)
+        start = evaluation.unknowns
+        if np.isfinite(evaluation.cost):
+            weights = {signal: 1 / value for signal, value in residual_variance(search, evaluation).items()}
             search = replace(search, weights={**weights, **whole})
-    found = search.minimise(start)
-    while search.least < MOST_STEPS and not _is_fine(search, found, scale):
+    evaluation = search.minimise(start)
+    while search.least < MOST_STEPS and not _is_fine(search, evaluation, scale):
         search = replace(search, least=2 * search.least)
-        found = search.minimise(found.unknowns)
-    return search, found
+        evaluation = search.minimise(evaluation.unknowns)
+    return search, evaluation
 
 
-def _is_fine(search: OutputErrorSearch, found: Evaluation, scale: Mapping[tuple[str, str], float]) -> bool:
+def _is_fine(search: OutputErrorSearch, evaluation: Evaluation, scale: Mapping[tuple[str, str], float]) -> bool:
     """Return whether half the step would change what is simulated by less than ACCURACY."""
-    fine = search.evaluate(found.unknowns, 2 * found.sub, sensitivities=False)
-    if not (np.isfinite(found.cost) and np.isfinite(fine.cost)):
+    fine = search.evaluate(evaluation.unknowns, 2 * evaluation.sub, sensitivities=False)
+    if not (np.isfinite(evaluation.cost) and np.isfinite(fine.cost)):
         return not np.isfinite(fine.cost)
     changed = [
         np.sqrt(((b - a) ** 2).mean(axis=0)) / np.sqrt([scale[signal] for signal in system.signals])
-        for system, coarse, finer in zip(search.systems, found.residuals, fine.residuals, strict=True)
+        for system, coarse, finer in zip(search.systems, evaluation.residuals, fine.residuals, strict=True)
         for a, b in zip(coarse, finer, strict=True)
     ]
     return bool(np.concatenate(changed).max() <= ACCURACY)
 
 
-def _sizes(diagram: Diagram, channels: Channels, base: OutputErrorSearch, found: Evaluation) -> dict[str, float]:
+def _sizes(diagram: Diagram, channels: Channels, base: OutputErrorSearch, evaluation: Evaluation) -> dict[str, float]:
     """Return the largest magnitude of every signal of the diagram, simulated, and of every recorded one."""
     signals = base.systems[0].equations.model.signals
     names = [name for port, signal in signals.items() for name in linear.entry_names(port, signal.shape)][:SIGNALS]
-    whole = Simulation(driven_equations(diagram, names, channels.inputs, diagram.free), WHOLE)
-    search = replace(base, systems=(whole,))
-    unknowns = search.first(base.starts(found.unknowns))
-    unknowns[: search.m] = found.unknowns[: search.m]
+    search = replace(
+        base, systems=(Simulation(driven_equations(diagram, names, channels.inputs, diagram.free), WHOLE),)
+    )
+    unknowns = search.first(base.starts(evaluation.unknowns))
+    unknowns[: search.m] = evaluation.unknowns[: search.m]
     sizes = {name: max(float(np.abs(run.values[name]).max()) for run in base.runs) for name in base.runs[0].values}
     for r in range(len(base.runs)):
-        y, _ = search.simulated(unknowns, 0, r, found.sub, sensitivities=False)
+        y, _ = search.simulated(unknowns, 0, r, evaluation.sub, sensitivities=False)
         for name, size in zip(names, np.nan_to_num(np.abs(y).max(axis=0)), strict=True):
             sizes[name] = max(sizes.get(name, 0.0), float(size))
     return sizes
@@ -196,15 +197,15 @@ def _force_maps(diagram: Diagram, channels: Channels, sizes: Mapping[str, float]
 
 
 def _flexible(
-    diagram: Diagram, channels: Channels, given: OutputErrorSearch, found: Evaluation, sizes: Mapping[str, float]
+    diagram: Diagram, channels: Channels, given: OutputErrorSearch, evaluation: Evaluation, sizes: Mapping[str, float]
 ) -> tuple[OutputErrorSearch, Evaluation]:
     """Return the fit of the flexible model that leaves least; the diagram as it is where none does better."""
     m = given.m
-    best = reweighted(given, found.unknowns)
+    best = reweighted(given, evaluation.unknowns)
     base = best[0]
     for force in _force_maps(diagram, channels, sizes):
         search = replace(base, systems=subsystems_of(diagram, channels, force=force))
-        for start in (found.unknowns, base.first()):  # where the fit went, and where the diagram stood
+        for start in (evaluation.unknowns, base.first()):  # where the fit went, and where the diagram stood
             after = reweighted(search, np.concatenate([start[:m], np.zeros(force.count), start[m:]]))
             best = min(best, after, key=_left)
     return best
@@ -212,5 +213,5 @@ def _flexible(
 
 def _left(fit: tuple[OutputErrorSearch, Evaluation]) -> float:
     """Return the sum of the logarithms of what is left of every signal: minus twice a log-likelihood, per sample."""
-    search, found = fit
-    return sum(map(log, residual_variance(search, found).values())) if np.isfinite(found.cost) else np.inf
+    search, evaluation = fit
+    return sum(map(log, residual_variance(search, evaluation).values())) if np.isfinite(evaluation.cost) else np.inf

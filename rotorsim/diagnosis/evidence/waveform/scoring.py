@@ -9,13 +9,12 @@ import numpy as np
 
 from rotorsim.diagnosis.evidence.evidence import Score
 from rotorsim.diagnosis.evidence.waveform.noise import Variance
-from rotorsim.diagnosis.evidence.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.diagnosis.evidence.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
 from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE
 
 __all__ = ["held_score", "left_out_score"]
 
 FOLDS = 4  # stretches of all runs, each left out once
-REFITTED = 15  # evaluations for a fit without a stretch
 
 
 def held_score(search: OutputErrorSearch, variance: Variance, units: Mapping[str, str]) -> Score:
@@ -29,10 +28,10 @@ def left_out_score(search: OutputErrorSearch, first: np.ndarray, variance: Varia
 
     The states at first samples stay as all samples give them.
     """
-    start = search.minimise(first, REFITTED).unknowns
+    start = search.minimise(first, REFIT_EVALUATIONS).unknowns
     ends = [np.linspace(0, run.size, FOLDS + 1).astype(int).tolist() for run in search.runs]
     folds = [[slice(*end[fold : fold + 2]) for end in ends] for fold in range(FOLDS)]
-    fits = ((replace(search, hold="starts", unused=out).minimise(start, REFITTED), out) for out in folds)
+    fits = ((replace(search, hold="starts", unused=out).minimise(start, REFIT_EVALUATIONS), out) for out in folds)
     return _score(search, fits, variance, units)
 
 
@@ -46,12 +45,12 @@ def _score(
 
     NRMSE = sqrt(sum (y - y_model)^2 / sum (y - mean)^2) per signal; floor: by the variance that counts as noise.
     """
-    outputs = search.systems[0].outputs
+    outputs = search.systems[0].equations.outputs
     squares, totals, samples = np.zeros(len(outputs)), np.zeros(len(outputs)), 0
-    for found, parts in fits:
-        if not np.isfinite(found.cost):
+    for evaluation, parts in fits:
+        if not np.isfinite(evaluation.cost):
             return Score({"": float("nan")}, {})
-        for residual, y, part in zip(found.residuals[0], search.measured[0], parts, strict=True):
+        for residual, y, part in zip(evaluation.residuals[0], search.measured[0], parts, strict=True):
             squares += (residual[part] ** 2).sum(axis=0)
             totals += ((y - y.mean(axis=0))[part] ** 2).sum(axis=0)
             samples += len(residual[part])

@@ -112,14 +112,9 @@ class Simulation:
     use_compiler: bool = True
 
     @property
-    def outputs(self) -> tuple[str, ...]:
-        """The flat names of what is simulated."""
-        return self.equations.outputs
-
-    @property
     def signals(self) -> list[tuple[str, str]]:
         """What stands for the outputs where there are several simulations: (name, output)."""
-        return [(self.name, output) for output in self.outputs]
+        return [(self.name, output) for output in self.equations.outputs]
 
     @cached_property
     def _library(self) -> tuple[Any, int] | None:

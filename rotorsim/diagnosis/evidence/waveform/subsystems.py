@@ -24,7 +24,6 @@ from rotorsim.model.matrix_function import MatrixFunction
 __all__ = ["WHOLE", "subsystems_of"]
 
 WHOLE = ""  # name of the whole diagram
-CONTROLLER = "controller"
 ALIKE = 1e-9  # relative, of two expressions at points of chance: rounding
 POINTS = 3
 
@@ -41,7 +40,7 @@ def subsystems_of(diagram: Diagram, channels: Channels, *, force: ForceMap | Non
     controllers = {
         name: [output for output in channels.outputs if output.partition("[")[0].rpartition(".")[0] == name]
         for name, node in diagram.nodes.items()
-        if node.block.category == CONTROLLER
+        if node.block.category == "controller"
     }
     for name, outputs in controllers.items():
         equations = _controller(diagram, channels, outputs) if outputs else None
