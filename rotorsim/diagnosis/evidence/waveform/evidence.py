@@ -190,10 +190,9 @@ class WaveformEvidence(SampledRuns, Defaults):
         inverse = vectors / np.maximum(values, least) @ vectors.T
         robust = inverse @ (g.T @ g) @ inverse * (count / max(count - 1, 1))
         below = max(1 - float(residual @ residual) / self.rows, 0.0)
-        weak = values <= least
-        unknown = vectors[:, weak] / least @ vectors[:, weak].T
+        weak = vectors[:, values <= least]
         covariance = np.zeros_like(information)
-        covariance[np.ix_(searched, searched)] = robust + below * inverse + unknown
+        covariance[np.ix_(searched, searched)] = robust + below * inverse + weak / least @ weak.T
         return covariance
 
     def _goodness(self, left: np.ndarray) -> float:

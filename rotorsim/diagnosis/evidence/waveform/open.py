@@ -170,9 +170,8 @@ def _sizes(diagram: Diagram, channels: Channels, base: OutputErrorSearch, evalua
     """Return the largest magnitude of every signal of the diagram, simulated, and of every recorded one."""
     signals = base.systems[0].equations.model.signals
     names = [name for port, signal in signals.items() for name in linear.entry_names(port, signal.shape)][:SIGNALS]
-    search = replace(
-        base, systems=(Simulation(driven_equations(diagram, names, channels.inputs, diagram.free), WHOLE),)
-    )
+    equations = driven_equations(diagram, names, channels.inputs, diagram.free)
+    search = replace(base, systems=(Simulation(equations),))
     unknowns = search.first(base.starts(evaluation.unknowns))
     unknowns[: search.m] = evaluation.unknowns[: search.m]
     sizes = {name: max(float(np.abs(run.values[name]).max()) for run in base.runs) for name in base.runs[0].values}

@@ -20,15 +20,15 @@ from rotorsim.diagram.diagram import Free
 
 __all__ = ["Evaluation", "Label", "OutputErrorSearch"]
 
-MOST_EVALUATIONS = 60
+MOST_EVALUATIONS = 60  # what data determine takes up to 25
 REFIT_EVALUATIONS = 15  # of a fit that starts where a similar one ended
-CLOSE = 1e-8  # relative fall of the cost below which a step was the last, twice
-MOST_STEPS = 64  # between samples
+CLOSE = 1e-8  # relative fall of the cost below which a step was the last, twice: far below one unit of a misfit
+MOST_STEPS = 64  # between samples: a matter of time
 LEAP = 4.0  # factor by which a positive parameter may change in a step
-STABLE = 2.0  # largest |eigenvalue| times step
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8
-AMPLITUDES = tuple(10.0**-k for k in range(0, 25, 2))
-NEARBY = (100.0, 30.0, 10.0, 3.0, 0.3, 0.1)
+STABLE = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8  # of the scaled information: nearly none, none, no step
+AMPLITUDES = tuple(10.0**-k for k in range(0, 25, 2))  # of what is stated, of an effect that is made smaller
+NEARBY = (100.0, 30.0, 10.0, 3.0, 0.3, 0.1)  # of that which is small enough: sizes within a step of AMPLITUDES
 WORSE = 4.0  # times the cost without the effect, of a start that is taken
 
 Label = tuple[str, str, int]  # subsystem, state, run

@@ -104,7 +104,7 @@ RS_EXPORT int64_t rs_run(int exact, int64_t N, int64_t sub, double t0, double dt
 class Simulation:
     """Driven equations, ready to be simulated over runs.
 
-    name: "" for those of the whole diagram, or the controller that they are of.
+    name: "" for those of the whole diagram, else the controller that they are of.
     """
 
     equations: DrivenEquations

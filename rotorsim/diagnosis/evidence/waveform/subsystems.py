@@ -35,8 +35,9 @@ def subsystems_of(diagram: Diagram, channels: Channels, *, force: ForceMap | Non
     touch it, nor its faults the rest. force: acts in the whole diagram.
     Raises RotorsimError for signals that the diagram does not have.
     """
-    whole = driven_equations(diagram, channels.outputs, channels.inputs, diagram.free, force=force)
-    systems = [Simulation(whole, WHOLE)]
+    systems = [
+        Simulation(driven_equations(diagram, channels.outputs, channels.inputs, diagram.free, force=force), WHOLE)
+    ]
     controllers = {
         name: [output for output in channels.outputs if output.partition("[")[0].rpartition(".")[0] == name]
         for name, node in diagram.nodes.items()
@@ -57,8 +58,8 @@ def _controller(diagram: Diagram, channels: Channels, outputs: Sequence[str]) ->
         return None
     given = [*channels.inputs, *dict.fromkeys(name for names in cut.values() for name in names)]
     equations = driven_equations(diagram, outputs, given, diagram.free, cut=cut)
-    owners = (state.rpartition(".")[0] for state in equations.state_names)
-    return None if any(diagram.nodes[owner].block.category == "rotor" for owner in owners) else equations
+    categories = {diagram.nodes[state.rpartition(".")[0]].block.category for state in equations.state_names}
+    return None if "rotor" in categories else equations
 
 
 def _measured_ports(model: Model, outputs: Sequence[str], passed: set[str]) -> dict[str, list[str]]:
