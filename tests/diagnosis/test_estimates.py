@@ -99,16 +99,16 @@ class Judged(waveform.WaveformEvidence):
             object.__setattr__(self, item.name, known.get(item.name))
 
     def search(self, document):
-        return SimpleNamespace(first=lambda starts: None, views=())
+        return SimpleNamespace(first=lambda starts: None)
 
 
 def test_a_model_in_time_may_err_by_a_quarter_more_than_the_flexible_one(monkeypatch):
     """1.25 of its rms, squared; a fit takes its place where it leaves less than half of its square."""
-    monkeypatch.setattr(waveform, "reweighted", lambda search, point: (None, None))
+    monkeypatch.setattr(waveform, "reweighted", lambda *_: (waveform.OutputErrorSearch((), (), {}), None))
     monkeypatch.setattr(waveform, "independent", lambda *_: 7)
     monkeypatch.setattr(waveform, "block_misfit", lambda *_: np.ones(2))
-    monkeypatch.setattr(waveform, "variances", lambda *_: {})
-    monkeypatch.setattr(waveform, "weights_of", lambda *_: [])
+    monkeypatch.setattr(waveform, "residual_variance", lambda *_: {})
+    monkeypatch.setattr(waveform, "weights_of", lambda *_: {})
     monkeypatch.setattr(waveform, "misfits_left_out", lambda *_: np.array([1.0, 2.0]))
     found = Judged().recalibrated(Fit({"blocks": {}}, misfit=49.9, rows=100))
     np.testing.assert_allclose(found.allowed, [1.5625, 3.125])

@@ -17,7 +17,7 @@ from rotorsim.diagnosis.evidence.harmonic.pickups import find_pickups
 from rotorsim.diagnosis.evidence.harmonic.residual import taken_at
 from rotorsim.diagnosis.evidence.harmonic.scoring import standardised
 from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
-from rotorsim.diagnosis.evidence.waveform.search import Point, TimeSearch
+from rotorsim.diagnosis.evidence.waveform.search import OutputErrorSearch
 from rotorsim.diagnosis.search.trials import Round
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Place, Problem
@@ -53,24 +53,23 @@ def test_a_parameter_at_either_bound_takes_no_part_in_linear_theory(low, high, o
 class Straight(ResonanceEvidence):
     """Residuals that are ten times what four parameters are off what the data want: beyond a bound, or inside."""
 
-    def _problem(self, document: object) -> tuple[None, list[Free], Callable[[np.ndarray], np.ndarray]]:
+    def _problem(self, document: object) -> tuple[list[Free], Callable[[np.ndarray], np.ndarray]]:
         ends = {"a": (0.0, 2.0), "b": (0.0, np.inf), "c": (1.0, 9.0), "d": (-9.0, 9.0)}
         free = [Free(name, name, 0, 1.5, "m", low, high, scale=1.0) for name, (low, high) in ends.items()]
-        return None, free, lambda theta: 10 * (theta - [5.0, -0.5, 0.5, 3.0])
+        return free, lambda theta: 10 * (theta - [5.0, -0.5, 0.5, 3.0])
 
 
 def test_a_fit_to_resonances_says_which_parameters_ended_at_a_bound():
     """Above, at zero, below; the search keeps a little off all of them."""
-    found = Straight(None, (), None, {}, None, False, found=(None, None), open=()).fit({}, [[{}]])
+    found = Straight(None, (), None, {}, None, False, strong=(None, None), weak=()).fit({}, [[{}]])
     assert found.theta == pytest.approx([2.0, 0.0, 1.0, 3.0], abs=1e-6)
     assert found.at_bound.tolist() == [True, True, True, False]
 
 
 def test_a_search_in_time_says_which_parameters_are_at_a_bound():
-    search = object.__new__(TimeSearch)
-    search.low, search.high = np.array([0.0, -np.inf, 1.0]), np.array([np.inf, 2.0, 3.0])
+    search = SimpleNamespace(bounds=np.array([[0.0, -np.inf, 1.0], [np.inf, 2.0, 3.0]]))
     for theta, ended in (([0.0, 2.0, 2.0], [True, True, False]), ([1e-9, 1.9, 3.0], [False, False, True])):
-        assert search.at_bound(Point(np.array(theta), ())).tolist() == ended
+        assert OutputErrorSearch.at_bound(search, np.array(theta)).tolist() == ended
 
 
 # --- settled runs -----------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 from rotorsim.cli.app import rotorsim
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
 from rotorsim.diagnosis.evidence.resonance.resonances import resonances
-from rotorsim.diagnosis.evidence.waveform.data import TimeRun
+from rotorsim.diagnosis.evidence.waveform.data import SampledRun
 from rotorsim.errors import Place, RotorsimError
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Channel, Recording, Run
@@ -179,7 +179,7 @@ def test_the_end_of_a_sweep_is_no_resonance():
     made = recording(1.0)
     names = [f"rotor.acceleration[{k},1]" for k in SENSORS]
     values = {n: made.runs[0].values[f"a{k}"] for k, n in enumerate(names)}
-    run = TimeRun("sweep", {**values, "drive.output": made.runs[0].values["i"]}, {}, 1 / RATE, 0.0, {})
+    run = SampledRun("sweep", {**values, "drive.output": made.runs[0].values["i"]}, {}, 1 / RATE, 0.0, {})
     ends = [item.frequency for item in resonances([run], names) if 380 < item.frequency < 402]
     assert ends  # a peak of the spectrum
     assert not [f for f in ends if f in [item.frequency for item in resonances([run], names, ["drive.output"])]]
@@ -189,7 +189,7 @@ def test_resonances_are_those_of_the_matrices():
     made = recording(1.0)
     names = [f"rotor.acceleration[{k},1]" for k in SENSORS]
     values = {n: made.runs[0].values[f"a{k}"] for k, n in enumerate(names)}
-    run = TimeRun("sweep", {**values, "drive.output": made.runs[0].values["i"]}, {}, 1 / RATE, 0.0, {})
+    run = SampledRun("sweep", {**values, "drive.output": made.runs[0].values["i"]}, {}, 1 / RATE, 0.0, {})
     found = [item for item in resonances([run], names, ["drive.output"]) if item.strong]
     M, _, K = matrices(1.0)
     values, vectors = eigh(K, M)

@@ -14,8 +14,8 @@ from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
 from rotorsim.diagnosis.evidence.waveform.data import channels_of, read_run
-from rotorsim.diagnosis.evidence.waveform.search import TimeSearch
-from rotorsim.diagnosis.evidence.waveform.views import views_of
+from rotorsim.diagnosis.evidence.waveform.search import OutputErrorSearch
+from rotorsim.diagnosis.evidence.waveform.subsystems import subsystems_of
 from rotorsim.diagnosis.files import diagnosis_data, diagnosis_schema, save_diagnosis
 from rotorsim.errors import RotorsimError
 from rotorsim.model.load import load
@@ -188,11 +188,11 @@ def test_the_gains_of_a_controller_follow_from_its_own_law_whatever_moves():
     diagram = load(POSITIONER)
     channels = channels_of(diagram, made)
     runs = [read_run(diagram, made.runs[0], channels)]
-    view = views_of(diagram, channels)[1]
-    search = TimeSearch([view], runs, [[np.ones(1)]], least=4)
-    point, _ = search.minimise(search.first())
+    system = subsystems_of(diagram, channels)[1]
+    search = OutputErrorSearch((system,), runs, {("controller", "controller.voltage"): 1.0}, least=4)
+    unknowns = search.minimise(search.first()).unknowns[: search.m]
     names = [item.name for item in search.free]
-    found = {name: float(value) for name, value in zip(names, point.theta, strict=True)}
+    found = {name: float(value) for name, value in zip(names, unknowns, strict=True)}
     assert found["controller.position_gain"] == pytest.approx(machines.POSITION_GAIN, rel=2e-3)
     assert found["controller.velocity_gain"] == pytest.approx(machines.VELOCITY_GAIN, rel=2e-3)
     assert found["controller.velocity_lag"] == pytest.approx(machines.LAG, rel=2e-2)

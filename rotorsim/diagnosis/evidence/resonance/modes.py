@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from typing import Any
 
-import casadi as ca
 import numpy as np
 import scipy.linalg
 from scipy.sparse.csgraph import connected_components
 
 from rotorsim.diagnosis.evidence.waveform.data import Channels
-from rotorsim.diagnosis.evidence.waveform.equations import measured_expression
-from rotorsim.diagram.diagram import Diagram, Free
-from rotorsim.linear import linearisation as linear
-from rotorsim.model.compiled import Model, compile_diagram
-from rotorsim.model.matrix_function import MatrixFunction
-from rotorsim.settled.linear_equations import slots_of
+from rotorsim.diagnosis.evidence.waveform.equations import driven_equations
+from rotorsim.diagram.diagram import Diagram
 
 __all__ = ["Modes"]
 
@@ -24,29 +20,23 @@ SEEN = 1e-9  # of the largest shape at the sensors
 
 
 class Modes:
-    """The modes of a linear diagram at rest, as its recorded channels see them."""
+    """The modes of a linear diagram at rest with the settings of a run, as its recorded channels see them.
 
-    def __init__(self, diagram: Diagram, channels: Channels, free: Sequence[Free]) -> None:
-        self.model: Model = compile_diagram(diagram)
-        linear.refuse_sampled(self.model, "a comparison of modes")
-        self.slots = [slots_of(self.model, item) for item in free]
-        trace = self.model.trace
-        self._A = linear.functions(self.model).state_matrix()
-        y = ca.vertcat(*[measured_expression(self.model, name) for name in channels.outputs])
-        closed = ca.substitute(ca.jacobian(y, trace.x), trace.v, ca.SX.zeros(*trace.v.shape))
-        self._C = MatrixFunction([trace.t, trace.x, trace.z, trace.p], closed)
+    free: the parameters that they are functions of.
+    """
 
-    def parameters(self, theta: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Return p with the free parameters in it."""
-        out = p.copy()
-        for value, slots in zip(theta, self.slots, strict=True):
-            out[slots] = value
-        return out
+    def __init__(self, diagram: Diagram, channels: Channels, settings: Mapping[str, Any]) -> None:
+        self._equations = driven_equations(diagram, channels.outputs, (), diagram.free)
+        self.free = self._equations.free
+        self._p = self._equations.model.parameter_vector(settings)
 
-    def at(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return frequencies (k,) [Hz], ascending, and shapes over the channels (k, c) of the modes that they see."""
-        x, z = np.zeros(self.model.n_x), self.model.z0(p)
-        A, C = (f(np.zeros((1, 1)), x, z, p)[0] for f in (self._A, self._C))
+    def at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return frequencies (k,) [Hz], ascending, and shapes over the channels (k, c) of the modes that they see.
+
+        theta (m,): the free parameters of the diagram. Raises LinAlgError where the matrices are not finite.
+        """
+        eq = self._equations
+        A, C = (f(0.0, np.zeros(eq.n), np.zeros(0), eq.parameters(self._p, theta))[0] for f in eq.matrices)
         if not (np.isfinite(A).all() and np.isfinite(C).all()):
             raise np.linalg.LinAlgError("the linearised diagram is not finite at rest")
         _, group = connected_components(A != 0, directed=False)

@@ -77,20 +77,18 @@ def is_by_resonances(diagram: Diagram, recording: Recording) -> bool:
 
     The fastest mode sets the steps between samples; each moves the states and their derivatives.
     """
-    runs = [run for run in recording.runs if len(run.time) > 1]
+    samples = [(float(run.time[-1] - run.time[0]), len(run.time)) for run in recording.runs if len(run.time) > 1]
     model = compile_diagram(diagram)
-    if not runs or model.n_z or not model.n_x:
+    if not samples or model.n_z or not model.n_x:
         return False
     A = functions(model).state_matrix()(np.zeros((1, 1)), model.x0(), model.z0(), model.p0)[0]
-    if not np.isfinite(A).all():
-        return False
-    rates = np.linalg.eigvals(A)
+    rates = np.linalg.eigvals(A) if np.isfinite(A).all() else np.zeros(1)
     if not (np.abs(rates.imag) > np.abs(rates.real)).any():  # it has no resonance
         return False
     fastest = float(np.abs(rates).max())
-    steps = [max(fastest * float(run.time[-1] - run.time[0]) / STABLE, len(run.time)) for run in runs]
-    period = max(float(run.time[-1] - run.time[0]) / (len(run.time) - 1) for run in runs)
-    return fastest * period > STABLE * MOST_STEPS or sum(steps) * model.n_x**2 > WORK
+    steps = sum(max(fastest * length / STABLE, count) for length, count in samples)
+    period = max(length / (count - 1) for length, count in samples)
+    return fastest * period > STABLE * MOST_STEPS or steps * model.n_x**2 > WORK
 
 
 def _screened(base: Fit, evidence: ResonanceEvidence, catalogue: Catalogue) -> tuple[Catalogue, list[tuple[str, str]]]:
@@ -98,7 +96,7 @@ def _screened(base: Fit, evidence: ResonanceEvidence, catalogue: Catalogue) -> t
 
     Each is put at a few places where discs are; what counts is the misfit that one step from its start promises.
     """
-    document = values_in(base.document, base.values)
+    document, largest = values_in(base.document, base.values), evidence.largest()
     by_law: dict[tuple[str, int], list[Insertion]] = {}
     for item in catalogue.candidates(evidence.load(document), evidence.recorded):
         if not item.from_lines and not item.from_steps:
@@ -106,17 +104,15 @@ def _screened(base: Fit, evidence: ResonanceEvidence, catalogue: Catalogue) -> t
     least: dict[str, float] = {}
     for (name, _), items in by_law.items():
         for item in _few(items, document):
-            starts, fixed = starts_of(item, evidence.largest()), fixed_of(item, evidence.largest())
+            starts = starts_of(item, largest)
             here = [dict(zip(item.free, start.values(), strict=True)) for start in starts]
-            promised = evidence.promise(item.document(document, {**fixed, **starts[0]}), [here])
-            least[name] = min(least.get(name, np.inf), promised)
+            tried = item.document(document, {**fixed_of(item, largest), **starts[0]})
+            least[name] = min(least.get(name, np.inf), evidence.promise(tried, [here]))
     best = min(least.values(), default=np.inf)
     kept = {name for name, value in least.items() if value <= CRITERIA.screened * best}
     text = "changes no mode as it must: at the discs one step of it promises {:.3g} times the misfit of the best"
-    lost = sorted(
-        (name for name in least if name not in kept and np.isfinite(least[name])), key=lambda name: least[name]
-    )
-    return catalogue.only(kept), [(name, text.format(least[name] / best)) for name in lost]
+    lost = sorted((value, name) for name, value in least.items() if name not in kept and np.isfinite(value))
+    return catalogue.only(kept), [(name, text.format(value / best)) for value, name in lost]
 
 
 def _few(items: Sequence[Insertion], document: Mapping[str, Any]) -> list[Insertion]:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from rotorsim.criteria import CRITERIA
-from rotorsim.diagnosis.evidence.waveform.data import TimeRun
+from rotorsim.diagnosis.evidence.waveform.data import SampledRun
 
 __all__ = ["Resonance", "resonances"]
 
@@ -35,12 +34,11 @@ class Resonance:
     frequency: float
     spread: float
     shape: np.ndarray
-    channels: int
     level: float
     strong: bool
 
 
-def resonances(runs: Sequence[TimeRun], outputs: Sequence[str], inputs: Sequence[str] = ()) -> list[Resonance]:
+def resonances(runs: Sequence[SampledRun], outputs: Sequence[str], inputs: Sequence[str] = ()) -> list[Resonance]:
     """Return the resonances that the longest of some runs shows, by frequency.
 
     A peak of the smoothed amplitude spectrum counts by its prominence, unless the inputs cease to drive beside it: the
@@ -51,57 +49,45 @@ def resonances(runs: Sequence[TimeRun], outputs: Sequence[str], inputs: Sequence
     y = run.measured(outputs)
     Y = np.fft.rfft(y - y.mean(axis=0), axis=0)
     smooth = gaussian_filter1d(np.abs(Y) ** 2, SMOOTH, axis=0)
-    to_velocity = np.maximum(frequencies, frequencies[1])[:, None] ** (2 * _order_of(outputs))
+    ports = [name.partition("[")[0].rpartition(".")[2] for name in outputs]
+    orders = np.array([ORDER.get(port, 0.0) for port in ports])
+    to_velocity = np.maximum(frequencies, frequencies[1])[:, None] ** (2 * orders)
     total = np.sqrt((smooth * to_velocity).sum(axis=1))
     peaks: list[tuple[float, int, float]] = []
     for c in range(len(outputs)):
-        found, about = find_peaks(0.5 * np.log(np.maximum(smooth[:, c], 1e-300)), prominence=WEAK)
-        peaks += [(float(frequencies[k]), c, float(p)) for k, p in zip(found, about["prominences"], strict=True)]
-    groups: list[list[tuple[float, int, float]]] = []
-    for peak in sorted(peaks):
-        if groups and peak[0] <= groups[-1][-1][0] * (1 + SAME):
-            groups[-1].append(peak)
-        else:
-            groups.append([peak])
-    ceases = _ends(run, inputs, frequencies)
-    found_all = [item for group in groups if (item := _resonance(group, frequencies, Y, total)) is not None]
-    found_all = [item for item in found_all if not ceases(item.frequency)]
-    largest = max((item.level for item in found_all), default=1.0)
-    every = (replace(item, level=item.level / largest) for item in found_all)
-    return [replace(item, strong=item.strong and item.level >= CRITERIA.resonance_level) for item in every]
-
-
-def _ends(run: TimeRun, inputs: Sequence[str], frequencies: np.ndarray) -> Callable[[float], bool]:
-    """Return a function that says whether the inputs cease to drive beside a frequency."""
+        at, about = find_peaks(0.5 * np.log(np.maximum(smooth[:, c], 1e-300)), prominence=WEAK)
+        peaks += zip(frequencies[at], [c] * len(at), about["prominences"], strict=True)
+    sorted_peaks = np.array(sorted(peaks)).reshape(-1, 3)
+    apart = np.flatnonzero(sorted_peaks[1:, 0] > (1 + SAME) * sorted_peaks[:-1, 0]) + 1
     u = run.measured(inputs) if inputs else np.zeros((run.size, 1))
     power = gaussian_filter1d((np.abs(np.fft.rfft(u - u.mean(axis=0), axis=0)) ** 2).sum(axis=1), SMOOTH)
-
-    def ceases(at: float) -> bool:
-        beside = np.abs(frequencies - at) <= max(BESIDE * at, SMOOTH * frequencies[1])
-        here = power[int(np.argmin(np.abs(frequencies - at)))]
-        return bool(power[beside].min() < DRIVEN * here)
-
-    return ceases
-
-
-def _order_of(outputs: Sequence[str]) -> np.ndarray:
-    ports = [name.partition("[")[0].rpartition(".")[2] for name in outputs]
-    return np.array([ORDER.get(port, 0.0) for port in ports])
+    groups = (_resonance(group, frequencies, Y, total) for group in np.split(sorted_peaks, apart))
+    every = [item for item in groups if item is not None and not _ceases(item.frequency, frequencies, power)]
+    largest = max((item.level for item in every), default=1.0)
+    return [
+        replace(item, level=level, strong=item.strong and level >= CRITERIA.resonance_level)
+        for item in every
+        for level in [item.level / largest]
+    ]
 
 
-def _resonance(group: Any, frequencies: np.ndarray, Y: np.ndarray, total: np.ndarray) -> Resonance | None:
-    """Return what a group of peaks (frequency, channel, prominence) stands for, None if it is no resonance."""
-    strong = [peak for peak in group if peak[2] >= STRONG]
-    is_strong = len({c for _, c, _ in strong}) >= STRONG_CHANNELS
-    counted = {c for _, c, _ in group}
-    if not is_strong and 2 * len(counted) < Y.shape[1]:
+def _ceases(at: float, frequencies: np.ndarray, power: np.ndarray) -> bool:
+    """Return whether the inputs cease to drive beside a frequency; power: theirs by frequency."""
+    beside = np.abs(frequencies - at) <= max(BESIDE * at, SMOOTH * frequencies[1])
+    return bool(power[beside].min() < DRIVEN * power[np.abs(frequencies - at).argmin()])
+
+
+def _resonance(peaks: np.ndarray, frequencies: np.ndarray, Y: np.ndarray, total: np.ndarray) -> Resonance | None:
+    """Return what a group of peaks (frequency, channel, prominence), (n, 3), stands for, None if it is no resonance."""
+    strong = peaks[peaks[:, 2] >= STRONG]
+    is_strong = len(np.unique(strong[:, 1])) >= STRONG_CHANNELS
+    if not is_strong and 2 * len(np.unique(peaks[:, 1])) < Y.shape[1]:
         return None
-    used = strong if is_strong else group
-    at = float(np.median([f for f, _, _ in used]))
-    spread = float(np.median([abs(f - at) for f, _, _ in used]))
+    used = (strong if is_strong else peaks)[:, 0]
+    at = float(np.median(used))
+    spread = float(np.median(np.abs(used - at)))
     if spread > SAME * at:
         return None
     near = np.abs(frequencies - at) <= SMOOTH * frequencies[1]
     shape = np.linalg.svd(Y[near].T, full_matrices=False)[0][:, 0]
-    level = float(total[near].max())
-    return Resonance(at, max(spread, float(frequencies[1])), shape, len(counted), level, is_strong)
+    return Resonance(at, max(spread, float(frequencies[1])), shape, float(total[near].max()), is_strong)

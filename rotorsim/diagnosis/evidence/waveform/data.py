@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import next_fast_len
 from scipy.interpolate import CubicSpline
+from scipy.signal import resample
 
+from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, reason_of
 from rotorsim.diagnosis.evidence.waveform.equations import driven_parameters, measured_expression
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
@@ -23,8 +27,8 @@ from rotorsim.units import compatible
 __all__ = [
     "RATE",
     "Channels",
+    "SampledRun",
     "SampledRuns",
-    "TimeRun",
     "between_samples",
     "channels_of",
     "chosen_runs",
@@ -51,7 +55,7 @@ class Channels:
 
 
 @dataclass(frozen=True, eq=False)
-class TimeRun:
+class SampledRun:
     """Samples of one run: values {flat name: (N,)}, SI; dt: sample period [s]; start: time of the first [s]."""
 
     id: str
@@ -60,15 +64,15 @@ class TimeRun:
     dt: float
     start: float
     settings: Mapping[str, Any]
-    _found: dict[tuple[str, int], np.ndarray] = field(default_factory=dict, repr=False)
+    _inputs: dict[tuple[tuple[str, ...], int], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without what can be computed again."""
-        return TimeRun, (self.id, dict(self.values), dict(self.kinds), self.dt, self.start, dict(self.settings))
+        return SampledRun, (self.id, self.values, self.kinds, self.dt, self.start, self.settings)
 
-    def first(self, count: int) -> TimeRun:
+    def first(self, count: int) -> SampledRun:
         """Return the run up to a number of samples."""
-        return replace(self, values={name: array[:count] for name, array in self.values.items()}, _found={})
+        return replace(self, values={name: array[:count] for name, array in self.values.items()})
 
     @property
     def size(self) -> int:
@@ -79,34 +83,35 @@ class TimeRun:
         """Return samples of signals, (N, c)."""
         return np.stack([self.values[name] for name in names], axis=1)
 
-    def inputs(self, names: Sequence[str], sub: int) -> np.ndarray:
+    def inputs(self, names: tuple[str, ...], sub: int) -> np.ndarray:
         """Return signals at ends and middles of the ``sub`` steps after each sample, (N, 2 sub + 1, n_v).
 
         A name that begins with "rate of " stands for the time derivative of the rest; measured outputs and rates go
         between samples on a cubic spline.
         """
-        for name in names:
-            if (name, sub) not in self._found:
-                self._found[name, sub] = self._input(name, 2 * sub)
-        columns = [self._found[name, sub] for name in names]
-        return np.stack(columns, axis=2) if columns else np.zeros((self.size, 2 * sub + 1, 0))
+        if (names, sub) not in self._inputs:
+            values = [self._input(name, 2 * sub) for name in names]
+            self._inputs[names, sub] = np.array(values).reshape(-1, self.size, 2 * sub + 1).transpose(1, 2, 0).copy()
+        return self._inputs[names, sub]
 
     def _input(self, name: str, parts: int) -> np.ndarray:
-        of = name.removeprefix(RATE)
-        if of == name and name in self.kinds:
+        if name in self.kinds:
             return between_samples(self.values[name], self.kinds[name], parts)
-        spline = CubicSpline(np.arange(self.size) * self.dt, self.values[of])
+        spline = CubicSpline(np.arange(self.size) * self.dt, self.values[name.removeprefix(RATE)])
         at = (np.arange(self.size)[:, None] + np.linspace(0.0, 1.0, parts + 1)) * self.dt
         at[-1] = at[-1, 0]
-        return np.asarray(spline(at, 1 if of != name else 0))
+        return np.asarray(spline(at, int(name.startswith(RATE))))
 
 
 @dataclass(frozen=True, eq=False)
-class SampledRuns:
-    """Runs as samples in time, to be compared with a diagram that is read as the given one was."""
+class SampledRuns(ABC):
+    """Runs as samples in time, to be compared with a diagram that is read as the given one was.
+
+    sizes: largest magnitude of signals by flat name.
+    """
 
     recording: Recording
-    runs: tuple[TimeRun, ...]
+    runs: tuple[SampledRun, ...]
     channels: Channels
     sizes: Mapping[str, float]
     folder: str | None
@@ -124,6 +129,25 @@ class SampledRuns:
     def recorded(self) -> list[str]:
         """The flat names of the recorded signals."""
         return [*self.channels.inputs, *self.channels.outputs]
+
+    def fit(
+        self, document: Mapping[str, Any], starts: Starts, *, most: int | None = None, linear_only: bool = False
+    ) -> Fit:
+        """Return the best fit of a diagram from the best of each group of starts {free parameter: SI value}.
+
+        What a start does not name begins as written. most: a limit of evaluations. linear_only is not heeded: a
+        nonlinear diagram costs no more.
+        """
+        began = process_time()
+        try:
+            fit = self._fit(document, starts, most)
+        except FAILURES as error:
+            fit = Fit(document, failure=reason_of(error))
+        return replace(fit, seconds=process_time() - began)
+
+    @abstractmethod
+    def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None) -> Fit:
+        """Return the best fit of a diagram. Raises one of FAILURES where it cannot be compared with the runs."""
 
 
 def chosen_runs(recording: Recording) -> tuple[Run, ...]:
@@ -146,12 +170,8 @@ def between_samples(values: np.ndarray, kind: str, parts: int) -> np.ndarray:
     if kind == "linear" or n < 4:
         later = np.append(values[1:], values[-1])
         return np.asarray(values[:, None] + (later - values)[:, None] * np.linspace(0.0, 1.0, parts + 1))
-    size = next_fast_len(n - 1, real=True) * 2
-    mirrored = np.concatenate([values, values[-2:0:-1], np.full(size - 2 * n + 2, values[0])])
-    spectrum = np.zeros(parts * size // 2 + 1, complex)
-    spectrum[: size // 2 + 1] = rfft(mirrored)
-    spectrum[size // 2] /= 2  # shared with the negative frequency
-    fine = irfft(spectrum, parts * size) * parts
+    size = 2 * next_fast_len(n - 1, real=True)
+    fine = resample(np.concatenate([values, values[-2:0:-1], np.full(size - 2 * n + 2, values[0])]), parts * size)
     return np.lib.stride_tricks.sliding_window_view(fine[: parts * n + 1], parts + 1)[::parts].copy()
 
 
@@ -163,110 +183,91 @@ def is_in_time(diagram: Diagram, recording: Recording) -> bool:
 
 def channels_of(diagram: Diagram, recording: Recording) -> Channels:
     """Return what a recording gives to a diagram and what it measures of it. Raises RotorsimError with all mistakes."""
-    model = compile_diagram(diagram)
-    driven = driven_parameters(diagram)
+    model, driven = compile_diagram(diagram), driven_parameters(diagram)
     problems: list[Problem] = []
-    inputs: dict[str, str] = {}
+    kinds: dict[str, str] = {}
     outputs: list[str] = []
     columns: dict[str, str] = {}
     for column, channel in recording.channels.items():
-        name = _checked(model, channel, column, problems)
-        if name is None:
+        try:
+            name = _signal_name(model, channel)
+        except RotorsimError as error:
+            problem = error.problems[0]
+            hint = problem.hint or near_miss(channel.signal, model.signals)
+            problems.append(Problem(problem.what, f"channel {column}", hint=hint))
             continue
         if name in columns:
             problems.append(Problem(f"'{name}' is measured by two channels", f"channel {column}"))
         elif channel.signal in driven:
             option = diagram.nodes[channel.signal.rpartition(".")[0]].block.option
-            inputs[name] = str(getattr(option, "interpolation", "linear"))
+            kinds[name] = str(getattr(option, "interpolation", "linear"))
         else:
             outputs.append(name)
         columns[name] = column
     if not outputs and not problems:
+        what = "nothing was measured that the diagram could be compared with"
         hint = "a channel must name a signal that the diagram computes"
-        problems.append(
-            Problem("nothing was measured that the diagram could be compared with", recording.name, hint=hint)
-        )
+        problems.append(Problem(what, recording.name, hint=hint))
     if problems:
         raise RotorsimError(*problems)
-    return Channels(tuple(inputs), tuple(outputs), columns, inputs)
+    return Channels(tuple(kinds), tuple(outputs), columns, kinds)
 
 
-def _checked(model: Model, channel: Channel, column: str, problems: list[Problem]) -> str | None:
-    """Return the flat name of a channel's signal in the diagram, None where there is none; add what is wrong."""
-    subject = f"channel {column}"
-    try:
-        name = node_name(model, channel)
-        expression = measured_expression(model, name)
-    except RotorsimError as error:
-        hint = error.problems[0].hint or near_miss(channel.signal, model.signals)
-        problems.append(Problem(error.problems[0].what, subject, hint=hint))
-        return None
-    if expression.numel() != 1:
-        problems.append(Problem(f"'{name}' is {expression.numel()} numbers", subject, hint="say node and axis"))
-        return None
-    signal = model.signals.get(channel.signal)
-    if (
-        signal is not None
-        and signal.unit is not None
-        and compatible(channel.unit, signal.unit) not in ("same", "scaled")
-    ):
-        what = f"unit '{channel.unit}' does not fit '{channel.signal}', which is in {signal.unit}"
-        problems.append(Problem(what, subject, hint="correct the unit, or the signal, in recording.json"))
-        return None
+def _signal_name(model: Model, channel: Channel) -> str:
+    """Return the flat name of a channel's signal. Raises RotorsimError where the diagram has no such number."""
+    name = _node_name(model, channel)
+    size = measured_expression(model, name).numel()
+    if size != 1:
+        raise RotorsimError(Problem(f"'{name}' is {size} numbers", hint="say node and axis"))
+    unit = model.signals[channel.signal].unit if channel.signal in model.signals else None
+    if unit is not None and compatible(channel.unit, unit) not in ("same", "scaled"):
+        what = f"unit '{channel.unit}' does not fit '{channel.signal}', which is in {unit}"
+        raise RotorsimError(Problem(what, hint="correct the unit, or the signal, in recording.json"))
     return name
 
 
-def node_name(model: Model, channel: Channel) -> str:
+def _node_name(model: Model, channel: Channel) -> str:
     """Return the flat name of a channel's signal, a place along the shaft replaced by the node there.
 
     Raises RotorsimError where the shaft has no node at this place.
     """
     if channel.position is None or channel.node is not None:
         return channel.name
-    block = channel.signal.rpartition(".")[0]
-    node = model.diagram.nodes.get(block)
+    node = model.diagram.nodes.get(channel.signal.rpartition(".")[0])
     if node is None or "element_length" not in node.values:
-        raise RotorsimError(Problem("a position along the shaft, but this block has no elements", channel.name))
-    lengths = np.ravel(node.values["element_length"])
-    count = int(node.block.option.elements)
-    places = np.concatenate([[0.0], np.cumsum(np.broadcast_to(lengths, (count,)))])
+        raise RotorsimError(Problem("a position along the shaft, but this block has no elements"))
+    lengths = np.broadcast_to(np.ravel(node.values["element_length"]), int(node.block.option.elements))
+    places = np.cumsum([0.0, *lengths])
     k = int(np.argmin(np.abs(places - channel.position)))
     if abs(places[k] - channel.position) > CLOSE:
-        hint = (
-            f"the nearest is node {k + 1} at {places[k]:g} m; divide the shaft so that a node is where it was measured"
-        )
-        raise RotorsimError(Problem(f"no node at {channel.position:g} m", channel.name, hint=hint))
+        nearest = f"the nearest is node {k + 1} at {places[k]:g} m"
+        hint = f"{nearest}; divide the shaft so that a node is where it was measured"
+        raise RotorsimError(Problem(f"no node at {channel.position:g} m", hint=hint))
     return channel.name.replace(f"{channel.position:g} m", str(k + 1))
 
 
-def read_run(diagram: Diagram, run: Run, channels: Channels) -> TimeRun:
+def read_run(diagram: Diagram, run: Run, channels: Channels) -> SampledRun:
     """Return the samples of a run. Raises RotorsimError for uneven samples and settings that are not numbers."""
     problems: list[Problem] = []
     dt = float(run.time[-1] - run.time[0]) / (len(run.time) - 1)
-    uneven = np.abs(run.time - run.time[0] - dt * np.arange(len(run.time))).max() if len(run.time) > 2 else 0.0
+    uneven = np.abs(run.time - run.time[0] - dt * np.arange(len(run.time))).max()
     if uneven > EVEN * dt:
-        hint = "resample the run at equal steps"
-        problems.append(
-            Problem(f"its samples are not evenly spaced (by up to {uneven / dt:.2g} periods)", run.id, run.place, hint)
-        )
+        what = f"its samples are not evenly spaced (by up to {uneven / dt:.2g} periods)"
+        problems.append(Problem(what, run.id, run.place, "resample the run at equal steps"))
+    blocks = ((name, node.block.parameters) for name, node in diagram.nodes.items())
+    units = {
+        **{f"{name}.{key}": declared.unit for name, parameters in blocks for key, declared in parameters.items()},
+        **diagram.parameter_units,
+    }
     settings: dict[str, Any] = {}
     for name, value in run.settings.items():
         try:
-            settings[name] = numeric(value, _unit(diagram, name))
+            settings[name] = numeric(value, units.get(name))
         except ValueProblem as problem:
             problems.append(Problem(problem.what, f"run {run.id}: set {name}", run.place, problem.hint))
+    missing = [column for column in channels.columns.values() if column not in run.values]
+    problems += [Problem(f"has no column '{column}'", f"run {run.id}", run.place) for column in missing]
     if problems:
         raise RotorsimError(*problems)
-    missing = [column for column in channels.columns.values() if column not in run.values]
-    if missing:
-        raise RotorsimError(Problem(f"has no column '{missing[0]}'", f"run {run.id}", run.place))
     values = {name: run.values[column] for name, column in channels.columns.items()}
-    return TimeRun(run.id, values, channels.kinds, dt, float(run.time[0]), settings)
-
-
-def _unit(diagram: Diagram, name: str) -> str | None:
-    if name in diagram.parameters:
-        return diagram.parameter_units.get(name)
-    block, _, key = name.rpartition(".")
-    node = diagram.nodes.get(block)
-    return node.block.parameters[key].unit if node is not None and key in node.block.parameters else None
+    return SampledRun(run.id, values, channels.kinds, dt, float(run.time[0]), settings)

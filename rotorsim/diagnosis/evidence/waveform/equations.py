@@ -1,9 +1,10 @@
-"""The traced equations of a diagram driven by recorded signals, with their exact derivatives."""
+"""The traced equations of a diagram driven by recorded signals, with their exact Jacobians."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -13,11 +14,11 @@ from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.linear_equations import reached_states, slots_of
 
-__all__ = ["ForceMap", "TimeEquations", "driven_parameters", "measured_expression"]
+__all__ = ["DrivenEquations", "ForceMap", "driven_equations", "driven_parameters", "measured_expression", "rate_of"]
 
-INPUT = "input"  # category of blocks whose parameter `value` a recording gives
 RATES = {"acceleration": "velocity", "velocity": "displacement"}  # recorded, but no port: the rate of this one
 POWERS = tuple((order - j, j) for order in (0, 2, 3, 4, 5) for j in range(order + 1))
 WIDTHS = (0.02, 0.2)  # over which friction changes its sign, of the largest velocity
@@ -50,11 +51,11 @@ class ForceMap:
 
 
 def driven_parameters(diagram: Diagram) -> dict[str, str]:
-    """Return signal -> parameter for the blocks of category `INPUT`: what a recording gives takes its place."""
+    """Return signal -> parameter for the blocks of category input: what a recording gives takes its place."""
     return {
         f"{name}.{port}": f"{name}.value"
         for name, node in diagram.nodes.items()
-        if node.block.category == INPUT and "value" in node.values
+        if node.block.category == "input" and "value" in node.values
         for port in node.outputs
     }
 
@@ -78,91 +79,112 @@ def rate_of(model: Model, of: Any) -> Any:
     return ca.jtimes(of, trace.x, trace.xdot) + ca.jtimes(of, trace.t, ca.SX(1))
 
 
-class TimeEquations:
-    """dx/dt = f(t, x, v; p), y = g(t, x, v; p) with the derivatives by x and by the free parameters.
+@dataclass(frozen=True, eq=False)
+class DrivenEquations:
+    """dx/dt = f(t, x, v; p), y = g(t, x, v; p): n states that the outputs depend on, m free parameters.
 
-    Only states that the outputs depend on are kept: ``kept`` (n,). inputs: flat names of what v holds: recorded values
-    of input blocks, and entries of ``cut`` (output port -> names of its entries in v), whose consumers see v instead.
-    p: parameters of the model, then the coefficients of a `ForceMap`; ``slots``: entries of p that each of the m free
-    parameters sets. f_nonzeros, g_nonzeros: (rows, columns) of the sparse derivatives, columns 0..n-1 by x, n.. by the
-    parameters. Raises RotorsimError for diagrams with sampled blocks and unknown signals.
+    kept (n,): of the states of the model, with names. inputs: flat names of what v holds. p: parameters of the model,
+    then the coefficients of a `ForceMap`; slots: the entries of p that each of the m parameters sets. arguments: t, x,
+    v, p. f (n,), g (c,).
     """
 
-    def __init__(
-        self,
-        diagram: Diagram,
-        outputs: Sequence[str],
-        inputs: Sequence[str],
-        free: Sequence[Free],
-        *,
-        cut: Mapping[str, Sequence[str]] | None = None,
-        force: ForceMap | None = None,
-    ) -> None:
-        cut = cut or {}
-        model = compile_diagram(diagram, inject=[force.port] if force else [], replace=list(cut))
-        linear.refuse_sampled(model, "a diagnosis in time")
-        self.model, self.outputs, self.inputs = model, tuple(outputs), tuple(inputs)
-        trace = model.trace
-        self.free = tuple(item for item in free if slots_of(model, item))
-        v = ca.SX.sym("v", len(inputs))
-        extra = ca.SX.sym("c", force.count if force else 0)
-        y = ca.vertcat(*[measured_expression(model, name) for name in outputs])
-        xdot = trace.xdot
-        external = [ca.SX(0)] * trace.v.numel()
-        for port, names in cut.items():
-            for k, name in enumerate(names):
-                external[trace.external[port].part.start + k] = v[self.inputs.index(name)]
-        if force:
-            q, rate = (measured_expression(model, name) for name in (force.displacement, force.velocity))
-            part = trace.external[force.port].part
-            if ca.depends_on(ca.vertcat(q, rate), trace.v[part]):
-                raise RotorsimError(Problem("the force acts on the displacement at once", force.port))
-            external[part.start] = force.force(q, rate, extra)
-        entries = ca.vertsplit(trace.p) if trace.p.numel() > 1 else [trace.p]
-        for name, slot in _driven_slots(model).items():
-            if name in self.inputs:
-                entries[slot] = v[self.inputs.index(name)]
-        new = [ca.vertcat(*external) if external else trace.v]
-        xdot, y = ca.substitute([xdot, y], [trace.v], new)
-        xdot, y = ca.substitute([xdot, y], [trace.p], [ca.vertcat(*entries)])
-        pattern = ca.jacobian(xdot, trace.x).sparsity()
-        self.kept = reached_states(pattern, ca.jacobian(y, trace.x).sparsity())
-        keep = self.kept.tolist()
-        x = ca.SX.sym("x", len(keep))
-        whole: Any = ca.SX.zeros(*trace.x.shape)
-        whole[keep] = x
-        f, g = ca.substitute([xdot[keep], y], [trace.x], [whole])
-        self.slots = [slots_of(model, item) for item in self.free]
-        self.slots += [[model.n_p + k] for k in range(extra.numel())]
-        self.arguments = {"t": trace.t, "x": x, "v": v, "p": ca.vertcat(trace.p, extra)}
-        self.f, self.g = ca.densify(f), ca.densify(g)
-        self.f_slopes, self.f_nonzeros = self._slopes(f, x)
-        self.g_slopes, self.g_nonzeros = self._slopes(g, x)
-        self.n, self.c, self.m, self.n_v = len(keep), len(outputs), len(self.slots), len(inputs)
-        self.state_names = tuple(linear.state_names(model)[k] for k in keep)
+    model: Model
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    free: tuple[Free, ...]
+    kept: np.ndarray
+    state_names: tuple[str, ...]
+    slots: Sequence[Sequence[int]]
+    arguments: tuple[Any, Any, Any, Any]
+    f: Any
+    g: Any
 
-    def _slopes(self, of: Any, x: Any) -> tuple[Any, tuple[np.ndarray, np.ndarray]]:
-        p = self.arguments["p"]
-        columns = [ca.jacobian(of, x)]
-        for slots in self.slots:
-            columns.append(sum((ca.jacobian(of, p[slot]) for slot in slots), ca.SX(of.shape[0], 1)))
-        whole = ca.sparsify(ca.horzcat(*columns))
-        rows, cols = (np.array(places, int) for places in whole.sparsity().get_triplet())
-        return whole.nz[:] if len(rows) else ca.SX(0, 1), (rows, cols)
+    @property
+    def n(self) -> int:
+        """The number of states."""
+        return len(self.kept)
+
+    @property
+    def m(self) -> int:
+        """The number of free parameters, with the coefficients of a `ForceMap`."""
+        return len(self.slots)
+
+    @cached_property
+    def measured_states(self) -> Mapping[int, tuple[str, float]]:
+        """State -> output and factor, where an output is a constant times one state and nothing else."""
+        x, measured = self.arguments[1], {}
+        for output, y in zip(self.outputs, ca.vertsplit(self.g), strict=True):
+            row = ca.sparsify(ca.jacobian(y, x))
+            if row.nnz() == 1 and row.nz[0].is_constant() and output not in self.inputs:
+                [k], factor = row.sparsity().get_triplet()[1], float(row.nz[0])
+                if (y - factor * x[k]).is_zero():
+                    measured[k] = output, factor
+        return measured
+
+    @cached_property
+    def matrices(self) -> tuple[MatrixFunction, MatrixFunction]:
+        """The Jacobians of f and g by x, (1, n, n) and (1, c, n), as functions of t, x, v, p."""
+        given, x = self.arguments, self.arguments[1]
+        return MatrixFunction(given, ca.jacobian(self.f, x)), MatrixFunction(given, ca.jacobian(self.g, x))
+
+    def jacobian(self, of: Any) -> Any:
+        """Return the sparse Jacobian of an expression (k,) by x, then by the m parameters, (k, n + m)."""
+        _, x, _, p = self.arguments
+        by_slots = [sum((ca.jacobian(of, p[slot]) for slot in own), ca.SX(*of.shape)) for own in self.slots]
+        return ca.sparsify(ca.horzcat(ca.jacobian(of, x), *by_slots))
 
     def parameters(self, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """Return p of the equations from p (n_p,) of the model and the m free parameters."""
-        out = np.concatenate([p, np.zeros(self.arguments["p"].numel() - len(p))])
+        out = np.concatenate([p, np.zeros(self.arguments[3].numel() - len(p))])
         for value, slots in zip(theta, self.slots, strict=True):
             out[slots] = value
         return out
 
 
-def _driven_slots(model: Model) -> dict[str, int]:
-    """Return flat name -> entry of p for every signal that a recording may give."""
-    found: dict[str, int] = {}
-    for port, parameter in driven_parameters(model.diagram).items():
-        part = model.parameters[parameter]
+def driven_equations(
+    diagram: Diagram,
+    outputs: Sequence[str],
+    inputs: Sequence[str],
+    free: Sequence[Free],
+    *,
+    cut: Mapping[str, Sequence[str]] | None = None,
+    force: ForceMap | None = None,
+) -> DrivenEquations:
+    """Return the equations of a diagram between recorded inputs and outputs (flat names).
+
+    inputs: recorded values of input blocks, and entries of ``cut`` (output port -> names of its entries in v), whose
+    consumers see v instead. Raises RotorsimError for diagrams with sampled blocks and unknown signals.
+    """
+    cut = cut or {}
+    model = compile_diagram(diagram, inject=[force.port] if force else [], replace=list(cut))
+    linear.refuse_sampled(model, "a diagnosis in time")
+    trace = model.trace
+    v = ca.SX.sym("v", len(inputs))
+    coefficients = ca.SX.sym("c", force.count if force else 0)
+    external = ca.SX.zeros(*trace.v.shape)
+    for port, names in cut.items():
+        external[trace.external[port].part] = v[[inputs.index(name) for name in names]]
+    if force:
+        q, rate = (measured_expression(model, name) for name in (force.displacement, force.velocity))
+        part = trace.external[force.port].part
+        if ca.depends_on(ca.vertcat(q, rate), trace.v[part]):
+            raise RotorsimError(Problem("the force acts on the displacement at once", force.port))
+        external[part] = force.force(q, rate, coefficients)
+    driven = ca.SX(trace.p)
+    for port, parameter in driven_parameters(diagram).items():
         for k, name in enumerate(linear.entry_names(port, model.signals[port].shape)):
-            found[name] = part.start + k
-    return found
+            if name in inputs:
+                driven[model.parameters[parameter].start + k] = v[inputs.index(name)]
+    y = ca.vertcat(*[measured_expression(model, name) for name in outputs])
+    xdot, y = ca.substitute([trace.xdot, y], [trace.v], [external])
+    kept = reached_states(ca.jacobian(xdot, trace.x).sparsity(), ca.jacobian(y, trace.x).sparsity())
+    keep = kept.tolist()
+    x = ca.SX.sym("x", len(keep))
+    states = ca.SX.zeros(*trace.x.shape)
+    states[keep] = x
+    f, g = ca.substitute([xdot[keep], y], [trace.p, trace.x], [driven, states])
+    known = tuple(item for item in free if slots_of(model, item))
+    slots = [slots_of(model, item) for item in known] + [[model.n_p + k] for k in range(coefficients.numel())]
+    names = tuple(linear.state_names(model)[k] for k in keep)
+    arguments = trace.t, x, v, ca.vertcat(trace.p, coefficients)
+    return DrivenEquations(model, tuple(outputs), tuple(inputs), known, kept, names, slots, arguments, f, g)

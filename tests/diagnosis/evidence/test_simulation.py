@@ -1,13 +1,13 @@
-"""The simulation of sampled runs: exact derivatives, order of the method, inputs between samples, views."""
+"""The simulation of sampled runs: exact derivatives, order of the method, inputs between samples, subsystems."""
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rotorsim.diagnosis.evidence.waveform.data import RATE, TimeRun, between_samples, channels_of
-from rotorsim.diagnosis.evidence.waveform.equations import ForceMap, TimeEquations
-from rotorsim.diagnosis.evidence.waveform.kernel import TimeKernel
-from rotorsim.diagnosis.evidence.waveform.views import views_of
+from rotorsim.diagnosis.evidence.waveform.data import RATE, SampledRun, between_samples, channels_of
+from rotorsim.diagnosis.evidence.waveform.equations import DrivenEquations, ForceMap, driven_equations
+from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
+from rotorsim.diagnosis.evidence.waveform.subsystems import subsystems_of
 from rotorsim.errors import RotorsimError
 from rotorsim.model.load import load
 from tests.diagnosis.evidence.machines import OSCILLATOR, POSITIONER, carriage_recording
@@ -36,21 +36,21 @@ def inputs(samples: int, sub: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def equations() -> TimeEquations:
+def equations() -> DrivenEquations:
     diagram = load(DUFFING)
-    return TimeEquations(diagram, ["oscillator.displacement", "oscillator.velocity"], ["drive.output"], diagram.free)
+    return driven_equations(diagram, ["oscillator.displacement", "oscillator.velocity"], ["drive.output"], diagram.free)
 
 
-def parameters(equations: TimeEquations, theta: np.ndarray) -> np.ndarray:
+def parameters(equations: DrivenEquations, theta: np.ndarray) -> np.ndarray:
     return equations.parameters(equations.model.p0, theta)
 
 
-def theta_of(equations: TimeEquations) -> np.ndarray:
+def theta_of(equations: DrivenEquations) -> np.ndarray:
     return np.array([item.value for item in equations.free])
 
 
 def test_the_error_falls_with_the_fourth_power_of_the_step(equations):
-    kernel, theta = TimeKernel(equations), theta_of(equations)
+    simulation, theta = Simulation(equations), theta_of(equations)
     mass, damping, stiffness, cubic = theta
 
     def rates(t, x):
@@ -60,37 +60,37 @@ def test_the_error_falls_with_the_fourth_power_of_the_step(equations):
     exact = solve_ivp(rates, (0, times[-1]), START, t_eval=times, rtol=1e-11, atol=1e-13, method="DOP853").y.T
     errors = []
     for sub in (2, 4, 8):
-        y, _ = kernel.simulate(parameters(equations, theta), START, inputs(150, sub), DT, slopes=False)
+        y, _ = simulation.simulate(parameters(equations, theta), START, inputs(150, sub), DT, sensitivities=False)
         errors.append(np.abs(y - exact).max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.5)
     assert np.log2(errors[1] / errors[2]) == pytest.approx(4, abs=0.5)
 
 
 def test_derivatives_are_those_of_the_steps(equations):
-    kernel, theta = TimeKernel(equations), theta_of(equations)
+    simulation, theta = Simulation(equations), theta_of(equations)
     v = inputs(200, 2)
-    _, slopes = kernel.simulate(parameters(equations, theta), START, v, DT)
+    _, derivatives = simulation.simulate(parameters(equations, theta), START, v, DT)
     for j in range(len(theta) + 2):
         step = 1e-6 * (theta[j] if j < len(theta) else 1.0)
         ends = []
         for sign in (1, -1):
             moved, start = theta.copy(), START.copy()
             (moved if j < len(theta) else start)[j if j < len(theta) else j - len(theta)] += sign * step
-            ends.append(kernel.simulate(parameters(equations, moved), start, v, DT, slopes=False)[0])
+            ends.append(simulation.simulate(parameters(equations, moved), start, v, DT, sensitivities=False)[0])
         expected = (ends[0] - ends[1]) / (2 * step)
-        assert np.abs(slopes[:, :, j] - expected).max() < 1e-6 * np.abs(expected).max()
+        assert np.abs(derivatives[:, :, j] - expected).max() < 1e-6 * np.abs(expected).max()
 
 
 def test_the_virtual_machine_gives_the_same_without_a_compiler(equations):
     theta, v = theta_of(equations), inputs(300, 3)
-    plain = TimeKernel(equations, use_compiler=False)
-    compiled = TimeKernel(equations)
-    for slopes in (True, False):
-        a = plain.simulate(parameters(equations, theta), START, v, DT, slopes=slopes)
-        b = compiled.simulate(parameters(equations, theta), START, v, DT, slopes=slopes)
+    plain = Simulation(equations, use_compiler=False)
+    compiled = Simulation(equations)
+    for sensitivities in (True, False):
+        a = plain.simulate(parameters(equations, theta), START, v, DT, sensitivities=sensitivities)
+        b = compiled.simulate(parameters(equations, theta), START, v, DT, sensitivities=sensitivities)
         assert np.abs(a[0] - b[0]).max() <= 1e-12 * np.abs(b[0]).max()
-        assert a[1].shape == b[1].shape == (300, 2, 6 if slopes else 0)
-        if slopes:
+        assert a[1].shape == b[1].shape == (300, 2, 6 if sensitivities else 0)
+        if sensitivities:
             size = np.abs(b[1]).max(axis=(0, 1))
             assert (np.abs(a[1] - b[1]).max(axis=(0, 1)) <= 1e-11 * size).all()
 
@@ -99,31 +99,31 @@ def test_the_virtual_machine_gives_the_same_without_a_compiler(equations):
 def test_samples_after_a_divergence_are_not_numbers(equations, use_compiler):
     theta = theta_of(equations)
     theta[3] = -2e4  # softening: it runs away
-    kernel = TimeKernel(equations, use_compiler)
-    y, slopes = kernel.simulate(parameters(equations, theta), np.array([0.5, 0.0]), inputs(400, 4), DT)
+    simulation = Simulation(equations, use_compiler=use_compiler)
+    y, derivatives = simulation.simulate(parameters(equations, theta), np.array([0.5, 0.0]), inputs(400, 4), DT)
     gone = np.isnan(y).any(axis=1)
     assert gone[-1]
     assert not gone[0]
-    assert (gone == np.isnan(slopes).any(axis=(1, 2))).all()
+    assert (gone == np.isnan(derivatives).any(axis=(1, 2))).all()
     assert (np.diff(gone.astype(int)) >= 0).all()
 
 
 def test_a_flexible_force_has_exact_derivatives():
     diagram = load(OSCILLATOR)
     law = ForceMap("oscillator.force", "oscillator.displacement", "oscillator.velocity", (0.5, 15.0))
-    equations = TimeEquations(diagram, ["oscillator.displacement"], ["drive.output"], diagram.free, force=law)
+    equations = driven_equations(diagram, ["oscillator.displacement"], ["drive.output"], diagram.free, force=law)
     assert equations.m == 3 + law.count
-    kernel, v = TimeKernel(equations), inputs(120, 2)
+    simulation, v = Simulation(equations), inputs(120, 2)
     theta = np.concatenate([theta_of(equations), np.linspace(-1, 1, law.count)])
-    _, slopes = kernel.simulate(parameters(equations, theta), START, v, DT)
+    _, derivatives = simulation.simulate(parameters(equations, theta), START, v, DT)
     for j in (3, 5, 12, equations.m - 1):
         ends = []
         for sign in (1, -1):
             moved = theta.copy()
             moved[j] += sign * 1e-2
-            ends.append(kernel.simulate(parameters(equations, moved), START, v, DT, slopes=False)[0])
+            ends.append(simulation.simulate(parameters(equations, moved), START, v, DT, sensitivities=False)[0])
         expected = (ends[0] - ends[1]) / 2e-2
-        assert np.abs(slopes[:, :, j] - expected).max() < 1e-6 * np.abs(expected).max()
+        assert np.abs(derivatives[:, :, j] - expected).max() < 1e-6 * np.abs(expected).max()
 
 
 def test_band_limited_values_lie_on_the_curve_that_was_sampled():
@@ -145,17 +145,17 @@ def test_a_held_value_and_a_straight_line():
 
 def test_the_rate_of_a_measured_signal():
     t = np.arange(200) * DT
-    run = TimeRun("run", {"a": np.sin(3 * t)}, {}, DT, 0.0, {})
-    found = run.inputs([RATE + "a"], 1)[:-1, :, 0]
+    run = SampledRun("run", {"a": np.sin(3 * t)}, {}, DT, 0.0, {})
+    found = run.inputs((RATE + "a",), 1)[:-1, :, 0]
     at = (np.arange(199)[:, None] + np.arange(3) / 2) * DT
     assert np.abs(found - 3 * np.cos(3 * at)).max() < 1e-4
 
 
-def test_a_controller_with_measured_inputs_is_a_view_of_its_own():
+def test_a_controller_with_measured_inputs_is_a_subsystem_of_its_own():
     diagram = load(POSITIONER)
-    views = views_of(diagram, channels_of(diagram, carriage_recording(1.0)))
-    assert [view.name for view in views] == ["", "controller"]
-    cell = views[1].equations
+    systems = subsystems_of(diagram, channels_of(diagram, carriage_recording(1.0)))
+    assert [system.name for system in systems] == ["", "controller"]
+    cell = systems[1].equations
     assert cell.outputs == ("controller.voltage",)
     assert set(cell.inputs) == {"reference.output", "carriage.displacement", RATE + "carriage.displacement"}
     assert cell.state_names == ("controller.observed",)
@@ -164,9 +164,9 @@ def test_a_controller_with_measured_inputs_is_a_view_of_its_own():
 def test_an_acceleration_is_the_rate_of_the_velocity():
     diagram = load(OSCILLATOR)
     names = ["oscillator.acceleration", "oscillator.velocity"]
-    equations = TimeEquations(diagram, names, ["drive.output"], diagram.free)
+    equations = driven_equations(diagram, names, ["drive.output"], diagram.free)
     theta = np.array([2.0, 3.0, 900.0])
-    y, _ = TimeKernel(equations).simulate(parameters(equations, theta), START, inputs(3, 1), DT, slopes=False)
+    y, _ = Simulation(equations).simulate(parameters(equations, theta), START, inputs(3, 1), DT, sensitivities=False)
     assert y[0] == pytest.approx([(force(0.0) - 3.0 * START[1] - 900.0 * START[0]) / 2.0, START[1]], rel=1e-12)
 
 
@@ -175,5 +175,5 @@ def test_sampled_blocks_are_refused():
     document["wires"] = [["drive.output", "hold.input"], ["hold.output", "oscillator.force"]]
     diagram = load(document)
     with pytest.raises(RotorsimError) as caught:
-        TimeEquations(diagram, ["oscillator.displacement"], ["drive.output"], diagram.free)
+        driven_equations(diagram, ["oscillator.displacement"], ["drive.output"], diagram.free)
     assert "hold: a diagnosis in time needs continuous blocks; this one has a sample time" in str(caught.value)

@@ -1,0 +1,261 @@
+"""Simulate driven equations over a sampled run, with the exact sensitivities of every sample, in generated C.
+
+A Runge-Kutta step is applied to x and S = dx/d(parameters, start) together, S' = f_x S + f_p, so that the sensitivities
+are those of the steps themselves. Without a C compiler CasADi's virtual machine does the same, slowly.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rotorsim.diagnosis.evidence.waveform.equations import DrivenEquations
+from rotorsim.model.emit import program as ir
+from rotorsim.model.emit.program import Program
+from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
+from rotorsim.model.emit.writer import Writer, array_leaf
+from rotorsim.model.runge_kutta import RK4
+
+__all__ = ["Simulation"]
+
+LARGE = 1e100  # a state beyond has diverged
+SMALL = 1e-200  # a sensitivity below is zero: denormal numbers are slow
+
+_RUNTIME = r"""
+/* out += (sparse value) S, whose last rows are the unit vectors of the parameters; RS_K columns. */
+#define RS_MULTIPLY(name, COUNT, rows, cols)                                              \
+  static inline void name(const double *value, const double *S, double *out) {            \
+    for (int e = 0; e < COUNT; ++e) {                                                     \
+      double *restrict to = out + rows[e] * RS_K;                                         \
+      const double a = value[e];                                                          \
+      if (cols[e] < RS_N) {                                                               \
+        const double *restrict from = S + cols[e] * RS_K;                                 \
+        for (int k = 0; k < RS_K; ++k) to[k] += a * from[k];                              \
+      } else {                                                                            \
+        to[cols[e] - RS_N] += a;                                                          \
+      }                                                                                   \
+    }                                                                                     \
+  }
+RS_MULTIPLY(rs_multiply_f, RS_F_COUNT, rs_f_rows, rs_f_cols)
+RS_MULTIPLY(rs_multiply_g, RS_G_COUNT, rs_g_rows, rs_g_cols)
+
+/* w = [x, S]: state and its sensitivities (S only with exact). */
+static inline void rs_rates(int exact, double t, const double *w, const double *v, const double *p, const double *c,
+                            double *dw, double *jac, double *work) {
+  if (exact) {
+    rs_f_jacobian(t, w, v, p, c, dw, jac, work);
+    for (int j = RS_N; j < RS_N * (1 + RS_K); ++j) dw[j] = 0.0;
+    rs_multiply_f(jac, w + RS_N, dw + RS_N);
+  } else {
+    rs_f(t, w, v, p, c, dw, work);
+  }
+}
+
+static inline int64_t rs_simulate(int exact, int size, int64_t N, int64_t sub, double t0, double dt, const double *v,
+                                  const double *p, double *restrict w, double *y, double *dy, double *memory) {
+  double *c = memory, *work = c + RS_NC, *jac = work + RS_WORK;
+  double *restrict ws = jac + RS_JAC, *restrict k = ws + size;
+  const double h = dt / (double)sub;
+  rs_constants(p, c, work);
+  for (int64_t i = 0; i < N; ++i) {
+    const double t = t0 + dt * (double)i;
+    const double *vi = v + (2 * sub + 1) * i * RS_NV;
+    double large = 0.0;
+    for (int j = 0; j < RS_N; ++j) large += fabs(w[j]);
+    if (!(large < RS_LARGE)) return i;
+    for (int j = RS_N; j < size; ++j)
+      if (fabs(w[j]) < RS_SMALL) w[j] = 0.0; /* a start long forgotten */
+    if (exact) {
+      double *to = dy + i * RS_C * RS_K;
+      rs_g_jacobian(t, w, vi, p, c, y + i * RS_C, jac, work);
+      for (int j = 0; j < RS_C * RS_K; ++j) to[j] = 0.0;
+      rs_multiply_g(jac, w + RS_N, to);
+    } else {
+      rs_g(t, w, vi, p, c, y + i * RS_C, work);
+    }
+    if (i == N - 1) break;
+    for (int64_t s = 0; s < sub; ++s) {
+      const double ts = t + h * (double)s;
+      const double *vs = vi + 2 * s * RS_NV;
+      RS_STEP
+    }
+  }
+  return N;
+}
+
+/* N samples, sub steps after each; v (N, 2 sub + 1, n_v): inputs at the ends and middles of the steps.
+ * w: x (n), then S (n, K), at the first sample; y (N, c), dy (N, c, K). memory: beside what is fixed, as often w as a
+ * step has stages, and once more. Returns the number of samples computed before it diverged. */
+RS_EXPORT int64_t rs_run(int exact, int64_t N, int64_t sub, double t0, double dt, const double *v, const double *p,
+                         double *w, double *y, double *dy, double *memory) {
+  return exact ? rs_simulate(1, RS_N * (1 + RS_K), N, sub, t0, dt, v, p, w, y, dy, memory)
+               : rs_simulate(0, RS_N, N, sub, t0, dt, v, p, w, y, dy, memory);
+}
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """Driven equations, ready to be simulated over runs.
+
+    name: "" for those of the whole diagram, else the controller that they are of.
+    """
+
+    equations: DrivenEquations
+    name: str = ""
+    use_compiler: bool = True
+
+    @property
+    def signals(self) -> list[tuple[str, str]]:
+        """What stands for the outputs where there are several simulations: (name, output)."""
+        return [(self.name, output) for output in self.equations.outputs]
+
+    @cached_property
+    def _library(self) -> tuple[Any, int] | None:
+        """The compiled function and the size of its fixed memory; None without a compiler."""
+        compiler = find_compiler() if self.use_compiler else None
+        if compiler is None:
+            return None
+        source, size = _source(self.equations)
+        try:
+            run = compile_c(source, compiler, "-O3")[0].rs_run
+        except CompilerError as failure:
+            failure.warn("the fit runs on CasADi's virtual machine: the same numbers, several times slower")
+            return None
+        i64, f64, ptr = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+        run.argtypes, run.restype = [ctypes.c_int, i64, i64, f64, f64, *[ptr] * 6], i64
+        return run, size
+
+    def simulate(
+        self, p: np.ndarray, x0: np.ndarray, v: np.ndarray, dt: float, *, t0: float = 0.0, sensitivities: bool = True
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return y (N, c) and its derivatives (N, c, m + n) by free parameters and start; NaN once it has diverged.
+
+        p (n_p,), x0 (n,), v (N, 2 sub + 1, n_v): inputs at ends and middles of the ``sub`` steps that follow a sample.
+        dt: between samples [s]. Without sensitivities the derivatives are (N, c, 0).
+        """
+        eq, N = self.equations, len(v)
+        K = eq.m + eq.n if sensitivities else 0
+        state = np.concatenate([x0, np.eye(eq.n, K, eq.m).ravel()])
+        v, p = np.ascontiguousarray(v, float), np.ascontiguousarray(p, float)
+        if self._library is None:
+            return self._interpreted(p, state, v, t0 + dt * np.arange(N), dt)
+        run, size = self._library
+        y, dy = np.empty((N, len(eq.outputs))), np.empty((N, len(eq.outputs), K))
+        memory = np.zeros(size + (1 + len(RK4.b)) * len(state))
+        arrays = [array.ctypes.data for array in (v, p, state, y, dy, memory)]
+        done = run(int(sensitivities), N, v.shape[1] // 2, t0, dt, *arrays)
+        y[done:], dy[done:] = np.nan, np.nan
+        return y, dy
+
+    def _interpreted(
+        self, p: np.ndarray, state: np.ndarray, v: np.ndarray, times: np.ndarray, dt: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        eq, N, c = self.equations, len(v), len(self.equations.outputs)
+        K = len(state) // eq.n - 1 if eq.n else 0
+        steps, read = _interpreter(eq, N, v.shape[1] // 2, K)
+        inputs = v.reshape(N, -1).T
+        states = np.column_stack([state, np.array(steps(state, times[None], inputs, p, dt))])[:, :N]
+        rows = np.array(read(states, times[None], inputs[: len(eq.inputs)], p)).T
+        good = np.isfinite(states).all(axis=0) & (np.abs(states[: eq.n]).sum(axis=0) < LARGE)
+        rows[np.cumsum(~good) > 0] = np.nan
+        return rows[:, :c], rows[:, c:].reshape(N, c, K)
+
+
+@lru_cache(maxsize=8)
+def _interpreter(eq: DrivenEquations, N: int, sub: int, K: int) -> tuple[Any, Any]:
+    """Return CasADi functions of all N samples: states after each, and outputs; both with K sensitivities behind."""
+    t, x, v, p = eq.arguments
+    S = ca.SX.sym("S", K, eq.n)  # column-major: the rows of S one after another, as in memory
+    state, inputs, dt = ca.vertcat(x, ca.vec(S)), ca.SX.sym("v", len(eq.inputs), 2 * sub + 1), ca.SX.sym("dt")
+
+    def with_sensitivities(of: Any) -> Any:
+        if not K:
+            return ca.densify(of)
+        jacobian = eq.jacobian(of)
+        by_parameters = ca.horzcat(jacobian[:, eq.n :], ca.SX(of.shape[0], eq.n))
+        return ca.densify(ca.vertcat(of, ca.vec(S @ jacobian[:, : eq.n].T + by_parameters.T)))
+
+    f, h, w = ca.Function("f", [x, t, v, p], [eq.f]), dt / sub, x
+    for s in range(sub):
+        k: list[Any] = []
+        for c, row in zip(RK4.c, RK4.a, strict=True):
+            at = w + h * sum((a * stage for a, stage in zip(row, k, strict=True)), ca.SX(0))
+            k.append(f(at, t + h * (s + c), inputs[:, 2 * s + round(2 * c)], p))
+        w = w + h * sum((b * stage for b, stage in zip(RK4.b, k, strict=True)), ca.SX(0))
+    step = ca.Function("step", [state, t, ca.vec(inputs), p, dt], [with_sensitivities(w)])
+    read = ca.Function("read", [state, t, v, p], [with_sensitivities(eq.g)])
+    return step.mapaccum("steps", N, [0], [0]), read.map("reads", "serial", N, [3], [])
+
+
+def _source(eq: DrivenEquations) -> tuple[str, int]:
+    """Return the C source of a simulation, and the size of its memory beside the states."""
+    jacobians = {"f": eq.jacobian(eq.f), "g": eq.jacobian(eq.g)}
+    expressions = [eq.f, jacobians["f"].nz[:], eq.g, jacobians["g"].nz[:]]
+    function = ca.Function("f", list(eq.arguments), [ca.densify(expression) for expression in expressions])
+    program = Program()
+    f, f_jacobian, g, g_jacobian = program.load(function, ("t", "x", "v", "p"))
+    hoisted = program.boundary([*f, *f_jacobian, *g, *g_jacobian], ir.LEVEL_PARAMETER)
+    constants = [k for k in hoisted if program.nodes[k][0] != ir.INPUT]
+    given = {node: f"c[{k}]" for k, node in enumerate(constants)}
+    inputs = ("t", "x", "v", "p", "c")
+
+    def written(name: str, inputs: Sequence[str], known: Mapping[int, str], **out: Sequence[int]) -> tuple[str, int]:
+        arguments = ["double t" if key == "t" else f"const double *{key}" for key in inputs]
+        arguments += [f"double *{key}" for key in (*out, "work")]
+        targets = [(f"{key}[{k}]", node) for key, nodes in out.items() for k, node in enumerate(nodes)]
+        call = ", ".join([*inputs, *out, "work"])
+        return Writer(program, known, array_leaf).text(name, ", ".join(arguments), call, targets)
+
+    parts = [
+        written("rs_constants", ("p",), {}, c=constants),
+        written("rs_f", inputs, given, out=f),
+        written("rs_f_jacobian", inputs, given, out=f, jac=f_jacobian),
+        written("rs_g", inputs, given, out=g),
+        written("rs_g_jacobian", inputs, given, out=g, jac=g_jacobian),
+    ]
+    work, jac = max(size for _, size in parts), max(len(f_jacobian), len(g_jacobian))
+    sizes = {
+        "RS_N": eq.n,
+        "RS_K": eq.m + eq.n,
+        "RS_C": len(eq.outputs),
+        "RS_NV": len(eq.inputs),
+        "RS_NC": len(constants),
+        "RS_WORK": work,
+        "RS_JAC": jac,
+        "RS_F_COUNT": len(f_jacobian),
+        "RS_G_COUNT": len(g_jacobian),
+        "RS_LARGE": LARGE,
+        "RS_SMALL": SMALL,
+    }
+    head = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
+    head += [f"#define {name} {value}" for name, value in sizes.items()]
+    head += ["#if defined(_WIN32)", "#define RS_EXPORT __declspec(dllexport)", "#else"]
+    head += ['#define RS_EXPORT __attribute__((visibility("default")))', "#endif"]
+    for name, jacobian in jacobians.items():
+        for key, places in zip(("rows", "cols"), jacobian.sparsity().get_triplet(), strict=True):
+            head.append(f"static const int rs_{name}_{key}[] = {{{', '.join(map(str, places)) or 0}}};")
+    text = "\n".join([*head, *(text for text, _ in parts), _RUNTIME.replace("RS_STEP", _step_in_c())])
+    return text, len(constants) + work + jac
+
+
+def _step_in_c() -> str:
+    """Return a step of w by h in C: stages k (s, size), of which those of `RK4` are at ends and middles of a step."""
+
+    def moved(target: str, weights: Sequence[float]) -> str:
+        terms = " + ".join(f"{weight!r} * k[{i} * size + j]" for i, weight in enumerate(weights) if weight)
+        return f"for (int j = 0; j < size; ++j) {target}[j] = w[j] + h * ({terms});"
+
+    lines = []
+    for i, (c, row) in enumerate(zip(RK4.c, RK4.a, strict=True)):
+        at = "ws" if any(row) else "w"
+        lines += [moved(at, row)] if any(row) else []
+        given = f"ts + {c!r} * h, {at}, vs + {round(2 * c)} * RS_NV, p, c"
+        lines.append(f"rs_rates(exact, {given}, k + {i} * size, jac, work);")
+    return "\n      ".join([*lines, moved("w", RK4.b)])
