@@ -12,7 +12,7 @@ import numpy as np
 from rotorsim.block import Block
 from rotorsim.fault import Fault, Lines, Longest, Of, Steps
 
-__all__ = ["LEAST", "LINES", "LONGEST", "Insertion", "Spot", "fixed_of", "limits_of", "starts_of"]
+__all__ = ["LEAST", "LINES", "LONGEST", "Insertion", "Spot", "fixed_of", "limits_of", "sizes_at", "starts_of"]
 
 LEAST = "least"  # before the name of a signal: its size in the run in which it is smallest
 LONGEST = "longest run"  # among the largest magnitudes of signals: how long it is [s]
@@ -121,6 +121,23 @@ class Insertion:
 
 def _plain(end: str) -> str:
     return end.replace(" ", "")
+
+
+def sizes_at(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
+    """Return the magnitudes of the inputs of an insertion that are known (at their node or any).
+
+    largest: magnitudes of signals by their flat names, and what `LEAST`, `LINES` and `LONGEST` stand for. Of signals
+    that bound the insertion but do not feed it, those of the block where it acts.
+    """
+    sizes = {key: value for key, value in largest.items() if key in (LINES, LONGEST)}
+    bounds = [item.input for item in insertion.fault.most.values() if isinstance(item, Of)]
+    for key, source in (*((key, f"{insertion.spot.block}.{key}") for key in bounds), *insertion.feeds.items()):
+        for which in ("", f"{LEAST} "):
+            exact = [v for name, v in largest.items() if name.startswith(which + source.rstrip("]"))]
+            port = [v for name, v in largest.items() if name.partition("[")[0] == which + source.partition("[")[0]]
+            if exact or port:
+                sizes[which + key] = max(exact or port)
+    return sizes
 
 
 def starts_of(insertion: Insertion, largest: Mapping[str, float]) -> list[dict[str, float]]:

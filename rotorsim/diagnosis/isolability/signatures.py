@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, starts_of
+from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, sizes_at, starts_of
 from rotorsim.diagnosis.evidence.base_fit import with_uncertain
 from rotorsim.diagnosis.isolability.motion import LinearMotion
 from rotorsim.diagnosis.isolability.runs import Runs
@@ -250,7 +250,8 @@ class _Maker:
         self.scale = np.where(rms > 0, rms, 1.0)
         self.free = np.concatenate([self.rows(dY), self.rows(motion.open_means(theta))], axis=1)
         moving = 2 * np.sqrt((np.abs(self.Y[:, 1:]) ** 2).sum(axis=1))  # sqrt(2) times the rms about the mean
-        self.largest = (np.abs(self.Y[:, 0]) + moving).max(axis=0)
+        largest = (np.abs(self.Y[:, 0]) + moving).max(axis=0)
+        self.largest = {LINES: ANY_LINE} | {n: float(v) for n, v in zip(signals, largest, strict=True) if v > 0}
 
     def _motion(self, diagram: Diagram, free: Sequence[Free]) -> LinearMotion:
         return LinearMotion(diagram, self.signals, self.runs, free, self.resolvents)
@@ -272,7 +273,7 @@ class _Maker:
         named = [_renamed(item, f"{item.name}_{k}") for k, item in enumerate(items)] if len(items) > 1 else items
         document, starts = self.document, []
         for item in named:
-            sizes = self._sizes(item)
+            sizes = sizes_at(item, self.largest)
             starts.append(starts_of(item, sizes))
             document = item.document(document, {**fixed_of(item, sizes), **starts[-1][0]})
         placed = self.opened(document)
@@ -338,14 +339,3 @@ class _Maker:
         Y, dY = settled
         every = np.concatenate([(Y - self.Y)[..., None], dY * np.where(theta, theta, 1.0)], axis=-1)
         return self.rows(every[..., [k for k in range(every.shape[-1]) if not self._is_small(every[..., k])]])
-
-    def _sizes(self, item: Insertion) -> dict[str, float]:
-        """Return the largest magnitude of the inputs of a fault in the motion of the diagram, and where lines are."""
-        sizes = {LINES: ANY_LINE}
-        for key, source in item.feeds.items():
-            exact = [name.startswith(source.rstrip("]")) for name in self.signals]
-            port = [name.partition("[")[0] == source.partition("[")[0] for name in self.signals]
-            largest = float(self.largest[exact if any(exact) else port].max(initial=0.0))
-            if largest > 0:
-                sizes[key] = largest
-        return sizes
