@@ -133,10 +133,11 @@ def sizes_at(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, fl
     bounds = [item.input for item in insertion.fault.most.values() if isinstance(item, Of)]
     for key, source in (*((key, f"{insertion.spot.block}.{key}") for key in bounds), *insertion.feeds.items()):
         for which in ("", f"{LEAST} "):
-            exact = [v for name, v in largest.items() if name.startswith(which + source.rstrip("]"))]
-            port = [v for name, v in largest.items() if name.partition("[")[0] == which + source.partition("[")[0]]
-            if exact or port:
-                sizes[which + key] = max(exact or port)
+            signal = f"{which}{source}".rstrip("]")
+            here = [v for name, v in largest.items() if name.startswith((f"{signal},", f"{signal}]"))]
+            port = [v for name, v in largest.items() if name.partition("[")[0] == signal.partition("[")[0]]
+            if here or port:
+                sizes[which + key] = max(here or port)
     return sizes
 
 
