@@ -15,6 +15,7 @@ from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.insertion import Insertion, starts_of
 from rotorsim.diagnosis.isolability.equations import entries_of, structure_of
 from rotorsim.diagnosis.isolability.isolation import Isolation, isolate, isolation_data
+from rotorsim.diagnosis.isolability.motion import LinearMotion
 from rotorsim.diagnosis.isolability.runs import Runs, runs_of
 from rotorsim.diagnosis.isolability.signatures import signatures_of
 from rotorsim.diagnosis.isolability.structure import Structure
@@ -383,6 +384,18 @@ def _both(runs: Runs, diagram: Diagram) -> np.ndarray:
             for found, at in zip(model, zero, strict=True)
         ]
     )
+
+
+def test_harmonic_balance_finds_the_motion_of_linear_equations() -> None:
+    """FAULT: slow states had the mean zero there, so that nonlinear faults were credited with the sag of the rotor."""
+    diagram = load("jeffcott")
+    motion = LinearMotion(diagram, CHANNELS, runs_of(diagram, SPEEDS), diagram.free, {})
+    theta = np.array([free.value for free in diagram.free])
+    linear, nonlinear = motion.linear(theta), motion.nonlinear(theta)
+    assert linear is not None
+    assert nonlinear is not None
+    for exact, balanced in zip(linear, nonlinear, strict=True):
+        np.testing.assert_allclose(balanced, exact, rtol=0, atol=1e-9 * np.abs(exact).max())
 
 
 def test_a_gain_of_the_sensor_is_a_scale_of_other_parameters() -> None:

@@ -122,7 +122,7 @@ class LinearMotion:
     def nonlinear(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return Y and dY by harmonic balance, None where no settled motion is found."""
         runs = len(self.p)
-        motion = NonlinearMotion(self.all, self.p, self.speeds, ORDERS, [WINDOW] * runs, np.zeros(runs))
+        motion = NonlinearMotion(self.all, self.p, self.speeds, ORDERS, [NEVER] * runs, np.zeros(runs))
         try:
             with np.errstate(all="ignore"):
                 predicted = motion.predict(theta)
