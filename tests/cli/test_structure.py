@@ -10,7 +10,7 @@ SENSORS = ("--sensors", "rotor.displacement,controller.current", "--speeds", "90
 
 
 @pytest.mark.slow
-def test_what_sensors_can_tell(run: Run):
+def test_what_sensors_detect_and_isolate(run: Run):
     result = run("diagnose", "jeffcott", *SENSORS)
     assert result.exit_code == 0
     text = result.stdout
@@ -27,7 +27,7 @@ def test_what_sensors_can_tell(run: Run):
     bow = next(line for line in lines if line.startswith("residual_bow at rotor.force") and "nm" in line)
     assert "runout at rotor.displacement" in bow
     table = [line.split() for line in lines if line.startswith("second rotor.displacement")]
-    assert [row[2] for row in table] == ["0", "1"]  # by structure none more is seen, by laws sensor_gain
+    assert [row[2] for row in table] == ["0", "1"]  # by structure none more is detectable, by laws sensor_gain
     assert "Runs with other gains as well (controller.KP = 15.86 kA/m, controller.KD = 3.9 A s/m):" in text
     assert "Not judged (no harmonics of the shaft: it shows as a line of its own or as sidebands):" in text
 
@@ -70,7 +70,7 @@ second rotor.displacement                0               2
 amb.force                                0               2
 (second: the same signal measured once more, by a chain with faults of its own)
 
-All that sensors can tell is told with second rotor.displacement (2 pairs more).
+All that any sensors isolate is isolable with second rotor.displacement (2 pairs more).
 
 LAWS (harmonics of runs at 900, 1500, 2100 rpm; free: viscous_damping, crack_stiffness, crack_phase,
   eccentricity, unbalance_phase, force_displacement_factor, force_current_factor)
@@ -81,7 +81,7 @@ Not detectable: the free parameters imitate:
 
 
 @pytest.mark.slow
-def test_one_probe_cannot_tell_its_own_gain(run: Run):
+def test_one_probe_does_not_detect_its_own_gain(run: Run):
     """A gain of the only probe scales eccentricity, crack and force factors; bow and runout differ in their laws."""
     result = run(
         "diagnose",
@@ -95,9 +95,9 @@ def test_one_probe_cannot_tell_its_own_gain(run: Run):
     )
     assert result.exit_code == 0
     assert result.stdout.startswith(ONE_PROBE)
-    seen, told = (line.split() for line in result.stdout.splitlines() if line.startswith("residual_bow at"))
-    assert seen[3:6:2] == ["amplitude", "nm"]  # far smaller than what is told from runout
-    assert told[3:7] + told[10:11] == ["runout", "at", "rotor.displacement", "amplitude", "um"]
+    detected, isolated = (line.split() for line in result.stdout.splitlines() if line.startswith("residual_bow at"))
+    assert detected[3:6:2] == ["amplitude", "nm"]  # far smaller than what is isolable from runout
+    assert isolated[3:7] + isolated[10:11] == ["runout", "at", "rotor.displacement", "amplitude", "um"]
 
 
 @pytest.mark.slow
@@ -132,7 +132,7 @@ def test_angles_are_no_harmonics(run: Run):
         "jeffcott, sensors clock.theta: 1 fault\n\n"
         "STRUCTURE (one run, faults of any form): 1 equation more than unknowns\n\n"
         "Not detectable:\n  rotor.displacement: runout\n\n"
-        "No further sensor tells more.\n\n"
+        "No further sensor helps.\n\n"
         "By their laws faults were not compared: clock.theta does not repeat from turn to turn.\n"
     )
 

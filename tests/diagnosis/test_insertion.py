@@ -8,7 +8,7 @@ import pytest
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.finder import insertions
-from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, starts_of
+from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, sizes_at, starts_of
 from rotorsim.diagnosis.conclude.result import Effect
 from rotorsim.diagnosis.conclude.verdict import conventions
 from rotorsim.diagnosis.evidence.fit import Fit
@@ -236,6 +236,15 @@ def test_an_effect_that_stood_behind_another_in_a_wire_can_stand_alone():
     assert "runout" not in alone["blocks"]
     assert ["rotor.displacement", "sensor_rotation.displacement"] in alone["wires"]
     assert alone["measured"] == {"rotor.displacement": "sensor_rotation.sensed_displacement"}
+
+
+def test_inputs_are_as_large_as_the_signals_at_their_own_node():
+    """FAULT: a gap at node 2 began from what moves at node 20, whose name begins alike."""
+    rub = next(item for item in found("fe_rigid", PROBES, "rub") if item.spot.node == 2)
+    largest = {"rotor.displacement[2,1]": 1e-5, "rotor.displacement[2,2]": 2e-5, "rotor.displacement[20,1]": 1e-3}
+    assert sizes_at(rub, largest)["displacement"] == 2e-5
+    del largest["rotor.displacement[2,1]"], largest["rotor.displacement[2,2]"]
+    assert sizes_at(rub, largest)["displacement"] == 1e-3  # of another node, where none is known at its own
 
 
 def test_what_a_law_takes_as_given_is_said():

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from rotorsim.diagnosis.catalogue.finder import insertions
-from rotorsim.diagnosis.catalogue.insertion import LONGEST, Insertion, fixed_of, limits_of, starts_of
+from rotorsim.diagnosis.catalogue.insertion import LONGEST, Insertion, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
-from rotorsim.diagnosis.search.trials import _sizes
 from rotorsim.identification.likelihood import Evaluation
 from rotorsim.identification.periodic_likelihood import likelihood_of
 from rotorsim.signals.harmonics import harmonics_of
@@ -63,7 +62,7 @@ def evaluated(model: str, item: Insertion | None) -> Evaluation:
     """Return what the diagram says at the values that it has, with a law of size nothing or without."""
     document = shipped(model).document
     if item is not None:
-        sizes = _sizes(item, source(model).largest())
+        sizes = sizes_at(item, source(model).largest())
         start = starts_of(item, sizes)[0]
         none = NOTHING.get(item.physics, dict.fromkeys(item.fault.sizes, NEXT_TO))
         start |= {key: value for key, value in none.items() if key in item.fault.free}
@@ -104,7 +103,7 @@ def test_a_law_has_sizes_or_is_told_here_how_it_is_nothing():
 
 def test_a_time_cannot_be_longer_than_thirty_runs():
     [bow] = [item for item in places("jeffcott") if item.physics == "thermal_bow"]
-    sizes = _sizes(bow, {LONGEST: 0.5, "rotor.displacement[1]": 2e-5, "rotor.displacement[2]": 3e-5})
+    sizes = sizes_at(bow, {LONGEST: 0.5, "rotor.displacement[1]": 2e-5, "rotor.displacement[2]": 3e-5})
     limits = limits_of(bow, sizes)
     assert limits["time_constant"] == pytest.approx((0.015, 15.0))
     assert limits["growth"] == pytest.approx((0.0, 0.03))

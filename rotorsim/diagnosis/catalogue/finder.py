@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,32 +18,37 @@ from rotorsim.fault import Fault
 
 __all__ = ["insertions"]
 
+Wires = list[tuple[str, str]]
+
 
 def insertions(diagram: Diagram, recorded: Iterable[str], registry: Registry | None = None) -> list[Insertion]:
     """Return every declared fault at every place of a diagram where its ports fit.
 
     recorded: flat names of the recorded signals ("rotor.displacement[3,1]"): a sensor stands only in front of them.
     """
-    registry = registry or Registry()
-    finder = _Finder(diagram, frozenset(recorded))
-    found: list[Insertion] = []
-    for kind in registry.all_types().values():
-        counted: dict[str, int] = {}
+    chains, names = Chains(diagram), frozenset(recorded)
+    candidates: list[Insertion] = []
+    for kind in (registry or Registry()).all_types().values():
+        counted: Counter[str] = Counter()
         for fault in kind.faults:
-            variant = counted.get(fault.physics, 0)
-            counted[fault.physics] = variant + 1
-            found += finder.find(kind, fault, variant)
-    return found
+            candidates += _Finder(diagram, names, chains, kind, fault, counted[fault.physics]).insertions()
+            counted[fault.physics] += 1
+    return candidates
 
 
+@dataclass(frozen=True, eq=False)
 class _Finder:
-    def __init__(self, diagram: Diagram, recorded: frozenset[str]) -> None:
-        self.diagram, self.recorded = diagram, recorded
-        self.ports = {name.partition("[")[0] for name in recorded}
-        self.chains = Chains(diagram)
+    """Finds the places of one declaration, a variant of its physics."""
 
-    def find(self, kind: type[Block], fault: Fault, variant: int) -> Iterator[Insertion]:
-        """Yield the insertions of one declaration."""
+    diagram: Diagram
+    recorded: frozenset[str]
+    chains: Chains
+    kind: type[Block]
+    fault: Fault
+    variant: int
+
+    def insertions(self) -> Iterator[Insertion]:
+        """Yield the insertions."""
         how = {
             "force": self._forces,
             "shaft": self._shafts,
@@ -49,148 +56,124 @@ class _Finder:
             "reading": self._readings,
             "replace": self._replaced,
             "move": self._moved,
-        }[fault.enters]
-        yield from how(kind, fault, variant)
+        }
+        for node in self.diagram.nodes.values():
+            yield from how[self.fault.enters](node)
 
-    def _new_name(self, physics: str) -> str:
-        name, number = physics, 2
+    def _insertion(
+        self,
+        spot: Spot,
+        name: str,
+        wires: Wires,
+        *,
+        of: Node | None = None,
+        cut: Wires | None = None,
+        measured: Mapping[str, str] | None = None,
+        feeds: Mapping[str, str] | None = None,
+    ) -> Insertion:
+        """Return an insertion; of: the block whose values it inherits."""
+        values = {**self.fault.options, **({} if of is None else self._inherited(of))}
+        parts = tuple(wires), tuple(cut or ()), measured or {}, values, feeds or {}
+        return Insertion(self.kind, self.fault, spot, name, *parts, self.variant)
+
+    def _new_name(self) -> str:
+        name, number = self.fault.physics, 2
         while name in self.diagram.nodes:
-            name, number = f"{physics}{number}", number + 1
+            name, number = f"{self.fault.physics}{number}", number + 1
         return name
 
     # -- forces ----------------------------------------------------------------------------------------------------
 
-    def _forces(self, kind: type[Block], fault: Fault, variant: int) -> Iterator[Insertion]:
-        for block, node in self.diagram.nodes.items():
-            ports = [port for port in node.inputs.values() if _is_additive(port)]
-            outputs = {d.name: d for d in kind.outputs.values()}
-            pairs = [(port, port.name) for port in ports if port.name in outputs]
-            if not pairs or not all(_fits(outputs[name].shape, port.shape[-1:]) for port, name in pairs):
-                continue
-            for place in _places(node, pairs[0][0]):
-                pinned = getattr(node.block.option, "pinned_nodes", ()) or ()
-                if place in pinned and pairs[0][0].name == "force":
-                    continue
-                made = self._force(kind, fault, variant, block, node, pairs, place)
-                if made is not None:
-                    yield made
+    def _forces(self, node: Node) -> Iterator[Insertion]:
+        outputs = {declared.name: declared for declared in self.kind.outputs.values()}
+        ports = [port for port in node.inputs.values() if _declared(port).additive and port.name in outputs]
+        if not ports or not all(_fits(outputs[port.name].shape, port.shape[-1:]) for port in ports):
+            return
+        nodes = [None] if len(ports[0].shape) < 2 else range(1, ports[0].shape[0] + 1)
+        for place in nodes:
+            if ports[0].name != "force" or place not in _pinned(node):
+                yield from self._force(node, ports, place)
 
-    def _force(
-        self,
-        kind: type[Block],
-        fault: Fault,
-        variant: int,
-        block: str,
-        node: Node,
-        pairs: list[tuple[Port, str]],
-        place: int | None,
-    ) -> Insertion | None:
-        name = self._new_name(fault.physics)
+    def _shafts(self, node: Node) -> Iterator[Insertion]:
+        ports = [node.inputs[key] for key in self.kind.outputs if key in node.inputs]
+        fits = len(ports) == len(self.kind.outputs) and all(_declared(port).additive for port in ports)
+        if fits and all(key in node.values or key in node.block.options for key in self.fault.inherits):
+            yield from self._force(node, ports, None)
+
+    def _force(self, node: Node, ports: list[Port], place: int | None) -> Iterator[Insertion]:
+        name = self._new_name()
         index = "" if place is None else f"[{place}]"
-        feeds: dict[str, str] = {}
-        for key, declared in kind.inputs.items():
-            source = self._feed(key, node, block, index)
-            if source is None:
-                if declared.optional:
-                    continue
-                return None
-            feeds[key] = source
-        wires = [(source, f"{name}.{key}") for key, source in feeds.items()]
-        wires += [(f"{name}.{output}", f"{block}.{port.name}{index}") for port, output in pairs]
-        spot = Spot(block, pairs[0][0].name, place)
-        values = {**dict(fault.options), **self._inherited(fault, node)}
-        return Insertion(kind, fault, spot, name, tuple(wires), (), {}, values, feeds, variant)
+        feeds = self._feeds(node, index)
+        if feeds is not None:
+            wires = [(source, f"{name}.{key}") for key, source in feeds.items()]
+            wires += [(f"{name}.{port.name}", f"{node.name}.{port.name}{index}") for port in ports]
+            yield self._insertion(Spot(node.name, ports[0].name, place), name, wires, of=node, feeds=feeds)
 
-    def _shafts(self, kind: type[Block], fault: Fault, variant: int) -> Iterator[Insertion]:
-        for block, node in self.diagram.nodes.items():
-            pairs = [(node.inputs[key], key) for key in kind.outputs if key in node.inputs]
-            if len(pairs) < len(kind.outputs) or not all(_is_additive(port) for port, _ in pairs):
-                continue
-            if not all(key in node.values or key in node.block.options for key in fault.inherits):
-                continue
-            made = self._force(kind, fault, variant, block, node, pairs, None)
-            if made is not None:
-                yield made
+    def _feeds(self, node: Node, index: str) -> dict[str, str] | None:
+        """Return the signals for inputs that no wire goes through; None where one that is needed has none."""
+        inputs = {key: declared for key, declared in self.kind.inputs.items() if key not in self.fault.through}
+        sources = {key: self._feed(key, node, index) for key in inputs}
+        if any(source is None and not inputs[key].optional for key, source in sources.items()):
+            return None
+        return {key: source for key, source in sources.items() if source is not None}
 
-    def _feed(self, key: str, node: Node, block: str, index: str) -> str | None:
+    def _feed(self, key: str, node: Node, index: str) -> str | None:
         """Return the signal for an input: the output of that name at the place, else of the only block with one."""
         if key in node.outputs:
-            shape = node.outputs[key].shape
-            return f"{block}.{key}{index}" if not index or len(shape) > 1 else f"{block}.{key}"
-        holders = [
-            (other.block.category, name)
-            for name, other in self.diagram.nodes.items()
-            if key in other.outputs and name != block
-        ]
-        first = [name for category, name in holders if category in ("clock", "controller")] or [n for _, n in holders]
-        return str(self.chains.end(Endpoint(first[0], key))) if len(first) == 1 else None
+            return f"{node.name}.{key}{index if len(node.outputs[key].shape) > 1 else ''}"
+        holders = [other for other in self.diagram.nodes.values() if key in other.outputs and other is not node]
+        first = [other for other in holders if other.block.category in ("clock", "controller")] or holders
+        return str(self.chains.end(Endpoint(first[0].name, key))) if len(first) == 1 else None
 
-    def _inherited(self, fault: Fault, node: Node) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        for entry in fault.inherits:
+    def _inherited(self, node: Node) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        for entry in self.fault.inherits:
             type_name, _, key = entry.rpartition(".")
-            others = [other for other in self.diagram.nodes.values() if other.block.type_name == type_name]
+            others = (other for other in self.diagram.nodes.values() if other.block.type_name == type_name)
             for holder in others if type_name else [node]:
                 if key in holder.values:
-                    found[key] = np.asarray(holder.values[key]).tolist()
-                    break
-                if key in holder.block.options:
-                    found[key] = getattr(holder.block.option, key)
-                    break
-        return found
+                    values.setdefault(key, np.asarray(holder.values[key]).tolist())
+                elif key in holder.block.options:
+                    values.setdefault(key, vars(holder.block.option)[key])
+        return values
 
     # -- in wires --------------------------------------------------------------------------------------------------
 
-    def _wires(self, kind: type[Block], fault: Fault, variant: int) -> Iterator[Insertion]:
-        first = next(iter(fault.through))
-        for block, node in self.diagram.nodes.items():
-            if node.block.category != fault.between[0] or first not in node.outputs:
-                continue
-            places = self._taken(block, first, fault.between[1])
-            if fault.recorded == "after":
-                places |= self._recorded_places(node, first)
-            for index in sorted(places):
-                made = self._in_wire(kind, fault, variant, block, node, index)
-                if made is not None:
-                    yield made
-
-    def _taken(self, block: str, port: str, category: str) -> set[tuple[int, ...]]:
-        """Return the indices under which blocks of a category take a port."""
-        ends = {wire.source for wire in self.diagram.wires if (wire.source.block, wire.source.port) == (block, port)}
-        return {end.index for end in ends if self.chains.targets(end, category)}
+    def _wires(self, node: Node) -> Iterator[Insertion]:
+        first = next(iter(self.fault.through))
+        if node.block.category != self.fault.between[0] or first not in node.outputs:
+            return
+        ends = {w.source for w in self.diagram.wires if (w.source.block, w.source.port) == (node.name, first)}
+        places = {end.index for end in ends if self.chains.targets(end, self.fault.between[1])}
+        if self.fault.recorded == "after":
+            places |= self._recorded_places(node, first)
+        for index in sorted(places):
+            yield from self._in_wire(node, index)
 
     def _recorded_places(self, node: Node, port: str) -> set[tuple[int, ...]]:
-        shape = node.outputs[port].shape
         prefix = f"{node.name}.{port}"
-        if prefix not in self.ports:
-            return set()
-        if len(shape) < 2:
-            return {()}
-        numbers = {int(n.partition("[")[2].split(",")[0]) for n in self.recorded if n.startswith(prefix + "[")}
-        return {(number - 1,) for number in numbers}
+        names = [name for name in self.recorded if name.partition("[")[0] == prefix]
+        if len(node.outputs[port].shape) < 2:
+            return {()} if names else set()
+        return {(int(name.partition("[")[2].split(",")[0]) - 1,) for name in names}
 
-    def _in_wire(
-        self, kind: type[Block], fault: Fault, variant: int, block: str, node: Node, index: tuple[int, ...]
-    ) -> Insertion | None:
-        name = self._new_name(fault.physics)
-        suffix = f"[{','.join(str(i + 1) for i in index)}]" if index else ""
-        wires: list[tuple[str, str]] = []
-        cut: list[tuple[str, str]] = []
+    def _in_wire(self, node: Node, index: tuple[int, ...]) -> Iterator[Insertion]:
+        kind, fault, name = self.kind, self.fault, self._new_name()
+        wires: Wires = []
+        cut: Wires = []
         measured: dict[str, str] = {}
         feeds: dict[str, str] = {}
         after = fault.recorded == "after"
-        chain = self.chains.of(Endpoint(block, next(iter(fault.through)), index), fault.between[1])
+        chain = self.chains.of(Endpoint(node.name, next(iter(fault.through)), index), fault.between[1])
         for key, output in fault.through.items():
-            if key not in node.outputs:
-                if kind.inputs[key].optional:
-                    continue
-                return None
-            if not _fits(kind.inputs[key].shape, node.outputs[key].shape[len(index) :]):
-                return None
-            start = Endpoint(block, key, index)
+            declared, start = kind.inputs[key], Endpoint(node.name, key, index)
+            if declared.optional and key not in node.outputs:
+                continue
+            if key not in node.outputs or not _fits(declared.shape, node.outputs[key].shape[len(index) :]):
+                return
             source = chain.tap if start == chain.start else self.chains.beside(start, chain.blocks)
             taken = self.chains.targets(source, fault.between[1])
-            if kind.inputs[key].optional and not taken:
+            if declared.optional and not taken:
                 continue
             if after and start == chain.start:
                 taken += [wire for wire in self.chains.wires_to(source, chain.next) if wire not in taken]
@@ -198,27 +181,19 @@ class _Finder:
             wires.append((str(source), f"{name}.{key}"))
             cut += [(str(wire.source), str(wire.target)) for wire in taken]
             wires += [(f"{name}.{output}", str(wire.target)) for wire in taken]
-            if after and f"{block}.{key}" in self.ports and self.diagram.measured.get(start, start) == source:
+            if after and self._recorded_places(node, key) and self.diagram.measured.get(start, start) == source:
                 measured[str(start)] = f"{name}.{output}"
-        wires += self._offered(kind, fault, name, wires)
-        if not cut and not measured:
-            return None
-        for key, declared in kind.inputs.items():
-            if key in fault.through:
-                continue
-            found = self._feed(key, node, block, suffix)
-            if found is not None:
-                feeds[key] = found
-                wires.append((found, f"{name}.{key}"))
-            elif not declared.optional:
-                return None
-        values = {**dict(fault.options), **self._inherited(fault, node)}
-        spot = self._spot(fault, chain, index)
-        return Insertion(kind, fault, spot, name, tuple(wires), tuple(cut), measured, values, feeds, variant)
+        wires += self._offered(name, wires)
+        more = self._feeds(node, f"[{','.join(str(i + 1) for i in index)}]" if index else "")
+        if more is not None and (cut or measured):
+            feeds |= more
+            wires += [(source, f"{name}.{key}") for key, source in more.items()]
+            spot = self._spot(chain, index)
+            yield self._insertion(spot, name, wires, of=node, cut=cut, measured=measured, feeds=feeds)
 
-    def _spot(self, fault: Fault, chain: Chain, index: tuple[int, ...]) -> Spot:
+    def _spot(self, chain: Chain, index: tuple[int, ...]) -> Spot:
         """Return where a fault in a wire acts: at what is recorded, or, behind the recording, at what takes it."""
-        behind = None if fault.recorded == "after" else self.chains.taker(chain.tap, fault.between[1])
+        behind = None if self.fault.recorded == "after" else self.chains.taker(chain.tap, self.fault.between[1])
         if behind is not None:
             return Spot(behind.block, behind.port, beside=self._beside(behind.block))
         node = index[0] + 1 if index else None
@@ -239,109 +214,71 @@ class _Finder:
         node = self.diagram.nodes[end.block]
         return node.outputs[end.port] if end.port in node.outputs else node.inputs[end.port]
 
-    def _offered(
-        self, kind: type[Block], fault: Fault, name: str, wires: list[tuple[str, str]]
-    ) -> list[tuple[str, str]]:
+    def _offered(self, name: str, wires: Wires) -> Wires:
         """Return wires of further outputs to optional inputs of that name, of blocks that the new block feeds."""
         fed = dict.fromkeys(target.partition(".")[0] for source, target in wires if source.startswith(f"{name}."))
-        more = [output.name for key, output in kind.outputs.items() if key not in fault.through.values()]
-        found = []
-        for block in fed:
-            node = self.diagram.nodes[block]
-            for port in node.inputs.values():
-                wanted = isinstance(port.declaration, In) and port.declaration.optional and port.name in more
-                if wanted and not any(
-                    (w.target.block, w.target.port) == (block, port.name) for w in self.diagram.wires
-                ):
-                    found.append((f"{name}.{port.name}", f"{block}.{port.name}"))
-        return found
+        more = [output.name for key, output in self.kind.outputs.items() if key not in self.fault.through.values()]
+        wired = {(wire.target.block, wire.target.port) for wire in self.diagram.wires}
+        return [
+            (f"{name}.{port.name}", str(port))
+            for block in fed
+            for port in self.diagram.nodes[block].inputs.values()
+            if _declared(port).optional and port.name in more and (block, port.name) not in wired
+        ]
 
-    def _readings(self, kind: type[Block], fault: Fault, variant: int) -> Iterator[Insertion]:
-        key, output = next(iter(fault.through.items()))
-        for block, node in self.diagram.nodes.items():
-            if node.block.category != fault.between[0] or key not in node.outputs:
-                continue
-            for index in sorted(self._recorded_places(node, key)):
-                if not _fits(kind.inputs[key].shape, node.outputs[key].shape[len(index) :]):
-                    continue
-                name, start = self._new_name(fault.physics), Endpoint(block, key, index)
-                read = str(self.diagram.measured.get(start, start))
-                spot = self._spot(fault, self.chains.of(start, fault.between[1]), index)
-                yield Insertion(
-                    kind,
-                    fault,
-                    spot,
-                    name,
-                    ((read, f"{name}.{key}"),),
-                    (),
-                    {str(start): f"{name}.{output}"},
-                    {**dict(fault.options), **self._inherited(fault, node)},
-                    {key: str(start)},
-                    variant,
-                )
+    def _readings(self, node: Node) -> Iterator[Insertion]:
+        [(key, output), *_] = self.fault.through.items()
+        if node.block.category != self.fault.between[0] or key not in node.outputs:
+            return
+        for index in sorted(self._recorded_places(node, key)):
+            if _fits(self.kind.inputs[key].shape, node.outputs[key].shape[len(index) :]):
+                name, start = self._new_name(), Endpoint(node.name, key, index)
+                wires = [(str(self.diagram.measured.get(start, start)), f"{name}.{key}")]
+                spot = self._spot(self.chains.of(start, self.fault.between[1]), index)
+                measured = {str(start): f"{name}.{output}"}
+                yield self._insertion(spot, name, wires, of=node, measured=measured, feeds={key: str(start)})
 
     # -- changes of a block ------------------------------------------------------------------------------------------
 
-    def _replaced(self, kind: type[Block], fault: Fault, variant: int) -> Iterator[Insertion]:
-        for block, node in self.diagram.nodes.items():
-            same = node.block.type_name == kind.type_name
-            if node.block.type_name not in fault.of:
-                continue
-            if same and all(getattr(node.block.option, k, None) == v for k, v in fault.options.items()):
-                continue
-            output = next(iter(node.outputs), "")
-            feeds = {w.target.port: str(w.source) for w in self.diagram.wires if w.target.block == block}
-            spot = Spot(block, output, beside=self._beside(block))
-            yield Insertion(kind, fault, spot, block, (), (), {}, dict(fault.options), feeds, variant)
+    def _replaced(self, node: Node) -> Iterator[Insertion]:
+        if node.block.type_name not in self.fault.of:
+            return
+        options = vars(node.block.option)
+        same = all(options.get(key) == value for key, value in self.fault.options.items())
+        if node.block.type_name != self.kind.type_name or not same:
+            feeds = {w.target.port: str(w.source) for w in self.diagram.wires if w.target.block == node.name}
+            spot = Spot(node.name, next(iter(node.outputs), ""), beside=self._beside(node.name))
+            yield self._insertion(spot, node.name, [], feeds=feeds)
 
-    def _moved(self, kind: type[Block], fault: Fault, variant: int) -> Iterator[Insertion]:
-        for block, node in self.diagram.nodes.items():
-            if node.block.type_name != kind.type_name:
-                continue
-            out = [
-                wire
-                for wire in self.diagram.wires
-                if wire.source.block == block
-                and wire.target.index
-                and _is_additive(self.diagram.nodes[wire.target.block].inputs[wire.target.port])
-            ]
-            if len({(w.target.block, w.target.index[0]) for w in out}) != 1:
-                continue
-            target = self.diagram.nodes[out[0].target.block]
-            port = target.inputs[out[0].target.port]
-            pinned = set(getattr(target.block.option, "pinned_nodes", ()) or ())
-            for place in range(1, port.shape[0] + 1):
-                if place in pinned or place == out[0].target.index[0] + 1:
-                    continue
-                wires = [
-                    (str(w.source), str(Endpoint(w.target.block, w.target.port, (place - 1, *w.target.index[1:]))))
-                    for w in out
-                ]
-                cut = tuple((str(w.source), str(w.target)) for w in out)
-                yield Insertion(
-                    kind,
-                    fault,
-                    Spot(target.name, port.name, place),
-                    block,
-                    tuple(wires),
-                    cut,
-                    {},
-                    dict(fault.options),
-                    {},
-                    variant,
-                )
+    def _moved(self, node: Node) -> Iterator[Insertion]:
+        if node.block.type_name != self.kind.type_name:
+            return
+        out = [w for w in self.diagram.wires if w.source.block == node.name and w.target.index]
+        out = [w for w in out if _declared(self.diagram.nodes[w.target.block].inputs[w.target.port]).additive]
+        if len({(w.target.block, w.target.index[0]) for w in out}) != 1:
+            return
+        cut = [(str(w.source), str(w.target)) for w in out]
+        block, port, index = out[0].target.block, out[0].target.port, out[0].target.index
+        target = self.diagram.nodes[block]
+        for place in range(target.inputs[port].shape[0]):
+            if place != index[0] and place + 1 not in _pinned(target):
+                ends = (Endpoint(block, w.target.port, (place, *w.target.index[1:])) for w in out)
+                wires = [(str(w.source), str(end)) for w, end in zip(out, ends, strict=True)]
+                yield self._insertion(Spot(block, port, place + 1), node.name, wires, cut=cut)
 
 
-def _is_additive(port: Port) -> bool:
-    return isinstance(port.declaration, In) and port.declaration.additive
+def _declared(port: Port) -> In:
+    """Return the declaration of an input."""
+    assert isinstance(port.declaration, In)
+    return port.declaration
+
+
+def _pinned(node: Node) -> tuple[int, ...]:
+    """Return the nodes (from 1) that do not move."""
+    return tuple(vars(node.block.option).get("pinned_nodes") or ())
 
 
 def _fits(declared: Any, shape: tuple[int, ...]) -> bool:
     """Return whether a declared shape, where it is one for all diagrams, is that of a signal."""
     fixed = (declared,) if isinstance(declared, int) else declared
     return not isinstance(fixed, tuple) or fixed == shape
-
-
-def _places(node: Node, port: Port) -> list[int | None]:
-    """Return the nodes (from 1) of a port, or [None] where it has none."""
-    return [None] if len(port.shape) < 2 else list(range(1, port.shape[0] + 1))

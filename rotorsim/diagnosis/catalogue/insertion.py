@@ -12,11 +12,11 @@ import numpy as np
 from rotorsim.block import Block
 from rotorsim.fault import Fault, Lines, Longest, Of, Steps
 
-__all__ = ["LEAST", "LINES", "LONGEST", "Insertion", "Spot", "fixed_of", "limits_of", "starts_of"]
+__all__ = ["LEAST", "LINES", "LONGEST", "Insertion", "Spot", "fixed_of", "limits_of", "sizes_at", "starts_of"]
 
 LEAST = "least"  # before the name of a signal: its size in the run in which it is smallest
 LONGEST = "longest run"  # among the largest magnitudes of signals: how long it is [s]
-LINES = "lines"  # among the largest magnitudes of signals: the frequency of lines that do not follow the shaft
+LINES = "lines"  # among the largest magnitudes of signals: the frequency of asynchronous lines
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Insertion:
 
     @property
     def key(self) -> str:
-        """A text that tells this insertion from all others of a diagram."""
+        """A text that identifies this insertion among all of a diagram."""
         return f"{self.physics}/{self.variant}@{self.spot}"
 
     @property
@@ -76,12 +76,12 @@ class Insertion:
 
     @property
     def from_lines(self) -> tuple[str, ...]:
-        """The parameters that take the frequency of lines that do not follow the shaft."""
+        """The parameters that take the frequency of asynchronous lines."""
         return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Lines))
 
     @property
     def from_steps(self) -> tuple[str, ...]:
-        """The parameters that take the step between readings."""
+        """The parameters that take the quantisation step of readings."""
         return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Steps))
 
     def document(
@@ -95,24 +95,17 @@ class Insertion:
         limits: (low, high) of its free parameters, where they are narrower than what the block allows.
         """
         new = copy.deepcopy(dict(document))
-        entered = self.fault.enters
-        if entered in ("replace", "move"):
+        kept: dict[str, Any] = {}
+        if self.fault.enters in ("replace", "move"):
             block = new["blocks"][self.name]
-            kept = {
-                key: value
-                for key, value in block.get("parameters", {}).items()
-                if key in self.kind.parameters or key in self.kind.options
-            }
-            new["blocks"][self.name] = {"type": self.kind.type_name, "parameters": {**kept, **self.values}}
-            followed = {v[1:] for v in kept.values() if isinstance(v, str) and v.startswith("$")}
+            known = {*self.kind.parameters, *self.kind.options}
+            kept = {key: value for key, value in block.get("parameters", {}).items() if key in known}
             if block["type"] != self.kind.type_name:
+                followed = {v[1:] for v in kept.values() if isinstance(v, str) and v.startswith("$")}
                 for name in followed & set(new.get("identify", {})):  # other bounds may hold for the new type
                     new["identify"][name] = {k: v for k, v in new["identify"][name].items() if k not in ("low", "high")}
-        else:
-            new["blocks"][self.name] = {"type": self.kind.type_name, "parameters": dict(self.values)}
-        parameters = new["blocks"][self.name]["parameters"]
-        for key, value in (start or {}).items():
-            parameters[key] = value
+        parameters = {**kept, **self.values, **(start or {})}
+        new["blocks"][self.name] = {"type": self.kind.type_name, "parameters": parameters}
         if self.cut or self.wires:
             cut = {(_plain(a), _plain(b)) for a, b in self.cut}
             new["wires"] = [w for w in new["wires"] if (_plain(w[0]), _plain(w[1])) not in cut]
@@ -120,15 +113,32 @@ class Insertion:
         if self.measured:
             new["measured"] = {**new.get("measured", {}), **self.measured}
         ends = limits or {}
-        free = {
-            key: dict(zip(("low", "high"), ends[key], strict=True)) if key in ends else {} for key in self.fault.free
-        }
-        new["identify"] = {**new.get("identify", {}), **{f"{self.name}.{key}": given for key, given in free.items()}}
+        bounds = {key: dict(zip(("low", "high"), ends.get(key, ()), strict=False)) for key in self.fault.free}
+        free = {f"{self.name}.{key}": given for key, given in bounds.items()}
+        new["identify"] = {**new.get("identify", {}), **free}
         return new
 
 
 def _plain(end: str) -> str:
     return end.replace(" ", "")
+
+
+def sizes_at(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
+    """Return the magnitudes of the inputs of an insertion that are known (at their node or any).
+
+    largest: magnitudes of signals by their flat names, and what `LEAST`, `LINES` and `LONGEST` stand for. Of signals
+    that bound the insertion but do not feed it, those of the block where it acts.
+    """
+    sizes = {key: value for key, value in largest.items() if key in (LINES, LONGEST)}
+    bounds = [item.input for item in insertion.fault.most.values() if isinstance(item, Of)]
+    for key, source in (*((key, f"{insertion.spot.block}.{key}") for key in bounds), *insertion.feeds.items()):
+        for which in ("", f"{LEAST} "):
+            signal = f"{which}{source}".rstrip("]")
+            here = [v for name, v in largest.items() if name.startswith((f"{signal},", f"{signal}]"))]
+            port = [v for name, v in largest.items() if name.partition("[")[0] == signal.partition("[")[0]]
+            if here or port:
+                sizes[which + key] = max(here or port)
+    return sizes
 
 
 def starts_of(insertion: Insertion, largest: Mapping[str, float]) -> list[dict[str, float]]:
@@ -146,7 +156,7 @@ def starts_of(insertion: Insertion, largest: Mapping[str, float]) -> list[dict[s
 
 def limits_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     """Return (low, high) of the free parameters that the data bound more narrowly than the block does."""
-    found = {}
+    limits = {}
     for key, item in insertion.fault.most.items():
         known = largest.get(LONGEST if isinstance(item, Longest) else item.input)
         if key not in insertion.fault.free or not known:
@@ -157,14 +167,14 @@ def limits_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, t
         if (declared.high is None or most < declared.high) and (least is None or most > least):
             # an open end is left by a thousandth of the way, as where a value is given (diagram.resolve.free)
             low = -most if least is None else least if declared.low is not None else least + 1e-3 * (most - least)
-            found[key] = (low, most)
-    return found
+            limits[key] = (low, most)
+    return limits
 
 
 def fixed_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
     """Return the parameters of an insertion that are set once and not fitted."""
-    fixed = {key: item for key, item in insertion.fault.fixed.items() if not isinstance(item, Steps)}
-    return {key: _number(item, largest) for key, item in fixed.items()}
+    fixed = insertion.fault.fixed.items()
+    return {key: _number(item, largest) for key, item in fixed if not isinstance(item, Steps)}
 
 
 def _number(item: float | Of | Lines, largest: Mapping[str, float]) -> float:

@@ -10,19 +10,17 @@ __all__ = ["values_in"]
 
 def values_in(document: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
     """Return a document with SI values in place of those of parameters ("e", "rub.gap", "bearing.k[2]") that it has."""
-    new = {**document, "parameters": dict(document.get("parameters", {})), "blocks": dict(document["blocks"])}
+    parameters, blocks = dict(document.get("parameters", {})), dict(document["blocks"])
     for name, value in values.items():
         base, _, inside = name.partition("[")
         block, _, key = base.rpartition(".")
-        if not block:
-            if base in new["parameters"]:
-                new["parameters"][base] = _replaced(new["parameters"][base], inside, float(value))
-        elif block in new["blocks"]:
-            changed = dict(new["blocks"][block])
-            parameters = dict(changed.get("parameters", {}))
-            parameters[key] = _replaced(parameters.get(key), inside, float(value))
-            new["blocks"][block] = {**changed, "parameters": parameters}
-    return new
+        if base in parameters:
+            parameters[base] = _replaced(parameters[base], inside, float(value))
+        elif block in blocks:
+            own = blocks[block].get("parameters", {})
+            changed = {**own, key: _replaced(own.get(key), inside, float(value))}
+            blocks[block] = {**blocks[block], "parameters": changed}
+    return {**document, "parameters": parameters, "blocks": blocks}
 
 
 def _replaced(before: Any, inside: str, value: float) -> Any:

@@ -1,33 +1,33 @@
-"""Which faults can be told apart with which sensors, before anything is measured: by structure, and by their laws."""
+"""Which faults sensors detect and isolate, before anything is measured: by structure, and by the laws of the faults."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnosis.catalogue.finder import insertions
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.isolability.equations import entries_of, structure_of
 from rotorsim.diagnosis.isolability.motion import SECOND, LinearMotion
-from rotorsim.diagnosis.isolability.signatures import ALIAS, HARDLY, Shares, Signatures, runs_of, signatures_of
+from rotorsim.diagnosis.isolability.runs import Runs, runs_of
+from rotorsim.diagnosis.isolability.signatures import ALIAS, HARDLY, Shares, Signatures, signatures_of
 from rotorsim.diagnosis.isolability.structure import Gain, Structure
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.errors import Problem, RotorsimError
 
-__all__ = ["Hardly", "Isolation", "Laws", "isolate", "isolation_data"]
+__all__ = ["Isolation", "Laws", "WeaklyIsolable", "isolate", "isolation_data"]
 
 MOST_TESTS = 1000
 
 
 @dataclass(frozen=True)
-class Hardly:
-    """A fault and another that leaves little of it, and the sizes from which it is told apart: one, two sets of gains.
+class WeaklyIsolable:
+    """A fault and another that leaves little of it, and the sizes from which it is isolable: one, two sets of gains.
 
     The sizes are None where the fault has not one size.
     """
@@ -43,7 +43,7 @@ class Hardly:
 class Laws:
     """What the laws of faults tell over speeds: with the gains as they are (one), and with a second set too (two).
 
-    sensors: sensor that could be added -> faults that it makes seen, pairs (fault, other) that it tells apart.
+    sensors: sensor that could be added -> faults that it makes detectable, pairs (fault, other) that it isolates.
     """
 
     signatures: Signatures
@@ -51,37 +51,14 @@ class Laws:
     two: Shares
     sensors: Mapping[str, tuple[frozenset[str], frozenset[tuple[str, str]]]] = field(default_factory=dict)
 
-    @property
-    def unseen(self) -> tuple[str, ...]:
-        """Faults that the free parameters imitate."""
-        return tuple(name for name in self.one.names if name not in self.one.seen)
-
     @cached_property
-    def taken_for(self) -> dict[str, frozenset[str]]:
-        """Fault -> others that explain all that it does."""
-        return _taken_for(self.one)
-
-    @cached_property
-    def taken_for_with_gains(self) -> dict[str, frozenset[str]]:
-        """The same with two sets of gains."""
-        return _taken_for(self.two)
-
-    @cached_property
-    def hardly(self) -> tuple[Hardly, ...]:
-        """Pairs of faults of which only a large one is told from the other."""
+    def weakly_isolable(self) -> tuple[WeaklyIsolable, ...]:
+        """Pairs of faults of which only a large one is isolable from the other."""
         return tuple(
-            Hardly(a, b, share, self.one.size(a, b), self.two.size(a, b))
-            for (a, b), share in sorted(self.one.apart.items(), key=lambda pair: pair[1])
+            WeaklyIsolable(a, b, share, self.one.size(a, b), self.two.size(a, b))
+            for (a, b), share in sorted(self.one.isolable_shares.items(), key=lambda pair: pair[1])
             if ALIAS < share < HARDLY
         )
-
-
-def _taken_for(shares: Shares) -> dict[str, frozenset[str]]:
-    found: dict[str, set[str]] = {name: set() for name in shares.names if name in shares.seen}
-    for (a, b), share in shares.apart.items():
-        if share <= ALIAS:
-            found[a].add(b)
-    return {name: frozenset(others) for name, others in found.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +84,7 @@ def isolate(
     trust_blocks: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Isolation:
-    """Return which declared faults of a diagram can be told apart with some sensors, and which sensors would help.
+    """Return which declared faults of a diagram are isolable with some sensors, and which sensors would help.
 
     sensors: signals that are measured ("rotor.displacement", "rotor.displacement[3]"). speeds [rad/s] of the runs for
     which laws are compared (default: five about that of the diagram). physics: only these faults.
@@ -116,94 +93,93 @@ def isolate(
     Raises RotorsimError for sensors that the diagram does not have.
     """
     recorded = entries_of(diagram, sensors)
-    folders = diagram.document.get("block_folders", []) if trust_blocks and diagram.file else []
-    registry = Registry([Path(diagram.file).parent / name for name in folders])
-    every = [item for item in insertions(diagram, recorded, registry) if not item.from_steps]  # readings show those
-    faults = {item.key: item for item in every if physics is None or item.physics in physics}
+    candidates = Catalogue.of(diagram, physics, trust_blocks).candidates(diagram, recorded)
+    faults = {item.key: item for item in candidates if not item.from_steps}  # readings show those
     structure = structure_of(diagram, sensors, faults.values())
     laws, why = None, ""
     try:
-        laws = _laws(diagram, recorded, structure, list(faults.values()), speeds, trust_blocks, progress)
+        runs = runs_of(diagram, speeds)
+        extra = _periodic(diagram, recorded, structure.extra, runs)
+        signals = list(dict.fromkeys([*recorded, *chain.from_iterable(extra.values())]))
+        signatures = signatures_of(
+            diagram, list(faults.values()), signals, runs, trust_blocks=trust_blocks, progress=progress
+        )
+        laws = _laws(signatures, recorded, extra)
     except RotorsimError as error:
         why = error.problems[0].what
-    return Isolation(
-        diagram, tuple(sensors), faults, structure, tuple(structure.placements()), structure.smallest(), laws, why
-    )
+    placements, smallest = tuple(structure.placements()), structure.smallest()
+    return Isolation(diagram, tuple(sensors), faults, structure, placements, smallest, laws, why)
 
 
-def _laws(
-    diagram: Diagram,
-    recorded: Sequence[str],
-    structure: Structure,
-    faults: Sequence[Insertion],
-    speeds: Sequence[float],
-    trust_blocks: bool,
-    progress: Callable[[float], None] | None,
-) -> Laws:
-    runs = runs_of(diagram, speeds)
-    entries = {name: _entries(diagram, name) for name in structure.extra}
-    signals = list(dict.fromkeys([*recorded, *(entry for some in entries.values() for entry in some)]))
-    lost = LinearMotion(diagram, signals, runs, (), {}).wandering(np.zeros(0))
-    if lost & set(recorded):
-        names = ", ".join(name for name in recorded if name in lost)
+def _periodic(
+    diagram: Diagram, recorded: Sequence[str], sensors: Iterable[str], runs: Runs
+) -> dict[str, tuple[str, ...]]:
+    """Return the entries of sensors that could be added, of those that repeat from turn to turn.
+
+    Raises RotorsimError where a recorded signal does not.
+    """
+    entries = {}
+    for name in sensors:
+        prefix = SECOND if name.startswith(SECOND) else ""
+        entries[name] = tuple(prefix + entry for entry in entries_of(diagram, [name.removeprefix(SECOND)]))
+    signals = list(dict.fromkeys([*recorded, *chain.from_iterable(entries.values())]))
+    aperiodic = LinearMotion(diagram, signals, runs, (), {}).aperiodic(np.zeros(0))
+    if not aperiodic.isdisjoint(recorded):
+        names = ", ".join(name for name in recorded if name in aperiodic)
         raise RotorsimError(Problem(f"{names} does not repeat from turn to turn", diagram.name))
-    entries = {name: some for name, some in entries.items() if not lost & set(some)}
-    signals = [name for name in signals if name not in lost]
-    found = signatures_of(diagram, faults, signals, runs, trust_blocks=trust_blocks, progress=progress)
-    laws = Laws(found, found.shares(recorded, both=False), found.shares(recorded, both=True))
-    wrong = [(a, b) for a, others in laws.taken_for.items() for b in others] + [(i.fault, i.other) for i in laws.hardly]
-    only = {*laws.unseen, *(name for pair in wrong for name in pair)}
+    return {name: some for name, some in entries.items() if aperiodic.isdisjoint(some)}
+
+
+def _laws(signatures: Signatures, recorded: Sequence[str], extra: Mapping[str, Sequence[str]]) -> Laws:
+    """Return what the recorded signals tell, and what each sensor that could be added would: name -> its entries."""
+    one, two = signatures.shares(recorded, both=False), signatures.shares(recorded, both=True)
+    close = [pair for pair, share in one.isolable_shares.items() if share < HARDLY]
+    only = {*one.undetectable, *chain.from_iterable(close)}
     sensors = {}
-    for name, some in entries.items():
-        more = found.shares([*recorded, *some], both=False, only=only)
-        seen = frozenset(laws.unseen) & more.seen
-        apart = frozenset((a, b) for a, b in wrong if more.share(a, b) > HARDLY)
-        if seen or apart:
-            sensors[name] = seen, apart
-    order = sorted(sensors, key=lambda name: (-len(sensors[name][0]), -len(sensors[name][1])))
-    return Laws(found, laws.one, laws.two, {name: sensors[name] for name in order})
-
-
-def _entries(diagram: Diagram, sensor: str) -> list[str]:
-    plain = sensor.removeprefix(SECOND)
-    prefix = SECOND if plain != sensor else ""
-    return [prefix + entry for entry in entries_of(diagram, [plain])]
+    for name, entries in extra.items():
+        more = signatures.shares([*recorded, *entries], both=False, only=only)
+        detected = more.detectable.intersection(one.undetectable)
+        isolated = frozenset(pair for pair in close if more.share(*pair) > HARDLY)
+        if detected or isolated:
+            sensors[name] = detected, isolated
+    ordered = sorted(sensors.items(), key=lambda item: [len(some) for some in item[1]], reverse=True)
+    return Laws(signatures, one, two, dict(ordered))
 
 
 # -- as plain data ---------------------------------------------------------------------------------------------------
 
 
-def isolation_data(found: Isolation) -> dict[str, Any]:
+def isolation_data(isolation: Isolation) -> dict[str, Any]:
     """Return the answer as plain data."""
-    structure = found.structure
+    structure = isolation.structure
     tests = structure.tests(MOST_TESTS)
     return {
-        "diagram": found.diagram.name,
-        "sensors": list(found.sensors),
+        "diagram": isolation.diagram.name,
+        "sensors": list(isolation.sensors),
         "faults": {
             key: {"physics": item.physics, "at": str(item.spot), "enters": item.fault.enters}
-            for key, item in found.faults.items()
+            for key, item in isolation.faults.items()
         },
         "structure": {
             "redundancy": structure.redundancy,
             "tests": len(tests) if len(tests) < MOST_TESTS else None,
             "undetectable": [name for name in structure.faults if name not in structure.detectable],
             "groups": [list(group) for group in structure.groups],
-            "taken_for": _lists(structure.taken_for),
-            "add": [_gain(item) for item in found.placements],
-            "smallest": _gain(found.smallest),
+            "taken_for": _lists(structure.not_isolable_from),
+            "add": [_gain(item) for item in isolation.placements],
+            "smallest": _gain(isolation.smallest),
         },
-        "laws": None if found.laws is None else _laws_data(found.laws),
-        "laws_not_judged": found.why,
+        "laws": None if isolation.laws is None else _laws_data(isolation.laws),
+        "laws_not_judged": isolation.why,
     }
 
 
 def _gain(item: Gain) -> dict[str, Any]:
-    return {"sensors": list(item.sensors), "detected": sorted(item.detected), "pairs_told_apart": item.pairs}
+    return {"sensors": list(item.sensors), "detected": sorted(item.detected), "pairs_told_apart": item.counts[0]}
 
 
-def _lists(found: Mapping[str, Iterable[str]]) -> dict[str, list[str]]:
-    return {name: sorted(others) for name, others in found.items() if others}
+def _lists(others: Mapping[str, Iterable[str]]) -> dict[str, list[str]]:
+    return {name: sorted(some) for name, some in others.items() if some}
 
 
 def _laws_data(laws: Laws) -> dict[str, Any]:
@@ -213,16 +189,13 @@ def _laws_data(laws: Laws) -> dict[str, Any]:
         "second_gains": runs.gains or None,
         "free": list(signatures.parameters),
         "faults": {name: _fault_data(laws, name) for name in laws.one.names},
-        "unseen": list(laws.unseen),
-        "taken_for": _lists(laws.taken_for),
-        "hardly": [vars(item) for item in laws.hardly],
-        "with_second_gains": {
-            "unseen": [name for name in laws.two.names if name not in laws.two.seen],
-            "taken_for": _lists(laws.taken_for_with_gains),
-        },
+        "unseen": list(laws.one.undetectable),
+        "taken_for": _lists(laws.one.not_isolable_from),
+        "hardly": [vars(item) for item in laws.weakly_isolable],
+        "with_second_gains": {"unseen": list(laws.two.undetectable), "taken_for": _lists(laws.two.not_isolable_from)},
         "add": [
-            {"sensor": name, "detected": sorted(seen), "told_apart": sorted(map(list, pairs))}
-            for name, (seen, pairs) in laws.sensors.items()
+            {"sensor": name, "detected": sorted(detected), "told_apart": sorted(map(list, isolated))}
+            for name, (detected, isolated) in laws.sensors.items()
         ],
         "not_judged": dict(signatures.skipped),
     }
@@ -231,7 +204,7 @@ def _laws_data(laws: Laws) -> dict[str, Any]:
 def _fault_data(laws: Laws, name: str) -> dict[str, Any]:
     size = laws.signatures.sizes.get(name)
     return {
-        "share": laws.one.part(name),
+        "share": laws.one.detectable_share(name),
         "seen_from": laws.one.size(name),
         "seen_from_with_gains": laws.two.size(name),
         "size": None if size is None else size.parameter,

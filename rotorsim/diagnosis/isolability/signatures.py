@@ -1,7 +1,8 @@
-"""What the laws of faults tell apart: their signatures in harmonics over speeds and gains, free parameters aside.
+"""Which faults their laws isolate: signatures in harmonics over speeds and gains, free parameters aside.
 
 The signature of a fault is the span of dY/dsize where its size is nil (exact, from the traced equations), or of what
-it changes at its declared starts where it has no nil. With P the projection off the slopes of the free parameters,
+it changes at its declared starts where it has no nil. With P the projection off the sensitivities to the free
+parameters,
 
     share(a, b) = max over signatures s of a of |P_b P s| / |P s|,
 
@@ -19,28 +20,24 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, starts_of
+from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, sizes_at, starts_of
 from rotorsim.diagnosis.evidence.base_fit import with_uncertain
-from rotorsim.diagnosis.isolability.motion import LinearMotion, NoSignatureError, Runs
+from rotorsim.diagnosis.isolability.motion import LinearMotion
+from rotorsim.diagnosis.isolability.runs import Runs
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.threads import one_thread
-from rotorsim.linear.linearisation import speed_entries
-from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.load import load
-from rotorsim.units import format_quantity
 
-__all__ = ["ALIAS", "HARDLY", "NOISE", "SIGMAS", "Shares", "Signatures", "Size", "runs_of", "signatures_of"]
+__all__ = ["ALIAS", "HARDLY", "NOISE", "SIGMAS", "Shares", "Signatures", "Size", "signatures_of"]
 
-ANY_LINE = 100.0  # rad/s: does not follow the shaft
-ALIAS = 1e-6  # share below which nothing tells two faults apart
-HARDLY = 0.03  # share below which only a strong fault is told apart
+ANY_LINE = 100.0  # rad/s: asynchronous
+ALIAS = 1e-6  # share below which a fault is not isolable from another
+HARDLY = 0.03  # share below which only a strong fault is isolable
 SMALL = 1e-9  # of columns as long as one another: what is less is rounding
 NOISE = 1e-3  # of a signal's rms, in the real and the imaginary part of every harmonic
 SIGMAS = 5.0
-SPEEDS = (0.5, 0.7, 0.9, 1.15, 1.4)  # of the diagram's speed
-GAINS = (1.3, 0.8, 1.1)  # of proportional and derivative gains, the first that is stable
 MOST_STARTS = 3
 ANGLES = (0.0, np.pi / 4, np.pi / 2, 3 * np.pi / 4)
 SAME = 1e-7  # of the largest harmonic: a fault of this size is none
@@ -75,7 +72,7 @@ class Signatures:
     parameters: tuple[str, ...] = ()
 
     def shares(self, signals: Sequence[str], *, both: bool, only: Iterable[str] | None = None) -> Shares:
-        """Return what is told apart by signals (flat names), with the first set of gains or with both.
+        """Return what signals (flat names) isolate, with the first set of gains or with both.
 
         only: faults that matter (default: all).
         """
@@ -94,43 +91,50 @@ class Shares:
         whole = np.concatenate([free, *columns.values()], axis=1)
         scale = np.linalg.norm(whole, axis=0)
         few = np.linalg.qr(whole / np.where(scale > 0, scale, 1.0), mode="r") * scale  # as many rows as columns
-        ends = np.cumsum([free.shape[1], *(c.shape[1] for c in columns.values())])
-        parts = dict(zip(self.names, np.split(few, ends[:-1], axis=1)[1:], strict=True))
-        base = _basis(few[:, : ends[0]])
-        self.whole = {name: np.linalg.norm(c, axis=0) for name, c in parts.items()}
-        self.left = {name: c - base @ (base.T @ c) for name, c in parts.items()}
-        spans = {name: self._span(name) for name in self.names}
-        self.seen = frozenset(name for name, span in spans.items() if span.shape[1])
+        ends = np.cumsum([free.shape[1], *(part.shape[1] for part in columns.values())])[:-1]
+        base = _basis(few[:, : free.shape[1]])
+        self._residuals = dict(zip(self.names, np.split(few - base @ (base.T @ few), ends, axis=1)[1:], strict=True))
+        self._norms = dict(zip(self.names, np.split(np.linalg.norm(few, axis=0), ends)[1:], strict=True))
+        self._spans: dict[str, np.ndarray] = {}
+        for name, residual in self._residuals.items():
+            span = _basis(residual[:, np.linalg.norm(residual, axis=0) > ALIAS * self._norms[name]])
+            if span.shape[1]:
+                self._spans[name] = span
+
+    @property
+    def detectable(self) -> frozenset[str]:
         """Faults that the free parameters cannot imitate."""
-        self._spans = {name: spans[name] for name in self.names if name in self.seen}
+        return frozenset(self._spans)
 
-    def _span(self, name: str) -> np.ndarray:
-        """Return an orthonormal base of what is left of a signature beyond rounding."""
-        left, whole = self.left[name], self.whole[name]
-        return _basis(left[:, np.linalg.norm(left, axis=0) > ALIAS * whole])
+    @property
+    def undetectable(self) -> tuple[str, ...]:
+        """Faults that the free parameters imitate."""
+        return tuple(name for name in self.names if name not in self._spans)
 
-    def part(self, name: str) -> float:
-        """Return the largest part of a signature that the free parameters cannot imitate."""
-        left, whole = np.linalg.norm(self.left[name], axis=0), self.whole[name]
-        return float((left[whole > 0] / whole[whole > 0]).max(initial=0.0))
-
-    @cached_property
-    def _gram(self) -> tuple[np.ndarray, dict[str, slice]]:
-        ends = np.cumsum([0, *(span.shape[1] for span in self._spans.values())])
-        every = np.concatenate(list(self._spans.values()), axis=1)
-        return every.T @ every, {name: slice(*ends[k : k + 2]) for k, name in enumerate(self._spans)}
+    def detectable_share(self, name: str) -> float:
+        """Return the largest share of a signature that the free parameters cannot imitate."""
+        residual, norm = np.linalg.norm(self._residuals[name], axis=0), self._norms[name]
+        return float((residual[norm > 0] / norm[norm > 0]).max(initial=0.0))
 
     def share(self, name: str, other: str) -> float:
-        """Return the share of a fault that another leaves; both are seen."""
-        gram, parts = self._gram
-        common = gram[parts[other], parts[name]]
-        rest = np.eye(common.shape[1]) - common.T @ common
-        return float(np.sqrt(max(np.linalg.eigvalsh(rest)[-1], 0.0)))
+        """Return the share of a fault that another leaves; both are detectable."""
+        common = self._spans[other].T @ self._spans[name]
+        left = np.eye(common.shape[1]) - common.T @ common
+        return float(np.sqrt(max(np.linalg.eigvalsh(left)[-1], 0.0)))
 
     @cached_property
-    def apart(self) -> dict[tuple[str, str], float]:
-        """(fault, other) -> share of the fault that the other leaves; of all faults that are seen."""
+    def isolable_shares(self) -> dict[tuple[str, str], float]:
+        """(fault, other) -> share of the fault that the other leaves; of all faults that are detectable."""
         return {(a, b): self.share(a, b) for a, b in itertools.permutations(self._spans, 2)}
+
+    @cached_property
+    def not_isolable_from(self) -> dict[str, frozenset[str]]:
+        """Detectable fault -> others that explain all that it does."""
+        others: dict[str, set[str]] = {name: set() for name in self._spans}
+        for (a, b), share in self.isolable_shares.items():
+            if share <= ALIAS:
+                others[a].add(b)
+        return {name: frozenset(some) for name, some in others.items()}
 
     def size(self, name: str, other: str | None = None) -> float | None:
         """Return the size from which a fault stands out by SIGMAS, of the free parameters or of another fault too.
@@ -139,12 +143,12 @@ class Shares:
         """
         if name not in self.sizes:
             return None
-        part = self.left[name][:, : self.sizes[name].columns]
+        part = self._residuals[name][:, : self.sizes[name].columns]
         if other is not None:
             span = self._spans[other]
             part = part - span @ (span.T @ part)
         least = float(np.linalg.norm(part, axis=0).min())
-        return SIGMAS * NOISE / least if least > ALIAS * self.whole[name].max() else None
+        return SIGMAS * NOISE / least if least > ALIAS * self._norms[name].max() else None
 
 
 def _basis(columns: np.ndarray) -> np.ndarray:
@@ -155,58 +159,6 @@ def _basis(columns: np.ndarray) -> np.ndarray:
         return np.zeros((len(columns), 0))
     u, s, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(u[:, s > SMALL * s[0]])
-
-
-# -- runs ------------------------------------------------------------------------------------------------------------
-
-
-def runs_of(diagram: Diagram, speeds: Sequence[float] = ()) -> Runs:
-    """Return runs at some speeds [rad/s] with the gains as they are, and again with another set of gains.
-
-    Default: speeds about that of the diagram. Speeds without settled motion are left out. Raises RotorsimError for
-    diagrams without a parameter ``speed`` or settled motion.
-    """
-    model = compile_diagram(diagram)
-    entries = speed_entries(model)
-    if entries is None or not entries.any():
-        hint = 'add "parameters": {"speed": "1500 rpm"} and let the clock follow it'
-        raise RotorsimError(Problem("no diagram parameter 'speed'", diagram.name, hint=hint))
-    wanted = list(speeds) or [factor * float(model.p0[entries][0]) for factor in SPEEDS]
-    first = [{"speed": float(speed)} for speed in wanted if speed]
-    first = [one for one in first if _stable(model, one)]
-    if not first:
-        raise RotorsimError(Problem("no settled motion at any of these speeds", diagram.name))
-    gains = _gains(diagram)
-    for factor in GAINS if gains else ():  # at every other speed: that is enough
-        second = [{**one, **{name: factor * value for name, value, _ in gains}} for one in first[::2]]
-        if all(_stable(model, one) for one in second):
-            text = ", ".join(f"{name} = {format_quantity(factor * value, unit, 4)}" for name, value, unit in gains)
-            return _runs(first, second, text)
-    return _runs(first, [], "")
-
-
-def _runs(first: list[dict[str, float]], second: list[dict[str, float]], gains: str) -> Runs:
-    sets = np.repeat([0, 1], [len(first), len(second)])
-    return Runs(np.array([one["speed"] for one in (*first, *second)]), (*first, *second), sets, gains)
-
-
-def _gains(diagram: Diagram) -> list[tuple[str, float, str]]:
-    """Return the gains of controllers that another set changes: name, value, unit."""
-    found = []
-    for block, node in diagram.nodes.items():
-        if node.block.category == "controller":
-            units = {k: declared.unit or "1" for k, declared in node.block.parameters.items()}
-            scalars = {k: float(v) for k, v in node.values.items() if v.ndim == 0 and float(v) != 0.0}
-            scalars = {k: v for k, v in scalars.items() if units[k] not in ("s", "rad/s", "1")}
-            chosen = [k for k in scalars if k in ("KP", "KD")] or list(scalars)
-            found += [(f"{block}.{k}", scalars[k], units[k]) for k in chosen]
-    return found
-
-
-def _stable(model: Model, settings: Mapping[str, float]) -> bool:
-    p = model.parameter_vector(settings)
-    J = np.array(model.jacobian(0.0, model.x0(p), model.z0(p), p))
-    return bool((np.linalg.eigvals(J).real < 1e-6 * max(np.abs(J).max(), 1.0) ** 0.5).all())
 
 
 # -- signatures ------------------------------------------------------------------------------------------------------
@@ -227,51 +179,42 @@ def signatures_of(
     Raises RotorsimError for diagrams that are sampled, not linear, or do not follow the shaft.
     """
     folder = Path(diagram.file).parent if diagram.file else None
-    document = with_uncertain(diagram)
-    columns: dict[str, np.ndarray] = {}
-    sizes: dict[str, Size] = {}
-    skipped: dict[str, str] = {}
 
     def opened(document: Mapping[str, Any]) -> Diagram:
         return load(document, folder=folder, trust_blocks=trust_blocks)
 
+    made: dict[str, tuple[np.ndarray, Size | None]] = {}
+    skipped: dict[str, str] = {}
     with one_thread():  # many small matrices
-        base = opened(document)
-        maker = _Maker(base, signals, runs, document)
+        maker = _Maker(with_uncertain(diagram), opened, signals, runs)
         groups = _alike(faults)
         for k, items in enumerate(groups):
             try:
-                for key, (found, size) in maker.columns(items, document, opened).items():
-                    columns[key] = found
-                    if size is not None:
-                        sizes[key] = size
-            except NoSignatureError as skip:
-                skipped.update(dict.fromkeys((item.key for item in items), str(skip)))
+                made |= maker.columns(items)
             except RotorsimError as error:
-                skipped.update(dict.fromkeys((item.key for item in items), error.problems[0].what))
+                skipped |= dict.fromkeys((item.key for item in items), error.problems[0].what)
             if progress is not None:
                 progress((k + 1) / len(groups))
-    columns = {item.key: columns[item.key] for item in faults if item.key in columns}
     return Signatures(
         runs,
         tuple(signals),
-        maker.free,
-        columns,
-        sizes,
-        skipped,
-        maker.row_set,
-        maker.row_signal,
-        tuple(item.name for item in base.free),
+        free=maker.free,
+        columns={item.key: made[item.key][0] for item in faults if item.key in made},
+        sizes={key: size for key, (_, size) in made.items() if size is not None},
+        skipped=skipped,
+        row_set=maker.labelled(runs.sets[:, None, None]),
+        row_signal=maker.labelled(np.arange(len(signals))),
+        parameters=tuple(item.name for item in maker.diagram.free),
     )
 
 
 def _alike(faults: Sequence[Insertion]) -> list[list[Insertion]]:
     """Return faults in groups: forces of one declaration at several places, which at no size do not meet."""
-    found: dict[tuple[str, ...], list[Insertion]] = {}
+    groups: dict[tuple[str, ...], list[Insertion]] = {}
     for item in faults:
         alike = (str(item.variant),) if item.fault.enters == "force" and item.fault.free else (item.key,)
-        found.setdefault((item.kind.type_name, item.physics, *alike), []).append(item)
-    return list(found.values())
+        groups.setdefault((item.kind.type_name, item.physics, *alike), []).append(item)
+    return list(groups.values())
 
 
 def _renamed(item: Insertion, name: str) -> Insertion:
@@ -286,124 +229,113 @@ def _renamed(item: Insertion, name: str) -> Insertion:
 class _Maker:
     """Makes the columns of faults beside those of the free parameters of one diagram."""
 
-    def __init__(self, diagram: Diagram, signals: Sequence[str], runs: Runs, given: Mapping[str, Any]) -> None:
-        self.signals, self.runs, self.given = list(signals), runs, given
-        self.responses: dict[bytes, np.ndarray] = {}
-        motion = LinearMotion(diagram, signals, runs, diagram.free, self.responses)
-        theta = np.array([item.value for item in diagram.free])
+    def __init__(
+        self,
+        document: Mapping[str, Any],
+        opened: Callable[[Mapping[str, Any]], Diagram],
+        signals: Sequence[str],
+        runs: Runs,
+    ) -> None:
+        self.document, self.opened, self.signals, self.runs = document, opened, list(signals), runs
+        self.diagram, self.resolvents = opened(document), dict[bytes, np.ndarray]()
+        motion = self._motion(self.diagram, self.diagram.free)
+        theta = np.array([item.value for item in self.diagram.free])
         if not motion.is_periodic(theta):
-            raise RotorsimError(Problem("the forcing does not follow the shaft", diagram.name))
-        found = motion.linear(theta)
-        if found is None:
-            raise RotorsimError(Problem("the diagram is not linear in its states", diagram.name))
-        self.Y, slopes = found
+            raise RotorsimError(Problem("the forcing does not follow the shaft", self.diagram.name))
+        settled = motion.linear(theta)
+        if settled is None:
+            raise RotorsimError(Problem("the diagram is not linear in its states", self.diagram.name))
+        self.Y, dY = settled
         rms = np.sqrt((np.abs(self.Y) ** 2).sum(axis=1).max(axis=0))
         self.scale = np.where(rms > 0, rms, 1.0)
-        self.free = np.concatenate([self.rows(slopes), self.rows(motion.open_means(theta))], axis=1)
-        shape = self.Y.shape
-        parts = runs.sets[:, None, None], np.arange(shape[2])
-        self.row_set, self.row_signal = (np.tile(np.broadcast_to(part, shape).ravel(), 2) for part in parts)
+        self.free = np.concatenate([self.rows(dY), self.rows(motion.open_means(theta))], axis=1)
         moving = 2 * np.sqrt((np.abs(self.Y[:, 1:]) ** 2).sum(axis=1))  # sqrt(2) times the rms about the mean
-        self.largest = (np.abs(self.Y[:, 0]) + moving).max(axis=0)
+        largest = (np.abs(self.Y[:, 0]) + moving).max(axis=0)
+        self.largest = {LINES: ANY_LINE} | {n: float(v) for n, v in zip(signals, largest, strict=True) if v > 0}
 
-    def rows(self, slopes: np.ndarray) -> np.ndarray:
-        """Return slopes (R, K+1, c, m) as real columns (rows, m)."""
-        flat = (slopes / self.scale[:, None]).reshape(self.Y.size, slopes.shape[-1])
+    def _motion(self, diagram: Diagram, free: Sequence[Free]) -> LinearMotion:
+        return LinearMotion(diagram, self.signals, self.runs, free, self.resolvents)
+
+    def rows(self, dY: np.ndarray) -> np.ndarray:
+        """Return changes of the harmonics (R, K+1, c, m) as real columns (rows, m)."""
+        flat = (dY / self.scale[:, None]).reshape(self.Y.size, dY.shape[-1])
         return np.concatenate([flat.real, flat.imag])
 
-    def columns(
-        self, items: Sequence[Insertion], document: Mapping[str, Any], opened: Callable[[Mapping[str, Any]], Diagram]
-    ) -> dict[str, tuple[np.ndarray, Size | None]]:
-        """Return the signatures of faults that are alike, (rows, m), and what their size is."""
+    def labelled(self, label: np.ndarray) -> np.ndarray:
+        """Return a label of the harmonics, as it broadcasts to (R, K+1, c), for every row (rows,)."""
+        return np.tile(np.broadcast_to(label, self.Y.shape).ravel(), 2)
+
+    def columns(self, items: Sequence[Insertion]) -> dict[str, tuple[np.ndarray, Size | None]]:
+        """Return the signatures of faults that are alike, (rows, m), and what their size is.
+
+        Raises RotorsimError where they have none.
+        """
         named = [_renamed(item, f"{item.name}_{k}") for k, item in enumerate(items)] if len(items) > 1 else items
-        starts = []
+        document, starts = self.document, []
         for item in named:
-            sizes = self._sizes(item)
+            sizes = sizes_at(item, self.largest)
             starts.append(starts_of(item, sizes))
             document = item.document(document, {**fixed_of(item, sizes), **starts[-1][0]})
-        placed = opened(document)
+        placed = self.opened(document)
         own = [[free for free in placed.free if free.name in item.free] for item in named]
-        motion = LinearMotion(placed, self.signals, self.runs, [free for some in own for free in some], self.responses)
-        trials = [
-            np.concatenate([_values(frees, start) for frees, start in zip(own, trial, strict=True)])
-            for trial in zip(*starts, strict=True)
-        ]
-        if not motion.is_periodic(trials[0]):
-            raise NoSignatureError("no harmonics of the shaft: it shows as a line of its own or as sidebands")
+        motion = self._motion(placed, [free for some in own for free in some])
         angles = np.array([f.unit == ANGLE_UNIT and f.low == -np.inf for some in own for f in some])
-        trials = _without_angles(trials, angles)
-        found = self._at_nil(motion, trials, own, angles)
-        if found is not None:
-            return {item.key: part for item, part in zip(items, found, strict=True)}
+        trials: dict[bytes, np.ndarray] = {}  # the starts that differ in more than angles
+        for trial in zip(*starts, strict=True):
+            pairs = zip(own, trial, strict=True)
+            theta = np.array([start[free.name.rpartition(".")[2]] for some, start in pairs for free in some])
+            trials.setdefault(np.where(angles, 0.0, theta).tobytes(), theta)
+        tried = list(trials.values())[:MOST_STARTS]
+        if not motion.is_periodic(tried[0]):
+            what = "no harmonics of the shaft: it shows as a line of its own or as sidebands"
+            raise RotorsimError(Problem(what, self.diagram.name))
+        at_nil = self._at_nil(motion, np.array(tried), own, angles)
+        if at_nil is not None:
+            return {item.key: part for item, part in zip(items, at_nil, strict=True)}
         if len(items) > 1:
-            return {key: part for item in items for key, part in self.columns([item], self.given, opened).items()}
-        some = [part for part in (self._at(motion, theta) for theta in trials) if part is not None and part.size]
-        if not some:
-            raise NoSignatureError("at its starts it does nothing, or lets no motion settle")
-        return {items[0].key: (np.concatenate(some, axis=1), None)}
+            return {key: part for item in items for key, part in self.columns([item]).items()}
+        changes = [change for theta in tried if (change := self._at(motion, theta)) is not None and change.size]
+        if not changes:
+            raise RotorsimError(Problem("at its starts it does nothing, or lets no motion settle", self.diagram.name))
+        return {items[0].key: (np.concatenate(changes, axis=1), None)}
 
     def _at_nil(
-        self, motion: LinearMotion, starts: Sequence[np.ndarray], own: Sequence[Sequence[Free]], angles: np.ndarray
+        self, motion: LinearMotion, starts: np.ndarray, own: Sequence[Sequence[Free]], angles: np.ndarray
     ) -> list[tuple[np.ndarray, Size | None]] | None:
-        """Return the slopes where the faults have no size, by the parameters that make it so; None if none do."""
+        """Return the sensitivities where the faults have no size, by the parameters that make it so; None if none do.
+
+        starts (T, m): values of the parameters of all faults, one after another.
+        """
         first, width = own[0], len(own[0])
         sizes = [j for j in range(width) if not angles[j] and first[j].low <= 0.0 <= first[j].high]
         turns = ANGLES if angles.any() else (0.0,)
         for which in [[j] for j in sizes] + ([sizes] if len(sizes) > 1 else []):
-            every = [k * width + j for k in range(len(own)) for j in which]
-            at_nil = [start.copy() for start in starts]
-            for theta in at_nil:
-                theta[every] = 0.0
-            nil = motion.linear(at_nil[0])
-            if nil is None or not self._small(nil[0] - self.Y):
+            parts = width * np.arange(len(own))[:, None] + which  # of each fault
+            every = parts.ravel()
+            nils = starts.copy()
+            nils[:, every] = 0.0
+            settled = motion.linear(nils[0])
+            if settled is None or not self._is_small(settled[0] - self.Y):
                 continue
-            some = []
-            for theta, angle in itertools.product(at_nil, turns):
-                theta[angles] = angle
-                found = motion.linear(theta)
-                if found is not None:
-                    some.append(found[1])
-            if self._small(some[0][..., every] * np.abs(starts).max(axis=0)[every]):
+            motions = [motion.linear(np.where(angles, turn, nil)) for nil, turn in itertools.product(nils, turns)]
+            dY = [settled[1] for settled in motions if settled is not None]
+            if self._is_small(dY[0][..., every] * np.abs(starts).max(axis=0)[every]):
                 continue  # it grows with the square of its size
-            item = first[which[0]]
-            size = Size(item.name.rpartition(".")[2], item.unit, len(turns)) if len(which) == 1 else None
-            parts = [[k * width + j for j in which] for k in range(len(own))]
-            return [(self.rows(np.concatenate([s[..., part] for s in some], axis=-1)), size) for part in parts]
+            size = first[which[0]]
+            one = Size(size.name.rpartition(".")[2], size.unit, len(turns)) if len(which) == 1 else None
+            return [(self.rows(np.concatenate([some[..., part] for some in dY], axis=-1)), one) for part in parts]
         return None
 
-    def _small(self, change: np.ndarray) -> bool:
+    def _is_small(self, change: np.ndarray) -> bool:
         """Return whether a change (R, K+1, c, ...) is nothing beside the signals."""
         axes = tuple(k for k in range(change.ndim) if k != 2)
         return bool((np.abs(change).max(axis=axes, initial=0.0) <= SAME * self.scale).all())
 
     def _at(self, motion: LinearMotion, theta: np.ndarray) -> np.ndarray | None:
-        """Return what a fault changes at a start, and its slopes there, less what is rounding; None if unsettled."""
-        found = motion.linear(theta) or motion.nonlinear(theta)
-        if found is None:
+        """Return what a fault and its parameters change at a start, less what is rounding; None if unsettled."""
+        settled = motion.linear(theta) or motion.nonlinear(theta)
+        if settled is None:
             return None
-        every = np.concatenate([(found[0] - self.Y)[..., None], found[1] * np.where(theta, theta, 1.0)], axis=-1)
-        kept = [k for k in range(every.shape[-1]) if not self._small(every[..., k])]
-        return self.rows(every[..., kept])
-
-    def _sizes(self, item: Insertion) -> dict[str, float]:
-        """Return the largest magnitude of the inputs of a fault in the motion of the diagram, and where lines are."""
-        out = {LINES: ANY_LINE}
-        for key, source in item.feeds.items():
-            ports = [name.partition("[")[0] == source.partition("[")[0] for name in self.signals]
-            exact = [name.startswith(source.rstrip("]")) for name in self.signals]
-            near = self.largest[exact if any(exact) else ports]
-            if near.max(initial=0.0) > 0:
-                out[key] = float(near.max())
-        return out
-
-
-def _values(frees: Sequence[Free], start: Mapping[str, float]) -> np.ndarray:
-    return np.array([start[free.name.rpartition(".")[2]] for free in frees])
-
-
-def _without_angles(starts: Sequence[np.ndarray], angles: np.ndarray) -> list[np.ndarray]:
-    """Return the starts that differ in more than angles."""
-    found: dict[bytes, np.ndarray] = {}
-    for start in starts:
-        found.setdefault(np.where(angles, 0.0, start).tobytes(), start)
-    return list(found.values())[:MOST_STARTS]
+        Y, dY = settled
+        every = np.concatenate([(Y - self.Y)[..., None], dY * np.where(theta, theta, 1.0)], axis=-1)
+        return self.rows(every[..., [k for k in range(every.shape[-1]) if not self._is_small(every[..., k])]])

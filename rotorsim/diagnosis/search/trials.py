@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,11 +10,10 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
-from rotorsim.diagnosis.catalogue.insertion import LEAST, LINES, LONGEST, Insertion, fixed_of, limits_of, starts_of
+from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Fit, fit_from_plain, fit_to_plain, is_adequate
-from rotorsim.fault import Of
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.profile import Z90
 from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
@@ -126,7 +125,7 @@ class Trials:
         jobs = []
         away = self._off_bounds(before)
         for item in found:
-            sizes = _sizes(item, largest)
+            sizes = sizes_at(item, largest)
             starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
             here = [dict(zip(item.free, start.values(), strict=True)) for start in starts]
             groups = [[{**off, **start} for off in (({}, away) if away else ({},)) for start in here]]
@@ -361,23 +360,3 @@ def _fit_batch(argument: tuple[list[_Job], Evidence, int | None, bool]) -> list[
             fit_to_plain(evidence.fit(document, starts, most=most, linear_only=linear_only))
             for document, starts in batch
         ]
-
-
-def _sizes(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
-    """Return the magnitudes of the inputs of an insertion that were recorded (at their node or any).
-
-    Of signals that bound it but do not feed it, those of the block where it acts.
-    """
-    out = {key: value for key, value in largest.items() if key in (LINES, LONGEST)}
-    for bound in insertion.fault.most.values():
-        key = bound.input if isinstance(bound, Of) else ""
-        near = [v for name, v in largest.items() if name.partition("[")[0] == f"{insertion.spot.block}.{key}"]
-        if near:
-            out[key] = max(near)
-    for key, source in insertion.feeds.items():
-        for which in ("", f"{LEAST} "):
-            exact = [v for name, v in largest.items() if name.startswith(which + source.rstrip("]"))]
-            near = [v for name, v in largest.items() if name.partition("[")[0] == which + source.partition("[")[0]]
-            if exact or near:
-                out[which + key] = max(exact or near)
-    return out
