@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.coordinates import ANGLE_UNIT, Coordinates, coordinates_of, moves_matrices
+from rotorsim.identification.coordinates import ANGLE_UNIT, Coordinates, coordinates_of
 from rotorsim.identification.likelihood import Evaluation, Likelihood
 from rotorsim.identification.regression import Regression
 
@@ -121,7 +121,7 @@ class Search:
         self.prior = [j for j, item in enumerate(self.free) if item.prior_std is not None and bounded]
         start = experiment.theta0
         # the equations are linear in forces, not in stiffness: no step of that is to be trusted from afar
-        self.bends = moves_matrices(motion.equations, motion.p[:1], start)
+        self.bends = motion.equations.moved_by(motion.p[:1], start)
         self._known: tuple[bytes, tuple[Evaluation, np.ndarray, np.ndarray]] | None = None
 
     def again(self, likelihood: Likelihood | Regression) -> Search:

@@ -15,7 +15,6 @@ from rotorsim.identification.advice import Advice, advise
 from rotorsim.identification.estimate import Estimate, Search, estimate
 from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.likelihood import Likelihood
-from rotorsim.identification.periodic_likelihood import likelihood_of
 from rotorsim.identification.profile import Z90, joint_factor, linear_intervals, profile_intervals
 from rotorsim.identification.regression import THESIS_ORDERS, Regression, open_regression
 from rotorsim.identification.scatter import scatter_of, with_covariance
@@ -24,7 +23,6 @@ from rotorsim.jobs.threads import one_thread
 from rotorsim.linear.linearisation import refuse_sampled
 from rotorsim.measure.checks import check_signals
 from rotorsim.recordings.recording import Recording, Run
-from rotorsim.settled.linear_motion import Motion
 from rotorsim.signals.converters import stated_steps, through_converters
 from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of
 from rotorsim.signals.pickup import find_mains, pickup_warnings, with_pickups
@@ -155,7 +153,7 @@ def identify(
             experiment = open_experiment(diagram, recording, runs=chosen, given=given, free=free, harmonics=found)
             if not given:
                 refuse_sampled(experiment.model, "identification with the loop closed")
-            return likelihood_of(experiment)
+            return Likelihood(experiment)
 
         opened: Likelihood | Regression
         if method == "likelihood":
@@ -191,7 +189,7 @@ def identify(
         verdicts = judge(result, intervals, precision=precision, widen=widen if method == "likelihood" else 1.0)
         left = [item.name for item, verdict in zip(result.free, verdicts, strict=True) if not verdict.identifiable]
         advice: list[Advice] = []
-        if left and method == "likelihood" and isinstance(opened.experiment.motion, Motion):
+        if left and method == "likelihood" and opened.experiment.motion.is_linear:
             advice = advise(opened.experiment, result, left, precision)
         used = (
             given
@@ -281,7 +279,7 @@ def _scores(
         scored = open_experiment(
             diagram, source, runs=[item.run for item in runs], given=given, free=result.free, harmonics=runs
         )
-        likelihood = likelihood_of(scored)
+        likelihood = Likelihood(scored)
         Y = likelihood.evaluate(result.theta).Y
         for r, item in enumerate(runs):
             columns = scored.columns[r][: len(scored.predicted)]

@@ -9,8 +9,8 @@ import numpy as np
 from rotorsim.identification.experiment import Experiment
 from rotorsim.linear.linearisation import entry_names
 from rotorsim.model.compiled import Model
-from rotorsim.settled.linear_equations import Equations
-from rotorsim.settled.linear_motion import Motion
+from rotorsim.settled.equations import Equations
+from rotorsim.settled.motion import LinearMotion
 
 __all__ = ["Condensed", "reduced"]
 
@@ -27,7 +27,7 @@ class Condensed:
     """
 
     experiment: Experiment
-    motion: Motion
+    motion: LinearMotion
     entries: np.ndarray
     masters: np.ndarray
     central: float
@@ -35,9 +35,7 @@ class Condensed:
 
     def again(self, experiment: Experiment) -> Condensed:
         """Return the condensation of the same experiment with other known parameters."""
-        old, p = self.motion, experiment.p
-        motion = Motion(old.equations, p, old.speeds, old.K, list(old.windows), old.phase)
-        return replace(self, experiment=experiment, motion=motion, known={})
+        return replace(self, experiment=experiment, motion=self.motion.at(experiment.p), known={})
 
     def forces(self, theta: np.ndarray, Y: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return forces (R, K+1, c) left over at harmonics Y (R, K+1, c), and slopes by central differences.
@@ -92,10 +90,9 @@ class Condensed:
 
 def reduced(experiment: Experiment, master_entries: np.ndarray) -> Condensed:
     """Return the condensation of an experiment whose model takes forces and moments at all nodes."""
-    model, motion = experiment.model, experiment.motion
-    outputs, entries = _pairs(model)
-    equations = Equations(model, outputs, experiment.free)
-    whole = Motion(equations, motion.p, motion.speeds, motion.K, list(motion.windows), motion.phase)
+    outputs, entries = _pairs(experiment.model)
+    motion = experiment.linear
+    whole = replace(motion, equations=Equations(experiment.model, outputs, experiment.free), beside=None)
     masters = np.array([int(np.flatnonzero(entries == entry)[0]) for entry in master_entries])
     return Condensed(experiment, whole, entries, masters, float(np.mean(np.abs(motion.speeds))))
 

@@ -17,7 +17,7 @@ from rotorsim.block import In
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.experiment import Experiment, open_experiment
-from rotorsim.identification.likelihood import Evaluation, harmonics_of_time
+from rotorsim.identification.likelihood import Evaluation
 from rotorsim.identification.reduction import reduced
 from rotorsim.linear.linearisation import entry_names, flat_names
 from rotorsim.model.compiled import Model, compile_diagram
@@ -58,9 +58,9 @@ class Regression:
         places = [flat for signal in external for flat in entry_names(signal.name, signal.shape)]
         self.given_entries = np.array([places.index(name) for name in experiment.given], int)
         self.n_v = len(places)
-        self.data = self._measured()
+        self.data = experiment.measured(self.K)
         # a mean that slow states have not let settle obeys no equation of balance
-        settled = not any(len(slow) for slow in experiment.linear.response(experiment.theta0, 0).slow)
+        settled = not any(len(slow) for slow in experiment.linear.slow_states(experiment.theta0))
         use_mean = experiment.use_mean[: self.c] & experiment.use_mean[self.c :].all() & settled
         self.rows = _selection(experiment.predicted, self.orders, use_mean)
         if not len(self.rows[0]):
@@ -71,18 +71,10 @@ class Regression:
         """Return the regression of the same experiment `again`."""
         other = copy(self)
         other.experiment = experiment
-        other.data = other._measured()
+        other.data = experiment.measured(self.K)
         if self._condensed is not None and experiment.motion is not self.experiment.motion:
             other._condensed = self._condensed.again(experiment)
         return other
-
-    def _measured(self) -> np.ndarray:
-        return np.array(
-            [
-                harmonics_of_time(item.fit.values[: self.K + 1, columns], item.fit.speed)
-                for item, columns in zip(self.experiment.runs, self.experiment.columns, strict=True)
-            ]
-        )
 
     def evaluate(self, theta: np.ndarray) -> Evaluation:
         """Return the equivalent forces [N] and their slopes at theta (m,)."""

@@ -9,7 +9,8 @@ import numpy as np
 from rotorsim.identification.estimate import Estimate, Search
 from rotorsim.identification.experiment import RESOLUTION
 from rotorsim.identification.regression import Regression
-from rotorsim.signals.harmonic_fit import complex_values, scaled_cholesky
+from rotorsim.identification.whitening import noise_root
+from rotorsim.signals.harmonic_fit import complex_values
 
 __all__ = ["Scatter", "scatter_of", "with_covariance"]
 
@@ -39,7 +40,8 @@ def scatter_of(regression: Regression, search: Search, result: Estimate) -> Scat
     """
     random = np.random.default_rng(0)
     measured = regression.data
-    roots = [_root(regression, r) for r in range(len(measured))]
+    pairs = zip(regression.experiment.fits, regression.experiment.columns, strict=True)
+    roots = [noise_root(fit, columns, regression.K, RESOLUTION) for fit, columns in pairs]
     slopes = search.coordinates.slopes(result.theta)
     at_hand = regression.evaluate(result.theta)
     estimates = np.empty((DRAWS, len(result.theta)))
@@ -88,13 +90,6 @@ def _undetermined(J: np.ndarray, noise: np.ndarray, slopes: np.ndarray, at: np.n
             moved = slopes @ ((WIDE if null else 1.0) * reach * direction)
             total += np.outer(moved, moved)
     return total
-
-
-def _root(regression: Regression, r: int) -> np.ndarray:
-    """Return a root of the covariance of the real harmonics (0..K) that the regression uses of one run."""
-    item, columns = regression.experiment.runs[r], regression.experiment.columns[r]
-    scale, factor = scaled_cholesky(item.fit.covariance_at(columns, range(regression.K + 1), RESOLUTION))
-    return np.asarray(scale[:, None] * factor)
 
 
 def with_covariance(result: Estimate, covariance: np.ndarray) -> Estimate:

@@ -183,12 +183,12 @@ def _changing(model: Model, p: np.ndarray, x: np.ndarray, end: float, found: Gro
     nonlinear = bool(ca.depends_on(model.jacobian_expression, model.trace.x))
     steady = _returns(model, p, x, end)
     if not nonlinear and steady:
-        from rotorsim.settled.floquet import floquet_multipliers
-        from rotorsim.settled.linear_response import Setup
+        from rotorsim.settled.equations import Equations
+        from rotorsim.settled.floquet import STABLE, largest_multiplier
 
-        base = abs(speed_of(model, p) or 0.0)
-        largest = float(np.abs(floquet_multipliers(Setup(model), base, p, np.zeros((1, model.n_x)))).max(initial=0.0))
-        if largest <= 1 + 1e-7:
+        equations = Equations(model, (), (), p[None], every_state=True).whole
+        largest = largest_multiplier(equations, abs(speed_of(model, p) or 0.0), p, np.zeros((1, model.n_x)))
+        if largest <= STABLE:
             return ""
         pole = f": {found.describe(model)}" if found else ", parametric resonance"
         return f"the machine is unstable{pole}; its motion grows {largest:.6g} times a turn"

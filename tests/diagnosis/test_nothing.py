@@ -9,8 +9,7 @@ from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.insertion import LONGEST, Insertion, fixed_of, limits_of, starts_of
 from rotorsim.diagnosis.evidence.harmonic import Source
 from rotorsim.diagnosis.search.trials import _sizes
-from rotorsim.identification.likelihood import Evaluation
-from rotorsim.identification.periodic_likelihood import likelihood_of
+from rotorsim.identification.likelihood import Evaluation, Likelihood
 from rotorsim.signals.harmonics import harmonics_of
 from tests.identification import TRUTH, made, recorded, shipped
 
@@ -69,7 +68,7 @@ def evaluated(model: str, item: Insertion | None) -> Evaluation:
         start |= {key: value for key, value in none.items() if key in item.fault.free}
         document = item.document(document, {**fixed_of(item, sizes), **start}, limits_of(item, sizes))
     experiment = source(model).open(source(model).load(document))
-    return likelihood_of(experiment).evaluate(experiment.theta0)
+    return Likelihood(experiment).evaluate(experiment.theta0)
 
 
 def check(model: str, item: Insertion) -> None:
@@ -123,7 +122,7 @@ def bow(growth: float, time_constant: float):
     start = {"growth": growth, "growth_phase": 0.7, "time_constant": time_constant}
     experiment = source("jeffcott").open(source("jeffcott").load(item.document(shipped("jeffcott").document, start)))
     names = [free.name for free in experiment.free]
-    return likelihood_of(experiment), [names.index(name) for name in item.free]
+    return Likelihood(experiment), [names.index(name) for name in item.free]
 
 
 @pytest.mark.parametrize("time_constant", [0.05, 0.4, 10.0, 1e4])

@@ -127,7 +127,7 @@ def test_the_error_of_an_identification_is_that_of_the_signal_in_time(monkeypatc
         evaluate=lambda theta: SimpleNamespace(Y=np.repeat(model[None, :, None], 2, axis=2)),
     )
     monkeypatch.setattr(identification, "open_experiment", lambda *_, **named: scored)
-    monkeypatch.setattr(identification, "likelihood_of", lambda experiment: likelihood)
+    monkeypatch.setattr(identification, "Likelihood", lambda experiment: likelihood)
     recording = SimpleNamespace(select=lambda use: ())
     fit, floor = _scores(None, recording, [run], None, SimpleNamespace(free=(), theta=None), ())
     wanted = {"rotor.displacement": np.sqrt(np.mean(error**2)) / rms, "coil.current": np.std(error) / rms}

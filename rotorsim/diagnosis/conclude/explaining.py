@@ -21,7 +21,6 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.estimate import NOT_EXPLAINED
 from rotorsim.identification.likelihood import Likelihood
-from rotorsim.settled.linear_motion import Motion
 
 if TYPE_CHECKING:
     from rotorsim.diagnosis.conclude.conclusions import Effect
@@ -151,7 +150,7 @@ def _best_place(base: Fit, after: Fit, source: Source) -> dict[str, Any] | None:
         if isinstance(port.declaration, In) and port.declaration.additive
     ]
     experiment = source.open(diagram, inject=targets)
-    if not isinstance(experiment.motion, Motion):
+    if not experiment.motion.is_linear:
         return None
     likelihood = Likelihood(experiment)
     runs = Held(source.recording, source.harmonics)

@@ -21,8 +21,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.experiment import open_experiment
-from rotorsim.identification.periodic_likelihood import likelihood_of
-from rotorsim.settled.motion import NonlinearMotion
+from rotorsim.identification.likelihood import Likelihood
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.units import format_quantity
 
@@ -177,16 +176,12 @@ def _predicted(fit: Fit, source: Source, runs: tuple[RunHarmonics, ...]) -> Sequ
         experiment = open_experiment(
             source.load(fit.document), source.recording, runs=[item.run for item in runs], harmonics=runs
         )
-        likelihood = likelihood_of(experiment)
+        likelihood = Likelihood(experiment)
         theta = np.array([fit.values.get(item.name, item.value) for item in experiment.free])
-        if isinstance(experiment.motion, NonlinearMotion):
-            found = experiment.motion.predict(theta)
-            Y, slopes, settled = found.Y, found.slopes, found.settled
-        else:
-            response = experiment.linear.response(theta)
-            X = response.states()
-            Y, slopes = response.outputs(X), response.sensitivity(X)
-            rates = np.linalg.eigvals(response.A)
+        found = experiment.motion.predict(theta)
+        Y, slopes, settled = found.Y, found.sensitivity(), found.settled
+        if experiment.motion.is_linear:
+            rates = np.linalg.eigvals(experiment.linear.response(theta, 0, forced=False).A)
             settled = (rates.real <= 1e-6 * np.abs(rates).max()).all(axis=-1)
     except (RotorsimError, ValueError, np.linalg.LinAlgError):
         return nothing

@@ -14,7 +14,6 @@ from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.harmonic import Fit, Source
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.likelihood import Likelihood
-from rotorsim.settled.linear_motion import Motion
 from rotorsim.signals.asynchronous import Second
 
 __all__ = ["Unknown", "describe"]
@@ -88,11 +87,12 @@ def _equivalent(document: Mapping[str, Any], source: Source, spot: Spot) -> _For
         experiment = source.open(diagram, inject=[f"{spot.block}.{spot.port}"])
     except (RotorsimError, KeyError):
         return None
-    if not isinstance(experiment.motion, Motion):
+    motion = experiment.motion.linear()
+    if motion is None:
         return None
     likelihood = Likelihood(experiment)
     found = likelihood.evaluate(experiment.theta0)
-    transfer = experiment.motion.response(experiment.theta0).transfer()
+    transfer = motion.response(experiment.theta0).transfer()
     width = port.shape[-1] if port.shape else 1
     first = 0 if spot.node is None else (spot.node - 1) * width
     H = transfer[..., first : first + width]
@@ -115,13 +115,7 @@ def _equivalent(document: Mapping[str, Any], source: Source, spot: Spot) -> _For
     if all(name in experiment.predicted for name in names):
         X = likelihood.data[:, :orders, [experiment.predicted.index(name) for name in names]]
     return _Force(
-        experiment.motion.speeds,
-        F[:, :orders],
-        X,
-        told[:orders],
-        experiment.beside_orders,
-        F[:, orders:],
-        told[orders:],
+        motion.speeds, F[:, :orders], X, told[:orders], experiment.beside_orders, F[:, orders:], told[orders:]
     )
 
 

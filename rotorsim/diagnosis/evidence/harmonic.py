@@ -18,12 +18,9 @@ from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.estimate import MOST_EVALUATIONS, NOT_EXPLAINED, Estimate, Search, summary
 from rotorsim.identification.experiment import RESOLUTION, Experiment, open_experiment
 from rotorsim.identification.likelihood import Likelihood
-from rotorsim.identification.periodic_likelihood import likelihood_of
 from rotorsim.identification.profile import Z90, linear_intervals
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
-from rotorsim.settled.linear_motion import Motion
-from rotorsim.settled.motion import NonlinearMotion
 from rotorsim.signals.asynchronous import Second
 from rotorsim.signals.harmonics import RunHarmonics
 
@@ -132,7 +129,7 @@ class Source:
         """Return the whitened residual of a diagram as it is, or None where it has none."""
         try:
             experiment = self.open(self.load(document))
-            return likelihood_of(experiment).evaluate(experiment.theta0).residual
+            return Likelihood(experiment).evaluate(experiment.theta0).residual
         except (RotorsimError, ValueError, np.linalg.LinAlgError):
             return None
 
@@ -263,10 +260,10 @@ def fit_document(
     nonlinear = False
     try:
         experiment = source.open(source.load(document), given=given)
-        nonlinear = isinstance(experiment.motion, NonlinearMotion)
+        nonlinear = not experiment.motion.is_linear
         if nonlinear and linear_only:
             return Fit(document, failure=LATER, nonlinear=True, seconds=process_time() - began)
-        search = Search(likelihood_of(experiment))
+        search = Search(Likelihood(experiment))
         best = _best(search, experiment, starts, most)
         if nonlinear and most is None and EXPLAINS < best.misfit / max(best.evaluation.rows, 1) < CORNERS:
             best = _sharpened(search, best)
@@ -282,11 +279,11 @@ def promise_of(document: Mapping[str, Any], source: Source, starts: Sequence[Seq
     """Return the misfit that linear theory promises after one step of all parameters from the best start."""
     try:
         experiment = source.open(source.load(document))
-        search = Search(likelihood_of(experiment))
+        search = Search(Likelihood(experiment))
         least = np.inf
         for group in starts[:1]:
             trials = _different([t for start in group for t in _trials(search, experiment.theta0, start)], search)
-            most = PROMISE_TRIALS if isinstance(experiment.motion, NonlinearMotion) else 2 * PROMISE_TRIALS
+            most = 2 * PROMISE_TRIALS if experiment.motion.is_linear else PROMISE_TRIALS
             for theta in trials[:: max(1, -(-len(trials) // most))]:
                 least = min(least, search.promise(search.coordinates.inside(theta)))
     except (RotorsimError, ValueError, np.linalg.LinAlgError):
@@ -348,7 +345,7 @@ def _alone(found: Estimate) -> np.ndarray:
 def _best(
     search: Search, experiment: Experiment, starts: Sequence[Sequence[Mapping[str, float]]], most: int | None
 ) -> Estimate:
-    nonlinear = isinstance(experiment.motion, NonlinearMotion)
+    nonlinear = not experiment.motion.is_linear
     chosen: list[np.ndarray] = []
     assert isinstance(search.likelihood, Likelihood)
     ranking = search.again(search.likelihood.rough())
@@ -381,10 +378,8 @@ def _best(
 
 def _sharpened(search: Search, best: Estimate) -> Estimate:
     """Return a fit carried on with more orders: what is left over may be theirs, where a law has corners."""
-    motion = search.likelihood.experiment.motion
-    assert isinstance(motion, NonlinearMotion)
-    motion.sharpen()
-    again = search.again(likelihood_of(search.likelihood.experiment))
+    search.likelihood.experiment.motion.sharpen()
+    again = search.again(Likelihood(search.likelihood.experiment))
     q = again.coordinates.inside(best.theta)
     if not np.isfinite(again.residual(q)).all():
         return best
@@ -421,7 +416,7 @@ def _different(trials: Sequence[np.ndarray], search: Search) -> list[np.ndarray]
     """
     angles = np.array([item.unit == ANGLE_UNIT for item in search.free], bool)
     same = np.zeros(len(angles), bool)
-    if isinstance(search.likelihood.experiment.motion, Motion):
+    if search.likelihood.experiment.motion.is_linear:
         same[[j for pair in search.coordinates.pairs for j in pair]] = True
     kept: dict[bytes, np.ndarray] = {}
     for trial in trials:

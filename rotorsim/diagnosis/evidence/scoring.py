@@ -14,9 +14,7 @@ from rotorsim.diagnosis.evidence.stability import unsettled
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.experiment import Experiment, open_experiment
 from rotorsim.identification.likelihood import Evaluation, Likelihood
-from rotorsim.identification.periodic_likelihood import likelihood_of
 from rotorsim.recordings.recording import Recording
-from rotorsim.settled.motion import NonlinearMotion
 from rotorsim.signals.harmonics import RunHarmonics
 
 __all__ = ["Held", "HeldScore", "Prediction", "Score", "left_out_score", "predict", "score", "standardised", "surprise"]
@@ -85,9 +83,8 @@ def predict(document: Mapping[str, Any], source: Source, held: Held) -> Predicti
     diagram = source.load(document)
     runs = [item.run for item in held.harmonics]
     experiment = open_experiment(diagram, held.recording, runs=runs, harmonics=held.harmonics)
-    if isinstance(experiment.motion, NonlinearMotion):
-        experiment.motion.sharpen()
-    likelihood = likelihood_of(experiment)
+    experiment.motion.sharpen()
+    likelihood = Likelihood(experiment)
     return Prediction(experiment, likelihood, likelihood.evaluate(experiment.theta0))
 
 

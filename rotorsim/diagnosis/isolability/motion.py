@@ -15,9 +15,10 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram, Endpoint, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import compile_diagram
-from rotorsim.settled.equations import NonlinearEquations
-from rotorsim.settled.motion import NonlinearMotion
-from rotorsim.settled.ports import slow_states
+from rotorsim.settled.equations import Equations
+from rotorsim.settled.nonlinear import NonlinearMotion
+from rotorsim.settled.resolvent import resolvent_of
+from rotorsim.settled.slow_states import slow_states
 
 __all__ = ["ORDERS", "SECOND", "LinearMotion", "NoSignatureError", "Runs"]
 
@@ -63,7 +64,7 @@ class LinearMotion:
         self.model = compile_diagram(named)
         if self.model.n_z:
             raise RotorsimError(Problem("has a sample time, which harmonics of linear equations do not show"))
-        self.all, self.signals = NonlinearEquations(self.model, signals, free), tuple(signals)
+        self.all, self.signals = Equations(self.model, signals, free), tuple(signals)
         self.equations = self.all.whole
         self.p = np.array([self.model.parameter_vector(one) for one in runs.settings])
         self.speeds, self.responses = np.abs(runs.speeds), responses
@@ -118,14 +119,15 @@ class LinearMotion:
     def nonlinear(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return Y and dY by harmonic balance, None where no settled motion is found."""
         runs = len(self.p)
-        motion = NonlinearMotion(self.all, self.p, self.speeds, ORDERS, [WINDOW] * runs, np.zeros(runs))
+        motion = NonlinearMotion(self.all, self.p, self.speeds, ORDERS, np.full(runs, WINDOW), np.zeros(runs))
         try:
             with np.errstate(all="ignore"):
                 found = motion.predict(theta)
         except np.linalg.LinAlgError:  # a fault that lets nothing settle at these speeds
             return None
-        good = found.settled.all() and np.isfinite(found.Y).all() and np.isfinite(found.slopes).all()
-        return (found.Y, found.slopes) if good else None
+        dY = found.sensitivity()
+        good = found.settled.all() and np.isfinite(found.Y).all() and np.isfinite(dY).all()
+        return (found.Y, dY) if good else None
 
     def open_means(self, theta: np.ndarray) -> np.ndarray:
         """Return dY (R, K+1, c, s) by the means of states that have no time to settle."""
@@ -156,8 +158,9 @@ class LinearMotion:
         wrong = np.abs(equations.f(*points).reshape(f0.shape) - f0 - np.einsum("rij,rtj->rti", A, x))
         if not (wrong.max(axis=(0, 1)) <= CONSTANT * size.max(axis=(0, 1))).all():
             return False
-        part = equations.J_part(*points).reshape(*shape, len(equations.E), len(equations.S))
-        expected = A[:, equations.E[:, None], equations.S][:, None]
+        E, S = equations.places
+        part = equations.J_part(*points).reshape(*shape, len(E), len(S))
+        expected = A[:, E[:, None], S][:, None]
         return bool((np.abs(part - expected) <= CONSTANT * np.abs(A).max(initial=0.0)).all())
 
     def _response(self, A: np.ndarray) -> np.ndarray:
@@ -165,18 +168,9 @@ class LinearMotion:
         key = A.tobytes()
         if key not in self.responses:
             s = 1j * self.speeds[:, None] * np.arange(H + 1)
-            matrices = s[:, :, None, None] * np.eye(A.shape[1]) - A[:, None]
-            every = [slow_states(one, NEVER) for one in A]
-            for r, slow in enumerate(every):
-                matrices[r, 0, slow, :] = 0.0
-                matrices[r, 0, :, slow] = 0.0
-                matrices[r, 0, slow, slow] = 1.0
-            found = np.linalg.inv(matrices)
-            for r, slow in enumerate(every):
-                found[r, 0, slow, :] = 0.0
             if len(self.responses) > 8:
                 self.responses.pop(list(self.responses)[1])  # the first is that of the diagram itself
-            self.responses[key] = found
+            self.responses[key] = resolvent_of(A, s, [slow_states(one, NEVER) for one in A]).gain
         return self.responses[key]
 
 

@@ -18,7 +18,6 @@ from rotorsim.diagnosis.evidence.scoring import Held
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.linear.linearisation import entry_names
-from rotorsim.settled.linear_motion import Motion
 from rotorsim.signals.harmonic_fit import real_vector
 
 __all__ = ["Places", "open_places"]
@@ -30,8 +29,8 @@ class Places:
     def __init__(self, likelihood: Likelihood, theta: np.ndarray, targets: list[str]) -> None:
         self.likelihood = likelihood
         self.found = likelihood.evaluate(theta)
-        self.response = likelihood.response(theta)
-        self.transfer = self.response.transfer()
+        self.predicted = likelihood.experiment.motion.predict(theta)
+        self.transfer = self.predicted.by_inputs()
         self.places = {name: k for k, name in enumerate(targets)}
         self._known: dict[tuple[str, ...], float] = {}
 
@@ -86,7 +85,7 @@ class Places:
                     for phase in (1.0, 1j) if k else (1.0,):
                         columns[row, k] = effects[k, :, v] * phase
                         row += 1
-            others = likelihood.nuisances(self.response, r, self.found.Y[r])[0]
+            others = likelihood.nuisances(self.predicted, r, self.found.Y[r])
             whitened = np.hstack([others, white.apply(real_vector(columns).T)])
             length = np.linalg.norm(whitened, axis=0)
             q, _ = np.linalg.qr(whitened[:, length > 0] / length[length > 0])
@@ -139,7 +138,7 @@ def open_places(before: Fit, source: Source, held: Held | None = None) -> Places
             if isinstance(port.declaration, In) and port.declaration.additive
         ]
         experiment = source.open(diagram, inject=targets)
-        if not targets or not isinstance(experiment.motion, Motion):
+        if not targets or not experiment.motion.is_linear:
             return None
         ports = {target: diagram.nodes[target.split(".")[0]].inputs[target.split(".")[1]] for target in targets}
         entries = [name for target, port in ports.items() for name in entry_names(target, port.shape)]

@@ -305,7 +305,7 @@ class Bench:
         return np.array(entries, int)
 
     def _free_slots(self) -> list[tuple[Free, int]]:
-        from rotorsim.settled.linear_equations import slots_of
+        from rotorsim.settled.equations import slots_of
 
         return [(item, slot) for item in self.free for slot in slots_of(self.opened.experiment.model, item)]
 

@@ -15,7 +15,7 @@ from rotorsim.diagnosis.evidence.harmonic import Source
 from rotorsim.diagnosis.evidence.scoring import Held, predict
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.identification import Identification
-from rotorsim.identification.likelihood import harmonics_of_time
+from rotorsim.identification.whitening import harmonics_of_time
 from rotorsim.jobs.threads import one_thread
 from rotorsim.report.identification.comparison import EXCEEDED, Comparison, Harmonics, Signal
 

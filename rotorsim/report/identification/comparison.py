@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from rotorsim.identification.experiment import Experiment, open_experiment
 from rotorsim.identification.identification import Identification
-from rotorsim.identification.likelihood import Likelihood, harmonics_of_time
+from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.whitening import harmonics_of_time
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.style import ROUNDING, rpm
-from rotorsim.settled.linear_motion import Motion
-from rotorsim.settled.motion import NonlinearMotion
 from rotorsim.signals.harmonic_fit import HarmonicFit
 from rotorsim.units import format_quantity
 
@@ -297,36 +296,27 @@ class Comparison:
             for k, speed in enumerate(some):
                 moved = experiment.model.parameter_vector({"speed": speed})
                 p[k, self._follows_speed] = moved[self._follows_speed]
-            windows = np.full(len(some), experiment.motion.windows[r])
-            phase = np.full(len(some), experiment.motion.phase[r])
-            if isinstance(experiment.motion, NonlinearMotion):
-                balanced = NonlinearMotion(experiment.motion.equations, p, some, K, list(windows), phase)
-                self._begin(balanced, r, some)
-                Y = harmonics_of_time(balanced.predict(self.theta).Y, some[0])
-                found.append(signal.combined(Y, experiment.predicted, orders))
-                continue
-            beside = None if experiment.motion.beside is None else experiment.motion.beside.at(some)
-            resolved = K if beside is None else beside.K  # of forces that do not follow the shaft alone, all at once
-            motion = Motion(experiment.motion.equations, p, some, resolved, list(windows), phase, beside)
-            motion.slow = [experiment.motion.slow[r]] * len(some) if experiment.motion.slow else None
-            response = motion.response(self.theta)
-            Y = harmonics_of_time(response.outputs(response.states())[:, : K + 1], some[0])
-            grows = np.linalg.eigvals(response.A).real.max(axis=1) > 1e-6 * np.abs(response.A).max() ** 0.5
-            Y[grows] = np.nan
+            base = experiment.motion
+            beside = None if base.beside is None else base.beside.at(some)
+            motion = replace(
+                base,
+                p=p,
+                speeds=some,
+                K=K if beside is None else beside.K,  # of forces that do not follow the shaft alone, all at once
+                windows=np.full(len(some), base.windows[r]),
+                phase=np.full(len(some), base.phase[r]),
+                beside=beside,
+            )
+            group = np.array(self.groups[self.group_of(r)])
+            own = np.array([experiment.fits[k].speed for k in group])
+            motion.begin_from(base, group[np.argmin(np.abs(own[:, None] - some), axis=0)], self.theta)
+            Y = harmonics_of_time(motion.predict(self.theta).Y[:, : K + 1], some[0])
+            linear = motion.linear()
+            if linear is not None:
+                A = linear.response(self.theta, 0, forced=False).A
+                Y[np.linalg.eigvals(A).real.max(axis=1) > 1e-6 * np.abs(A).max() ** 0.5] = np.nan
             found.append(signal.combined(Y, experiment.predicted, orders))
         return np.concatenate(found)
-
-    def _begin(self, balanced: NonlinearMotion, r: int, speeds: np.ndarray) -> None:
-        """Start motions at speeds (n,) from that of the run nearest in speed, of those with the settings of run r."""
-        motion = self.experiment.motion
-        if not isinstance(motion, NonlinearMotion) or motion.last is None:
-            return
-        runs = np.array(self.groups[self.group_of(r)])
-        own = np.array([self.experiment.fits[k].speed for k in runs])
-        last = motion.last[runs[np.argmin(np.abs(own[:, None] - speeds), axis=0)], : balanced.H + 1]
-        balanced.opened(self.theta)
-        if last.shape[2] == len(balanced.inner.S):
-            balanced.last = np.pad(last, ((0, 0), (0, balanced.H + 1 - last.shape[1]), (0, 0)))
 
     @property
     def has_slow_states(self) -> bool:

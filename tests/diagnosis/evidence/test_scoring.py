@@ -10,7 +10,6 @@ from scipy.stats import chi2, kstest
 from rotorsim.diagnosis.conclude.next_experiment import _predicted
 from rotorsim.diagnosis.evidence.harmonic import Fit, Source
 from rotorsim.diagnosis.evidence.scoring import Held, HeldScore, _add, _errors, score, standardised, surprise
-from rotorsim.diagnosis.evidence.stability import growth
 from rotorsim.diagnosis.search.proof import share_explained
 from rotorsim.signals.harmonics import harmonics_of
 from tests.diagnosis.test_diagnosis import RPM, recording
@@ -141,33 +140,6 @@ def test_the_share_is_of_what_is_explainable_with_the_scatter_of_runs():
     assert some.value == pytest.approx(3900 / 3900)
     assert share_explained(of_runs(101.0, 103.0), of_runs(99.0, 99.0)) is None  # there is nothing to explain
     assert share_explained(of_runs(1100.0), of_runs(110.0)).interval is None
-
-
-def test_the_growth_of_a_periodic_system_is_not_that_of_its_eigenvalues():
-    """x' = A(t) x grows as e^(t / 2) though the eigenvalues of A(t) have the real part -1/4 at all times.
-
-    Markus & Yamabe, Osaka Math. J. 12 (1960) 305-317. The trapezoidal rule is of order 2.
-    """
-    rates = []
-    for count in (64, 128):
-        t = np.arange(count) * 2 * np.pi / count
-        c, s = np.cos(t), np.sin(t)
-        A = np.array([[-1 + 1.5 * c * c, 1 - 1.5 * s * c], [-1 - 1.5 * s * c, -1 + 1.5 * s * s]]).transpose(2, 0, 1)
-        assert np.linalg.eigvals(A).real == pytest.approx(-0.25)
-        motion = SimpleNamespace(
-            p=np.zeros((1, 0)),
-            last=np.zeros((1, 3, 2)),
-            count=count,
-            times=t[None],
-            speeds=np.ones(1),
-            ports=SimpleNamespace(columns=np.arange(2)),
-            inner=SimpleNamespace(S=np.arange(2)),
-            _samples=lambda _, count=count: np.zeros((1, count, 2)),
-            equations=SimpleNamespace(n=2, whole=SimpleNamespace(J=lambda *_, A=A: A)),
-        )
-        rates.append(float(growth(SimpleNamespace(motion=motion), np.zeros(0))[0]))
-    assert (rates[0] - 0.5) / (rates[1] - 0.5) == pytest.approx(4, rel=0.05)
-    assert (4 * rates[1] - rates[0]) / 3 == pytest.approx(0.5, abs=1e-4)  # extrapolated: of order 4
 
 
 def unstable() -> tuple[Source, dict, Held]:

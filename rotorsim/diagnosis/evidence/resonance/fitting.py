@@ -33,7 +33,7 @@ from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.recordings.recording import Recording, Run
-from rotorsim.settled.linear_equations import slots_of
+from rotorsim.settled.equations import slots_of
 
 __all__ = ["ModalSource", "Modes", "is_by_resonances", "modal_errors", "modal_score", "open_modal_source"]
 

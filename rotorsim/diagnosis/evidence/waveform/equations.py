@@ -13,7 +13,7 @@ from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
-from rotorsim.settled.linear_equations import reached_states, slots_of
+from rotorsim.settled.equations import reached_states, slots_of
 
 __all__ = ["ForceMap", "TimeEquations", "driven_parameters", "measured_expression"]
 
