@@ -10,7 +10,7 @@ from scipy.linalg import schur, solve_continuous_are, solve_sylvester
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.frequency import controller_output
-from rotorsim.linear.linearisation import LinearSystem, linearise
+from rotorsim.linear.linearisation import LinearSystem, linearise, reached
 from rotorsim.model.compiled import Model
 
 __all__ = ["Plant", "design_state_feedback", "plant_of"]
@@ -101,16 +101,8 @@ def plant_of(diagram: Diagram | Model, controller: str, parameters: dict[str, fl
 
 
 def _connected(system: LinearSystem, controller: str) -> Plant:
-    def spread(start: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-        reached = start
-        while True:
-            new = reached | pattern[:, reached].any(axis=1)
-            if (new == reached).all():
-                return reached
-            reached = new
-
-    driven = spread((system.B != 0).any(axis=1), system.A != 0)
-    seen = spread((system.C != 0).any(axis=0), system.A.T != 0)
+    driven = reached(system.A != 0, (system.B != 0).any(axis=1))
+    seen = reached(system.A.T != 0, (system.C != 0).any(axis=0))
     keep = np.flatnonzero(driven & seen)
     if not len(keep):
         what = "its output does not act on its input 'displacement'"

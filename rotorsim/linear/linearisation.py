@@ -65,25 +65,34 @@ class LinearSystem:
         n = len(self.A)
         if n == 0 or 0 in self.B.shape or 0 in self.C.shape:
             return np.repeat(self.D[None].astype(complex), len(s), 0)
-        out = np.empty((len(s), *self.D.shape), complex)
-        chunk = max(1, 2_000_000 // (n * n))
-        for start in range(0, len(s), chunk):
-            part = s[start : start + chunk]
-            matrices = part[:, None, None] * np.eye(n) - self.A
-            try:
-                solved = np.linalg.solve(matrices, np.broadcast_to(self.B, (len(part), *self.B.shape)))
-                out[start : start + chunk] = self.C @ solved + self.D
-            except np.linalg.LinAlgError:
-                for k, matrix in enumerate(matrices):
-                    out[start + k] = _response_at(matrix, self)
-        return out
+        chunks = np.array_split(s, 1 + len(s) * n * n // 2_000_000)
+        states = [solved(part[:, None, None] * np.eye(n) - self.A, self.B) for part in chunks]
+        response = self.C @ np.concatenate(states) + self.D
+        response[np.isnan(response).any(axis=(1, 2))] = np.inf
+        return np.asarray(response)
 
 
-def _response_at(matrix: np.ndarray, system: LinearSystem) -> np.ndarray:
+def solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the solutions X of systems (..., n, n) with right-hand sides (..., n, j); NaN where one is singular."""
     try:
-        return np.asarray(system.C @ np.linalg.solve(matrix, system.B.astype(complex)) + system.D)
+        return np.asarray(np.linalg.solve(matrices, right))
     except np.linalg.LinAlgError:
-        return np.full(system.D.shape, complex(np.inf))
+        right = np.broadcast_to(right, (*matrices.shape[:-1], right.shape[-1]))
+        if matrices.ndim == 2:
+            return np.full(right.shape, np.nan, np.result_type(matrices, right))
+        return np.array([solved(*pair) for pair in zip(matrices, right, strict=True)])
+
+
+def reached(pattern: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Return which states (n,) are driven by those at the start (n,) bool, also through others.
+
+    pattern (n, n): whether the rate of a state depends on another.
+    """
+    while True:
+        more = start | pattern[:, start].any(axis=1)
+        if (more == start).all():
+            return np.asarray(start)
+        start = more
 
 
 def as_model(diagram: Diagram | Model, inject: Sequence[str] = (), replace: Sequence[str] = ()) -> Model:
@@ -146,47 +155,24 @@ def refuse_sampled(model: Model, what: str) -> None:
         )
 
 
-@dataclass
-class _Functions:
-    """Jacobians of one model, made once."""
-
-    model: Model
-    made: dict[Any, MatrixFunction] = field(default_factory=dict)
-
-    @property
-    def arguments(self) -> list[Any]:
-        trace = self.model.trace
-        return [trace.t, trace.x, trace.z, trace.p]
-
-    def state_matrix(self) -> MatrixFunction:
-        if "A" not in self.made:
-            self.made["A"] = MatrixFunction(self.arguments, self.model.jacobian_expression)
-        return self.made["A"]
-
-    def matrices(self, outputs: tuple[str, ...]) -> dict[str, MatrixFunction]:
-        trace, model = self.model.trace, self.model
-        y = ca.vertcat(*[model.expression(name) for name in outputs]) if outputs else ca.SX(0, 1)
-        zero = ca.SX.zeros(*trace.v.shape)
-        for key, of, by in (("B", trace.xdot, trace.v), (("C", outputs), y, trace.x), (("D", outputs), y, trace.v)):
-            if key not in self.made:
-                jacobian = ca.substitute(ca.jacobian(of, by), trace.v, zero)
-                self.made[key] = MatrixFunction(self.arguments, jacobian)
-        return {
-            "A": self.state_matrix(),
-            "B": self.made["B"],
-            "C": self.made["C", outputs],
-            "D": self.made["D", outputs],
-        }
+_CACHE: WeakKeyDictionary[Model, dict[tuple[str, ...], dict[str, MatrixFunction]]] = WeakKeyDictionary()
 
 
-_CACHE: WeakKeyDictionary[Model, _Functions] = WeakKeyDictionary()
-
-
-def functions(model: Model) -> _Functions:
-    """Return the Jacobian functions of a model; they are kept as long as the model lives."""
-    if model not in _CACHE:
-        _CACHE[model] = _Functions(model)
-    return _CACHE[model]
+def jacobians(model: Model, outputs: tuple[str, ...] = ()) -> dict[str, MatrixFunction]:
+    """Return A, B, C, D as functions of (t, x, z, p); they are kept as long as the model lives."""
+    known = _CACHE.setdefault(model, {})
+    if outputs not in known:
+        trace = model.trace
+        arguments = [trace.t, trace.x, trace.z, trace.p]
+        y = ca.vertcat(ca.SX(0, 1), *[model.expression(name) for name in outputs])
+        made = {"A": MatrixFunction(arguments, lambda: model.jacobian_expression)}
+        for key, of, by in (("B", trace.xdot, trace.v), ("C", y, trace.x), ("D", y, trace.v)):
+            jacobian = ca.substitute(ca.jacobian(of, by), trace.v, ca.SX.zeros(*trace.v.shape))
+            made[key] = MatrixFunction(arguments, jacobian)
+        known[outputs] = made
+        if outputs:  # the same for all outputs
+            known[outputs] |= {key: jacobians(model)[key] for key in "AB"}
+    return known[outputs]
 
 
 def require_finite(model: Model, A: np.ndarray) -> None:
@@ -227,13 +213,7 @@ def drifting_states(A: np.ndarray) -> tuple[list[int], list[int]]:
             singular = bool(values[-1] <= SINGULAR * values[0])
         if singular:
             seeds += members.tolist()
-    reached = np.zeros(n, bool)
-    reached[seeds] = True
-    while True:
-        new = reached | pattern[:, reached].any(axis=1)
-        if (new == reached).all():
-            return sorted(seeds), np.flatnonzero(reached).tolist()
-        reached = new
+    return sorted(seeds), np.flatnonzero(reached(pattern, np.isin(np.arange(n), seeds))).tolist()
 
 
 def equilibrium(
@@ -257,7 +237,7 @@ def equilibrium(
     times = _instants(model, p) if t is None else np.array([t])
     x = (model.x0(p) if start is None else np.asarray(start, float)).copy()
     z, many = model.z0(p), np.repeat(p[None], len(times), 0)
-    jacobian = functions(model).state_matrix()
+    jacobian = jacobians(model)["A"]
     names = state_names(model)
 
     def rates(at: np.ndarray) -> np.ndarray:
@@ -380,7 +360,7 @@ def linearise(
         x = np.asarray(at, float).ravel()
         if x.shape != (model.n_x,):
             raise RotorsimError(Problem(what=f"operating point has {x.size} entries, {model.n_x} expected"))
-    made = functions(model).matrices(tuple(outputs))
+    made = jacobians(model, tuple(outputs))
     times = np.zeros(1)
     if ca.depends_on(model.jacobian_expression, model.trace.t):
         times = _instants(model, p)

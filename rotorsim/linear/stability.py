@@ -78,7 +78,7 @@ def growing(A: np.ndarray) -> Growing:
 
 def step_factor(q: np.ndarray) -> np.ndarray:
     """Return |R(q)|, by which `RK4` changes exp(lambda t) in one step, q = h lambda: 1 + q + q^2/2 + q^3/6 + q^4/24."""
-    return np.abs(np.polynomial.polynomial.polyval(np.asarray(q), RK4.stability))
+    return np.asarray(np.abs(np.polynomial.polynomial.polyval(q, RK4.stability)))
 
 
 def largest_stable_step(eigenvalues: np.ndarray) -> float:

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.diagram.diagram import Free
+from rotorsim.linear.linearisation import reached
 from rotorsim.model.compiled import Model
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.slow_states import means_of
@@ -47,16 +48,8 @@ def instants(speeds: np.ndarray, n: int) -> np.ndarray:
 
 def reached_states(A: ca.Sparsity, C: ca.Sparsity) -> np.ndarray:
     """Return the states that the outputs depend on, directly or through others."""
-    n = A.size1()
-    pattern = np.zeros((n, n), bool)
-    pattern[np.array(A.row(), int), np.array(A.get_triplet()[1], int)] = True
-    reached = np.zeros(n, bool)
-    reached[np.array(C.get_triplet()[1], int)] = True
-    while True:
-        more = reached | pattern[reached].any(axis=0)
-        if (more == reached).all():
-            return np.flatnonzero(reached)
-        reached = more
+    pattern = np.array(ca.DM(A, 1.0)) != 0
+    return np.flatnonzero(reached(pattern.T, np.any(np.array(ca.DM(C, 1.0)) != 0, axis=0)))
 
 
 class Equations:

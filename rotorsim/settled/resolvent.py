@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Resolvent", "resolvent_of", "shifted", "solved"]
+__all__ = ["Resolvent", "resolvent_of", "shifted"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +41,3 @@ def shifted(A: np.ndarray, s: np.ndarray, resting: Sequence[np.ndarray]) -> np.n
         matrices[r, 0, :, states] = 0.0
         matrices[r, 0, states, states] = 1.0
     return matrices
-
-
-def solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return the solutions x (..., n) of a stack of systems (..., n, n); NaN where one is singular."""
-    try:
-        return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0])
-    except np.linalg.LinAlgError:
-        if matrices.ndim == 2:
-            return np.full(right.shape, np.nan, np.result_type(matrices, right))
-        return np.array([solved(*pair) for pair in zip(matrices, right, strict=True)])

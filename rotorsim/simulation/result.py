@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.model.compiled import Model
 
-__all__ = ["Result", "flat_name", "make_result"]
+__all__ = ["Result", "cut", "flat_name", "provenance_of"]
 
 
 def flat_name(name: str, index: tuple[int, ...]) -> str:
@@ -225,62 +225,32 @@ def _without(diagram: Diagram) -> list[str]:
     return [str(name) for name in diagram.document.get("blocks", {}) if name not in there]
 
 
-def make_result(
-    model: Model,
-    names: Sequence[str],
-    time: np.ndarray,
-    rows: np.ndarray,
-    status: str,
-    message: str,
-    counters: Mapping[str, Any],
-    *,
-    method: str,
-    step: float,
-    path: str,
-    p: np.ndarray,
-) -> Result:
-    """Cut the recorded rows (n, n_y) into signals and note what was run.
+def cut(rows: np.ndarray, shapes: Mapping[str, Sequence[int]]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return rows (n, n_y) as signals (n, *shape) by name, and the columns behind them."""
+    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes.values()], dtype=int)
+    *parts, rest = np.split(rows, ends, axis=1)
+    signals = zip(shapes.items(), parts, strict=True)
+    return {name: part.reshape(len(rows), *shape) for (name, shape), part in signals}, rest
 
-    provenance: ``parameters`` are the diagram's in force; ``parameters_changed`` those given to the run, by
-    block; ``without`` the blocks that were left out. There is no date: the same run gives the same result.
+
+def provenance_of(model: Model, p: np.ndarray) -> dict[str, Any]:
+    """Return what was run with parameters p (n_p,).
+
+    ``parameters`` are the diagram's in force; ``parameters_changed`` those given to the run, by block; ``without`` the
+    blocks that were left out. There is no date: the same run gives the same result.
     """
-    signals: dict[str, np.ndarray] = {}
-    at = 0
-    for name in names:
-        shape = model.shape_of(name)
-        size = int(np.prod(shape, dtype=int))
-        signals[name] = rows[:, at : at + size].reshape(len(rows), *shape)
-        at += size
-    residual = float(np.abs(rows[:, at:]).max()) if rows.shape[1] > at and len(rows) else 0.0
-    counters = dict(counters)
-    if rows.shape[1] > at:
-        counters["loop_residual"] = residual
-        if residual > 1e-9 and status == "finished":
-            message = f"an algebraic loop did not converge: largest residual {residual:.2g}"
-            status = "diverged"
+    from rotorsim import __version__
+
     diagram = model.diagram
     values = {name: np.ravel(value) for name, value in diagram.parameters.items()}
     values |= {name: p[parts[0]] for name, parts in model.references.items() if parts}
-    changed = {}
-    if not np.array_equal(p, model.p0):
-        changed = {
-            name: _plain(p[part])
-            for name, part in model.parameters.items()
-            if not np.array_equal(p[part], model.p0[part])
-        }
-    from rotorsim import __version__
-
-    provenance = {
+    changed = {name: p[part] for name, part in model.parameters.items() if (p[part] != model.p0[part]).any()}
+    return {
         "rotorsim": __version__,
         "diagram": diagram.name,
         "file": diagram.file,
         "document_sha256": diagram.sha256,
         "parameters": {name: _plain(value) for name, value in values.items()},
-        "parameters_changed": changed,
+        "parameters_changed": {name: _plain(value) for name, value in changed.items()},
         "without": _without(diagram),
-        "method": method,
-        "step": step,
-        "path": path,
     }
-    units = {name: model.select(name)[0].unit or "" for name in names}
-    return Result(time, signals, units, status, message, counters, provenance)

@@ -15,11 +15,12 @@ from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.input_limits import input_limits, passed_limit
 from rotorsim.model.instance import Instance, make_instance
 from rotorsim.simulation.failure import describe_failure
-from rotorsim.simulation.result import Result, make_result
-from rotorsim.simulation.validity import Stretch, judge, loose_tolerance, stretches_of
+from rotorsim.simulation.result import Result, cut, provenance_of
+from rotorsim.simulation.validity import Run, Stretch, judge, loose_tolerance, stretches_of
 
 __all__ = ["simulate"]
 
+LARGEST_RESIDUAL = 1e-9  # of algebraic loops
 LARGEST_RECORD = 1e9  # bytes; summing up and writing takes two to three times as much for a while
 Progress = Callable[[float], None]
 
@@ -90,11 +91,12 @@ def simulate(
     counters["compile_cpu_seconds"] = prepared - begun
     ran = clock.process_time()
     counters["run_cpu_seconds"] = ran - prepared
+    signals, residuals = cut(rows, {name: model.shape_of(name) for name in watched})
     if status == "finished":
-        verdict = judge(model, instance, watched, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
+        run = Run(model, instance, watched, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
+        verdict = judge(run)
         status, message = verdict.status, verdict.message
-        signals = _by_name(model, watched, rows)
-        too_far = passed_limit(limits, time, {name: _shaped(model, name, v) for name, v in signals.items()})
+        too_far = passed_limit(limits, time, signals)
         if too_far and status == "finished":
             status, message = "diverged", too_far
         if status == "finished" and not message and chosen != "rk4":
@@ -102,24 +104,19 @@ def simulate(
         if verdict.error is not None:
             counters["step_error"] = verdict.error
         counters["check_cpu_seconds"] = clock.process_time() - ran
-    width = sum(_width(model, name) for name in names)
-    return make_result(
-        model, names, time, rows[:, :width], status, message, counters, method=chosen, step=h, path=instance.path, p=p
+    if residuals.shape[1]:
+        counters["loop_residual"] = largest = float(np.abs(residuals).max(initial=0.0))
+        if largest > LARGEST_RESIDUAL and status == "finished":
+            status, message = "diverged", f"an algebraic loop did not converge: largest residual {largest:.2g}"
+    return Result(
+        time,
+        {name: signals[name] for name in names},
+        {name: model.select(name)[0].unit or "" for name in names},
+        status,
+        message,
+        counters,
+        {**provenance_of(model, p), "method": chosen, "step": h, "path": instance.path},
     )
-
-
-def _width(model: Model, name: str) -> int:
-    return int(np.prod(model.shape_of(name), dtype=int))
-
-
-def _shaped(model: Model, name: str, values: np.ndarray) -> np.ndarray:
-    return values.reshape(len(values), *model.shape_of(name))
-
-
-def _by_name(model: Model, names: tuple[str, ...], rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the columns of the named signals; those of algebraic loops' residuals stand behind them."""
-    ends = np.cumsum([_width(model, name) for name in names])
-    return dict(zip(names, np.split(rows, ends, axis=1)[:-1], strict=True))
 
 
 def _check(h: float, end: float, every: int) -> None:

@@ -56,7 +56,7 @@ class Modes:
         linear.refuse_sampled(self.model, "a comparison of modes")
         self.slots = [slots_of(self.model, item) for item in free]
         trace = self.model.trace
-        self._A = linear.functions(self.model).state_matrix()
+        self._A = linear.jacobians(self.model)["A"]
         y = ca.vertcat(*[measured_expression(self.model, name) for name in channels.outputs])
         closed = ca.substitute(ca.jacobian(y, trace.x), trace.v, ca.SX.zeros(*trace.v.shape))
         self._C = MatrixFunction([trace.t, trace.x, trace.z, trace.p], closed)
@@ -252,7 +252,7 @@ def is_by_resonances(diagram: Diagram, recording: Recording) -> bool:
     model = compile_diagram(diagram)
     if not runs or model.n_z or not model.n_x:
         return False
-    A = linear.functions(model).state_matrix()(np.zeros((1, 1)), model.x0(), model.z0(), model.p0)[0]
+    A = linear.jacobians(model)["A"](np.zeros((1, 1)), model.x0(), model.z0(), model.p0)[0]
     if not np.isfinite(A).all():
         return False
     rates = np.linalg.eigvals(A)
