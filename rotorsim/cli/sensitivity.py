@@ -12,8 +12,9 @@ from rotorsim.cli import common
 from rotorsim.errors import Problem, RotorsimError
 
 if TYPE_CHECKING:
+    from rotorsim.identification.study.plan import Study
     from rotorsim.identification.study.questions import Comparison, Smallest
-    from rotorsim.identification.study.study import Study, StudyResult, StudyRow
+    from rotorsim.identification.study.study import StudyResult, StudyRow
 
 __all__ = ["command"]
 
@@ -169,8 +170,9 @@ def _study(
     """Return the study that the options describe."""
     from pathlib import Path
 
+    from rotorsim.identification.study.plan import Study
     from rotorsim.identification.study.printed import TABLES
-    from rotorsim.identification.study.study import Study, study_of_table
+    from rotorsim.identification.study.study import study_of_table
 
     if diagram is None and table is None:
         hint = "rotorsim sensitivity --table 2-5, or a diagram with --speeds"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -13,10 +14,10 @@ from scipy.stats import chi2
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.coordinates import ANGLE_UNIT, Coordinates, coordinates_of
-from rotorsim.identification.likelihood import Evaluation, Likelihood
-from rotorsim.identification.regression import Regression
+from rotorsim.identification.experiment import Experiment
+from rotorsim.identification.likelihood import Evaluation
 
-__all__ = ["NOT_EXPLAINED", "Estimate", "Search", "estimate"]
+__all__ = ["NOT_EXPLAINED", "Estimate", "Residuals", "Search", "estimate"]
 
 TURN = 2 * np.pi
 STARTS = 12  # values over a turn of an angle that enters in several harmonics
@@ -34,12 +35,26 @@ NOT_EXPLAINED = 1e-4
 PART = 0.01  # of a direction that the data say nothing about: who takes part by more is not determined
 
 
+class Residuals(Protocol):
+    """What is minimised: the equations that data and parameters are to satisfy.
+
+    absolute: whether the residual is in units of its standard deviation, so that bounds and priors count.
+    """
+
+    experiment: Experiment
+    absolute: bool
+
+    def evaluate(self, theta: np.ndarray) -> Evaluation:
+        """Return the residual and its derivatives at theta (m,)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """The most likely parameters theta (m,) [SI], and what the data say about them.
 
     information (m, m): J^T J of the whitened equations and priors, in the coordinates q. misfit: |r|^2 of the data;
-    freedom: equations less parameters. at_bound (m,): the search ended at a bound there.
+    freedom: equations less parameters. at_bound (m,): the search ended at a bound there. scatter: the covariance of
+    theta (m, m) where it does not follow from the information.
     """
 
     free: tuple[Free, ...]
@@ -50,6 +65,7 @@ class Estimate:
     at_bound: np.ndarray
     misfit: float
     freedom: int
+    scatter: np.ndarray | None = None
 
     @property
     def goodness(self) -> float:
@@ -93,6 +109,8 @@ class Estimate:
     @cached_property
     def covariance(self) -> np.ndarray:
         """Covariance of theta (m, m), very large where `undetermined`; zero at bounds."""
+        if self.scatter is not None:
+            return self.scatter
         J = self.coordinates.slopes(self.theta)
         return np.asarray(J @ self._in_q[0] @ J.T)
 
@@ -112,7 +130,7 @@ class Estimate:
 class Search:
     """The residuals of data and priors in the coordinates of the search, with some parameters held."""
 
-    def __init__(self, likelihood: Likelihood | Regression) -> None:
+    def __init__(self, likelihood: Residuals) -> None:
         experiment = likelihood.experiment
         self.likelihood, self.free = likelihood, experiment.free
         motion = experiment.motion
@@ -124,10 +142,16 @@ class Search:
         self.bends = motion.equations.moved_by(motion.p[:1], start)
         self._known: tuple[bytes, tuple[Evaluation, np.ndarray, np.ndarray]] | None = None
 
-    def again(self, likelihood: Likelihood | Regression) -> Search:
+    def again(self, likelihood: Residuals) -> Search:
         """Return the search for the same parameters with other data."""
         other = copy(self)
         other.likelihood, other._known = likelihood, None
+        return other
+
+    def in_coordinates(self, coordinates: Coordinates) -> Search:
+        """Return the search in other coordinates."""
+        other = copy(self)
+        other.coordinates, other._known = coordinates, None
         return other
 
     def residual(self, q: np.ndarray) -> np.ndarray:

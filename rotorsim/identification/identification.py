@@ -12,11 +12,11 @@ from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.advice import Advice, advise
-from rotorsim.identification.estimate import Estimate, Search, estimate
+from rotorsim.identification.estimate import Estimate, Residuals, Search, estimate
 from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.identification.profile import Z90, joint_factor, linear_intervals, profile_intervals
-from rotorsim.identification.regression import THESIS_ORDERS, Regression, open_regression
+from rotorsim.identification.regression import THESIS_ORDERS, open_regression
 from rotorsim.identification.scatter import scatter_of, with_covariance
 from rotorsim.identification.verdict import PRECISION, Verdict, judge
 from rotorsim.jobs.threads import one_thread
@@ -155,13 +155,12 @@ def identify(
                 refuse_sampled(experiment.model, "identification with the loop closed")
             return Likelihood(experiment)
 
-        opened: Likelihood | Regression
-        if method == "likelihood":
-            opened = likelihood(found)
-        else:
-            opened = open_regression(
+        regression = None
+        if method == "regression":
+            regression = open_regression(
                 diagram, recording, runs=chosen, free=free, orders=orders, reduction=reduction, harmonics=found
             )
+        opened: Residuals = regression or likelihood(found)
         search = Search(opened)
         result = estimate(search)
         if method == "likelihood" and harmonics is None and not result.adequate:
@@ -175,8 +174,8 @@ def identify(
         adequate = method == "regression" or result.adequate
         widen = 1.0 if adequate else result.widening
         covariance = result.covariance * widen**2
-        if isinstance(opened, Regression):
-            scatter = scatter_of(opened, search, result)
+        if regression is not None:
+            scatter = scatter_of(regression, search, result)
             covariance, adequate = scatter.covariance, scatter.adequate
             result = with_covariance(result, covariance)
             intervals = _about(result, np.sqrt(np.diag(covariance)), scatter.bias)

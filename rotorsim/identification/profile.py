@@ -96,15 +96,9 @@ def _unbounded(found: Estimate) -> np.ndarray:
 
 def _polar(search: Search) -> Search:
     """Return the search in the parameters themselves, so that an amplitude or an angle can be held."""
-    other = object.__new__(Search)
-    other.__dict__.update(search.__dict__)
-    coordinates = search.coordinates
-    scale = coordinates.scale.copy()
-    for _, b in coordinates.pairs:
-        scale[b] = 1.0
-    other.coordinates = replace(coordinates, pairs=(), scale=scale)
-    other._known = None
-    return other
+    scale = search.coordinates.scale.copy()
+    scale[[b for _, b in search.coordinates.pairs]] = 1.0
+    return search.in_coordinates(replace(search.coordinates, pairs=(), scale=scale))
 
 
 def _end(search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, step: float, least: float, rise: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -95,15 +95,6 @@ def _undetermined(J: np.ndarray, noise: np.ndarray, slopes: np.ndarray, at: np.n
 def with_covariance(result: Estimate, covariance: np.ndarray) -> Estimate:
     """Return an estimate whose information is the inverse of a covariance of theta."""
     slopes = result.coordinates.slopes(result.theta)
-    changed = Estimate(
-        result.free,
-        result.theta,
-        result.coordinates,
-        result.evaluation,
-        slopes.T @ np.linalg.pinv(covariance, hermitian=True) @ slopes,
-        np.zeros(len(result.theta), bool),
-        result.misfit,
-        result.freedom,
-    )
-    changed.__dict__["covariance"] = covariance
-    return changed
+    information = slopes.T @ np.linalg.pinv(covariance, hermitian=True) @ slopes
+    free = np.zeros(len(result.theta), bool)
+    return replace(result, information=information, at_bound=free, scatter=covariance)

@@ -1,0 +1,1 @@
+"""What the source thesis prints beside what is computed here."""
