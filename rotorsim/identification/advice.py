@@ -54,7 +54,7 @@ def advise(experiment: Experiment, found: Estimate, open_names: Sequence[str], p
         base = open_experiment(
             experiment.diagram, experiment.recording, runs=runs, free=experiment.free, harmonics=experiment.runs
         )
-    J = np.linalg.inv(found.coordinates.slopes(found.theta))
+    J = np.linalg.inv(found.coordinates.jacobian(found.theta))
     at_hand = J.T @ found.information @ J
     results = []
     for change, added in _candidates(base, found):
@@ -104,8 +104,8 @@ def format_rpm(speed: float) -> str:
 def _information(base: Experiment, found: Estimate, p: np.ndarray, speeds: np.ndarray) -> np.ndarray:
     """Return the information (m, m) that runs at these parameters would give, with the noise of those at hand."""
     likelihood = Likelihood(replace(base, p=p, motion=replace(base.linear, p=p, speeds=speeds, beside=None)))
-    slopes = likelihood.expected(found.theta)
-    return np.asarray(slopes.T @ slopes)
+    jacobian = likelihood.expected(found.theta)
+    return np.asarray(jacobian.T @ jacobian)
 
 
 def _stable(base: Experiment, p: np.ndarray, theta: np.ndarray) -> bool:
@@ -173,8 +173,8 @@ def _excitation(base: Experiment, found: Estimate) -> tuple[str, np.ndarray] | N
         at = sine.response(found.theta, forced=False)  # what is linear adds up: the sine alone
         inputs = np.zeros((1, 2, at.B.shape[2]), complex)
         inputs[0, 1, entry] = EXCITATION * rms / 2
-        slopes = at.sensitivity(at.states(inputs), inputs)[0, 1]
-        whitened = likelihood.white_at(0, 1, slopes)
+        jacobian = at.sensitivity(at.states(inputs), inputs)[0, 1]
+        whitened = likelihood.white_at(0, 1, jacobian)
         total += whitened.T @ whitened
     low, high = (f * centre / (2 * np.pi) for f in (FREQUENCIES[0], FREQUENCIES[-1]))
     text = (

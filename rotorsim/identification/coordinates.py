@@ -43,7 +43,7 @@ class Coordinates:
                 theta[b] = near[b] + np.angle(np.exp(1j * (theta[b] - near[b])))
         return np.asarray(theta)
 
-    def slopes(self, theta: np.ndarray) -> np.ndarray:
+    def jacobian(self, theta: np.ndarray) -> np.ndarray:
         """Return dtheta/dq (m, m)."""
         J = np.diag(self.scale.copy())
         for a, b in self.pairs:

@@ -22,13 +22,13 @@ __all__ = ["NOT_EXPLAINED", "Estimate", "Residuals", "Search", "estimate"]
 TURN = 2 * np.pi
 STARTS = 12  # values over a turn of an angle that enters in several harmonics
 CLOSE = 1e-10
-EQUAL = 1e-6  # relative difference of two solutions that the data cannot tell apart
+EQUAL = 1e-6  # relative difference of two solutions that the data cannot separate
 AT_BOUND = 1e-6
 MOST_EVALUATIONS = 60
 METHODS = ("trf", "dogbox")  # the first creeps in curved valleys near a bound: the second goes on from there
 PASSES = 3  # of both, where neither has converged
 GAIN = 1e-4  # of the misfit, that a pass must gain for another to follow
-NOTHING = 1e-11  # of the largest slope: rounding
+NOTHING = 1e-11  # of the largest derivative: rounding
 SINGULAR = 1e-13  # smallest eigenvalue of the information, each parameter's own being one: below, it is rounding
 # probability of the misfit below which a model does not explain the data: one wrong finding in 10 000 recordings
 NOT_EXPLAINED = 1e-4
@@ -79,7 +79,7 @@ class Estimate:
 
     @property
     def adequate(self) -> bool:
-        """Whether noise can make what the model leaves over."""
+        """Whether noise can make the residual."""
         return self.goodness >= NOT_EXPLAINED
 
     @property
@@ -111,14 +111,14 @@ class Estimate:
         """Covariance of theta (m, m), very large where `undetermined`; zero at bounds."""
         if self.scatter is not None:
             return self.scatter
-        J = self.coordinates.slopes(self.theta)
+        J = self.coordinates.jacobian(self.theta)
         return np.asarray(J @ self._in_q[0] @ J.T)
 
     @cached_property
     def undetermined(self) -> np.ndarray:
         """Which of theta (m,) the data say nothing about, alone or beside the others: their variance is infinite."""
         _, nothing, unit = self._in_q
-        J = self.coordinates.slopes(self.theta) * unit
+        J = self.coordinates.jacobian(self.theta) * unit
         return np.asarray((np.abs(J @ nothing) > PART * np.linalg.norm(J, axis=1)[:, None]).any(axis=1))
 
     @property
@@ -158,7 +158,7 @@ class Search:
         """Return whitened residuals of data and priors, (n,)."""
         return self._at(q)[1]
 
-    def slopes(self, q: np.ndarray) -> np.ndarray:
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return the derivatives of `residual` by q, (n, m)."""
         return self._at(q)[2]
 
@@ -171,15 +171,15 @@ class Search:
         if self._known is None or self._known[0] != key:
             theta = self.coordinates.outside(q)
             found = self.likelihood.evaluate(theta)
-            residual, slopes = found.residual, found.slopes
+            residual, jacobian = found.residual, found.jacobian
             if self.prior:
                 means = [self.free[j].prior_mean for j in self.prior]
                 stds = np.array([self.free[j].prior_std for j in self.prior])
                 residual = np.append(residual, (theta[self.prior] - means) / stds)
                 rows = np.zeros((len(self.prior), len(theta)))
                 rows[np.arange(len(self.prior)), self.prior] = 1 / stds
-                slopes = np.vstack([slopes, rows])
-            self._known = (key, (found, residual, slopes @ self.coordinates.slopes(theta)))
+                jacobian = np.vstack([jacobian, rows])
+            self._known = (key, (found, residual, jacobian @ self.coordinates.jacobian(theta)))
         return self._known[1]
 
     def starts(self) -> list[np.ndarray]:
@@ -218,7 +218,7 @@ class Search:
         if not others:
             r = self.residual(q)
             return float(r @ r), q
-        J = self.slopes(q)[:, others]
+        J = self.jacobian(q)[:, others]
         r = self.residual(q)
         if not (np.isfinite(r).all() and np.isfinite(J).all()):
             return np.inf, q
@@ -236,7 +236,7 @@ class Search:
 
     def promise(self, q: np.ndarray) -> float:
         """Return the misfit that linear theory promises after one step of all parameters."""
-        r, J = self.residual(q), self.slopes(q)
+        r, J = self.residual(q), self.jacobian(q)
         if not (np.isfinite(r).all() and np.isfinite(J).all()):
             return np.inf
         norm = np.linalg.norm(J, axis=0)
@@ -260,7 +260,7 @@ class Search:
         if not np.isfinite(self.residual(q)).all():
             hint = "start from other values, or leave out the runs nearest to the limit of stability"
             raise RotorsimError(Problem("no settled motion is found at the start", "identify", hint=hint))
-        size = np.linalg.norm(self.slopes(q), axis=0)
+        size = np.linalg.norm(self.jacobian(q), axis=0)
         idle = size <= NOTHING * size.max(initial=0.0)  # nothing depends on it: it stays where it is
         moving = [j for j in range(len(q)) if j not in held and not idle[j]]
         if not moving:
@@ -279,7 +279,7 @@ class Search:
             found = least_squares(
                 lambda q: self.residual(full(q)),
                 part,
-                lambda q: self.slopes(full(q))[:, moving],
+                lambda q: self.jacobian(full(q))[:, moving],
                 bounds=(low[moving], high[moving]),
                 method=method,
                 x_scale="jac",
@@ -320,7 +320,7 @@ def summary(search: Search, q: np.ndarray) -> Estimate:
         if item.unit == ANGLE_UNIT and item.low == -np.inf and item.high == np.inf:
             theta[j] = np.angle(np.exp(1j * theta[j]))
     evaluation = search.evaluation(q)
-    J = search.slopes(q)
+    J = search.jacobian(q)
     at_bound = coordinates.at_bound(q, AT_BOUND)
     freedom = evaluation.rows - len(free)
     return Estimate(free, theta, coordinates, evaluation, J.T @ J, at_bound, float(evaluation.misfit.sum()), freedom)

@@ -201,14 +201,9 @@ def _names(model: Model, recording: Recording, problems: list[Problem]) -> list[
 def _still(model: Model, names: Sequence[str], recording: Recording, runs: Sequence[Run]) -> list[str]:
     """Return the entries that cannot move (a pinned node) and were measured as zero: they say nothing."""
     columns = {channel.name: column for column, channel in recording.channels.items()}
-    found = []
-    for name in names:
-        expression = model.expression(model.diagram.as_measured(name))
-        if expression.is_constant() and float(expression) == 0.0:
-            measured = [run.values[columns[name]] for run in runs if columns[name] in run.values]
-            if not any(values.any() for values in measured):
-                found.append(name)
-    return found
+    fixed = [name for name in names if not linear.can_move(model, model.diagram.as_measured(name))]
+    zero = np.zeros(1)
+    return [name for name in fixed if not any(run.values.get(columns[name], zero).any() for run in runs)]
 
 
 RATES = (".velocity", ".acceleration")  # recorded signals that are rates of a block's displacement

@@ -312,12 +312,12 @@ def _statement(
         parts.append("No change of gains, speeds, length or excitation that was tried would determine them.")
     if not adequate and method == "regression":
         parts.append(
-            "The model does not explain the data: the equations leave more over than noise can make; the intervals "
+            "The model does not explain the data: the residual of the equations is larger than noise can make; the intervals "
             "mean nothing. something is missing in it."
         )
     elif not adequate:
         parts.append(
-            f"The model does not explain the data: what is left over has {result.excess:.3g} times the variance of the "
+            f"The model does not explain the data: the residual has {result.excess:.3g} times the variance of the "
             f"noise, so something is missing in it; the intervals are widened by {np.sqrt(result.excess):.2g}, and "
             "hold only if what is missing does not matter to a parameter."
         )

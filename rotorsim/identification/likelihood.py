@@ -37,7 +37,7 @@ class Evaluation:
     """
 
     residual: np.ndarray
-    slopes: np.ndarray
+    jacobian: np.ndarray
     misfit: np.ndarray
     Y: np.ndarray
     rows: int
@@ -46,12 +46,12 @@ class Evaluation:
     def apart(self) -> tuple[np.ndarray, np.ndarray]:
         """Return residual and derivatives of each run by itself, as they are for a known delay of the pulses."""
         if self.late is None or not self.late.any():
-            return self.residual, self.slopes
+            return self.residual, self.jacobian
         size = float(self.late @ self.late)
         grown = (np.sqrt(1 + size) - 1) / size * self.late
         return (
             self.residual + grown * (self.late @ self.residual),
-            self.slopes + np.outer(grown, self.late @ self.slopes),
+            self.jacobian + np.outer(grown, self.late @ self.jacobian),
         )
 
 
@@ -141,7 +141,7 @@ class Likelihood:
             self._means = means
         derivatives = prediction.sensitivity()
         for r, known in enumerate(fresh):
-            derivatives[r] += prediction.by_means[r][..., known.places] @ known.slopes
+            derivatives[r] += prediction.by_means[r][..., known.places] @ known.jacobian
         derivatives = self._padded(derivatives) * turn[:, :, None, None]
         columns = real_columns(np.pad(derivatives, ((0, 0), (0, 0), (0, self.V), (0, 0))))
         jacobian = [-white.apply(own) for white, own in zip(self.whiteners, columns, strict=True)]
@@ -191,7 +191,7 @@ class Likelihood:
         response = self.response(theta)
         self.data[:, 1:, : self.c] = response.outputs(response.states())[:, 1:]
         self.data_rows = self._white(self.data)
-        return self.evaluate(theta).slopes
+        return self.evaluate(theta).jacobian
 
     def white_at(self, r: int, order: int, values: np.ndarray) -> np.ndarray:
         """Return complex columns (c, m) at one order of run r, `whitened_at`; from K + 1 on lines beside."""

@@ -54,7 +54,7 @@ def linear_intervals(search: Search, found: Estimate) -> np.ndarray:
     q = search.coordinates.inside(found.theta)
     if not found.at_bound.any():
         return intervals
-    r, J = search.residual(q), search.slopes(q)
+    r, J = search.residual(q), search.jacobian(q)
     base, _, _ = np.linalg.svd(_units(J[:, ~found.at_bound]), full_matrices=False)
     for j in np.flatnonzero(found.at_bound):
         scale = search.coordinates.scale[j]
@@ -135,7 +135,7 @@ def _profile(search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, value
     r = search.residual(q)
     cost = float(r @ r)
     for _ in range(4):
-        J = search.slopes(q)[:, others]
+        J = search.jacobian(q)[:, others]
         step, *_ = np.linalg.lstsq(J, -r, rcond=1e-9)
         trial = q.copy()
         trial[others] += step

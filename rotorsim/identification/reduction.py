@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rotorsim.identification.experiment import Experiment
-from rotorsim.linear.linearisation import entry_names
+from rotorsim.linear.linearisation import can_move, entry_names
 from rotorsim.model.compiled import Model
 from rotorsim.settled.equations import Equations
 from rotorsim.settled.motion import LinearMotion
@@ -19,7 +19,7 @@ MOST_KNOWN = 64  # operators that are kept, for other data at the same parameter
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """Forces left over by equations condensed with a transformation that is right at one frequency only.
+    """Residual forces of equations condensed with a transformation that is right at one frequency only.
 
     D_red = T^T D T,  T = [1; -(K_ss - w_c^2 M_ss)^-1 (K_sm - w_c^2 M_sm)]        thesis eq. (3.31)-(3.42), (4.26)
 
@@ -38,19 +38,19 @@ class Condensed:
         return replace(self, experiment=experiment, motion=self.motion.at(experiment.p), known={})
 
     def forces(self, theta: np.ndarray, Y: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return forces (R, K+1, c) left over at harmonics Y (R, K+1, c), and slopes by central differences.
+        """Return residual forces (R, K+1, c) at harmonics Y (R, K+1, c), and derivatives by central differences.
 
         The forces are linear in stiffness and force parameters, so that wide steps are exact.
         """
         w = self._forces(theta, Y, inputs)
-        slopes = np.empty((*w.shape, len(theta)), complex)
+        jacobian = np.empty((*w.shape, len(theta)), complex)
         for j, item in enumerate(self.experiment.free):
             step = 1e-4 * (abs(theta[j]) or abs(item.value) or 1.0)
             up, down = theta.copy(), theta.copy()
             up[j] += step
             down[j] -= step
-            slopes[..., j] = (self._forces(up, Y, inputs) - self._forces(down, Y, inputs)) / (2 * step)
-        return w, slopes
+            jacobian[..., j] = (self._forces(up, Y, inputs) - self._forces(down, Y, inputs)) / (2 * step)
+        return w, jacobian
 
     def _forces(self, theta: np.ndarray, Y: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         key = (theta.tobytes(), Y.shape[1])
@@ -108,8 +108,7 @@ def _pairs(model: Model) -> tuple[list[str], np.ndarray]:
         if conjugate is None:
             continue
         for k, name in enumerate(entry_names(f"{block}.{conjugate}", signal.shape)):
-            expression = model.expression(name)
-            if not (expression.is_constant() and float(expression) == 0.0):
+            if can_move(model, name):
                 names.append(name)
                 entries.append(signal.part.start + k)
     return names, np.array(entries)

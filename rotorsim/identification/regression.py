@@ -1,9 +1,9 @@
-"""The thesis' regression: the forces that the equations of motion leave over at the measured places.
+"""The thesis' regression: the residual forces of the equations of motion at the measured places.
 
 At harmonic k the measured motion Y_k and the measured inputs V_k (currents) ask for an equivalent force
 w_k = Z_k [Y_k - Y_k(V_k; theta)] at the measured places, with Z_k the dynamic stiffness condensed exactly to these
 places at this very frequency. Least squares of w over harmonics, runs and places gives the parameters; their
-columns are slopes of the traced equations. No weights, as in the thesis.
+columns are derivatives of the traced equations. No weights, as in the thesis.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.experiment import Experiment, open_experiment
 from rotorsim.identification.likelihood import Evaluation
 from rotorsim.identification.reduction import reduced
-from rotorsim.linear.linearisation import entry_names, flat_names
+from rotorsim.linear.linearisation import can_move, entry_names, flat_names
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 from rotorsim.signals.harmonics import RunHarmonics
@@ -31,7 +31,7 @@ REDUCTIONS = ("exact", "central")
 
 
 class Regression:
-    """Equivalent forces at the measured places as residuals, with their slopes; same use as `Likelihood`.
+    """Equivalent forces at the measured places as residuals, with their derivatives; same use as `Likelihood`.
 
     orders: harmonics of x + i y that count, negative ones whirl backward. reduction: "exact", or "central" for the
     thesis' dynamic condensation at the mean speed of all runs, eq. (3.31)-(3.42), (4.25)-(4.29).
@@ -77,13 +77,13 @@ class Regression:
         return other
 
     def evaluate(self, theta: np.ndarray) -> Evaluation:
-        """Return the equivalent forces [N] and their slopes at theta (m,)."""
+        """Return the equivalent forces [N] and their derivatives at theta (m,)."""
         if self._condensed is not None:
-            w, slopes = self._condensed.forces(theta, self.data[:, :, : self.c], self._inputs())
+            w, jacobian = self._condensed.forces(theta, self.data[:, :, : self.c], self._inputs())
         else:
-            w, slopes = self._exact(theta)
+            w, jacobian = self._exact(theta)
         residual = self._chosen(w)
-        columns = self._chosen(slopes).reshape(-1, slopes.shape[-1])
+        columns = self._chosen(jacobian).reshape(-1, jacobian.shape[-1])
         misfit = (residual**2).sum(axis=(1, 2))
         return Evaluation(residual.ravel(), columns, misfit, self.data[:, :, : self.c], residual.size)
 
@@ -115,8 +115,8 @@ class Regression:
         stiffness = np.linalg.inv(compliance)
         w = np.einsum("rkij,rkj->rki", stiffness, self.data[:, :, : self.c] - Y)
         inputs[:, :, self.force_entries] += w
-        slopes = response.sensitivity(response.states(inputs), inputs)
-        return w, -stiffness @ slopes
+        jacobian = response.sensitivity(response.states(inputs), inputs)
+        return w, -stiffness @ jacobian
 
 
 def open_regression(
@@ -146,7 +146,7 @@ def open_regression(
         for name in measured
         if (base := name.partition("[")[0]) in conjugates
     ]
-    places = [pair for pair in places if _moves(model, pair[0])]
+    places = [pair for pair in places if can_move(model, pair[0])]
     if not places:
         hint = "the thesis' method needs the displacement where forces act; --method likelihood needs not"
         raise RotorsimError(Problem("no place was measured at which a force can act", recording.name, hint=hint))
@@ -172,12 +172,6 @@ def _conjugates(diagram: Diagram) -> dict[str, str]:
             if isinstance(declared, In) and declared.additive and declared.conjugate in node.outputs:
                 found[f"{block}.{declared.conjugate}"] = f"{block}.{name}"
     return found
-
-
-def _moves(model: Model, name: str) -> bool:
-    """Return whether a measured entry can move at all (a pinned node cannot)."""
-    expression = model.expression(name)
-    return not (expression.is_constant() and float(expression) == 0.0)
 
 
 def _entry(model: Model, flat: str) -> int:

@@ -19,6 +19,7 @@ from rotorsim.model.matrix_function import MatrixFunction
 
 __all__ = [
     "LinearSystem",
+    "StateSpace",
     "as_model",
     "drifting_states",
     "equilibrium",
@@ -35,25 +36,13 @@ SINGULAR = 1e-14  # reciprocal condition number below which a group of states is
 
 
 @dataclass(frozen=True)
-class LinearSystem:
-    """The linear system d x/dt = A x + B u, y = C x + D u of deviations from an operating point.
-
-    A (n, n), B (n, m), C (k, n), D (k, m), SI units. states, inputs, outputs: flat names, one per entry.
-    x: operating point (n,). notes: what the reader must know (averages, drifting states).
-    """
+class StateSpace:
+    """d x/dt = A x + B u, y = C x + D u; A (n, n), B (n, m), C (k, n), D (k, m), SI units."""
 
     A: np.ndarray
     B: np.ndarray
     C: np.ndarray
     D: np.ndarray
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    input_units: tuple[str, ...]
-    output_units: tuple[str, ...]
-    x: np.ndarray
-    notes: tuple[str, ...] = ()
-    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def poles(self) -> np.ndarray:
         """Return the eigenvalues of A [1/s], shape (n,)."""
@@ -70,6 +59,24 @@ class LinearSystem:
         response = self.C @ np.concatenate(states) + self.D
         response[np.isnan(response).any(axis=(1, 2))] = np.inf
         return np.asarray(response)
+
+
+@dataclass(frozen=True)
+class LinearSystem(StateSpace):
+    """The linear system of deviations from an operating point.
+
+    states, inputs, outputs: flat names, one per entry. x: operating point (n,). notes: what the reader must know
+    (averages, drifting states).
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_units: tuple[str, ...]
+    x: np.ndarray
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
 def solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -119,6 +126,12 @@ def flat_names(model: Model, name: str) -> list[str]:
     signal, positions = model.select(name)
     names = entry_names(signal.name, signal.shape)
     return [names[k] for k in positions]
+
+
+def can_move(model: Model, name: str) -> bool:
+    """Return whether an entry of a signal can be anything but zero (that of a pinned node cannot)."""
+    expression = model.expression(name)
+    return not (expression.is_constant() and float(expression) == 0.0)
 
 
 def state_names(model: Model) -> tuple[str, ...]:

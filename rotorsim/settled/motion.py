@@ -52,7 +52,7 @@ class FreshMeans:
     count: int
     places: np.ndarray
     values: np.ndarray
-    slopes: np.ndarray
+    jacobian: np.ndarray
 
     def start(self, near: np.ndarray | None) -> np.ndarray:
         """Return means (count,) to begin with: those known, the others as they were before, or zero."""

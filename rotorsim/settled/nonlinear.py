@@ -89,7 +89,7 @@ class NonlinearMotion(SettledMotion):
         every = []
         for r, (slow, T) in enumerate(zip(self.slow, self.windows, strict=True)):
             places = np.flatnonzero(equations.means[slow] == FRESH)
-            values, slopes = np.zeros(len(places)), np.zeros((len(places), len(theta)))
+            values, jacobian = np.zeros(len(places)), np.zeros((len(places), len(theta)))
             for k, state in enumerate(slow[places]):
                 x = np.zeros((equations.n, 2))
                 x[state, 1] = 1.0
@@ -98,8 +98,8 @@ class NonlinearMotion(SettledMotion):
                 u, du = (f[0] - f[1]) * T, (df[0] - df[1]) * T
                 g, rest = _settling(u)
                 values[k] = x_0[state] * g[0] + f[0] * T * rest[0]
-                slopes[k] = (x_0[state] * g[1] + f[0] * T * rest[1]) * du + df[0] * T * rest[0]
-            every.append(FreshMeans(len(slow), places, values, slopes))
+                jacobian[k] = (x_0[state] * g[1] + f[0] * T * rest[1]) * du + df[0] * T * rest[0]
+            every.append(FreshMeans(len(slow), places, values, jacobian))
         return every
 
     def growth(self, theta: np.ndarray) -> np.ndarray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -25,12 +24,6 @@ def flat_name(name: str, index: tuple[int, ...]) -> str:
     base, _, inside = name.rstrip("]").partition("[")
     parts = [*([inside] if inside else []), *(str(i + 1) for i in index)]
     return f"{base}[{','.join(parts)}]" if parts else base
-
-
-def _entry(array: np.ndarray, index: tuple[int, ...]) -> np.ndarray:
-    """Return one entry (or row) of a signal at every instant."""
-    place: Any = (slice(None), *index)
-    return np.asarray(array[place])
 
 
 def _read_only(values: Any) -> np.ndarray:
@@ -104,7 +97,8 @@ class Result(Shown):
         if name == "time":
             return self.time
         recorded, index = self._find(name)
-        return _entry(self.signals[recorded], index)
+        place: Any = (slice(None), *index)
+        return np.asarray(self.signals[recorded][place])
 
     def column(self, name: str) -> np.ndarray:
         """Return one entry of a signal by its flat name, shape (n,). Raises RotorsimError if there are several."""
@@ -167,8 +161,8 @@ class Result(Shown):
     def columns(self) -> Iterator[tuple[str, np.ndarray]]:
         """Yield every entry of every signal by its flat name, row-major."""
         for name, array in self.signals.items():
-            for index in product(*(range(n) for n in array.shape[1:])):
-                yield flat_name(name, index), _entry(array, index)
+            for index in np.ndindex(array.shape[1:]):
+                yield flat_name(name, index), array[:, *index]
 
     def flat_names(self) -> list[str]:
         """Return the flat names of `columns`."""
@@ -176,24 +170,15 @@ class Result(Shown):
 
     def to_xarray(self) -> Any:
         """Return an xarray.Dataset with the coordinate time [s]; needs the optional package xarray."""
-        xarray = xarray_module()
-        variables = {}
-        for name, array in self.signals.items():
-            dims = ["time", *self._dimensions(name, array)]
-            variables[name] = (dims, array, {"units": self.units.get(name, "1")})
+        variables = {
+            name: (["time", *_dimensions(name, array.shape[1:])], array, {"units": self.units.get(name, "1")})
+            for name, array in self.signals.items()
+        }
         coordinates: dict[str, Any] = {"time": ("time", self.time, {"units": "s"})}
         if any(a.ndim > 1 and a.shape[-1] == 2 for a in self.signals.values()):
             coordinates["axis"] = ["x", "y"]
         attributes = {"status": self.status, "message": self.message, **{k: str(v) for k, v in self.provenance.items()}}
-        return xarray.Dataset(variables, coordinates, attributes)
-
-    @staticmethod
-    def _dimensions(name: str, array: np.ndarray) -> list[str]:
-        shape = array.shape[1:]
-        names = [f"{name} {k + 1}" for k in range(len(shape))]
-        if shape and shape[-1] == 2:
-            names[-1] = "axis"
-        return names
+        return xarray_module().Dataset(variables, coordinates, attributes)
 
     def __repr__(self) -> str:
         span = f"{self.time[0]:g}..{self.time[-1]:g} s" if len(self.time) else "empty"
@@ -213,6 +198,11 @@ class Result(Shown):
             for name, a in self.signals.items()
         ]
         return f"{super()._repr_html_()}{html_table(rows)}<p>{escape(self.message)}</p>"
+
+
+def _dimensions(name: str, shape: tuple[int, ...]) -> list[str]:
+    names = [f"{name} {k + 1}" for k in range(len(shape))]
+    return [*names[:-1], "axis"] if shape and shape[-1] == 2 else names
 
 
 def _plain(values: np.ndarray) -> Any:

@@ -140,5 +140,5 @@ def test_a_bow_that_grows_has_come_as_far_as_since_the_start_of_the_run(time_con
     for j in places:  # the slopes of the misfit are those of differences
         step = 1e-4 * theta[j] * (np.arange(len(theta)) == j)
         slope = (likelihood.evaluate(theta + step).misfit.sum() - likelihood.evaluate(theta - step).misfit.sum()) / 2
-        exact = 2 * grown.residual @ grown.slopes[:, j] * step[j]
+        exact = 2 * grown.residual @ grown.jacobian[:, j] * step[j]
         assert exact == pytest.approx(slope, rel=1e-3, abs=1e-9 * grown.misfit.sum())

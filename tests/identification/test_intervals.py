@@ -27,7 +27,7 @@ def straight(J: np.ndarray, best: list[float]) -> tuple[Search, Estimate]:
     many = len(best)
     simple = Straight(J, J @ best, np.ones(many), np.full(many, -np.inf), np.full(many, np.inf))
     search = object.__new__(Search)
-    search.coordinates, search.residual, search.slopes = simple.coordinates, simple.residual, simple.slopes
+    search.coordinates, search.residual, search.jacobian = simple.coordinates, simple.residual, simple.jacobian
     return search, simple.found(np.array(best))
 
 

@@ -105,7 +105,7 @@ def test_slopes_are_exact():
         moved = [theta + sign * step * (np.arange(len(theta)) == j) for sign in (1, -1)]
         ahead, behind = (likelihood.evaluate(t).residual for t in moved)
         slope = (ahead - behind) / (2 * step)
-        assert np.abs(slope - here.slopes[:, j]).max() < 1e-6 * np.abs(slope).max()
+        assert np.abs(slope - here.jacobian[:, j]).max() < 1e-6 * np.abs(slope).max()
 
 
 def test_the_order_of_the_runs_does_not_matter():

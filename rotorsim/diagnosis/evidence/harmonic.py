@@ -301,7 +301,7 @@ def _fit_of(document: Mapping[str, Any], search: Search, best: Estimate) -> Fit:
     q = search.coordinates.inside(best.theta)
     covariance = best.covariance.copy()
     covariance[best.undetermined, best.undetermined] = np.inf
-    loo = left_out(evaluation.residual, search.slopes(q)[: len(evaluation.residual)], sizes)
+    loo = left_out(evaluation.residual, search.jacobian(q)[: len(evaluation.residual)], sizes)
     return Fit(
         document=document,
         free=best.free,
@@ -326,7 +326,7 @@ def _alone(found: Estimate) -> np.ndarray:
 
     Where only a combination is determined, as of the size and the time constant of a drift, each still has one.
     """
-    back = np.linalg.inv(found.coordinates.slopes(found.theta))
+    back = np.linalg.inv(found.coordinates.jacobian(found.theta))
     information = back.T @ found.information @ back
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
     unit = np.where(size > 0, size, 1.0)

@@ -174,14 +174,14 @@ def surprise(fitted: Prediction, held: Sequence[Prediction]) -> float | None:
     if the structure is true. None where a run has no settled motion.
     """
     e = np.concatenate([part.evaluation.residual for part in held])
-    J = np.concatenate([part.evaluation.slopes for part in held])
+    J = np.concatenate([part.evaluation.jacobian for part in held])
     return _surprise(_known(fitted), e, J)
 
 
 def _known(fitted: Prediction) -> np.ndarray:
     """Return the slopes of the fitted runs and of what is known of parameters beforehand, (n, m)."""
     priors = [0.0 if item.prior_std is None else 1 / item.prior_std for item in fitted.experiment.free]
-    return np.concatenate([fitted.evaluation.slopes, np.diag(priors)])
+    return np.concatenate([fitted.evaluation.jacobian, np.diag(priors)])
 
 
 def _surprise(S: np.ndarray, e: np.ndarray, J: np.ndarray) -> float | None:
@@ -203,7 +203,7 @@ def _of_runs(fitted: Prediction, part: Prediction) -> list[tuple[float, float]]:
     for size in sizes:
         own = slice(at, at + size)
         at += size
-        misfit = _surprise(S, part.evaluation.residual[own], part.evaluation.slopes[own])
+        misfit = _surprise(S, part.evaluation.residual[own], part.evaluation.jacobian[own])
         out.append((float("nan") if misfit is None else misfit, size - lost))
     return out
 

@@ -25,7 +25,7 @@ from rotorsim.identification.regression import Regression, open_regression
 from rotorsim.identification.study.plan import Study
 from rotorsim.identification.verdict import judge
 from rotorsim.jobs.threads import one_thread
-from rotorsim.linear.linearisation import flat_names, refuse_sampled
+from rotorsim.linear.linearisation import can_move, flat_names, refuse_sampled
 from rotorsim.measure.record import measure, with_noise
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, AXES, Channel, Recording, Run
@@ -111,8 +111,7 @@ def _channels(model: Model, diagram: Diagram) -> list[Channel]:
         for node in nodes:
             for axis in AXES:
                 channel = Channel("", end, axis, node, None, signal.unit or "1")
-                expression = model.expression(channel.name)
-                if not (expression.is_constant() and float(expression) == 0.0):
+                if can_move(model, channel.name):
                     channels.append(replace(channel, column=channel.name))
     if not channels:
         hint = 'let the diagram record two-axis signals: "record": ["rotor.displacement", "controller.current"]'
@@ -233,10 +232,10 @@ class Bench:
         if not self._linear:
             return estimate(search, self.true).theta
         q = search.coordinates.inside(self.true)
-        slopes = search.slopes(q)
-        size = np.linalg.norm(slopes, axis=0)
+        jacobian = search.jacobian(q)
+        size = np.linalg.norm(jacobian, axis=0)
         size[size == 0] = 1.0
-        step = np.linalg.lstsq(slopes / size, -search.residual(q), rcond=None)[0] / size
+        step = np.linalg.lstsq(jacobian / size, -search.residual(q), rcond=None)[0] / size
         return search.coordinates.outside(q + step, self.true)
 
     @cached_property
@@ -244,7 +243,7 @@ class Bench:
         """Whether the equations of the regression are linear in the free parameters, at ten per cent from them."""
         q = self.search.coordinates.inside(self.true)
         step = PROBE * np.where(q == 0, 1.0, q)
-        promised = self.search.slopes(q) * step
+        promised = self.search.jacobian(q) * step
         change = self.search.residual(q + step) - self.search.residual(q)
         return bool(np.linalg.norm(change - promised.sum(axis=1)) <= LINEAR * np.linalg.norm(promised))
 
@@ -252,9 +251,9 @@ class Bench:
         """Return the standard deviations (m,) that the likelihood promises at the true parameters."""
         with one_thread():
             harmonics = self.harmonics(kind, level, np.random.default_rng([0, 1]))
-            slopes = Likelihood(self.opened.experiment.again(harmonics)).expected(self.true)
-            size = np.linalg.norm(slopes, axis=0)
-            scaled = slopes / np.where(size > 0, size, 1.0)
+            jacobian = Likelihood(self.opened.experiment.again(harmonics)).expected(self.true)
+            size = np.linalg.norm(jacobian, axis=0)
+            scaled = jacobian / np.where(size > 0, size, 1.0)
             inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True, rcond=1e-13)
         return np.asarray(np.sqrt(np.diag(inverse)) / np.where(size > 0, size, np.nan))
 

@@ -19,7 +19,7 @@ from tests.identification import shipped
 def prediction(residual: np.ndarray, slopes: np.ndarray, *stds: float | None) -> SimpleNamespace:
     free = [SimpleNamespace(prior_std=std) for std in stds or [None] * slopes.shape[1]]
     experiment = SimpleNamespace(free=free)
-    return SimpleNamespace(evaluation=SimpleNamespace(residual=residual, slopes=slopes), experiment=experiment)
+    return SimpleNamespace(evaluation=SimpleNamespace(residual=residual, jacobian=slopes), experiment=experiment)
 
 
 def test_surprise_is_what_a_fit_to_all_runs_leaves_more():
