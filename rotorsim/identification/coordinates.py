@@ -77,7 +77,7 @@ def coordinates_of(
     theta = np.array([item.value for item in free])
     scale = np.array([_scale(item) for item in free])
     pairs = amplitude_pairs(free, equations, p, speeds, theta)
-    low, high = (np.array([getattr(item, end) for item in free]) for end in ("low", "high"))
+    low, high = np.array([(item.low, item.high) for item in free], float).T
     if not bounded:
         low, high = np.full(len(free), -np.inf), np.full(len(free), np.inf)
     for _, b in pairs:

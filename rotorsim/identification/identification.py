@@ -183,8 +183,7 @@ def identify(
             intervals = profile_intervals(search, result, widen)
         else:
             ends = result.theta[:, None] + widen * (linear_intervals(search, result) - result.theta[:, None])
-            low, high = (np.array([getattr(item, end) for item in result.free]) for end in ("low", "high"))
-            intervals = np.clip(ends, low[:, None], high[:, None])
+            intervals = np.clip(ends, result.coordinates.low[:, None], result.coordinates.high[:, None])
         verdicts = judge(result, intervals, precision=precision, widen=widen if method == "likelihood" else 1.0)
         left = [item.name for item, verdict in zip(result.free, verdicts, strict=True) if not verdict.identifiable]
         advice: list[Advice] = []
@@ -312,8 +311,8 @@ def _statement(
         parts.append("No change of gains, speeds, length or excitation that was tried would determine them.")
     if not adequate and method == "regression":
         parts.append(
-            "The model does not explain the data: the residual of the equations is larger than noise can make; the intervals "
-            "mean nothing. something is missing in it."
+            "The model does not explain the data: the residual of the equations is larger than noise can make; the "
+            "intervals mean nothing. something is missing in it."
         )
     elif not adequate:
         parts.append(

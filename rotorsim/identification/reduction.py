@@ -6,13 +6,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from rotorsim.block import In
+from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.experiment import Experiment
 from rotorsim.linear.linearisation import can_move, entry_names
 from rotorsim.model.compiled import Model
 from rotorsim.settled.equations import Equations
 from rotorsim.settled.motion import LinearMotion
 
-__all__ = ["Condensed", "reduced"]
+__all__ = ["Condensed", "conjugates_of", "reduced"]
 
 MOST_KNOWN = 64  # operators that are kept, for other data at the same parameters
 
@@ -97,17 +99,25 @@ def reduced(experiment: Experiment, master_entries: np.ndarray) -> Condensed:
     return Condensed(experiment, whole, entries, masters, float(np.mean(np.abs(motion.speeds))))
 
 
+def conjugates_of(diagram: Diagram) -> dict[str, str]:
+    """Return output port -> the additive input that does work on it, of all blocks."""
+    found = {}
+    for block, node in diagram.nodes.items():
+        for name, port in node.inputs.items():
+            declared = port.declaration
+            if isinstance(declared, In) and declared.additive and declared.conjugate in node.outputs:
+                found[f"{block}.{declared.conjugate}"] = f"{block}.{name}"
+    return found
+
+
 def _pairs(model: Model) -> tuple[list[str], np.ndarray]:
     """Return every moving output entry with the external force on it: names, places in v."""
+    conjugates = {force: port for port, force in conjugates_of(model.diagram).items()}
     names: list[str] = []
     entries: list[int] = []
-    for port, signal in model.trace.external.items():
-        block, _, key = port.rpartition(".")
-        declared = model.diagram.nodes[block].inputs.get(key)
-        conjugate = getattr(declared.declaration, "conjugate", None) if declared is not None else None
-        if conjugate is None:
-            continue
-        for k, name in enumerate(entry_names(f"{block}.{conjugate}", signal.shape)):
+    for external, signal in model.trace.external.items():
+        port = conjugates.get(external)
+        for k, name in enumerate(entry_names(port, signal.shape) if port else ()):
             if can_move(model, name):
                 names.append(name)
                 entries.append(signal.part.start + k)

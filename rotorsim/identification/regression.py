@@ -13,12 +13,11 @@ from copy import copy
 
 import numpy as np
 
-from rotorsim.block import In
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.experiment import Experiment, open_experiment
 from rotorsim.identification.likelihood import Evaluation
-from rotorsim.identification.reduction import reduced
+from rotorsim.identification.reduction import conjugates_of, reduced
 from rotorsim.linear.linearisation import can_move, entry_names, flat_names
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
@@ -138,7 +137,7 @@ def open_regression(
     if reduction not in REDUCTIONS:
         raise RotorsimError(Problem(f"no reduction '{reduction}'", hint=f"one of {', '.join(REDUCTIONS)}"))
     model = compile_diagram(diagram)
-    conjugates = _conjugates(diagram)
+    conjugates = conjugates_of(diagram)
     angle = (ANGLE, TACHO)
     measured = [c.name for c in recording.channels.values() if c.signal in model.signals and c.signal not in angle]
     places = [
@@ -161,17 +160,6 @@ def open_regression(
         diagram, recording, runs=runs, given=given, inject=inject, free=free, harmonics=harmonics, drop=dropped
     )
     return Regression(experiment, places, orders, reduction)
-
-
-def _conjugates(diagram: Diagram) -> dict[str, str]:
-    """Return output port -> the additive input that does work on it, of all blocks."""
-    found = {}
-    for block, node in diagram.nodes.items():
-        for name, port in node.inputs.items():
-            declared = port.declaration
-            if isinstance(declared, In) and declared.additive and declared.conjugate in node.outputs:
-                found[f"{block}.{declared.conjugate}"] = f"{block}.{name}"
-    return found
 
 
 def _entry(model: Model, flat: str) -> int:

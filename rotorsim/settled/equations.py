@@ -16,7 +16,7 @@ from rotorsim.model.compiled import Model
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.slow_states import means_of
 
-__all__ = ["Equations", "PortEquations", "instants", "is_linear", "reached_states", "slots_of"]
+__all__ = ["Equations", "PortEquations", "instants", "is_linear", "reached_states", "slots_of", "without_inputs"]
 
 FIRST_SAMPLES = 32
 MOST_SAMPLES = 4096
@@ -33,6 +33,12 @@ def _is_affine(model: Model, f: Any, g: Any) -> bool:
     trace = model.trace
     varying = ca.vertcat(trace.x, trace.t, trace.v)
     return not any(ca.depends_on(ca.jacobian(of, by), varying) for of in (f, g) for by in (trace.x, trace.v))
+
+
+def without_inputs(model: Model, expression: Any) -> Any:
+    """Return an expression with the external inputs of the model at zero."""
+    v = model.trace.v
+    return ca.substitute(expression, v, ca.SX.zeros(*v.shape)) if v.numel() else expression
 
 
 def slots_of(model: Model, free: Free) -> list[int]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import Model
-from rotorsim.settled.equations import FIRST_SAMPLES, MOST_SAMPLES, RESOLVED, PortEquations, instants
+from rotorsim.settled.equations import FIRST_SAMPLES, MOST_SAMPLES, RESOLVED, PortEquations, instants, without_inputs
 
 __all__ = ["LARGEST_HARMONIC", "PROBE", "ROUNDING", "Forcing", "Series"]
 
@@ -37,7 +37,7 @@ class Forcing:
     def __init__(self, model: Model) -> None:
         trace = model.trace
         self.model, self.z = model, model.z0(model.p0)
-        crossings = ca.vertsplit(model._closed(trace.events)) if trace.events.numel() else []
+        crossings = ca.vertsplit(without_inputs(model, trace.events)) if trace.events.numel() else []
         timed = [e for e in crossings if ca.depends_on(e, trace.t) and not ca.depends_on(e, trace.x)]
         self.jumps = bool(timed)
         column = ca.vertcat(*timed) if timed else ca.SX(0, 1)

@@ -19,7 +19,7 @@ from rotorsim.model.input_limits import input_limits, passed_limit
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.balance import harmonics_of, samples_of
 from rotorsim.settled.continuation import Orbits, Settings, Setup, orbits
-from rotorsim.settled.equations import FIRST_SAMPLES, instants
+from rotorsim.settled.equations import FIRST_SAMPLES, instants, without_inputs
 from rotorsim.settled.forcing import PROBE, ROUNDING
 from rotorsim.settled.result import Periodic
 
@@ -203,7 +203,7 @@ class _Outputs:
                     self.pairs[pair], self.units[pair] = len(self.channels) + k, unit
             self.channels += flat
             self.units.update(dict.fromkeys(flat, unit))
-        self._y = model._closed(ca.vertcat(*[model.expression(name) for name in names]))
+        self._y = without_inputs(model, ca.vertcat(*[model.expression(name) for name in names]))
 
     def _function(self, expression: Any) -> MatrixFunction:
         trace = self.model.trace

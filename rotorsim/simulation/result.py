@@ -5,18 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rotorsim._shown import Shown, html_table, xarray_module
 from rotorsim.errors import Problem, RotorsimError, escape, near_miss
 
-if TYPE_CHECKING:
-    from rotorsim.diagram.diagram import Diagram
-    from rotorsim.model.compiled import Model
-
-__all__ = ["Result", "cut", "flat_name", "provenance_of"]
+__all__ = ["Result", "cut", "flat_name"]
 
 
 def flat_name(name: str, index: tuple[int, ...]) -> str:
@@ -205,42 +201,9 @@ def _dimensions(name: str, shape: tuple[int, ...]) -> list[str]:
     return [*names[:-1], "axis"] if shape and shape[-1] == 2 else names
 
 
-def _plain(values: np.ndarray) -> Any:
-    return float(values[0]) if values.size == 1 else values.tolist()
-
-
-def _without(diagram: Diagram) -> list[str]:
-    """Return the blocks of the document (sub-diagrams as a whole) that the diagram was loaded without."""
-    there = {name.partition("/")[0] for name in diagram.nodes}
-    return [str(name) for name in diagram.document.get("blocks", {}) if name not in there]
-
-
 def cut(rows: np.ndarray, shapes: Mapping[str, Sequence[int]]) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return rows (n, n_y) as signals (n, *shape) by name, and the columns behind them."""
     ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes.values()], dtype=int)
     *parts, rest = np.split(rows, ends, axis=1)
     signals = zip(shapes.items(), parts, strict=True)
     return {name: part.reshape(len(rows), *shape) for (name, shape), part in signals}, rest
-
-
-def provenance_of(model: Model, p: np.ndarray) -> dict[str, Any]:
-    """Return what was run with parameters p (n_p,).
-
-    ``parameters`` are the diagram's in force; ``parameters_changed`` those given to the run, by block; ``without`` the
-    blocks that were left out. There is no date: the same run gives the same result.
-    """
-    from rotorsim import __version__
-
-    diagram = model.diagram
-    values = {name: np.ravel(value) for name, value in diagram.parameters.items()}
-    values |= {name: p[parts[0]] for name, parts in model.references.items() if parts}
-    changed = {name: p[part] for name, part in model.parameters.items() if (p[part] != model.p0[part]).any()}
-    return {
-        "rotorsim": __version__,
-        "diagram": diagram.name,
-        "file": diagram.file,
-        "document_sha256": diagram.sha256,
-        "parameters": {name: _plain(value) for name, value in values.items()},
-        "parameters_changed": {name: _plain(value) for name, value in changed.items()},
-        "without": _without(diagram),
-    }

@@ -11,11 +11,12 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.linear.linearisation import as_model
+from rotorsim.model.compiled import Model
 from rotorsim.model.input_limits import input_limits, passed_limit
 from rotorsim.model.instance import Instance, make_instance
 from rotorsim.simulation.failure import describe_failure
-from rotorsim.simulation.result import Result, cut, provenance_of
+from rotorsim.simulation.result import Result, cut
 from rotorsim.simulation.validity import Run, Stretch, judge, loose_tolerance, stretches_of
 
 __all__ = ["simulate"]
@@ -48,7 +49,7 @@ def simulate(
     was computed, with status "unstable", "diverged" or "stopped"; a step that makes a recorded signal wrong by
     more than 1 % is said in the message. Raises RotorsimError for wrong arguments.
     """
-    model = diagram if isinstance(diagram, Model) else compile_diagram(diagram)
+    model = as_model(diagram)
     solver = model.diagram.solver
     chosen = (method or solver.method).lower()
     h = solver.step if step is None else float(step)
@@ -115,8 +116,41 @@ def simulate(
         status,
         message,
         counters,
-        {**provenance_of(model, p), "method": chosen, "step": h, "path": instance.path},
+        {**_provenance(model, p), "method": chosen, "step": h, "path": instance.path},
     )
+
+
+def _provenance(model: Model, p: np.ndarray) -> dict[str, Any]:
+    """Return what was run with parameters p (n_p,).
+
+    ``parameters`` are the diagram's in force; ``parameters_changed`` those given to the run, by block; ``without`` the
+    blocks that were left out. There is no date: the same run gives the same result.
+    """
+    from rotorsim import __version__
+
+    diagram = model.diagram
+    values = {name: np.ravel(value) for name, value in diagram.parameters.items()}
+    values |= {name: p[parts[0]] for name, parts in model.references.items() if parts}
+    changed = {name: p[part] for name, part in model.parameters.items() if (p[part] != model.p0[part]).any()}
+    return {
+        "rotorsim": __version__,
+        "diagram": diagram.name,
+        "file": diagram.file,
+        "document_sha256": diagram.sha256,
+        "parameters": {name: _plain(value) for name, value in values.items()},
+        "parameters_changed": {name: _plain(value) for name, value in changed.items()},
+        "without": _without(diagram),
+    }
+
+
+def _plain(values: np.ndarray) -> Any:
+    return float(values[0]) if values.size == 1 else values.tolist()
+
+
+def _without(diagram: Diagram) -> list[str]:
+    """Return the blocks of the document (sub-diagrams as a whole) that the diagram was loaded without."""
+    there = {name.partition("/")[0] for name in diagram.nodes}
+    return [str(name) for name in diagram.document.get("blocks", {}) if name not in there]
 
 
 def _check(h: float, end: float, every: int) -> None:
