@@ -13,6 +13,7 @@ import numpy as np
 
 from rotorsim.linear import linearisation as linear
 from rotorsim.linear.stability import growing
+from rotorsim.linear.state_space import solved
 from rotorsim.model.compiled import Model
 from rotorsim.settled.balance import Balance, Solution, harmonics_of, samples_of
 from rotorsim.settled.equations import Equations, PortEquations
@@ -120,10 +121,10 @@ def _responses(A: np.ndarray, F: np.ndarray, base: np.ndarray, drifting: list[in
     X = np.zeros(F.shape, complex)
     A = np.broadcast_to(A, (n, n_x, n_x))
     kept = np.setdiff1d(np.arange(n_x), drifting)
-    X[:, 0, kept] = linear.solved(-A[:, kept[:, None], kept], F[:, 0, kept, None].real)[..., 0]
+    X[:, 0, kept] = solved(-A[:, kept[:, None], kept], F[:, 0, kept, None].real)[..., 0]
     orders = 1 + np.flatnonzero(np.any(F[:, 1:] != 0, axis=(0, 2)))
     for part in np.array_split(orders, 1 + len(orders) * n * n_x * n_x // 4_000_000):
-        X[:, part] = linear.solved(shifted(A, 1j * part * base[:, None], ()), F[:, part, :, None])[..., 0]
+        X[:, part] = solved(shifted(A, 1j * part * base[:, None], ()), F[:, part, :, None])[..., 0]
     return X
 
 

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.diagram.diagram import Free
-from rotorsim.linear.linearisation import reached
+from rotorsim.linear.state_space import reached
 from rotorsim.model.compiled import Model
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.slow_states import means_of
