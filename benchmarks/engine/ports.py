@@ -15,8 +15,8 @@ from threadpoolctl import threadpool_limits
 from benchmarks.harness import medians
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
-from rotorsim.settled.linear_equations import Equations
-from rotorsim.settled.linear_motion import Motion, PortMotion
+from rotorsim.settled.equations import Equations
+from rotorsim.settled.motion import LinearMotion, Response
 
 ORDERS = 12
 SPEEDS = 2 * np.pi * np.linspace(5.0, 60.0, 10)
@@ -24,8 +24,8 @@ SUBDIVISIONS = (1, 2, 4)
 OUTPUTS = [f"rotor.displacement[{node},{axis}]" for node in (2, 3, 4, 5) for axis in (1, 2)]
 
 
-def motions(subdivisions: int) -> tuple[Motion, PortMotion, np.ndarray]:
-    """Return the motion of ten runs by all states and by ports, and the free parameters (m,)."""
+def motion_of(subdivisions: int) -> LinearMotion:
+    """Return the motion of ten runs."""
     document: Any = copy.deepcopy(load("fe_rigid").document)
     document["blocks"]["rotor"]["parameters"]["subdivisions"] = subdivisions
     diagram = load(document)
@@ -33,13 +33,11 @@ def motions(subdivisions: int) -> tuple[Motion, PortMotion, np.ndarray]:
     p = np.array([model.parameter_vector({"speed": speed}) for speed in SPEEDS])
     equations = Equations(model, [*OUTPUTS, "controller.current[1]", "controller.current[2]"], diagram.free, p)
     count = len(SPEEDS)
-    whole = Motion(equations, p, SPEEDS, ORDERS, [1.0] * count, np.zeros(count))
-    return whole, PortMotion(whole, equations.theta0), equations.theta0
+    return LinearMotion(equations, p, SPEEDS, ORDERS, np.ones(count), np.zeros(count))
 
 
-def evaluate(motion: Motion | PortMotion, theta: np.ndarray) -> np.ndarray:
+def evaluate(response: Response) -> np.ndarray:
     """Return the derivatives of all outputs, as every step of a fit needs them."""
-    response = motion.response(theta)
     return response.sensitivity(response.states())
 
 
@@ -48,10 +46,12 @@ def main() -> int:
     actions: dict[str, Any] = {}
     states = {}
     for subdivisions in SUBDIVISIONS:
-        whole, ports, theta = motions(subdivisions)
-        states[subdivisions] = whole.equations.n
-        for name, motion in (("whole", whole), ("ports", ports)):
-            actions[f"{name}{subdivisions}"] = lambda motion=motion, theta=theta: evaluate(motion, theta)
+        motion = motion_of(subdivisions)
+        theta = motion.equations.theta0
+        states[subdivisions] = motion.equations.n
+        motion.condensed(theta)  # the ports are opened once
+        for name, response in (("whole", motion.response), ("ports", motion.condensed)):
+            actions[f"{name}{subdivisions}"] = lambda response=response, theta=theta: evaluate(response(theta))
     with threadpool_limits(1, "blas"):
         found = medians(actions)
     print(f"fe_rigid, {len(SPEEDS)} runs, {ORDERS} orders, response and derivatives by all free parameters")

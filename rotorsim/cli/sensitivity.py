@@ -33,7 +33,7 @@ from rotorsim.errors import Problem, RotorsimError
 
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
-    from rotorsim.identification.study.study import Study
+    from rotorsim.identification.study.plan import Study
 
 NOISE = "0,1,2,5"  # levels in %
 
@@ -164,8 +164,9 @@ def _study(
     **others: Any,
 ) -> Study:
     """Return the study that the options describe; others: those that it takes as they are."""
+    from rotorsim.identification.study.plan import Study
     from rotorsim.identification.study.printed import TABLES
-    from rotorsim.identification.study.study import Study, study_of_table
+    from rotorsim.identification.study.study import study_of_table
 
     _check(chosen, table, speeds, wrong, bias, **others)
     chosen = replace(chosen, name=chosen.name or TABLES[table or ""].diagram)

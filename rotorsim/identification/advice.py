@@ -14,8 +14,7 @@ from rotorsim.identification.experiment import Experiment, open_experiment
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.identification.profile import Z90
 from rotorsim.identification.verdict import relative_width
-from rotorsim.settled.linear_equations import slots_of
-from rotorsim.settled.linear_motion import Motion
+from rotorsim.settled.equations import slots_of
 from rotorsim.units import format_quantity
 
 __all__ = ["Advice", "advise"]
@@ -55,7 +54,7 @@ def advise(experiment: Experiment, found: Estimate, open_names: Sequence[str], p
         base = open_experiment(
             experiment.diagram, experiment.recording, runs=runs, free=experiment.free, harmonics=experiment.runs
         )
-    J = np.linalg.inv(found.coordinates.slopes(found.theta))
+    J = np.linalg.inv(found.coordinates.jacobian(found.theta))
     at_hand = J.T @ found.information @ J
     results = []
     for change, added in _candidates(base, found):
@@ -104,15 +103,13 @@ def format_rpm(speed: float) -> str:
 
 def _information(base: Experiment, found: Estimate, p: np.ndarray, speeds: np.ndarray) -> np.ndarray:
     """Return the information (m, m) that runs at these parameters would give, with the noise of those at hand."""
-    motion = base.linear
-    moved = Motion(motion.equations, p, speeds, motion.K, list(motion.windows), motion.phase)
-    likelihood = Likelihood(replace(base, p=p, motion=moved))
-    slopes = likelihood.expected(found.theta)
-    return np.asarray(slopes.T @ slopes)
+    likelihood = Likelihood(replace(base, p=p, motion=replace(base.linear, p=p, speeds=speeds, beside=None)))
+    jacobian = likelihood.expected(found.theta)
+    return np.asarray(jacobian.T @ jacobian)
 
 
 def _stable(base: Experiment, p: np.ndarray, theta: np.ndarray) -> bool:
-    A = base.linear.equations.at(p).matrices["A"](p, np.repeat(theta[None], len(p), 0))[0]
+    A = base.linear.equations.at(p).whole.matrices["A"](p, np.repeat(theta[None], len(p), 0))[0]
     return bool((np.linalg.eigvals(A).real.max(axis=1) < 1e-6 * np.abs(A).max() ** 0.5).all())
 
 
@@ -172,12 +169,12 @@ def _excitation(base: Experiment, found: Estimate) -> tuple[str, np.ndarray] | N
     total = np.zeros((len(found.free), len(found.free)))
     entry = injected.model.trace.external[current].part.start
     for frequency in centre * FREQUENCIES:
-        sine = Motion(motion.equations, motion.p, np.array([frequency]), 1, list(motion.windows), np.zeros(1))
+        sine = replace(motion, speeds=np.array([frequency]), K=1, phase=np.zeros(1), beside=None)
         at = sine.response(found.theta, forced=False)  # what is linear adds up: the sine alone
         inputs = np.zeros((1, 2, at.B.shape[2]), complex)
         inputs[0, 1, entry] = EXCITATION * rms / 2
-        slopes = at.sensitivity(at.states(inputs), inputs)[0, 1]
-        whitened = likelihood.white_at(0, 1, slopes)
+        jacobian = at.sensitivity(at.states(inputs), inputs)[0, 1]
+        whitened = likelihood.white_at(0, 1, jacobian)
         total += whitened.T @ whitened
     low, high = (f * centre / (2 * np.pi) for f in (FREQUENCIES[0], FREQUENCIES[-1]))
     text = (

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorsim.diagram.diagram import Free
-from rotorsim.settled.equations import NonlinearEquations
-from rotorsim.settled.linear_equations import Equations
+from rotorsim.settled.equations import Equations, instants
 
-__all__ = ["Coordinates", "amplitude_pairs", "coordinates_of", "moves_matrices"]
+__all__ = ["Coordinates", "amplitude_pairs", "coordinates_of"]
 
 ANGLE_UNIT = "rad"
-AnyEquations = Equations | NonlinearEquations
 PROBES = (0.4, 1.9)
 INSTANTS = 64  # of a turn, at which the forcing is compared
 
@@ -45,7 +43,7 @@ class Coordinates:
                 theta[b] = near[b] + np.angle(np.exp(1j * (theta[b] - near[b])))
         return np.asarray(theta)
 
-    def slopes(self, theta: np.ndarray) -> np.ndarray:
+    def jacobian(self, theta: np.ndarray) -> np.ndarray:
         """Return dtheta/dq (m, m)."""
         J = np.diag(self.scale.copy())
         for a, b in self.pairs:
@@ -73,13 +71,13 @@ class Coordinates:
 
 
 def coordinates_of(
-    free: tuple[Free, ...], equations: AnyEquations, p: np.ndarray, speeds: np.ndarray, *, bounded: bool = True
+    free: tuple[Free, ...], equations: Equations, p: np.ndarray, speeds: np.ndarray, *, bounded: bool = True
 ) -> Coordinates:
     """Return the coordinates of a search over the free parameters, within their bounds or not."""
     theta = np.array([item.value for item in free])
     scale = np.array([_scale(item) for item in free])
     pairs = amplitude_pairs(free, equations, p, speeds, theta)
-    low, high = (np.array([getattr(item, end) for item in free]) for end in ("low", "high"))
+    low, high = np.array([(item.low, item.high) for item in free], float).T
     if not bounded:
         low, high = np.full(len(free), -np.inf), np.full(len(free), np.inf)
     for _, b in pairs:
@@ -100,7 +98,7 @@ def _scale(free: Free) -> float:
 
 
 def amplitude_pairs(
-    free: tuple[Free, ...], equations: AnyEquations, p: np.ndarray, speeds: np.ndarray, theta: np.ndarray
+    free: tuple[Free, ...], equations: Equations, p: np.ndarray, speeds: np.ndarray, theta: np.ndarray
 ) -> tuple[tuple[int, int], ...]:
     """Return the pairs (amplitude, angle) that enter as a cos phi and a sin phi, as an unbalance does.
 
@@ -118,7 +116,7 @@ def amplitude_pairs(
     if not angles or not amplitudes:
         return ()
     row, speed = p[:1], np.abs(speeds[:1])
-    moved = moves_matrices(equations, row, theta)
+    moved = equations.moved_by(row, theta)
     angles, amplitudes = ([j for j in some if not moved[j]] for some in (angles, amplitudes))
 
     def forces(*points: Mapping[int, float]) -> np.ndarray:
@@ -126,7 +124,7 @@ def amplitude_pairs(
         for k, point in enumerate(points):
             changed[k, list(point)] = list(point.values())
         many = len(points)
-        return equations.at_rest(np.repeat(row, many, 0), changed, np.repeat(speed, many), INSTANTS)
+        return equations.whole.at_rest(np.repeat(row, many, 0), changed, instants(np.repeat(speed, many), INSTANTS))
 
     pairs: list[tuple[int, int]] = []
     for b in angles:
@@ -153,9 +151,3 @@ def amplitude_pairs(
                 pairs.append((a, b))
                 break
     return tuple(pairs)
-
-
-def moves_matrices(equations: AnyEquations, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Return which parameters change the equations themselves, not only their forcing, (m,)."""
-    moved = [matrix(p, theta[None])[1].reshape(-1, len(theta)).any(axis=0) for matrix in equations.matrices.values()]
-    return np.asarray(np.any(moved, axis=0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -12,26 +13,39 @@ from scipy.stats import chi2
 
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.coordinates import ANGLE_UNIT, Coordinates, coordinates_of, moves_matrices
-from rotorsim.identification.likelihood import Evaluation, Likelihood
-from rotorsim.identification.regression import Regression
+from rotorsim.identification.coordinates import ANGLE_UNIT, Coordinates, coordinates_of
+from rotorsim.identification.experiment import Experiment
+from rotorsim.identification.likelihood import Evaluation
 
-__all__ = ["NOT_EXPLAINED", "Estimate", "Search", "estimate"]
+__all__ = ["NOT_EXPLAINED", "Estimate", "Residuals", "Search", "estimate"]
 
 TURN = 2 * np.pi
 STARTS = 12  # values over a turn of an angle that enters in several harmonics
 CLOSE = 1e-10
-EQUAL = 1e-6  # relative difference of two solutions that the data cannot tell apart
+EQUAL = 1e-6  # relative difference of two solutions that the data cannot separate
 AT_BOUND = 1e-6
 MOST_EVALUATIONS = 60
 METHODS = ("trf", "dogbox")  # the first creeps in curved valleys near a bound: the second goes on from there
 PASSES = 3  # of both, where neither has converged
 GAIN = 1e-4  # of the misfit, that a pass must gain for another to follow
-NOTHING = 1e-11  # of the largest slope: rounding
+NOTHING = 1e-11  # of the largest derivative: rounding
 SINGULAR = 1e-13  # smallest eigenvalue of the information, each parameter's own being one: below, it is rounding
 # probability of the misfit below which a model does not explain the data: one wrong finding in 10 000 recordings
 NOT_EXPLAINED = 1e-4
 PART = 0.01  # of a direction that the data say nothing about: who takes part by more is not determined
+
+
+class Residuals(Protocol):
+    """What is minimised: the equations that data and parameters are to satisfy.
+
+    absolute: whether the residual is in units of its standard deviation, so that bounds and priors count.
+    """
+
+    experiment: Experiment
+    absolute: bool
+
+    def evaluate(self, theta: np.ndarray) -> Evaluation:
+        """Return the residual and its derivatives at theta (m,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +53,8 @@ class Estimate:
     """The most likely parameters theta (m,) [SI], and what the data say about them.
 
     information (m, m): J^T J of the whitened equations and priors, in the coordinates q. misfit: |r|^2 of the data;
-    freedom: equations less parameters. at_bound (m,): the search ended at a bound there.
+    freedom: equations less parameters. at_bound (m,): the search ended at a bound there. scatter: the covariance of
+    theta (m, m) where it does not follow from the information.
     """
 
     free: tuple[Free, ...]
@@ -50,6 +65,7 @@ class Estimate:
     at_bound: np.ndarray
     misfit: float
     freedom: int
+    scatter: np.ndarray | None = None
 
     @property
     def goodness(self) -> float:
@@ -63,7 +79,7 @@ class Estimate:
 
     @property
     def adequate(self) -> bool:
-        """Whether noise can make what the model leaves over."""
+        """Whether noise can make the residual."""
         return self.goodness >= NOT_EXPLAINED
 
     @property
@@ -93,14 +109,16 @@ class Estimate:
     @cached_property
     def covariance(self) -> np.ndarray:
         """Covariance of theta (m, m), very large where `undetermined`; zero at bounds."""
-        J = self.coordinates.slopes(self.theta)
+        if self.scatter is not None:
+            return self.scatter
+        J = self.coordinates.jacobian(self.theta)
         return np.asarray(J @ self._in_q[0] @ J.T)
 
     @cached_property
     def undetermined(self) -> np.ndarray:
         """Which of theta (m,) the data say nothing about, alone or beside the others: their variance is infinite."""
         _, nothing, unit = self._in_q
-        J = self.coordinates.slopes(self.theta) * unit
+        J = self.coordinates.jacobian(self.theta) * unit
         return np.asarray((np.abs(J @ nothing) > PART * np.linalg.norm(J, axis=1)[:, None]).any(axis=1))
 
     @property
@@ -112,7 +130,7 @@ class Estimate:
 class Search:
     """The residuals of data and priors in the coordinates of the search, with some parameters held."""
 
-    def __init__(self, likelihood: Likelihood | Regression) -> None:
+    def __init__(self, likelihood: Residuals) -> None:
         experiment = likelihood.experiment
         self.likelihood, self.free = likelihood, experiment.free
         motion = experiment.motion
@@ -121,20 +139,26 @@ class Search:
         self.prior = [j for j, item in enumerate(self.free) if item.prior_std is not None and bounded]
         start = experiment.theta0
         # the equations are linear in forces, not in stiffness: no step of that is to be trusted from afar
-        self.bends = moves_matrices(motion.equations, motion.p[:1], start)
+        self.bends = motion.equations.moved_by(motion.p[:1], start)
         self._known: tuple[bytes, tuple[Evaluation, np.ndarray, np.ndarray]] | None = None
 
-    def again(self, likelihood: Likelihood | Regression) -> Search:
+    def again(self, likelihood: Residuals) -> Search:
         """Return the search for the same parameters with other data."""
         other = copy(self)
         other.likelihood, other._known = likelihood, None
+        return other
+
+    def in_coordinates(self, coordinates: Coordinates) -> Search:
+        """Return the search in other coordinates."""
+        other = copy(self)
+        other.coordinates, other._known = coordinates, None
         return other
 
     def residual(self, q: np.ndarray) -> np.ndarray:
         """Return whitened residuals of data and priors, (n,)."""
         return self._at(q)[1]
 
-    def slopes(self, q: np.ndarray) -> np.ndarray:
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return the derivatives of `residual` by q, (n, m)."""
         return self._at(q)[2]
 
@@ -147,15 +171,15 @@ class Search:
         if self._known is None or self._known[0] != key:
             theta = self.coordinates.outside(q)
             found = self.likelihood.evaluate(theta)
-            residual, slopes = found.residual, found.slopes
+            residual, jacobian = found.residual, found.jacobian
             if self.prior:
                 means = [self.free[j].prior_mean for j in self.prior]
                 stds = np.array([self.free[j].prior_std for j in self.prior])
                 residual = np.append(residual, (theta[self.prior] - means) / stds)
                 rows = np.zeros((len(self.prior), len(theta)))
                 rows[np.arange(len(self.prior)), self.prior] = 1 / stds
-                slopes = np.vstack([slopes, rows])
-            self._known = (key, (found, residual, slopes @ self.coordinates.slopes(theta)))
+                jacobian = np.vstack([jacobian, rows])
+            self._known = (key, (found, residual, jacobian @ self.coordinates.jacobian(theta)))
         return self._known[1]
 
     def starts(self) -> list[np.ndarray]:
@@ -194,7 +218,7 @@ class Search:
         if not others:
             r = self.residual(q)
             return float(r @ r), q
-        J = self.slopes(q)[:, others]
+        J = self.jacobian(q)[:, others]
         r = self.residual(q)
         if not (np.isfinite(r).all() and np.isfinite(J).all()):
             return np.inf, q
@@ -212,7 +236,7 @@ class Search:
 
     def promise(self, q: np.ndarray) -> float:
         """Return the misfit that linear theory promises after one step of all parameters."""
-        r, J = self.residual(q), self.slopes(q)
+        r, J = self.residual(q), self.jacobian(q)
         if not (np.isfinite(r).all() and np.isfinite(J).all()):
             return np.inf
         norm = np.linalg.norm(J, axis=0)
@@ -236,7 +260,7 @@ class Search:
         if not np.isfinite(self.residual(q)).all():
             hint = "start from other values, or leave out the runs nearest to the limit of stability"
             raise RotorsimError(Problem("no settled motion is found at the start", "identify", hint=hint))
-        size = np.linalg.norm(self.slopes(q), axis=0)
+        size = np.linalg.norm(self.jacobian(q), axis=0)
         idle = size <= NOTHING * size.max(initial=0.0)  # nothing depends on it: it stays where it is
         moving = [j for j in range(len(q)) if j not in held and not idle[j]]
         if not moving:
@@ -255,7 +279,7 @@ class Search:
             found = least_squares(
                 lambda q: self.residual(full(q)),
                 part,
-                lambda q: self.slopes(full(q))[:, moving],
+                lambda q: self.jacobian(full(q))[:, moving],
                 bounds=(low[moving], high[moving]),
                 method=method,
                 x_scale="jac",
@@ -296,7 +320,7 @@ def summary(search: Search, q: np.ndarray) -> Estimate:
         if item.unit == ANGLE_UNIT and item.low == -np.inf and item.high == np.inf:
             theta[j] = np.angle(np.exp(1j * theta[j]))
     evaluation = search.evaluation(q)
-    J = search.slopes(q)
+    J = search.jacobian(q)
     at_bound = coordinates.at_bound(q, AT_BOUND)
     freedom = evaluation.rows - len(free)
     return Estimate(free, theta, coordinates, evaluation, J.T @ J, at_bound, float(evaluation.misfit.sum()), freedom)

@@ -13,13 +13,14 @@ from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.identification.whitening import harmonics_of_time
 from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
-from rotorsim.settled.equations import NonlinearEquations, is_linear
-from rotorsim.settled.linear_equations import Equations, slots_of
-from rotorsim.settled.linear_motion import Motion, Torus
-from rotorsim.settled.motion import NonlinearMotion
+from rotorsim.settled.equations import Equations, is_linear, slots_of
+from rotorsim.settled.motion import LinearMotion, SettledMotion
+from rotorsim.settled.nonlinear import NonlinearMotion
+from rotorsim.settled.torus import Torus
 from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonic_fit import HarmonicFit
 from rotorsim.signals.harmonics import RunHarmonics, harmonics_of
@@ -53,7 +54,7 @@ class Experiment:
     runs: tuple[RunHarmonics, ...]
     columns: np.ndarray
     p: np.ndarray
-    motion: Motion | NonlinearMotion
+    motion: SettledMotion
     use_mean: np.ndarray
     resolution: float = RESOLUTION
 
@@ -69,10 +70,11 @@ class Experiment:
         return [item.fit for item in self.runs]
 
     @property
-    def linear(self) -> Motion:
+    def linear(self) -> LinearMotion:
         """The motion, for what only a linear diagram allows. Raises RotorsimError for others."""
-        if isinstance(self.motion, Motion):
-            return self.motion
+        linear = self.motion.linear()
+        if linear is not None:
+            return linear
         hint = "--method likelihood takes nonlinear diagrams"
         raise RotorsimError(Problem("the diagram is not linear in its states", self.diagram.name, hint=hint))
 
@@ -80,6 +82,11 @@ class Experiment:
     def theta0(self) -> np.ndarray:
         """The free parameters as the diagram has them, (m,)."""
         return np.array([item.value for item in self.free])
+
+    def measured(self, K: int) -> np.ndarray:
+        """Return the measured harmonics of time 0..K of [predicted, given], (R, K+1, c + V)."""
+        pairs = zip(self.fits, self.columns, strict=True)
+        return np.array([harmonics_of_time(fit.values[: K + 1, columns], fit.speed) for fit, columns in pairs])
 
     def again(self, runs: Sequence[RunHarmonics] | None = None, p: np.ndarray | None = None) -> Experiment:
         """Return the experiment with other harmonics of the same runs, or other known parameters p (R, n_p)."""
@@ -137,9 +144,9 @@ def open_experiment(
     _refuse_unknown_phase(found)
     kept = _free(model, diagram, wanted)
     p = _parameters(model, diagram, found, kept)
-    linear_model = bool(taken) or is_linear(model, predicted)  # `Equations` says what is wrong with the others
+    linear_model = bool(taken) or is_linear(model, predicted)  # `LinearMotion` says what is wrong with the others
     K = min(int(item.fit.orders[-1]) for item in found)
-    windows = [float(item.run.time[-1] - item.run.time[0]) for item in found]
+    windows = np.array([float(item.run.time[-1] - item.run.time[0]) for item in found])
     speeds = np.array([item.fit.speed for item in found])
     phase = _clock_phase(model, p)
     forced = _is_aperiodic(model, p, speeds)
@@ -147,15 +154,12 @@ def open_experiment(
     if forced is not None and not (linear_model and all(beside is not None for beside in besides)):
         what = "the forcing is not the same one turn later: it does not follow the shaft"
         raise RotorsimError(Problem(what, forced, hint="what is compared are harmonics of the shaft angle"))
-    motion: Motion | NonlinearMotion
-    if linear_model:
-        torus = None
-        if besides[0] is not None:
-            second = np.array([beside.second for beside in besides if beside is not None])
-            torus = Torus(speeds, K, second, besides[0].orders, forced is not None)
-        motion = Motion(Equations(model, predicted, kept, p), p, speeds, K, windows, phase, torus)
-    else:
-        motion = NonlinearMotion(NonlinearEquations(model, predicted, kept, p), p, speeds, K, windows, phase)
+    torus = None
+    if linear_model and besides[0] is not None:
+        second = np.array([beside.second for beside in besides if beside is not None])
+        torus = Torus(speeds, K, second, besides[0].orders, forced is not None)
+    kind = LinearMotion if linear_model else NonlinearMotion
+    motion = kind(Equations(model, predicted, kept, p), p, speeds, K, windows, phase, torus)
     channels = {channel.name: channel for channel in recording.channels.values()}
     order = [*predicted, *taken]
     columns = np.array([[item.fit.names.index(name) for name in order] for item in found])
@@ -198,14 +202,9 @@ def _names(model: Model, recording: Recording, problems: list[Problem]) -> list[
 def _still(model: Model, names: Sequence[str], recording: Recording, runs: Sequence[Run]) -> list[str]:
     """Return the entries that cannot move (a pinned node) and were measured as zero: they say nothing."""
     columns = {channel.name: column for column, channel in recording.channels.items()}
-    found = []
-    for name in names:
-        expression = model.expression(model.diagram.as_measured(name))
-        if expression.is_constant() and float(expression) == 0.0:
-            measured = [run.values[columns[name]] for run in runs if columns[name] in run.values]
-            if not any(values.any() for values in measured):
-                found.append(name)
-    return found
+    fixed = [name for name in names if not linear.can_move(model, model.diagram.as_measured(name))]
+    zero = np.zeros(1)
+    return [name for name in fixed if not any(run.values.get(columns[name], zero).any() for run in runs)]
 
 
 RATES = (".velocity", ".acceleration")  # recorded signals that are rates of a block's displacement

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.files import write_atomically
 from rotorsim.identification.identification import Identification
+from rotorsim.identification.verdict import Verdict
 
 __all__ = ["identification_data", "save_identification", "with_values"]
 
@@ -24,9 +26,8 @@ RESULT = "identification.json"
 def identification_data(found: Identification, *, diagram_file: str = DIAGRAM) -> dict[str, Any]:
     """Return an identification as plain data, in the form of identification.json."""
     names = list(found.parameters)
-    parameters = {}
-    for name, item in found.parameters.items():
-        parameters[name] = {
+    parameters = {
+        name: {
             "value": item.value,
             "std": _finite(item.std),
             "interval90": [_finite(end) for end in item.interval90],
@@ -34,20 +35,8 @@ def identification_data(found: Identification, *, diagram_file: str = DIAGRAM) -
             "unit": item.unit,
             "at_bound": item.at_bound,
         }
-    identifiable = {}
-    for name, item in found.parameters.items():
-        verdict = item.verdict
-        said: dict[str, Any] = {"identifiable": verdict.identifiable, "reason": verdict.reason}
-        if verdict.combination is not None:
-            known = verdict.combination
-            said["combination"] = {
-                "expression": known.expression,
-                "factors": dict(known.factors),
-                "value": known.value,
-                "std": known.std,
-                "unit": known.unit,
-            }
-        identifiable[name] = said
+        for name, item in found.parameters.items()
+    }
     advice = [
         {
             "change": item.change,
@@ -61,7 +50,7 @@ def identification_data(found: Identification, *, diagram_file: str = DIAGRAM) -
         "diagram": diagram_file,
         "parameters": parameters,
         "correlation": {"names": names, "matrix": np.asarray(found.correlation).tolist()},
-        "identifiable": identifiable,
+        "identifiable": {name: _verdict(item.verdict) for name, item in found.parameters.items()},
         "fit": {use: dict(values) for use, values in found.fit.items()},
         "noise_floor": dict(found.noise_floor),
         "adequate": found.adequate,
@@ -74,6 +63,13 @@ def identification_data(found: Identification, *, diagram_file: str = DIAGRAM) -
         "settings": dict(found.settings),
         "provenance": {"diagram": found.diagram.name, "diagram_sha256": found.diagram.sha256},
     }
+
+
+def _verdict(verdict: Verdict) -> dict[str, Any]:
+    said: dict[str, Any] = {"identifiable": verdict.identifiable, "reason": verdict.reason}
+    if verdict.combination is not None:
+        said["combination"] = {"expression": verdict.combination.expression, **asdict(verdict.combination)}
+    return said
 
 
 def _finite(value: float) -> float | None:

@@ -12,19 +12,17 @@ from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.advice import Advice, advise
-from rotorsim.identification.estimate import Estimate, Search, estimate
+from rotorsim.identification.estimate import Estimate, Residuals, Search, estimate
 from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.likelihood import Likelihood
-from rotorsim.identification.periodic_likelihood import likelihood_of
 from rotorsim.identification.profile import Z90, joint_factor, linear_intervals, profile_intervals
-from rotorsim.identification.regression import THESIS_ORDERS, Regression, open_regression
+from rotorsim.identification.regression import THESIS_ORDERS, open_regression
 from rotorsim.identification.scatter import scatter_of, with_covariance
 from rotorsim.identification.verdict import PRECISION, Verdict, judge
 from rotorsim.jobs.threads import one_thread
 from rotorsim.linear.linearisation import refuse_sampled
 from rotorsim.measure.checks import check_signals
 from rotorsim.recordings.recording import Recording, Run
-from rotorsim.settled.linear_motion import Motion
 from rotorsim.signals.converters import before_converters, stated_steps, through_converters
 from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of
 from rotorsim.signals.pickup import find_mains, pickup_warnings, with_pickups
@@ -155,15 +153,14 @@ def identify(
             experiment = open_experiment(diagram, recording, runs=chosen, given=given, free=free, harmonics=found)
             if not given:
                 refuse_sampled(experiment.model, "identification with the loop closed")
-            return likelihood_of(experiment)
+            return Likelihood(experiment)
 
-        opened: Likelihood | Regression
-        if method == "likelihood":
-            opened = likelihood(found)
-        else:
-            opened = open_regression(
+        regression = None
+        if method == "regression":
+            regression = open_regression(
                 diagram, recording, runs=chosen, free=free, orders=orders, reduction=reduction, harmonics=found
             )
+        opened: Residuals = regression or likelihood(found)
         search = Search(opened)
         result = estimate(search)
         if method == "likelihood" and harmonics is None and not result.adequate:
@@ -177,8 +174,8 @@ def identify(
         adequate = method == "regression" or result.adequate
         widen = 1.0 if adequate else result.widening
         covariance = result.covariance * widen**2
-        if isinstance(opened, Regression):
-            scatter = scatter_of(opened, search, result)
+        if regression is not None:
+            scatter = scatter_of(regression, search, result)
             covariance, adequate = scatter.covariance, scatter.adequate
             result = with_covariance(result, covariance)
             intervals = _about(result, np.sqrt(np.diag(covariance)), scatter.bias)
@@ -186,12 +183,11 @@ def identify(
             intervals = profile_intervals(search, result, widen)
         else:
             ends = result.theta[:, None] + widen * (linear_intervals(search, result) - result.theta[:, None])
-            low, high = (np.array([getattr(item, end) for item in result.free]) for end in ("low", "high"))
-            intervals = np.clip(ends, low[:, None], high[:, None])
+            intervals = np.clip(ends, result.coordinates.low[:, None], result.coordinates.high[:, None])
         verdicts = judge(result, intervals, precision=precision, widen=widen if method == "likelihood" else 1.0)
         left = [item.name for item, verdict in zip(result.free, verdicts, strict=True) if not verdict.identifiable]
         advice: list[Advice] = []
-        if left and method == "likelihood" and isinstance(opened.experiment.motion, Motion):
+        if left and method == "likelihood" and opened.experiment.motion.is_linear:
             advice = advise(opened.experiment, result, left, precision)
         used = (
             given
@@ -281,7 +277,7 @@ def _scores(
         scored = open_experiment(
             diagram, source, runs=[item.run for item in runs], given=given, free=result.free, harmonics=runs
         )
-        likelihood = likelihood_of(scored)
+        likelihood = Likelihood(scored)
         Y = likelihood.evaluate(result.theta).Y
         for r, item in enumerate(runs):
             columns = scored.columns[r][: len(scored.predicted)]
@@ -315,12 +311,12 @@ def _statement(
         parts.append("No change of gains, speeds, length or excitation that was tried would determine them.")
     if not adequate and method == "regression":
         parts.append(
-            "The model does not explain the data: the equations leave more over than noise can make; the intervals "
-            "mean nothing. something is missing in it."
+            "The model does not explain the data: the residual of the equations is larger than noise can make; the "
+            "intervals mean nothing. something is missing in it."
         )
     elif not adequate:
         parts.append(
-            f"The model does not explain the data: what is left over has {result.excess:.3g} times the variance of the "
+            f"The model does not explain the data: the residual has {result.excess:.3g} times the variance of the "
             f"noise, so something is missing in it; the intervals are widened by {np.sqrt(result.excess):.2g}, and "
             "hold only if what is missing does not matter to a parameter."
         )

@@ -30,7 +30,7 @@ class Location:
     """A block at one place (or two of it at two places), refitted.
 
     nodes: counted from 1. misfit: minus twice the log likelihood at its best; probability: among all places tried, each
-    as likely as any other before the data, the noise as large as the best place leaves over.
+    as likely as any other before the data, the noise as large as the residual of the best place.
     """
 
     nodes: tuple[int, ...]

@@ -54,7 +54,7 @@ def linear_intervals(search: Search, found: Estimate) -> np.ndarray:
     q = search.coordinates.inside(found.theta)
     if not found.at_bound.any():
         return intervals
-    r, J = search.residual(q), search.slopes(q)
+    r, J = search.residual(q), search.jacobian(q)
     base, _, _ = np.linalg.svd(_units(J[:, ~found.at_bound]), full_matrices=False)
     for j in np.flatnonzero(found.at_bound):
         scale = search.coordinates.scale[j]
@@ -96,15 +96,9 @@ def _unbounded(found: Estimate) -> np.ndarray:
 
 def _polar(search: Search) -> Search:
     """Return the search in the parameters themselves, so that an amplitude or an angle can be held."""
-    other = object.__new__(Search)
-    other.__dict__.update(search.__dict__)
-    coordinates = search.coordinates
-    scale = coordinates.scale.copy()
-    for _, b in coordinates.pairs:
-        scale[b] = 1.0
-    other.coordinates = replace(coordinates, pairs=(), scale=scale)
-    other._known = None
-    return other
+    scale = search.coordinates.scale.copy()
+    scale[[b for _, b in search.coordinates.pairs]] = 1.0
+    return search.in_coordinates(replace(search.coordinates, pairs=(), scale=scale))
 
 
 def _end(search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, step: float, least: float, rise: float) -> float:
@@ -141,7 +135,7 @@ def _profile(search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, value
     r = search.residual(q)
     cost = float(r @ r)
     for _ in range(4):
-        J = search.slopes(q)[:, others]
+        J = search.jacobian(q)[:, others]
         step, *_ = np.linalg.lstsq(J, -r, rcond=1e-9)
         trial = q.copy()
         trial[others] += step

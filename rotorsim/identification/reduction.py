@@ -6,20 +6,22 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from rotorsim.block import In
+from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.experiment import Experiment
-from rotorsim.linear.linearisation import entry_names
+from rotorsim.linear.linearisation import can_move, entry_names
 from rotorsim.model.compiled import Model
-from rotorsim.settled.linear_equations import Equations
-from rotorsim.settled.linear_motion import Motion
+from rotorsim.settled.equations import Equations
+from rotorsim.settled.motion import LinearMotion
 
-__all__ = ["Condensed", "reduced"]
+__all__ = ["Condensed", "conjugates_of", "reduced"]
 
 MOST_KNOWN = 64  # operators that are kept, for other data at the same parameters
 
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """Forces left over by equations condensed with a transformation that is right at one frequency only.
+    """Residual forces of equations condensed with a transformation that is right at one frequency only.
 
     D_red = T^T D T,  T = [1; -(K_ss - w_c^2 M_ss)^-1 (K_sm - w_c^2 M_sm)]        thesis eq. (3.31)-(3.42), (4.26)
 
@@ -27,7 +29,7 @@ class Condensed:
     """
 
     experiment: Experiment
-    motion: Motion
+    motion: LinearMotion
     entries: np.ndarray
     masters: np.ndarray
     central: float
@@ -35,24 +37,22 @@ class Condensed:
 
     def again(self, experiment: Experiment) -> Condensed:
         """Return the condensation of the same experiment with other known parameters."""
-        old, p = self.motion, experiment.p
-        motion = Motion(old.equations, p, old.speeds, old.K, list(old.windows), old.phase)
-        return replace(self, experiment=experiment, motion=motion, known={})
+        return replace(self, experiment=experiment, motion=self.motion.at(experiment.p), known={})
 
     def forces(self, theta: np.ndarray, Y: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return forces (R, K+1, c) left over at harmonics Y (R, K+1, c), and slopes by central differences.
+        """Return residual forces (R, K+1, c) at harmonics Y (R, K+1, c), and derivatives by central differences.
 
         The forces are linear in stiffness and force parameters, so that wide steps are exact.
         """
         w = self._forces(theta, Y, inputs)
-        slopes = np.empty((*w.shape, len(theta)), complex)
+        jacobian = np.empty((*w.shape, len(theta)), complex)
         for j, item in enumerate(self.experiment.free):
             step = 1e-4 * (abs(theta[j]) or abs(item.value) or 1.0)
             up, down = theta.copy(), theta.copy()
             up[j] += step
             down[j] -= step
-            slopes[..., j] = (self._forces(up, Y, inputs) - self._forces(down, Y, inputs)) / (2 * step)
-        return w, slopes
+            jacobian[..., j] = (self._forces(up, Y, inputs) - self._forces(down, Y, inputs)) / (2 * step)
+        return w, jacobian
 
     def _forces(self, theta: np.ndarray, Y: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         key = (theta.tobytes(), Y.shape[1])
@@ -92,27 +92,33 @@ class Condensed:
 
 def reduced(experiment: Experiment, master_entries: np.ndarray) -> Condensed:
     """Return the condensation of an experiment whose model takes forces and moments at all nodes."""
-    model, motion = experiment.model, experiment.motion
-    outputs, entries = _pairs(model)
-    equations = Equations(model, outputs, experiment.free)
-    whole = Motion(equations, motion.p, motion.speeds, motion.K, list(motion.windows), motion.phase)
+    outputs, entries = _pairs(experiment.model)
+    motion = experiment.linear
+    whole = replace(motion, equations=Equations(experiment.model, outputs, experiment.free), beside=None)
     masters = np.array([int(np.flatnonzero(entries == entry)[0]) for entry in master_entries])
     return Condensed(experiment, whole, entries, masters, float(np.mean(np.abs(motion.speeds))))
 
 
+def conjugates_of(diagram: Diagram) -> dict[str, str]:
+    """Return output port -> the additive input that does work on it, of all blocks."""
+    found = {}
+    for block, node in diagram.nodes.items():
+        for name, port in node.inputs.items():
+            declared = port.declaration
+            if isinstance(declared, In) and declared.additive and declared.conjugate in node.outputs:
+                found[f"{block}.{declared.conjugate}"] = f"{block}.{name}"
+    return found
+
+
 def _pairs(model: Model) -> tuple[list[str], np.ndarray]:
     """Return every moving output entry with the external force on it: names, places in v."""
+    conjugates = {force: port for port, force in conjugates_of(model.diagram).items()}
     names: list[str] = []
     entries: list[int] = []
-    for port, signal in model.trace.external.items():
-        block, _, key = port.rpartition(".")
-        declared = model.diagram.nodes[block].inputs.get(key)
-        conjugate = getattr(declared.declaration, "conjugate", None) if declared is not None else None
-        if conjugate is None:
-            continue
-        for k, name in enumerate(entry_names(f"{block}.{conjugate}", signal.shape)):
-            expression = model.expression(name)
-            if not (expression.is_constant() and float(expression) == 0.0):
+    for external, signal in model.trace.external.items():
+        port = conjugates.get(external)
+        for k, name in enumerate(entry_names(port, signal.shape) if port else ()):
+            if can_move(model, name):
                 names.append(name)
                 entries.append(signal.part.start + k)
     return names, np.array(entries)

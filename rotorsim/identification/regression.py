@@ -1,9 +1,9 @@
-"""The thesis' regression: the forces that the equations of motion leave over at the measured places.
+"""The thesis' regression: the residual forces of the equations of motion at the measured places.
 
 At harmonic k the measured motion Y_k and the measured inputs V_k (currents) ask for an equivalent force
 w_k = Z_k [Y_k - Y_k(V_k; theta)] at the measured places, with Z_k the dynamic stiffness condensed exactly to these
 places at this very frequency. Least squares of w over harmonics, runs and places gives the parameters; their
-columns are slopes of the traced equations. No weights, as in the thesis.
+columns are derivatives of the traced equations. No weights, as in the thesis.
 """
 
 from __future__ import annotations
@@ -13,13 +13,12 @@ from copy import copy
 
 import numpy as np
 
-from rotorsim.block import In
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.experiment import Experiment, open_experiment
-from rotorsim.identification.likelihood import Evaluation, harmonics_of_time
-from rotorsim.identification.reduction import reduced
-from rotorsim.linear.linearisation import entry_names, flat_names
+from rotorsim.identification.likelihood import Evaluation
+from rotorsim.identification.reduction import conjugates_of, reduced
+from rotorsim.linear.linearisation import can_move, entry_names, flat_names
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 from rotorsim.signals.harmonics import RunHarmonics
@@ -31,7 +30,7 @@ REDUCTIONS = ("exact", "central")
 
 
 class Regression:
-    """Equivalent forces at the measured places as residuals, with their slopes; same use as `Likelihood`.
+    """Equivalent forces at the measured places as residuals, with their derivatives; same use as `Likelihood`.
 
     orders: harmonics of x + i y that count, negative ones whirl backward. reduction: "exact", or "central" for the
     thesis' dynamic condensation at the mean speed of all runs, eq. (3.31)-(3.42), (4.25)-(4.29).
@@ -58,9 +57,9 @@ class Regression:
         places = [flat for signal in external for flat in entry_names(signal.name, signal.shape)]
         self.given_entries = np.array([places.index(name) for name in experiment.given], int)
         self.n_v = len(places)
-        self.data = self._measured()
+        self.data = experiment.measured(self.K)
         # a mean that slow states have not let settle obeys no equation of balance
-        settled = not any(len(slow) for slow in experiment.linear.response(experiment.theta0, 0).slow)
+        settled = not any(len(slow) for slow in experiment.linear.slow_states(experiment.theta0))
         use_mean = experiment.use_mean[: self.c] & experiment.use_mean[self.c :].all() & settled
         self.rows = _selection(experiment.predicted, self.orders, use_mean)
         if not len(self.rows[0]):
@@ -71,27 +70,19 @@ class Regression:
         """Return the regression of the same experiment `again`."""
         other = copy(self)
         other.experiment = experiment
-        other.data = other._measured()
+        other.data = experiment.measured(self.K)
         if self._condensed is not None and experiment.motion is not self.experiment.motion:
             other._condensed = self._condensed.again(experiment)
         return other
 
-    def _measured(self) -> np.ndarray:
-        return np.array(
-            [
-                harmonics_of_time(item.fit.values[: self.K + 1, columns], item.fit.speed)
-                for item, columns in zip(self.experiment.runs, self.experiment.columns, strict=True)
-            ]
-        )
-
     def evaluate(self, theta: np.ndarray) -> Evaluation:
-        """Return the equivalent forces [N] and their slopes at theta (m,)."""
+        """Return the equivalent forces [N] and their derivatives at theta (m,)."""
         if self._condensed is not None:
-            w, slopes = self._condensed.forces(theta, self.data[:, :, : self.c], self._inputs())
+            w, jacobian = self._condensed.forces(theta, self.data[:, :, : self.c], self._inputs())
         else:
-            w, slopes = self._exact(theta)
+            w, jacobian = self._exact(theta)
         residual = self._chosen(w)
-        columns = self._chosen(slopes).reshape(-1, slopes.shape[-1])
+        columns = self._chosen(jacobian).reshape(-1, jacobian.shape[-1])
         misfit = (residual**2).sum(axis=(1, 2))
         return Evaluation(residual.ravel(), columns, misfit, self.data[:, :, : self.c], residual.size)
 
@@ -123,8 +114,8 @@ class Regression:
         stiffness = np.linalg.inv(compliance)
         w = np.einsum("rkij,rkj->rki", stiffness, self.data[:, :, : self.c] - Y)
         inputs[:, :, self.force_entries] += w
-        slopes = response.sensitivity(response.states(inputs), inputs)
-        return w, -stiffness @ slopes
+        jacobian = response.sensitivity(response.states(inputs), inputs)
+        return w, -stiffness @ jacobian
 
 
 def open_regression(
@@ -146,7 +137,7 @@ def open_regression(
     if reduction not in REDUCTIONS:
         raise RotorsimError(Problem(f"no reduction '{reduction}'", hint=f"one of {', '.join(REDUCTIONS)}"))
     model = compile_diagram(diagram)
-    conjugates = _conjugates(diagram)
+    conjugates = conjugates_of(diagram)
     angle = (ANGLE, TACHO)
     measured = [c.name for c in recording.channels.values() if c.signal in model.signals and c.signal not in angle]
     places = [
@@ -154,7 +145,7 @@ def open_regression(
         for name in measured
         if (base := name.partition("[")[0]) in conjugates
     ]
-    places = [pair for pair in places if _moves(model, pair[0])]
+    places = [pair for pair in places if can_move(model, pair[0])]
     if not places:
         hint = "the thesis' method needs the displacement where forces act; --method likelihood needs not"
         raise RotorsimError(Problem("no place was measured at which a force can act", recording.name, hint=hint))
@@ -169,23 +160,6 @@ def open_regression(
         diagram, recording, runs=runs, given=given, inject=inject, free=free, harmonics=harmonics, drop=dropped
     )
     return Regression(experiment, places, orders, reduction)
-
-
-def _conjugates(diagram: Diagram) -> dict[str, str]:
-    """Return output port -> the additive input that does work on it, of all blocks."""
-    found = {}
-    for block, node in diagram.nodes.items():
-        for name, port in node.inputs.items():
-            declared = port.declaration
-            if isinstance(declared, In) and declared.additive and declared.conjugate in node.outputs:
-                found[f"{block}.{declared.conjugate}"] = f"{block}.{name}"
-    return found
-
-
-def _moves(model: Model, name: str) -> bool:
-    """Return whether a measured entry can move at all (a pinned node cannot)."""
-    expression = model.expression(name)
-    return not (expression.is_constant() and float(expression) == 0.0)
 
 
 def _entry(model: Model, flat: str) -> int:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotorsim.identification.estimate import Estimate, Search
 from rotorsim.identification.experiment import RESOLUTION
 from rotorsim.identification.regression import Regression
-from rotorsim.signals.covariance import complex_values, scaled_cholesky
+from rotorsim.identification.whitening import noise_root
+from rotorsim.signals.covariance import complex_values
 
 __all__ = ["Scatter", "scatter_of", "with_covariance"]
 
 DRAWS = 40
 UNDETERMINED = 1e-8  # singular value, of the largest, below which a combination of parameters is not determined at all
-NOTHING = 1e-9  # of the largest: a slope that is rounding
+NOTHING = 1e-9  # of the largest: a derivative that is rounding
 ATTENUATED = 0.25  # part of noise in the square of a column that pulls its parameter too far to zero
 WIDE = 1e3  # widths of its own that a parameter gets along such a combination
 TOLERANCE = 2.0  # of the largest residual that noise alone makes in all draws
@@ -39,8 +40,9 @@ def scatter_of(regression: Regression, search: Search, result: Estimate) -> Scat
     """
     random = np.random.default_rng(0)
     measured = regression.data
-    roots = [_root(regression, r) for r in range(len(measured))]
-    slopes = search.coordinates.slopes(result.theta)
+    pairs = zip(regression.experiment.fits, regression.experiment.columns, strict=True)
+    roots = [noise_root(fit, columns, regression.K, RESOLUTION) for fit, columns in pairs]
+    jacobian = search.coordinates.jacobian(result.theta)
     at_hand = regression.evaluate(result.theta)
     estimates = np.empty((DRAWS, len(result.theta)))
     made = np.empty(DRAWS)
@@ -49,22 +51,22 @@ def scatter_of(regression: Regression, search: Search, result: Estimate) -> Scat
         noise = [root @ random.standard_normal(root.shape[1]) for root in roots]
         regression.data = measured + np.array([complex_values(vector, measured.shape[-1]) for vector in noise])
         found = regression.evaluate(result.theta)
-        step = np.linalg.lstsq(found.slopes @ slopes, -found.residual, rcond=None)[0]
-        estimates[k] = result.theta + slopes @ step
-        columns = (found.slopes - at_hand.slopes) @ slopes
+        step = np.linalg.lstsq(found.jacobian @ jacobian, -found.residual, rcond=None)[0]
+        estimates[k] = result.theta + jacobian @ step
+        columns = (found.jacobian - at_hand.jacobian) @ jacobian
         in_columns += columns.T @ columns
         change = found.residual - at_hand.residual
         made[k] = float(change @ change)
     regression.data = measured
     undetermined = _undetermined(
-        at_hand.slopes @ slopes, in_columns / DRAWS, slopes, search.coordinates.inside(result.theta)
+        at_hand.jacobian @ jacobian, in_columns / DRAWS, jacobian, search.coordinates.inside(result.theta)
     )
     covariance = np.cov(estimates.T).reshape(len(result.theta), -1) + undetermined
     adequate = float(at_hand.residual @ at_hand.residual) <= TOLERANCE * float(made.max())
     return Scatter(covariance, estimates.mean(axis=0) - result.theta, adequate)
 
 
-def _undetermined(J: np.ndarray, noise: np.ndarray, slopes: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _undetermined(J: np.ndarray, noise: np.ndarray, jacobian: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Return the covariance along combinations of parameters that the equations do not hold, or only by their noise.
 
     J: columns of the regression in q, at (m,). noise (m, m): the part of J^T J that is noise. A combination v with
@@ -77,7 +79,7 @@ def _undetermined(J: np.ndarray, noise: np.ndarray, slopes: np.ndarray, at: np.n
     _, values, vectors = np.linalg.svd(used / scale, full_matrices=True)
     padded = np.zeros(J.shape[1])
     padded[: len(values)] = values
-    total = np.zeros((len(slopes), len(slopes)))
+    total = np.zeros((len(jacobian), len(jacobian)))
     for value, vector in zip(padded, vectors, strict=True):
         direction = vector / scale
         direction /= np.linalg.norm(direction)
@@ -85,30 +87,14 @@ def _undetermined(J: np.ndarray, noise: np.ndarray, slopes: np.ndarray, at: np.n
         null = value <= UNDETERMINED * padded.max(initial=1e-300)
         reach = max(1.0, float(np.abs(direction @ at)))
         if null or direction @ noise @ direction > ATTENUATED * image:
-            moved = slopes @ ((WIDE if null else 1.0) * reach * direction)
+            moved = jacobian @ ((WIDE if null else 1.0) * reach * direction)
             total += np.outer(moved, moved)
     return total
 
 
-def _root(regression: Regression, r: int) -> np.ndarray:
-    """Return a root of the covariance of the real harmonics (0..K) that the regression uses of one run."""
-    item, columns = regression.experiment.runs[r], regression.experiment.columns[r]
-    scale, factor = scaled_cholesky(item.fit.covariance_at(columns, range(regression.K + 1), RESOLUTION))
-    return np.asarray(scale[:, None] * factor)
-
-
 def with_covariance(result: Estimate, covariance: np.ndarray) -> Estimate:
     """Return an estimate whose information is the inverse of a covariance of theta."""
-    slopes = result.coordinates.slopes(result.theta)
-    changed = Estimate(
-        result.free,
-        result.theta,
-        result.coordinates,
-        result.evaluation,
-        slopes.T @ np.linalg.pinv(covariance, hermitian=True) @ slopes,
-        np.zeros(len(result.theta), bool),
-        result.misfit,
-        result.freedom,
-    )
-    changed.__dict__["covariance"] = covariance
-    return changed
+    jacobian = result.coordinates.jacobian(result.theta)
+    information = jacobian.T @ np.linalg.pinv(covariance, hermitian=True) @ jacobian
+    free = np.zeros(len(result.theta), bool)
+    return replace(result, information=information, at_bound=free, scatter=covariance)

@@ -110,8 +110,8 @@ def _not_identified(
 
 def _conditional(found: Estimate, j: int) -> float:
     """Return the standard deviation of a parameter if all others were known."""
-    slopes = np.linalg.inv(found.coordinates.slopes(found.theta))
-    information = float(slopes[:, j] @ found.information @ slopes[:, j])
+    jacobian = np.linalg.inv(found.coordinates.jacobian(found.theta))
+    information = float(jacobian[:, j] @ found.information @ jacobian[:, j])
     return 1 / np.sqrt(information) if information > 0 else np.inf
 
 

@@ -11,7 +11,7 @@ from scipy.optimize import brentq, linear_sum_assignment
 
 from rotorsim._shown import Shown, xarray_module
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.linear.eigenmodes import RESONANT, Eigen, _shape_signals, checked_speeds, eigen, require_speed, whirl
+from rotorsim.linear.eigenmodes import RESONANT, Eigen, checked_speeds, eigen, require_speed, shape_signals, whirl
 from rotorsim.linear.linearisation import as_model, linearise
 from rotorsim.linear.stability import growing
 from rotorsim.model.compiled import Model
@@ -124,7 +124,7 @@ def campbell(
     model = as_model(diagram)
     require_speed(model, "campbell")
     values = np.unique(checked_speeds(speeds, zero=True))
-    outputs = _shape_signals(model)
+    outputs = shape_signals(model)
 
     def point(speed: float) -> _Point:
         given = {**(parameters or {}), "speed": speed}

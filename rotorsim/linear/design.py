@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.linalg import schur, solve_continuous_are, solve_sylvester
 
@@ -11,27 +9,14 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.frequency import controller_output
 from rotorsim.linear.linearisation import LinearSystem, linearise
+from rotorsim.linear.state_space import StateSpace, reached
 from rotorsim.model.compiled import Model
 
-__all__ = ["Plant", "design_state_feedback", "plant_of"]
+__all__ = ["design_state_feedback", "plant_of"]
 
 MOST_STATES = 8
 LARGEST_PEAK = 3.0  # zone A of ISO 14839-3:2006
 WEIGHTS = (1.0, 3.0, 0.3, 10.0, 0.1, 30.0, 100.0)  # tried in this order, times the weight asked for
-
-
-@dataclass(frozen=True)
-class Plant:
-    """The plant a controller sees: d x/dt = A x + B i, u = C x + D i; i current, u displacement."""
-
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
-
-    def gain(self, w: float) -> np.ndarray:
-        """Return the complex gain at w [rad/s]."""
-        return np.asarray(self.C @ np.linalg.solve(1j * w * np.eye(len(self.A)) - self.A, self.B) + self.D)
 
 
 def design_state_feedback(
@@ -85,8 +70,8 @@ def design_state_feedback(
     return dict(zip("ABCD", best[1], strict=True))
 
 
-def plant_of(diagram: Diagram | Model, controller: str, parameters: dict[str, float] | None = None) -> Plant:
-    """Return the plant between a controller's output and the signal wired to its input ``displacement``.
+def plant_of(diagram: Diagram | Model, controller: str, parameters: dict[str, float] | None = None) -> StateSpace:
+    """Return d x/dt = A x + B i, u = C x + D i from a controller's output i to the signal u wired to its displacement.
 
     States that the current does not reach, or that do not reach the displacement, are left out.
     """
@@ -100,26 +85,18 @@ def plant_of(diagram: Diagram | Model, controller: str, parameters: dict[str, fl
     return _connected(system, controller)
 
 
-def _connected(system: LinearSystem, controller: str) -> Plant:
-    def spread(start: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-        reached = start
-        while True:
-            new = reached | pattern[:, reached].any(axis=1)
-            if (new == reached).all():
-                return reached
-            reached = new
-
-    driven = spread((system.B != 0).any(axis=1), system.A != 0)
-    seen = spread((system.C != 0).any(axis=0), system.A.T != 0)
+def _connected(system: LinearSystem, controller: str) -> StateSpace:
+    driven = reached(system.A != 0, (system.B != 0).any(axis=1))
+    seen = reached(system.A.T != 0, (system.C != 0).any(axis=0))
     keep = np.flatnonzero(driven & seen)
     if not len(keep):
         what = "its output does not act on its input 'displacement'"
         hint = "wire it to a bearing that moves what is measured; the force-current factor must not be zero"
         raise RotorsimError(Problem(what=what, subject=controller, hint=hint))
-    return Plant(system.A[np.ix_(keep, keep)], system.B[keep], system.C[:, keep], system.D)
+    return StateSpace(system.A[np.ix_(keep, keep)], system.B[keep], system.C[:, keep], system.D)
 
 
-def reduce_modes(plant: Plant, states: int = MOST_STATES) -> Plant:
+def reduce_modes(plant: StateSpace, states: int = MOST_STATES) -> StateSpace:
     """Return the plant with its unstable and slowest modes only; the others give their static part to D.
 
     An ordered real Schur form and a Sylvester equation part the two groups, also where modes are defective.
@@ -140,17 +117,17 @@ def reduce_modes(plant: Plant, states: int = MOST_STATES) -> Plant:
     B, C = Z.T @ plant.B, plant.C @ Z
     B1, B2 = B[:kept] - X @ B[kept:], B[kept:]
     C1, C2 = C[:, :kept], C[:, kept:] + C[:, :kept] @ X
-    return Plant(T11, B1, C1, plant.D - C2 @ np.linalg.solve(T22, B2))
+    return StateSpace(T11, B1, C1, plant.D - C2 @ np.linalg.solve(T22, B2))
 
 
-def _scale(plant: Plant) -> float:
+def _scale(plant: StateSpace) -> float:
     """Return the size of the plant's gain near its first mode, away from the peak [m/A]."""
     poles = np.abs(np.linalg.eigvals(plant.A))
     first = float(poles[poles > 1e-6 * poles.max()].min())
-    return float(np.linalg.norm(plant.gain(1.5 * first), 2))
+    return float(np.linalg.norm(plant.response(1.5 * first / (2 * np.pi))[0], 2))
 
 
-def _lqg(plant: Plant, scale: float, rho: float, nu: float, integral: bool) -> tuple[np.ndarray, ...]:
+def _lqg(plant: StateSpace, scale: float, rho: float, nu: float, integral: bool) -> tuple[np.ndarray, ...]:
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
     n, m, k = len(A), B.shape[1], C.shape[0]
     R = (scale * rho / 10) ** 2 * np.eye(m)
@@ -176,13 +153,13 @@ def _lqg(plant: Plant, scale: float, rho: float, nu: float, integral: bool) -> t
     return A_c, np.vstack([L, rate * np.eye(k)]), -K, np.zeros((m, k))
 
 
-def closed_loop(plant: Plant, controller: tuple[np.ndarray, ...]) -> np.ndarray:
+def closed_loop(plant: StateSpace, controller: tuple[np.ndarray, ...]) -> np.ndarray:
     """Return the state matrix of plant and strictly proper controller joined."""
     A, B, C, _ = controller
     return np.block([[plant.A, plant.B @ C], [B @ plant.C, A + B @ plant.D @ C]])
 
 
-def _peak(plant: Plant, controller: tuple[np.ndarray, ...]) -> float:
+def _peak(plant: StateSpace, controller: tuple[np.ndarray, ...]) -> float:
     """Return the largest singular value of the sensitivity with the full plant; infinite for an unstable loop."""
     whole = closed_loop(plant, controller)
     poles = np.linalg.eigvals(whole)
@@ -195,5 +172,5 @@ def _peak(plant: Plant, controller: tuple[np.ndarray, ...]) -> float:
     n, m = len(plant.A), plant.B.shape[1]
     inputs = np.vstack([plant.B, B @ plant.D])
     outputs = np.hstack([np.zeros((m, n)), C])
-    system = LinearSystem(whole, inputs, outputs, np.eye(m), (), (), (), (), (), np.zeros(0))
+    system = StateSpace(whole, inputs, outputs, np.eye(m))
     return float(np.linalg.norm(system.response(grid / (2 * np.pi)), 2, axis=(1, 2)).max())

@@ -154,7 +154,7 @@ def modes(
     Raises RotorsimError as `linearise`. Source: Friswell et al., Dynamics of Rotating Machines (2010), 3.6.
     """
     model = as_model(diagram)
-    system = linearise(model, parameters=parameters, inputs=(), outputs=_shape_signals(model), at=at)
+    system = linearise(model, parameters=parameters, inputs=(), outputs=shape_signals(model), at=at)
     found = eigen(system.A)
     direction = whirl(found, system)
     pairs = _displacements(model)
@@ -172,7 +172,8 @@ def modes(
     )
 
 
-def _shape_signals(model: Model) -> tuple[str, ...]:
+def shape_signals(model: Model) -> tuple[str, ...]:
+    """Return the two-axis displacements and tilts that make up mode shapes."""
     names = two_axis_signals(model)
     tilts = tuple(n for n in model.signals if n.endswith(".tilt") and model.signals[n].shape[-1:] == (2,))
     return names + tuple(n for n in tilts if n not in names)

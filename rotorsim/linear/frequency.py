@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from rotorsim._shown import Shown, xarray_module
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.linear.linearisation import LinearSystem, as_model, linearise, speed_of
 from rotorsim.model.compiled import Model
 
@@ -227,8 +227,6 @@ def controller_output(diagram: Diagram | Model, controller: str) -> str:
     """
     nodes = diagram.diagram.nodes if isinstance(diagram, Model) else diagram.nodes
     if controller not in nodes:
-        from rotorsim.errors import near_miss
-
         raise RotorsimError(Problem(what="no such block", subject=controller, hint=near_miss(controller, nodes)))
     ports = list(nodes[controller].outputs)
     if "current" in ports:

@@ -14,6 +14,7 @@ import numpy as np
 from rotorsim.block import Shape
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.linear.state_space import StateSpace, reached
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
 
@@ -35,17 +36,13 @@ SINGULAR = 1e-14  # reciprocal condition number below which a group of states is
 
 
 @dataclass(frozen=True)
-class LinearSystem:
-    """The linear system d x/dt = A x + B u, y = C x + D u of deviations from an operating point.
+class LinearSystem(StateSpace):
+    """The linear system of deviations from an operating point.
 
-    A (n, n), B (n, m), C (k, n), D (k, m), SI units. states, inputs, outputs: flat names, one per entry.
-    x: operating point (n,). notes: what the reader must know (averages, drifting states).
+    states, inputs, outputs: flat names, one per entry. x: operating point (n,). notes: what the reader must know
+    (averages, drifting states).
     """
 
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -54,36 +51,6 @@ class LinearSystem:
     x: np.ndarray
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
-
-    def poles(self) -> np.ndarray:
-        """Return the eigenvalues of A [1/s], shape (n,)."""
-        return np.asarray(np.linalg.eigvals(self.A))
-
-    def response(self, frequencies: Any) -> np.ndarray:
-        """Return C (i 2 pi f I - A)^-1 B + D at frequencies f [Hz], shape (len(f), k, m); inf on a pole."""
-        s = 2j * np.pi * np.atleast_1d(np.asarray(frequencies, float))
-        n = len(self.A)
-        if n == 0 or 0 in self.B.shape or 0 in self.C.shape:
-            return np.repeat(self.D[None].astype(complex), len(s), 0)
-        out = np.empty((len(s), *self.D.shape), complex)
-        chunk = max(1, 2_000_000 // (n * n))
-        for start in range(0, len(s), chunk):
-            part = s[start : start + chunk]
-            matrices = part[:, None, None] * np.eye(n) - self.A
-            try:
-                solved = np.linalg.solve(matrices, np.broadcast_to(self.B, (len(part), *self.B.shape)))
-                out[start : start + chunk] = self.C @ solved + self.D
-            except np.linalg.LinAlgError:
-                for k, matrix in enumerate(matrices):
-                    out[start + k] = _response_at(matrix, self)
-        return out
-
-
-def _response_at(matrix: np.ndarray, system: LinearSystem) -> np.ndarray:
-    try:
-        return np.asarray(system.C @ np.linalg.solve(matrix, system.B.astype(complex)) + system.D)
-    except np.linalg.LinAlgError:
-        return np.full(system.D.shape, complex(np.inf))
 
 
 def as_model(diagram: Diagram | Model, inject: Sequence[str] = (), replace: Sequence[str] = ()) -> Model:
@@ -110,6 +77,12 @@ def flat_names(model: Model, name: str) -> list[str]:
     signal, positions = model.select(name)
     names = entry_names(signal.name, signal.shape)
     return [names[k] for k in positions]
+
+
+def can_move(model: Model, name: str) -> bool:
+    """Return whether an entry of a signal can be anything but zero (that of a pinned node cannot)."""
+    expression = model.expression(name)
+    return not (expression.is_constant() and float(expression) == 0.0)
 
 
 def state_names(model: Model) -> tuple[str, ...]:
@@ -146,47 +119,24 @@ def refuse_sampled(model: Model, what: str) -> None:
         )
 
 
-@dataclass
-class _Functions:
-    """Jacobians of one model, made once."""
-
-    model: Model
-    made: dict[Any, MatrixFunction] = field(default_factory=dict)
-
-    @property
-    def arguments(self) -> list[Any]:
-        trace = self.model.trace
-        return [trace.t, trace.x, trace.z, trace.p]
-
-    def state_matrix(self) -> MatrixFunction:
-        if "A" not in self.made:
-            self.made["A"] = MatrixFunction(self.arguments, self.model.jacobian_expression)
-        return self.made["A"]
-
-    def matrices(self, outputs: tuple[str, ...]) -> dict[str, MatrixFunction]:
-        trace, model = self.model.trace, self.model
-        y = ca.vertcat(*[model.expression(name) for name in outputs]) if outputs else ca.SX(0, 1)
-        zero = ca.SX.zeros(*trace.v.shape)
-        for key, of, by in (("B", trace.xdot, trace.v), (("C", outputs), y, trace.x), (("D", outputs), y, trace.v)):
-            if key not in self.made:
-                jacobian = ca.substitute(ca.jacobian(of, by), trace.v, zero)
-                self.made[key] = MatrixFunction(self.arguments, jacobian)
-        return {
-            "A": self.state_matrix(),
-            "B": self.made["B"],
-            "C": self.made["C", outputs],
-            "D": self.made["D", outputs],
-        }
+_CACHE: WeakKeyDictionary[Model, dict[tuple[str, ...], dict[str, MatrixFunction]]] = WeakKeyDictionary()
 
 
-_CACHE: WeakKeyDictionary[Model, _Functions] = WeakKeyDictionary()
-
-
-def functions(model: Model) -> _Functions:
-    """Return the Jacobian functions of a model; they are kept as long as the model lives."""
-    if model not in _CACHE:
-        _CACHE[model] = _Functions(model)
-    return _CACHE[model]
+def jacobians(model: Model, outputs: tuple[str, ...] = ()) -> dict[str, MatrixFunction]:
+    """Return A, B, C, D as functions of (t, x, z, p); they are kept as long as the model lives."""
+    known = _CACHE.setdefault(model, {})
+    if outputs not in known:
+        trace = model.trace
+        arguments = [trace.t, trace.x, trace.z, trace.p]
+        y = ca.vertcat(ca.SX(0, 1), *[model.expression(name) for name in outputs])
+        made = {"A": MatrixFunction(arguments, lambda: model.jacobian_expression)}
+        for key, of, by in (("B", trace.xdot, trace.v), ("C", y, trace.x), ("D", y, trace.v)):
+            jacobian = ca.substitute(ca.jacobian(of, by), trace.v, ca.SX.zeros(*trace.v.shape))
+            made[key] = MatrixFunction(arguments, jacobian)
+        known[outputs] = made
+        if outputs:  # the same for all outputs
+            known[outputs] |= {key: jacobians(model)[key] for key in "AB"}
+    return known[outputs]
 
 
 def require_finite(model: Model, A: np.ndarray) -> None:
@@ -227,13 +177,7 @@ def drifting_states(A: np.ndarray) -> tuple[list[int], list[int]]:
             singular = bool(values[-1] <= SINGULAR * values[0])
         if singular:
             seeds += members.tolist()
-    reached = np.zeros(n, bool)
-    reached[seeds] = True
-    while True:
-        new = reached | pattern[:, reached].any(axis=1)
-        if (new == reached).all():
-            return sorted(seeds), np.flatnonzero(reached).tolist()
-        reached = new
+    return sorted(seeds), np.flatnonzero(reached(pattern, np.isin(np.arange(n), seeds))).tolist()
 
 
 def equilibrium(
@@ -257,7 +201,7 @@ def equilibrium(
     times = _instants(model, p) if t is None else np.array([t])
     x = (model.x0(p) if start is None else np.asarray(start, float)).copy()
     z, many = model.z0(p), np.repeat(p[None], len(times), 0)
-    jacobian = functions(model).state_matrix()
+    jacobian = jacobians(model)["A"]
     names = state_names(model)
 
     def rates(at: np.ndarray) -> np.ndarray:
@@ -380,7 +324,7 @@ def linearise(
         x = np.asarray(at, float).ravel()
         if x.shape != (model.n_x,):
             raise RotorsimError(Problem(what=f"operating point has {x.size} entries, {model.n_x} expected"))
-    made = functions(model).matrices(tuple(outputs))
+    made = jacobians(model, tuple(outputs))
     times = np.zeros(1)
     if ca.depends_on(model.jacobian_expression, model.trace.t):
         times = _instants(model, p)

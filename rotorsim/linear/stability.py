@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from rotorsim.model.compiled import Model
+from rotorsim.model.runge_kutta import RK4
 
 __all__ = ["Growing", "growing", "largest_stable_step", "rounded_down", "step_factor"]
 
@@ -76,11 +77,8 @@ def growing(A: np.ndarray) -> Growing:
 
 
 def step_factor(q: np.ndarray) -> np.ndarray:
-    """Return |R(q)|, by which classical RK4 changes exp(lambda t) in one step, q = h lambda.
-
-    R(q) = 1 + q + q^2/2 + q^3/6 + q^4/24. Source: Hairer & Wanner, Solving ODEs II, sec. IV.2.
-    """
-    return np.asarray(np.abs(1 + q * (1 + q / 2 * (1 + q / 3 * (1 + q / 4)))))
+    """Return |R(q)|, by which `RK4` changes exp(lambda t) in one step, q = h lambda: 1 + q + q^2/2 + q^3/6 + q^4/24."""
+    return np.asarray(np.abs(np.polynomial.polynomial.polyval(q, RK4.stability)))
 
 
 def largest_stable_step(eigenvalues: np.ndarray) -> float:

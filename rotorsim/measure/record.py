@@ -13,8 +13,7 @@ from rotorsim.linear.eigenmodes import require_speed
 from rotorsim.linear.linearisation import refuse_sampled
 from rotorsim.model.compiled import Model
 from rotorsim.recordings.recording import ANGLE
-from rotorsim.settled.harmonic_balance import Settings, balance
-from rotorsim.settled.linear_response import Setup, solve
+from rotorsim.settled.continuation import Settings, Setup, orbits
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate
 
@@ -109,10 +108,7 @@ def settled_state(model: Model, parameters: Mapping[str, float] | None = None) -
     where = f"{model.diagram.name} at {base[0] * 30 / math.pi:.6g} rpm"
     if not base[0] > 0:
         raise RotorsimError(Problem("a settled start needs a speed above zero", where))
-    if model.linear:
-        motion = solve(setup, base, p, None, _TOLERANCE, True)
-    else:
-        motion = balance(setup, base, p, Settings(harmonics=None, tolerance=_TOLERANCE, stability=True))
+    motion = orbits(setup, base, p, Settings(harmonics=None, tolerance=_TOLERANCE, stability=True))
     if motion.status[0] != "settled":
         raise RotorsimError(Problem(f"no settled start: {motion.status[0]}", where), exit_code=1)
     X = np.nan_to_num(motion.X[0], nan=0.0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -12,22 +13,49 @@ __all__ = ["MatrixFunction"]
 
 
 class MatrixFunction:
-    """A matrix expression evaluated at many points at once; only its nonzeros are computed."""
+    """A matrix expression evaluated at many points at once; only its nonzeros are computed.
 
-    def __init__(self, arguments: Sequence[Any], expression: Any) -> None:
-        expression = ca.sparsify(ca.SX(expression))
-        rows, columns = expression.sparsity().get_triplet()
-        self.shape: tuple[int, int] = expression.shape
-        self.rows, self.columns = np.array(rows, int), np.array(columns, int)
-        self._function: Any = ca.Function("f", list(arguments), [expression.nz[:]]) if rows else None
+    expression: or what returns it. It is compiled when it is first needed.
+    """
+
+    def __init__(self, arguments: Sequence[Any], expression: Any | Callable[[], Any]) -> None:
+        self._arguments, self._given = list(arguments), expression
         self._sizes = [argument.numel() for argument in arguments]
         self._mapped: dict[tuple[int, tuple[int, ...]], Any] = {}
+
+    @cached_property
+    def _expression(self) -> Any:
+        return ca.sparsify(ca.SX(self._given() if callable(self._given) else self._given))
+
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        rows, columns = self._expression.sparsity().get_triplet()
+        return np.array(rows, int), np.array(columns, int)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the matrix."""
+        return tuple(self._expression.shape)
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Row of each entry that is not zero everywhere."""
+        return self._places[0]
+
+    @property
+    def columns(self) -> np.ndarray:
+        """Column of each entry that is not zero everywhere."""
+        return self._places[1]
+
+    @cached_property
+    def _function(self) -> Any:
+        return ca.Function("f", self._arguments, [self._expression.nz[:]])
 
     def __call__(self, *columns: Any) -> np.ndarray:
         """Return values, shape (n, rows, columns); each argument is a column or n columns side by side."""
         n = max((np.shape(c)[1] for c in columns if np.ndim(c) == 2), default=1)
         out = np.zeros((n, *self.shape))
-        if self._function is not None:
+        if len(self.rows):
             out[:, self.rows, self.columns] = self._nonzeros(n, columns)
         return out
 

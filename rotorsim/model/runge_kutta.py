@@ -21,6 +21,18 @@ class Tableau:
     c: tuple[float, ...]
     order: int
 
+    @property
+    def stability(self) -> tuple[float, ...]:
+        """Coefficients of R(q) = 1 + sum_k q^k b^T A^(k-1) 1, by which a step changes exp(lambda t), q = h lambda.
+
+        Source: Hairer & Wanner, Solving ODEs II, sec. IV.2.
+        """
+        stages, coefficients = [1.0] * len(self.b), [1.0]
+        for _ in self.b:
+            coefficients.append(sum(b * k for b, k in zip(self.b, stages, strict=True)))
+            stages = [sum(a * k for a, k in zip(row, stages, strict=False)) for row in self.a]
+        return tuple(coefficients)
+
 
 # The classical method (Kutta 1901), also "the" Runge-Kutta method; not to be confused with the 3/8 rule.
 RK4 = Tableau(

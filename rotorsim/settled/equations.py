@@ -1,8 +1,9 @@
-"""The traced equations of a nonlinear diagram, with their exact derivatives by states and free parameters."""
+"""The traced equations of a diagram, with their exact derivatives by states and free parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -10,123 +11,256 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.diagram.diagram import Free
+from rotorsim.linear.state_space import reached
 from rotorsim.model.compiled import Model
 from rotorsim.model.matrix_function import MatrixFunction
-from rotorsim.settled.linear_equations import instants, known_values, reached_states, slots_of, suit, with_values
-from rotorsim.settled.ports import means_of
+from rotorsim.settled.slow_states import means_of
 
-__all__ = ["NonlinearEquations", "PortEquations", "is_linear"]
+__all__ = ["Equations", "PortEquations", "instants", "is_linear", "reached_states", "slots_of", "without_inputs"]
+
+FIRST_SAMPLES = 32
+MOST_SAMPLES = 4096
+RESOLVED = 1e-11  # size of the last Fourier coefficients, relative to the largest, at which a series has ended
 
 
 def is_linear(model: Model, outputs: Sequence[str]) -> bool:
     """Return whether dx/dt and the outputs (flat names as recorded) are linear in states with constant factors."""
-    trace = model.trace
     y = ca.vertcat(*[model.expression(model.diagram.as_measured(name)) for name in outputs])
+    return _is_affine(model, model.trace.xdot, y)
+
+
+def _is_affine(model: Model, f: Any, g: Any) -> bool:
+    trace = model.trace
     varying = ca.vertcat(trace.x, trace.t, trace.v)
-    pairs = ((trace.xdot, trace.x), (trace.xdot, trace.v), (y, trace.x), (y, trace.v))
-    return not any(ca.depends_on(ca.jacobian(of, by), varying) for of, by in pairs)
+    return not any(ca.depends_on(ca.jacobian(of, by), varying) for of in (f, g) for by in (trace.x, trace.v))
 
 
-class NonlinearEquations:
-    """dx/dt = f(t, x; p, theta), y = g(t, x; p, theta) of a diagram with periodic forcing, theta the free parameters.
+def without_inputs(model: Model, expression: Any) -> Any:
+    """Return an expression with the external inputs of the model at zero."""
+    v = model.trace.v
+    return ca.substitute(expression, v, ca.SX.zeros(*v.shape)) if v.numel() else expression
 
-    p (R, n_p): what is the same in all runs becomes a number, and all that follows from it; for other runs see `at`.
-    kept (n,): the states that the outputs depend on. changing: those that the outputs, or entries of df/dx that are
-    not constant, stand for.
+
+def slots_of(model: Model, free: Free) -> list[int]:
+    """Return the entries of p that a free parameter sets (several when blocks share a diagram parameter)."""
+    parts = model.references.get(free.base) if free.base in model.diagram.parameters else [model.parameters[free.base]]
+    return [part.start + free.entry for part in parts or []]
+
+
+def instants(speeds: np.ndarray, n: int) -> np.ndarray:
+    """Return n instants of a turn at each speed, (R, n)."""
+    return np.asarray(2 * np.pi / np.abs(speeds)[:, None] * np.arange(n) / n)
+
+
+def reached_states(A: ca.Sparsity, C: ca.Sparsity) -> np.ndarray:
+    """Return the states that the outputs depend on, directly or through others."""
+    pattern = np.array(ca.DM(A, 1.0)) != 0
+    return np.flatnonzero(reached(pattern.T, np.any(np.array(ca.DM(C, 1.0)) != 0, axis=0)))
+
+
+class Equations:
+    """dx/dt = f(t, x, v; p, theta), y = g(t, x, v; p, theta) of a diagram, theta the free parameters.
+
+    Only the states that the outputs depend on are kept, ``kept`` (n,), unless every_state. v: external inputs of the
+    model (`inject`, `replace`), zero but for linear equations. p (R, n_p): what is the same in all runs becomes a
+    number, but for entries that vary, and all that follows from it; for other runs see `at`.
     """
 
-    def __init__(self, model: Model, outputs: Sequence[str], free: Sequence[Free], p: np.ndarray | None = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        outputs: Sequence[str],
+        free: Sequence[Free] = (),
+        p: np.ndarray | None = None,
+        *,
+        every_state: bool = False,
+        varying: Sequence[int] = (),
+    ) -> None:
         self.model, self.outputs, self.free = model, tuple(outputs), tuple(free)
         trace = model.trace
         self.slots = [slots_of(model, item) for item in free]
         theta = ca.SX.sym("theta", len(free))
-        self.known = known_values(p, self.slots)
+        self.known = _known_values(p, {*varying, *(slot for some in self.slots for slot in some)})
         y = ca.vertcat(*[model.expression(model.diagram.as_measured(name)) for name in outputs])
-        f, g = with_values(model, [trace.xdot, y], self.slots, theta, self.known)
-        f, g = ca.substitute([f, g], [trace.v], [ca.SX.zeros(*trace.v.shape)])
-        pattern = ca.jacobian(f, trace.x).sparsity()
-        self.kept = reached_states(pattern, ca.jacobian(g, trace.x).sparsity())
+        with_inputs = self._with_values([trace.xdot, y], theta)
+        self._affine = (model, *with_inputs)
+        B, D = (ca.jacobian(of, trace.v) for of in with_inputs)
+        f, g = ca.substitute(with_inputs, [trace.v], [ca.SX.zeros(*trace.v.shape)])
+        self.kept = np.arange(model.n_x)
+        if not every_state:
+            self.kept = reached_states(ca.jacobian(f, trace.x).sparsity(), ca.jacobian(g, trace.x).sparsity())
         keep = self.kept.tolist()
-        self.means = means_of(model)[keep]
         x = ca.SX.sym("x", len(keep))
         whole: Any = ca.SX(model.x0(model.p0))
         whole[keep] = x
         f, g = ca.substitute([f[keep], g], [trace.x], [whole])
-        self._symbols, self._x, self._f, self._g = (trace.t, trace.p, theta), x, f, g
-        J, C = ca.jacobian(f, x), ca.jacobian(g, x)
-        _, changing = _varying(J, ca.vertcat(x, trace.t, theta))
-        self.changing = np.union1d(changing, _columns(C))
-        self.n, self.c, self.m = len(keep), len(self.outputs), len(free)
-        bends = [bool(ca.depends_on(ca.vertcat(ca.vec(J), ca.vec(C)), theta[j])) for j in range(self.m)]
-        self.matrices = {"J": _Dependence(np.array(bends, float))}
+        self.n, self.n_v, self.m = len(keep), trace.v.numel(), len(free)
+        self.whole = PortEquations((trace.t, trace.p, theta), x, f, g, B[keep, :], D)
         self.theta0 = np.array([item.value for item in free])
 
-    def at(self, p: np.ndarray) -> NonlinearEquations:
+    def _with_values(self, expressions: list[Any], theta: Any) -> list[Any]:
+        """Return expressions with free parameters in their slots, numbers for what is known, and z as at the start."""
+        trace = self.model.trace
+        entries = ca.vertsplit(trace.p) if trace.p.numel() > 1 else [trace.p]
+        for slot, value in self.known.items():
+            entries[slot] = ca.SX(value)
+        for j, own in enumerate(self.slots):
+            for slot in own:
+                entries[slot] = theta[j]
+        new = [ca.vertcat(*entries), ca.SX(self.model.z0(self.model.p0))]
+        return list(ca.substitute(expressions, [trace.p, trace.z], new))  # type: ignore[arg-type]
+
+    def at(self, p: np.ndarray) -> Equations:
         """Return the equations for known parameters p (R, n_p), of which others may be the same in all runs."""
-        return self if suit(self.known, p) else self._general
+        return self if self.suit(p) else self._general
+
+    def suit(self, p: np.ndarray) -> bool:
+        """Return whether all runs of p (R, n_p) have the known values."""
+        return all((p[:, slot] == value).all() for slot, value in self.known.items())
 
     @cached_property
-    def _general(self) -> NonlinearEquations:
-        return NonlinearEquations(self.model, self.outputs, self.free)
+    def _general(self) -> Equations:
+        return Equations(self.model, self.outputs, self.free)
 
     @cached_property
-    def whole(self) -> PortEquations:
-        """The equations with every state in its place."""
-        everything = np.arange(self.n)
-        return self.at_ports(everything, everything)
+    def means(self) -> np.ndarray:
+        """What is known of the mean of every kept state, (n,), see `means_of`."""
+        return means_of(self.model)[self.kept]
+
+    @cached_property
+    def linear(self) -> bool:
+        """Whether f and g are linear in states and inputs, with factors that do not depend on time."""
+        return _is_affine(*self._affine)
+
+    @cached_property
+    def changing(self) -> np.ndarray:
+        """The states that the outputs, or entries of df/dx that are not constant, stand for."""
+        part = self.whole
+        columns = np.unique(np.array(part.dg_dx.sparsity().get_triplet()[1], int))
+        return np.union1d(_varying(part.df_dx, ca.vertcat(part.x, part.symbols[0], part.symbols[2]))[1], columns)
+
+    def moved_by(self, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """Return which parameters change the equations themselves, not only their forcing, (m,); p (1, n_p)."""
+        part = self.whole
+        if self.linear:
+            moved = [matrix(p, theta[None])[1].reshape(-1, self.m).any(axis=0) for matrix in part.matrices.values()]
+            return np.asarray(np.any(moved, axis=0))
+        entries = ca.vertcat(ca.vec(part.df_dx), ca.vec(part.dg_dx))
+        return np.array([bool(ca.depends_on(entries, part.symbols[2][j])) for j in range(self.m)], bool)
 
     def at_ports(self, rows: np.ndarray, columns: np.ndarray) -> PortEquations:
         """Return some rows of f as functions of some states, the others at zero."""
-        x = ca.SX.sym("x", len(columns))
+        part, r, c = self.whole, rows.tolist(), columns.tolist()
+        x = ca.SX.sym("x", len(c))
         full: Any = ca.SX.zeros(self.n)
-        full[columns.tolist()] = x
-        f, g = ca.substitute([self._f[rows.tolist()], self._g], [self._x], [full])
-        return PortEquations(*self._symbols, x, f, g)
+        full[c] = x
+        f, g = ca.substitute([part.rates[r], part.outputs], [part.x], [full])
+        return PortEquations(part.symbols, x, f, g, part.df_dv[r, :], part.dg_dv)
 
-    def at_rest(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, n: int) -> np.ndarray:
-        """Return [f; g] at rest at n instants of a turn, as `functions.Equations.at_rest`."""
-        R = len(p)
-        times = instants(speeds, n).reshape(1, -1)
-        points = (times, np.zeros((self.n, R * n)), np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T)
-        return np.concatenate([self.whole.f(*points), self.whole.g(*points)], axis=1).reshape(R, n, -1)
+
+@dataclass(frozen=True, eq=False)
+class _Matrix:
+    """A matrix of the equations and its derivatives by the free parameters, both only where they are not zero."""
+
+    value: MatrixFunction
+    derivative: MatrixFunction  # (nonzeros, m)
+
+    def __call__(self, p: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return values (R, rows, columns) and derivatives (R, rows, columns, m), for p (R, n_p), theta (R, m)."""
+        values = self.value(p.T, theta.T)
+        out = np.zeros((*values.shape, theta.shape[1]))
+        if len(self.value.rows):
+            out[:, self.value.rows, self.value.columns] = self.derivative(p.T, theta.T)
+        return values, out
 
 
 class PortEquations:
     """Rows of f (r,) and outputs g (c,) as functions of states x (n,), with their derivatives.
 
-    E, S: places in r and n where df/dx varies with x or t. Every function takes (times, x, p, theta) as columns, one
-    for each of N points.
+    f, J = df/dx, f_theta = df/dtheta, g, C = dg/dx, g_theta, and f_rows, J_part at the ``places`` E in r and S in n
+    where J varies with x or t, take (times, x, p, theta) as columns, one for each of N points. matrices: A, B, C, D of
+    linear equations, dx/dt = A x + B v + f(t), y = C x + D v + g(t), as functions of p and theta.
     """
 
-    def __init__(self, t: Any, p: Any, theta: Any, x: Any, f: Any, g: Any) -> None:
-        arguments = [t, x, p, theta]
-        J = ca.jacobian(f, x)
-        self.E, self.S = _varying(J, ca.vertcat(x, t))
-        rows, columns = self.E.tolist(), self.S.tolist()
-        self.f = MatrixFunction(arguments, f)
-        self.f_rows = MatrixFunction(arguments, f[rows] if rows else ca.SX(0, 1))
-        self.J = MatrixFunction(arguments, J)
-        self.J_part = MatrixFunction(arguments, J[rows, columns] if rows else ca.SX(0, 0))
-        self.f_theta = MatrixFunction(arguments, ca.jacobian(f, theta))
-        self.g = MatrixFunction(arguments, g)
-        self.C = MatrixFunction(arguments, ca.jacobian(g, x))
-        self.g_theta = MatrixFunction(arguments, ca.jacobian(g, theta))
-        self.r, self.n, self.c, self.m = f.numel(), x.numel(), g.numel(), theta.numel()
+    def __init__(self, symbols: tuple[Any, Any, Any], x: Any, f: Any, g: Any, B: Any, D: Any) -> None:
+        self.symbols, self.x, self.rates, self.outputs = symbols, x, f, g
+        self.df_dx, self.dg_dx, self.df_dv, self.dg_dv = ca.jacobian(f, x), ca.jacobian(g, x), B, D
+        self.r, self.n, self.c, self.m = f.numel(), x.numel(), g.numel(), symbols[2].numel()
+        self.samples = FIRST_SAMPLES
+        t, p, theta = symbols
+        points = [t, x, p, theta]
+        self.f, self.g = MatrixFunction(points, f), MatrixFunction(points, g)
+        self.J, self.C = MatrixFunction(points, self.df_dx), MatrixFunction(points, self.dg_dx)
+        self.f_theta = MatrixFunction(points, lambda: ca.jacobian(f, theta))
+        self.g_theta = MatrixFunction(points, lambda: ca.jacobian(g, theta))
+        self.f_rows = MatrixFunction(points, lambda: f[self.places[0].tolist(), :])
+        self.J_part = MatrixFunction(points, lambda: self.df_dx[self.places[0].tolist(), self.places[1].tolist()])
+
+    @cached_property
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows E of f that are not linear in x with constant factors, and states S that these are not linear in."""
+        return _varying(self.df_dx, ca.vertcat(self.x, self.symbols[0]))
+
+    @cached_property
+    def matrices(self) -> dict[str, _Matrix]:
+        """A, B, C, D of linear equations."""
+        _, p, theta = self.symbols
+        made = {}
+        for key, jacobian in zip("ABCD", (self.df_dx, self.df_dv, self.dg_dx, self.dg_dv), strict=True):
+            matrix = ca.sparsify(jacobian)
+            nonzeros = matrix.nz[:] if matrix.nnz() else ca.SX(0, 1)
+            derivative = MatrixFunction([p, theta], ca.jacobian(nonzeros, theta))
+            made[key] = _Matrix(MatrixFunction([p, theta], matrix), derivative)
+        return made
+
+    @cached_property
+    def _at_rest(self) -> list[tuple[MatrixFunction, MatrixFunction]]:
+        zero = ca.SX.zeros(*self.x.shape)
+        rest = ca.substitute([self.rates, self.outputs], [self.x], [zero])
+        theta = self.symbols[2]
+        return [tuple(MatrixFunction(self.symbols, e) for e in (at, ca.jacobian(at, theta))) for at in rest]  # type: ignore[misc]
+
+    def at_rest(self, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Return [f; g] at rest at times (R, N), for p (R, n_p), theta (R, m): (R, N, r + c)."""
+        return self._columns([value for value, _ in self._at_rest], p, theta, times)[..., 0]
+
+    def sampled(self, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `at_rest` and its derivatives (R, N, r + c, m)."""
+        derivatives = self._columns([derivative for _, derivative in self._at_rest], p, theta, times)
+        return self.at_rest(p, theta, times), derivatives
+
+    @staticmethod
+    def _columns(
+        functions: Sequence[MatrixFunction], p: np.ndarray, theta: np.ndarray, times: np.ndarray
+    ) -> np.ndarray:
+        R, n = times.shape
+        points = times.reshape(1, -1), np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T
+        return np.concatenate([function(*points).reshape(R, n, *function.shape) for function in functions], axis=2)
+
+    def forcing(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return Fourier coefficients of [f; g] at rest and their derivatives, orders 0..K.
+
+        p (R, n_p), theta (R, m), speeds (R,) [rad/s] -> (R, K+1, r + c) and (R, K+1, r + c, m), complex.
+        """
+        n = max(self.samples, 1 << (2 * K + 2).bit_length())
+        while True:
+            values, derivatives = self.sampled(p, theta, instants(speeds, n))
+            coefficients = np.fft.rfft(values, axis=1) / n
+            size = np.abs(coefficients)
+            tail = size[:, -n // 8 :].max(initial=0.0)
+            if n >= MOST_SAMPLES or tail <= RESOLVED * size.max(initial=0.0):
+                break
+            n *= 2
+        self.samples = n
+        return coefficients[:, : K + 1], np.fft.rfft(derivatives, axis=1)[:, : K + 1] / n
 
 
-class _Dependence:
-    """Says by derivatives of one which parameters the Jacobian depends on, as a matrix of linear equations does."""
-
-    def __init__(self, bends: np.ndarray) -> None:
-        self.bends = bends
-
-    def __call__(self, p: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.zeros((len(p), 1, 1)), np.tile(self.bends, (len(p), 1, 1, 1))
-
-
-def _columns(matrix: Any) -> np.ndarray:
-    """Return the columns of a sparse matrix that are not empty."""
-    return np.unique(np.array(matrix.sparsity().get_triplet()[1], int))
+def _known_values(p: np.ndarray | None, varying: set[int]) -> Mapping[int, float]:
+    """Return what is the same in all runs of p (R, n_p), by its entry: but for what varies."""
+    if p is None:
+        return {}
+    same = np.flatnonzero((p == p[:1]).all(axis=0)).tolist()
+    return {slot: float(p[0, slot]) for slot in same if slot not in varying}
 
 
 def _varying(jacobian: Any, variables: Any) -> tuple[np.ndarray, np.ndarray]:

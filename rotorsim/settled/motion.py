@@ -1,425 +1,332 @@
-"""Settled motion of a nonlinear diagram at many runs at once, and its exact derivatives by the free parameters.
+"""The settled motion of many runs and its exact derivatives by the free parameters; directly where it is linear.
 
-Harmonic balance with alternating frequency/time, condensed to the states that enter nonlinearly, by way of the ports
-of all the others: X_k = G_k (F_k + g_k),  g = f(t, x) - f(t, 0) - A x. Derivatives follow from the same linear system.
-
-Source: Cameron & Griffin, J. Appl. Mech. 56 (1989) 149-154; Krack & Gross (2019), ch. 2-4.
+(i k W - A) X_k = F_k + B V_k,  Y_k = C X_k + G_k + D V_k;  all of it differentiated exactly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Self
 
 import numpy as np
 
-from rotorsim.settled.equations import NonlinearEquations, PortEquations
-from rotorsim.settled.ports import FRESH, Ports, open_ports, slow_states
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.settled.equations import Equations, PortEquations, instants
+from rotorsim.settled.ports import Ports, open_ports
+from rotorsim.settled.resolvent import Resolvent, resolvent_of
+from rotorsim.settled.slow_states import DENSE, slow_states
+from rotorsim.settled.torus import Torus
 
-__all__ = ["NonlinearMotion", "Prediction"]
+__all__ = ["FreshMeans", "LinearMotion", "Prediction", "Response", "SettledMotion"]
 
-EXTRA_ORDERS, SHARP_ORDERS = 8, 40  # beyond those compared with data
-MOST_STEPS = 60  # where a law has corners, as dry friction that nearly sticks, most of them are short
-SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0)  # of a law, in steps, where Newton's method fails at once
-SMALLEST_LENGTH = 2.0**-6
-CLOSE = 1e-9
-SIZES = (1e-6, 1e-4, 1e-2, 1.0, 1e2)  # of states at which it is seen what a law moves: gaps and limits are passed
-PROBES = 4  # points of each size
-WIDE = 0.1  # relative, of the parameters there
+PROBES = 2  # other values of the parameters at which it is seen what they move
+WIDE = 0.1  # relative
+SAMPLES = 16  # of a turn
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Y (R, K+1, c); slopes dY/dtheta (R, K+1, c, m); dY by the means of slow states of each run, (K+1, c, s).
+    """The settled motion at one value of the free parameters, at orders 0..K and the lines beside them, (R, lines, ..).
 
-    settled (R,): whether a periodic motion was found.
+    Y (R, lines, c): outputs. settled (R,): whether a periodic motion exists. by_means: of each run, dY by the means
+    of its slow states, (lines, c, s). sensitivity: returns dY/dtheta (R, lines, c, m). by_inputs: returns dY by the
+    measured inputs, (R, lines, c, V).
     """
 
     Y: np.ndarray
-    slopes: np.ndarray
-    by_means: list[np.ndarray]
     settled: np.ndarray
+    by_means: Sequence[np.ndarray]
+    sensitivity: Callable[[], np.ndarray]
+    by_inputs: Callable[[], np.ndarray]
 
 
-class NonlinearMotion:
-    """The settled motion of R runs as a function of the free parameters.
+@dataclass(frozen=True, eq=False)
+class FreshMeans:
+    """Slow states of one run that start with it: their places (k,), means (k,) and d mean / d theta (k, m).
 
-    p (R, n_p), speeds (R,) [rad/s], windows (R,) [s], phase (R,): shaft angle at t = 0. Each solution is the start of
-    the next. Modes that are slow against the window need not have settled: the mean of one state for each is given.
+    count: of all slow states of the run.
     """
 
-    def __init__(
-        self,
-        equations: NonlinearEquations,
-        p: np.ndarray,
-        speeds: np.ndarray,
-        K: int,
-        windows: Sequence[float],
-        phase: np.ndarray,
-    ) -> None:
-        self.equations, self.p, self.speeds, self.K = equations.at(p), p, speeds, K
-        self.windows, self.phase = np.asarray(windows, float), phase
-        self._resolve(EXTRA_ORDERS)
+    count: int
+    places: np.ndarray
+    values: np.ndarray
+    jacobian: np.ndarray
 
-    def _resolve(self, extra: int) -> None:
-        self.H = self.K + extra
-        self.count = 1 << int(np.ceil(np.log2(4 * (self.H + 1))))
-        step = 2 * np.pi / np.abs(self.speeds) / self.count
-        start = -np.sign(self.speeds) * self.phase / np.abs(self.speeds)
-        self.times = start[:, None] + step[:, None] * np.arange(self.count)
-        self.ports: Ports | None = None
-        self.last: np.ndarray | None = None
+    def start(self, near: np.ndarray | None) -> np.ndarray:
+        """Return means (count,) to begin with: those known, the others as they were before, or zero."""
+        means = np.zeros(self.count) if near is None else near.copy()
+        means[self.places] = self.values
+        return means
 
-    def sharpen(self) -> None:
-        """Take SHARP_ORDERS more orders from now on: for laws with corners, where it matters."""
-        last = self.last
-        self._resolve(SHARP_ORDERS)
-        if last is not None:
-            self.last = np.pad(last, ((0, 0), (0, self.H + 1 - last.shape[1]), (0, 0)))
 
-    def at(self, p: np.ndarray) -> NonlinearMotion:
+@dataclass(eq=False)
+class SettledMotion(ABC):
+    """The settled motion of R runs as a function of the free parameters theta (m,).
+
+    p (R, n_p): settings and speed of each run; speeds (R,) [rad/s]; orders 0..K; windows (R,) [s]; phase (R,): shaft
+    angle at t = 0. Modes that are slow against the window need not have settled: the mean of one state for each such
+    mode is given. beside: lines of an asynchronous frequency. last (R, H+1, S): harmonics of the states that enter
+    nonlinearly, as they were found last.
+    """
+
+    equations: Equations
+    p: np.ndarray
+    speeds: np.ndarray
+    K: int
+    windows: np.ndarray
+    phase: np.ndarray
+    beside: Torus | None = None
+    last: np.ndarray | None = field(default=None, init=False)
+
+    is_linear: ClassVar[bool]
+    corrections: ClassVar[int]  # of means and inputs until they are right: one where the motion is linear in them
+
+    def __post_init__(self) -> None:
+        self.equations = self.equations.at(self.p)
+
+    def at(self, p: np.ndarray) -> Self:
         """Return the motion at other known parameters p (R, n_p)."""
-        return NonlinearMotion(self.equations, p, self.speeds, self.K, list(self.windows), self.phase)
+        return replace(self, p=p)
 
-    def predict(self, theta: np.ndarray, means: Sequence[np.ndarray] | None = None) -> Prediction:
-        """Return the motion at theta (m,) with slow states at given means (default: zero)."""
-        at = _Point(self, self.opened(theta), theta)
-        X, settled = self._settle(at, means)
-        found = X[:, :, self.inner.S]
-        if settled.all():
-            self.last = found
-        elif self.last is not None:
-            self.last = np.where(settled[:, None, None], found, self.last)
-        return self._linearised(at, X, settled)
+    @abstractmethod
+    def predict(
+        self, theta: np.ndarray, means: Sequence[np.ndarray] | None = None, inputs: np.ndarray | None = None
+    ) -> Prediction:
+        """Return the motion with slow states at given means, and measured inputs (R, lines, V); default: zero."""
 
-    def means_of_zero(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Return zero means of the slow states of each run."""
-        return [np.zeros(slow.shape[1]) for slow in self.opened(theta).slow]
+    @abstractmethod
+    def fresh_means(self, theta: np.ndarray) -> list[FreshMeans]:
+        """Return the means that are known of the slow states of each run: of those that start with it."""
 
-    def fresh_means(self, theta: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Return which slow states of each run start with it (k,), their means (k,) and d mean / d theta (k, m).
+    @abstractmethod
+    def growth(self, theta: np.ndarray) -> np.ndarray:
+        """Return the largest growth rate [1/s] of a disturbance of the motion of every run, (R,)."""
 
-        x' = f - a x from x_0 on has over a window T the mean x_0 g + f T (1 - g) / u,  g = (1 - e^-u) / u,  u = a T.
-        """
-        self.opened(theta)
-        equations, whole = self.equations, self.equations.whole
-        x_0 = equations.model.x0(equations.model.p0)[equations.kept]
-        found = []
-        for r, (slow, T) in enumerate(zip(self.slow, self.windows, strict=True)):
-            places = np.flatnonzero(equations.means[slow] == FRESH)
-            values, slopes = np.zeros(len(places)), np.zeros((len(places), len(theta)))
-            for k, state in enumerate(slow[places]):
-                x = np.zeros((equations.n, 2))
-                x[state, 1] = 1.0
-                point = (
-                    self.times[r, :1].repeat(2)[None],
-                    x,
-                    self.p[r, :, None].repeat(2, 1),
-                    theta[:, None].repeat(2, 1),
-                )
-                f, df = whole.f(*point)[:, state, 0], whole.f_theta(*point)[:, state]
-                u, du = (f[0] - f[1]) * T, (df[0] - df[1]) * T
-                g, rest = _settling(u)
-                values[k] = x_0[state] * g[0] + f[0] * T * rest[0]
-                slopes[k] = (x_0[state] * g[1] + f[0] * T * rest[1]) * du + df[0] * T * rest[0]
-            found.append((places, values, slopes))
-        return found
+    def sharpen(self) -> bool:
+        """Take more orders from now on, for laws with corners; return whether that changes anything."""
+        return False
 
-    def opened(self, theta: np.ndarray) -> Ports:
-        """Return the ports of all that no parameter and no nonlinear law moves, found at the first theta (m,)."""
-        if self.ports is not None:
-            return self.ports
-        R, n = len(self.p), self.equations.n
-        whole = self.equations.whole
-        many = np.repeat(theta[None], R, 0).T
-        A = whole.J(self.times[:, 0][None], np.zeros((n, R)), self.p.T, many)
-        if not np.isfinite(A).all():
-            raise ValueError("the equations are not finite at rest")
-        slow = [slow_states(A[r], self.windows[r], self.equations.means) for r in range(R)]
-        self.slow = slow
-        times = self.times[:, ::8]
-        count = times.shape[1]
-        at_rest = (np.zeros((n, R * count)), np.repeat(self.p, count, 0).T, np.repeat(theta[None], R * count, 0).T)
-        moved = [f(times.reshape(1, -1), *at_rest) for f in (whole.f, whole.f_theta)]
-        groups = [values.reshape(len(values), n, -1).transpose(1, 0, 2).reshape(n, -1) for values in moved]
+    def begin_from(self, other: SettledMotion, runs: np.ndarray, theta: np.ndarray) -> None:  # noqa: B027
+        """Start the search for each motion from that of a run (R,) of another one, where a search is needed."""
+
+    def linear(self) -> LinearMotion | None:
+        """Return the motion, for what only a linear diagram allows; None for others."""
+        return None
+
+
+@dataclass(eq=False)
+class Response:
+    """What linear equations say at one value of the free parameters, for R runs and orders 0..K.
+
+    A (R, n, n), B (R, n, V), C (R, c, n), D (R, c, V); derivatives: of each (..., m); F (R, K+1, n + c) and dF: Fourier
+    coefficients of the forcing of states and outputs. resolvent: (i k W - A)^-1; at order 0 of the part without slow
+    states. With ports (`rotorsim.settled.ports`) rows of A, B and F are those that carry w, columns the states that
+    matter, and A counts from the reference.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    derivatives: dict[str, np.ndarray]
+    F: np.ndarray
+    dF: np.ndarray
+    resolvent: Resolvent
+
+    def states(self, inputs: np.ndarray | None = None, means: Sequence[np.ndarray] | None = None) -> np.ndarray:
+        """Return X (R, K+1, n) for inputs V (R, K+1, V) and means of slow states (default: zero)."""
+        right = self.F[:, :, : self.A.shape[1]]
+        if inputs is not None and inputs.shape[2]:
+            right = right + inputs @ self.B.swapaxes(1, 2)
+        X = np.asarray((self.resolvent.gain @ right[..., None])[..., 0])
+        for r, values in enumerate(means or ()):
+            X[r, 0] += self.resolvent.slow[r] @ values
+        return X
+
+    def outputs(self, X: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarray:
+        """Return Y (R, K+1, c) of states X."""
+        Y = X @ self.C.swapaxes(1, 2) + self.F[:, :, self.A.shape[1] :]
+        if inputs is not None and inputs.shape[2]:
+            Y = Y + inputs @ self.D.swapaxes(1, 2)
+        return np.asarray(Y)
+
+    def transfer(self) -> np.ndarray:
+        """Return dY/dV (R, K+1, c, V)."""
+        return np.asarray(self.C[:, None] @ (self.resolvent.gain @ self.B[:, None].astype(complex)) + self.D[:, None])
+
+    def slow_states(self, r: int) -> np.ndarray:
+        """Return dX_0/dx_s of the slow states of run r, shape (n, s)."""
+        return self.resolvent.slow[r]
+
+    def sensitivity(self, X: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarray:
+        """Return dY (R, K+1, c, m) by the free parameters at states X and inputs, which stay as they are."""
+        n = self.A.shape[1]
+        right = self.dF[:, :, :n] + _by_parameters(self.derivatives["A"], X)
+        direct = self.dF[:, :, n:] + _by_parameters(self.derivatives["C"], X)
+        if inputs is not None and inputs.shape[2]:
+            right = right + _by_parameters(self.derivatives["B"], inputs)
+            direct = direct + _by_parameters(self.derivatives["D"], inputs)
+        return np.asarray(self.C[:, None] @ (self.resolvent.gain @ right) + direct)
+
+
+def _by_parameters(derivatives: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return sum over j of derivatives (R, i, j, m) values (R, k, j), as (R, k, i, m)."""
+    R, rows, columns, m = derivatives.shape
+    flat = derivatives.transpose(0, 1, 3, 2).reshape(R, rows * m, columns)
+    return np.asarray((values @ flat.transpose(0, 2, 1)).reshape(R, values.shape[1], rows, m))
+
+
+@dataclass(eq=False)
+class LinearMotion(SettledMotion):
+    """The settled motion of a linear diagram. Raises RotorsimError for diagrams that are not linear in their states."""
+
+    slow: list[np.ndarray] | None = field(default=None, init=False)
+    _ports: tuple[Ports, PortEquations] | None = field(default=None, init=False)
+    _known: tuple[bytes, Response] | None = field(default=None, init=False)  # the last one
+
+    is_linear = True
+    corrections = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.equations.linear:
+            raise RotorsimError(Problem("the diagram is not linear in its states", self.equations.model.diagram.name))
+
+    def begin_from(self, other: SettledMotion, runs: np.ndarray, theta: np.ndarray) -> None:
+        """Take the slow states of these runs of another motion."""
+        linear = other.linear()
+        if linear is not None and linear.slow is not None:
+            self.slow = [linear.slow[r] for r in runs]
+
+    def linear(self) -> LinearMotion:
+        """Return the motion itself."""
+        return self
+
+    def predict(
+        self, theta: np.ndarray, means: Sequence[np.ndarray] | None = None, inputs: np.ndarray | None = None
+    ) -> Prediction:
+        """Return the motion at theta (m,), which always exists."""
+        response = self.condensed(theta)
+        X = response.states(inputs, means)
+        Y = response.outputs(X, inputs)
+        by_means = []
+        for r, columns in enumerate(response.resolvent.slow):
+            effect = np.zeros((*Y.shape[1:], columns.shape[1]), complex)
+            effect[0] = response.C[r] @ columns
+            by_means.append(effect)
+        settled = np.ones(len(Y), bool)
+        return Prediction(Y, settled, by_means, lambda: response.sensitivity(X, inputs), response.transfer)
+
+    def fresh_means(self, theta: np.ndarray) -> list[FreshMeans]:
+        """Return that no mean is known: the data say how far each has come."""
+        nothing = np.zeros(0, int), np.zeros(0), np.zeros((0, len(theta)))
+        return [FreshMeans(len(slow), *nothing) for slow in self.slow_states(theta)]
+
+    def growth(self, theta: np.ndarray) -> np.ndarray:
+        """Return the largest real part of an eigenvalue of A of every run, (R,)."""
+        A = self.response(theta, forced=False).A
+        return np.asarray(np.linalg.eigvals(A).real.max(axis=1, initial=-np.inf))
+
+    def response(self, theta: np.ndarray, K: int | None = None, *, forced: bool = True) -> Response:
+        """Return the equations at theta (m,), for orders 0..K (default: all); not forced: F and dF are zero."""
+        K = self.K if K is None else K
+        part, many = self.equations.whole, np.repeat(theta[None], len(self.p), 0)
+        slow = self.slow_states(theta)
+        return self._response(part, many, K, lambda A: resolvent_of(A, self.grid(K), slow), forced)
+
+    def slow_states(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Return the slow states of each run, as they are at the first theta (m,)."""
+        if self.slow is None:
+            A = self.equations.whole.matrices["A"](self.p, np.repeat(theta[None], len(self.p), 0))[0]
+            runs = zip(A, self.windows, strict=True)
+            self.slow = [slow_states(matrix, window, self.equations.means) for matrix, window in runs]
+        return self.slow
+
+    def condensed(self, theta: np.ndarray) -> Response:
+        """Return the equations at theta (m,), by the ports of all that no parameter moves where states are many."""
+        key = theta.tobytes()
+        if self._known is not None and self._known[0] == key:
+            return self._known[1]
+        if self.equations.n <= DENSE:
+            response = self.response(theta)
+        else:
+            if self._ports is None:
+                self._ports = self.open_ports(theta)
+            ports, part = self._ports
+            many = np.repeat(theta[None], len(self.p), 0)
+            response = self._response(part, many, self.K, ports.closed, within=ports.within)
+        self._known = key, response
+        return response
+
+    def _response(
+        self,
+        part: PortEquations,
+        many: np.ndarray,
+        K: int,
+        resolvent: Callable[[np.ndarray], Resolvent],
+        forced: bool = True,
+        within: np.ndarray | float = 0.0,
+    ) -> Response:
+        """Return the equations of some rows and states; many: theta of each run (R, m)."""
+        values, derivatives = {}, {}
+        for key, matrix in part.matrices.items():
+            values[key], derivatives[key] = matrix(self.p, many)
+        values["A"] = values["A"] - within
+        if forced:
+            F, dF = self._forcing(part, many, K)
+        else:
+            F = np.zeros((*self.grid(K).shape, part.r + part.c), complex)
+            dF = np.zeros((*F.shape, many.shape[1]), complex)
+        return Response(**values, derivatives=derivatives, F=F, dF=dF, resolvent=resolvent(values["A"]))
+
+    def open_ports(self, theta: np.ndarray) -> tuple[Ports, PortEquations]:
+        """Return the ports of all that no parameter moves, and the equations there, seen about theta (m,)."""
+        whole, part, p = self.response(theta, forced=False), self.equations.whole, self.p
+        many = np.repeat(theta[None], len(p), 0)
+        samples = part.sampled(p, many, instants(self.speeds, SAMPLES))
+        moved = [_columns(np.moveaxis(values[:, :, : part.r], 2, 1)) for values in samples]
+        columns = [np.any(whole.C, axis=(0, 1))]
         rng = np.random.default_rng(0)
-        changing, changed = self.equations.changing, []
-        for size in SIZES:
-            few = np.repeat(np.arange(R), PROBES)
-            other = theta * (1 + WIDE * rng.uniform(-1, 1, (len(few), len(theta)))) + WIDE * (theta == 0)
-            point = (
-                rng.choice(self.times.ravel(), len(few))[None],
-                size * rng.standard_normal((n, len(few))),
-                self.p[few].T,
-                other.T,
-            )
-            with np.errstate(all="ignore"):
-                slopes = whole.J(*point)[:, :, changing] - A[few][:, :, changing]
-                by_theta = whole.f_theta(*point)
-            groups.append(by_theta.transpose(1, 0, 2).reshape(n, -1))
-            changed.append(slopes.transpose(1, 0, 2).reshape(n, -1))
-        s = 1j * np.abs(self.speeds)[:, None] * np.arange(self.H + 1)
-        self.ports = open_ports(A, s, slow, changing, groups, changed)
-        self.inner: PortEquations = self.equations.at_ports(self.ports.rows, self.ports.columns)
-        return self.ports
+        for _ in range(PROBES):
+            other = theta * (1 + WIDE * rng.uniform(-1, 1, len(theta))) + WIDE * (theta == 0)
+            many = np.repeat(other[None], len(p), 0)
+            (A, dA), (B, _), (C, _) = (part.matrices[key](p, many) for key in "ABC")
+            columns += [np.any(matrix, axis=(0, 1)) for matrix in (A - whole.A, np.any(dA, axis=3), C)]
+            moved += [_columns(matrix) for matrix in (B, dA)]
+        seen = np.flatnonzero(np.any(columns, axis=0))
+        ports = open_ports(whole.A, self.grid(self.K), self.slow_states(theta), seen, moved)
+        return ports, self.equations.at_ports(ports.rows, ports.columns)
 
-    def _settle(self, at: _Point, means: Sequence[np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return X (R, H+1, n) by Newton's method, all runs at once, and whether each has settled."""
-        S = self.inner.S
-        offset = at.slow_part(means)
-        base = np.einsum("rkij,rkj->rki", at.G, at.F) + offset
-        if not len(S):
-            return base, np.ones(len(self.p), bool)
-        C = base[:, :, S].copy() if self.last is None else self.last.copy()
-        if self.last is not None:  # a neighbour's motion, or the linear one: whichever is nearer
-            fresh = base[:, :, S]
-            near, far = (_size(self._residual(at, one, base)[0], one) for one in (fresh, C))
-            C[near < far] = fresh[near < far]
-        C, forces, settled = self._newton(at, C, base, 1.0)
-        if self.last is None and not settled.all():  # let the law grow from nothing
-            grown = base[:, :, S].copy()
-            for share in SHARES:
-                grown = np.where(np.isfinite(grown), grown, base[:, :, S])
-                grown, more, found = self._newton(at, grown, base, share)
-            late = found & ~settled
-            C[late], forces[late], settled = grown[late], more[late], settled | late
-        X: np.ndarray = base + np.einsum("rkie,rke->rki", at.G[:, :, :, self.inner.E], forces)
-        X[~settled] = np.nan
-        return X, settled
+    def grid(self, K: int) -> np.ndarray:
+        """Return i k W at orders 0..K and, with all of them, at the combinations with an asynchronous frequency."""
+        s = 1j * np.abs(self.speeds)[:, None] * np.arange(K + 1)
+        if self.beside is None or self.K != K:
+            return np.asarray(s)
+        return np.concatenate([s, 1j * self.beside.frequencies], axis=1)
 
-    def _newton(
-        self, at: _Point, C: np.ndarray, base: np.ndarray, share: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return C, the harmonics of the nonlinear rest, and whether each run has settled; share: of the rest."""
-        residual, forces = self._residual(at, C, base, share)
-        settled = _size(residual, C) <= CLOSE
-        for _ in range(MOST_STEPS):
-            if settled.all():
-                break
-            delta = at.solver(share * self._slopes(at, C)).solve(residual[..., None])[..., 0]
-            length = np.where(settled, 0.0, 1.0)
-            before = _size(residual, C)
-            while True:
-                new = C - length[:, None, None] * delta
-                trial, trial_forces = self._residual(at, new, base, share)
-                worse = ~(_size(trial, new) < (1 - 0.1 * length) * before) & (length > SMALLEST_LENGTH) & ~settled
-                if not worse.any():
-                    break
-                length[worse] /= 2
-            C, residual, forces = new, trial, trial_forces
-            stuck = (length <= SMALLEST_LENGTH) & ~settled
-            settled = settled | (_size(residual, C) <= CLOSE)
-            if (stuck | settled).all():
-                break
-        return C, forces, settled
-
-    def _residual(
-        self, at: _Point, C: np.ndarray, base: np.ndarray, share: float = 1.0
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return C less what it causes, (R, H+1, S), and the harmonics of the nonlinear rest, (R, H+1, E)."""
-        E, S = self.inner.E, self.inner.S
-        with np.errstate(all="ignore"):
-            x = self._samples(C)
-            g = at.rows(x) - at.rest - np.einsum("rms,res->rme", x, at.A_part)
-            forces = share * self._harmonics(g)
-            found = base[:, :, S] + np.einsum("rkse,rke->rks", at.G[:, :, S[:, None], E], forces)
-        return C - found, forces
-
-    def _slopes(self, at: _Point, C: np.ndarray) -> np.ndarray:
-        """Return d(rest)/dx_S at the samples, (R, count, E, S)."""
-        return np.asarray(at.part(self._samples(C)) - at.A_part[:, None])
-
-    def _linearised(self, at: _Point, X: np.ndarray, settled: np.ndarray) -> Prediction:
-        """Return outputs and their derivatives about the motion X (R, H+1, n)."""
-        equations, R, K = self.inner, len(self.p), self.K
-        safe = np.where(np.isfinite(X), X, 0.0)
-        x = self._samples(safe)
-        points = at.points(x)
-        y = equations.g(*points).reshape(R, self.count, -1)
-        C = equations.C(*points).reshape(R, self.count, equations.c, equations.n)
-        by_theta = self._harmonics(equations.f_theta(*points).reshape(R, self.count, equations.r, -1))
-        widths = [slow.shape[1] for slow in at.ports.slow]
-        most = max(widths, default=0)
-        direct = np.einsum("rkij,rkjm->rkim", at.G, by_theta)
-        direct = np.concatenate([direct, np.zeros((*direct.shape[:3], most), complex)], axis=3)
-        for r, width in enumerate(widths):
-            direct[r, 0, :, equations.m : equations.m + width] = at.slow_columns(r)
-        moved = direct
-        if len(equations.S):
-            solver = at.solver(self._slopes(at, safe[:, :, equations.S]))
-            forces = solver.forces(direct[:, :, equations.S])
-            moved = direct + np.einsum("rkie,rkem->rkim", at.G[:, :, :, equations.E], forces)
-        in_time = self._samples(moved.reshape(R, self.H + 1, -1)).reshape(R, self.count, equations.n, -1)
-        dy = np.einsum("rtcn,rtnm->rtcm", C, in_time)
-        dy[..., : equations.m] += equations.g_theta(*points).reshape(R, self.count, equations.c, -1)
-        Y = self._harmonics(y)[:, : K + 1]
-        dY = self._harmonics(dy)[:, : K + 1]
-        Y[~settled] = np.nan
-        by_means = [dY[r, :, :, equations.m : equations.m + width] for r, width in enumerate(widths)]
-        return Prediction(Y, dY[..., : equations.m], by_means, settled)
-
-    def _samples(self, C: np.ndarray) -> np.ndarray:
-        return np.asarray(np.fft.irfft(C * self.count, self.count, axis=1))
-
-    def _harmonics(self, values: np.ndarray) -> np.ndarray:
-        return np.asarray(np.fft.rfft(values, axis=1)[:, : self.H + 1] / self.count)
+    def _forcing(self, part: PortEquations, many: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the forcing of equations and its derivatives, from shaft angle zero."""
+        beside = self.beside if K == self.K else None
+        if beside is not None and beside.forced:
+            values, derivatives = part.sampled(self.p, many, beside.times)
+            F = beside.projection @ values
+            dF = (beside.projection @ derivatives.reshape(*values.shape[:2], -1)).reshape(*F.shape, -1)
+        else:
+            F, dF = part.forcing(self.p, many, self.speeds, K)
+            more = ((0, 0), (0, 0 if beside is None else beside.orders.shape[0]), (0, 0))
+            F, dF = np.pad(F, more), np.pad(dF, (*more, (0, 0)))
+        if self.phase.any():  # harmonics count from shaft angle zero, which the clock need not pass at t = 0
+            turned = np.sign(self.speeds)[:, None] * np.arange(K + 1)
+            if beside is not None:
+                turned = np.concatenate([turned, np.tile(beside.orders, (len(turned), 1))], axis=1)
+            turn = np.exp(-1j * self.phase[:, None] * turned)
+            F, dF = F * turn[:, :, None], dF * turn[:, :, None, None]
+        return F, dF
 
 
-def _settling(u: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return g = (1 - e^-u) / u and (1 - g) / u, each with its derivative by u."""
-    if abs(u) < 1e-3:  # three terms of the series: 1e-12
-        g, rest = 1 - u / 2 + u**2 / 6 - u**3 / 24, 1 / 2 - u / 6 + u**2 / 24 - u**3 / 120
-        return (g, -1 / 2 + u / 3 - u**2 / 8), (rest, -1 / 6 + u / 12 - u**2 / 40)
-    g = -np.expm1(-u) / u
-    dg = (np.exp(-u) - g) / u
-    rest = (1 - g) / u
-    return (g, dg), (rest, -(dg + rest) / u)
-
-
-def _size(residual: np.ndarray, C: np.ndarray) -> np.ndarray:
-    """Return the largest residual of each run as part of the largest harmonic of its state, (R,)."""
-    scale = np.maximum(np.abs(C).max(axis=1, keepdims=True), 1e-300)
-    with np.errstate(invalid="ignore", over="ignore"):
-        size = np.abs(residual / scale).max(axis=(1, 2), initial=0.0)
-    return np.where(np.isfinite(size), size, np.inf)
-
-
-class _Point:
-    """What the equations are at one theta: A, forcing, and the response G of every run from ports to states."""
-
-    def __init__(self, motion: NonlinearMotion, ports: Ports, theta: np.ndarray) -> None:
-        equations, R = motion.inner, len(motion.p)
-        self.motion, self.ports, self.equations = motion, ports, equations
-        count = motion.count
-        self._p = np.repeat(motion.p, count, 0).T
-        self._theta = np.repeat(theta[None], R * count, 0).T
-        rest = self.points(np.zeros((R, count, equations.n)))
-        at_rest = equations.f(*rest).reshape(R, count, equations.r)
-        self.F = motion._harmonics(at_rest)
-        self.rest = at_rest[:, :, equations.E]
-        few = (motion.times[:, 0][None], np.zeros((equations.n, R)), motion.p.T, np.repeat(theta[None], R, 0).T)
-        A = equations.J(*few)
-        if len(equations.S):
-            start = np.zeros((R, motion.H + 1, len(equations.S)), complex) if motion.last is None else motion.last
-            start = np.where(np.isfinite(start), start, 0.0)
-            mean = self.part(motion._samples(start)).mean(axis=1)
-            A[:, equations.E[:, None], equations.S] = mean
-        self.A_part = A[:, equations.E[:, None], equations.S]
-        self.change = A - ports.within
-        self.G = ports.closed(self.change)
-
-    def points(self, x: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return the arguments of the equations at the samples of motion x (R, count, n)."""
-        return self.motion.times.reshape(1, -1), x.reshape(-1, x.shape[2]).T, self._p, self._theta
-
-    def _whole(self, x_S: np.ndarray) -> tuple[np.ndarray, ...]:
-        x = np.zeros((*x_S.shape[:2], self.equations.n))
-        x[:, :, self.equations.S] = x_S
-        return self.points(x)
-
-    def rows(self, x_S: np.ndarray) -> np.ndarray:
-        """Return the nonlinear rows of f at samples x_S (R, count, S), (R, count, E)."""
-        return self.equations.f_rows(*self._whole(x_S)).reshape(*x_S.shape[:2], -1)
-
-    def part(self, x_S: np.ndarray) -> np.ndarray:
-        """Return their Jacobian, (R, count, E, S)."""
-        shape = (*x_S.shape[:2], len(self.equations.E), len(self.equations.S))
-        return self.equations.J_part(*self._whole(x_S)).reshape(shape)
-
-    def slow_columns(self, r: int) -> np.ndarray:
-        """Return dX_0 by the means of slow states of run r, of the linear part, (n, s)."""
-        own = self.ports.slow[r]
-        return np.asarray(own + self.G[r, 0] @ (self.change[r] @ own))
-
-    def slow_part(self, means: Sequence[np.ndarray] | None) -> np.ndarray:
-        """Return what given means of slow states add to X, (R, H+1, n)."""
-        out = np.zeros((*self.F.shape[:2], self.equations.n), complex)
-        for r in range(len(out)):
-            if means is not None and len(means[r]):
-                out[r, 0] = self.slow_columns(r) @ means[r]
-        return out
-
-    def solver(self, slopes: np.ndarray) -> _Solver:
-        """Return the linear system (I - G D) about a motion with these slopes (R, count, E, S)."""
-        E, S = self.equations.E, self.equations.S
-        return _Solver(self.motion, self.G[:, :, S[:, None], E], slopes)
-
-
-class _Solver:
-    """(I - G D) delta = right in real coefficients a_0, a_k, b_k, by Woodbury's identity over the rank of D.
-
-    delta = right + G U w,  (I - V G U) w = V right,  D = U V.
-    """
-
-    def __init__(self, motion: NonlinearMotion, G: np.ndarray, slopes: np.ndarray) -> None:
-        self.motion, H = motion, motion.H
-        self.U, V = _compressed(slopes)
-        self.G = G @ self.U
-        R, rank = len(V), V.shape[2]
-        size = 2 * H + 1
-        self.T = _product(V.transpose(0, 2, 3, 1), H)
-        a, b = self.T[..., 1 : H + 1], self.T[..., H + 1 :]
-        P, Q = self.G.real, self.G.imag  # (R, H+1, S, rank)
-        matrix = np.empty((R, rank, size, rank, size))
-        matrix[..., 0] = np.einsum("resq,rsf->reqf", self.T[..., 0], P[:, 0])
-        matrix[..., 1 : H + 1] = _paired(a, P[:, 1:]) - _paired(b, Q[:, 1:])
-        matrix[..., H + 1 :] = _paired(a, Q[:, 1:]) + _paired(b, P[:, 1:])
-        whole = np.eye(rank * size) - matrix.reshape(R, rank * size, rank * size)
-        self.matrix = np.where(np.isfinite(whole), whole, 0.0)
-
-    def forces(self, right: np.ndarray) -> np.ndarray:
-        """Return D delta in the rows E for right (R, H+1, S, j): complex harmonics (R, H+1, E, j)."""
-        return np.asarray(np.einsum("er,zkrj->zkej", self.U, self._w(right)))
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """Return delta (R, H+1, S, j)."""
-        return np.asarray(right + np.einsum("zksr,zkrj->zksj", self.G, self._w(right)))
-
-    def _w(self, right: np.ndarray) -> np.ndarray:
-        H = self.motion.H
-        R, _, S, j = right.shape
-        real = np.concatenate([right[:, :1].real, 2 * right[:, 1:].real, -2 * right[:, 1:].imag], axis=1)
-        rank, size = self.T.shape[1], self.T.shape[3]
-        flat = self.T.transpose(0, 1, 3, 2, 4).reshape(R, rank * size, S * size)
-        w = np.linalg.solve(self.matrix, flat @ real.transpose(0, 2, 1, 3).reshape(R, S * size, j))
-        w = w.reshape(R, rank, size, j)
-        out = w[:, :, : H + 1].astype(complex)
-        out[:, :, 1:] = (w[:, :, 1 : H + 1] - 1j * w[:, :, H + 1 :]) / 2
-        return np.asarray(out.transpose(0, 2, 1, 3))
-
-
-def _product(values: np.ndarray, H: int) -> np.ndarray:
-    """Return the matrices by which a factor with these samples (..., count) multiplies real coefficients 0..H.
-
-    (..., 2H+1, 2H+1); with V the Fourier coefficients of the factor, v cos l has (V_(k-l) + V_(k+l)) / 2 at order k.
-    """
-    V = np.fft.fft(values, axis=-1) / values.shape[-1]
-    k, orders = np.arange(1, H + 1)[:, None], np.arange(1, H + 1)
-    minus, plus = V[..., k - orders], V[..., k + orders]
-    alone = V[..., 1 : H + 1]
-    T = np.empty((*values.shape[:-1], 2 * H + 1, 2 * H + 1))
-    T[..., 0, 0] = V[..., 0].real
-    T[..., 1 : H + 1, 0], T[..., H + 1 :, 0] = 2 * alone.real, -2 * alone.imag
-    T[..., 0, 1 : H + 1], T[..., 0, H + 1 :] = alone.real, -alone.imag
-    T[..., 1 : H + 1, 1 : H + 1] = (minus + plus).real
-    T[..., H + 1 :, 1 : H + 1] = -(minus + plus).imag
-    T[..., 1 : H + 1, H + 1 :] = (minus - plus).imag
-    T[..., H + 1 :, H + 1 :] = (minus - plus).real
-    return T
-
-
-def _paired(T: np.ndarray, G: np.ndarray) -> np.ndarray:
-    """Return sum over s of T (R, e, s, q, k) G (R, k, s, f), as (R, e, q, f, k)."""
-    return np.asarray(np.einsum("resqk,rksf->reqfk", T, G, optimize=True))
-
-
-def _compressed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return U (E, r), V (R, count, r, S) with J = U V: one force may act in many rows (a coupled mass matrix)."""
-    R, count, E, S = J.shape
-    rows = J.transpose(2, 0, 1, 3).reshape(E, -1)
-    size = np.linalg.norm(rows, axis=1)
-    scaled = rows / np.where(size > 0, size, 1.0)[:, None]
-    values, vectors = np.linalg.eigh(scaled @ scaled.T)
-    kept = vectors[:, values > 1e-14 * max(values.max(initial=0.0), 1e-300)]
-    V = (kept.T @ scaled).reshape(kept.shape[1], R, count, S).transpose(1, 2, 0, 3)
-    return size[:, None] * kept, V
+def _columns(matrices: np.ndarray) -> np.ndarray:
+    """Return the columns of matrices (R, n, ...) side by side, those of zeros left out, (n, N)."""
+    flat = np.moveaxis(matrices, 1, 0).reshape(matrices.shape[1], -1)
+    return np.asarray(flat[:, np.any(flat, axis=0)])

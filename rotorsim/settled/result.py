@@ -82,8 +82,7 @@ class Periodic(Shown):
     def time_history(self, signal: str, n: int = 256) -> tuple[np.ndarray, np.ndarray]:
         """Return times (speeds, n) [s] over one period and the signal there, complex for two axes, else real."""
         values = np.nan_to_num(self._values(signal), nan=0.0) if self.drifting else self._values(signal)
-        turns = self._turns
-        angle = np.arange(n) * (2 * np.pi * turns / n)
+        angle = np.arange(n) * (2 * np.pi * self._turns / n)
         motion = values @ np.exp(1j * np.outer(self.orders, angle))
         real = np.allclose(values, values[:, ::-1].conj(), rtol=1e-9, atol=0, equal_nan=True)
         return angle[None] / self.speeds[:, None], motion.real if real else motion
@@ -104,23 +103,20 @@ class Periodic(Shown):
 
         Columns: speed [rad/s], signal, order, real, imag, amplitude (in unit), phase [rad], unit.
         """
-        rows = []
-        for j, speed in enumerate(self.speeds):
-            for name, values in self.harmonics.items():
-                amplitude = np.abs(values[j])
-                limit = threshold * np.nanmax(amplitude) if np.isfinite(amplitude).any() else np.inf
-                for order, value, size in zip(self.orders, values[j], amplitude, strict=True):
-                    if size > limit:
-                        rows.append(
-                            {
-                                "speed": float(speed),
-                                "signal": name,
-                                "order": float(order),
-                                "real": float(value.real),
-                                "imag": float(value.imag),
-                                "amplitude": float(size),
-                                "phase": float(np.angle(value)),
-                                "unit": self.units[name],
-                            }
-                        )
-        return rows
+        amplitudes = {name: np.abs(values) for name, values in self.harmonics.items()}
+        return [
+            {
+                "speed": float(speed),
+                "signal": name,
+                "order": float(order),
+                "real": float(value.real),
+                "imag": float(value.imag),
+                "amplitude": float(size),
+                "phase": float(np.angle(value)),
+                "unit": self.units[name],
+            }
+            for j, speed in enumerate(self.speeds)
+            for name, amplitude in amplitudes.items()
+            for order, value, size in zip(self.orders, self.harmonics[name][j], amplitude[j], strict=True)
+            if size > threshold * np.nanmax(amplitude[j], initial=0.0)
+        ]

@@ -14,7 +14,7 @@ import numpy as np
 
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.files import atomic_target, write_atomically
-from rotorsim.simulation.result import Result, flat_name
+from rotorsim.simulation.result import Result, cut, flat_name
 
 __all__ = ["load_result", "save"]
 
@@ -130,12 +130,7 @@ def _load_csv(path: Path) -> Result:
     if not side.is_file():
         return _foreign(path, header, table)
     meta = json.loads(side.read_text(encoding="utf-8"))
-    signals: dict[str, np.ndarray] = {}
-    at = 1
-    for name, entry in meta["signals"].items():
-        size = int(np.prod(entry["shape"], dtype=int))
-        signals[name] = table[:, at : at + size].reshape(len(table), *entry["shape"])
-        at += size
+    signals, _ = cut(table[:, 1:], {name: entry["shape"] for name, entry in meta["signals"].items()})
     result = _result(np.ascontiguousarray(table[:, 0]), signals, meta)
     if header != ["time", *result.flat_names()]:
         raise ValueError(f"its columns are not those that {side.name} names")

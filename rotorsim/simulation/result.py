@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rotorsim._shown import Shown, html_table, xarray_module
 from rotorsim.errors import Problem, RotorsimError, escape, near_miss
 
-if TYPE_CHECKING:
-    from rotorsim.diagram.diagram import Diagram
-    from rotorsim.model.compiled import Model
-
-__all__ = ["Result", "flat_name", "make_result"]
+__all__ = ["Result", "cut", "flat_name"]
 
 
 def flat_name(name: str, index: tuple[int, ...]) -> str:
@@ -25,12 +20,6 @@ def flat_name(name: str, index: tuple[int, ...]) -> str:
     base, _, inside = name.rstrip("]").partition("[")
     parts = [*([inside] if inside else []), *(str(i + 1) for i in index)]
     return f"{base}[{','.join(parts)}]" if parts else base
-
-
-def _entry(array: np.ndarray, index: tuple[int, ...]) -> np.ndarray:
-    """Return one entry (or row) of a signal at every instant."""
-    place: Any = (slice(None), *index)
-    return np.asarray(array[place])
 
 
 def _read_only(values: Any) -> np.ndarray:
@@ -104,7 +93,8 @@ class Result(Shown):
         if name == "time":
             return self.time
         recorded, index = self._find(name)
-        return _entry(self.signals[recorded], index)
+        place: Any = (slice(None), *index)
+        return np.asarray(self.signals[recorded][place])
 
     def column(self, name: str) -> np.ndarray:
         """Return one entry of a signal by its flat name, shape (n,). Raises RotorsimError if there are several."""
@@ -167,8 +157,8 @@ class Result(Shown):
     def columns(self) -> Iterator[tuple[str, np.ndarray]]:
         """Yield every entry of every signal by its flat name, row-major."""
         for name, array in self.signals.items():
-            for index in product(*(range(n) for n in array.shape[1:])):
-                yield flat_name(name, index), _entry(array, index)
+            for index in np.ndindex(array.shape[1:]):
+                yield flat_name(name, index), array[:, *index]
 
     def flat_names(self) -> list[str]:
         """Return the flat names of `columns`."""
@@ -176,24 +166,15 @@ class Result(Shown):
 
     def to_xarray(self) -> Any:
         """Return an xarray.Dataset with the coordinate time [s]; needs the optional package xarray."""
-        xarray = xarray_module()
-        variables = {}
-        for name, array in self.signals.items():
-            dims = ["time", *self._dimensions(name, array)]
-            variables[name] = (dims, array, {"units": self.units.get(name, "1")})
+        variables = {
+            name: (["time", *_dimensions(name, array.shape[1:])], array, {"units": self.units.get(name, "1")})
+            for name, array in self.signals.items()
+        }
         coordinates: dict[str, Any] = {"time": ("time", self.time, {"units": "s"})}
         if any(a.ndim > 1 and a.shape[-1] == 2 for a in self.signals.values()):
             coordinates["axis"] = ["x", "y"]
         attributes = {"status": self.status, "message": self.message, **{k: str(v) for k, v in self.provenance.items()}}
-        return xarray.Dataset(variables, coordinates, attributes)
-
-    @staticmethod
-    def _dimensions(name: str, array: np.ndarray) -> list[str]:
-        shape = array.shape[1:]
-        names = [f"{name} {k + 1}" for k in range(len(shape))]
-        if shape and shape[-1] == 2:
-            names[-1] = "axis"
-        return names
+        return xarray_module().Dataset(variables, coordinates, attributes)
 
     def __repr__(self) -> str:
         span = f"{self.time[0]:g}..{self.time[-1]:g} s" if len(self.time) else "empty"
@@ -215,72 +196,14 @@ class Result(Shown):
         return f"{super()._repr_html_()}{html_table(rows)}<p>{escape(self.message)}</p>"
 
 
-def _plain(values: np.ndarray) -> Any:
-    return float(values[0]) if values.size == 1 else values.tolist()
+def _dimensions(name: str, shape: tuple[int, ...]) -> list[str]:
+    names = [f"{name} {k + 1}" for k in range(len(shape))]
+    return [*names[:-1], "axis"] if shape and shape[-1] == 2 else names
 
 
-def _without(diagram: Diagram) -> list[str]:
-    """Return the blocks of the document (sub-diagrams as a whole) that the diagram was loaded without."""
-    there = {name.partition("/")[0] for name in diagram.nodes}
-    return [str(name) for name in diagram.document.get("blocks", {}) if name not in there]
-
-
-def make_result(
-    model: Model,
-    names: Sequence[str],
-    time: np.ndarray,
-    rows: np.ndarray,
-    status: str,
-    message: str,
-    counters: Mapping[str, Any],
-    *,
-    method: str,
-    step: float,
-    path: str,
-    p: np.ndarray,
-) -> Result:
-    """Cut the recorded rows (n, n_y) into signals and note what was run.
-
-    provenance: ``parameters`` are the diagram's in force; ``parameters_changed`` those given to the run, by
-    block; ``without`` the blocks that were left out. There is no date: the same run gives the same result.
-    """
-    signals: dict[str, np.ndarray] = {}
-    at = 0
-    for name in names:
-        shape = model.shape_of(name)
-        size = int(np.prod(shape, dtype=int))
-        signals[name] = rows[:, at : at + size].reshape(len(rows), *shape)
-        at += size
-    residual = float(np.abs(rows[:, at:]).max()) if rows.shape[1] > at and len(rows) else 0.0
-    counters = dict(counters)
-    if rows.shape[1] > at:
-        counters["loop_residual"] = residual
-        if residual > 1e-9 and status == "finished":
-            message = f"an algebraic loop did not converge: largest residual {residual:.2g}"
-            status = "diverged"
-    diagram = model.diagram
-    values = {name: np.ravel(value) for name, value in diagram.parameters.items()}
-    values |= {name: p[parts[0]] for name, parts in model.references.items() if parts}
-    changed = {}
-    if not np.array_equal(p, model.p0):
-        changed = {
-            name: _plain(p[part])
-            for name, part in model.parameters.items()
-            if not np.array_equal(p[part], model.p0[part])
-        }
-    from rotorsim import __version__
-
-    provenance = {
-        "rotorsim": __version__,
-        "diagram": diagram.name,
-        "file": diagram.file,
-        "document_sha256": diagram.sha256,
-        "parameters": {name: _plain(value) for name, value in values.items()},
-        "parameters_changed": changed,
-        "without": _without(diagram),
-        "method": method,
-        "step": step,
-        "path": path,
-    }
-    units = {name: model.select(name)[0].unit or "" for name in names}
-    return Result(time, signals, units, status, message, counters, provenance)
+def cut(rows: np.ndarray, shapes: Mapping[str, Sequence[int]]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return rows (n, n_y) as signals (n, *shape) by name, and the columns behind them."""
+    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes.values()], dtype=int)
+    *parts, rest = np.split(rows, ends, axis=1)
+    signals = zip(shapes.items(), parts, strict=True)
+    return {name: part.reshape(len(rows), *shape) for (name, shape), part in signals}, rest

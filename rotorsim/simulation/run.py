@@ -11,15 +11,17 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.linear.linearisation import as_model
+from rotorsim.model.compiled import Model
 from rotorsim.model.input_limits import input_limits, passed_limit
 from rotorsim.model.instance import Instance, make_instance
 from rotorsim.simulation.failure import describe_failure
-from rotorsim.simulation.result import Result, make_result
-from rotorsim.simulation.validity import Stretch, judge, loose_tolerance, stretches_of
+from rotorsim.simulation.result import Result, cut
+from rotorsim.simulation.validity import Run, Stretch, judge, loose_tolerance, stretches_of
 
 __all__ = ["simulate"]
 
+LARGEST_RESIDUAL = 1e-9  # of algebraic loops
 LARGEST_RECORD = 1e9  # bytes; summing up and writing takes two to three times as much for a while
 Progress = Callable[[float], None]
 
@@ -47,7 +49,7 @@ def simulate(
     was computed, with status "unstable", "diverged" or "stopped"; a step that makes a recorded signal wrong by
     more than 1 % is said in the message. Raises RotorsimError for wrong arguments.
     """
-    model = diagram if isinstance(diagram, Model) else compile_diagram(diagram)
+    model = as_model(diagram)
     solver = model.diagram.solver
     chosen = (method or solver.method).lower()
     h = solver.step if step is None else float(step)
@@ -90,11 +92,12 @@ def simulate(
     counters["compile_cpu_seconds"] = prepared - begun
     ran = clock.process_time()
     counters["run_cpu_seconds"] = ran - prepared
+    signals, residuals = cut(rows, {name: model.shape_of(name) for name in watched})
     if status == "finished":
-        verdict = judge(model, instance, watched, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
+        run = Run(model, instance, watched, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
+        verdict = judge(run)
         status, message = verdict.status, verdict.message
-        signals = _by_name(model, watched, rows)
-        too_far = passed_limit(limits, time, {name: _shaped(model, name, v) for name, v in signals.items()})
+        too_far = passed_limit(limits, time, signals)
         if too_far and status == "finished":
             status, message = "diverged", too_far
         if status == "finished" and not message and chosen != "rk4":
@@ -102,24 +105,52 @@ def simulate(
         if verdict.error is not None:
             counters["step_error"] = verdict.error
         counters["check_cpu_seconds"] = clock.process_time() - ran
-    width = sum(_width(model, name) for name in names)
-    return make_result(
-        model, names, time, rows[:, :width], status, message, counters, method=chosen, step=h, path=instance.path, p=p
+    if residuals.shape[1]:
+        counters["loop_residual"] = largest = float(np.abs(residuals).max(initial=0.0))
+        if largest > LARGEST_RESIDUAL and status == "finished":
+            status, message = "diverged", f"an algebraic loop did not converge: largest residual {largest:.2g}"
+    return Result(
+        time,
+        {name: signals[name] for name in names},
+        {name: model.select(name)[0].unit or "" for name in names},
+        status,
+        message,
+        counters,
+        {**_provenance(model, p), "method": chosen, "step": h, "path": instance.path},
     )
 
 
-def _width(model: Model, name: str) -> int:
-    return int(np.prod(model.shape_of(name), dtype=int))
+def _provenance(model: Model, p: np.ndarray) -> dict[str, Any]:
+    """Return what was run with parameters p (n_p,).
+
+    ``parameters`` are the diagram's in force; ``parameters_changed`` those given to the run, by block; ``without`` the
+    blocks that were left out. There is no date: the same run gives the same result.
+    """
+    from rotorsim import __version__
+
+    diagram = model.diagram
+    values = {name: np.ravel(value) for name, value in diagram.parameters.items()}
+    values |= {name: p[parts[0]] for name, parts in model.references.items() if parts}
+    changed = {name: p[part] for name, part in model.parameters.items() if (p[part] != model.p0[part]).any()}
+    return {
+        "rotorsim": __version__,
+        "diagram": diagram.name,
+        "file": diagram.file,
+        "document_sha256": diagram.sha256,
+        "parameters": {name: _plain(value) for name, value in values.items()},
+        "parameters_changed": {name: _plain(value) for name, value in changed.items()},
+        "without": _without(diagram),
+    }
 
 
-def _shaped(model: Model, name: str, values: np.ndarray) -> np.ndarray:
-    return values.reshape(len(values), *model.shape_of(name))
+def _plain(values: np.ndarray) -> Any:
+    return float(values[0]) if values.size == 1 else values.tolist()
 
 
-def _by_name(model: Model, names: tuple[str, ...], rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the columns of the named signals; those of algebraic loops' residuals stand behind them."""
-    ends = np.cumsum([_width(model, name) for name in names])
-    return dict(zip(names, np.split(rows, ends, axis=1)[:-1], strict=True))
+def _without(diagram: Diagram) -> list[str]:
+    """Return the blocks of the document (sub-diagrams as a whole) that the diagram was loaded without."""
+    there = {name.partition("/")[0] for name in diagram.nodes}
+    return [str(name) for name in diagram.document.get("blocks", {}) if name not in there]
 
 
 def _check(h: float, end: float, every: int) -> None:

@@ -8,8 +8,7 @@ import pytest
 from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.insertion import LONGEST, Insertion, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
-from rotorsim.identification.likelihood import Evaluation
-from rotorsim.identification.periodic_likelihood import likelihood_of
+from rotorsim.identification.likelihood import Evaluation, Likelihood
 from rotorsim.signals.harmonics import harmonics_of
 from tests.identification import TRUTH, made, recorded, shipped
 
@@ -68,7 +67,7 @@ def evaluated(model: str, item: Insertion | None) -> Evaluation:
         start |= {key: value for key, value in none.items() if key in item.fault.free}
         document = item.document(document, {**fixed_of(item, sizes), **start}, limits_of(item, sizes))
     experiment = source(model).open(source(model).load(document))
-    return likelihood_of(experiment).evaluate(experiment.theta0)
+    return Likelihood(experiment).evaluate(experiment.theta0)
 
 
 def check(model: str, item: Insertion) -> None:
@@ -122,7 +121,7 @@ def bow(growth: float, time_constant: float):
     start = {"growth": growth, "growth_phase": 0.7, "time_constant": time_constant}
     experiment = source("jeffcott").open(source("jeffcott").load(item.document(shipped("jeffcott").document, start)))
     names = [free.name for free in experiment.free]
-    return likelihood_of(experiment), [names.index(name) for name in item.free]
+    return Likelihood(experiment), [names.index(name) for name in item.free]
 
 
 @pytest.mark.parametrize("time_constant", [0.05, 0.4, 10.0, 1e4])
@@ -140,5 +139,5 @@ def test_a_bow_that_grows_has_come_as_far_as_since_the_start_of_the_run(time_con
     for j in places:  # the slopes of the misfit are those of differences
         step = 1e-4 * theta[j] * (np.arange(len(theta)) == j)
         slope = (likelihood.evaluate(theta + step).misfit.sum() - likelihood.evaluate(theta - step).misfit.sum()) / 2
-        exact = 2 * grown.residual @ grown.slopes[:, j] * step[j]
+        exact = 2 * grown.residual @ grown.jacobian[:, j] * step[j]
         assert exact == pytest.approx(slope, rel=1e-3, abs=1e-9 * grown.misfit.sum())

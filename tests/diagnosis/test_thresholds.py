@@ -21,7 +21,6 @@ from rotorsim.diagnosis.evidence.waveform.search import OutputErrorSearch
 from rotorsim.diagnosis.search.trials import Round
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Place, Problem
-from rotorsim.settled.linear_motion import Motion
 from rotorsim.signals.noise import Noise
 from tests.diagnosis.evidence.test_scoring import fitted_runs
 from tests.diagnosis.test_verdicts import ROWS, candidate
@@ -94,10 +93,10 @@ def test_a_run_is_left_out_where_half_of_all_its_signals_does_not_follow_the_sha
 
 
 @pytest.mark.parametrize(("rate", "grows"), [(0.049, []), (0.051, [1])])
-def test_a_motion_that_grows_by_a_tenth_over_a_run_is_not_settled(monkeypatch, rate, grows):
+def test_a_motion_that_grows_by_a_tenth_over_a_run_is_not_settled(rate, grows):
     """Rates in 1/s, over windows of two seconds; the first run falls."""
-    monkeypatch.setattr(stability, "growth", lambda *_: np.array([-rate, rate]))
-    experiment = SimpleNamespace(theta0=None, motion=SimpleNamespace(windows=np.array([2.0, 2.0])))
+    motion = SimpleNamespace(windows=np.array([2.0, 2.0]), growth=lambda _: np.array([-rate, rate]))
+    experiment = SimpleNamespace(theta0=None, motion=motion)
     assert stability.unsettled(experiment) == grows
 
 
@@ -209,7 +208,7 @@ def drifting(monkeypatch, white: list[list[list[float]]], slow: list[list[float]
     noise = Noise(4.0 * np.eye(2)[None], True, 400.0)  # of 400 samples: 0.1 in the mean
     runs = [SimpleNamespace(fit=SimpleNamespace(drift=0.1 * np.array(w), noise=noise, samples=400)) for w in white]
     experiment = SimpleNamespace(
-        motion=object.__new__(Motion),
+        motion=SimpleNamespace(is_linear=True),
         predicted=["x", "y"],
         runs=runs,
         columns=[np.array([0, 1])] * len(runs),

@@ -408,7 +408,7 @@ def test_an_angle_does_not_run_away():
     likelihood = opened(recorded(runs))
     best = estimate(Search(likelihood))
     assert best.goodness < 1e-3
-    assert likelihood.experiment.motion.equations.samples <= 64
+    assert likelihood.experiment.motion.equations.whole.samples <= 64
 
 
 # --- degenerate noise -------------------------------------------------------------------------------------------------

@@ -54,7 +54,7 @@ class Straight:
     def residual(self, q):
         return self.J @ q - self.y
 
-    def slopes(self, q):
+    def jacobian(self, q):
         return self.J
 
     def found(self, q) -> Estimate:
@@ -147,5 +147,5 @@ def test_the_search_moves_off_a_bound():
     straight = Straight(
         np.array([[1e6, 1.0], [0.0, 1e-2]]), [1e6 * 0.3 + 2.0, 2e-2], (1.0, 1.0), (0.0, 0.0), (9.0, 9.0)
     )
-    search.coordinates, search.residual, search.slopes = straight.coordinates, straight.residual, straight.slopes
+    search.coordinates, search.residual, search.jacobian = straight.coordinates, straight.residual, straight.jacobian
     assert search.minimise(np.array([0.1, 0.0])) == pytest.approx([0.3, 2.0], rel=1e-6)

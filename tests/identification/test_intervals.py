@@ -26,7 +26,7 @@ def straight(J: np.ndarray, best: list[float]) -> tuple[Search, Estimate]:
     many = len(best)
     simple = Straight(J, J @ best, np.ones(many), np.full(many, -np.inf), np.full(many, np.inf))
     search = object.__new__(Search)
-    search.coordinates, search.residual, search.slopes = simple.coordinates, simple.residual, simple.slopes
+    search.coordinates, search.residual, search.jacobian = simple.coordinates, simple.residual, simple.jacobian
     return search, simple.found(np.array(best))
 
 
@@ -126,7 +126,7 @@ def test_the_error_of_an_identification_is_that_of_the_signal_in_time(monkeypatc
         evaluate=lambda theta: SimpleNamespace(Y=np.repeat(model[None, :, None], 2, axis=2)),
     )
     monkeypatch.setattr(identification, "open_experiment", lambda *_, **named: scored)
-    monkeypatch.setattr(identification, "likelihood_of", lambda experiment: likelihood)
+    monkeypatch.setattr(identification, "Likelihood", lambda experiment: likelihood)
     recording = SimpleNamespace(select=lambda use: ())
     fit, floor = _scores(None, recording, [run], None, SimpleNamespace(free=(), theta=None), ())
     wanted = {"rotor.displacement": np.sqrt(np.mean(error**2)) / rms, "coil.current": np.std(error) / rms}

@@ -45,7 +45,7 @@ def test_a_common_delay_is_one_number_that_all_runs_share(clean):
     np.testing.assert_allclose(found.late, g, atol=1e-4)  # but for the means, which slow states take a share of
     inverse = np.linalg.inv(np.eye(len(g)) + np.outer(g, g))
     assert found.residual @ found.residual == pytest.approx(e @ inverse @ e, rel=1e-6)
-    np.testing.assert_allclose(found.slopes.T @ found.residual, J.T @ inverse @ e, rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(found.jacobian.T @ found.residual, J.T @ inverse @ e, rtol=1e-5, atol=1e-3)
     response = likelihood.response(theta)
     rows = [real_vector(Y) for Y in response.outputs(response.states())]
     own = [likelihood.data_rows[r] - white.apply(rows[r]) for r, white in enumerate(likelihood.whiteners)]

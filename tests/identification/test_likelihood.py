@@ -199,7 +199,7 @@ def test_slopes_are_those_of_differences(model, given, way):
     speeds = [way * speed for speed in LOWER[model][::4]]
     likelihood = likelihood_of(model, recorded(made(model, speeds, duration=0.5, settled=True)), given=given)
     theta = at(likelihood)
-    slopes = likelihood.evaluate(theta).slopes
+    slopes = likelihood.evaluate(theta).jacobian
     for j in range(len(theta)):
         expected = difference(lambda values: likelihood.evaluate(values).residual, theta, j)
         np.testing.assert_allclose(slopes[:, j], expected, atol=1e-5 * np.abs(expected).max())
@@ -213,8 +213,8 @@ def test_the_gradient_is_exact_under_noise(given):
     found = likelihood.evaluate(theta)
     for j in range(len(theta)):
         expected = difference(lambda values: likelihood.evaluate(values).misfit.sum(), theta, j)
-        scale = np.linalg.norm(found.residual) * np.linalg.norm(found.slopes[:, j])
-        assert 2 * found.residual @ found.slopes[:, j] == pytest.approx(float(expected), abs=1e-6 * scale)
+        scale = np.linalg.norm(found.residual) * np.linalg.norm(found.jacobian[:, j])
+        assert 2 * found.residual @ found.jacobian[:, j] == pytest.approx(float(expected), abs=1e-6 * scale)
 
 
 # --- noise ------------------------------------------------------------------------------------------------------------

@@ -11,10 +11,10 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.estimate import Search, estimate
 from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.identification import identify
-from rotorsim.identification.periodic_likelihood import NonlinearLikelihood, likelihood_of
+from rotorsim.identification.likelihood import Likelihood
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
-from rotorsim.settled.motion import NonlinearMotion
+from rotorsim.settled.nonlinear import NonlinearMotion
 from tests.identification import changed, made, recorded
 from tests.reference.jeffcott import Jeffcott
 from tests.reference.recordings import RecordedRun
@@ -85,7 +85,6 @@ def diagram(bias: float = 1.0) -> Diagram:
 def test_the_diagram_is_fitted_by_harmonic_balance():
     experiment = open_experiment(diagram(), recording())
     assert isinstance(experiment.motion, NonlinearMotion)
-    assert isinstance(likelihood_of(experiment), NonlinearLikelihood)
 
 
 def test_the_truth_is_found():
@@ -98,7 +97,7 @@ def test_the_truth_is_found():
 
 def test_slopes_are_exact():
     """Without slow states nothing is projected out, so that slopes are those of the residual itself."""
-    likelihood = likelihood_of(open_experiment(diagram(0.5), recording()))
+    likelihood = Likelihood(open_experiment(diagram(0.5), recording()))
     theta = likelihood.experiment.theta0
     here = likelihood.evaluate(theta)
     for j in range(len(theta)):
@@ -106,13 +105,13 @@ def test_slopes_are_exact():
         moved = [theta + sign * step * (np.arange(len(theta)) == j) for sign in (1, -1)]
         ahead, behind = (likelihood.evaluate(t).residual for t in moved)
         slope = (ahead - behind) / (2 * step)
-        assert np.abs(slope - here.slopes[:, j]).max() < 1e-6 * np.abs(slope).max()
+        assert np.abs(slope - here.jacobian[:, j]).max() < 1e-6 * np.abs(slope).max()
 
 
 def test_the_order_of_the_runs_does_not_matter():
     """All runs are balanced at once; none may lean on its neighbour."""
-    forward = likelihood_of(open_experiment(diagram(0.5), recorded(list(runs()))))
-    back = likelihood_of(open_experiment(diagram(0.5), recorded(list(runs())[::-1])))
+    forward = Likelihood(open_experiment(diagram(0.5), recorded(list(runs()))))
+    back = Likelihood(open_experiment(diagram(0.5), recorded(list(runs())[::-1])))
     theta = forward.experiment.theta0
     misfit = forward.evaluate(theta).misfit
     assert back.evaluate(theta).misfit[::-1] == pytest.approx(misfit, rel=1e-9)
@@ -120,7 +119,7 @@ def test_the_order_of_the_runs_does_not_matter():
 
 def test_no_settled_motion_is_no_number():
     """Opposed magnets that pull beyond the gap have no settled motion: the residual is not a number, nothing hangs."""
-    likelihood = likelihood_of(open_experiment(diagram(0.5), recording()))
+    likelihood = Likelihood(open_experiment(diagram(0.5), recording()))
     theta = likelihood.experiment.theta0.copy()
     theta[[item.name for item in likelihood.experiment.free].index("eccentricity")] = 0.5
     found = likelihood.evaluate(theta)
@@ -172,7 +171,7 @@ def test_a_nonlinear_diagram_takes_no_measured_inputs():
 def test_a_rough_likelihood_takes_one_step_for_slow_means_and_says_nearly_the_same(monkeypatch):
     integrating = diagram(0.5).document
     integrating["blocks"]["controller"]["parameters"]["KI"] = 2000.0
-    exact = likelihood_of(open_experiment(load(integrating), recording()))
+    exact = Likelihood(open_experiment(load(integrating), recording()))
     calls = []
     predict = NonlinearMotion.predict
     monkeypatch.setattr(NonlinearMotion, "predict", lambda *given: calls.append(1) or predict(*given))

@@ -30,7 +30,7 @@ class Lag:
         found = object.__new__(Search)
         low, high = np.array([1e-12, 0.0]), np.array([np.inf, 1.0])
         found.coordinates = Coordinates(self.scale, (), low, high)
-        found.residual, found.slopes = self.residual, self.slopes
+        found.residual, found.jacobian = self.residual, self.jacobian
         return found
 
     def residual(self, q: np.ndarray) -> np.ndarray:
@@ -38,7 +38,7 @@ class Lag:
         wrong = WEIGHT * (response(*(q * self.scale)) - response(TIME, SHARE))
         return np.concatenate([wrong.real, wrong.imag])
 
-    def slopes(self, q: np.ndarray) -> np.ndarray:
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
         tau, share = q * self.scale
         by = np.array([-share * S / (1 + S * tau) ** 2, -1 + 1 / (1 + S * tau)]).T * WEIGHT * self.scale
         return np.concatenate([by.real, by.imag])

@@ -213,7 +213,7 @@ def test_slopes_are_those_of_differences(model, way, reduction, columns):
     for j in range(len(theta)):
         expected = difference(lambda values: regression.evaluate(values).residual, theta, j, share)
         atol = 1e-5 * np.abs(expected).max() + 4 * rounding / (share * abs(theta[j]))
-        np.testing.assert_allclose(found.slopes[:, j], expected, atol=atol)
+        np.testing.assert_allclose(found.jacobian[:, j], expected, atol=atol)
 
 
 def test_the_equivalent_force_is_the_one_that_is_missing():

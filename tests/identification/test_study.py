@@ -8,18 +8,11 @@ import pytest
 from scipy.stats import norm
 
 from rotorsim.errors import RotorsimError
+from rotorsim.identification.study.plan import Case, Study
 from rotorsim.identification.study.printed import LEVELS, TABLES, misprints
 from rotorsim.identification.study.questions import compare_controllers, smallest_rows, smallest_size
-from rotorsim.identification.study.runs import Bench, clean_runs
-from rotorsim.identification.study.study import (
-    Case,
-    Study,
-    run_study,
-    study_data,
-    study_of_table,
-    study_rows,
-    write_rows,
-)
+from rotorsim.identification.study.runs import Bench, bench_of, clean_runs
+from rotorsim.identification.study.study import run_study, study_data, study_of_table, study_rows, write_rows
 from rotorsim.model.load import load
 from rotorsim.settled.periodic import periodic
 from rotorsim.signals.harmonic_fit import Samples, fit_harmonics
@@ -118,7 +111,9 @@ def test_wrong_sag_scales_the_crack_and_wrong_stiffness_moves_to_the_bearing():
         ("rotor.stiffness", "force_displacement_factor", 105210 + 7.6e5 * level * draw),
     ):
         clean, wrong = (
-            study(1140, 1380, 1620, groups={"one": (name,)}, bias=(level,)).bench().solve("white", 0.0, bias, seed)
+            bench_of(study(1140, 1380, 1620, groups={"one": (name,)}, bias=(level,)).text).solve(
+                "white", 0.0, bias, seed
+            )
             for bias in (0.0, level)
         )
         j = FREE.index(parameter)
@@ -148,7 +143,7 @@ def test_normal_noise_of_the_thesis_rescales_and_uniform_noise_does_not():
 
 
 def test_harmonics_for_the_regression_are_those_of_the_fit():
-    bench = Bench(load("jeffcott"), [1140 * RPM, 1620 * RPM], free=FREE)
+    bench = Bench(study(1140, 1620, free=FREE))
     quick = bench.harmonics("white", 0.02, np.random.default_rng(5))
     random = np.random.default_rng(5)
     for item, found in zip(bench.clean, quick, strict=True):
@@ -163,7 +158,7 @@ def test_harmonics_for_the_regression_are_those_of_the_fit():
 def test_intervals_of_the_likelihood_cover_and_expected_scatter_is_seen():
     wanted = study(1140, 1380, 1620, noise=(0.02,), method="likelihood", seeds=24, profile=False)
     found = run(wanted)
-    expected = wanted.bench().expected_std("white", 0.02)
+    expected = bench_of(wanted.text).expected_std("white", 0.02)
     spread = found.estimates[wanted.cases[0]].std(axis=0, ddof=1)
     assert spread == pytest.approx(expected, rel=3 / np.sqrt(2 * 23))  # three standard deviations of a spread
     for row in found.rows:
@@ -221,9 +216,9 @@ def test_mistakes_are_said_at_once():
     for words in ("pink", "2 is no level of noise", "which known", "guess", "0 seeds", "window", "speeds"):
         assert words in text
     with pytest.raises(RotorsimError, match=r"no parameter 'rotor\.mas'"):
-        study(1140, groups={"m": ("rotor.mas",)}).bench()
+        bench_of(study(1140, groups={"m": ("rotor.mas",)}).text)
     with pytest.raises(RotorsimError, match="cannot be known wrongly"):
-        study(1140, groups={"m": ("rotor.viscous_damping",)}).bench()
+        bench_of(study(1140, groups={"m": ("rotor.viscous_damping",)}).text)
     with pytest.raises(RotorsimError, match="no table"):
         study_of_table("2-1")
 

@@ -1,10 +1,10 @@
-"""Combinations of the shaft with a second frequency."""
+"""Combinations of the shaft with an asynchronous frequency."""
 
 import numpy as np
 import pytest
 from scipy.special import jv
 
-from rotorsim.settled.linear_motion import Torus
+from rotorsim.settled.torus import Torus
 
 
 @pytest.mark.parametrize("speed", [130.0, -130.0])

@@ -355,7 +355,7 @@ def test_profile_intervals_of_a_linear_problem():
     recording = recorded(made("jeffcott", LOWER["jeffcott"][::4], level=0.05))
     found = linear(recording, ("crack_stiffness", "eccentricity"))
     likelihood = likelihood_of("jeffcott", recording, found.diagram, free=found.free)
-    J = likelihood.evaluate(np.array(list(found.values.values()))).slopes
+    J = likelihood.evaluate(np.array(list(found.values.values()))).jacobian
     std = np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
     for item, deviation in zip(found.parameters.values(), std, strict=True):
         assert item.std == pytest.approx(deviation, rel=1e-6)

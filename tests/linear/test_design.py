@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.design import Plant, closed_loop, design_state_feedback, plant_of, reduce_modes
+from rotorsim.linear.design import closed_loop, design_state_feedback, plant_of, reduce_modes
+from rotorsim.linear.state_space import StateSpace
 from tests.reference.handmade import jeffcott
 
 
 def test_plant_leaves_out_the_states_of_the_controller():
     plant = plant_of(jeffcott(external="replace"), "controller")
     assert plant.A.shape == (4, 4)
-    np.testing.assert_allclose(plant.gain(0.0), -42.1 / (7.6e5 - 105210) * np.eye(2), rtol=1e-12)
+    np.testing.assert_allclose(plant.response(0.0)[0], -42.1 / (7.6e5 - 105210) * np.eye(2), rtol=1e-12)
 
 
 @pytest.mark.parametrize("integral", [False, True])
@@ -47,11 +48,11 @@ def test_reduction_keeps_slow_modes_exactly_and_the_static_gain():
     for k, block in enumerate(blocks):
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
     T = rng.normal(size=(10, 10))
-    plant = Plant(T @ A @ np.linalg.inv(T), rng.normal(size=(10, 2)), rng.normal(size=(2, 10)), np.zeros((2, 2)))
+    plant = StateSpace(T @ A @ np.linalg.inv(T), rng.normal(size=(10, 2)), rng.normal(size=(2, 10)), np.zeros((2, 2)))
     small = reduce_modes(plant, 5)  # a pair is never parted
     assert small.A.shape == (4, 4)
     np.testing.assert_allclose(np.sort(np.linalg.eigvals(small.A).imag), [-3, -1, 1, 3], rtol=1e-9)
-    np.testing.assert_allclose(small.gain(0.0).real, plant.gain(0.0).real, rtol=1e-8)
+    np.testing.assert_allclose(small.response(0.0)[0].real, plant.response(0.0)[0].real, rtol=1e-8)
 
 
 def test_unknown_controller_is_refused():

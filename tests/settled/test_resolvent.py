@@ -6,12 +6,12 @@ import pytest
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
-from rotorsim.settled.equations import NonlinearEquations
-from rotorsim.settled.linear_equations import Equations
-from rotorsim.settled.linear_motion import Motion, PortMotion
-from rotorsim.settled.motion import NonlinearMotion
-from rotorsim.settled.ports import DENSE, open_ports, slow_states
-from rotorsim.settled.resolvent import PortResolvent, Resolvent
+from rotorsim.settled.equations import Equations
+from rotorsim.settled.motion import LinearMotion
+from rotorsim.settled.nonlinear import NonlinearMotion
+from rotorsim.settled.ports import open_ports
+from rotorsim.settled.resolvent import resolvent_of
+from rotorsim.settled.slow_states import DENSE, slow_states
 
 SPEEDS = np.array([150.0, -260.0, 410.0])
 SLOW = [np.array([], int), np.array([2]), np.array([0, 5])]
@@ -28,8 +28,7 @@ def test_the_response_solves_the_system():
     A, s = systems(n)
     random = np.random.default_rng(1)
     right = random.standard_normal((3, 4, n, 2)) + 1j * random.standard_normal((3, 4, n, 2))
-    found = Resolvent(A, s, SLOW)
-    X = found.apply(right)
+    X = resolvent_of(A, s, SLOW).gain @ right
     for r in range(3):
         for k in range(4):
             matrix, b = s[r, k] * np.eye(n) - A[r], right[r, k]
@@ -40,7 +39,6 @@ def test_the_response_solves_the_system():
             else:
                 x = X[r, k]
             assert np.abs(matrix @ x - b).max() < 1e-11 * np.abs(b).max() * n
-        assert found.apply_to_run(r, right[r, :, :, 0]) == pytest.approx(X[r, :, :, 0], rel=1e-9, abs=1e-12)
 
 
 def test_ports_respond_as_the_whole_does_to_what_moves_them():
@@ -56,15 +54,13 @@ def test_ports_respond_as_the_whole_does_to_what_moves_them():
     D = np.zeros((3, n, n))
     D[:, :, columns] = np.einsum("ij,rjk->rik", B, 0.3 * random.standard_normal((3, ranks, len(columns))))
     force = np.einsum("ij,rkjm->rkim", B, random.standard_normal((3, 4, ranks, 2)))
-    whole = Resolvent(A + D, s, SLOW)
+    whole = resolvent_of(A + D, s, SLOW)
     change = (A + D)[:, ports.rows[:, None], ports.columns] - ports.within
-    part = PortResolvent(ports, change)
-    expected = whole.apply(force.astype(complex))[:, :, ports.columns]
-    assert part.apply(force[:, :, ports.rows].astype(complex)) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    part = ports.closed(change)
+    expected = (whole.gain @ force)[:, :, ports.columns]
+    assert part.gain @ force[:, :, ports.rows] == pytest.approx(expected, rel=1e-9, abs=1e-9)
     for r in range(3):
-        one = part.apply_to_run(r, force[r][:, ports.rows, 0].astype(complex))
-        assert one == pytest.approx(expected[r, :, :, 0], rel=1e-9, abs=1e-9)
-        assert part.slow_columns(r) == pytest.approx(whole.slow_columns(r)[ports.columns], rel=1e-9, abs=1e-9)
+        assert part.slow[r] == pytest.approx(whole.slow[r][ports.columns], rel=1e-9, abs=1e-9)
 
 
 def test_slow_states_of_large_systems_are_those_of_all_modes():
@@ -101,10 +97,11 @@ def test_a_beam_moves_by_way_of_its_ports_as_by_all_its_states():
     model, outputs, free, p = machine()
     equations = Equations(model, outputs, free)
     assert equations.n > DENSE
-    motion = Motion(equations, p, SPEEDS, 7, [1.0, 1.0, 1.0], np.array([0.0, 0.4, 1.1]))
-    ports = PortMotion(motion, equations.theta0)
+    motion = LinearMotion(equations, p, SPEEDS, 7, np.ones(3), np.array([0.0, 0.4, 1.1]))
+    motion.condensed(equations.theta0)
     theta = equations.theta0 * np.linspace(0.8, 1.3, len(free))
-    whole, part = motion.response(theta), ports.response(theta)
+    whole, part = motion.response(theta), motion.condensed(theta)
+    assert part.A.shape[2] < whole.A.shape[2]
     X, x = whole.states(), part.states()
     Y = whole.outputs(X)
     assert np.abs(part.outputs(x) - Y).max() < 1e-9 * np.abs(Y).max()
@@ -117,10 +114,11 @@ def test_a_beam_moves_by_way_of_its_ports_as_by_all_its_states():
 
 def test_harmonic_balance_of_a_linear_beam_is_its_direct_response():
     model, outputs, free, p = machine()
-    linear, other = Equations(model, outputs, free), NonlinearEquations(model, outputs, free)
-    motion = Motion(linear, p, SPEEDS, 7, [1.0, 1.0, 1.0], np.array([0.0, 0.4, 1.1]))
-    balance = NonlinearMotion(other, p, SPEEDS, 7, [1.0, 1.0, 1.0], np.array([0.0, 0.4, 1.1]))
-    theta = linear.theta0 * np.linspace(0.8, 1.3, len(free))
+    equations = Equations(model, outputs, free)
+    motion, balance = (
+        kind(equations, p, SPEEDS, 7, np.ones(3), np.array([0.0, 0.4, 1.1])) for kind in (LinearMotion, NonlinearMotion)
+    )
+    theta = equations.theta0 * np.linspace(0.8, 1.3, len(free))
     response = motion.response(theta)
     X = response.states()
     found = balance.predict(theta)
@@ -128,7 +126,7 @@ def test_harmonic_balance_of_a_linear_beam_is_its_direct_response():
     Y, slopes = response.outputs(X), response.sensitivity(X)
     assert np.abs(found.Y - Y).max() < 1e-9 * np.abs(Y).max()
     for j in range(len(free)):
-        assert np.abs(found.slopes[..., j] - slopes[..., j]).max() < 1e-8 * np.abs(slopes[..., j]).max()
+        assert np.abs(found.sensitivity()[..., j] - slopes[..., j]).max() < 1e-8 * np.abs(slopes[..., j]).max()
 
 
 def test_what_is_the_same_in_all_runs_becomes_a_number_and_changes_nothing():
@@ -139,10 +137,12 @@ def test_what_is_the_same_in_all_runs_becomes_a_number_and_changes_nothing():
     assert not slots & set(folded.known)
     theta = whole.theta0 * np.linspace(0.8, 1.3, len(free))
     many = np.repeat(theta[None], len(p), 0)
-    for key, matrix in whole.matrices.items():
-        for ours, theirs in zip(folded.matrices[key](p, many), matrix(p, many), strict=True):
+    for key, matrix in whole.whole.matrices.items():
+        for ours, theirs in zip(folded.whole.matrices[key](p, many), matrix(p, many), strict=True):
             assert np.abs(ours - theirs).max(initial=0.0) <= 1e-10 * np.abs(theirs).max(initial=0.0)
-    for ours, theirs in zip(folded.forcing(p, many, SPEEDS, 5), whole.forcing(p, many, SPEEDS, 5), strict=True):
+    for ours, theirs in zip(
+        folded.whole.forcing(p, many, SPEEDS, 5), whole.whole.forcing(p, many, SPEEDS, 5), strict=True
+    ):
         assert np.abs(ours - theirs).max() < 1e-10 * np.abs(theirs).max()
 
 
@@ -153,10 +153,8 @@ def test_known_parameters_of_other_runs_are_not_those_of_the_first():
     other = p.copy()
     place = model.parameters["controller.KP"].start
     other[:, place] *= 1.5
-    found = Motion(folded, other, SPEEDS, 3, [1.0, 1.0, 1.0], np.zeros(3)).response(folded.theta0).A
-    right = Motion(Equations(model, outputs, free), other, SPEEDS, 3, [1.0, 1.0, 1.0], np.zeros(3))
+    found = LinearMotion(folded, other, SPEEDS, 3, np.ones(3), np.zeros(3)).response(folded.theta0).A
+    right = LinearMotion(Equations(model, outputs, free), other, SPEEDS, 3, np.ones(3), np.zeros(3))
     expected = right.response(folded.theta0).A
     assert found == pytest.approx(expected, rel=1e-10, abs=1e-10)
-    balance = NonlinearEquations(model, outputs, free, p)
-    assert balance.at(p) is balance
-    assert not balance.at(other).known
+    assert not folded.at(other).known

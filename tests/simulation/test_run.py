@@ -139,3 +139,19 @@ def test_a_step_longer_than_the_run_is_refused():
     assert [(p.what, p.subject, p.hint) for p in caught.value.problems] == [
         ("step 0.0001 s is longer than stop 1e-09 s", "solver", "choose a smaller step")
     ]
+
+
+def test_an_algebraic_loop_without_a_solution_is_said():
+    """y = sin + y^2 has no real solution where the sine is above 1/4."""
+    wires = [("u.output", "y.input1"), ("f.output", "y.input2"), ("y.output", "f.input"), ("y.output", "state.input")]
+    blocks = {
+        "u": ("sine", {"frequency": 3.0}),
+        "y": ("sum", {}),
+        "f": ("math_function", {"function": "square"}),
+        "state": ("integrator", {}),
+    }
+    result = simulate(load(document(blocks, [list(wire) for wire in wires], ["y.output"], algebraic_loops="solve")))
+    assert result.status == "diverged"
+    assert result.message.startswith("an algebraic loop did not converge: largest residual")
+    assert result.counters["loop_residual"] > 1e-9
+    assert list(result.signals) == ["y.output"]

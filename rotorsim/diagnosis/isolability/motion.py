@@ -16,10 +16,10 @@ from rotorsim.diagram.diagram import Diagram, Endpoint, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
-from rotorsim.settled.equations import NonlinearEquations
-from rotorsim.settled.motion import NonlinearMotion
-from rotorsim.settled.ports import slow_states
-from rotorsim.settled.resolvent import Resolvent
+from rotorsim.settled.equations import Equations
+from rotorsim.settled.nonlinear import NonlinearMotion
+from rotorsim.settled.resolvent import resolvent_of
+from rotorsim.settled.slow_states import slow_states
 
 __all__ = ["SECOND", "LinearMotion"]
 
@@ -54,7 +54,7 @@ class LinearMotion:
         model = compile_diagram(replace(diagram, measured={**diagram.measured, **second}))
         if model.n_z:
             raise RotorsimError(Problem("has a sample time, which harmonics of linear equations do not show"))
-        self.all, self.signals = NonlinearEquations(model, signals, free), tuple(signals)
+        self.all, self.signals = Equations(model, signals, free), tuple(signals)
         self.equations, self.resolvents = self.all.whole, resolvents
         self.p = np.array([model.parameter_vector(one) for one in runs.settings])
         self.speeds = np.abs(runs.speeds)
@@ -111,7 +111,7 @@ class LinearMotion:
 
     def _is_linear(self, theta: np.ndarray, f0: np.ndarray, A: np.ndarray, x: np.ndarray) -> bool:
         """Return whether f = f0 + A x with the same A all along the motion x (R, N, n)."""
-        transposed, (E, S) = A.swapaxes(1, 2), (self.equations.E, self.equations.S)
+        transposed, (E, S) = A.swapaxes(1, 2), self.equations.places
         size = np.abs(x) @ np.abs(transposed) + np.abs(f0)
         wrong = np.abs(self._values(self.equations.f, theta, self.times, x)[..., 0] - f0 - x @ transposed)
         if not (wrong.max(axis=(0, 1)) <= CONSTANT * size.max(axis=(0, 1))).all():
@@ -122,21 +122,21 @@ class LinearMotion:
     def nonlinear(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return Y and dY by harmonic balance, None where no settled motion is found."""
         runs = len(self.p)
-        motion = NonlinearMotion(self.all, self.p, self.speeds, ORDERS, [NEVER] * runs, np.zeros(runs))
+        motion = NonlinearMotion(self.all, self.p, self.speeds, ORDERS, np.full(runs, NEVER), np.zeros(runs))
         try:
             with np.errstate(all="ignore"):
                 predicted = motion.predict(theta)
         except np.linalg.LinAlgError:  # a fault that lets nothing settle at these speeds
             return None
-        Y, dY = predicted.Y, predicted.slopes
+        Y, dY = predicted.Y, predicted.sensitivity()
         return (Y, dY) if predicted.settled.all() and np.isfinite(Y).all() and np.isfinite(dY).all() else None
 
     def open_means(self, theta: np.ndarray) -> np.ndarray:
         """Return dY (R, K+1, c, s) by the means of states that have no time to settle."""
         A = self._jacobian(theta)
-        resolvent = Resolvent(A, np.zeros((len(A), 1)), [slow_states(one, WINDOW, self.all.means) for one in A])
+        resolvent = resolvent_of(A, np.zeros((len(A), 1)), [slow_states(one, WINDOW, self.all.means) for one in A])
         C = self._values(self.equations.C, theta, self.times[:, :1])[:, 0]
-        columns = [C[r] @ resolvent.slow_columns(r) for r in range(len(A))]
+        columns = [C[r] @ resolvent.slow[r] for r in range(len(A))]
         dY = np.zeros((len(A), ORDERS + 1, self.equations.c, sum(own.shape[1] for own in columns)), complex)
         ends = np.cumsum([0, *(own.shape[1] for own in columns)])
         for r, own in enumerate(columns):
@@ -153,7 +153,7 @@ class LinearMotion:
             if len(self.resolvents) >= KEPT:
                 self.resolvents.popitem()
             s = 1j * self.speeds[:, None] * np.arange(H + 1)
-            self.resolvents[key] = Resolvent(A, s, [slow_states(one, NEVER) for one in A]).inverse
+            self.resolvents[key] = resolvent_of(A, s, [slow_states(one, NEVER) for one in A]).gain
         return self.resolvents[key]
 
 

@@ -15,7 +15,9 @@ from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.identification.files import with_values
 from rotorsim.identification.profile import Z90
-from rotorsim.identification.study.study import Case, Study, StudyResult, run_study, study_rows, with_document
+from rotorsim.identification.study.plan import Case, Study
+from rotorsim.identification.study.runs import bench_of
+from rotorsim.identification.study.study import StudyResult, run_study, study_rows, with_document
 from rotorsim.linear.design import design_state_feedback
 from rotorsim.model.load import load
 
@@ -81,7 +83,7 @@ def smallest_size(
         document = with_values(diagram, [(known[parameter], size)])
         return with_document(study, document, method="likelihood", groups={}, bias=(0.0,), **changes)
 
-    absent = sized(0.0, free=names).bench()
+    absent = bench_of(sized(0.0, free=names).text)
     found = []
     for number, case in enumerate(cases):
         std = absent.expected_std(case.kind, case.noise)
@@ -199,7 +201,7 @@ def _swapped(study: Study, diagram: Diagram, block: str, kind: str) -> Study:
 
 def _refuse_fall(study: Study) -> None:
     """Raise RotorsimError where a controller does not levitate the rotor."""
-    bench = study.bench()
+    bench = bench_of(study.text)
     places = [k for k, unit in enumerate(bench.units.values()) if unit == "m"]
     largest = max(float(np.abs(item.values[:, places]).max(initial=0.0)) for item in bench.clean)
     if not largest < TOUCH_DOWN:

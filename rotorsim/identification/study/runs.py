@@ -6,9 +6,10 @@ parameters do; it says nothing about whether the equations are those of a machin
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -16,24 +17,27 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
-from rotorsim.identification.estimate import Estimate, Search, estimate
+from rotorsim.identification.estimate import Estimate, Residuals, Search, estimate
 from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.identification.profile import Z90, profile_intervals
 from rotorsim.identification.regression import Regression, open_regression
+from rotorsim.identification.study.plan import Study
 from rotorsim.identification.verdict import judge
 from rotorsim.jobs.threads import one_thread
-from rotorsim.linear.linearisation import flat_names, refuse_sampled
+from rotorsim.linear.linearisation import can_move, flat_names, refuse_sampled
 from rotorsim.measure.record import measure, with_noise
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, AXES, Channel, Recording, Run
+from rotorsim.settled.equations import slots_of
+from rotorsim.settled.periodic import periodic
 from rotorsim.signals.covariance import complex_values
 from rotorsim.signals.harmonic_basis import Basis, harmonic_basis
 from rotorsim.signals.harmonic_fit import HarmonicFit, Samples, fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.signals.shaft_angle import ShaftAngle
 
-__all__ = ["Bench", "Clean", "clean_runs"]
+__all__ = ["Bench", "Clean", "bench_of", "clean_runs"]
 
 RATE = 1e4  # Hz, of the recordings; the thesis' step of 0.1 ms
 PROBE, LINEAR = 0.1, 1e-6  # size of a step; departure from linearity, of the change, that counts as none
@@ -110,8 +114,7 @@ def _channels(model: Model, diagram: Diagram) -> list[Channel]:
         for node in nodes:
             for axis in AXES:
                 channel = Channel("", end, axis, node, None, signal.unit or "1")
-                expression = model.expression(channel.name)
-                if not (expression.is_constant() and float(expression) == 0.0):
+                if can_move(model, channel.name):
                     channels.append(replace(channel, column=channel.name))
     if not channels:
         hint = 'let the diagram record two-axis signals: "record": ["rotor.displacement", "controller.current"]'
@@ -134,8 +137,6 @@ def _one_run(
     time, theta = result.time, result[ANGLE].reshape(len(result.time))
     if not settled:
         return time, theta, {name: result[name] for name in signals}
-    from rotorsim.settled.periodic import periodic
-
     names = [flat for name in signals for flat in flat_names(model, name)]
     speed = parameters["speed"]
     others = {name: value for name, value in parameters.items() if name != "speed"}
@@ -155,49 +156,40 @@ def _one_run(
     )
 
 
+@lru_cache(maxsize=2)
+def bench_of(text: str) -> Bench:
+    """Return the undisturbed runs of the study with this `Study.text`, kept for the next call."""
+    return Bench(Study(**json.loads(text)))
+
+
 class Bench:
-    """Undisturbed runs of a diagram with everything that does not change from seed to seed.
+    """The undisturbed runs of a study with everything that does not change from seed to seed."""
 
-    free: names of the parameters to estimate (default: all that the diagram leaves free). groups: name -> known
-    parameters that one draw makes wrong together. given: ports that the likelihood takes as measured.
-    """
-
-    def __init__(
-        self,
-        diagram: Diagram,
-        speeds: Sequence[float],
-        *,
-        gains: Sequence[Mapping[str, float]] = ({},),
-        free: Sequence[str] = (),
-        groups: Mapping[str, Sequence[str]] | None = None,
-        method: str = "regression",
-        reduction: str = "exact",
-        given: Sequence[str] = (),
-        window: tuple[float, float] = (4.0, 5.0),
-        settled: bool = False,
-        profile: bool = True,
-    ) -> None:
-        self.diagram, self.method, self.profile = diagram, method, profile
-        self.free = _free(diagram, free)
-        self.recording, self.clean = clean_runs(diagram, speeds, gains, window, settled)
+    def __init__(self, study: Study) -> None:
+        diagram = self.diagram = study.load()
+        self.method, self.profile = study.method, study.profile
+        self.free = _free(diagram, study.free)
+        self.recording, self.clean = clean_runs(diagram, study.speeds, study.gains, study.window, study.settled)
         self.names = tuple(self.recording.channels)
         self.units = {name: channel.unit for name, channel in self.recording.channels.items()}
-        runs = [item.run for item in self.clean]
-        undisturbed = [RunHarmonics(item.run, item.angle, item.fit) for item in self.clean]
-        self.opened: Likelihood | Regression
-        if method == "likelihood":
-            experiment = open_experiment(
-                diagram, self.recording, runs=runs, free=self.free, harmonics=undisturbed, given=given
-            )
-            if not given:
+        opening: dict[str, Any] = {
+            "runs": [item.run for item in self.clean],
+            "free": self.free,
+            "harmonics": [RunHarmonics(item.run, item.angle, item.fit) for item in self.clean],
+        }
+        self.opened: Residuals
+        self.regression: Regression | None = None
+        if study.method == "likelihood":
+            experiment = open_experiment(diagram, self.recording, given=study.given, **opening)
+            if not study.given:
                 refuse_sampled(experiment.model, "identification with the loop closed")
             self.opened = Likelihood(experiment)
         else:
-            self.opened = open_regression(
-                diagram, self.recording, runs=runs, free=self.free, harmonics=undisturbed, reduction=reduction
+            self.opened = self.regression = open_regression(
+                diagram, self.recording, reduction=study.reduction, **opening
             )
         self.search = Search(self.opened)
-        self.groups = {name: self._entries(parameters) for name, parameters in (groups or {}).items()}
+        self.groups = {name: self._entries(parameters) for name, parameters in study.groups.items()}
 
     @property
     def true(self) -> np.ndarray:
@@ -232,8 +224,8 @@ class Bench:
             experiment = self.opened.experiment
             p = self._biased(experiment.p, bias, wrong) if bias else None
             experiment = experiment.again(self.harmonics(kind, level, noise), p)
-            if isinstance(self.opened, Regression):
-                return {"values": self._regressed(self.search.again(self.opened.again(experiment))).tolist()}
+            if self.regression is not None:
+                return {"values": self._regressed(self.search.again(self.regression.again(experiment))).tolist()}
             search = self.search.again(Likelihood(experiment))
             result = estimate(search, self.true)
             intervals, verdicts = self._judged(search, result)
@@ -244,10 +236,10 @@ class Bench:
         if not self._linear:
             return estimate(search, self.true).theta
         q = search.coordinates.inside(self.true)
-        slopes = search.slopes(q)
-        size = np.linalg.norm(slopes, axis=0)
+        jacobian = search.jacobian(q)
+        size = np.linalg.norm(jacobian, axis=0)
         size[size == 0] = 1.0
-        step = np.linalg.lstsq(slopes / size, -search.residual(q), rcond=None)[0] / size
+        step = np.linalg.lstsq(jacobian / size, -search.residual(q), rcond=None)[0] / size
         return search.coordinates.outside(q + step, self.true)
 
     @cached_property
@@ -255,7 +247,7 @@ class Bench:
         """Whether the equations of the regression are linear in the free parameters, at ten per cent from them."""
         q = self.search.coordinates.inside(self.true)
         step = PROBE * np.where(q == 0, 1.0, q)
-        promised = self.search.slopes(q) * step
+        promised = self.search.jacobian(q) * step
         change = self.search.residual(q + step) - self.search.residual(q)
         return bool(np.linalg.norm(change - promised.sum(axis=1)) <= LINEAR * np.linalg.norm(promised))
 
@@ -263,9 +255,9 @@ class Bench:
         """Return the standard deviations (m,) that the likelihood promises at the true parameters."""
         with one_thread():
             harmonics = self.harmonics(kind, level, np.random.default_rng([0, 1]))
-            slopes = Likelihood(self.opened.experiment.again(harmonics)).expected(self.true)
-            size = np.linalg.norm(slopes, axis=0)
-            scaled = slopes / np.where(size > 0, size, 1.0)
+            jacobian = Likelihood(self.opened.experiment.again(harmonics)).expected(self.true)
+            size = np.linalg.norm(jacobian, axis=0)
+            scaled = jacobian / np.where(size > 0, size, 1.0)
             inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True, rcond=1e-13)
         return np.asarray(np.sqrt(np.diag(inverse)) / np.where(size > 0, size, np.nan))
 
@@ -295,23 +287,16 @@ class Bench:
             if name in model.references:
                 entries += [k for part in model.references[name] for k in range(part.start, part.stop)]
             elif name in model.parameters:
-                part = model.parameters[name]
-                entries += range(part.start, part.stop)
+                entries += range(model.parameters[name].start, model.parameters[name].stop)
             else:
                 hint = near_miss(name, [*model.references, *model.parameters])
                 problems.append(Problem(f"no parameter '{name}' that could be wrong", self.diagram.name, hint=hint))
-        slots = {slot: item.name for item, slot in self._free_slots()}
-        for entry in entries:
-            if entry in slots:
-                problems.append(Problem("is estimated: it cannot be known wrongly as well", slots[entry]))
+        slots = {slot: item.name for item in self.free for slot in slots_of(model, item)}
+        wrong = [slots[entry] for entry in entries if entry in slots]
+        problems += [Problem("is estimated: it cannot be known wrongly as well", name) for name in wrong]
         if problems:
             raise RotorsimError(*dict.fromkeys(problems))
         return np.array(entries, int)
-
-    def _free_slots(self) -> list[tuple[Free, int]]:
-        from rotorsim.settled.linear_equations import slots_of
-
-        return [(item, slot) for item in self.free for slot in slots_of(self.opened.experiment.model, item)]
 
 
 def _free(diagram: Diagram, names: Sequence[str]) -> tuple[Free, ...]:

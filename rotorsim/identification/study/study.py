@@ -11,149 +11,26 @@ import hashlib
 import io
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.files import write_atomically
 from rotorsim.identification.coordinates import ANGLE_UNIT
-from rotorsim.identification.identification import METHODS
 from rotorsim.identification.profile import Z90
-from rotorsim.identification.regression import REDUCTIONS
-from rotorsim.identification.study.printed import TABLES, PublishedTable
-from rotorsim.identification.study.runs import Bench
+from rotorsim.identification.study.plan import Case, Study
+from rotorsim.identification.study.printed import LEVELS, TABLES
+from rotorsim.identification.study.runs import Bench, bench_of
 from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
-from rotorsim.measure.record import KINDS
 from rotorsim.model.load import load
 
-__all__ = [
-    "Case",
-    "Study",
-    "StudyResult",
-    "StudyRow",
-    "run_study",
-    "study_data",
-    "study_of_table",
-    "study_rows",
-    "write_rows",
-]
+__all__ = ["StudyResult", "StudyRow", "run_study", "study_data", "study_of_table", "study_rows", "write_rows"]
 
 CHUNK = 20  # estimates handed over at a time
-
-
-@dataclass(frozen=True)
-class Case:
-    """What disturbs the data: a kind of noise with its level, and the level of the error of known parameters."""
-
-    kind: str
-    noise: float
-    bias: float
-
-    @property
-    def disturbed(self) -> bool:
-        """Whether seeds differ at all."""
-        return self.noise > 0 or self.bias > 0
-
-    def __str__(self) -> str:
-        words = [f"{self.kind} {100 * self.noise:g} %"] if self.noise else []
-        words += [f"bias {100 * self.bias:g} %"] if self.bias else []
-        return ", ".join(words) or "clean"
-
-
-@dataclass(frozen=True)
-class Study:
-    """A sensitivity study; all of it plain data.
-
-    diagram: the JSON of the diagram that makes the data and identifies. speeds [rad/s] and gains (name -> SI value)
-    give the runs, every gain set at every speed. free: parameters to estimate (default: all that the diagram leaves
-    free). kinds, noise: of the noise, and its levels (0.05 is 5 %). groups, bias: known parameters that are wrong
-    together, and the standard deviations of their relative errors. Every combination is a case with ``seeds`` draws.
-    given: ports that the likelihood takes as measured. window [s] of a run from rest; settled: the settled motion.
-    profile: intervals of the likelihood from its profile, not from its curvature. table: of the thesis, to compare.
-    """
-
-    diagram: Mapping[str, Any]
-    speeds: tuple[float, ...]
-    gains: tuple[Mapping[str, float], ...] = ({},)
-    free: tuple[str, ...] = ()
-    kinds: tuple[str, ...] = ("white",)
-    noise: tuple[float, ...] = (0.0,)
-    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    bias: tuple[float, ...] = (0.0,)
-    seeds: int = 100
-    method: str = "regression"
-    reduction: str = "exact"
-    given: tuple[str, ...] = ()
-    window: tuple[float, float] = (4.0, 5.0)
-    settled: bool = False
-    profile: bool = True
-    without: tuple[str, ...] = ()
-    folder: str = "."
-    trust_blocks: bool = False
-    table: str = ""
-
-    def __post_init__(self) -> None:
-        """Raise RotorsimError with all that makes no sense."""
-        problems = [
-            Problem(f"no {word} '{value}'", hint=f"one of {', '.join(known)}")
-            for word, values, known in (
-                ("kind of noise", self.kinds, KINDS),
-                ("method", (self.method,), METHODS),
-                ("reduction", (self.reduction,), REDUCTIONS),
-                ("table of the thesis", (self.table,) if self.table else (), tuple(TABLES)),
-            )
-            for value in values
-            if value not in known
-        ]
-        for word, levels in (("noise", self.noise), ("bias", self.bias)):
-            problems += [
-                Problem(f"{level:g} is no level of {word}", hint="a share such as 0.05, for 5 %")
-                for level in levels
-                if not 0 <= level < 1
-            ]
-        if any(self.bias) and not self.groups:
-            problems.append(
-                Problem(
-                    "nothing says which known parameters are wrong",
-                    hint="for example --wrong rotor.mass,unbalance.mass",
-                )
-            )
-        if not self.speeds or not all(abs(speed) > 0 for speed in self.speeds):
-            problems.append(
-                Problem("a study needs speeds that are not zero", hint='--speeds "1140 rpm:60 rpm:1620 rpm"')
-            )
-        if self.seeds < 1:
-            problems.append(Problem(f"{self.seeds} seeds: at least one is needed"))
-        if not 0 <= self.window[0] < self.window[1]:
-            problems.append(Problem("the window must end after it begins, and begin at 0 s or later"))
-        if problems:
-            raise RotorsimError(*problems)
-
-    @property
-    def cases(self) -> list[Case]:
-        """Every combination of noise and bias; without noise its kind does not matter."""
-        noises = [(kind if level else "", level) for kind in self.kinds for level in self.noise]
-        cases = [Case(kind, level, bias) for bias in self.bias for kind, level in noises]
-        return list(dict.fromkeys(cases))
-
-    @property
-    def text(self) -> str:
-        """All that decides the estimate of one seed, as JSON."""
-        left_out = ("seeds", "noise", "bias", "kinds", "table")
-        return json.dumps({k: v for k, v in vars(self).items() if k not in left_out}, default=str)
-
-    def load(self) -> Diagram:
-        """Return the diagram."""
-        return load(self.diagram, without=self.without, trust_blocks=self.trust_blocks, folder=self.folder)
-
-    def bench(self) -> Bench:
-        """Return the undisturbed runs, kept for the next call."""
-        return _bench(self.text)
 
 
 @dataclass(frozen=True)
@@ -220,10 +97,9 @@ def study_of_table(number: str, **changes: Any) -> Study:
     if number not in TABLES:
         raise RotorsimError(Problem(f"no table '{number}'", hint=f"one of {', '.join(TABLES)}"))
     table = TABLES[number]
-    levels = (0.0, 0.01, 0.02, 0.05)
-    varied: dict[str, Any] = {"noise": levels, "kinds": ("thesis", "uniform", "white")}
+    varied: dict[str, Any] = {"noise": LEVELS, "kinds": ("thesis", "uniform", "white")}
     if table.kind == "bias":
-        varied = {"bias": levels, "groups": table.groups}
+        varied = {"bias": LEVELS, "groups": table.groups}
     fields = {
         "diagram": load(table.diagram).document,
         "speeds": table.speeds,
@@ -235,18 +111,10 @@ def study_of_table(number: str, **changes: Any) -> Study:
     return Study(**{**fields, **changes})
 
 
-@lru_cache(maxsize=2)
-def _bench(text: str) -> Bench:
-    data = json.loads(text)
-    diagram = load(data["diagram"], without=data["without"], trust_blocks=data["trust_blocks"], folder=data["folder"])
-    names = ("gains", "free", "groups", "method", "reduction", "given", "window", "settled", "profile")
-    return Bench(diagram, data["speeds"], **{name: data[name] for name in names})
-
-
 def _job(text: str, argument: Sequence[Any]) -> dict[str, Any]:
     """Return the estimate of one case and seed."""
     kind, noise, bias, seed = argument
-    return _bench(text).solve(kind, noise, bias, seed)
+    return bench_of(text).solve(kind, noise, bias, seed)
 
 
 def run_study(
@@ -257,15 +125,15 @@ def run_study(
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> StudyResult:
-    """Run a study and return its statistics; store, scheduler, workers, progress: as in `run_jobs` and `Jobs`.
+    """Run a study and return its statistics; store, scheduler, workers, progress: as in `run_jobs`.
 
     With a store, an interrupted study resumes, and one with more seeds runs only the new ones.
     Raises RotorsimError for what does not fit together, and when no seed of a case gives an estimate.
     """
-    how = Jobs(workers, scheduler, progress)
-    bench = study.bench()  # mistakes come before any worker starts
+    how = Jobs(workers, scheduler, progress)  # mistakes come before any worker starts
+    bench = bench_of(study.text)
     jobs = [(case, seed) for seed in range(study.seeds) for case in study.cases if case.disturbed or seed == 0]
-    found = run_jobs(
+    results = run_jobs(
         partial(_job, study.text),
         [[case.kind, case.noise, case.bias, seed] for case, seed in jobs],
         store=store,
@@ -274,59 +142,62 @@ def run_study(
         chunk=CHUNK,
         on_error="return",
     )
-    failed = [
-        f"{case}, seed {seed}: {item.type}: {item.text}"
-        for (case, seed), item in zip(jobs, found, strict=True)
-        if isinstance(item, Failure)
+    of_case: dict[Case, list[dict[str, Any]]] = {case: [] for case in study.cases}
+    failed = []
+    for (case, seed), result in zip(jobs, results, strict=True):
+        if isinstance(result, Failure):
+            failed.append(f"{case}, seed {seed}: {result.type}: {result.text}")
+        else:
+            of_case[case].append(result)
+    empty = next((case for case, items in of_case.items() if not items), None)
+    if empty is not None:
+        raise RotorsimError(Problem(f"no seed gives an estimate; {failed[0]}", str(empty)), exit_code=1)
+    estimates = {case: np.array([item["values"] for item in items]) for case, items in of_case.items()}
+    intervals = {case: _stacked(items, "intervals") for case, items in of_case.items()}
+    called = {case: _stacked(items, "identified") for case, items in of_case.items()}
+    rows = [
+        _row(study, bench, j, case, estimates[case], intervals[case], called[case])
+        for j in range(len(bench.opened.experiment.free))
+        for case in study.cases
     ]
-    rows: list[StudyRow] = []
-    estimates: dict[Case, np.ndarray] = {}
-    intervals: dict[Case, np.ndarray | None] = {}
-    for case in study.cases:
-        items = [
-            item for (of, _), item in zip(jobs, found, strict=True) if of == case and not isinstance(item, Failure)
-        ]
-        if not items:
-            raise RotorsimError(Problem(f"no seed gives an estimate; {failed[0]}", str(case)), exit_code=1)
-        estimates[case] = np.array([item["values"] for item in items])
-        intervals[case] = np.array([item["intervals"] for item in items]) if "intervals" in items[0] else None
-        called = np.array([item["identified"] for item in items]) if "identified" in items[0] else None
-        rows += _rows(study, bench, case, estimates[case], intervals[case], called)
-    rows.sort(key=lambda row: [item.name for item in bench.opened.experiment.free].index(row.parameter))
     return StudyResult(study, tuple(rows), estimates, intervals, tuple(failed))
 
 
-def _rows(
-    study: Study, bench: Bench, case: Case, values: np.ndarray, intervals: np.ndarray | None, called: np.ndarray | None
-) -> list[StudyRow]:
-    """Return the statistics of one case."""
-    rows = []
-    table: PublishedTable | None = TABLES.get(study.table)
-    for j, item in enumerate(bench.opened.experiment.free):
-        true = float(bench.true[j])
-        error = values[:, j] - true
-        if item.unit == ANGLE_UNIT:
-            error = np.angle(np.exp(1j * error))
-        covered = None
-        if intervals is not None and case.disturbed:
-            low, high = intervals[:, j].T
-            covered = float(np.mean((low <= true) & (true <= high)))
-        level = case.noise if table is not None and table.kind == "noise" else case.bias
-        rows.append(
-            StudyRow(
-                parameter=item.name,
-                unit=item.unit,
-                true=true,
-                case=case,
-                mean_error=float(error.mean()),
-                rms_error=float(np.sqrt(np.mean(error**2))),
-                coverage=covered,
-                identified=None if called is None else float(called[:, j].mean()),
-                published=None if table is None else table.error(item.name, level),
-                seeds=len(values),
-            )
-        )
-    return rows
+def _stacked(items: Sequence[Mapping[str, Any]], key: str) -> np.ndarray | None:
+    """Return what every estimate says under a key, (seeds, ...); None where the method does not say it."""
+    return np.array([item[key] for item in items]) if key in items[0] else None
+
+
+def _row(
+    study: Study,
+    bench: Bench,
+    j: int,
+    case: Case,
+    values: np.ndarray,
+    intervals: np.ndarray | None,
+    called: np.ndarray | None,
+) -> StudyRow:
+    """Return the statistics of parameter j in one case."""
+    item, true, table = bench.opened.experiment.free[j], float(bench.true[j]), TABLES.get(study.table)
+    error = values[:, j] - true
+    if item.unit == ANGLE_UNIT:
+        error = np.angle(np.exp(1j * error))
+    covered = None
+    if intervals is not None and case.disturbed:
+        covered = float(np.mean((intervals[:, j, 0] <= true) & (true <= intervals[:, j, 1])))
+    level = case.noise if table is not None and table.kind == "noise" else case.bias
+    return StudyRow(
+        parameter=item.name,
+        unit=item.unit,
+        true=true,
+        case=case,
+        mean_error=float(error.mean()),
+        rms_error=float(np.sqrt(np.mean(error**2))),
+        coverage=covered,
+        identified=None if called is None else float(called[:, j].mean()),
+        published=None if table is None else table.error(item.name, level),
+        seeds=len(values),
+    )
 
 
 def study_data(found: StudyResult) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import partial, reduce
 from importlib import resources
 
 import casadi as ca
@@ -21,12 +21,14 @@ from rotorsim.model.emit.angle_recurrence import share_harmonics
 from rotorsim.model.emit.pairing import paired_constants, paired_states
 from rotorsim.model.emit.program import Pass, Program
 from rotorsim.model.emit.writer import Writer, array_leaf
+from rotorsim.model.runge_kutta import RK4
 from rotorsim.model.trace.diagram import Trace
 
 __all__ = ["Kernel", "StepProgram", "build_kernel", "emit_c", "step_program"]
 
 UNROLL_LIMIT = 1500  # operations of the right-hand side above which the step is not unrolled
 LARGEST_PAIRED = 200  # states up to which axes of one form are laid out side by side
+INSTANTS = {0.0: "g0", 0.5: "gm", 1.0: "g1"}  # forcing at t + c h
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,7 @@ def emit_c(kernel: Kernel) -> str:
 
 @dataclass(frozen=True)
 class StepProgram:
-    """The classical Runge-Kutta step (Kutta 1901) as one program with shared terms.
+    """The step of `RK4` as one program with shared terms.
 
     Its inputs are x, z, p, c (constants of the run), g0, gm, g1 (forcing at t, t + h/2, t + h) and h.
     x: nodes of the states; y: recorded at the start of the step; new: the states after it.
@@ -156,11 +158,10 @@ class StepProgram:
 
 
 def step_program(kernel: Kernel) -> StepProgram:
-    """Put the four stages of a step into one program, so that terms they share are computed once."""
+    """Put the stages of a step of `RK4` into one program, so that terms they share are computed once."""
     step = Program(reassociate=False)
     old = kernel.program
     h = step.input("h", 0)
-    half, sixth = step.apply(ir.MUL, step.constant(0.5), h), step.apply(ir.DIV, h, step.constant(6.0))
     n = len(kernel.xdot)
     x = [step.input("x", i) for i in range(n)]
     at_constants = {node: step.input("c", k) for k, node in enumerate(kernel.constants)}
@@ -180,19 +181,28 @@ def step_program(kernel: Kernel) -> StepProgram:
                 known[number] = step.apply(op, known[int(a)], known[b] if b >= 0 else -1)
         return [known[node] for node in nodes]
 
-    def moved(slope: Sequence[int], by: int) -> list[int]:
-        return [step.apply(ir.ADD, x[i], step.apply(ir.MUL, by, slope[i])) for i in range(n)]
-
-    values = evaluate([*kernel.xdot, *kernel.outputs], x, "g0")
-    k1, y = values[:n], values[n:]
-    k2 = evaluate(kernel.xdot, moved(k1, half), "gm")
-    k3 = evaluate(kernel.xdot, moved(k2, half), "gm")
-    k4 = evaluate(kernel.xdot, moved(k3, h), "g1")
+    stages: list[list[int]] = []
+    y: list[int] = []
+    for row, c in zip(RK4.a, RK4.c, strict=True):
+        state = x
+        for a, k in zip(row, stages, strict=True):
+            if a:
+                by = h if a == 1.0 else step.apply(ir.MUL, step.constant(a), h)
+                state = [step.apply(ir.ADD, s, step.apply(ir.MUL, by, k[i])) for i, s in enumerate(state)]
+        values = evaluate([*kernel.xdot, *([] if stages else kernel.outputs)], state, INSTANTS[c])
+        y = y or values[n:]
+        stages.append(values[:n])
+    unit = min(RK4.b)
+    share = step.apply(ir.DIV, h, step.constant(1 / unit))
     new = []
-    for i in range(n):
-        middle = step.apply(ir.TWICE, step.apply(ir.ADD, k2[i], k3[i]))
-        total = step.apply(ir.ADD, step.apply(ir.ADD, k1[i], k4[i]), middle)
-        new.append(step.apply(ir.ADD, x[i], step.apply(ir.MUL, sixth, total)))
+    for i in range(n):  # h / 6 ((k_1 + k_4) + 2 (k_2 + k_3)): terms of equal weight together
+        total = -1
+        for weight in sorted({round(b / unit) for b in RK4.b}):
+            terms = [k[i] for k, b in zip(stages, RK4.b, strict=True) if round(b / unit) == weight]
+            part = reduce(lambda one, other: step.apply(ir.ADD, one, other), terms)
+            part = part if weight == 1 else step.apply(ir.MUL, step.constant(float(weight)), part)
+            total = part if total < 0 else step.apply(ir.ADD, total, part)
+        new.append(step.apply(ir.ADD, x[i], step.apply(ir.MUL, share, total)))
     return StepProgram(step, tuple(x), tuple(y), tuple(new))
 
 

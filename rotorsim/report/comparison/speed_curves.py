@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from rotorsim.identification.likelihood import harmonics_of_time
+from rotorsim.identification.whitening import harmonics_of_time
 from rotorsim.jobs.threads import one_thread
 from rotorsim.report.comparison.harmonics import PredictedRuns, Signal
 from rotorsim.report.style import ROUNDING
-from rotorsim.settled.linear_motion import Motion
-from rotorsim.settled.motion import NonlinearMotion
 
 __all__ = ["settled_harmonics", "speed_curve"]
 
@@ -86,39 +85,29 @@ def settled_harmonics(
         p = np.repeat(experiment.p[r][None], len(some), axis=0)
         moved = np.array([experiment.model.parameter_vector({"speed": speed}) for speed in some])
         p[:, runs.follows_speed] = moved[:, runs.follows_speed]
-        if isinstance(experiment.motion, NonlinearMotion):
-            Y = _balanced(runs, experiment.motion, r, p, some, K)
-        else:
-            Y = _linear(experiment.motion, runs.theta, r, p, some, K)
+        Y = _moved(runs, r, p, some, K)
         parts.append(signal.combined(harmonics_of_time(Y, some[0]), experiment.predicted, orders))
     return np.concatenate(parts)
 
 
-def _linear(motion: Motion, theta: np.ndarray, r: int, p: np.ndarray, speeds: np.ndarray, K: int) -> np.ndarray:
-    """Return harmonics of time (n, K+1, c) of a linear diagram; nan where it is not stable."""
-    beside = None if motion.beside is None else motion.beside.at(speeds)
-    windows, phase = [motion.windows[r]] * len(speeds), np.full(len(speeds), motion.phase[r])
-    # of asynchronous forces alone, all orders at once
-    own = Motion(motion.equations, p, speeds, K if beside is None else beside.K, windows, phase, beside)
-    own.slow = [motion.slow[r]] * len(speeds) if motion.slow else None
-    response = own.response(theta)
-    Y = response.outputs(response.states())[:, : K + 1]
-    grows = np.linalg.eigvals(response.A).real.max(axis=1) > 1e-6 * np.abs(response.A).max() ** 0.5
-    Y[grows] = np.nan
+def _moved(runs: PredictedRuns, r: int, p: np.ndarray, speeds: np.ndarray, K: int) -> np.ndarray:
+    """Return harmonics of time (n, K+1, c) at speeds, from the nearest run with the settings of r; nan if unstable."""
+    base = runs.experiment.motion
+    beside = None if base.beside is None else base.beside.at(speeds)
+    motion = replace(
+        base,
+        p=p,
+        speeds=speeds,
+        K=K if beside is None else beside.K,  # of asynchronous forces alone, all orders at once
+        windows=np.full(len(speeds), base.windows[r]),
+        phase=np.full(len(speeds), base.phase[r]),
+        beside=beside,
+    )
+    members = np.array(runs.groups[runs.group_of(r)])
+    motion.begin_from(base, members[np.argmin(np.abs(runs.speeds[members][:, None] - speeds), axis=0)], runs.theta)
+    Y: np.ndarray = motion.predict(runs.theta).Y[:, : K + 1]
+    linear = motion.linear()
+    if linear is not None:
+        A = linear.response(runs.theta, 0, forced=False).A
+        Y[np.linalg.eigvals(A).real.max(axis=1) > 1e-6 * np.abs(A).max() ** 0.5] = np.nan
     return Y
-
-
-def _balanced(
-    runs: PredictedRuns, motion: NonlinearMotion, r: int, p: np.ndarray, speeds: np.ndarray, K: int
-) -> np.ndarray:
-    """Return harmonics of time (n, K+1, c), begun at each speed from the nearest run with the settings of run r."""
-    windows, phase = [motion.windows[r]] * len(speeds), np.full(len(speeds), motion.phase[r])
-    balanced = NonlinearMotion(motion.equations, p, speeds, K, windows, phase)
-    if motion.last is not None:
-        members = np.array(runs.groups[runs.group_of(r)])
-        nearest = members[np.argmin(np.abs(runs.speeds[members][:, None] - speeds), axis=0)]
-        last = motion.last[nearest, : balanced.H + 1]
-        balanced.opened(runs.theta)
-        if last.shape[2] == len(balanced.inner.S):
-            balanced.last = np.pad(last, ((0, 0), (0, balanced.H + 1 - last.shape[1]), (0, 0)))
-    return balanced.predict(runs.theta).Y

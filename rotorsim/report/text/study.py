@@ -9,8 +9,9 @@ from rotorsim.identification.study.printed import LEVELS, TABLES, misprints
 from rotorsim.report.text.table import parameter_unit, percent, rpm, table
 
 if TYPE_CHECKING:
+    from rotorsim.identification.study.plan import Study
     from rotorsim.identification.study.questions import Comparison, Smallest
-    from rotorsim.identification.study.study import Study, StudyResult, StudyRow
+from rotorsim.identification.study.study import StudyResult, StudyRow
 
 __all__ = ["controllers_text", "smallest_text", "study_text", "tables_data", "tables_text"]
 

@@ -12,7 +12,6 @@ from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
 from rotorsim.diagnosis.evidence.harmonic.scoring import _errors, held_score, standardised, surprise
 from rotorsim.diagnosis.evidence.harmonic.separation import _predicted
-from rotorsim.diagnosis.evidence.harmonic.stability import growth
 from rotorsim.signals.harmonics import harmonics_of
 from tests.diagnosis.test_diagnosis import RPM, recording
 from tests.identification import shipped
@@ -21,7 +20,7 @@ from tests.identification import shipped
 def prediction(residual: np.ndarray, slopes: np.ndarray, *stds: float | None) -> SimpleNamespace:
     free = [SimpleNamespace(prior_std=std) for std in stds or [None] * slopes.shape[1]]
     experiment = SimpleNamespace(free=free)
-    return SimpleNamespace(evaluation=SimpleNamespace(residual=residual, slopes=slopes), experiment=experiment)
+    return SimpleNamespace(evaluation=SimpleNamespace(residual=residual, jacobian=slopes), experiment=experiment)
 
 
 def test_surprise_is_what_a_fit_to_all_runs_leaves_more():
@@ -140,33 +139,6 @@ def test_the_share_is_of_what_is_explainable_with_the_scatter_of_runs():
     assert some.value == pytest.approx(3900 / 3900)
     assert share_explained(of_runs(101.0, 103.0), of_runs(99.0, 99.0)) is None  # there is nothing to explain
     assert share_explained(of_runs(1100.0), of_runs(110.0)).interval is None
-
-
-def test_the_growth_of_a_periodic_system_is_not_that_of_its_eigenvalues():
-    """x' = A(t) x grows as e^(t / 2) though the eigenvalues of A(t) have the real part -1/4 at all times.
-
-    Markus & Yamabe, Osaka Math. J. 12 (1960) 305-317. The trapezoidal rule is of order 2.
-    """
-    rates = []
-    for count in (64, 128):
-        t = np.arange(count) * 2 * np.pi / count
-        c, s = np.cos(t), np.sin(t)
-        A = np.array([[-1 + 1.5 * c * c, 1 - 1.5 * s * c], [-1 - 1.5 * s * c, -1 + 1.5 * s * s]]).transpose(2, 0, 1)
-        assert np.linalg.eigvals(A).real == pytest.approx(-0.25)
-        motion = SimpleNamespace(
-            p=np.zeros((1, 0)),
-            last=np.zeros((1, 3, 2)),
-            count=count,
-            times=t[None],
-            speeds=np.ones(1),
-            ports=SimpleNamespace(columns=np.arange(2)),
-            inner=SimpleNamespace(S=np.arange(2)),
-            _samples=lambda _, count=count: np.zeros((1, count, 2)),
-            equations=SimpleNamespace(n=2, whole=SimpleNamespace(J=lambda *_, A=A: A)),
-        )
-        rates.append(float(growth(SimpleNamespace(motion=motion), np.zeros(0))[0]))
-    assert (rates[0] - 0.5) / (rates[1] - 0.5) == pytest.approx(4, rel=0.05)
-    assert (4 * rates[1] - rates[0]) / 3 == pytest.approx(0.5, abs=1e-4)  # extrapolated: of order 4
 
 
 def unstable() -> tuple[HarmonicEvidence, dict]:

@@ -16,7 +16,6 @@ from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.linear.linearisation import entry_names
-from rotorsim.settled.linear_motion import Motion
 from rotorsim.signals.covariance import real_vector
 
 __all__ = ["LowerBounds", "additive_inputs", "open_bounds"]
@@ -28,8 +27,8 @@ class LowerBounds:
     def __init__(self, likelihood: Likelihood, theta: np.ndarray, targets: list[str]) -> None:
         self.likelihood = likelihood
         self.found = likelihood.evaluate(theta)
-        self.response = likelihood.response(theta)
-        self.transfer = self.response.transfer()
+        self.predicted = likelihood.experiment.motion.predict(theta)
+        self.transfer = self.predicted.by_inputs()
         self.places = {name: k for k, name in enumerate(targets)}
         self._known: dict[tuple[str, ...], float] = {}
 
@@ -84,7 +83,7 @@ class LowerBounds:
                     for phase in (1.0, 1j) if k else (1.0,):
                         columns[row, k] = effects[k, :, v] * phase
                         row += 1
-            others = likelihood.nuisances(self.response, r, self.found.Y[r])[0]
+            others = likelihood.nuisances(self.predicted, r, self.found.Y[r])
             whitened = np.hstack([others, white.apply(real_vector(columns).T)])
             length = np.linalg.norm(whitened, axis=0)
             q, _ = np.linalg.qr(whitened[:, length > 0] / length[length > 0])
@@ -126,7 +125,7 @@ def open_bounds(fit: Fit, runs: HarmonicRuns) -> LowerBounds | None:
         diagram = runs.load(values_in(fit.document, fit.values))
         targets = additive_inputs(diagram)
         experiment = runs.open(diagram, inject=targets)
-        if not targets or not isinstance(experiment.motion, Motion):
+        if not targets or not experiment.motion.is_linear:
             return None
         ports = {target: diagram.nodes[target.split(".")[0]].inputs[target.split(".")[1]] for target in targets}
         entries = [name for target, port in ports.items() for name in entry_names(target, port.shape)]

@@ -15,7 +15,6 @@ from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.recordings.recording import Recording
-from rotorsim.settled.linear_motion import Motion
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.units import conversion
 
@@ -38,7 +37,7 @@ def find_drifts(base: Fit, runs: HarmonicRuns) -> dict[str, float]:
         experiment = runs.open(runs.load(values_in(base.document, base.values)))
     except RotorsimError:
         return {}
-    if not isinstance(experiment.motion, Motion):
+    if not experiment.motion.is_linear:
         return {}
     response = Likelihood(experiment).response(experiment.theta0)
     c = len(experiment.predicted)

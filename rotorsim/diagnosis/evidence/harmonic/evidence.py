@@ -20,7 +20,7 @@ from rotorsim.diagnosis.evidence.harmonic.residual import is_force, residual_pla
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns, has_mesh
 from rotorsim.diagnosis.evidence.harmonic.scoring import held_score, left_out_score, predict, standardised
 from rotorsim.diagnosis.evidence.harmonic.separation import best_change
-from rotorsim.identification.periodic_likelihood import likelihood_of
+from rotorsim.identification.likelihood import Likelihood
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonics import RunHarmonics
 
@@ -57,7 +57,7 @@ class HarmonicEvidence(HarmonicRuns, Defaults):
         """Return the whitened residual of a diagram as it is, or None where it has none."""
         try:
             experiment = self.open(self.load(document))
-            return likelihood_of(experiment).evaluate(experiment.theta0).residual
+            return Likelihood(experiment).evaluate(experiment.theta0).residual
         except FAILURES:
             return None
 

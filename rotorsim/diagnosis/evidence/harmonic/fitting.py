@@ -16,10 +16,7 @@ from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.estimate import MOST_EVALUATIONS, Estimate, Search, summary
 from rotorsim.identification.experiment import Experiment
 from rotorsim.identification.likelihood import Likelihood
-from rotorsim.identification.periodic_likelihood import likelihood_of
 from rotorsim.identification.profile import linear_intervals
-from rotorsim.settled.linear_motion import Motion
-from rotorsim.settled.motion import NonlinearMotion
 
 __all__ = ["fit_document", "promise_of"]
 
@@ -53,10 +50,10 @@ def fit_document(
     nonlinear = False
     try:
         experiment = runs.open(runs.load(document))
-        nonlinear = isinstance(experiment.motion, NonlinearMotion)
+        nonlinear = not experiment.motion.is_linear
         if nonlinear and linear_only:
             return Fit(document, failure=DEFERRED, nonlinear=True, seconds=process_time() - began)
-        search = Search(likelihood_of(experiment))
+        search = Search(Likelihood(experiment))
         best = _best(search, experiment, starts, most)
         if nonlinear and most is None and EXPLAINS < best.misfit / max(best.evaluation.rows, 1) < CORNERS:
             best = _sharpened(search, best)
@@ -70,11 +67,11 @@ def promise_of(document: Mapping[str, Any], runs: HarmonicRuns, starts: Starts) 
     """Return the misfit that linear theory promises after one step of all parameters from the best start."""
     try:
         experiment = runs.open(runs.load(document))
-        search = Search(likelihood_of(experiment))
+        search = Search(Likelihood(experiment))
         least = np.inf
         for group in starts[:1]:
             trials = _different([t for start in group for t in _trials(search, experiment.theta0, start)], search)
-            most = PROMISE_TRIALS if isinstance(experiment.motion, NonlinearMotion) else 2 * PROMISE_TRIALS
+            most = 2 * PROMISE_TRIALS if experiment.motion.is_linear else PROMISE_TRIALS
             for theta in trials[:: max(1, -(-len(trials) // most))]:
                 least = min(least, search.promise(search.coordinates.inside(theta)))
     except FAILURES:
@@ -92,7 +89,7 @@ def _fit_of(document: Mapping[str, Any], search: Search, best: Estimate) -> Fit:
     q = search.coordinates.inside(best.theta)
     covariance = best.covariance.copy()
     covariance[best.undetermined, best.undetermined] = np.inf
-    loo = left_out(evaluation.residual, search.slopes(q)[: len(evaluation.residual)], sizes)
+    loo = left_out(evaluation.residual, search.jacobian(q)[: len(evaluation.residual)], sizes)
     return Fit(
         document=document,
         free=best.free,
@@ -117,7 +114,7 @@ def _alone(found: Estimate) -> np.ndarray:
 
     Where only a combination is determined, as of the size and the time constant of a drift, each still has one.
     """
-    back = np.linalg.inv(found.coordinates.slopes(found.theta))
+    back = np.linalg.inv(found.coordinates.jacobian(found.theta))
     information = back.T @ found.information @ back
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
     unit = np.where(size > 0, size, 1.0)
@@ -134,7 +131,7 @@ def _alone(found: Estimate) -> np.ndarray:
 
 
 def _best(search: Search, experiment: Experiment, starts: Starts, most: int | None) -> Estimate:
-    nonlinear = isinstance(experiment.motion, NonlinearMotion)
+    nonlinear = not experiment.motion.is_linear
     chosen: list[np.ndarray] = []
     assert isinstance(search.likelihood, Likelihood)
     ranking = search.again(search.likelihood.rough())
@@ -167,10 +164,8 @@ def _best(search: Search, experiment: Experiment, starts: Starts, most: int | No
 
 def _sharpened(search: Search, best: Estimate) -> Estimate:
     """Return a fit carried on with more orders: the residual may be theirs, where a law has corners."""
-    motion = search.likelihood.experiment.motion
-    assert isinstance(motion, NonlinearMotion)
-    motion.sharpen()
-    again = search.again(likelihood_of(search.likelihood.experiment))
+    search.likelihood.experiment.motion.sharpen()
+    again = search.again(Likelihood(search.likelihood.experiment))
     q = again.coordinates.inside(best.theta)
     if not np.isfinite(again.residual(q)).all():
         return best
@@ -207,7 +202,7 @@ def _different(trials: Sequence[np.ndarray], search: Search) -> list[np.ndarray]
     """
     angles = np.array([item.unit == ANGLE_UNIT for item in search.free], bool)
     same = np.zeros(len(angles), bool)
-    if isinstance(search.likelihood.experiment.motion, Motion):
+    if search.likelihood.experiment.motion.is_linear:
         same[[j for pair in search.coordinates.pairs for j in pair]] = True
     kept: dict[bytes, np.ndarray] = {}
     for trial in trials:

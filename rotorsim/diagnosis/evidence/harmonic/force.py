@@ -17,7 +17,6 @@ from rotorsim.diagnosis.evidence.harmonic.residual import free_amplitudes
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.likelihood import Likelihood
-from rotorsim.settled.linear_motion import Motion
 from rotorsim.signals.asynchronous import Asynchronous
 
 __all__ = ["unknown_force"]
@@ -60,11 +59,12 @@ def _equivalent(document: Mapping[str, Any], runs: HarmonicRuns, spot: Spot) -> 
         experiment = runs.open(diagram, inject=[f"{spot.block}.{spot.port}"])
     except (RotorsimError, KeyError):
         return None
-    if not isinstance(experiment.motion, Motion):
+    motion = experiment.motion.linear()
+    if motion is None:
         return None
     likelihood = Likelihood(experiment)
     fitted = likelihood.evaluate(experiment.theta0)
-    transfer = experiment.motion.response(experiment.theta0).transfer()
+    transfer = motion.response(experiment.theta0).transfer()
     width = port.shape[-1] if port.shape else 1
     first = 0 if spot.node is None else (spot.node - 1) * width
     H = transfer[..., first : first + width]
@@ -84,7 +84,7 @@ def _equivalent(document: Mapping[str, Any], runs: HarmonicRuns, spot: Spot) -> 
     if all(name in experiment.predicted for name in names):
         X = likelihood.data[:, :orders, [experiment.predicted.index(name) for name in names]]
     return _Force(
-        experiment.motion.speeds,
+        motion.speeds,
         F[:, :orders],
         X,
         significant[:orders],

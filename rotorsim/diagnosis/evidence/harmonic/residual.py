@@ -16,7 +16,6 @@ from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagnosis.evidence.harmonic.scoring import predict
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.likelihood import Likelihood
-from rotorsim.settled.linear_motion import Motion
 
 __all__ = ["free_amplitudes", "is_force", "residual_place", "taken_at"]
 
@@ -66,7 +65,7 @@ def residual_place(base: Fit, after: Fit, runs: HarmonicRuns) -> dict[str, Any] 
         diagram = runs.load(values_in(base.document, {**base.values, **known}))
         targets = additive_inputs(diagram)
         experiment = runs.open(diagram, inject=targets)
-        if not isinstance(experiment.motion, Motion):
+        if not experiment.motion.is_linear:
             return None
         fitted = predict(values_in(after.document, after.values), runs)
     except FAILURES:

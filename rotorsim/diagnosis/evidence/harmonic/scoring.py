@@ -16,8 +16,6 @@ from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagnosis.evidence.harmonic.stability import unsettled
 from rotorsim.identification.experiment import Experiment, open_experiment
 from rotorsim.identification.likelihood import Evaluation, Likelihood
-from rotorsim.identification.periodic_likelihood import likelihood_of
-from rotorsim.settled.motion import NonlinearMotion
 from rotorsim.signals.converters import before_converters
 
 __all__ = ["Prediction", "held_score", "left_out_score", "predict", "standardised", "surprise"]
@@ -42,9 +40,8 @@ def predict(document: Mapping[str, Any], runs: HarmonicRuns) -> Prediction:
     chosen = [item.run for item in runs.harmonics]
     diagram = before_converters(runs.load(document))
     experiment = open_experiment(diagram, runs.recording, runs=chosen, harmonics=runs.harmonics)
-    if isinstance(experiment.motion, NonlinearMotion):
-        experiment.motion.sharpen()
-    likelihood = likelihood_of(experiment)
+    experiment.motion.sharpen()
+    likelihood = Likelihood(experiment)
     return Prediction(experiment, likelihood, likelihood.evaluate(experiment.theta0))
 
 
@@ -128,14 +125,14 @@ def surprise(fitted: Prediction, held: Sequence[Prediction]) -> float | None:
     is true. None where a run has no settled motion.
     """
     e = np.concatenate([part.evaluation.residual for part in held])
-    J = np.concatenate([part.evaluation.slopes for part in held])
+    J = np.concatenate([part.evaluation.jacobian for part in held])
     return _surprise(_known(fitted), e, J)
 
 
 def _known(fitted: Prediction) -> np.ndarray:
     """Return the Jacobian of the fitted runs and of what is known of parameters beforehand, (n, m)."""
     priors = [0.0 if item.prior_std is None else 1 / item.prior_std for item in fitted.experiment.free]
-    return np.concatenate([fitted.evaluation.slopes, np.diag(priors)])
+    return np.concatenate([fitted.evaluation.jacobian, np.diag(priors)])
 
 
 def _surprise(S: np.ndarray, e: np.ndarray, J: np.ndarray) -> float | None:
@@ -157,7 +154,7 @@ def _misfits(fitted: Prediction, part: Prediction) -> list[tuple[float, float]]:
     for size in sizes:
         own = slice(at, at + size)
         at += size
-        misfit = _surprise(S, part.evaluation.residual[own], part.evaluation.slopes[own])
+        misfit = _surprise(S, part.evaluation.residual[own], part.evaluation.jacobian[own])
         out.append((float("nan") if misfit is None else misfit, size - lost))
     return out
 

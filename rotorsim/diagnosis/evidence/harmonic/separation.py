@@ -22,8 +22,7 @@ from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.identification.experiment import open_experiment
-from rotorsim.identification.periodic_likelihood import likelihood_of
-from rotorsim.settled.motion import NonlinearMotion
+from rotorsim.identification.likelihood import Likelihood
 from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.units import format_quantity
@@ -168,22 +167,18 @@ def _predicted(fit: Fit, record: HarmonicRuns, runs: tuple[RunHarmonics, ...]) -
             runs=[item.run for item in runs],
             harmonics=runs,
         )
-        likelihood = likelihood_of(experiment)
+        likelihood = Likelihood(experiment)
         theta = np.array([fit.values.get(item.name, item.value) for item in experiment.free])
-        if isinstance(experiment.motion, NonlinearMotion):
-            found = experiment.motion.predict(theta)
-            Y, slopes, settled = found.Y, found.slopes, found.settled
-        else:
-            response = experiment.linear.response(theta)
-            X = response.states()
-            Y, slopes = response.outputs(X), response.sensitivity(X)
-            rates = np.linalg.eigvals(response.A)
+        found = experiment.motion.predict(theta)
+        Y, dY, settled = found.Y, found.sensitivity(), found.settled
+        if experiment.motion.is_linear:
+            rates = np.linalg.eigvals(experiment.linear.response(theta, 0, forced=False).A)
             settled = (rates.real <= 1e-6 * np.abs(rates).max()).all(axis=-1)
     except FAILURES:
         return nothing
     scale = _spread(fit, [item.name for item in experiment.free])
     lines = likelihood.orders - Y.shape[1]  # a nonlinear diagram says nothing of lines beside the harmonics
-    Y, slopes = np.pad(Y, ((0, 0), (0, lines), (0, 0))), np.pad(slopes, ((0, 0), (0, lines), (0, 0), (0, 0)))
+    Y, dY = np.pad(Y, ((0, 0), (0, lines), (0, 0))), np.pad(dY, ((0, 0), (0, lines), (0, 0), (0, 0)))
     turned = np.pi * 1j * Y * (np.arange(likelihood.orders) > likelihood.K)[:, None]  # their phase will be any
     largest = record.largest()
     limits = LARGEST * np.array([largest.get(name, np.inf) for name in experiment.predicted])
@@ -197,7 +192,7 @@ def _predicted(fit: Fit, record: HarmonicRuns, runs: tuple[RunHarmonics, ...]) -
         if not passed and (np.sqrt(2) * rms[r] > limits).any():
             continue
         rows = [
-            likelihood.white_at(r, k, np.column_stack([Y[r, k], slopes[r, k] @ scale, turned[r, k]]))
+            likelihood.white_at(r, k, np.column_stack([Y[r, k], dY[r, k] @ scale, turned[r, k]]))
             for k in range(1, Y.shape[1])
         ]
         white = np.concatenate(rows)

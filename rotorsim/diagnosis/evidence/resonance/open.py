@@ -20,7 +20,7 @@ from rotorsim.diagnosis.evidence.waveform.data import channels_of, chosen_runs, 
 from rotorsim.diagnosis.evidence.waveform.search import MOST_STEPS, STABLE
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.linearisation import functions
+from rotorsim.linear.linearisation import jacobians
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.recordings.recording import Recording, Run
 
@@ -81,7 +81,7 @@ def is_by_resonances(diagram: Diagram, recording: Recording) -> bool:
     model = compile_diagram(diagram)
     if not samples or model.n_z or not model.n_x:
         return False
-    A = functions(model).state_matrix()(np.zeros((1, 1)), model.x0(), model.z0(), model.p0)[0]
+    A = jacobians(model)["A"](np.zeros((1, 1)), model.x0(), model.z0(), model.p0)[0]
     rates = np.linalg.eigvals(A) if np.isfinite(A).all() else np.zeros(1)
     if not (np.abs(rates.imag) > np.abs(rates.real)).any():  # it has no resonance
         return False

@@ -15,7 +15,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
-from rotorsim.settled.linear_equations import reached_states, slots_of
+from rotorsim.settled.equations import reached_states, slots_of
 
 __all__ = ["DrivenEquations", "ForceMap", "driven_equations", "driven_parameters", "measured_expression", "rate_of"]
 

@@ -1,6 +1,6 @@
 """The errors of Tables 2-5 to 5-5 of the thesis beside those found here: the tables of docs/thesis.md.
 
-python -m benchmarks.thesis_tables [--only 2-5 ...] [--seeds 100] [--out docs/thesis.md]
+python -m benchmarks.thesis.tables [--only 2-5 ...] [--seeds 100] [--out docs/thesis.md]
 
 Clean data, 5 % of the three kinds of noise, or known parameters wrong by 1 and 5 %; the thesis' regression, in % of the
 true value. --out puts every table between <!-- table 2-5 --> and <!-- end --> of the document. Three minutes on two
@@ -15,8 +15,9 @@ from pathlib import Path
 
 from benchmarks.markers import expect, fill, refuse, table_text
 from rotorsim.errors import RotorsimError
+from rotorsim.identification.study.plan import Case
 from rotorsim.identification.study.printed import TABLES
-from rotorsim.identification.study.study import Case, StudyResult, run_study, study_of_table
+from rotorsim.identification.study.study import StudyResult, run_study, study_of_table
 
 SYMBOLS = {
     "viscous_damping": "c",

@@ -1,0 +1,214 @@
+"""The settled motion of a nonlinear diagram at many runs at once, by harmonic balance through the ports of the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorsim.settled.balance import Balance, harmonics_of, samples_of
+from rotorsim.settled.equations import PortEquations
+from rotorsim.settled.floquet import growth_rate
+from rotorsim.settled.motion import FreshMeans, Prediction, SettledMotion
+from rotorsim.settled.ports import Ports, open_ports
+from rotorsim.settled.resolvent import Resolvent
+from rotorsim.settled.slow_states import FRESH, slow_states
+
+__all__ = ["NonlinearMotion"]
+
+EXTRA_ORDERS, SHARP_ORDERS = 8, 40  # beyond those compared with data
+CLOSE = 1e-9  # relative residual of a settled motion
+SIZES = (1e-6, 1e-4, 1e-2, 1.0, 1e2)  # of states at which it is seen what a law moves: gaps and limits are passed
+PROBES = 4  # points of each size
+WIDE = 0.1  # relative, of the parameters there
+
+
+@dataclass(eq=False)
+class NonlinearMotion(SettledMotion):
+    """The settled motion of a nonlinear diagram; each solution is the start of the next."""
+
+    is_linear = False
+    corrections = 4
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._resolve(EXTRA_ORDERS)
+
+    def _resolve(self, extra: int) -> None:
+        self.H = self.K + extra
+        self.count = 1 << int(np.ceil(np.log2(4 * (self.H + 1))))
+        step = 2 * np.pi / np.abs(self.speeds) / self.count
+        self.start = -np.sign(self.speeds) * self.phase / np.abs(self.speeds)
+        self.times = self.start[:, None] + step[:, None] * np.arange(self.count)
+        self.ports: Ports | None = None
+
+    def sharpen(self) -> bool:
+        """Take SHARP_ORDERS more orders from now on: for laws with corners, where it matters."""
+        self._resolve(SHARP_ORDERS)
+        self.last = None if self.last is None else self._padded(self.last)
+        return True
+
+    def _padded(self, C: np.ndarray) -> np.ndarray:
+        C = C[:, : self.H + 1]
+        return np.pad(C, ((0, 0), (0, self.H + 1 - C.shape[1]), (0, 0)))
+
+    def begin_from(self, other: SettledMotion, runs: np.ndarray, theta: np.ndarray) -> None:
+        """Start the search for each motion from that of a run (R,) of another one, where it has the same states."""
+        self.opened(theta)
+        if other.last is not None and other.last.shape[2] == len(self.inner.places[1]):
+            self.last = self._padded(other.last[runs])
+
+    def predict(
+        self, theta: np.ndarray, means: Sequence[np.ndarray] | None = None, inputs: np.ndarray | None = None
+    ) -> Prediction:
+        """Return the motion at theta (m,); there are no measured inputs."""
+        ports = self.opened(theta)
+        balance, response = self._balance(ports, theta, means or ())
+        X, settled = balance.base, np.ones(len(self.p), bool)
+        if len(balance.S):
+            start = X[:, :, balance.S] if self.last is None else balance.nearer(self.last)
+            solution = balance.solve(start, CLOSE, grow=self.last is None)
+            X, settled = balance.states(solution), solution.settled
+            X[~settled] = np.nan
+        C = X[:, :, balance.S]
+        if settled.all():
+            self.last = C
+        elif self.last is not None:
+            self.last = np.where(settled[:, None, None], C, self.last)
+        return self._linearised(balance, response, X, settled, theta)
+
+    def fresh_means(self, theta: np.ndarray) -> list[FreshMeans]:
+        """Return the means of slow states that start with the run.
+
+        x' = f - a x from x_0 on has over a window T the mean x_0 g + f T (1 - g) / u,  g = (1 - e^-u) / u,  u = a T.
+        """
+        self.opened(theta)
+        equations, whole = self.equations, self.equations.whole
+        x_0 = equations.model.x0(equations.model.p0)[equations.kept]
+        every = []
+        for r, (slow, T) in enumerate(zip(self.slow, self.windows, strict=True)):
+            places = np.flatnonzero(equations.means[slow] == FRESH)
+            values, jacobian = np.zeros(len(places)), np.zeros((len(places), len(theta)))
+            for k, state in enumerate(slow[places]):
+                x = np.zeros((equations.n, 2))
+                x[state, 1] = 1.0
+                point = self.times[r, :1], x, self.p[r], theta
+                f, df = whole.f(*point)[:, state, 0], whole.f_theta(*point)[:, state]
+                u, du = (f[0] - f[1]) * T, (df[0] - df[1]) * T
+                g, rest = _settling(u)
+                values[k] = x_0[state] * g[0] + f[0] * T * rest[0]
+                jacobian[k] = (x_0[state] * g[1] + f[0] * T * rest[1]) * du + df[0] * T * rest[0]
+            every.append(FreshMeans(len(slow), places, values, jacobian))
+        return every
+
+    def growth(self, theta: np.ndarray) -> np.ndarray:
+        """Return the largest growth rate [1/s] of a disturbance of the motions that were found last, (R,)."""
+        rates = np.full(len(self.p), -np.inf)
+        if self.last is None or self.ports is None:
+            return rates
+        X = np.zeros((*self.last.shape[:2], self.equations.n), complex)
+        X[:, :, self.ports.columns[self.inner.places[1]]] = self.last
+        for r, speed in enumerate(np.abs(self.speeds)):
+            rates[r] = growth_rate(self.equations.whole, float(speed), self.p[r], X[r], theta, float(self.start[r]))
+        return rates
+
+    def opened(self, theta: np.ndarray) -> Ports:
+        """Return the ports of all that no parameter and no nonlinear law moves, seen at the first theta (m,)."""
+        if self.ports is not None:
+            return self.ports
+        R, n = len(self.p), self.equations.n
+        whole = self.equations.whole
+        A = whole.J(self.times[:, 0][None], np.zeros((n, R)), self.p.T, np.repeat(theta[None], R, 0).T)
+        if not np.isfinite(A).all():
+            raise ValueError("the equations are not finite at rest")
+        runs = zip(A, self.windows, strict=True)
+        self.slow = [slow_states(matrix, window, self.equations.means) for matrix, window in runs]
+        values = whole.sampled(self.p, np.repeat(theta[None], R, 0), self.times[:, ::8])
+        moved = [np.moveaxis(part[:, :, :n], 2, 0).reshape(n, -1) for part in values]
+        rng = np.random.default_rng(0)
+        changing, changed = self.equations.changing, []
+        few = np.repeat(np.arange(R), PROBES)
+        for size in SIZES:
+            other = theta * (1 + WIDE * rng.uniform(-1, 1, (len(few), len(theta)))) + WIDE * (theta == 0)
+            times = rng.choice(self.times.ravel(), len(few))[None]
+            point = times, size * rng.standard_normal((n, len(few))), self.p[few].T, other.T
+            with np.errstate(all="ignore"):
+                change = whole.J(*point)[:, :, changing] - A[few][:, :, changing]
+                moved.append(whole.f_theta(*point).transpose(1, 0, 2).reshape(n, -1))
+            changed.append(change.transpose(1, 0, 2).reshape(n, -1))
+        s = 1j * np.abs(self.speeds)[:, None] * np.arange(self.H + 1)
+        self.ports = open_ports(A, s, self.slow, changing, moved, changed)
+        self.inner: PortEquations = self.equations.at_ports(self.ports.rows, self.ports.columns)
+        return self.ports
+
+    def _points(self, x: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return the arguments of the equations at the samples of motion x (R, count, n)."""
+        p = np.repeat(self.p, self.count, 0).T
+        return self.times.reshape(1, -1), x.reshape(-1, x.shape[2]).T, p, theta
+
+    def _balance(self, ports: Ports, theta: np.ndarray, means: Sequence[np.ndarray]) -> tuple[Balance, Resolvent]:
+        """Return the equations at theta, to be balanced about the mean Jacobian of the last motion."""
+        inner, R, count = self.inner, len(self.p), self.count
+        E, S = inner.places
+
+        def whole(x_S: np.ndarray) -> tuple[np.ndarray, ...]:
+            x = np.zeros((R, count, inner.n))
+            x[:, :, S] = x_S
+            return self._points(x, theta)
+
+        def jacobian(x_S: np.ndarray) -> np.ndarray:
+            return inner.J_part(*whole(x_S)).reshape(R, count, len(E), len(S))
+
+        at_rest = inner.f(*whole(np.zeros((R, count, len(S))))).reshape(R, count, inner.r)
+        A = inner.J(self.times[:, 0][None], np.zeros((inner.n, R)), self.p.T, theta)
+        if len(S):
+            near = np.zeros((R, self.H + 1, len(S)), complex) if self.last is None else np.nan_to_num(self.last)
+            A[:, E[:, None], S] = jacobian(samples_of(near, count)).mean(axis=1)
+        response = ports.closed(A - ports.within)
+        base = (response.gain @ harmonics_of(at_rest, self.H)[..., None])[..., 0]
+        for r, values in enumerate(means):
+            base[r, 0] += response.slow[r] @ values
+
+        def rows(x_S: np.ndarray) -> np.ndarray:
+            return inner.f_rows(*whole(x_S)).reshape(R, count, len(E))
+
+        part = A[:, E[:, None], S]
+        return Balance(rows, jacobian, at_rest[:, :, E], part, response.gain[:, :, :, E], base, S), response
+
+    def _linearised(
+        self, balance: Balance, response: Resolvent, X: np.ndarray, settled: np.ndarray, theta: np.ndarray
+    ) -> Prediction:
+        """Return outputs and their derivatives about the motion X (R, H+1, n)."""
+        inner, R, K, count = self.inner, len(self.p), self.K, self.count
+        safe = np.where(np.isfinite(X), X, 0.0)
+        points = self._points(samples_of(safe, count), theta)
+        C = inner.C(*points).reshape(R, count, inner.c, inner.n)
+        by_theta = harmonics_of(inner.f_theta(*points).reshape(R, count, inner.r, -1), self.H)
+        widths = [columns.shape[1] for columns in response.slow]
+        moved = np.pad(response.gain @ by_theta, ((0, 0), (0, 0), (0, 0), (0, max(widths, default=0))))
+        for r, columns in enumerate(response.slow):
+            moved[r, 0, :, inner.m : inner.m + widths[r]] = columns
+        if len(balance.S):
+            tangent = balance.tangent(safe[:, :, balance.S])
+            moved = moved + balance.G @ tangent.forces(moved[:, :, balance.S])
+        in_time = samples_of(moved.reshape(R, self.H + 1, -1), count).reshape(R, count, inner.n, -1)
+        dy = C @ in_time
+        dy[..., : inner.m] += inner.g_theta(*points).reshape(R, count, inner.c, -1)
+        Y = harmonics_of(inner.g(*points).reshape(R, count, -1), K)
+        dY = harmonics_of(dy, K)
+        Y[~settled] = np.nan
+        by_means = [dY[r, :, :, inner.m : inner.m + width] for r, width in enumerate(widths)]
+        none = np.zeros((*Y.shape, 0), complex)
+        return Prediction(Y, settled, by_means, lambda: dY[..., : inner.m], lambda: none)
+
+
+def _settling(u: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return g = (1 - e^-u) / u and (1 - g) / u, each with its derivative by u."""
+    if abs(u) < 1e-3:  # three terms of the series: 1e-12
+        g, rest = 1 - u / 2 + u**2 / 6 - u**3 / 24, 1 / 2 - u / 6 + u**2 / 24 - u**3 / 120
+        return (g, -1 / 2 + u / 3 - u**2 / 8), (rest, -1 / 6 + u / 12 - u**2 / 40)
+    g = -np.expm1(-u) / u
+    dg = (np.exp(-u) - g) / u
+    rest = (1 - g) / u
+    return (g, dg), (rest, -(dg + rest) / u)
