@@ -67,14 +67,23 @@ class _Finder:
         wires: Wires,
         *,
         of: Node | None = None,
-        cut: Wires | None = None,
+        cut: Iterable[tuple[str, str]] = (),
         measured: Mapping[str, str] | None = None,
         feeds: Mapping[str, str] | None = None,
     ) -> Insertion:
         """Return an insertion; of: the block whose values it inherits."""
-        values = {**self.fault.options, **({} if of is None else self._inherited(of))}
-        parts = tuple(wires), tuple(cut or ()), measured or {}, values, feeds or {}
-        return Insertion(self.kind, self.fault, spot, name, *parts, self.variant)
+        return Insertion(
+            self.kind,
+            self.fault,
+            spot,
+            name,
+            wires=tuple(wires),
+            cut=tuple(cut),
+            measured=measured or {},
+            values={**self.fault.options, **({} if of is None else self._inherited(of))},
+            feeds=feeds or {},
+            variant=self.variant,
+        )
 
     def _new_name(self) -> str:
         name, number = self.fault.physics, 2

@@ -41,7 +41,7 @@ class WeaklyIsolable:
 
 @dataclass(frozen=True, eq=False)
 class Laws:
-    """What the laws of faults tell over speeds: with the gains as they are (one), and with a second set too (two).
+    """What the laws of faults isolate over speeds: with the gains as they are (one), and with a second set too (two).
 
     sensors: sensor that could be added -> faults that it makes detectable, pairs (fault, other) that it isolates.
     """
@@ -63,7 +63,7 @@ class Laws:
 
 @dataclass(frozen=True, eq=False)
 class Isolation:
-    """Faults (by key) and what sensors tell of them. laws: None where ``why`` says that they were not judged."""
+    """Faults (by key), and which of them sensors isolate. laws: None where ``why`` says that they were not judged."""
 
     diagram: Diagram
     sensors: tuple[str, ...]
@@ -131,7 +131,7 @@ def _periodic(
 
 
 def _laws(signatures: Signatures, recorded: Sequence[str], extra: Mapping[str, Sequence[str]]) -> Laws:
-    """Return what the recorded signals tell, and what each sensor that could be added would: name -> its entries."""
+    """Return what the recorded signals isolate, and what each sensor that could be added would: name -> its entries."""
     one, two = signatures.shares(recorded, both=False), signatures.shares(recorded, both=True)
     close = [pair for pair, share in one.isolable_shares.items() if share < HARDLY]
     only = {*one.undetectable, *chain.from_iterable(close)}

@@ -12,7 +12,7 @@ P_b off those of b: what b and the free parameters leave of a. Zero: b explains 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -71,14 +71,14 @@ class Signatures:
     row_signal: np.ndarray
     parameters: tuple[str, ...] = ()
 
-    def shares(self, signals: Sequence[str], *, both: bool, only: Iterable[str] | None = None) -> Shares:
+    def shares(self, signals: Sequence[str], *, both: bool, only: Collection[str] | None = None) -> Shares:
         """Return what signals (flat names) isolate, with the first set of gains or with both.
 
         only: faults that matter (default: all).
         """
         rows = np.isin(self.row_signal, [self.signals.index(name) for name in signals])
         rows &= (self.row_set == 0) | both
-        names = self.columns if only is None else [name for name in only if name in self.columns]
+        names = [name for name in self.columns if only is None or name in only]
         with one_thread():
             return Shares(self.free[rows], {name: self.columns[name][rows] for name in names}, self.sizes)
 
@@ -119,8 +119,8 @@ class Shares:
     def share(self, name: str, other: str) -> float:
         """Return the share of a fault that another leaves; both are detectable."""
         common = self._spans[other].T @ self._spans[name]
-        left = np.eye(common.shape[1]) - common.T @ common
-        return float(np.sqrt(max(np.linalg.eigvalsh(left)[-1], 0.0)))
+        beside = np.eye(common.shape[1]) - common.T @ common
+        return float(np.sqrt(max(np.linalg.eigvalsh(beside)[-1], 0.0)))
 
     @cached_property
     def isolable_shares(self) -> dict[tuple[str, str], float]:

@@ -172,17 +172,16 @@ def _minimal(
         yield frozenset(rows)
         return
     allowed = frozenset().union(*removable)
-    left = set(allowed)
+    tried: set[Equation] = set()
     classes: list[tuple[frozenset[Equation], frozenset[Equation]]] = []
     for name in sorted(allowed):
-        if name not in left:
+        if name in tried:
             continue
         others = _over_determined({key: unknowns for key, unknowns in rows.items() if key != name})
         together = frozenset(rows) - others
-        left -= together
+        tried |= together
         if together <= allowed:  # else it was or will be removed with one that another branch removes
             classes.append((together, others))
     for k, (_, others) in enumerate(classes):
-        yield from _minimal(
-            {name: rows[name] for name in others}, [one for one, _ in classes[k + 1 :]] or [frozenset()]
-        )
+        later = [together for together, _ in classes[k + 1 :]]
+        yield from _minimal({name: rows[name] for name in others}, later or [frozenset()])
