@@ -13,7 +13,7 @@ class Criteria:
     """Thresholds of identification and diagnosis. Probabilities are of a right model failing; ratios have no unit."""
 
     # -- adequacy of a fit ---------------------------------------------------------------------------------------------
-    # probability of a misfit, below which noise did not make it; small, for the noise is estimated as well
+    # probability of a misfit, below which a model does not explain the data: one wrong finding in 10 000 recordings
     not_explained: float = 1e-4
     # residual variance, of the noise's, that is not worth a name whatever its probability: a variance estimated from n
     # independent samples is wrong by sqrt(2 / n), 5 % for the 800 between the harmonics of a run of 0.2 s at 5 kHz
@@ -26,6 +26,20 @@ class Criteria:
     settled: float = 0.5
     # of a disturbance over the window of a run: growth that a recording of a settled motion would show
     growth: float = 0.1
+
+    # -- identification ------------------------------------------------------------------------------------------------
+    # half width of the 90 % interval, as part of the value, from which on a parameter is not identified
+    precision: float = 0.05
+    # correlation above which a parameter is named as the partner of another
+    correlated: float = 0.9
+    # of the width of an interval: what remains when the partners are known, above which they are not the reason
+    partners: float = 1 / 3
+    # variance of the noise in a column of the regression, of its square, that pulls its parameter too far to zero
+    attenuated: float = 0.25
+    # of the largest residual that noise alone makes in all draws of the scatter of a regression
+    scatter: float = 2.0
+    # probability of a place from which it counts as located
+    located: float = 0.9
 
     # -- forward selection ---------------------------------------------------------------------------------------------
     # probability that noise alone makes any fault candidate look as good, by Bonferroni; 200 healthy machines of

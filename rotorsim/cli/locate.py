@@ -19,14 +19,12 @@ from rotorsim.cli.shared import (
     recording_argument,
     show,
 )
+from rotorsim.criteria import CRITERIA
 from rotorsim.report.text.table import table
 
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.identification.locate import Location
-
-SURE = 0.9  # probability of a place
-NOT_EXPLAINED = 1e-3  # probability of the misfit
 
 
 @click.command("locate")
@@ -64,7 +62,7 @@ def command(
     ]
     places = table((f"node of {block}", "probability", "misfit / freedom"), rows)
     show(as_json, lambda: _data(found, single), lambda: f"{places}\n\n{_statement(found, single, block)}")
-    return 0 if found[0].probability > SURE and found[0].estimate.goodness >= NOT_EXPLAINED else 1
+    return 0 if found[0].probability > CRITERIA.located and found[0].estimate.goodness >= CRITERIA.not_explained else 1
 
 
 def _save(best: Location, diagram: Diagram, file: str, trust_blocks: bool) -> None:
@@ -88,10 +86,10 @@ def _criterion(item: Location) -> float:
 def _statement(found: list[Location], single: Location | None, block: str) -> str:
     best = found[0]
     places = " and ".join(map(str, best.nodes))
-    if single is None and best.probability <= SURE:
-        return f"The node of {block} cannot be told: {places} is most probable, with {best.probability:.2g} only."
+    if single is None and best.probability <= CRITERIA.located:
+        return f"The node of {block} cannot be located: {places} is most probable, with {best.probability:.2g} only."
     poor = f"; but even there the residual variance is {best.estimate.excess:.3g} times the noise"
-    poor = poor if best.estimate.goodness < NOT_EXPLAINED else ""
+    poor = poor if best.estimate.goodness < CRITERIA.not_explained else ""
     if single is None:
         return f"{block} acts at node {places} (probability {best.probability:.3g}){poor}."
     gain = _criterion(single) - _criterion(best)

@@ -11,13 +11,14 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.coordinates import ANGLE_UNIT, Coordinates, coordinates_of
 from rotorsim.identification.experiment import Experiment
 from rotorsim.identification.likelihood import Evaluation
 
-__all__ = ["NOT_EXPLAINED", "Estimate", "Residuals", "Search", "estimate"]
+__all__ = ["Estimate", "Residuals", "Search", "estimate"]
 
 TURN = 2 * np.pi
 STARTS = 12  # values over a turn of an angle that enters in several harmonics
@@ -30,8 +31,6 @@ PASSES = 3  # of both, where neither has converged
 GAIN = 1e-4  # of the misfit, that a pass must gain for another to follow
 NOTHING = 1e-11  # of the largest derivative: rounding
 SINGULAR = 1e-13  # smallest eigenvalue of the information, each parameter's own being one: below, it is rounding
-# probability of the misfit below which a model does not explain the data: one wrong finding in 10 000 recordings
-NOT_EXPLAINED = 1e-4
 PART = 0.01  # of a direction that the data say nothing about: who takes part by more is not determined
 
 
@@ -80,7 +79,7 @@ class Estimate:
     @property
     def adequate(self) -> bool:
         """Whether noise can make the residual."""
-        return self.goodness >= NOT_EXPLAINED
+        return self.goodness >= CRITERIA.not_explained
 
     @property
     def widening(self) -> float:

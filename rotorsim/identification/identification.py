@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim._shown import Shown
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.advice import Advice, advise
@@ -18,7 +19,7 @@ from rotorsim.identification.likelihood import Likelihood
 from rotorsim.identification.profile import Z90, joint_factor, linear_intervals, profile_intervals
 from rotorsim.identification.regression import THESIS_ORDERS, open_regression
 from rotorsim.identification.scatter import scatter_of, with_covariance
-from rotorsim.identification.verdict import PRECISION, Verdict, judge
+from rotorsim.identification.verdict import Verdict, judge
 from rotorsim.jobs.threads import one_thread
 from rotorsim.linear.linearisation import refuse_sampled
 from rotorsim.measure.checks import check_signals
@@ -117,7 +118,7 @@ def identify(
     runs: Sequence[Run] | None = None,
     orders: Sequence[int] = THESIS_ORDERS,
     reduction: str = "exact",
-    precision: float = PRECISION,
+    precision: float = CRITERIA.precision,
     profile: bool = True,
     hold_out: Recording | None = None,
     harmonics: Sequence[RunHarmonics] | None = None,

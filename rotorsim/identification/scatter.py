@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.identification.estimate import Estimate, Search
 from rotorsim.identification.experiment import RESOLUTION
 from rotorsim.identification.regression import Regression
@@ -17,9 +18,7 @@ __all__ = ["Scatter", "scatter_of", "with_covariance"]
 DRAWS = 40
 UNDETERMINED = 1e-8  # singular value, of the largest, below which a combination of parameters is not determined at all
 NOTHING = 1e-9  # of the largest: a derivative that is rounding
-ATTENUATED = 0.25  # part of noise in the square of a column that pulls its parameter too far to zero
 WIDE = 1e3  # widths of its own that a parameter gets along such a combination
-TOLERANCE = 2.0  # of the largest residual that noise alone makes in all draws
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +61,7 @@ def scatter_of(regression: Regression, search: Search, result: Estimate) -> Scat
         at_hand.jacobian @ jacobian, in_columns / DRAWS, jacobian, search.coordinates.inside(result.theta)
     )
     covariance = np.cov(estimates.T).reshape(len(result.theta), -1) + undetermined
-    adequate = float(at_hand.residual @ at_hand.residual) <= TOLERANCE * float(made.max())
+    adequate = float(at_hand.residual @ at_hand.residual) <= CRITERIA.scatter * float(made.max())
     return Scatter(covariance, estimates.mean(axis=0) - result.theta, adequate)
 
 
@@ -86,7 +85,7 @@ def _undetermined(J: np.ndarray, noise: np.ndarray, jacobian: np.ndarray, at: np
         image = float(np.sum((used @ direction) ** 2))
         null = value <= UNDETERMINED * padded.max(initial=1e-300)
         reach = max(1.0, float(np.abs(direction @ at)))
-        if null or direction @ noise @ direction > ATTENUATED * image:
+        if null or direction @ noise @ direction > CRITERIA.attenuated * image:
             moved = jacobian @ ((WIDE if null else 1.0) * reach * direction)
             total += np.outer(moved, moved)
     return total

@@ -6,16 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.estimate import Estimate
 from rotorsim.identification.profile import Z90
 from rotorsim.units import format_quantity
 
-__all__ = ["PRECISION", "Combination", "Verdict", "judge", "relative_width"]
-
-PRECISION = 0.05  # half width of the 90 % interval, as part of the value, that counts as identified
-CORRELATED = 0.9
-LOOSE = 1 / 3  # of the width that remains when the partners are known
+__all__ = ["Combination", "Verdict", "judge", "relative_width"]
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,9 @@ def relative_width(value: float, half_width: float, unit: str) -> float:
     return half_width / scale if scale > 0 else np.inf
 
 
-def judge(found: Estimate, intervals: np.ndarray, *, precision: float = PRECISION, widen: float = 1.0) -> list[Verdict]:
+def judge(
+    found: Estimate, intervals: np.ndarray, *, precision: float = CRITERIA.precision, widen: float = 1.0
+) -> list[Verdict]:
     """Return the verdict on every parameter.
 
     A parameter is identified when half of its 90 % interval is at most ``precision`` of its value (of one radian for
@@ -88,11 +87,11 @@ def _not_identified(
     found: Estimate, covariance: np.ndarray, correlation: np.ndarray, j: int, width: float, precision: float
 ) -> Verdict:
     item = found.free[j]
-    others = [k for k in np.argsort(-np.abs(correlation[j])) if k != j and abs(correlation[j, k]) > CORRELATED]
+    others = [k for k in np.argsort(-np.abs(correlation[j])) if k != j and abs(correlation[j, k]) > CRITERIA.correlated]
     others = [k for k in others if not found.at_bound[k]]
     alone = _conditional(found, j) * covariance[j, j] ** 0.5 / max(found.covariance[j, j] ** 0.5, 1e-300)
     alone_width = relative_width(float(found.theta[j]), Z90 * alone, item.unit)
-    if not others or alone_width > LOOSE * width:
+    if not others or alone_width > CRITERIA.partners * width:
         text = (
             f"the data say too little about it: its 90 % interval is +-{_percent(width, item.unit)}, and would be "
             f"+-{_percent(alone_width, item.unit)} if all other parameters were known"
