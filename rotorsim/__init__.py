@@ -13,7 +13,7 @@ from rotorsim._lazy import lazy
 _HOME = {
     "Block": "block",
     "Channel": "recordings.recording",
-    "Diagnosis": "diagnosis.conclude.conclusions",
+    "Diagnosis": "diagnosis.conclude.result",
     "Diagram": "diagram.diagram",
     "Identification": "identification.identification",
     "NewRun": "recordings.writing",

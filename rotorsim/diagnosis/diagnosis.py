@@ -42,8 +42,8 @@ def diagnose(
     fit. workers, scheduler, progress: see `rotorsim.jobs.jobs.run_jobs`.
     Raises RotorsimError for recordings with errors, and for those that do not fit the diagram.
     """
+    jobs = Jobs(workers, scheduler, progress)  # what is wrong with them is said before any work
     warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
-    jobs = Jobs(workers, scheduler, progress)
     with one_thread():
         opened = open_evidence(diagram, recording, hold_out, Catalogue.of(diagram, physics, trust_blocks), warnings)
     if opened.base.failure:

@@ -13,7 +13,7 @@ from rotorsim.diagnosis.conclude.unknown_force import UnknownForce
 from rotorsim.diagnosis.conclude.validation import Proof
 from rotorsim.diagnosis.evidence.evidence import Evidence, Score
 from rotorsim.diagnosis.evidence.fit import Fit
-from rotorsim.diagnosis.evidence.harmonic.converters import Converter
+from rotorsim.diagnosis.evidence.opened import Converter
 from rotorsim.diagnosis.search.selection import Selection
 from rotorsim.diagnosis.search.trials import Candidate
 from rotorsim.errors import Problem

@@ -13,7 +13,7 @@ from rotorsim.diagnosis.conclude.result import Effect
 from rotorsim.diagnosis.conclude.unknown_force import UnknownForce, unknown_force
 from rotorsim.diagnosis.evidence.evidence import Evidence, Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_noise
-from rotorsim.diagnosis.evidence.harmonic.converters import Converter
+from rotorsim.diagnosis.evidence.opened import Converter
 from rotorsim.diagnosis.search.selection import Selection, least_gain, probabilities
 from rotorsim.diagnosis.search.trials import Candidate, Round
 from rotorsim.errors import Problem

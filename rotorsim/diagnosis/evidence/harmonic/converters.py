@@ -3,36 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
-from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
+from rotorsim.diagnosis.evidence.opened import Converter
 from rotorsim.errors import Problem
 from rotorsim.signals.converters import SAME, is_entry
-from rotorsim.signals.quantisation import Step, find_steps, readings_of, step_of
+from rotorsim.signals.quantisation import find_steps, readings_of, step_of
 from rotorsim.units import format_quantity
 
-__all__ = ["Converter", "find_converters"]
-
-
-@dataclass(frozen=True, eq=False)
-class Converter:
-    """A converter that a diagram lacks: where it is put in, the document with it, the step of every channel behind it.
-
-    warnings: of channels that do not have the step that is told.
-    """
-
-    insertion: Insertion
-    document: Mapping[str, Any]
-    steps: Mapping[str, Step]
-    warnings: tuple[Problem, ...] = ()
-
-    @property
-    def step(self) -> Step:
-        """The step of the channel that shows it best."""
-        return max(self.steps.values(), key=lambda step: step.seen)
+__all__ = ["find_converters"]
 
 
 def find_converters(document: Mapping[str, Any], runs: HarmonicRuns, catalogue: Catalogue) -> list[Converter]:
