@@ -254,9 +254,9 @@ class WaveformEvidence(SampledRuns, Defaults):
 
 def _neighbours(diagram: Diagram, name: str) -> list[tuple[Port, str]]:
     """Return each port of a block with the signals that it takes, or that act where its output acts."""
-    node, wires = diagram.nodes[name], diagram.wires
-    taken = [(node.inputs[wire.target.port], wire.source) for wire in wires if wire.target.block == name]
+    nodes, wires = diagram.nodes, diagram.wires
+    taken = [(nodes[name].inputs[wire.target.port], wire.source) for wire in wires if wire.target.block == name]
     own = [wire for wire in wires if wire.source.block == name]
     beside = [(wire, other.source) for wire in own for other in wires if other.target == wire.target]
-    acting = [(node.outputs[wire.source.port], end) for wire, end in beside if end.block != name]
+    acting = [(nodes[name].outputs[wire.source.port], end) for wire, end in beside if end.block != name]
     return [(port, f"{end.block}.{end.port}") for port, end in taken + acting]
