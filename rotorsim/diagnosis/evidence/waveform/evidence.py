@@ -244,7 +244,7 @@ class WaveformEvidence(SampledRuns, Defaults):
         diagram = self.load(after.document)
         for block in inserted:
             stands = {
-                port.unit: f"{units[signal]} stands for the {port.unit} of {signal}"
+                port.unit: f"{port.unit} stands for the {units[signal]} of {signal}"
                 for port, signal in _neighbours(diagram, block)
                 if port.unit and signal in units and compatible(units[signal], port.unit) not in ("same", "scaled")
             }
