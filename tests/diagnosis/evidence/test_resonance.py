@@ -145,7 +145,7 @@ def test_the_rotary_inertia_of_discs_is_named_and_measured():
     assert found.score_before.total > 0.1
     assert found.score_after.total < 0.01  # each resonance predicted from the others
     assert found.warnings == ()
-    assert "times the variance of models from drawings (3% of a frequency)" in found.statement
+    assert "times the error of models from drawings (3% of a frequency)" in found.statement
     assert "On resonances left out one by one the error falls from " in found.statement
     assert "The recorded input acts at rotor.force[9], as the diagram says" in found.statement
 
@@ -172,7 +172,7 @@ def test_held_out_runs_are_compared_by_their_resonances():
     assert frequencies(1.0)[:6] == pytest.approx(measured, rel=1e-4)
     mine = found.evidence.frequencies(found.after)
     assert found.score_after.total == pytest.approx(float(np.sqrt(np.mean((mine / measured - 1) ** 2))), abs=2e-3)
-    assert "On held-out runs the error falls from " in found.statement
+    assert "On hold-out runs the error falls from " in found.statement
 
 
 def test_the_end_of_a_sweep_is_no_resonance():

@@ -124,8 +124,8 @@ def test_a_law_outside_the_catalogue_is_mapped_and_not_named():
     found = diagnose(load(OSCILLATOR), made, physics={"cubic_stiffness", "clearance"}, workers=1)
     assert found.verdict == "outside_catalogue"
     assert [str(spot) for spot, _ in found.places] == ["oscillator.force"]
-    assert list(found.outside["map"]["terms"]) == ["drag"]
-    assert found.outside["map"]["terms"]["drag"] == pytest.approx(3.0, rel=0.02)
+    assert list(found.unknown.data["map"]["terms"]) == ["drag"]
+    assert found.unknown.data["map"]["terms"]["drag"] == pytest.approx(3.0, rel=0.02)
     assert found.score_after.total == pytest.approx(machines.NOISE, rel=0.1)
     assert "a map of displacement and velocity (drag) explains 99" in found.statement
     assert found.next_experiment.startswith("runs at more amplitudes and frequencies of what drives it about the place")

@@ -68,6 +68,6 @@ def _target(diagram: Diagram, inputs: Sequence[str]) -> Endpoint | None:
     if len(inputs) != 1:
         return None
     first = inputs[0].rpartition(".")[0]
-    reached = [first, *(block for _, block in nx.bfs_edges(diagram.graph(), first))]
+    reached = [first, *(block for _, block in nx.bfs_edges(diagram.graph, first))]
     targets = (wire.target for block in reached for wire in diagram.wires if wire.source.block == block)
     return next((end for end in targets if end.index and diagram.nodes[end.block].block.category == "rotor"), None)

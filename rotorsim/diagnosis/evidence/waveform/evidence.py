@@ -258,7 +258,7 @@ class WaveformEvidence(SampledRuns, Defaults):
         diagram = self.load(after.document)
         for block in inserted:
             stands = {
-                port.unit: f"{units[signal]} stands for the {port.unit} of {signal}"
+                port.unit: f"{port.unit} stands for the {units[signal]} of {signal}"
                 for port, signal in _neighbours(diagram, block)
                 if port.unit and signal in units and compatible(units[signal], port.unit) not in ("same", "scaled")
             }
@@ -268,9 +268,9 @@ class WaveformEvidence(SampledRuns, Defaults):
 
 def _neighbours(diagram: Diagram, name: str) -> list[tuple[Port, str]]:
     """Return each port of a block with the signals that it takes, or that act where its output acts."""
-    node, wires = diagram.nodes[name], diagram.wires
-    taken = [(node.inputs[wire.target.port], wire.source) for wire in wires if wire.target.block == name]
+    nodes, wires = diagram.nodes, diagram.wires
+    taken = [(nodes[name].inputs[wire.target.port], wire.source) for wire in wires if wire.target.block == name]
     own = [wire for wire in wires if wire.source.block == name]
     beside = [(wire, other.source) for wire in own for other in wires if other.target == wire.target]
-    acting = [(node.outputs[wire.source.port], end) for wire, end in beside if end.block != name]
+    acting = [(nodes[name].outputs[wire.source.port], end) for wire, end in beside if end.block != name]
     return [(port, f"{end.block}.{end.port}") for port, end in taken + acting]
