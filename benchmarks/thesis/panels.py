@@ -11,7 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from rotorsim import Result, envelope, full_spectrum, harmonics
-from rotorsim.report.style import BLUE, GREY, INK, ORANGE, RED, display, rpm
+from rotorsim.report.style import BLUE, GREY, INK, ORANGE, RED, display
+from rotorsim.report.text.table import rpm
 
 WINDOW = (4.0, 5.0)  # s, after which the thesis takes the motion as settled
 TURNS = 4.0  # shown of the window
