@@ -7,8 +7,6 @@ from typing import Any
 
 from rotorsim.errors import Problem, RotorsimError, escape
 
-__all__ = ["Shown", "html_table", "xarray_module"]
-
 _ROWS = 30  # of a table in a notebook
 
 

@@ -24,41 +24,6 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-__all__ = [
-    "Block",
-    "Declaration",
-    "DiscreteState",
-    "Equations",
-    "In",
-    "Option",
-    "Out",
-    "Param",
-    "Random",
-    "State",
-    "absolute",
-    "arctan2",
-    "concatenate",
-    "cos",
-    "exp",
-    "floor",
-    "log",
-    "matrix",
-    "maximum",
-    "minimum",
-    "mod",
-    "rows",
-    "sign",
-    "sin",
-    "solve",
-    "sqrt",
-    "sum_of",
-    "tan",
-    "tanh",
-    "vec",
-    "where",
-    "zeros",
-]
-
 Symbol = Any  # a CasADi SX expression; CasADi has no type information
 Shape = tuple[int, ...]
 ShapeDeclaration = int | str | tuple[Any, ...] | Callable[[Any], Shape]

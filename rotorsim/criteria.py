@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import log
 
-__all__ = ["CRITERIA", "Criteria"]
-
 
 @dataclass(frozen=True)
 class Criteria:

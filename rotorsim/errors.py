@@ -6,8 +6,6 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-__all__ = ["CONTROL", "Place", "Problem", "Problems", "RotorsimError", "escape", "near_miss", "visible"]
-
 # What steers a terminal or turns the direction of writing, and what XML cannot hold: C0 (but tab and line feed),
 # C1, overrides of direction, halves of characters, and the two that are none.
 CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")

@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-__all__ = ["ENTRIES", "Fault", "Lines", "Longest", "Of", "Steps"]
-
 ENTRIES = ("force", "shaft", "wire", "reading", "replace", "move")
 
 

@@ -19,8 +19,6 @@ from pathlib import Path
 
 from rotorsim.errors import Place, Problem, RotorsimError
 
-__all__ = ["HIDDEN", "atomic_target", "sweep", "temporary_prefix", "write_atomically"]
-
 _NO_ROOM = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQUOT") else [])}
 _FOREIGN = 86400.0  # s; what a process of another machine left on a shared disk is swept after a day
 HIDDEN = ".rotorsim-"  # start of the names of files and folders that are not yet in their place

@@ -17,20 +17,6 @@ from functools import lru_cache
 
 from rotorsim.errors import near_miss
 
-__all__ = [
-    "BASES",
-    "Unit",
-    "UnitError",
-    "compatible",
-    "conversion",
-    "convert",
-    "format_quantity",
-    "parse_foreign_unit",
-    "parse_quantity",
-    "parse_unit",
-    "split_quantity",
-]
-
 Dimension = tuple[int, ...]
 BASES = ("m", "kg", "s", "A", "K", "rad", "mol", "cd")
 _NONE: Dimension = (0,) * len(BASES)

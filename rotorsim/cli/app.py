@@ -22,8 +22,6 @@ import click
 from rotorsim.cli.shared import echo_json, problem_data, show_problems, warn
 from rotorsim.errors import Problem, RotorsimError, visible
 
-__all__ = ["VERBS", "main", "rotorsim"]
-
 # Verb -> one line of help. The verb's module is imported only when the verb is called: --help stays instant.
 VERBS = {
     "run": "Simulate a diagram; write, plot and summarise the recorded signals.",

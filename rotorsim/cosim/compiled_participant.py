@@ -17,8 +17,6 @@ from rotorsim.linear.linearisation import entry_names
 from rotorsim.model.instance import CompiledInstance, Instance, make_instance
 from rotorsim.model.part import Part
 
-__all__ = ["CompiledParticipant"]
-
 AHEAD = 1e-6  # of an internal step: what is left to be taken when the inputs of a sample hit are set
 
 

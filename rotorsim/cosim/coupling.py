@@ -14,8 +14,6 @@ import numpy as np
 from rotorsim.cosim.participant import Participant
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
-__all__ = ["Coupling"]
-
 NEWTON_STEPS = 20
 CLOSE = 1e-10
 

@@ -18,8 +18,6 @@ from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.linear.linearisation import entry_names
 from rotorsim.model.part import open_part
 
-__all__ = ["couple", "open_coupling", "sources_of"]
-
 
 def couple(
     diagram: Diagram,

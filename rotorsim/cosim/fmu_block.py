@@ -14,8 +14,6 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.model import ModelDescription
 from rotorsim.fmi.runtime.slave import Slave, open_fmu
 
-__all__ = ["fmu_participant"]
-
 
 def fmu_participant(
     name: str,

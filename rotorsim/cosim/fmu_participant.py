@@ -22,8 +22,6 @@ from rotorsim.fmi.runtime.model_exchange import KEPT, ModelExchange
 from rotorsim.fmi.runtime.slave import Fmu, Slave
 from rotorsim.linear.linearisation import entry_names
 
-__all__ = ["CoSimulationFmu", "FmuParticipant", "ModelExchangeFmu"]
-
 MOST_STEPS = 10_000  # of Model Exchange, in one step
 RATE_STEP = 1e-3  # of the last step, over which rates of outputs are taken
 MOST_SUBSTEPS = 32

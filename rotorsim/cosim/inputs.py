@@ -7,8 +7,6 @@ from typing import Protocol
 
 import numpy as np
 
-__all__ = ["Held", "InputHistory", "Point", "Polynomial", "hermite", "through"]
-
 Point = tuple[float, np.ndarray]  # time, values
 
 

@@ -13,8 +13,6 @@ from rotorsim.cosim.inputs import InputHistory
 from rotorsim.cosim.linear_model import HIT, LinearModel
 from rotorsim.cosim.participant import Participant
 
-__all__ = ["LinearCoupling", "LinearParticipant"]
-
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 

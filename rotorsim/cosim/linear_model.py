@@ -15,8 +15,6 @@ import numpy as np
 
 from rotorsim.model.part import Part
 
-__all__ = ["LinearModel", "linear_part"]
-
 HIT = 1e-6  # of a period: how far from its time a hit is still due
 Jump = Callable[[tuple[int, ...]], tuple[np.ndarray, np.ndarray]]
 

@@ -22,8 +22,6 @@ from rotorsim.fmi.runtime.steps import DEFINES, PART, PROCESS, Failed, Member, S
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.model.instance import CompiledInstance
 
-__all__ = ["FastLoop", "LoopMember", "PartMember"]
-
 _FIRST, _SLICE = 100, 0.1  # steps taken first; s between looks at Ctrl-C and progress
 
 

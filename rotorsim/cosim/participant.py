@@ -12,8 +12,6 @@ from rotorsim.cosim.linear_model import LinearModel
 from rotorsim.cosim.loop import LoopMember
 from rotorsim.errors import RotorsimError
 
-__all__ = ["Participant"]
-
 
 class Participant(ABC):
     """A subsystem that a master advances from one communication point to the next.

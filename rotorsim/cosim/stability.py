@@ -27,8 +27,6 @@ from rotorsim.cosim.participant import Participant
 from rotorsim.errors import RotorsimError
 from rotorsim.jobs.threads import one_thread
 
-__all__ = ["CouplingStability", "coupling_stability", "largest_stable_step", "linear_coupling", "why_not_linear"]
-
 OSCILLATES = 0.05  # modes with a smaller part of oscillation are not judged by their damping ratio
 GRID = 12  # steps tried in a decade
 MOST_STEPS = 240  # in one period

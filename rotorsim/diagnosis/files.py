@@ -19,8 +19,6 @@ from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.files import write_atomically
 
-__all__ = ["diagnosis_data", "diagnosis_schema", "repaired_document", "save_diagnosis"]
-
 DIAGRAM = "diagram.json"
 RESULT = "diagnosis.json"
 

@@ -13,8 +13,6 @@ from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.diagram.solver import Solver
 from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
 
-__all__ = ["Change", "diff"]
-
 _MISSING = object()
 _DEFAULTS: Mapping[str, Any] = {"algebraic_loops": "refuse", "schema_version": 1, "solver": {}}
 _FOR_READERS = ("layout", "description", "$schema")

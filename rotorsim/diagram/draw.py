@@ -11,8 +11,6 @@ import networkx as nx
 from rotorsim.diagram.diagram import Diagram, Endpoint, Node
 from rotorsim.errors import escape
 
-__all__ = ["draw_svg"]
-
 LANE, MARGIN, HEAD, PORT = 7.0, 22.0, 38.0, 15.0  # px: wire spacing, free space, box title, one port
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8c5fa8", "#b8860b", "#56697a", "#a0522d", "#3b7a57")
 FILL = {

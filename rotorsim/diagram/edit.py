@@ -11,8 +11,6 @@ from rotorsim.diagram.parse.document import endpoint
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.errors import Problem, Problems, RotorsimError, near_miss
 
-__all__ = ["fitting_types", "swap"]
-
 
 def swap(
     data: Mapping[str, Any],

@@ -9,8 +9,6 @@ from rotorsim.block import Block, Option, Param
 from rotorsim.diagram.resolve.registry import all_types
 from rotorsim.diagram.solver import METHODS
 
-__all__ = ["json_schema", "schema_text"]
-
 _NAME = "^[A-Za-z_][A-Za-z0-9_]*$"
 _PORT = r"^[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*\.[A-Za-z_][A-Za-z0-9_]*(\[\s*[0-9]+(\s*,\s*[0-9]+)*\s*\])?$"
 _JSON_TYPE = {bool: "boolean", int: "integer", float: "number", str: "string"}

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["ADAPTIVE", "METHODS", "Solver"]
-
 # methods that choose their own steps -> their names in scipy.integrate
 ADAPTIVE = {"dop853": "DOP853", "rk45": "RK45", "radau": "Radau", "bdf": "BDF", "lsoda": "LSODA"}
 METHODS = ("rk4", *ADAPTIVE)

@@ -22,8 +22,6 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.model import FLOATS, INTEGERS, NUMERIC, Entry, FmuVariable, ModelDescription
 from rotorsim.fmi.runtime.slave import describe_fmu
 
-__all__ = ["FmuPort", "block_class", "ports_of"]
-
 _INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")
 _TAKEN = ("file", "interface", "in_process")  # options of the block itself; a value of the FMU of this name gets a "_"
 _WORDS: dict[str, type] = {"Boolean": bool, "String": str}  # types whose values are given as such

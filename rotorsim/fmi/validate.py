@@ -19,8 +19,6 @@ from rotorsim.fmi.description.model import FLOATS, NUMERIC, FmuVariable, ModelDe
 from rotorsim.fmi.description.platforms import SUFFIXES, binary_kind, folders, platform_of
 from rotorsim.fmi.runtime.slave import describe, open_fmu
 
-__all__ = ["validate_fmu"]
-
 _INDEX = r"(\[\d+(,\d+)*\])?"
 _PART = r"([A-Za-z_]\w*|'([^'\\]|\\.)+')" + _INDEX
 _PATH = rf"{_PART}(\.{_PART})*"

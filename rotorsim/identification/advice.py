@@ -17,8 +17,6 @@ from rotorsim.identification.verdict import relative_width
 from rotorsim.settled.equations import slots_of
 from rotorsim.units import format_quantity
 
-__all__ = ["Advice", "advise"]
-
 GAINS = (0.75, 1.5)
 SPEEDS = (0.5, 0.75, 1.5)
 LONGER = 4.0

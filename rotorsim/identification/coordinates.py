@@ -10,8 +10,6 @@ import numpy as np
 from rotorsim.diagram.diagram import Free
 from rotorsim.settled.equations import Equations, instants
 
-__all__ = ["Coordinates", "amplitude_pairs", "coordinates_of"]
-
 ANGLE_UNIT = "rad"
 PROBES = (0.4, 1.9)
 INSTANTS = 64  # of a turn, at which the forcing is compared

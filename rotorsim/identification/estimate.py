@@ -18,8 +18,6 @@ from rotorsim.identification.coordinates import ANGLE_UNIT, Coordinates, coordin
 from rotorsim.identification.experiment import Experiment
 from rotorsim.identification.likelihood import Evaluation
 
-__all__ = ["Estimate", "Residuals", "Search", "estimate"]
-
 TURN = 2 * np.pi
 STARTS = 12  # values over a turn of an angle that enters in several harmonics
 CLOSE = 1e-10

@@ -26,8 +26,6 @@ from rotorsim.signals.harmonic_fit import HarmonicFit
 from rotorsim.signals.harmonics import RunHarmonics, harmonics_of
 from rotorsim.units import compatible
 
-__all__ = ["Experiment", "open_experiment"]
-
 SPEED = 0.02  # stated against measured
 PROBES = (0.137, 1.137, 0.618, 1.618)  # instants, in turns, at which forcing is compared one turn apart
 

@@ -17,8 +17,6 @@ from rotorsim.files import write_atomically
 from rotorsim.identification.identification import Identification
 from rotorsim.identification.verdict import Verdict
 
-__all__ = ["identification_data", "save_identification", "with_values"]
-
 DIAGRAM = "diagram.json"
 RESULT = "identification.json"
 

@@ -28,8 +28,6 @@ from rotorsim.signals.converters import before_converters, stated_steps, through
 from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of
 from rotorsim.signals.pickup import find_mains, pickup_warnings, with_pickups
 
-__all__ = ["METHODS", "Identification", "Identified", "identify"]
-
 METHODS = ("likelihood", "regression")
 
 

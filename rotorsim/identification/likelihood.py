@@ -23,8 +23,6 @@ from rotorsim.identification.whitening import harmonics_of_time, whitened_at, wh
 from rotorsim.settled.motion import Prediction, Response
 from rotorsim.signals.covariance import real_columns, real_vector
 
-__all__ = ["Evaluation", "Likelihood"]
-
 CLOSE = 1e-3  # of the whitened residual: its change by the means of slow states, where the motion is not linear in them
 
 

@@ -22,8 +22,6 @@ from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonics import harmonics_of
 
-__all__ = ["Location", "locate"]
-
 
 @dataclass(frozen=True, eq=False)
 class Location:

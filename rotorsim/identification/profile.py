@@ -9,8 +9,6 @@ from scipy.stats import norm
 
 from rotorsim.identification.estimate import Estimate, Search
 
-__all__ = ["Z90", "joint_factor", "linear_intervals", "profile_intervals"]
-
 Z90 = float(norm.ppf(0.95))  # half width of a central 90 % interval, in standard deviations
 NORMAL = 0.02  # the profile agrees so well with a parabola that its end points are those of the parabola
 STEPS = 8

@@ -14,8 +14,6 @@ from rotorsim.model.compiled import Model
 from rotorsim.settled.equations import Equations
 from rotorsim.settled.motion import LinearMotion
 
-__all__ = ["Condensed", "conjugates_of", "reduced"]
-
 MOST_KNOWN = 64  # operators that are kept, for other data at the same parameters
 
 

@@ -23,8 +23,6 @@ from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 from rotorsim.signals.harmonics import RunHarmonics
 
-__all__ = ["REDUCTIONS", "THESIS_ORDERS", "Regression", "open_regression"]
-
 THESIS_ORDERS = (0, 1, 2, 3, 5, 7, -1, -3, -5)  # eq. (2.64), Table 2-2
 REDUCTIONS = ("exact", "central")
 

@@ -13,8 +13,6 @@ from rotorsim.identification.regression import Regression
 from rotorsim.identification.whitening import noise_root
 from rotorsim.signals.covariance import complex_values
 
-__all__ = ["Scatter", "scatter_of", "with_covariance"]
-
 DRAWS = 40
 UNDETERMINED = 1e-8  # singular value, of the largest, below which a combination of parameters is not determined at all
 NOTHING = 1e-9  # of the largest: a derivative that is rounding

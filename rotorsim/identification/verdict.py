@@ -12,8 +12,6 @@ from rotorsim.identification.estimate import Estimate
 from rotorsim.identification.profile import Z90
 from rotorsim.units import format_quantity
 
-__all__ = ["Combination", "Verdict", "judge", "relative_width"]
-
 
 @dataclass(frozen=True)
 class Combination:

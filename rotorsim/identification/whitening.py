@@ -11,8 +11,6 @@ from scipy.linalg import block_diag, solve_triangular
 from rotorsim.signals.covariance import scaled_cholesky
 from rotorsim.signals.harmonic_fit import HarmonicFit
 
-__all__ = ["Whitener", "harmonics_of_time", "noise_root", "whitened_at", "whitener_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class Whitener:

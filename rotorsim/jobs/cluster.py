@@ -16,8 +16,6 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.store import Outcome
 from rotorsim.jobs.tasks import KILLED, Function, Job, Task, failure, pack, perform, tasks_of
 
-__all__ = ["run_on_cluster"]
-
 CONNECT_TIMEOUT = 10.0  # s, until a scheduler counts as not reachable
 LOST_TIMEOUT = 60.0  # s without any worker, until the run is given up
 SHOWN = 5  # differences of version in an error

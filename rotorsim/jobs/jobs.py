@@ -23,8 +23,6 @@ from rotorsim.jobs.processes import Pool
 from rotorsim.jobs.store import Outcome, open_store
 from rotorsim.jobs.tasks import Function, Job, outcome
 
-__all__ = ["Failure", "Jobs", "local_workers", "run_jobs"]
-
 SHOWN = 5  # failures in an error
 
 

@@ -21,8 +21,6 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.store import Outcome
 from rotorsim.jobs.tasks import KILLED, Function, Job, Task, outcomes_in, pack, reply, tasks_of
 
-__all__ = ["ENVIRONMENT", "Pool"]
-
 _THREADS = ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMEXPR")
 ENVIRONMENT = {  # of the processes: one thread each, and sets in one order
     **dict.fromkeys([f"{name}_NUM_THREADS" for name in _THREADS], "1"),

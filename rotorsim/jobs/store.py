@@ -13,8 +13,6 @@ from typing import IO, Any
 
 from rotorsim.errors import Place, Problem, RotorsimError
 
-__all__ = ["Outcome", "open_store", "plain"]
-
 Outcome = dict[str, Any]  # {"result": ...} or {"failure": {"type": ..., "text": ...}}
 
 

@@ -10,20 +10,6 @@ from typing import Any
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.store import Outcome, plain
 
-__all__ = [
-    "KILLED",
-    "Function",
-    "Job",
-    "Task",
-    "failure",
-    "outcome",
-    "outcomes_in",
-    "pack",
-    "perform",
-    "reply",
-    "tasks_of",
-]
-
 Function = Callable[[Any], Any]
 Job = tuple[int, Any]  # index and argument
 Task = Sequence[Job]

@@ -16,8 +16,6 @@ from rotorsim.linear.linearisation import as_model, linearise
 from rotorsim.linear.stability import growing
 from rotorsim.model.compiled import Model
 
-__all__ = ["Campbell", "Crossing", "campbell"]
-
 UNMATCHED = 0.98  # cost from which two modes are not the same one
 
 

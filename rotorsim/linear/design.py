@@ -12,8 +12,6 @@ from rotorsim.linear.linearisation import LinearSystem, linearise
 from rotorsim.linear.state_space import StateSpace, reached
 from rotorsim.model.compiled import Model
 
-__all__ = ["design_state_feedback", "plant_of"]
-
 MOST_STATES = 8
 LARGEST_PEAK = 3.0  # zone A of ISO 14839-3:2006
 WEIGHTS = (1.0, 3.0, 0.3, 10.0, 0.1, 30.0, 100.0)  # tried in this order, times the weight asked for

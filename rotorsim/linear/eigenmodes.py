@@ -16,8 +16,6 @@ from rotorsim.linear.linearisation import LinearSystem, as_model, linearise, spe
 from rotorsim.linear.stability import growing
 from rotorsim.model.compiled import Model
 
-__all__ = ["Mode", "Modes", "modes", "two_axis_signals"]
-
 OSCILLATES = 1e-8  # imaginary part, relative to the largest |eigenvalue|, above which a pole oscillates
 DEGENERATE = 1e-7  # relative distance of eigenvalues that count as one (isotropic rotor without gyroscopic effect)
 RESONANT = 0.5**0.5  # damping ratio below which a forced response has a maximum

@@ -15,8 +15,6 @@ from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.linear.linearisation import LinearSystem, as_model, linearise, speed_of
 from rotorsim.model.compiled import Model
 
-__all__ = ["FrequencyResponse", "Sensitivity", "frequency_response", "sensitivity", "zone_of"]
-
 ZONES = ((3.0, "A"), (4.0, "B"), (5.0, "C"))  # ISO 14839-3:2006, table 1: 9.5 dB, 12 dB, 14 dB
 LARGEST_FREQUENCY = 2000.0  # Hz; ISO 14839-3 looks up to three times the rated speed or 2 kHz, the larger
 

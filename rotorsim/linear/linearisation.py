@@ -18,19 +18,6 @@ from rotorsim.linear.state_space import StateSpace, reached
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
 
-__all__ = [
-    "LinearSystem",
-    "as_model",
-    "drifting_states",
-    "equilibrium",
-    "flat_names",
-    "linearise",
-    "refuse_sampled",
-    "require_finite",
-    "speed_of",
-    "state_names",
-]
-
 TURN_SAMPLES = 64  # instants for averages over one turn
 SINGULAR = 1e-14  # reciprocal condition number below which a group of states is taken to have a pole at zero
 

@@ -10,8 +10,6 @@ import numpy as np
 from rotorsim.model.compiled import Model
 from rotorsim.model.runge_kutta import RK4
 
-__all__ = ["Growing", "growing", "largest_stable_step", "rounded_down", "step_factor"]
-
 EPS = float(np.finfo(float).eps)
 
 

@@ -13,8 +13,6 @@ from rotorsim.signals.shaft_angle import ShaftAngle, shaft_angle
 from rotorsim.simulation.result import Result
 from rotorsim.units import conversion, parse_unit
 
-__all__ = ["as_result", "has_angle"]
-
 LARGEST = 4e9  # bytes of a stacked signal
 _TIME_ROUNDING = 1e-2  # of a step: rounding of a time column
 _SI = ("m", "m/s", "m/s^2", "A", "V", "N", "rad", "rad/s", "1")

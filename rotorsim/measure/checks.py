@@ -16,8 +16,6 @@ from rotorsim.signals.shaft_angle import pulse_edges, run_up_in_words, shaft_ang
 from rotorsim.signals.stretches import clipped_stretches, flat_stretches
 from rotorsim.units import conversion, parse_unit
 
-__all__ = ["check_signals"]
-
 _LARGE, _SMALL = 5e-3, 1e-9  # m, rms of a rotor's displacement
 _CURRENT = 1e3  # A
 _HUGE, _TINY = 1e50, 1e-50  # in any unit

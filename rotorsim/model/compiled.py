@@ -17,8 +17,6 @@ from rotorsim.model.emit.emit import Kernel, build_kernel, emit_c
 from rotorsim.model.emit.toolchain import Compiler, CompilerError, compile_c, compiler_error, find_compiler
 from rotorsim.model.trace.diagram import Signal, Trace, flat_indices, trace_diagram
 
-__all__ = ["Library", "Model", "compile_diagram"]
-
 
 class Library:
     """The C functions of one diagram (``handle.rs_run`` and others, see runtime.c), and how they came about."""

@@ -10,8 +10,6 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Endpoint
 
-__all__ = ["InputLimit", "input_limits", "passed_limit"]
-
 
 @dataclass(frozen=True)
 class InputLimit:

@@ -21,8 +21,6 @@ from rotorsim.model.compiled import Library, Model
 from rotorsim.model.emit.emit import Kernel, step_program
 from rotorsim.model.emit.program import INPUT
 
-__all__ = ["CompiledInstance", "Instance", "InterpretedInstance", "make_instance"]
-
 HIT_TOLERANCE = 1e-9  # of the period, as in runtime.c
 
 

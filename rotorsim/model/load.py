@@ -11,8 +11,6 @@ from rotorsim.diagram.resolve.resolution import raise_errors, resolve
 from rotorsim.errors import RotorsimError
 from rotorsim.model.trace.order import block_traces, evaluation_order
 
-__all__ = ["load"]
-
 
 def load(
     source: str | Path | Mapping[str, Any],

@@ -9,8 +9,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-__all__ = ["MatrixFunction"]
-
 
 class MatrixFunction:
     """A matrix expression evaluated at many points at once; only its nonzeros are computed.

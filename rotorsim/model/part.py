@@ -19,8 +19,6 @@ from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.model.compiled import Model
 from rotorsim.model.trace.diagram import Signal, Trace, trace_diagram
 
-__all__ = ["Part", "open_part"]
-
 
 class Part(Model):
     """The model of some blocks of a diagram. inputs: name -> shape, unit and place in z; blocks: what it holds.

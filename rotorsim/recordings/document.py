@@ -18,8 +18,6 @@ from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.recordings.recording import ANGLE, AXES, TACHO, USES, Channel, Recording, Run
 from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
 
-__all__ = ["FILE", "KEYS", "DataFile", "Document", "parse_recording", "read_recording_document"]
-
 FILE = "recording.json"
 KEYS: dict[str, Mapping[str, type]] = {
     "recording": {

@@ -13,8 +13,6 @@ from rotorsim.recordings.readers.columns import read_columns
 from rotorsim.recordings.recording import Recording, Run
 from rotorsim.units import conversion
 
-__all__ = ["load_recording"]
-
 
 def load_recording(path: str | Path, *, read: bool = True) -> Recording:
     """Read a recording: ``path`` is its folder or its recording.json.

@@ -13,8 +13,6 @@ import numpy as np
 
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
-__all__ = ["ANGLE", "AXES", "TACHO", "USES", "Channel", "Recording", "Run", "signal_and_place"]
-
 ANGLE = "clock.theta"  # signal of a channel that measures the shaft angle
 TACHO = "tacho"  # signal of a channel with the raw voltage of a once-per-turn pulse
 AXES = ("x", "y")

@@ -20,8 +20,6 @@ from rotorsim.recordings.recording import ANGLE, AXES, Channel, signal_and_place
 from rotorsim.simulation.result import Result, flat_name
 from rotorsim.units import UnitError, conversion
 
-__all__ = ["NewRun", "save_recording"]
-
 _SHORT = {"rotor.displacement": "", "controller.current": "i"}  # x, y and ix, iy; others by their full names
 _EVEN = 1e-6  # of a step: how even time must be to be said by a sample rate
 _ROWS = 4096  # of a CSV, written at a time

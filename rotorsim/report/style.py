@@ -14,25 +14,6 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-__all__ = [
-    "BLUE",
-    "GREEN",
-    "GREY",
-    "INK",
-    "ORANGE",
-    "PURPLE",
-    "RED",
-    "ROUNDING",
-    "STANDS_OUT",
-    "Look",
-    "display",
-    "figure",
-    "legend_below",
-    "order_axis",
-    "phase_line",
-    "styled",
-]
-
 # Okabe & Ito (2008), "Color universal design"
 BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#6b6b6b"
 INK = "#222222"

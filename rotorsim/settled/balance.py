@@ -16,8 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Balance", "Solution", "harmonics_of", "relative_size", "samples_of"]
-
 MOST_STEPS = 60  # where a law has corners, as dry friction that nearly sticks, most of them are short
 SMALLEST_LENGTH = 2.0**-6  # part of a Newton step
 ROUNDING = 1e-9  # relative residual, below which rounding may keep it from falling

@@ -21,8 +21,6 @@ from rotorsim.settled.floquet import STABLE, largest_multiplier
 from rotorsim.settled.forcing import ROUNDING, Forcing
 from rotorsim.settled.resolvent import shifted
 
-__all__ = ["Orbits", "Settings", "Setup", "orbits"]
-
 FIRST_HARMONICS = 15
 MOST_HARMONICS = 127
 TOLERANCE = 1e-11  # relative residual of a motion, or relative step of Newton's method

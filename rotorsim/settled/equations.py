@@ -16,8 +16,6 @@ from rotorsim.model.compiled import Model
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.slow_states import means_of
 
-__all__ = ["Equations", "PortEquations", "instants", "is_linear", "reached_states", "slots_of", "without_inputs"]
-
 FIRST_SAMPLES = 32
 MOST_SAMPLES = 4096
 RESOLVED = 1e-11  # size of the last Fourier coefficients, relative to the largest, at which a series has ended

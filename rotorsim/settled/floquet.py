@@ -8,8 +8,6 @@ from scipy.linalg import expm
 from rotorsim.settled.balance import samples_of
 from rotorsim.settled.equations import PortEquations
 
-__all__ = ["STABLE", "growth_rate", "largest_multiplier"]
-
 LEAST_STEPS = 64  # per period
 STABLE = 1 + 1e-7  # largest multiplier of a stable motion: 1 but for rounding
 

@@ -13,8 +13,6 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import Model
 from rotorsim.settled.equations import FIRST_SAMPLES, MOST_SAMPLES, RESOLVED, PortEquations, instants, without_inputs
 
-__all__ = ["LARGEST_HARMONIC", "PROBE", "ROUNDING", "Forcing", "Series"]
-
 ROUNDING = 1e-14  # coefficients below this part of the largest are rounding, not motion
 LARGEST_HARMONIC = 255  # kept by default
 PROBE = 0.3819660112501051  # off-grid instant (part of a period) at which the series is checked

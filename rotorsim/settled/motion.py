@@ -19,8 +19,6 @@ from rotorsim.settled.resolvent import Resolvent, resolvent_of
 from rotorsim.settled.slow_states import DENSE, slow_states
 from rotorsim.settled.torus import Torus
 
-__all__ = ["FreshMeans", "LinearMotion", "Prediction", "Response", "SettledMotion"]
-
 PROBES = 2  # other values of the parameters at which it is seen what they move
 WIDE = 0.1  # relative
 SAMPLES = 16  # of a turn

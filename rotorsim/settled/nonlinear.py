@@ -15,8 +15,6 @@ from rotorsim.settled.ports import Ports, open_ports
 from rotorsim.settled.resolvent import Resolvent
 from rotorsim.settled.slow_states import FRESH, slow_states
 
-__all__ = ["NonlinearMotion"]
-
 EXTRA_ORDERS, SHARP_ORDERS = 8, 40  # beyond those compared with data
 CLOSE = 1e-9  # relative residual of a settled motion
 SIZES = (1e-6, 1e-4, 1e-2, 1.0, 1e2)  # of states at which it is seen what a law moves: gaps and limits are passed

@@ -15,8 +15,6 @@ import scipy.linalg
 
 from rotorsim.settled.resolvent import Resolvent, shifted
 
-__all__ = ["Ports", "open_ports"]
-
 RANK = 1e-10  # of the largest, for directions in units of the rows of A
 
 

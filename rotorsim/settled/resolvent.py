@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Resolvent", "resolvent_of", "shifted"]
-
 
 @dataclass(frozen=True, eq=False)
 class Resolvent:

@@ -11,8 +11,6 @@ import numpy as np
 from rotorsim._shown import Shown, xarray_module
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
-__all__ = ["Periodic"]
-
 
 @dataclass(frozen=True, repr=False)
 class Periodic(Shown):

@@ -10,8 +10,6 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
 from rotorsim.model.compiled import Model
 
-__all__ = ["ANY", "DENSE", "FRESH", "SETTLED", "means_of", "slow_states"]
-
 ANY, SETTLED, FRESH = 0, 1, 2  # what the mean of a slow state is, see `means_of`
 
 LAW = "fault"  # category of blocks that stand for a law, not for a machine

@@ -7,8 +7,6 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-__all__ = ["Torus"]
-
 CONSTANT = 1e-6  # relative difference of asynchronous frequencies that are one
 POINTS, TURNS = 3, 50.0  # samples for each coefficient on a torus, over so many turns of the slowest of all
 SINGULAR = 1e-12  # part of the largest eigenvalue: combinations too near to each other for the samples to separate

@@ -14,8 +14,6 @@ import numpy as np
 from rotorsim.signals.harmonic_basis import Basis, harmonic_basis
 from rotorsim.signals.shaft_angle import MOST_TURNED, ShaftAngle
 
-__all__ = ["refined_angle"]
-
 SETTLED = 0.1  # standard deviations that the angle may still change by
 PLAUSIBLE = 4.0  # standard deviations of the pulses (once in 16 000 runs): what the harmonics ask for beyond is not the
 # angle's doing

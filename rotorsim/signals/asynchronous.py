@@ -18,18 +18,6 @@ from rotorsim.signals.harmonics import RunHarmonics, samples_of, with_one_noise
 from rotorsim.signals.lines import SLOWEST, Spectrum, faint_line, spectrum_of
 from rotorsim.signals.whitening import FALSE_ALARM
 
-__all__ = [
-    "MISSES",
-    "Asynchronous",
-    "find_asynchronous",
-    "fitted_frequency",
-    "frequency_of_lines",
-    "frequency_of_pulses",
-    "has_multiples",
-    "spectra_of",
-    "with_asynchronous",
-]
-
 SIDEBANDS = 5  # combinations k W + nu with |k| up to this
 MULTIPLES = (1, 2, 3)  # of the frequency, that a strong swing of the angle has
 MISSES = 0.4  # of the resolution of a run, by which a line may miss its place

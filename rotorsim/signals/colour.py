@@ -11,8 +11,6 @@ from scipy.stats import chi2
 
 from rotorsim.signals.whitening import FALSE_ALARM
 
-__all__ = ["Bands", "bands_of", "colour_of", "common_colour", "density", "variance_of_mean"]
-
 STEEPNESS = (0.25, 3.0)  # of the power law: below it is white to the eye, above it is a drift
 GROWTH = 1.08  # from one bin of lines to the next
 ENOUGH = 0.01  # of minus the logarithm of the likelihood: a step that gains less is the last

@@ -19,8 +19,6 @@ from rotorsim.signals.harmonics import harmonics_of
 from rotorsim.signals.quantisation import Step, readings_of, step_of, without_steps
 from rotorsim.units import format_quantity
 
-__all__ = ["before_converters", "is_entry", "stated_steps", "through_converters"]
-
 SAME = 1e-3  # of a step, within which readings show the one that is stated
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["complex_values", "real_columns", "real_form", "real_vector", "scaled_cholesky"]
-
 
 def real_vector(values: np.ndarray) -> np.ndarray:
     """Return harmonics (..., K+1, C) as real numbers (..., (2K+1) C): order 0, then real, imaginary per order."""

@@ -9,8 +9,6 @@ from rotorsim.signals.harmonic_basis import Basis
 from rotorsim.signals.stretches import smallest_step
 from rotorsim.signals.whitening import FALSE_ALARM
 
-__all__ = ["dropped_samples", "fill_dropped"]
-
 AWAY = 6.0  # standard deviations of the noise: a repeated value so far off is the one before (2e-9 by chance)
 BY_CHANCE = 0.1  # of the instants at which all channels repeat, at most
 MOST_DROPPED = 0.05  # of the samples: what repeats more often has another rate, or a coarse converter

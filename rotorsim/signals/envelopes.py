@@ -13,8 +13,6 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.signals.spectrum import finite
 from rotorsim.simulation.result import Result
 
-__all__ = ["Resonance", "RunUp", "envelope", "resonance_peaks", "run_up"]
-
 SPEED = "clock.speed"
 ORDERS = (1, 2, 3)
 WINDOW = 3  # turns that an order is fitted over, with a Hann window: orders one apart do not leak into each other

@@ -13,8 +13,6 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from rotorsim.errors import Problem, RotorsimError
 
-__all__ = ["Basis", "check_samples", "harmonic_basis", "wave_columns"]
-
 MOST_ORDERS = 16
 DRIFT = 2  # degree of the drift of the mean
 LEAST_TOLD = 1e-6  # of the best known combination of coefficients: information of one that samples tell nothing of

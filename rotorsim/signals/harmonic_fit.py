@@ -21,8 +21,6 @@ from rotorsim.signals.lines import Line, find_lines
 from rotorsim.signals.noise import Noise, noise_of
 from rotorsim.signals.whitening import FALSE_ALARM
 
-__all__ = ["NEAR", "Beside", "HarmonicFit", "Samples", "fit_harmonics"]
-
 OWN_PLACE = 0.5  # of the resolution, from which on a steady line has columns of its own: its variance doubles there
 NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something beside a harmonic is not told from it
 LOUD = 2.5  # times the noise, for lines of samples that differ in what they tell: those may follow the motion a little

@@ -19,8 +19,6 @@ from rotorsim.signals.harmonic_fit import HarmonicFit, Samples, fit_harmonics
 from rotorsim.signals.shaft_angle import ShaftAngle, refuse_run_up, shaft_angle
 from rotorsim.signals.whitening import FALSE_ALARM
 
-__all__ = ["RunHarmonics", "contradictions", "harmonics_of", "samples_of", "with_one_jitter", "with_one_noise"]
-
 EVEN_SPEED = 2  # numbers that pulses of an even speed have: angle zero and the speed
 
 

@@ -13,8 +13,6 @@ from scipy.stats import chi2
 from rotorsim.signals.colour import colour_of, density
 from rotorsim.signals.whitening import FALSE_ALARM, independent, is_white
 
-__all__ = ["LEAST_KEPT", "SLOWEST", "Line", "Spectrum", "faint_line", "find_lines", "log_chance", "spectrum_of"]
-
 MOST_LINES = 20
 GAP, NEIGHBOURS = 3, 24  # the level of the noise at a line: the mean of so many others, these next to it left out
 LEAST_KEPT = 0.3  # of the noise that a fit leaves of a line: below, the line says little of the noise

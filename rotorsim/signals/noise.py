@@ -12,8 +12,6 @@ from rotorsim.signals.colour import Bands, bands_of, colour_of, density, varianc
 from rotorsim.signals.lines import LEAST_KEPT, Line
 from rotorsim.signals.whitening import has_one_covariance, is_white
 
-__all__ = ["Noise", "noise_of"]
-
 MOST_LAGS = 8  # of an autoregression
 SMOOTHING = 12  # lines on each side over which a coloured spectrum is averaged, at least
 

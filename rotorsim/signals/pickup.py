@@ -19,8 +19,6 @@ from rotorsim.signals.lines import log_chance
 from rotorsim.signals.whitening import FALSE_ALARM
 from rotorsim.units import conversion
 
-__all__ = ["Pickup", "check_harmonics", "find_mains", "pickup_warnings", "with_pickups"]
-
 MAINS = (50.0, 60.0)  # Hz
 GRID_DRIFT = 0.01  # of it, either way: EN 50160 for interconnected grids
 HIGHEST = 20  # rectifiers and saturated cores make them

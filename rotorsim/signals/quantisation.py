@@ -22,8 +22,6 @@ from rotorsim.signals.harmonic_basis import harmonic_basis
 from rotorsim.signals.harmonics import RunHarmonics, harmonics_of
 from rotorsim.signals.lines import Line
 
-__all__ = ["Step", "find_steps", "interval_slopes", "readings_of", "step_of", "without_steps"]
-
 CHANGED = 10.0  # distance, in standard deviations of the noise, by which steps must change the harmonics of all runs
 UNEVEN = 0.02  # of a step, by which readings may miss their level: they are written with few digits
 KNOWN = 1e-6  # of a step, to which it is known at best: no converter is better calibrated

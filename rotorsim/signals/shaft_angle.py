@@ -12,17 +12,6 @@ from scipy.interpolate import CubicSpline
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 
-__all__ = [
-    "MOST_TURNED",
-    "ShaftAngle",
-    "pulse_edges",
-    "pulse_resolution",
-    "refuse_run_up",
-    "run_up_in_words",
-    "shaft_angle",
-    "steady_limit",
-]
-
 MOST_COEFFICIENTS = 8  # of the polynomial through the pulses
 MOST_SAMPLES = 100_000  # of a run, in which a change of speed is looked for: more are thinned out evenly
 SLOPE = np.sqrt(5)  # times jitter / sqrt(N): standard deviation of what N pulses say of a line and a parabola, at most

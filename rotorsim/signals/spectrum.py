@@ -12,22 +12,6 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.recording import ANGLE
 from rotorsim.simulation.result import Result
 
-__all__ = [
-    "DEFAULT_ORDERS",
-    "LEAST_SAMPLES",
-    "FullSpectrum",
-    "Harmonics",
-    "angle_of",
-    "few_samples",
-    "finite",
-    "full_spectrum",
-    "harmonics",
-    "last_turns",
-    "one_row",
-    "reconstruction_error",
-    "samples_in",
-]
-
 DEFAULT_ORDERS = (0, 1, 2, 3, 5, 7, -1, -3, -5)  # thesis Table 2-2
 LEAST_SAMPLES = 2 * max(DEFAULT_ORDERS)  # a turn: with fewer the highest of them appears as a lower one
 

@@ -11,8 +11,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-__all__ = ["clipped_stretches", "flat_stretches", "smallest_step"]
-
 Stretch = tuple[int, int]  # first sample, one past the last
 _SHORTEST = 3  # equal samples at an extreme
 _SEVERAL = 3  # stretches at the extremes, to be no accident

@@ -26,8 +26,6 @@ from rotorsim.signals.spectrum import (
 from rotorsim.signals.whitening import FALSE_ALARM
 from rotorsim.simulation.result import Result
 
-__all__ = ["METHODS", "TwoAxis", "WhirlLine", "two_axis_harmonics", "two_axis_names", "whole_turns"]
-
 METHODS = ("least-squares", "fft", "regression")
 REFERENCE = "reference.measured"
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-__all__ = ["FALSE_ALARM", "has_one_covariance", "independent", "is_white"]
-
 FALSE_ALARM = 1e-3  # probability that noise alone is taken for something, in a run or a recording
 BANDS = 16
 LEAST_BAND = 7  # lines of the narrowest

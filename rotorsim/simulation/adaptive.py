@@ -15,8 +15,6 @@ from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
 from rotorsim.simulation.failure import cause
 
-__all__ = ["run_adaptive"]
-
 IMPLICIT = {"radau", "bdf", "lsoda"}
 MOST_EVENTS = 1_000_000
 

@@ -8,8 +8,6 @@ from rotorsim.linear.stability import growing, largest_stable_step, rounded_down
 from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
 
-__all__ = ["cause", "describe_failure"]
-
 
 def describe_failure(
     model: Model, instance: Instance, first: int, until: int, h: float, every: int, rows: np.ndarray

@@ -16,8 +16,6 @@ from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.files import atomic_target, write_atomically
 from rotorsim.simulation.result import Result, cut, flat_name
 
-__all__ = ["load_result", "save"]
-
 _SUFFIXES = (".csv", ".h5", ".npz")
 _ROWS = 4096  # of a CSV, written at a time
 _DIGITS = 20  # bytes of a number in a CSV, about

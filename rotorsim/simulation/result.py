@@ -12,8 +12,6 @@ import numpy as np
 from rotorsim._shown import Shown, html_table, xarray_module
 from rotorsim.errors import Problem, RotorsimError, escape, near_miss
 
-__all__ = ["Result", "cut", "flat_name"]
-
 
 def flat_name(name: str, index: tuple[int, ...]) -> str:
     """Return the FMI structured name of one entry: ``rotor.displacement[3,2]``, counted from 1."""

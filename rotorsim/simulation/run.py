@@ -19,8 +19,6 @@ from rotorsim.simulation.failure import describe_failure
 from rotorsim.simulation.result import Result, cut
 from rotorsim.simulation.validity import Run, Stretch, judge, loose_tolerance, stretches_of
 
-__all__ = ["simulate"]
-
 LARGEST_RESIDUAL = 1e-9  # of algebraic loops
 LARGEST_RECORD = 1e9  # bytes; summing up and writing takes two to three times as much for a while
 Progress = Callable[[float], None]

@@ -9,8 +9,6 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.simulation.files import save
 from rotorsim.simulation.result import Result
 
-__all__ = ["check_sinks", "write_sinks"]
-
 
 def check_sinks(diagram: Diagram) -> list[tuple[str, Path]]:
     """Return block and file of every ``to_file`` block. Raises RotorsimError where a file cannot be written there.

@@ -21,8 +21,6 @@ from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
 from rotorsim.simulation.result import cut
 
-__all__ = ["LARGEST_ERROR", "Run", "Stretch", "growth_rate", "judge", "loose_tolerance", "stretches_of"]
-
 LARGEST_ERROR = 0.01  # of the rms of a signal: what a run may be wrong by without a word
 STRETCH = (200, 20_000)  # steps of which the error is estimated, at the start and at the end
 SHARE = 100  # and this part of the run: two stretches of three times as many steps are 6 % of its work

@@ -13,8 +13,6 @@ from rotorsim.errors import Problem
 from rotorsim.fmi.description.model import FmuUnit, Value
 from rotorsim.ssp.structure import Component, Connection, Connector, Setting, Structure, System, same_unit
 
-__all__ = ["Feed", "Flat", "Path", "names_of", "rescaled", "value_at"]
-
 Path = tuple[str, ...]  # names from the root system (which is ()) down to an element
 Point = tuple[Path, str]  # a connector of an element
 Indices = tuple[int, ...]

@@ -29,8 +29,6 @@ from rotorsim.ssp.structure import MAIN, Component, Connection, Connector, End, 
 from rotorsim.ssp.writer import system_description, values_description
 from rotorsim.units import BASES, parse_unit
 
-__all__ = ["ExportedSsp", "export_ssp", "write_ssp"]
-
 REST = "rest"
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _DATE = (1980, 1, 1, 0, 0, 0)  # of files in the archive: the same export gives the same bytes

@@ -30,8 +30,6 @@ from rotorsim.ssp.structure import (
     System,
 )
 
-__all__ = ["read_structure"]
-
 MAX_BYTES = 16 << 20  # of one XML file
 _LIMITS = XmlLimits(bytes=MAX_BYTES, elements=300_000)
 _TYPES = {"Real": "Float64", "Integer": "Int32"} | {

@@ -7,21 +7,6 @@ from dataclasses import dataclass, field
 from rotorsim.errors import Place
 from rotorsim.fmi.description.model import FmuUnit, Value
 
-__all__ = [
-    "FMU",
-    "INTERFACES",
-    "MAIN",
-    "NAMESPACES",
-    "Component",
-    "Connection",
-    "Connector",
-    "End",
-    "Setting",
-    "Structure",
-    "System",
-    "same_unit",
-]
-
 MAIN = "SystemStructure.ssd"
 FMU = "application/x-fmu-sharedlibrary"  # type of a component
 INTERFACES = {"cs": "CoSimulation", "me": "ModelExchange"}

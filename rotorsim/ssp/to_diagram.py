@@ -31,8 +31,6 @@ from rotorsim.ssp.reader import read_structure
 from rotorsim.ssp.structure import Component, Connector, Setting, Structure, same_unit
 from rotorsim.units import compatible
 
-__all__ = ["ImportedSsp", "import_ssp"]
-
 DIAGRAM = "diagram.json"
 STEPS = 1000  # of a run where no FMU proposes a step
 MAX_COMPONENTS = 2000

@@ -19,8 +19,6 @@ from rotorsim.ssp.structure import (
     same_unit,
 )
 
-__all__ = ["system_description", "values_description"]
-
 _TYPES1 = {"Float64": "Real", "Float32": "Real", "Boolean": "Boolean", "String": "String"}
 
 

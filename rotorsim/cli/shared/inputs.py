@@ -19,26 +19,6 @@ if TYPE_CHECKING:
 
     from rotorsim.diagram.diagram import Diagram
 
-__all__ = [
-    "Chosen",
-    "check_folder",
-    "check_target",
-    "clock_of",
-    "document_of",
-    "gains_of",
-    "is_recording",
-    "keep_diagram",
-    "known_names",
-    "listed",
-    "named_values",
-    "object_of",
-    "parse_settings",
-    "quantity",
-    "share_of",
-    "speeds_of",
-    "whole_numbers",
-    "window_of",
-]
 
 MAX_SPEEDS = 100_000
 RECORDING = "recording.json"

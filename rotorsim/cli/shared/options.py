@@ -12,30 +12,6 @@ from rotorsim.cli.shared.inputs import Chosen, check_target
 from rotorsim.diagram.solver import METHODS
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
-__all__ = [
-    "Group",
-    "diagram_argument",
-    "diagram_options",
-    "file_option",
-    "fmi_option",
-    "given_options",
-    "hold_out_option",
-    "jobs_options",
-    "json_option",
-    "measured_input_option",
-    "noise_kind_option",
-    "parameter_options",
-    "platform_option",
-    "plot_option",
-    "progress_option",
-    "recording_argument",
-    "set_option",
-    "show_help",
-    "solver_option",
-    "trust_option",
-    "without_option",
-]
-
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 RESULTS = (".csv", ".h5", ".npz")

@@ -17,19 +17,6 @@ from rotorsim.errors import Problem, visible
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "echo_json",
-    "note",
-    "note_mistakes",
-    "plain",
-    "problem_data",
-    "progress_bar",
-    "save_plot",
-    "show",
-    "show_problems",
-    "warn",
-]
-
 
 def show(as_json: bool, data: Callable[[], Any], text: Callable[[], str]) -> None:
     """Print a result on stdout: its data as JSON, or its text, if there is any."""

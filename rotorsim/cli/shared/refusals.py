@@ -7,8 +7,6 @@ from typing import Any
 
 from rotorsim.errors import Problem, RotorsimError
 
-__all__ = ["refuse_all", "refuse_if"]
-
 
 def refuse_if(wrong: object, what: str, subject: str = "", *, exit_code: int = 2, **more: Any) -> None:
     """Raise RotorsimError if something is wrong; more: place and hint of the `Problem`."""

@@ -11,8 +11,6 @@ from rotorsim.cosim.masters.waveform import Waveform
 from rotorsim.cosim.participant import Participant
 from rotorsim.errors import Problem, RotorsimError
 
-__all__ = ["make_master", "make_stepping_master"]
-
 _STEPPING: dict[str, type[Jacobi | GaussSeidel | Iterative]] = {
     kind.name: kind for kind in (Jacobi, GaussSeidel, Iterative)
 }

@@ -17,8 +17,6 @@ from rotorsim.cosim.participant import Participant
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.runtime.failure import FmuError
 
-__all__ = ["ExplicitMaster", "GaussSeidel", "Jacobi"]
-
 
 @dataclass(frozen=True)
 class _Source:

@@ -14,8 +14,6 @@ from rotorsim.cosim.masters.stepping import NEAR, SavedMaster, SteppingMaster
 from rotorsim.cosim.participant import Participant
 from rotorsim.errors import Problem, RotorsimError
 
-__all__ = ["Iterative"]
-
 ITERATIONS = 30
 SLOW = 0.5  # a contraction worse than this calls for Newton's method
 

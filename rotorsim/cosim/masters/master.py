@@ -12,8 +12,6 @@ from rotorsim.cosim.coupling import Coupling
 from rotorsim.cosim.participant import Participant
 from rotorsim.errors import RotorsimError
 
-__all__ = ["Master", "Schedule", "Settings", "Trajectory"]
-
 
 @dataclass(frozen=True)
 class Settings:

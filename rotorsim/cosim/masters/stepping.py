@@ -20,8 +20,6 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.instance import is_finite
 
-__all__ = ["CLOSE", "NEAR", "SavedMaster", "SteppingMaster"]
-
 CLOSE = 1e-6  # of a step: a sample hit so close to a communication point is there
 NEAR = 0.1  # of a step: points closer than this are not used together
 LARGEST_ADAPTIVE = 100  # the adaptive step over the one given

@@ -15,8 +15,6 @@ from rotorsim.cosim.inputs import Held
 from rotorsim.cosim.masters.master import Master, Schedule, Trajectory
 from rotorsim.errors import Problem, RotorsimError
 
-__all__ = ["Waveform"]
-
 SWEEPS = 60
 
 

@@ -11,8 +11,6 @@ from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.registry import Registry
 
-__all__ = ["Catalogue"]
-
 
 @dataclass(frozen=True)
 class Catalogue:

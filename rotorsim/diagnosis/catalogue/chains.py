@@ -9,8 +9,6 @@ import networkx as nx
 
 from rotorsim.diagram.diagram import Diagram, Endpoint, Wire
 
-__all__ = ["Chain", "Chains"]
-
 ANY = "*"  # category of every block
 
 

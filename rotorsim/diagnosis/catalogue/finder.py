@@ -16,8 +16,6 @@ from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Port
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.fault import Fault
 
-__all__ = ["insertions"]
-
 Wires = list[tuple[str, str]]
 
 

@@ -12,8 +12,6 @@ import numpy as np
 from rotorsim.block import Block
 from rotorsim.fault import Fault, Lines, Longest, Of, Steps
 
-__all__ = ["LEAST", "LINES", "LONGEST", "Insertion", "Spot", "fixed_of", "limits_of", "sizes_at", "starts_of"]
-
 LEAST = "least"  # before the name of a signal: its size in the run in which it is smallest
 LONGEST = "longest run"  # among the largest magnitudes of signals: how long it is [s]
 LINES = "lines"  # among the largest magnitudes of signals: the frequency of asynchronous lines

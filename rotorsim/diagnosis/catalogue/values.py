@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["values_in"]
-
 
 def values_in(document: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, Any]:
     """Return a document with SI values in place of those of parameters ("e", "rub.gap", "bearing.k[2]") that it has."""

@@ -20,8 +20,6 @@ from rotorsim.errors import Problem
 from rotorsim.identification.profile import Z90
 from rotorsim.recordings.recording import Recording
 
-__all__ = ["VERDICTS", "Diagnosis", "Effect", "Estimated", "estimates", "interval"]
-
 VERDICTS = ("consistent", "missing_physics", "outside_catalogue", "not_identifiable")
 
 

@@ -15,8 +15,6 @@ from rotorsim.diagnosis.evidence.evidence import Validation
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.search.selection import Selection
 
-__all__ = ["Explained", "Share", "explanations", "residual_of", "share_explained"]
-
 Pairs = Sequence[tuple[float, float]]  # misfit and equations of each run
 
 

@@ -12,8 +12,6 @@ from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit
 
-__all__ = ["UnknownForce", "unknown_force"]
-
 TERMS = ("cubic", "damping_growth", "drag", "friction", "quadratic", "cross", "cross_cubic", "quintic")
 MOST_TERMS = 4
 NAME = "force_map"

@@ -12,8 +12,6 @@ from rotorsim.diagnosis.evidence.evidence import HeldScore, Score
 from rotorsim.diagnosis.evidence.fit import Fit, is_noise
 from rotorsim.diagnosis.search.selection import Selection, without_effects, without_last
 
-__all__ = ["Proof", "is_faint", "is_material", "material_effects", "prove"]
-
 
 @dataclass(frozen=True)
 class Proof:

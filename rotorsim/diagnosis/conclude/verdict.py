@@ -18,19 +18,6 @@ from rotorsim.diagnosis.search.selection import Selection, least_gain, probabili
 from rotorsim.diagnosis.search.trials import Candidate, Round
 from rotorsim.errors import Problem
 
-__all__ = [
-    "conventions",
-    "converter_effect",
-    "detectable_sizes",
-    "effects_of",
-    "nearest",
-    "places_of",
-    "rejected_of",
-    "unfinished",
-    "unknown_of",
-    "verdict_of",
-]
-
 REJECTED = 12  # hypotheses that are listed
 
 

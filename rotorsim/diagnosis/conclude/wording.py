@@ -13,8 +13,6 @@ from rotorsim.diagnosis.evidence.fit import is_noise
 from rotorsim.fault import Fault
 from rotorsim.units import format_quantity
 
-__all__ = ["next_experiment", "statement"]
-
 WHOLE = 0.999  # a share from which its digits say nothing
 ONE_SPEED = "at one speed unbalance imitates bow and runout, and force factors imitate stiffness and damping"
 MORE_RUNS = "runs at several speeds, from slow roll to above the first critical, and some with other gains"

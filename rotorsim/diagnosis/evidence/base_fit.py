@@ -14,8 +14,6 @@ from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagram.diagram import Diagram
 
-__all__ = ["base_fit", "with_uncertain"]
-
 FINEST = 8
 
 

@@ -13,8 +13,6 @@ from rotorsim.diagnosis.evidence.fit import Fit, Starts
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.recordings.recording import Recording
 
-__all__ = ["Bounds", "Change", "Defaults", "Evidence", "HeldScore", "Score", "Terms", "Unknown", "Validation"]
-
 
 @dataclass(frozen=True)
 class Terms:

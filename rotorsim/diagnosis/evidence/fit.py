@@ -14,19 +14,6 @@ from rotorsim.diagram.diagram import Free
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.profile import Z90
 
-__all__ = [
-    "DEFERRED",
-    "FAILURES",
-    "Fit",
-    "Starts",
-    "fit_from_plain",
-    "fit_to_plain",
-    "is_adequate",
-    "is_noise",
-    "left_out",
-    "reason_of",
-]
-
 DEFERRED = "is nonlinear, and not fitted yet"
 ROUNDING = 1e-12  # of the largest eigenvalue of a scaled information matrix
 

@@ -13,8 +13,6 @@ from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.errors import Problem
 from rotorsim.signals.quantisation import Step
 
-__all__ = ["Converter", "Opened"]
-
 
 @dataclass(frozen=True, eq=False)
 class Converter:

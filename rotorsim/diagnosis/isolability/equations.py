@@ -20,8 +20,6 @@ from rotorsim.model.trace.block import BlockTrace
 from rotorsim.model.trace.diagram import flat_indices
 from rotorsim.model.trace.order import block_traces
 
-__all__ = ["entries_of", "structure_of"]
-
 SHOWN = 8  # signals that a hint lists
 UNMEASURED = ("excitation", "clock")  # categories of blocks whose outputs nobody measures
 T = TypeVar("T")

@@ -20,8 +20,6 @@ from rotorsim.diagnosis.isolability.structure import Gain, Structure
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 
-__all__ = ["Isolation", "Laws", "WeaklyIsolable", "isolate", "isolation_data"]
-
 MOST_TESTS = 1000
 
 

@@ -21,8 +21,6 @@ from rotorsim.settled.nonlinear import NonlinearMotion
 from rotorsim.settled.resolvent import resolvent_of
 from rotorsim.settled.slow_states import slow_states
 
-__all__ = ["SECOND", "LinearMotion"]
-
 SECOND = "second "  # before the name of a signal that is measured once more
 ORDERS = 14
 H = 20  # orders of the motion itself

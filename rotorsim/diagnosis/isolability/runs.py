@@ -13,8 +13,6 @@ from rotorsim.linear.linearisation import speed_entries
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.units import format_quantity
 
-__all__ = ["Runs", "runs_of"]
-
 SPEEDS = (0.5, 0.7, 0.9, 1.15, 1.4)  # of the diagram's speed
 GAINS = (1.3, 0.8, 1.1)  # of proportional and derivative gains, the first that is stable
 

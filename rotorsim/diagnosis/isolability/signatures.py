@@ -30,8 +30,6 @@ from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.threads import one_thread
 from rotorsim.model.load import load
 
-__all__ = ["ALIAS", "HARDLY", "NOISE", "SIGMAS", "Shares", "Signatures", "Size", "signatures_of"]
-
 ANY_LINE = 100.0  # rad/s: asynchronous
 ALIAS = 1e-6  # share below which a fault is not isolable from another
 HARDLY = 0.03  # share below which only a strong fault is isolable

@@ -19,8 +19,6 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_bipartite_matching
 
-__all__ = ["Equation", "Gain", "Signal", "Structure"]
-
 Equation = str
 Signal = frozenset[Equation]  # the equations in which one signal of a fault stands
 

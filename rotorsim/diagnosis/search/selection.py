@@ -18,8 +18,6 @@ from rotorsim.diagnosis.search.trials import Candidate, Round, Trials
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs, local_workers
 
-__all__ = ["Selection", "least_gain", "probabilities", "select_effects", "without_effects", "without_last"]
-
 BEAM = 2  # hypotheses that the next round starts from
 
 

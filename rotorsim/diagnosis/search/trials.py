@@ -19,8 +19,6 @@ from rotorsim.identification.profile import Z90
 from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
 from rotorsim.jobs.threads import one_thread
 
-__all__ = ["Candidate", "Round", "Trials"]
-
 MOST_FITS = 90  # in one round; places beyond are screened
 # times the least misfit that any place allows: places that allow no less are not looked at. The bound is that of free
 # harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it

@@ -14,8 +14,6 @@ from rotorsim.diagram.diagram import Endpoint
 from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.errors import Place, Problems
 
-__all__ = ["NAME", "FlatDocument", "Parameter", "RawBlock", "RawWire", "Scope", "SubPorts", "endpoint"]
-
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _END = re.compile(
     r"([A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*)\.([A-Za-z_][A-Za-z0-9_]*)(?:\[\s*([0-9]{1,9}(?:\s*,\s*[0-9]{1,9})*)\s*\])?"

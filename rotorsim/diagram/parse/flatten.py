@@ -17,8 +17,6 @@ from rotorsim.diagram.parse.form import checked_form, is_block
 from rotorsim.diagram.parse.source import Source, read_document
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
-__all__ = ["flatten_document"]
-
 MAX_SUB_DEPTH = 8
 MAX_BLOCKS = 200_000
 MAX_WIRES = 1_000_000

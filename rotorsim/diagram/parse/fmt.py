@@ -9,8 +9,6 @@ from typing import Any
 from rotorsim.diagram.parse.form import BLOCK_KEYS, KEYS
 from rotorsim.errors import Problem, RotorsimError
 
-__all__ = ["format_document"]
-
 WIDTH = 120
 
 

@@ -8,8 +8,6 @@ from rotorsim.diagram.parse.document import NAME
 from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.errors import CONTROL, Problems, near_miss
 
-__all__ = ["BLOCK_KEYS", "KEYS", "RESERVED", "checked_form", "is_block"]
-
 RESERVED = ("solver",)
 KEYS: dict[str, type] = {  # in the order of the canonical form
     "$schema": str,

@@ -16,17 +16,6 @@ from typing import Any
 
 from rotorsim.errors import CONTROL, Place, Problem, RotorsimError
 
-__all__ = [
-    "MAX_BYTES",
-    "MAX_DEPTH",
-    "JsonPath",
-    "LazyPlace",
-    "Source",
-    "is_too_deep",
-    "parse_document",
-    "read_document",
-]
-
 MAX_BYTES = 20_000_000
 MAX_DEPTH = 64
 MAX_DIGITS = 300

@@ -12,8 +12,6 @@ from rotorsim.diagram.parse.document import RawBlock
 from rotorsim.diagram.resolve.shapes import ShapeTerm, Unifier
 from rotorsim.diagram.resolve.template import Template
 
-__all__ = ["Draft"]
-
 
 @dataclass
 class Draft:

@@ -19,8 +19,6 @@ from rotorsim.diagram.resolve.template import Templates
 from rotorsim.diagram.resolve.values import ValueProblem, bounds_problem, numeric, option_value
 from rotorsim.errors import Place, Problem, Problems, RotorsimError, near_miss
 
-__all__ = ["Drafter", "report_value"]
-
 # block types whose ports a file describes -> the module that reads it (rooms above this one: imported when needed)
 FROM_FILE = {"fmu": "rotorsim.fmi.block"}
 

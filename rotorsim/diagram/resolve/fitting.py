@@ -15,8 +15,6 @@ from rotorsim.diagram.resolve.wiring import Wiring
 from rotorsim.errors import Place
 from rotorsim.units import UnitError, compatible
 
-__all__ = ["Fitting"]
-
 
 class Fitting:
     """Unifies the shapes of connected drafts. misfits: blocks whose defaults do not fit: their values mean nothing."""

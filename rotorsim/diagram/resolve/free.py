@@ -16,8 +16,6 @@ from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Problem, Problems, near_miss
 
-__all__ = ["KEYS", "free_parameters", "unknown_names"]
-
 SPEED = "speed"
 KEYS = ("low", "high", "prior", "description")
 PRIOR_KEYS = ("mean", "std")

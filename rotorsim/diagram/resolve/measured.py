@@ -9,8 +9,6 @@ from rotorsim.diagram.diagram import Endpoint, Node
 from rotorsim.diagram.parse.document import FlatDocument, endpoint
 from rotorsim.diagram.resolve.fitting import Fitting
 
-__all__ = ["measured_signals"]
-
 _FORM = '"measured": {"rotor.displacement": "sensor.sensed_displacement"}'
 
 

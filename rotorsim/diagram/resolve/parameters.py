@@ -12,8 +12,6 @@ from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Problems, near_miss
 from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
 
-__all__ = ["DiagramParameters", "referred", "referred_name"]
-
 
 def referred_name(value: Any) -> str:
     """Return the name in ``"$name"``, "" of any other value."""

@@ -21,8 +21,6 @@ from typing import Any
 from rotorsim.block import Block
 from rotorsim.errors import Place, Problems, near_miss
 
-__all__ = ["Registry", "all_types", "find"]
-
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _PACKAGE = "rotorsim.blocks"
 _SHARED = "common"  # the folder of what several blocks share

@@ -27,8 +27,6 @@ from rotorsim.diagram.resolve.wiring import Wiring
 from rotorsim.diagram.solver import METHODS, Solver
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
-__all__ = ["find_diagram", "raise_errors", "resolve", "shipped_diagrams"]
-
 _SOLVER = {"step": "s", "stop": "s", "record_every": "1", "rtol": "1", "atol": "1"}
 MOST_RTOL = 1e-3  # relative error of one step: in ten steps of the same sign one percent
 MAX_PROBLEMS = 1000  # that one error carries

@@ -11,8 +11,6 @@ from typing import Generic, TypeVar
 
 from rotorsim.block import Shape
 
-__all__ = ["DimensionTerm", "ShapeTerm", "Unifier", "text_of"]
-
 DimensionTerm = int
 ShapeTerm = int | tuple[DimensionTerm, ...]
 Term = TypeVar("Term", DimensionTerm, ShapeTerm)

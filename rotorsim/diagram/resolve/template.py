@@ -13,8 +13,6 @@ from rotorsim.block import Block, In, Out, Shape
 from rotorsim.diagram.parse.document import NAME
 from rotorsim.diagram.resolve.values import numeric
 
-__all__ = ["Template", "Templates", "filled"]
-
 
 class Template:
     """What all blocks of one class with the same options and wired inputs share.

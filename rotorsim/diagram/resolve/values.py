@@ -12,8 +12,6 @@ from rotorsim.block import Option, Param
 from rotorsim.errors import near_miss
 from rotorsim.units import UnitError, format_quantity, parse_quantity
 
-__all__ = ["ValueProblem", "bounds_problem", "numeric", "option_value"]
-
 MAX_DIMENSIONS = 8
 
 

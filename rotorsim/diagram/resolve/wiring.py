@@ -12,8 +12,6 @@ from rotorsim.diagram.resolve.draft import Draft
 from rotorsim.diagram.resolve.template import Templates
 from rotorsim.errors import Place, near_miss
 
-__all__ = ["Wiring"]
-
 MAX_HINTS = 50
 
 

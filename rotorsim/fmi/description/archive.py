@@ -25,8 +25,6 @@ from types import TracebackType
 
 from rotorsim.errors import Place, Problem, RotorsimError
 
-__all__ = ["Archive", "Limits", "check_name"]
-
 _CHUNK = 1 << 18
 _DIRECTORY = 1 << 22  # bytes of the list of files at the end of an archive
 _SHOWN = 5  # problems of one kind

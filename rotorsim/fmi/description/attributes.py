@@ -12,8 +12,6 @@ from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.fmi.description.model import BASE_UNITS, FLOATS, INTEGERS, FmuUnit, Value
 from rotorsim.fmi.description.xml_reader import Element
 
-__all__ = ["Attributes", "Mistakes", "parse_value"]
-
 _FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?INF|NaN")
 _WHOLE = re.compile(r"[+-]?\d{1,20}")
 _FLAGS = {"true": True, "1": True, "false": False, "0": False}

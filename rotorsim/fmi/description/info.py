@@ -8,8 +8,6 @@ from typing import Any
 from rotorsim.fmi.description.model import KINDS, FmuUnit, FmuVariable, Kind, ModelDescription
 from rotorsim.fmi.description.platforms import folders, this_platform
 
-__all__ = ["information", "information_text"]
-
 _GROUPS = (
     ("inputs", ("input",)),
     ("outputs", ("output",)),

@@ -17,20 +17,6 @@ from math import prod
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.units import BASES, Unit, UnitError, parse_foreign_unit, parse_unit
 
-__all__ = [
-    "BASE_UNITS",
-    "FLOATS",
-    "INTEGERS",
-    "KINDS",
-    "NUMERIC",
-    "Entry",
-    "Experiment",
-    "FmuUnit",
-    "FmuVariable",
-    "Kind",
-    "ModelDescription",
-]
-
 FLOATS = ("Float64", "Float32")
 INTEGERS = ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")
 NUMERIC = (*FLOATS, *INTEGERS, "Boolean")

@@ -11,17 +11,6 @@ from pathlib import Path
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.fmi.description.model import ModelDescription
 
-__all__ = [
-    "SUFFIXES",
-    "binary_kind",
-    "find_library",
-    "folders",
-    "library_folder",
-    "platform_of",
-    "platforms_inside",
-    "this_platform",
-]
-
 _PROCESSORS = {
     "x86_64": "x86_64",
     "amd64": "x86_64",

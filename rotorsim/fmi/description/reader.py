@@ -13,8 +13,6 @@ from rotorsim.fmi.description.model import KINDS, Experiment, FmuUnit, Kind, Mod
 from rotorsim.fmi.description.variables import VariableReader, reference_in
 from rotorsim.fmi.description.xml_reader import Element, XmlLimits, read_xml
 
-__all__ = ["read_description"]
-
 MAX_EVENTS = 100_000
 _SHOWN = 20  # mistakes
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,199}")

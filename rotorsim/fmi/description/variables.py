@@ -12,8 +12,6 @@ from rotorsim.fmi.description.attributes import Attributes, Mistakes
 from rotorsim.fmi.description.model import FLOATS, INTEGERS, FmuVariable, Value
 from rotorsim.fmi.description.xml_reader import Element
 
-__all__ = ["VariableReader", "reference_in"]
-
 MAX_SCALARS = 1_000_000  # of all variables together
 _TYPES2 = {"Real": "Float64", "Integer": "Int32"} | {name: name for name in ("Boolean", "String", "Enumeration")}
 _TYPES3 = {name: name for name in (*FLOATS, *INTEGERS, "Boolean", "String", "Binary", "Clock")}

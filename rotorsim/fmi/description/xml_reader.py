@@ -15,8 +15,6 @@ from xml.parsers import expat
 
 from rotorsim.errors import Place, Problem, RotorsimError
 
-__all__ = ["Element", "XmlLimits", "read_xml"]
-
 
 @dataclass(frozen=True)
 class XmlLimits:

@@ -8,8 +8,6 @@ from xml.etree.ElementTree import Element, SubElement
 
 from rotorsim.fmi.description.model import BASE_UNITS
 
-__all__ = ["plain_text", "write_base_unit", "xml_bytes"]
-
 
 def plain_text(text: str) -> str:
     """Return a text without characters that XML cannot hold."""

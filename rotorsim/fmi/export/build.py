@@ -22,9 +22,6 @@ from rotorsim.model.emit.toolchain import (
     scratch_folder,
 )
 
-__all__ = ["TARGETS", "build_library", "find_platforms", "suffix_of"]
-
-
 # Platforms as FMI 3 names them, and the targets of ziglang.
 TARGETS = {
     "x86_64-linux": "x86_64-linux-gnu.2.17",

@@ -11,8 +11,6 @@ import numpy as np
 
 from rotorsim.model.part import Part
 
-__all__ = ["Dependencies", "find_dependencies"]
-
 Rows = list[list[int]]
 
 

@@ -19,8 +19,6 @@ from rotorsim.fmi.export.writer import build_description, model_description
 from rotorsim.model.emit.toolchain import FLAGS
 from rotorsim.model.part import open_part
 
-__all__ = ["Exported", "export_fmu"]
-
 VERSIONS = ("2.0", "3.0")
 _NAMESPACE = uuid.UUID("6c0b7b0e-7f55-4d0c-9a53-0f0a2f6e4c11")  # of the tokens: one content, one token
 _DATE = (1980, 1, 1, 0, 0, 0)  # of files in the archive: the same export gives the same bytes

@@ -16,8 +16,6 @@ from rotorsim.model.emit.emit import Kernel, emit_c
 from rotorsim.model.emit.program import Program
 from rotorsim.model.emit.writer import Writer, array_leaf
 
-__all__ = ["make_sources", "with_token"]
-
 _HEADERS = ("instance.h", "derivatives.h", "stepping.h", "functions.h")
 _LOOP_TOLERANCE = 1e-9  # as a run in process
 

@@ -20,8 +20,6 @@ from rotorsim.model.trace.order import block_traces
 from rotorsim.simulation.result import flat_name
 from rotorsim.units import parse_unit
 
-__all__ = ["Interface", "Parameter", "Variable", "make_interface"]
-
 PARAMETER, INPUT, OUTPUT, STATE = "parameter", "input", "output", "state"
 DERIVATIVE, DISCRETE, EVENT = "derivative", "discrete", "event"
 

@@ -20,8 +20,6 @@ from rotorsim.fmi.export.variables import (
 )
 from rotorsim.units import BASES, parse_unit
 
-__all__ = ["build_description", "model_description"]
-
 _DISPLAY = {"rad/s": ("rpm", "Hz"), "rad": ("deg",), "m": ("mm", "um")}
 _LOG_CATEGORIES = {
     "logAll": "everything",

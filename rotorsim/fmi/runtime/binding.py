@@ -14,8 +14,6 @@ from collections import deque
 from ctypes import c_bool, c_char_p, c_double, c_int, c_size_t, c_void_p
 from typing import Any
 
-__all__ = ["STATUS", "TYPES", "CallError", "Library", "Log"]
-
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 KEPT, LONGEST = 1000, 2000  # messages kept until they are taken, characters of one
 

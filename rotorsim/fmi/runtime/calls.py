@@ -10,8 +10,6 @@ from typing import Any
 from rotorsim.fmi.runtime.binding import STATUS, TYPES, CallError, Library, Log
 from rotorsim.fmi.runtime.memory import Block, Head
 
-__all__ = ["FUNCTIONS", "NUMBER", "Call", "Calls", "address", "references", "whole"]
-
 FUNCTIONS = (
     "-",
     "load",

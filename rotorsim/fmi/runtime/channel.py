@@ -15,8 +15,6 @@ import struct
 import threading
 import time
 
-__all__ = ["ClosedError", "LateError", "Pipe", "ordered", "seen"]
-
 BELL = b"\0\0\0\0"
 LONGEST = 1 << 28  # bytes of a message
 LOOKS = 5000  # some 2 ms, before sleeping

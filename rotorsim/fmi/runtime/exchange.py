@@ -14,8 +14,6 @@ from rotorsim.fmi.runtime.memory import Block, Head, Op, Said
 from rotorsim.fmi.runtime.runs import make_runs
 from rotorsim.fmi.runtime.steps import Member
 
-__all__ = ["EventUpdate", "Slave"]
-
 
 @dataclass(frozen=True)
 class EventUpdate:

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 from rotorsim.errors import Place, Problem, RotorsimError
 
-__all__ = ["FmuError"]
-
 _SHOWN = 5  # messages of the FMU in an error
 
 

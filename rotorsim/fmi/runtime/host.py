@@ -19,8 +19,6 @@ from rotorsim.fmi.runtime.channel import ClosedError, Pipe, seen
 from rotorsim.fmi.runtime.memory import Block, Head, Op, Sizes
 from rotorsim.fmi.runtime.session import Session
 
-__all__ = ["main"]
-
 
 def main() -> None:
     """Serve one FMU: arguments are given as JSON in the last argument of the command line."""

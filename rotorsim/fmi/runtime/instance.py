@@ -18,8 +18,6 @@ from rotorsim.fmi.runtime.memory import Head, Said
 from rotorsim.fmi.runtime.process import Worker
 from rotorsim.fmi.runtime.runs import make_run, make_runs
 
-__all__ = ["Instance", "Log", "is_finite"]
-
 Log = Callable[[str, str, str], None]  # status, category, message
 
 

@@ -11,8 +11,6 @@ import ctypes
 import mmap
 from dataclasses import dataclass
 
-__all__ = ["Block", "Head", "Op", "Said", "Sizes"]
-
 _HEAD, _SCALARS = 64, 16
 
 

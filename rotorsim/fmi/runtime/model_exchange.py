@@ -20,8 +20,6 @@ from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.linear.stability import largest_stable_step, rounded_down, step_factor
 from rotorsim.model.runge_kutta import RK4
 
-__all__ = ["KEPT", "ModelExchange", "SavedState"]
-
 RTOL, ATOL = 1e-8, 1e-12  # of the methods that choose their own steps
 NUDGE = 6e-6  # cube root of eps: relative width of central differences
 

@@ -10,8 +10,6 @@ import threading
 from collections.abc import Iterator
 from typing import IO, Any
 
-__all__ = ["Printed", "printing_elsewhere"]
-
 PRINTED = 4000  # characters kept
 
 

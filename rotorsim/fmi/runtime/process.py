@@ -31,8 +31,6 @@ from rotorsim.fmi.runtime.printing import Printed
 from rotorsim.fmi.runtime.session import Session
 from rotorsim.fmi.runtime.steps import PROCESS, Member, State
 
-__all__ = ["LocalWorker", "RemoteWorker", "Worker"]
-
 START = 60.0  # s for Python itself to start on a busy machine
 GRACE = 2.0  # s to leave, before it is killed
 _CODE = "import sys; sys.path.append(sys.argv[1]); from rotorsim.fmi.runtime.host import main; main()"

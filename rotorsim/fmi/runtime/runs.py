@@ -16,8 +16,6 @@ import numpy as np
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.model import FLOATS, INTEGERS, NUMERIC, Entry, FmuVariable, ModelDescription
 
-__all__ = ["make_run", "make_runs"]
-
 _PYTHON: dict[str, Callable[[Any], Any]] = {**dict.fromkeys(FLOATS, float), "Boolean": bool, "String": str}  # else int
 
 

@@ -18,8 +18,6 @@ from rotorsim.fmi.runtime.memory import Block, Head
 from rotorsim.fmi.runtime.steps import CoSimulationSteps, Member, ModelExchangeSteps, Steps
 from rotorsim.fmi.runtime.versions import make_calls
 
-__all__ = ["Session"]
-
 
 class Session:
     """An instance: loaded by the command "instantiate", given its inputs and outputs by "begin"."""

@@ -12,18 +12,6 @@ from rotorsim.fmi.runtime.binding import CallError
 from rotorsim.fmi.runtime.calls import NUMBER, Call, Calls, address, references, whole
 from rotorsim.fmi.runtime.memory import Block, Head, Op, Said
 
-__all__ = [
-    "DEFINES",
-    "PART",
-    "PROCESS",
-    "CoSimulationSteps",
-    "Failed",
-    "Member",
-    "ModelExchangeSteps",
-    "State",
-    "Steps",
-]
-
 MAX_ITERATIONS = 1000  # of an event
 
 

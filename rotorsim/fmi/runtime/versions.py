@@ -10,8 +10,6 @@ from rotorsim.fmi.runtime.binding import CallError
 from rotorsim.fmi.runtime.calls import Calls, address
 from rotorsim.fmi.runtime.memory import Block, Head, Said
 
-__all__ = ["make_calls"]
-
 _FLAGS = ("needed", "terminate", "nominals", "states", "defined")
 _STATE_VERBS = ("Get", "Set", "Free", "Serialize")
 

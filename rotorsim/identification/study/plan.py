@@ -15,8 +15,6 @@ from rotorsim.identification.study.printed import TABLES
 from rotorsim.measure.record import KINDS
 from rotorsim.model.load import load
 
-__all__ = ["Case", "Study"]
-
 NOT_OF_ONE_SEED = ("seeds", "noise", "bias", "kinds", "table")
 
 

@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["LEVELS", "TABLES", "PublishedTable", "Row", "misprints"]
-
 LEVELS = (0.0, 0.01, 0.02, 0.05)  # of noise or of bias, the columns of every table
 
 

@@ -21,16 +21,6 @@ from rotorsim.identification.study.study import StudyResult, run_study, study_ro
 from rotorsim.linear.design import design_state_feedback
 from rotorsim.model.load import load
 
-__all__ = [
-    "POWER",
-    "Comparison",
-    "Smallest",
-    "compare_controllers",
-    "comparison_rows",
-    "smallest_rows",
-    "smallest_size",
-]
-
 POWER = 0.9  # share of seeds in which the interval is to exclude zero
 STEP, STEPS = 1.1, 8  # of the search upwards
 TOUCH_DOWN = 1e-3  # m; a rotor that moves further does not levitate

@@ -37,8 +37,6 @@ from rotorsim.signals.harmonic_fit import HarmonicFit, Samples, fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.signals.shaft_angle import ShaftAngle
 
-__all__ = ["Bench", "Clean", "bench_of", "clean_runs"]
-
 RATE = 1e4  # Hz, of the recordings; the thesis' step of 0.1 ms
 PROBE, LINEAR = 0.1, 1e-6  # size of a step; departure from linearity, of the change, that counts as none
 

@@ -28,8 +28,6 @@ from rotorsim.identification.study.runs import Bench, bench_of
 from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
 from rotorsim.model.load import load
 
-__all__ = ["StudyResult", "StudyRow", "run_study", "study_data", "study_of_table", "study_rows", "write_rows"]
-
 CHUNK = 20  # estimates handed over at a time
 
 

@@ -13,8 +13,6 @@ from collections.abc import Sequence
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 
-__all__ = ["collapse_linear", "state_operations"]
-
 LARGEST = 400  # operations of the right-hand side above which collapsing is not tried
 Form = tuple[dict[int, int], int]  # atom -> coefficient node, and the node of the rest; all of the new program
 

@@ -19,8 +19,6 @@ from fractions import Fraction
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 
-__all__ = ["share_harmonics"]
-
 LARGEST_MULTIPLE = 64
 Form = dict[int, float]  # node -> coefficient: a linear combination of nodes
 Direction = tuple[tuple[int, float], ...]  # one divided by its first coefficient

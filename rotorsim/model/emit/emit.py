@@ -24,8 +24,6 @@ from rotorsim.model.emit.writer import Writer, array_leaf
 from rotorsim.model.runge_kutta import RK4
 from rotorsim.model.trace.diagram import Trace
 
-__all__ = ["Kernel", "StepProgram", "build_kernel", "emit_c", "step_program"]
-
 UNROLL_LIMIT = 1500  # operations of the right-hand side above which the step is not unrolled
 LARGEST_PAIRED = 200  # states up to which axes of one form are laid out side by side
 INSTANTS = {0.0: "g0", 0.5: "gm", 1.0: "g1"}  # forcing at t + c h

@@ -12,8 +12,6 @@ from itertools import zip_longest
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 
-__all__ = ["paired_constants", "paired_states"]
-
 ROUNDS = 8  # of colour refinement; forms that differ only farther away are neighbours all the same
 
 

@@ -13,8 +13,6 @@ from typing import Any, Protocol
 
 import casadi as ca
 
-__all__ = ["CONSTANT", "INPUT", "LEVEL_CONSTANT", "LEVEL_PARAMETER", "LEVEL_STATE", "LEVEL_TIME", "Pass", "Program"]
-
 INPUT, CONSTANT = ca.OP_INPUT, ca.OP_CONST
 LEVEL_CONSTANT, LEVEL_PARAMETER, LEVEL_TIME, LEVEL_STATE = 0, 1, 2, 3
 _LEVEL_OF_VECTOR = {"p": LEVEL_PARAMETER, "t": LEVEL_TIME}

@@ -22,19 +22,6 @@ from pathlib import Path
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.files import sweep, temporary_prefix, write_atomically
 
-__all__ = [
-    "Compiler",
-    "CompilerError",
-    "cache_folder",
-    "cached",
-    "compile_c",
-    "compiler_error",
-    "find_compiler",
-    "keep",
-    "run_compiler",
-    "scratch_folder",
-]
-
 FLAGS = ("-std=c99", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off")
 TIME_LIMIT = 600.0  # s; a compiler that takes longer is taken for hung
 SHOWN = 5  # last lines of what a compiler said

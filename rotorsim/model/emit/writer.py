@@ -11,8 +11,6 @@ import casadi as ca
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 
-__all__ = ["Writer", "array_leaf"]
-
 CHUNK = 200  # statements per C function of large diagrams (compilers are slow on long functions)
 
 _INFIX = {

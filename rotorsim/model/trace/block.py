@@ -12,8 +12,6 @@ import casadi as ca
 
 from rotorsim.block import Block, Shape, flatten, matrix_shape, size_of, unflatten
 
-__all__ = ["BlockTrace", "TraceError", "trace_block"]
-
 
 class TraceError(Exception):
     """The equations of a block contradict its declarations; the text says how."""

@@ -20,8 +20,6 @@ from rotorsim.model.trace.block import BlockTrace
 from rotorsim.model.trace.loops import solve_loop
 from rotorsim.model.trace.order import Key, block_traces, evaluation_groups, evaluation_order, feedthrough_graph
 
-__all__ = ["Sampler", "Signal", "Trace", "flat_indices", "trace_diagram"]
-
 
 @dataclass(frozen=True)
 class Signal:

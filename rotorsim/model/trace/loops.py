@@ -11,8 +11,6 @@ import numpy as np
 
 from rotorsim.model.trace.order import Key
 
-__all__ = ["solve_loop"]
-
 NEWTON_STEPS = 12  # of a nonlinear loop
 
 

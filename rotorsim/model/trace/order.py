@@ -16,8 +16,6 @@ from rotorsim.diagram.diagram import Diagram, Node
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.trace.block import BlockTrace, TraceError, trace_block
 
-__all__ = ["Key", "block_traces", "evaluation_groups", "evaluation_order", "feedthrough_graph"]
-
 Key = tuple[str, str]  # (block, port)
 Feedthrough = Mapping[str, Mapping[str, Iterable[str]]]
 Shapes = tuple[tuple[str, Any], ...]

@@ -19,8 +19,6 @@ from rotorsim.recordings.readers.reader import Columns, Reader, refuse_large
 from rotorsim.recordings.readers.tdms import TdmsReader
 from rotorsim.recordings.readers.uff import UffReader
 
-__all__ = ["READERS", "read_columns"]
-
 _FORMATS: tuple[Reader, ...] = (
     CsvReader(),
     NpzReader(),

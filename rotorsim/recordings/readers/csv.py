@@ -16,8 +16,6 @@ import numpy as np
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.recordings.readers.reader import Columns, check_names
 
-__all__ = ["CsvReader"]
-
 MAX_LINE = 1_000_000
 MAX_TABLE = 2_000_000_000  # bytes of the columns that are wanted
 ROWS = 100_000  # read at a time: only what is wanted of them is kept

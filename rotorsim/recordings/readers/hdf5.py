@@ -10,8 +10,6 @@ import numpy as np
 
 from rotorsim.recordings.readers.reader import Array, Columns, columns_of, spellings
 
-__all__ = ["MAX_DEPTH", "Hdf5Reader"]
-
 MAX_DEPTH, MAX_NAMES = 20, 1000  # of groups within groups, and of names that are listed for near misses
 
 

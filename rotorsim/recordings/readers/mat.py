@@ -11,8 +11,6 @@ import numpy as np
 from rotorsim.recordings.readers.hdf5 import MAX_DEPTH, Hdf5Reader
 from rotorsim.recordings.readers.reader import Array, Columns, columns_of, refuse_large
 
-__all__ = ["MatReader"]
-
 BLOCK = 1 << 20  # bytes, unpacked at a time where they are only counted
 PACKED = 15  # type of an element that is compressed
 

@@ -5,8 +5,6 @@ from pathlib import Path
 
 from rotorsim.recordings.readers.reader import OWN_TIME, Array, Columns, columns_of, optional_package
 
-__all__ = ["Mf4Reader"]
-
 
 class Mf4Reader:
     """Reads channels whose name is that of one only; ``time`` is the clock of the first that is wanted."""

@@ -10,8 +10,6 @@ import numpy as np
 
 from rotorsim.recordings.readers.reader import Array, Columns, columns_of
 
-__all__ = ["NpzReader"]
-
 
 class NpzReader:
     """Reads .npz by name; never pickled objects."""

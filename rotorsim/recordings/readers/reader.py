@@ -17,19 +17,6 @@ import numpy as np
 
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
-__all__ = [
-    "OWN_TIME",
-    "Array",
-    "Columns",
-    "Reader",
-    "by_unique_name",
-    "check_names",
-    "columns_of",
-    "optional_package",
-    "refuse_large",
-    "spellings",
-]
-
 MAX_BYTES = 2_000_000_000
 OWN_TIME = "time"  # names the clock that .tdms, .uff and .mf4 files have besides their channels
 _PART = re.compile(r"(.+)\[([1-9][0-9]{0,8})\]")

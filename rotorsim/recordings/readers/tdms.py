@@ -5,8 +5,6 @@ from pathlib import Path
 
 from rotorsim.recordings.readers.reader import OWN_TIME, Array, Columns, by_unique_name, columns_of, optional_package
 
-__all__ = ["TdmsReader"]
-
 
 class TdmsReader:
     """Reads .tdms: channels are ``channel`` or ``group/channel``."""

@@ -8,8 +8,6 @@ import numpy as np
 
 from rotorsim.recordings.readers.reader import OWN_TIME, Array, Columns, by_unique_name, columns_of, optional_package
 
-__all__ = ["UffReader"]
-
 
 class UffReader:
     """Reads functions at nodal degrees of freedom: by title, or response node and direction, as in ``3/1``."""

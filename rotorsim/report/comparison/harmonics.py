@@ -15,8 +15,6 @@ from rotorsim.report.text.table import rpm
 from rotorsim.signals.harmonic_fit import HarmonicFit
 from rotorsim.units import format_quantity
 
-__all__ = ["Comparison", "Harmonics", "PredictedRuns", "Signal", "predicted_runs"]
-
 EXCEEDED = 0.05  # share of harmonics of noise alone that are above the noise level
 
 

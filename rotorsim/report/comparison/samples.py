@@ -8,8 +8,6 @@ import numpy as np
 
 from rotorsim.report.style import Look
 
-__all__ = ["SampleComparison", "Trace"]
-
 
 @dataclass(frozen=True, eq=False)
 class Trace:

@@ -12,8 +12,6 @@ from rotorsim.jobs.threads import one_thread
 from rotorsim.report.comparison.harmonics import PredictedRuns, Signal
 from rotorsim.report.style import ROUNDING
 
-__all__ = ["settled_harmonics", "speed_curve"]
-
 SPEEDS, STEP, REFINEMENTS = 121, 0.2, 4  # of a curve: first points; change between two that is refined
 UNSEEN = 0.1  # of the noise of the best run: a line at its tenth adds 0.5 % to what is measured
 AGREES = 0.05  # of the largest order: how far a curve may be from the motion in a run

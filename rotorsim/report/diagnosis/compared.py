@@ -28,8 +28,6 @@ from rotorsim.report.figures.speed_curves import speed_curves_figure
 from rotorsim.report.figures.traces import traces_figure
 from rotorsim.report.style import BLUE, RED, Look
 
-__all__ = ["Compared", "Drawn", "OfHarmonics", "OfResonances", "OfSamples", "before_and_after_figure", "compared"]
-
 GIVEN = Look("diagram as given", RED, "s", "--", 8.5)
 REPAIRED = Look("repaired diagram", BLUE, "o", "-", 7.0)
 HELD, FITTED = "hold-out runs", "fitted runs"

@@ -11,8 +11,6 @@ from rotorsim.report.diagnosis.page import paragraph, table
 from rotorsim.report.diagnosis.words import estimate, flat, own_parameters, percent, plain_words, quantity
 from rotorsim.report.text.table import rpm
 
-__all__ = ["what_is_missing"]
-
 CONSISTENT = "No fault candidate of the catalogue explains more than noise would"
 
 

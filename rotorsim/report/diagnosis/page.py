@@ -13,8 +13,6 @@ from rotorsim.files import write_atomically
 from rotorsim.report.diagnosis.compared import Drawn
 from rotorsim.report.style import styled
 
-__all__ = ["Page", "paragraph", "table"]
-
 STYLE = """
 body{font-family:Helvetica,Arial,sans-serif;color:#222;max-width:1080px;margin:0 auto;padding:1.2em 1.5em}
 body{line-height:1.45}h1{font-size:1.5em;margin:0 0 .2em}

@@ -12,8 +12,6 @@ from matplotlib.figure import Figure
 
 from rotorsim.report.style import GREY, Look, figure, legend_below, styled
 
-__all__ = ["parameters_figure"]
-
 WIDEST = {"%": 150.0, "deg": 180.0}  # change of a parameter to which the axis reaches
 Estimates = Mapping[str, Mapping[str, Any]]  # name -> value, interval90, unit, at_bound
 

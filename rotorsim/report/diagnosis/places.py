@@ -15,8 +15,6 @@ from rotorsim.diagram.diagram import Diagram, Node
 from rotorsim.diagram.draw import draw_svg
 from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, figure, legend_below, styled
 
-__all__ = ["NEW", "SHADES", "block_diagram", "places_figure"]
-
 SHADES = ((0.5, "#b33c00"), (0.1, "#f08a3c"), (0.0, "#f7c896"))  # probability from which, colour of a frame
 NEW = BLUE  # frame of blocks that the diagnosis put in
 PORTS = ((RED, "////"), (BLUE, "...."), (GREEN, "xxxx"), (PURPLE, "----"), (ORANGE, "++"))

@@ -17,8 +17,6 @@ from rotorsim.diagnosis.files import repaired_document
 from rotorsim.errors import escape
 from rotorsim.recordings.recording import Recording
 
-__all__ = ["provenance"]
-
 LIBRARIES = ("casadi", "numpy", "scipy", "matplotlib")
 
 

@@ -24,8 +24,6 @@ from rotorsim.report.diagnosis.provenance import provenance
 from rotorsim.report.diagnosis.rivals import fits_table, rivals_tables
 from rotorsim.report.diagnosis.words import estimate, percent, plain_words
 
-__all__ = ["save_report"]
-
 REPORT = "report.html"
 VERDICTS = {
     "consistent": ("Nothing is missing", "#0b6b4f"),

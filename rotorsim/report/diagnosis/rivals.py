@@ -11,8 +11,6 @@ from rotorsim.report.diagnosis.compared import looks_of
 from rotorsim.report.diagnosis.page import paragraph, table
 from rotorsim.report.diagnosis.words import plain_words
 
-__all__ = ["fits_table", "rivals_tables"]
-
 MISFIT = "Misfit: sum of squares of the residual, in standard deviations of the noise. Degrees of freedom: equations "
 MISFIT += "less unknowns."
 PROBABILITY = " Probability: that noise alone leaves as much."

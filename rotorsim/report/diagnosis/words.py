@@ -14,8 +14,6 @@ from rotorsim.diagnosis.search.trials import Candidate
 from rotorsim.diagram.resolve.registry import all_types
 from rotorsim.units import format_quantity
 
-__all__ = ["estimate", "flat", "own_parameters", "percent", "plain_words", "quantity"]
-
 UNITS = {"orders": "N, 0-peak", "phase_to_displacement_deg": "deg"}
 MAP = "force_map"  # the block whose terms are the map of an unknown force
 

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from rotorsim.linear.frequency import FrequencyResponse, Sensitivity
     from rotorsim.settled.result import Periodic
 
-__all__ = ["campbell_figure", "frequency_response_figure", "modes_figure", "periodic_figure", "sensitivity_figure"]
 
 LEVELS = (-13, 5, -25, 17, -37, 29, -49, 41)  # points below or above a mark at which its speed is written
 LINES = ("-", "--", ":", "-.")  # of curves that may lie on each other

@@ -9,8 +9,6 @@ from matplotlib.figure import Figure
 from rotorsim.report.comparison.harmonics import Comparison, Signal
 from rotorsim.report.style import INK, display, figure, legend_below, styled
 
-__all__ = ["orbits_figure"]
-
 RUNS = 4  # shown
 RAW = 4000  # samples shown
 

@@ -24,8 +24,6 @@ from rotorsim.signals.envelopes import RunUp, run_up
 from rotorsim.signals.spectrum import FullSpectrum, angle_of, full_spectrum, last_turns
 from rotorsim.simulation.result import Result, flat_name
 
-__all__ = ["overview", "save_figure", "spectrum_figure", "time_histories"]
-
 TURNS = 4.0  # shown in time histories
 HUGE = 1e100  # the axes of matplotlib overflow far beyond
 ORDERS = 8  # shown in spectra

@@ -15,8 +15,6 @@ from rotorsim.report.comparison.harmonics import Comparison, Harmonics, Signal
 from rotorsim.report.style import INK, STANDS_OUT, Look, display, figure, legend_below, order_axis, styled
 from rotorsim.report.text.table import rpm
 
-__all__ = ["residuals_figure", "spectra_figure"]
-
 RUNS, SIGNALS = 4, 3  # that are shown
 NOISE_COLOUR = "#e4e4e4"
 LEVELS = (0, 2, 4, 10, 30, 100, 300, 1000)  # standard deviations

@@ -31,8 +31,6 @@ from rotorsim.report.style import (
 )
 from rotorsim.report.text.table import rpm
 
-__all__ = ["speed_curves_figure"]
-
 MAIN = (1, -1, 2, 3, -2, -3)  # orders that come first
 CURVES, GROUPS = 4, 2  # orders, and sets of settings with panels of their own
 PHASE_STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 45, 90)

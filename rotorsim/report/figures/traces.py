@@ -9,8 +9,6 @@ from matplotlib.figure import Figure
 from rotorsim.report.comparison.samples import SampleComparison, Trace
 from rotorsim.report.style import INK, display, figure, legend_below, styled
 
-__all__ = ["traces_figure"]
-
 TRACES = 3  # shown
 SHOWN = 2500  # samples of a residual that are drawn
 PERIODS = 15  # of a trace that are drawn in full

@@ -23,8 +23,6 @@ from rotorsim.report.figures.speed_curves import speed_curves_figure
 from rotorsim.report.identification.parameters import correlation_figure, heading, parameters_figure
 from rotorsim.report.style import RED, Look
 
-__all__ = ["compare", "identification_figures", "save_figures"]
-
 MODEL = Look("model", RED, "o", "--", 8.0)
 
 

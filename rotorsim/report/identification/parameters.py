@@ -17,8 +17,6 @@ from rotorsim.recordings.recording import Recording
 from rotorsim.report.style import BLUE, GREY, INK, RED, figure, styled
 from rotorsim.report.text.table import parameter_unit
 
-__all__ = ["correlation_figure", "heading", "parameters_figure"]
-
 ZERO = 1e-9  # of the start value: a search that ended at a bound of zero
 MINUS = "\u2212"
 WANTED = "#eaf3ec"

@@ -8,8 +8,6 @@ from typing import Any
 
 from rotorsim.block import Block, Declaration
 
-__all__ = ["block_data", "block_list", "block_text", "markdown_page"]
-
 KEYS = ("default", "low", "high", "above", "optional", "additive", "conjugate", "many", "init", "seed")
 DETAILS = {
     "default": "default {}",

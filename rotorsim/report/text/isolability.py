@@ -15,8 +15,6 @@ from rotorsim.diagnosis.isolability.structure import Gain
 from rotorsim.report.text.table import counted, rpm, table
 from rotorsim.units import format_quantity
 
-__all__ = ["isolability_text"]
-
 WIDTH = 110
 SHOWN = 8  # sensors, pairs
 FARTHEST = 10.0  # times the size from which a fault is detected: isolated only beyond, it is said

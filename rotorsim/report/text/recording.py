@@ -9,8 +9,6 @@ from rotorsim.report.text.table import counted, rpm
 if TYPE_CHECKING:
     from rotorsim.recordings.recording import Recording
 
-__all__ = ["contents", "contents_line"]
-
 
 def contents(recording: Recording) -> dict[str, Any]:
     """Return what is in a recording: channels, runs, those held out, speeds [rad/s], settings that differ."""

@@ -16,18 +16,6 @@ if TYPE_CHECKING:
     from rotorsim.settled.result import Periodic
     from rotorsim.signals.spectrum import Harmonics
 
-__all__ = [
-    "harmonics_of",
-    "motion",
-    "motion_line",
-    "peaks",
-    "peaks_table",
-    "run_line",
-    "run_up_table",
-    "run_ups",
-    "settled_motion",
-    "two_axis_signals",
-]
 
 FEW = 1500  # samples that tell whether the motion has settled
 SETTLED = 0.01  # of the largest harmonic: what may still change

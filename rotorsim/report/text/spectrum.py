@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from rotorsim.signals.spectrum import FullSpectrum, Harmonics
     from rotorsim.signals.two_axis import TwoAxis
 
-__all__ = ["harmonics_data", "harmonics_text", "spectrum_data", "spectrum_text", "two_axis_data"]
 
 METHODS = {"fft": "FFT", "regression": "regression", "least-squares": "least squares"}
 

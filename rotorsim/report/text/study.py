@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from rotorsim.identification.study.questions import Comparison, Smallest
 from rotorsim.identification.study.study import StudyResult, StudyRow
 
-__all__ = ["controllers_text", "smallest_text", "study_text", "tables_data", "tables_text"]
-
 
 def tables_data() -> list[dict[str, Any]]:
     """Return the tables of the thesis as data."""

@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-__all__ = ["counted", "degrees", "display_unit", "parameter_unit", "percent", "rpm", "table"]
-
 
 def table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     """Return columns aligned: the first to the left, the others to the right."""

@@ -18,8 +18,6 @@ from rotorsim.identification.likelihood import Likelihood
 from rotorsim.linear.linearisation import entry_names
 from rotorsim.signals.covariance import real_vector
 
-__all__ = ["LowerBounds", "additive_inputs", "open_bounds"]
-
 
 class LowerBounds:
     """Bounds on the misfit for every place where something may act on a fitted linear diagram."""

@@ -13,8 +13,6 @@ from rotorsim.signals.converters import SAME, is_entry
 from rotorsim.signals.quantisation import find_steps, readings_of, step_of
 from rotorsim.units import format_quantity
 
-__all__ = ["find_converters"]
-
 
 def find_converters(document: Mapping[str, Any], runs: HarmonicRuns, catalogue: Catalogue) -> list[Converter]:
     """Return the converters whose steps change the recorded harmonics, one put in after another."""

@@ -18,8 +18,6 @@ from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.units import conversion
 
-__all__ = ["drift_warnings", "find_drifts", "tells_drifts", "with_drifts"]
-
 # a random walk that starts with a run has Var(mean) = s^2 T / 3, and s^2 3 T / 10 in its slope's Legendre coefficient
 MEAN = 10 / 9
 SCORINGS = 20  # steps of Fisher's scoring

@@ -24,8 +24,6 @@ from rotorsim.identification.likelihood import Likelihood
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonics import RunHarmonics
 
-__all__ = ["HarmonicEvidence"]
-
 
 @dataclass(frozen=True, eq=False)
 class HarmonicEvidence(HarmonicRuns, Defaults):

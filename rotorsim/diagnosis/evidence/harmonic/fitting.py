@@ -18,8 +18,6 @@ from rotorsim.identification.experiment import Experiment
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.identification.profile import linear_intervals
 
-__all__ = ["fit_document", "promise_of"]
-
 ANGLES = 8  # values over a turn of a new angle that enters in more than one way
 NONLINEAR_TRIALS = 8  # of a group, of which the best is followed
 PROMISE_TRIALS = 2  # of a nonlinear diagram, twice as many of a linear one

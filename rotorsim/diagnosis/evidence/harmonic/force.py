@@ -19,8 +19,6 @@ from rotorsim.errors import RotorsimError
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.signals.asynchronous import Asynchronous
 
-__all__ = ["unknown_force"]
-
 TURN = 2 * np.pi
 
 

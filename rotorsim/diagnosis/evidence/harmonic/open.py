@@ -25,8 +25,6 @@ from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_o
 from rotorsim.signals.pickup import pickup_warnings, with_pickups
 from rotorsim.signals.quantisation import Step
 
-__all__ = ["Conditions", "harmonic_evidence", "open_harmonics"]
-
 PICKUPS = 3  # times that lines which are picked up are looked for, behind stronger ones
 
 

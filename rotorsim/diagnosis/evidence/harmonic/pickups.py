@@ -15,8 +15,6 @@ from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.signals.asynchronous import Asynchronous, with_asynchronous
 from rotorsim.signals.pickup import find_mains
 
-__all__ = ["find_pickups"]
-
 TURN = 2 * np.pi
 
 

@@ -17,8 +17,6 @@ from rotorsim.diagnosis.evidence.harmonic.scoring import predict
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.likelihood import Likelihood
 
-__all__ = ["free_amplitudes", "is_force", "residual_place", "taken_at"]
-
 
 def free_amplitudes(
     likelihood: Likelihood, r: int, k: int, H: np.ndarray, d: np.ndarray

@@ -18,8 +18,6 @@ from rotorsim.signals.asynchronous import Asynchronous
 from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonics import RunHarmonics
 
-__all__ = ["HarmonicRuns"]
-
 SAME_SPEED = 0.02  # relative
 MESH_ACCURACY = 1e-5  # of a signal's rms: how well one mesh stands for another at best
 

@@ -18,8 +18,6 @@ from rotorsim.identification.experiment import Experiment, open_experiment
 from rotorsim.identification.likelihood import Evaluation, Likelihood
 from rotorsim.signals.converters import before_converters
 
-__all__ = ["Prediction", "held_score", "left_out_score", "predict", "standardised", "surprise"]
-
 ROUNDING = 1e-13  # of the largest eigenvalue: below, it is rounding
 HELD_BY_NONE = 1e-8  # 1 - leverage of a direction that no other run determines: it is not predicted from them
 UNSETTLED = "it has no settled motion in the runs that were fitted"

@@ -27,8 +27,6 @@ from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.units import format_quantity
 
-__all__ = ["best_change"]
-
 GAINS = (0.7, 1.5)
 SLOWER, FASTER = (0.1, 0.25, 0.5), 1.25  # times the lowest and the highest speed of the recording
 MOST_GAPS = 6  # between recorded speeds in whose middle a run is tried

@@ -7,8 +7,6 @@ import numpy as np
 from rotorsim.criteria import CRITERIA
 from rotorsim.identification.experiment import Experiment
 
-__all__ = ["unsettled"]
-
 
 def unsettled(experiment: Experiment) -> list[int]:
     """Return the runs whose motion, as given, would grow by more than ``growth`` over their windows."""

@@ -14,8 +14,6 @@ from rotorsim.diagnosis.evidence.waveform.data import SampledRuns
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.linear.linearisation import linearise
 
-__all__ = ["driven_at"]
-
 LINES = 8  # of the spectrum, of which one is compared: smoothed neighbours say the same
 
 

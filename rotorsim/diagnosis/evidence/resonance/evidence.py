@@ -23,8 +23,6 @@ from rotorsim.diagnosis.evidence.resonance.resonances import Resonance
 from rotorsim.diagnosis.evidence.waveform.data import SampledRuns
 from rotorsim.diagram.diagram import Free
 
-__all__ = ["ResonanceEvidence"]
-
 FAR = 3.0  # residual of a resonance that no mode is left for
 MOST_EVALUATIONS = 40
 STEP = 1e-4  # of a parameter, for differences

@@ -13,8 +13,6 @@ from rotorsim.diagnosis.evidence.waveform.data import Channels
 from rotorsim.diagnosis.evidence.waveform.equations import driven_equations
 from rotorsim.diagram.diagram import Diagram
 
-__all__ = ["Modes"]
-
 LOWEST = 1e-3  # Hz: below is no mode but a drift
 SEEN = 1e-9  # of the largest shape at the sensors
 

@@ -24,8 +24,6 @@ from rotorsim.linear.linearisation import jacobians
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.recordings.recording import Recording, Run
 
-__all__ = ["is_by_resonances", "open_resonances"]
-
 WORK = 1e9  # steps of all runs times derivatives of states: seconds for one evaluation of hundreds
 PLACES = 2  # at which a fault candidate is tried before it is tried everywhere
 

@@ -12,8 +12,6 @@ from scipy.signal import find_peaks
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.evidence.waveform.data import SampledRun
 
-__all__ = ["Resonance", "resonances"]
-
 SMOOTH = 5.0  # lines of the spectrum, standard deviation of the window
 STRONG, WEAK = 0.7, 0.4  # prominence of a peak, of the logarithm of amplitude
 STRONG_CHANNELS = 2  # in which a resonance stands out

@@ -24,18 +24,6 @@ from rotorsim.model.load import load
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.units import compatible
 
-__all__ = [
-    "RATE",
-    "Channels",
-    "SampledRun",
-    "SampledRuns",
-    "between_samples",
-    "channels_of",
-    "chosen_runs",
-    "is_in_time",
-    "read_run",
-]
-
 EVEN = 1e-4  # of a sample period: jitter of the time column that counts as none
 RATE = "rate of "
 CLOSE = 1e-3  # m, between a sensor and the node that stands for it

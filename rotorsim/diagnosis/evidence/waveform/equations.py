@@ -17,8 +17,6 @@ from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.equations import reached_states, slots_of
 
-__all__ = ["DrivenEquations", "ForceMap", "driven_equations", "driven_parameters", "measured_expression", "rate_of"]
-
 RATES = {"acceleration": "velocity", "velocity": "displacement"}  # recorded, but no port: the rate of this one
 POWERS = tuple((order - j, j) for order in (0, 2, 3, 4, 5) for j in range(order + 1))
 WIDTHS = (0.02, 0.2)  # over which friction changes its sign, of the largest velocity

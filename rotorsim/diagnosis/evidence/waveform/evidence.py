@@ -37,8 +37,6 @@ from rotorsim.diagram.diagram import Diagram, Port
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.units import compatible
 
-__all__ = ["WaveformEvidence"]
-
 FIRST_STEPS = 4  # from each start, before the best is followed
 SHORT = 8192  # samples of all runs on which a start is chosen and followed
 LAST_STEPS = 12  # on all samples after that

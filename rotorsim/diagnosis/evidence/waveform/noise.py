@@ -26,20 +26,6 @@ from rotorsim.diagnosis.evidence.waveform.data import SampledRun
 from rotorsim.diagnosis.evidence.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
 from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE
 
-__all__ = [
-    "Stretch",
-    "Variance",
-    "block_misfit",
-    "independent",
-    "misfits_left_out",
-    "residual_variance",
-    "reweighted",
-    "stacked",
-    "stretches_of",
-    "variance_scale",
-    "weights_of",
-]
-
 STRETCHES = 20  # of all runs together; 4 of each run at least
 MOST_ROWS = 2000
 LEAST_ROWS = 4  # times the stretches

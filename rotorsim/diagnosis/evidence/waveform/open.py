@@ -36,8 +36,6 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear import linearisation as linear
 from rotorsim.recordings.recording import Recording
 
-__all__ = ["open_waveforms", "waveform_evidence"]
-
 ACCURACY = 3e-4  # of the scale of a signal, of the steps between samples
 MOST_STEPS = 16  # between samples, to be as accurate
 MOST_PORTS = 4  # where a flexible force is tried

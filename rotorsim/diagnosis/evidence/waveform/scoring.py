@@ -12,8 +12,6 @@ from rotorsim.diagnosis.evidence.waveform.noise import Variance
 from rotorsim.diagnosis.evidence.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
 from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE
 
-__all__ = ["held_score", "left_out_score"]
-
 FOLDS = 4  # stretches of all runs, each left out once
 
 

@@ -18,8 +18,6 @@ from rotorsim.diagnosis.evidence.waveform.data import SampledRun
 from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
 from rotorsim.diagram.diagram import Free
 
-__all__ = ["Evaluation", "Label", "OutputErrorSearch"]
-
 MOST_EVALUATIONS = 60  # what data determine takes up to 25
 REFIT_EVALUATIONS = 15  # of a fit that starts where a similar one ended
 CLOSE = 1e-8  # relative fall of the cost below which a step was the last, twice: far below one unit of a misfit

@@ -22,8 +22,6 @@ from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compile
 from rotorsim.model.emit.writer import Writer, array_leaf
 from rotorsim.model.runge_kutta import RK4
 
-__all__ = ["Simulation"]
-
 LARGE = 1e100  # a state beyond has diverged
 SMALL = 1e-200  # a sensitivity below is zero: denormal numbers are slow
 

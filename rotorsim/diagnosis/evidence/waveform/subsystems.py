@@ -21,8 +21,6 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
 
-__all__ = ["WHOLE", "subsystems_of"]
-
 WHOLE = ""  # name of the whole diagram
 ALIKE = 1e-9  # relative, of two expressions at points of chance: rounding
 POINTS = 3
