@@ -16,7 +16,7 @@ DIGITS = 9  # significant; comparison.RELATIVE is a thousand times coarser
 def read_diagnoses(folder: Path) -> dict[str, dict[str, Any] | None]:
     """Return the diagnosis of each case: of FOLDER/CASE/diagnosis.json or of a line of FOLDER/diagnoses.jsonl.
 
-    None where a file cannot be read.
+    None where a file cannot be read or holds no diagnosis.
 
     Raises:
         FileNotFoundError: there is no such folder
@@ -29,9 +29,11 @@ def read_diagnoses(folder: Path) -> dict[str, dict[str, Any] | None]:
         found = {line["case"]: line for line in lines}
     for file in sorted(folder.glob("*/diagnosis.json")):
         try:
-            found[file.parent.name] = json.loads(file.read_text(encoding="utf-8"))
+            data = json.loads(file.read_text(encoding="utf-8"))
         except (OSError, json.JSONDecodeError):
-            found[file.parent.name] = None
+            data = None
+        # the mistakes of a refused recording are JSON too
+        found[file.parent.name] = data if isinstance(data, dict) and "verdict" in data else None
     return dict(sorted(found.items()))
 
 

@@ -159,13 +159,14 @@ def _difference(first: float, second: float, scale: float) -> float:
 
 def text(result: dict[str, Any]) -> str:
     """Return the comparison as a table, and below it every value that differs."""
-    lines = [f"{'case':12} {'verdict':8} {'names':8} {'places':8} {'numbers':>8} {'largest':>9}  beyond {RELATIVE:g}"]
+    wide = max((len(case["case"]) for case in result["cases"]), default=4)
+    lines = [f"{'case':{wide}} {'verdict':8} {'names':8} {'places':8} {'numbers':>8} {'largest':>9}  beyond {RELATIVE:g}"]
     for case in result["cases"]:
         said = (("same" if case[what] else "DIFFERS") for what in ("verdict", "names", "places"))
         largest = "-" if case["largest"] is None else f"{case['largest']:.2g}"
         beyond = sum(item["what"] not in ("verdict", "names", "places") for item in case["differences"]) or "-"
         words = " ".join(f"{word:8}" for word in said)
-        lines.append(f"{case['case']:12} {words} {case['numbers']:8} {largest:>9}  {beyond}")
+        lines.append(f"{case['case']:{wide}} {words} {case['numbers']:8} {largest:>9}  {beyond}")
     for folder, cases in result["lacking"].items():
         if cases:
             lines.append(f"not in {folder}: {', '.join(cases)}")
