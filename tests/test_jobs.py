@@ -249,7 +249,7 @@ def test_failures_are_raised_after_all_jobs_and_run_again(tmp_path):
 def test_only_the_first_failures_are_listed():
     with pytest.raises(RotorsimError) as raised:
         sync(returned, ["complex"] * 30)
-    assert len(raised.value.problems) == jobs.SHOWN + 1
+    assert len(raised.value.problems) == jobs.LISTED_FAILURES + 1
     assert "30 of 30 jobs failed" in str(raised.value)
 
 

@@ -160,7 +160,9 @@ def _difference(first: float, second: float, scale: float) -> float:
 def text(result: dict[str, Any]) -> str:
     """Return the comparison as a table, and below it every value that differs."""
     wide = max((len(case["case"]) for case in result["cases"]), default=4)
-    lines = [f"{'case':{wide}} {'verdict':8} {'names':8} {'places':8} {'numbers':>8} {'largest':>9}  beyond {RELATIVE:g}"]
+    lines = [
+        f"{'case':{wide}} {'verdict':8} {'names':8} {'places':8} {'numbers':>8} {'largest':>9}  beyond {RELATIVE:g}"
+    ]
     for case in result["cases"]:
         said = (("same" if case[what] else "DIFFERS") for what in ("verdict", "names", "places"))
         largest = "-" if case["largest"] is None else f"{case['largest']:.2g}"

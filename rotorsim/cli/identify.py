@@ -30,7 +30,7 @@ from rotorsim.report.text.table import parameter_unit, percent, table
 if TYPE_CHECKING:
     from rotorsim.identification.identification import Identification
 
-USES = {"identify": "identified from", "hold_out": "held out"}
+USE_WORDS = {"identify": "identified from", "hold_out": "held out"}
 
 
 @click.command("identify")
@@ -144,7 +144,7 @@ def _text(found: Identification) -> str:
     return "\n\n".join(
         [
             table(("parameter", "value", "std", "90 % interval", "unit", "identified"), rows),
-            table(("NRMSE of signal", *(USES[use] for use in found.fit), "noise floor"), errors),
+            table(("NRMSE of signal", *(USE_WORDS[use] for use in found.fit), "noise floor"), errors),
             found.statement,
         ]
     )

@@ -12,7 +12,7 @@ from rotorsim.report.text.table import table
 if TYPE_CHECKING:
     from rotorsim.linear.eigenmodes import Modes
 
-ROUNDING = 1e-9  # damping ratio of an undamped mode, but for rounding
+ZERO_DAMPING = 1e-9  # damping ratio of an undamped mode, but for rounding
 HEADER = ("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl")
 
 
@@ -40,7 +40,7 @@ def _text(found: Modes) -> str:
     for k, mode in enumerate(found.modes, 1):
         frequencies = f"{mode.frequency_hz:.4f}", f"{mode.natural_frequency_hz:.4f}"
         damping = f"{round(mode.damping_ratio, 6) + 0.0:.6f}"
-        grows = ", grows" if mode.damping_ratio < -ROUNDING else ""
+        grows = ", grows" if mode.damping_ratio < -ZERO_DAMPING else ""
         rows[mode.resonant].append((str(k), *frequencies, damping, mode.whirl + grows))
     parts = [table(HEADER, rows[True])]
     if rows[False]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rotorsim.settled.result import Periodic
 
 NOTICED = 0.01  # of the largest harmonic: a change of others by the orders that --harmonics leaves out
-SHOWN = 1e-4  # of the largest harmonic at a speed
+LISTED_SHARE = 1e-4  # of the largest harmonic at a speed
 
 
 @click.command("periodic")
@@ -100,13 +100,13 @@ def command(
 
 
 def _table(found: Periodic, name: str) -> str:
-    """Return the harmonics of one signal that exceed SHOWN of the largest at their speed."""
+    """Return the harmonics of one signal that exceed LISTED_SHARE of the largest at their speed."""
     unit, scale = display_unit(found.units[name])
     shaky = False in found.stable
     lines = []
     for speed, values, stable in zip(found.speeds, found.harmonics[name].tolist(), found.stable, strict=True):
         mark = (("unstable" if stable is False else "settled"),) if shaky else ()
-        least = SHOWN * max((abs(value) for value in values if math.isfinite(abs(value))), default=0.0)
+        least = LISTED_SHARE * max((abs(value) for value in values if math.isfinite(abs(value))), default=0.0)
         lines += [
             (f"{rpm(float(speed)):.6g}", f"{order:g}", f"{abs(value) * scale:.6g}", f"{degrees(value):.2f}", *mark)
             for order, value in zip(found.orders, values, strict=True)

@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from rotorsim.recordings.writing import NewRun
     from rotorsim.simulation.result import Result
 
-MOST_RUNS = 10_000
-LEAST = 4.0  # samples a turn
-SHARE = 0.2  # of the run that is kept, at its end
+MOST_RECORDED_RUNS = 10_000
+SAMPLES_PER_TURN = 4.0  # samples a turn
+KEPT_SHARE = 0.2  # of the run that is kept, at its end
 HERTZ = {"": 1.0, "Hz": 1.0, "kHz": 1e3, "MHz": 1e6}
 
 
@@ -205,7 +205,7 @@ def _measured(
         model,
         signals,
         f"{clock}.theta" if clock else None,
-        window=plan.window or (0.0 if rising else (1 - SHARE) * stop, stop),
+        window=plan.window or (0.0 if rising else (1 - KEPT_SHARE) * stop, stop),
         rate=plan.rate,
         speed=speed,
         settle=plan.settle,
@@ -245,7 +245,7 @@ def _diagrams(chosen: Chosen, known: Sequence[Mapping[str, Any]]) -> list[Diagra
 
 
 def _limit(runs: int) -> None:
-    refuse_if(runs > MOST_RUNS, f"{runs} runs, at most {MOST_RUNS}", hint="fewer speeds")
+    refuse_if(runs > MOST_RECORDED_RUNS, f"{runs} runs, at most {MOST_RECORDED_RUNS}", hint="fewer speeds")
 
 
 def _speeds(speeds: str | None, hold_out: str | None) -> tuple[list[float | None], set[float]]:
@@ -338,6 +338,6 @@ def _warn(run: NewRun) -> None:
         warn(run.result.message, run.id, "a smaller step: --set solver.step=...")
     time = run.result.time
     turns = abs(run.speed or 0.0) * float(time[-1] - time[0]) / (2 * math.pi) if len(time) > 1 else 0.0
-    if turns and (len(time) - 1) / turns < LEAST:
+    if turns and (len(time) - 1) / turns < SAMPLES_PER_TURN:
         what = f"{(len(time) - 1) / turns:.3g} samples a turn: harmonics are mistaken for each other"
         warn(what, run.id, "a higher --rate")

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.identification.study.plan import Study
 
-NOISE = "0,1,2,5"  # levels in %
+DEFAULT_NOISE = "0,1,2,5"  # levels in %
 
 
 @click.command("sensitivity")
@@ -172,7 +172,7 @@ def _study(
     chosen = replace(chosen, name=chosen.name or TABLES[table or ""].diagram)
     loaded = chosen.open()
     here = str(Path(chosen.name).resolve().parent) if Path(chosen.name).exists() else "."
-    levels = noise or (NOISE if table is None and bias is None else None)
+    levels = noise or (DEFAULT_NOISE if table is None and bias is None else None)
     changes: dict[str, Any] = {
         "diagram": loaded.document,
         "window": window_of(window),

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from rotorsim.signals.shaft_angle import ShaftAngle
     from rotorsim.simulation.result import Result
 
-HUGE = 1e100  # beyond what a machine can do; a CSV of another program has no status
-METHODS = ("least-squares", "fft", "regression")  # those of rotorsim.signals.two_axis
+LARGEST_MOTION = 1e100  # beyond what a machine can do; a CSV of another program has no status
+SPECTRUM_METHODS = ("least-squares", "fft", "regression")  # those of rotorsim.signals.two_axis
 Window = tuple[float, float]
 
 
@@ -67,7 +67,7 @@ class Wanted:
 @click.option(
     "--harmonics",
     "method",
-    type=click.Choice(METHODS),
+    type=click.Choice(SPECTRUM_METHODS),
     help="Print harmonics of the shaft angle by this method (default for a recording: least-squares).",
 )
 @click.option(
@@ -201,7 +201,7 @@ def _saved(chosen: Chosen) -> tuple[Result, str | None]:
     result = load_result(chosen.name)
     bad = result.status in ("unstable", "diverged")
     refuse_if(
-        bad or any((np.abs(values) > HUGE).any() for values in result.signals.values()),
+        bad or any((np.abs(values) > LARGEST_MOTION).any() for values in result.signals.values()),
         result.message if bad else "this run diverged: its values are beyond 1e100",
         place=Place(chosen.name),
         hint="what was computed until then has no spectrum; 'rotorsim modes' shows which modes grow",
@@ -325,7 +325,7 @@ def _of_run(recording: Recording, run: Run, wanted: Wanted) -> tuple[dict[str, A
     data: dict[str, Any] = {"speed": angle.speed if angle else run.speed, "samples": len(run.time)}
     data |= {"angle": angle.source if angle else None, "phase_known": bool(angle and angle.phase_known), "signals": {}}
     texts = [_head(run, angle, result, wanted.window)]
-    fitted = replace(wanted, method=wanted.method or METHODS[0])
+    fitted = replace(wanted, method=wanted.method or SPECTRUM_METHODS[0])
     for name in names:
         about: dict[str, Any] = {"window": wanted.window, "use_mean": _use_mean(recording, name)}
         about |= {"angle_std": angle.std} if angle else {}

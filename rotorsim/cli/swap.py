@@ -24,7 +24,7 @@ from rotorsim.cli.shared import (
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
 DESIGNED = "state_feedback"
-WEIGHTS = {"current_weight": float, "noise_weight": float, "integral": bool, "states": int}
+DESIGN_WEIGHTS = {"current_weight": float, "noise_weight": float, "integral": bool, "states": int}
 
 
 @click.command("swap")
@@ -144,9 +144,9 @@ def _designed(diagram: str, block: str, given: dict[str, Any], trust_blocks: boo
     from rotorsim.linear.design import design_state_feedback
     from rotorsim.model.load import load
 
-    known_names(given, WEIGHTS, lambda name: f"the design has no weight '{name}'", block)
+    known_names(given, DESIGN_WEIGHTS, lambda name: f"the design has no weight '{name}'", block)
     try:
-        chosen = {name: WEIGHTS[name](value) for name, value in given.items()}
+        chosen = {name: DESIGN_WEIGHTS[name](value) for name, value in given.items()}
     except (TypeError, ValueError):
         what = "the weights of the design are numbers"
         raise RotorsimError(Problem(what=what, subject=block, hint="for example --set current_weight=2")) from None

@@ -15,7 +15,7 @@ from rotorsim.cosim.participant import Participant
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
 NEWTON_STEPS = 20
-CLOSE = 1e-10
+NEWTON_TOLERANCE = 1e-10
 
 
 P_co = TypeVar("P_co", bound=Participant, covariant=True)
@@ -131,7 +131,7 @@ class Coupling(Generic[P_co]):
         scale = np.maximum(np.abs(u), 1e-6)
         for _ in range(NEWTON_STEPS):
             residual = self.inputs_of(y) - u
-            if np.abs(residual).max(initial=0.0) <= CLOSE * (1 + np.abs(u).max(initial=0.0)):
+            if np.abs(residual).max(initial=0.0) <= NEWTON_TOLERANCE * (1 + np.abs(u).max(initial=0.0)):
                 return u, y
             moves = np.diag(1e-6 * scale)
             moved = [self.inputs_of(self._outputs(t, u + move, y, due)) - (u + move) for move in moves]

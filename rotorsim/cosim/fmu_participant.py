@@ -18,14 +18,14 @@ from rotorsim.fmi.block import FmuPort
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
 from rotorsim.fmi.runtime.binding import CallError
 from rotorsim.fmi.runtime.failure import FmuError
-from rotorsim.fmi.runtime.model_exchange import KEPT, ModelExchange
+from rotorsim.fmi.runtime.model_exchange import SAVED_STATES, ModelExchange
 from rotorsim.fmi.runtime.slave import Fmu, Slave
 from rotorsim.linear.linearisation import entry_names
 
-MOST_STEPS = 10_000  # of Model Exchange, in one step
+MOST_INTERNAL_STEPS = 10_000  # of Model Exchange, in one step
 RATE_STEP = 1e-3  # of the last step, over which rates of outputs are taken
 MOST_SUBSTEPS = 32
-SHOWN = 5  # messages
+LISTED_MESSAGES = 5  # messages
 HELD = 1e-12  # relative difference over a step within which inputs count as held
 
 
@@ -136,7 +136,7 @@ class FmuParticipant(Participant):
             "most_parts": self.most_parts,
             "warnings": self.slave.warned,
             "messages": counts,
-            "said": said[-SHOWN:],
+            "said": said[-LISTED_MESSAGES:],
             "texts": texts,
         }
 
@@ -266,7 +266,7 @@ class CoSimulationFmu(FmuParticipant):
         if not self.can_restore:
             return None
         handle = self.slave.save_state()
-        self.slave.free_states(but=KEPT)
+        self.slave.free_states(but=SAVED_STATES)
         return handle
 
     def restore(self, saved: Any) -> None:
@@ -299,7 +299,7 @@ class ModelExchangeFmu(FmuParticipant):
     def step(self, t: float, h: float, u: InputHistory) -> np.ndarray:
         self._last = h
         own = u if self.u_scales is None else lambda tau: self._of_fmu(u(tau))
-        self.integrator.advance(t, h, own, min(max(1, int(np.ceil(h / self.internal - 1e-9))), MOST_STEPS))
+        self.integrator.advance(t, h, own, min(max(1, int(np.ceil(h / self.internal - 1e-9))), MOST_INTERNAL_STEPS))
         return self.output(t + h, u(h))
 
     def next_hit(self, t: float) -> float:

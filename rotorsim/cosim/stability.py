@@ -22,15 +22,15 @@ from rotorsim.cosim.linear import LinearCoupling, LinearParticipant
 from rotorsim.cosim.linear_model import LinearModel
 from rotorsim.cosim.masters.choice import make_stepping_master
 from rotorsim.cosim.masters.master import Settings
-from rotorsim.cosim.masters.stepping import CLOSE, SteppingMaster
+from rotorsim.cosim.masters.stepping import HIT_TOLERANCE, SteppingMaster
 from rotorsim.cosim.participant import Participant
 from rotorsim.errors import RotorsimError
 from rotorsim.jobs.threads import one_thread
 
-OSCILLATES = 0.05  # modes with a smaller part of oscillation are not judged by their damping ratio
-GRID = 12  # steps tried in a decade
-MOST_STEPS = 240  # in one period
-WHOLE = 1e-6  # how far a number of steps may be from a whole one
+LEAST_OSCILLATION = 0.05  # modes with a smaller part of oscillation are not judged by their damping ratio
+STEPS_PER_DECADE = 12  # steps tried in a decade
+MOST_STEPS_PER_PERIOD = 240  # in one period
+WHOLE_STEPS = 1e-6  # how far a number of steps may be from a whole one
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def why_not_linear(coupling: Coupling[Participant], step: float, rates: Sequence
         times = [f"{step:g} s", *(f"{T:g} s" for T in sorted(_periods(linear)))]
         shown = f"steps and sample times ({', '.join(times)})"
         shown += f" and rates ({', '.join(map(str, rates))})" if rates and max(rates) > 1 else ""
-        return f"{shown} have no common period of {MOST_STEPS} steps or fewer"
+        return f"{shown} have no common period of {MOST_STEPS_PER_PERIOD} steps or fewer"
     return "the linearised loop is singular"
 
 
@@ -123,9 +123,10 @@ def _periods(coupling: LinearCoupling) -> set[float]:
 def _count(step: float, periods: set[float], rates: Sequence[int] | None) -> int:
     """Return after how many steps everything begins anew. Raises _NoPeriodError."""
     first = lcm(*(rates or [1]))
-    for count in range(first, MOST_STEPS + 1, first):
+    for count in range(first, MOST_STEPS_PER_PERIOD + 1, first):
         if all(
-            abs(count * step / T - round(count * step / T)) < WHOLE * count and count * step > 0.5 * T for T in periods
+            abs(count * step / T - round(count * step / T)) < WHOLE_STEPS * count and count * step > 0.5 * T
+            for T in periods
         ):
             return count
     raise _NoPeriodError
@@ -145,7 +146,7 @@ def _whole(coupling: LinearCoupling) -> np.ndarray:
     t, nothing = 0.0, Held(np.zeros((0, 1)))
     flow.x = np.asarray(np.eye(len(A)))
     passed = [flow.x]
-    for hit in _apart([hit for m in models for hit in m.hits(0.0, end)], WHOLE * shortest):
+    for hit in _apart([hit for m in models for hit in m.hits(0.0, end)], WHOLE_STEPS * shortest):
         flow.step(t, hit - t, nothing)
         J, K = (block_diag(*matrices) for matrices in zip(*(m.at_hit(hit) for m in models), strict=True))
         flow.x, t = J @ flow.x + K @ (closed @ flow.x), hit
@@ -231,7 +232,7 @@ def _earlier(worker: SteppingMaster, coupling: LinearCoupling, step: float, coun
         return [[-(j + 1) * rate * step for j in range(memory)] for rate in worker.rates]
     end = count * step
     hits = [hit for k in worker.sampling for hit in coupling.participants[k].model.hits(0.0, end)]
-    points = _apart([*hits, *(step * (k + 1) for k in range(count))], CLOSE * step)
+    points = _apart([*hits, *(step * (k + 1) for k in range(count))], HIT_TOLERANCE * step)
     before = [t - (turn + 1) * end for turn in range(2 * memory + 1) for t in reversed(points)]
     return [before[1 : 2 * memory + 1]] * len(worker.rates)  # points that are close to each other are left out
 
@@ -275,7 +276,7 @@ def _most_hurt(whole: np.ndarray, coupled: np.ndarray, step: float) -> tuple[com
     turning = [
         value
         for value in whole
-        if value.imag >= OSCILLATES * abs(value) and abs(value.imag) * step <= 0.9 * np.pi and value.real < 0
+        if value.imag >= LEAST_OSCILLATION * abs(value) and abs(value.imag) * step <= 0.9 * np.pi and value.real < 0
     ]
     near = [coupled[np.argmin(np.abs(coupled - value))] if coupled.size else 0j for value in turning]
     if not turning or not coupled.size:
@@ -310,9 +311,9 @@ def largest_stable_step(
 
     if periods := _periods(coupling):
         return _largest_multiple(min(periods), stable)
-    swings = np.abs(whole[np.abs(whole.imag) > OSCILLATES * np.abs(whole)])
+    swings = np.abs(whole[np.abs(whole.imag) > LEAST_OSCILLATION * np.abs(whole)])
     longest = 1e2 / float(swings.min(initial=fastest))
-    steps = np.geomspace(1e-3 / fastest, longest, round(GRID * np.log10(longest * fastest * 1e3)))
+    steps = np.geomspace(1e-3 / fastest, longest, round(STEPS_PER_DECADE * np.log10(longest * fastest * 1e3)))
     unstable = next((k for k, step in enumerate(steps) if not stable(float(step))), None)
     if unstable is None:
         return np.inf

@@ -20,7 +20,7 @@ from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.files import write_atomically
 
 DIAGRAM = "diagram.json"
-RESULT = "diagnosis.json"
+DIAGNOSIS_FILE = "diagnosis.json"
 
 
 def diagnosis_schema() -> dict[str, Any]:
@@ -173,7 +173,7 @@ def save_diagnosis(found: Diagnosis, folder: str | Path) -> list[Path]:
     """Write diagnosis.json and diagram.json into a folder (made if need be); return the files."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / RESULT, folder / DIAGRAM]
+    files = [folder / DIAGNOSIS_FILE, folder / DIAGRAM]
     text = json.dumps(diagnosis_data(found), indent=2, allow_nan=False, default=_plain)
     write_atomically(files[0], text + "\n")
     write_atomically(files[1], format_document(repaired_document(found)))

@@ -7,7 +7,7 @@ from typing import Any
 
 from rotorsim.block import Block, Option, Param
 from rotorsim.diagram.resolve.registry import all_types
-from rotorsim.diagram.solver import METHODS
+from rotorsim.diagram.solver import SOLVER_METHODS
 
 _NAME = "^[A-Za-z_][A-Za-z0-9_]*$"
 _PORT = r"^[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*\.[A-Za-z_][A-Za-z0-9_]*(\[\s*[0-9]+(\s*,\s*[0-9]+)*\s*\])?$"
@@ -50,7 +50,7 @@ def json_schema() -> dict[str, Any]:
             "type": "object",
             "additionalProperties": False,
             "properties": {
-                "method": {"enum": list(METHODS)},
+                "method": {"enum": list(SOLVER_METHODS)},
                 "record_every": {"type": "integer", "minimum": 1},
                 **dict.fromkeys(("step", "stop", "rtol", "atol"), quantity),
             },

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 # methods that choose their own steps -> their names in scipy.integrate
 ADAPTIVE = {"dop853": "DOP853", "rk45": "RK45", "radau": "Radau", "bdf": "BDF", "lsoda": "LSODA"}
-METHODS = ("rk4", *ADAPTIVE)
+SOLVER_METHODS = ("rk4", *ADAPTIVE)
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from rotorsim.identification.verdict import relative_width
 from rotorsim.settled.equations import slots_of
 from rotorsim.units import format_quantity
 
-GAINS = (0.75, 1.5)
-SPEEDS = (0.5, 0.75, 1.5)
+OTHER_GAINS = (0.75, 1.5)
+OTHER_SPEEDS = (0.5, 0.75, 1.5)
 LONGER = 4.0
 EXCITATION = 0.2  # of the rms of the current
 FREQUENCIES = np.geomspace(0.2, 3.0, 8)  # of the fastest mode of the loop that is damped less than half
@@ -82,7 +82,7 @@ def _candidates(base: Experiment, found: Estimate) -> Iterator[tuple[str, np.nda
                 _information(base, found, changed, base.linear.speeds),
             )
     entries = np.flatnonzero(base.model.parameter_vector({"speed": 1.0}) != base.model.parameter_vector({"speed": 2.0}))
-    for factor in SPEEDS:
+    for factor in OTHER_SPEEDS:
         changed = p.copy()
         changed[:, entries] *= factor
         speeds = base.linear.speeds * factor
@@ -119,9 +119,9 @@ def _other_gains(diagram: Diagram, base: Experiment, p: np.ndarray) -> Iterator[
             continue
         gains = [k for k, v in node.values.items() if v.ndim == 0 and float(v) != 0.0]
         gains = [k for k in gains if base.model.parameters[f"{block}.{k}"].start not in free]
-        plans = [{name: factor} for name in gains for factor in GAINS]
+        plans = [{name: factor} for name in gains for factor in OTHER_GAINS]
         if "KP" in gains and "KD" in gains:
-            plans.insert(0, {"KP": GAINS[0], "KD": GAINS[1]})
+            plans.insert(0, {"KP": OTHER_GAINS[0], "KD": OTHER_GAINS[1]})
         for plan in plans:
             changed = p.copy()
             for name, factor in plan.items():

@@ -12,7 +12,7 @@ from rotorsim.settled.equations import Equations, instants
 
 ANGLE_UNIT = "rad"
 PROBES = (0.4, 1.9)
-INSTANTS = 64  # of a turn, at which the forcing is compared
+TURN_INSTANTS = 64  # of a turn, at which the forcing is compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,9 @@ def amplitude_pairs(
         for k, point in enumerate(points):
             changed[k, list(point)] = list(point.values())
         many = len(points)
-        return equations.whole.at_rest(np.repeat(row, many, 0), changed, instants(np.repeat(speed, many), INSTANTS))
+        return equations.whole.at_rest(
+            np.repeat(row, many, 0), changed, instants(np.repeat(speed, many), TURN_INSTANTS)
+        )
 
     pairs: list[tuple[int, int]] = []
     for b in angles:

@@ -20,15 +20,17 @@ from rotorsim.identification.likelihood import Evaluation
 
 TURN = 2 * np.pi
 STARTS = 12  # values over a turn of an angle that enters in several harmonics
-CLOSE = 1e-10
+COST_TOLERANCE = 1e-10
 EQUAL = 1e-6  # relative difference of two solutions that the data cannot separate
 AT_BOUND = 1e-6
 MOST_EVALUATIONS = 60
-METHODS = ("trf", "dogbox")  # the first creeps in curved valleys near a bound: the second goes on from there
+SEARCH_METHODS = ("trf", "dogbox")  # the first creeps in curved valleys near a bound: the second goes on from there
 PASSES = 3  # of both, where neither has converged
 GAIN = 1e-4  # of the misfit, that a pass must gain for another to follow
-NOTHING = 1e-11  # of the largest derivative: rounding
-SINGULAR = 1e-13  # smallest eigenvalue of the information, each parameter's own being one: below, it is rounding
+ZERO_DERIVATIVE = 1e-11  # of the largest derivative: rounding
+SINGULAR_INFORMATION = (
+    1e-13  # smallest eigenvalue of the information, each parameter's own being one: below, it is rounding
+)
 PART = 0.01  # of a direction that the data say nothing about: who takes part by more is not determined
 
 
@@ -94,12 +96,12 @@ class Estimate:
         information = self.information.copy()
         information[self.at_bound], information[:, self.at_bound] = 0.0, 0.0
         size = np.sqrt(np.maximum(np.diag(information), 0.0))
-        idle = size <= NOTHING * size.max(initial=0.0)
-        size = np.where(idle, max(NOTHING * size.max(initial=0.0), 1e-100), size)
+        idle = size <= ZERO_DERIVATIVE * size.max(initial=0.0)
+        size = np.where(idle, max(ZERO_DERIVATIVE * size.max(initial=0.0), 1e-100), size)
         values, vectors = np.linalg.eigh(information / np.outer(size, size))
-        covariance = (vectors / np.maximum(values, SINGULAR)) @ vectors.T / np.outer(size, size)
+        covariance = (vectors / np.maximum(values, SINGULAR_INFORMATION)) @ vectors.T / np.outer(size, size)
         covariance[self.at_bound], covariance[:, self.at_bound] = 0.0, 0.0
-        nothing = np.hstack([vectors[:, values <= SINGULAR], np.eye(len(size))[:, idle]])
+        nothing = np.hstack([vectors[:, values <= SINGULAR_INFORMATION], np.eye(len(size))[:, idle]])
         nothing[self.at_bound] = 0.0
         return covariance, nothing, 1 / size
 
@@ -220,7 +222,7 @@ class Search:
         if not (np.isfinite(r).all() and np.isfinite(J).all()):
             return np.inf, q
         norm = np.linalg.norm(J, axis=0)
-        norm[norm <= NOTHING * norm.max(initial=0.0)] = np.inf
+        norm[norm <= ZERO_DERIVATIVE * norm.max(initial=0.0)] = np.inf
         scaled = J / norm
         values, vectors = np.linalg.eigh(scaled.T @ scaled)
         good = values > 1e-9 * values[-1]
@@ -237,7 +239,7 @@ class Search:
         if not (np.isfinite(r).all() and np.isfinite(J).all()):
             return np.inf
         norm = np.linalg.norm(J, axis=0)
-        used = norm > NOTHING * norm.max(initial=0.0)
+        used = norm > ZERO_DERIVATIVE * norm.max(initial=0.0)
         base, _ = np.linalg.qr(J[:, used] / norm[used])
         left = r - base @ (base.T @ r)
         return float(left @ left)
@@ -258,7 +260,7 @@ class Search:
             hint = "start from other values, or leave out the runs nearest to the limit of stability"
             raise RotorsimError(Problem("no settled motion is found at the start", "identify", hint=hint))
         size = np.linalg.norm(self.jacobian(q), axis=0)
-        idle = size <= NOTHING * size.max(initial=0.0)  # nothing depends on it: it stays where it is
+        idle = size <= ZERO_DERIVATIVE * size.max(initial=0.0)  # nothing depends on it: it stays where it is
         moving = [j for j in range(len(q)) if j not in held and not idle[j]]
         if not moving:
             return q
@@ -271,7 +273,7 @@ class Search:
         width = np.where(np.isfinite(high - low), high - low, 1.0)
         inside = np.clip(q, low + 1e-9 * width, high - 1e-9 * width)
         part, least = inside[moving], np.inf
-        passes = PASSES * METHODS if most >= MOST_EVALUATIONS else METHODS[:1]
+        passes = PASSES * SEARCH_METHODS if most >= MOST_EVALUATIONS else SEARCH_METHODS[:1]
         for k, method in enumerate(passes):
             found = least_squares(
                 lambda q: self.residual(full(q)),
@@ -280,13 +282,13 @@ class Search:
                 bounds=(low[moving], high[moving]),
                 method=method,
                 x_scale="jac",
-                ftol=CLOSE,
-                xtol=CLOSE,
+                ftol=COST_TOLERANCE,
+                xtol=COST_TOLERANCE,
                 gtol=1e-12,
                 max_nfev=most,
             )
             part = found.x
-            over = (k + 1) % len(METHODS) == 0
+            over = (k + 1) % len(SEARCH_METHODS) == 0
             if found.status > 0 or (over and found.cost > (1 - GAIN) * least):
                 break
             least = found.cost if over else least

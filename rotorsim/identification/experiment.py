@@ -26,8 +26,8 @@ from rotorsim.signals.harmonic_fit import HarmonicFit
 from rotorsim.signals.harmonics import RunHarmonics, harmonics_of
 from rotorsim.units import compatible
 
-SPEED = 0.02  # stated against measured
-PROBES = (0.137, 1.137, 0.618, 1.618)  # instants, in turns, at which forcing is compared one turn apart
+SPEED_MISMATCH = 0.02  # stated against measured
+PERIODICITY_INSTANTS = (0.137, 1.137, 0.618, 1.618)  # instants, in turns, at which forcing is compared one turn apart
 
 RESOLUTION = 1e-6  # of a signal's rms: no measuring chain is better, and no settled model either
 
@@ -205,7 +205,7 @@ def _still(model: Model, names: Sequence[str], recording: Recording, runs: Seque
     return [name for name in fixed if not any(run.values.get(columns[name], zero).any() for run in runs)]
 
 
-RATES = (".velocity", ".acceleration")  # recorded signals that are rates of a block's displacement
+RATE_PORTS = (".velocity", ".acceleration")  # recorded signals that are rates of a block's displacement
 
 
 def check_against(diagram: Diagram, recording: Recording) -> list[Problem]:
@@ -218,7 +218,9 @@ def check_against(diagram: Diagram, recording: Recording) -> list[Problem]:
     compared = {
         column: channel
         for column, channel in recording.channels.items()
-        if not (channel.signal.endswith(RATES) and channel.signal.rpartition(".")[0] + ".displacement" in model.signals)
+        if not (
+            channel.signal.endswith(RATE_PORTS) and channel.signal.rpartition(".")[0] + ".displacement" in model.signals
+        )
     }
     _names(model, replace(recording, channels=compared), problems)
     source = read_document(Path(recording.runs[0].place.file)) if problems and recording.runs else None
@@ -296,7 +298,7 @@ def _parameters(model: Model, diagram: Diagram, runs: Sequence[RunHarmonics], fr
             except ValueProblem as problem:
                 problems.append(Problem(problem.what, f"run {item.run.id}: set {name}", item.run.place, problem.hint))
         stated = overrides.pop("speed", None)
-        if stated is not None and abs(float(stated) / item.fit.speed - 1) > SPEED:
+        if stated is not None and abs(float(stated) / item.fit.speed - 1) > SPEED_MISMATCH:
             said, seen = (f"{abs(speed) * 30 / np.pi:.6g} rpm" for speed in (float(stated), item.fit.speed))
             what = f"set speed: {said}, but the shaft angle says {seen}"
             problems.append(Problem(what, f"run {item.run.id}", item.run.place))
@@ -325,7 +327,7 @@ def _is_aperiodic(model: Model, p: np.ndarray, speeds: np.ndarray) -> str | None
     """Return a block whose forcing is not the same one turn later, None where all of it follows the shaft."""
     period = 2 * np.pi / np.abs(speeds[0])
     x, z = np.zeros(model.n_x), model.z0(p[0])
-    rates = [np.array(model.rhs(at * period, x, z, p[0])).ravel() for at in PROBES]
+    rates = [np.array(model.rhs(at * period, x, z, p[0])).ravel() for at in PERIODICITY_INSTANTS]
     for first, second in (rates[:2], rates[2:]):
         size = np.maximum(np.abs(first), np.abs(second))
         changed = np.flatnonzero(np.abs(second - first) > 1e-6 * np.maximum(size, 1e-9 * size.max(initial=0.0)))

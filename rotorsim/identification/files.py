@@ -18,7 +18,7 @@ from rotorsim.identification.identification import Identification
 from rotorsim.identification.verdict import Verdict
 
 DIAGRAM = "diagram.json"
-RESULT = "identification.json"
+IDENTIFICATION_FILE = "identification.json"
 
 
 def identification_data(found: Identification, *, diagram_file: str = DIAGRAM) -> dict[str, Any]:
@@ -149,7 +149,7 @@ def save_identification(found: Identification, folder: str | Path) -> list[Path]
         if name in known and known[name].low <= item.value <= known[name].high  # else the diagram would be refused
     ]
     document = with_values(found.diagram, values)
-    files = [folder / RESULT, folder / DIAGRAM]
+    files = [folder / IDENTIFICATION_FILE, folder / DIAGRAM]
     write_atomically(files[0], json.dumps(identification_data(found), indent=2, allow_nan=False) + "\n")
     write_atomically(files[1], format_document(document))
     return files

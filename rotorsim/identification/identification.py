@@ -28,7 +28,7 @@ from rotorsim.signals.converters import before_converters, stated_steps, through
 from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of
 from rotorsim.signals.pickup import find_mains, pickup_warnings, with_pickups
 
-METHODS = ("likelihood", "regression")
+ESTIMATORS = ("likelihood", "regression")
 
 
 @dataclass(frozen=True)
@@ -132,8 +132,8 @@ def identify(
     Raises RotorsimError for recordings with errors, channels or settings that the diagram does not have, runs
     without phase reference, diagrams that are not linear in their states.
     """
-    if method not in METHODS:
-        raise RotorsimError(Problem(f"no method '{method}'", hint=f"one of {', '.join(METHODS)}"))
+    if method not in ESTIMATORS:
+        raise RotorsimError(Problem(f"no method '{method}'", hint=f"one of {', '.join(ESTIMATORS)}"))
     warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
     steps, unseen = stated_steps(diagram, recording)
     diagram, warnings = before_converters(diagram), [*warnings, *unseen]

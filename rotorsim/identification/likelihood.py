@@ -23,7 +23,9 @@ from rotorsim.identification.whitening import harmonics_of_time, whitened_at, wh
 from rotorsim.settled.motion import Prediction, Response
 from rotorsim.signals.covariance import real_columns, real_vector
 
-CLOSE = 1e-3  # of the whitened residual: its change by the means of slow states, where the motion is not linear in them
+SLOW_MEAN_TOLERANCE = (
+    1e-3  # of the whitened residual: its change by the means of slow states, where the motion is not linear in them
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +118,7 @@ class Likelihood:
     def evaluate(self, theta: np.ndarray) -> Evaluation:
         """Return the whitened residual and its derivatives at theta (m,)."""
         motion = self.experiment.motion
-        tolerance = 0.0 if motion.is_linear else CLOSE
+        tolerance = 0.0 if motion.is_linear else SLOW_MEAN_TOLERANCE
         fresh = motion.fresh_means(theta)
         means = [known.start(own) for known, own in zip(fresh, self._means or itertools.repeat(None), strict=False)]
         inputs = self.data[:, :, self.c :]

@@ -10,9 +10,9 @@ from scipy.stats import norm
 from rotorsim.identification.estimate import Estimate, Search
 
 Z90 = float(norm.ppf(0.95))  # half width of a central 90 % interval, in standard deviations
-NORMAL = 0.02  # the profile agrees so well with a parabola that its end points are those of the parabola
-STEPS = 8
-WIDEST = 1e3  # standard widths beyond which an interval is called unbounded
+PARABOLA_TOLERANCE = 0.02  # the profile agrees so well with a parabola that its end points are those of the parabola
+PROFILE_STEPS = 8
+UNBOUNDED_WIDTH = 1e3  # standard widths beyond which an interval is called unbounded
 
 
 def profile_intervals(search: Search, found: Estimate, widen: float = 1.0) -> np.ndarray:
@@ -104,18 +104,18 @@ def _end(search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, step: flo
     low, high = search.coordinates.low[j], search.coordinates.high[j]
     share = 1.0
     known = [(0.0, 0.0)]  # (share of the step, root of the rise)
-    for _ in range(STEPS):
+    for _ in range(PROFILE_STEPS):
         value = float(np.clip(theta[j] + share * step, low, high))
         reached = (value - theta[j]) / step
         root = np.sqrt(max(_profile(search, theta, ridge, j, value) - least, 0.0) / rise)
         known.append((reached, root))
-        if abs(root - 1) < NORMAL or (reached < share and root < 1):  # there, or at the bound
-            return float(theta[j] + reached * step / root) if abs(root - 1) < NORMAL else value
+        if abs(root - 1) < PARABOLA_TOLERANCE or (reached < share and root < 1):  # there, or at the bound
+            return float(theta[j] + reached * step / root) if abs(root - 1) < PARABOLA_TOLERANCE else value
         below = max((pair for pair in known if pair[1] < 1), key=lambda pair: pair[0])
         above = min((pair for pair in known if pair[1] >= 1), key=lambda pair: pair[0], default=None)
         if above is None:
             share = min(2 * reached / max(root, 0.25), 4 * reached)
-            if share > WIDEST:
+            if share > UNBOUNDED_WIDTH:
                 return float(high if step > 0 else low)
         else:
             share = below[0] + (1 - below[1]) / (above[1] - below[1]) * (above[0] - below[0])

@@ -15,8 +15,8 @@ from rotorsim.signals.covariance import complex_values
 
 DRAWS = 40
 UNDETERMINED = 1e-8  # singular value, of the largest, below which a combination of parameters is not determined at all
-NOTHING = 1e-9  # of the largest: a derivative that is rounding
-WIDE = 1e3  # widths of its own that a parameter gets along such a combination
+ZERO_SENSITIVITY = 1e-9  # of the largest: a derivative that is rounding
+FREE_WIDTHS = 1e3  # widths of its own that a parameter gets along such a combination
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ def _undetermined(J: np.ndarray, noise: np.ndarray, jacobian: np.ndarray, at: np
     v^T noise v above a quarter of |J v|^2 is pulled to zero by about as much: it may be wrong by all of itself.
     """
     size = np.linalg.norm(J, axis=0)
-    nothing = size <= NOTHING * size.max(initial=0.0)
+    nothing = size <= ZERO_SENSITIVITY * size.max(initial=0.0)
     used = np.where(nothing, 0.0, J)
     scale = np.where(nothing, 1.0, size)
     _, values, vectors = np.linalg.svd(used / scale, full_matrices=True)
@@ -84,7 +84,7 @@ def _undetermined(J: np.ndarray, noise: np.ndarray, jacobian: np.ndarray, at: np
         null = value <= UNDETERMINED * padded.max(initial=1e-300)
         reach = max(1.0, float(np.abs(direction @ at)))
         if null or direction @ noise @ direction > CRITERIA.attenuated * image:
-            moved = jacobian @ ((WIDE if null else 1.0) * reach * direction)
+            moved = jacobian @ ((FREE_WIDTHS if null else 1.0) * reach * direction)
             total += np.outer(moved, moved)
     return total
 

@@ -18,7 +18,7 @@ from rotorsim.jobs.tasks import KILLED, Function, Job, Task, failure, pack, perf
 
 CONNECT_TIMEOUT = 10.0  # s, until a scheduler counts as not reachable
 LOST_TIMEOUT = 60.0  # s without any worker, until the run is given up
-SHOWN = 5  # differences of version in an error
+LISTED_VERSIONS = 5  # differences of version in an error
 
 _SAME_VERSION = ("python", "dask", "distributed", "cloudpickle", "numpy", "rotorsim")
 _TICK = 1.0  # s, between looks at the workers
@@ -114,7 +114,7 @@ def _connected(distributed: Any, scheduler: str) -> Iterator[Any]:
             raise RotorsimError(
                 Problem(f"the cluster {scheduler} has no workers", hint=f"start some: `dask worker {scheduler}`")
             )
-        problems = list(islice(_mismatches(versions), SHOWN))
+        problems = list(islice(_mismatches(versions), LISTED_VERSIONS))
         if problems:
             raise RotorsimError(*problems)
         yield client

@@ -23,7 +23,7 @@ from rotorsim.jobs.processes import Pool
 from rotorsim.jobs.store import Outcome, open_store
 from rotorsim.jobs.tasks import Function, Job, outcome
 
-SHOWN = 5  # failures in an error
+LISTED_FAILURES = 5  # failures in an error
 
 
 @dataclass(frozen=True)
@@ -118,12 +118,12 @@ def run_jobs(
 def _failed(failures: list[Failure], arguments: Sequence[Any], store: str | Path | None) -> RotorsimError:
     """Return the error that lists the first failures."""
     problems = []
-    for failure in failures[:SHOWN]:
+    for failure in failures[:LISTED_FAILURES]:
         argument = " ".join(reprlib.repr(arguments[failure.index]).split())
         text = failure.text if len(failure.text) <= 500 else failure.text[:500] + " ..."
         problems.append(Problem(f"{failure.type}: {text}", f"job {failure.index} ({argument})"))
     what = f"{len(failures)} of {len(arguments)} jobs failed"
-    what += f", the first {SHOWN} are above" if len(failures) > SHOWN else ""
+    what += f", the first {LISTED_FAILURES} are above" if len(failures) > LISTED_FAILURES else ""
     return RotorsimError(
         *problems,
         Problem(what, hint="run again with the same store: only the failed jobs are run" if store else ""),

@@ -14,7 +14,7 @@ from rotorsim.model.compiled import Model
 
 MOST_STATES = 8
 LARGEST_PEAK = 3.0  # zone A of ISO 14839-3:2006
-WEIGHTS = (1.0, 3.0, 0.3, 10.0, 0.1, 30.0, 100.0)  # tried in this order, times the weight asked for
+WEIGHT_FACTORS = (1.0, 3.0, 0.3, 10.0, 0.1, 30.0, 100.0)  # tried in this order, times the weight asked for
 
 
 def design_state_feedback(
@@ -44,7 +44,7 @@ def design_state_feedback(
     for count in (states, states + 4, states + 8):
         reduced = reduce_modes(plant, count)
         scale = _scale(reduced)
-        for factor in WEIGHTS:
+        for factor in WEIGHT_FACTORS:
             try:
                 trial = _lqg(reduced, scale, current_weight * factor, noise_weight * factor, integral)
             except np.linalg.LinAlgError:  # the Riccati equation has no stabilising solution with these weights

@@ -16,7 +16,7 @@ from rotorsim.linear.linearisation import LinearSystem, as_model, linearise, spe
 from rotorsim.linear.stability import growing
 from rotorsim.model.compiled import Model
 
-OSCILLATES = 1e-8  # imaginary part, relative to the largest |eigenvalue|, above which a pole oscillates
+REAL_POLE = 1e-8  # imaginary part, relative to the largest |eigenvalue|, above which a pole oscillates
 DEGENERATE = 1e-7  # relative distance of eigenvalues that count as one (isotropic rotor without gyroscopic effect)
 RESONANT = 0.5**0.5  # damping ratio below which a forced response has a maximum
 PLANAR = 1e-6  # relative difference of forward and backward amplitude below which the motion is a line
@@ -114,7 +114,7 @@ def eigen(A: np.ndarray) -> Eigen:
         empty = np.zeros((0, 0), complex)
         return Eigen(np.zeros(0, complex), empty, empty, np.zeros(0))
     values, left, right = eig(A, left=True, right=True)
-    limit = OSCILLATES * np.abs(values).max()
+    limit = REAL_POLE * np.abs(values).max()
     real = np.sort(values[np.abs(values.imag) <= limit].real)
     keep = np.flatnonzero(values.imag > limit)
     keep = keep[np.argsort(values[keep].imag, kind="stable")]

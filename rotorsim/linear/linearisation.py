@@ -19,7 +19,7 @@ from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
 
 TURN_SAMPLES = 64  # instants for averages over one turn
-SINGULAR = 1e-14  # reciprocal condition number below which a group of states is taken to have a pole at zero
+SINGULAR_STATES = 1e-14  # reciprocal condition number below which a group of states is taken to have a pole at zero
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def drifting_states(A: np.ndarray) -> tuple[list[int], list[int]]:
         else:
             balanced = matrix_balance(own, separate=False)[0]
             values = np.linalg.svd(balanced / np.abs(balanced).max(axis=1, keepdims=True), compute_uv=False)
-            singular = bool(values[-1] <= SINGULAR * values[0])
+            singular = bool(values[-1] <= SINGULAR_STATES * values[0])
         if singular:
             seeds += members.tolist()
     return sorted(seeds), np.flatnonzero(reached(pattern, np.isin(np.arange(n), seeds))).tolist()

@@ -13,7 +13,7 @@ from rotorsim.signals.shaft_angle import ShaftAngle, shaft_angle
 from rotorsim.simulation.result import Result
 from rotorsim.units import conversion, parse_unit
 
-LARGEST = 4e9  # bytes of a stacked signal
+MOST_BYTES = 4e9  # bytes of a stacked signal
 _TIME_ROUNDING = 1e-2  # of a step: rounding of a time column
 _SI = ("m", "m/s", "m/s^2", "A", "V", "N", "rad", "rad/s", "1")
 
@@ -65,7 +65,7 @@ def _stacked(base: str, parts: Mapping[tuple[int, ...], Channel], run: Run) -> n
     if any(channel.axis is not None for channel in parts.values()):
         shape[-1] = max(shape[-1], 2)
     size = 8.0 * len(run.time) * float(np.prod([float(n) for n in shape]))
-    if size > LARGEST:
+    if size > MOST_BYTES:
         what = f"{' x '.join(map(str, shape))} entries of {len(run.time)} samples would take {size / 1e9:.0f} GB"
         raise RotorsimError(Problem(what, base, run.place, "number the nodes from 1 without large gaps"))
     stacked = np.full((len(run.time), *shape), np.nan)

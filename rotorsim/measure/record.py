@@ -17,7 +17,7 @@ from rotorsim.settled.continuation import Settings, Setup, orbits
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate
 
-KINDS = ("white", "thesis", "uniform")
+NOISE_KINDS = ("white", "thesis", "uniform")
 _TOLERANCE = 1e-10  # of the harmonics left out of a settled state
 _ENDS = 1e-9  # of a step: rounding of the ends of a window
 

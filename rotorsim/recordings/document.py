@@ -19,7 +19,7 @@ from rotorsim.recordings.recording import ANGLE, AXES, TACHO, USES, Channel, Rec
 from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
 
 FILE = "recording.json"
-KEYS: dict[str, Mapping[str, type]] = {
+RECORDING_KEYS: dict[str, Mapping[str, type]] = {
     "recording": {
         "$schema": str,
         "name": str,
@@ -117,9 +117,11 @@ class _Parser:
             return None
         good: dict[str, Any] = {}
         for key, value in data.items():
-            expected = KEYS[kind].get(key)
+            expected = RECORDING_KEYS[kind].get(key)
             if expected is None:
-                self.error(f"unknown key '{key}'", (*path, key), subject, near_miss(str(key), KEYS[kind]), key=True)
+                self.error(
+                    f"unknown key '{key}'", (*path, key), subject, near_miss(str(key), RECORDING_KEYS[kind]), key=True
+                )
             elif not isinstance(value, expected) or (isinstance(value, bool) and expected is not object):
                 self.error(f"'{key}' must be {_WORDS[expected]}", (*path, key), subject)
             else:

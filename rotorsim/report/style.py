@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 # Okabe & Ito (2008), "Color universal design"
 BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#6b6b6b"
 INK = "#222222"
-ROUNDING = 1e-9  # of the largest: linear solutions are good to 1e-12, and a sensor resolves 1e-6 of its range
-STANDS_OUT = 2.0  # times the noise level: a harmonic that is worth showing
+ZERO_SHARE = 1e-9  # of the largest: linear solutions are good to 1e-12, and a sensor resolves 1e-6 of its range
+SHOWN_HARMONIC = 2.0  # times the noise level: a harmonic that is worth showing
 
 _STYLE: Any = {
     "font.size": 9.0,

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MOST_STEPS = 60  # where a law has corners, as dry friction that nearly sticks, most of them are short
+MOST_NEWTON_STEPS = 60  # where a law has corners, as dry friction that nearly sticks, most of them are short
 SMALLEST_LENGTH = 2.0**-6  # part of a Newton step
-ROUNDING = 1e-9  # relative residual, below which rounding may keep it from falling
+STALLED_RESIDUAL = 1e-9  # relative residual, below which rounding may keep it from falling
 SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0)  # of a law, in steps, where Newton's method fails at once
 
 
@@ -88,9 +88,9 @@ class Balance:
         """Return where Newton's method gets from C, its steps shortened until the residual falls; share: of g."""
         residual, forces = self.residual(C, share)
         settled = relative_size(residual, C) <= tolerance
-        reason = f"not done after {MOST_STEPS} Newton steps"
-        for step in range(MOST_STEPS + 1):
-            if settled.all() or step == MOST_STEPS:
+        reason = f"not done after {MOST_NEWTON_STEPS} Newton steps"
+        for step in range(MOST_NEWTON_STEPS + 1):
+            if settled.all() or step == MOST_NEWTON_STEPS:
                 break
             try:
                 delta = self.tangent(C, share).solve(residual[..., None])[..., 0]
@@ -102,7 +102,7 @@ class Balance:
             while True:
                 new = C - length[:, None, None] * delta
                 trial, trial_forces = self.residual(new, share)
-                falls = (relative_size(trial, new) < (1 - 0.1 * length) * before) | (before <= ROUNDING)
+                falls = (relative_size(trial, new) < (1 - 0.1 * length) * before) | (before <= STALLED_RESIDUAL)
                 worse = ~falls & (length > SMALLEST_LENGTH) & ~settled
                 if not worse.any():
                     break

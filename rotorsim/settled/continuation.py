@@ -17,8 +17,8 @@ from rotorsim.linear.state_space import solved
 from rotorsim.model.compiled import Model
 from rotorsim.settled.balance import Balance, Solution, harmonics_of, samples_of
 from rotorsim.settled.equations import Equations, PortEquations
-from rotorsim.settled.floquet import STABLE, largest_multiplier
-from rotorsim.settled.forcing import ROUNDING, Forcing
+from rotorsim.settled.floquet import STABLE_MULTIPLIER, largest_multiplier
+from rotorsim.settled.forcing import ZERO_COEFFICIENT, Forcing
 from rotorsim.settled.resolvent import shifted
 
 FIRST_HARMONICS = 15
@@ -131,7 +131,7 @@ def _size_beyond(X: np.ndarray, H: int) -> np.ndarray:
     size = np.abs(X[:, 1:])
     largest = size.max(axis=1, initial=0.0)
     beyond = size[:, H:].max(axis=1, initial=0.0)
-    moving = largest > ROUNDING * largest.max(axis=1, keepdims=True, initial=0.0)
+    moving = largest > ZERO_COEFFICIENT * largest.max(axis=1, keepdims=True, initial=0.0)
     return np.asarray(np.divide(beyond, largest, out=np.zeros_like(beyond), where=moving).max(axis=1, initial=0.0))
 
 
@@ -189,7 +189,7 @@ def _balanced(setup: Setup, base: np.ndarray, p: np.ndarray, settings: Settings)
             X[j] = 0.0
             X[j, : len(orbit.X)] = orbit.X
             if settings.stability:
-                stable[j] = largest_multiplier(equations, point.base, point.p, orbit.X) <= STABLE
+                stable[j] = largest_multiplier(equations, point.base, point.p, orbit.X) <= STABLE_MULTIPLIER
     pairs = zip(stable, every, strict=True)
     H = _needed_harmonics(X, settings.tolerance) if settings.harmonics is None else count - 1
     finer = None

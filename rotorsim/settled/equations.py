@@ -17,7 +17,7 @@ from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.slow_states import means_of
 
 FIRST_SAMPLES = 32
-MOST_SAMPLES = 4096
+MOST_PERIOD_SAMPLES = 4096
 RESOLVED = 1e-11  # size of the last Fourier coefficients, relative to the largest, at which a series has ended
 
 
@@ -246,7 +246,7 @@ class PortEquations:
             coefficients = np.fft.rfft(values, axis=1) / n
             size = np.abs(coefficients)
             tail = size[:, -n // 8 :].max(initial=0.0)
-            if n >= MOST_SAMPLES or tail <= RESOLVED * size.max(initial=0.0):
+            if n >= MOST_PERIOD_SAMPLES or tail <= RESOLVED * size.max(initial=0.0):
                 break
             n *= 2
         self.samples = n

@@ -9,7 +9,7 @@ from rotorsim.settled.balance import samples_of
 from rotorsim.settled.equations import PortEquations
 
 LEAST_STEPS = 64  # per period
-STABLE = 1 + 1e-7  # largest multiplier of a stable motion: 1 but for rounding
+STABLE_MULTIPLIER = 1 + 1e-7  # largest multiplier of a stable motion: 1 but for rounding
 
 
 def largest_multiplier(equations: PortEquations, base: float, p: np.ndarray, X: np.ndarray) -> float:

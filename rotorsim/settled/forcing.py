@@ -11,12 +11,19 @@ import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import Model
-from rotorsim.settled.equations import FIRST_SAMPLES, MOST_SAMPLES, RESOLVED, PortEquations, instants, without_inputs
+from rotorsim.settled.equations import (
+    FIRST_SAMPLES,
+    MOST_PERIOD_SAMPLES,
+    RESOLVED,
+    PortEquations,
+    instants,
+    without_inputs,
+)
 
-ROUNDING = 1e-14  # coefficients below this part of the largest are rounding, not motion
+ZERO_COEFFICIENT = 1e-14  # coefficients below this part of the largest are rounding, not motion
 LARGEST_HARMONIC = 255  # kept by default
 PROBE = 0.3819660112501051  # off-grid instant (part of a period) at which the series is checked
-GRID = 720  # intervals per period in which a crossing is looked for
+CROSSING_INTERVALS = 720  # intervals per period in which a crossing is looked for
 NODES = 48  # Gauss-Legendre nodes beyond what the highest harmonic needs
 
 
@@ -65,12 +72,12 @@ class Forcing:
             wave[1:] *= 2
             error = np.abs(np.tensordot(F, wave, (1, 0)).real - probed[:, 0]).max(axis=0)
             ended = bool(np.all(size[3 * m // 8 :] <= RESOLVED * largest) and np.all(error <= 1e-9 * largest))
-            if ended or m >= MOST_SAMPLES:
+            if ended or m >= MOST_PERIOD_SAMPLES:
                 break
             m *= 2
         if ended and harmonics is None:
             self._samples = m
-        F[np.abs(F) <= ROUNDING * largest] = 0.0
+        F[np.abs(F) <= ZERO_COEFFICIENT * largest] = 0.0
         return Series(F if ended else F[:, : max(harmonics or 0, LARGEST_HARMONIC) + 1], m, ended)
 
     def _check_period(self, f: np.ndarray, base: np.ndarray) -> None:
@@ -93,7 +100,9 @@ class Forcing:
         def positive(parts: np.ndarray) -> np.ndarray:
             return np.asarray(self._function(parts[None] * (2 * np.pi / base), self.z, p).full() > 0)
 
-        grid = (np.arange(GRID + 1) + 0.37) / GRID  # no sample exactly on a jump at a round angle
+        grid = (
+            np.arange(CROSSING_INTERVALS + 1) + 0.37
+        ) / CROSSING_INTERVALS  # no sample exactly on a jump at a round angle
         signs = positive(grid)
         row, k = np.nonzero(signs[:, 1:] != signs[:, :-1])
         low, high, before = grid[k], grid[k + 1], signs[row, k]
@@ -114,7 +123,9 @@ class Forcing:
             f = _sampled(equations, p[j : j + 1], nodes[None] * (2 * np.pi / speed))[0]
             F[j] = (np.exp(-2j * np.pi * np.outer(np.arange(H + 1), nodes)) * weights) @ f
             most = max(most, len(nodes))
-        F[np.abs(F) <= ROUNDING * np.abs(F).max(axis=(0, 1))] = 0.0  # the quadrature's error, of harmonics not there
+        F[np.abs(F) <= ZERO_COEFFICIENT * np.abs(F).max(axis=(0, 1))] = (
+            0.0  # the quadrature's error, of harmonics not there
+        )
         return Series(F, most, False)
 
 

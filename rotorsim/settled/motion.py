@@ -19,8 +19,8 @@ from rotorsim.settled.resolvent import Resolvent, resolvent_of
 from rotorsim.settled.slow_states import DENSE, slow_states
 from rotorsim.settled.torus import Torus
 
-PROBES = 2  # other values of the parameters at which it is seen what they move
-WIDE = 0.1  # relative
+PARAMETER_POINTS = 2  # other values of the parameters at which it is seen what they move
+PARAMETER_SPREAD = 0.1  # relative
 SAMPLES = 16  # of a turn
 
 
@@ -287,8 +287,8 @@ class LinearMotion(SettledMotion):
         moved = [_columns(np.moveaxis(values[:, :, : part.r], 2, 1)) for values in samples]
         columns = [np.any(whole.C, axis=(0, 1))]
         rng = np.random.default_rng(0)
-        for _ in range(PROBES):
-            other = theta * (1 + WIDE * rng.uniform(-1, 1, len(theta))) + WIDE * (theta == 0)
+        for _ in range(PARAMETER_POINTS):
+            other = theta * (1 + PARAMETER_SPREAD * rng.uniform(-1, 1, len(theta))) + PARAMETER_SPREAD * (theta == 0)
             many = np.repeat(other[None], len(p), 0)
             (A, dA), (B, _), (C, _) = (part.matrices[key](p, many) for key in "ABC")
             columns += [np.any(matrix, axis=(0, 1)) for matrix in (A - whole.A, np.any(dA, axis=3), C)]

@@ -16,10 +16,10 @@ from rotorsim.settled.resolvent import Resolvent
 from rotorsim.settled.slow_states import FRESH, slow_states
 
 EXTRA_ORDERS, SHARP_ORDERS = 8, 40  # beyond those compared with data
-CLOSE = 1e-9  # relative residual of a settled motion
+BALANCE_TOLERANCE = 1e-9  # relative residual of a settled motion
 SIZES = (1e-6, 1e-4, 1e-2, 1.0, 1e2)  # of states at which it is seen what a law moves: gaps and limits are passed
-PROBES = 4  # points of each size
-WIDE = 0.1  # relative, of the parameters there
+POINTS_PER_SIZE = 4  # points of each size
+PARAMETER_SPREAD = 0.1  # relative, of the parameters there
 
 
 @dataclass(eq=False)
@@ -66,7 +66,7 @@ class NonlinearMotion(SettledMotion):
         X, settled = balance.base, np.ones(len(self.p), bool)
         if len(balance.S):
             start = X[:, :, balance.S] if self.last is None else balance.nearer(self.last)
-            solution = balance.solve(start, CLOSE, grow=self.last is None)
+            solution = balance.solve(start, BALANCE_TOLERANCE, grow=self.last is None)
             X, settled = balance.states(solution), solution.settled
             X[~settled] = np.nan
         C = X[:, :, balance.S]
@@ -126,9 +126,11 @@ class NonlinearMotion(SettledMotion):
         moved = [np.moveaxis(part[:, :, :n], 2, 0).reshape(n, -1) for part in values]
         rng = np.random.default_rng(0)
         changing, changed = self.equations.changing, []
-        few = np.repeat(np.arange(R), PROBES)
+        few = np.repeat(np.arange(R), POINTS_PER_SIZE)
         for size in SIZES:
-            other = theta * (1 + WIDE * rng.uniform(-1, 1, (len(few), len(theta)))) + WIDE * (theta == 0)
+            other = theta * (1 + PARAMETER_SPREAD * rng.uniform(-1, 1, (len(few), len(theta)))) + PARAMETER_SPREAD * (
+                theta == 0
+            )
             times = rng.choice(self.times.ravel(), len(few))[None]
             point = times, size * rng.standard_normal((n, len(few))), self.p[few].T, other.T
             with np.errstate(all="ignore"):

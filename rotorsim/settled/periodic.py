@@ -20,7 +20,7 @@ from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.balance import harmonics_of, samples_of
 from rotorsim.settled.continuation import Orbits, Settings, Setup, orbits
 from rotorsim.settled.equations import FIRST_SAMPLES, instants, without_inputs
-from rotorsim.settled.forcing import PROBE, ROUNDING
+from rotorsim.settled.forcing import PROBE, ZERO_COEFFICIENT
 from rotorsim.settled.result import Periodic
 
 __all__ = ["Periodic", "periodic"]
@@ -142,7 +142,7 @@ def _change(channels: np.ndarray, finer: np.ndarray) -> np.ndarray:
     Zero where there is no motion, infinite where there is none with more orders.
     """
     change, largest = np.abs(finer[:, : channels.shape[1]] - channels).max(axis=1), np.abs(finer).max(axis=1)
-    moving = largest > ROUNDING * largest.max(axis=1, keepdims=True, initial=0.0)
+    moving = largest > ZERO_COEFFICIENT * largest.max(axis=1, keepdims=True, initial=0.0)
     share = np.divide(change, largest, out=np.zeros_like(change), where=moving & np.isfinite(change))
     failed, lost = (np.isnan(Y).all(axis=(1, 2)) for Y in (channels, finer))
     return np.where(failed, 0.0, np.where(lost, np.inf, share.max(axis=1, initial=0.0)))

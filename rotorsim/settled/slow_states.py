@@ -15,10 +15,10 @@ ANY, SETTLED, FRESH = 0, 1, 2  # what the mean of a slow state is, see `means_of
 LAW = "fault"  # category of blocks that stand for a law, not for a machine
 
 DENSE = 24  # states up to which matrices of all states are as fast
-SLOW = 5.0  # a mode that decays by less than e^-5 over the window may still move the mean
-FAR = 1e3  # times the bound, to where modes are moved that are known
-FEW = 8  # modes nearest to zero that are looked at first
-KEPT = 64  # matrices whose slow states are known: many faults do not change them
+SLOW_DECAY = 5.0  # a mode that decays by less than e^-5 over the window may still move the mean
+SHIFTED_DECAY = 1e3  # times the bound, to where modes are moved that are known
+NEAREST_MODES = 8  # modes nearest to zero that are looked at first
+CACHED_MATRICES = 64  # matrices whose slow states are known: many faults do not change them
 CONDITION = 1e6  # of their left and right vectors, up to which they are used
 
 
@@ -52,10 +52,10 @@ def slow_states(A: np.ndarray, window: float, means: np.ndarray | None = None) -
     return np.union1d(slow[means[slow] != SETTLED], np.flatnonzero(means == FRESH))
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_MATRICES)
 def _slow_states(matrix: bytes, n: int, window: float) -> np.ndarray:
     A = np.frombuffer(matrix).reshape(n, n)
-    bound = SLOW / window
+    bound = SLOW_DECAY / window
     vectors = _modes_near_zero(A, bound) if len(A) > DENSE else None
     if vectors is None:
         values, right = np.linalg.eig(A)
@@ -73,7 +73,7 @@ def _modes_near_zero(A: np.ndarray, bound: float) -> tuple[np.ndarray, np.ndarra
     """
     right = left = np.zeros((len(A), 0), complex)
     while True:
-        more = _some_modes_near_zero(A + FAR * bound * (right @ left.T).real, bound)
+        more = _some_modes_near_zero(A + SHIFTED_DECAY * bound * (right @ left.T).real, bound)
         if more is None or not more[0].shape[1]:
             return more and (right, left)
         right, left = (np.hstack(pair) for pair in zip((right, left), more, strict=True))
@@ -88,7 +88,7 @@ def _some_modes_near_zero(A: np.ndarray, bound: float) -> tuple[np.ndarray, np.n
             (n, n), matvec=lambda b, side=side: scipy.linalg.lu_solve(factor, b, side, check_finite=False), dtype=float
         )
         try:
-            inverted, vectors = eigs(inverse, k=FEW, v0=np.ones(n))
+            inverted, vectors = eigs(inverse, k=NEAREST_MODES, v0=np.ones(n))
         except ArpackError:
             return None
         values = bound + 1 / inverted

@@ -7,9 +7,11 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-CONSTANT = 1e-6  # relative difference of asynchronous frequencies that are one
+FREQUENCY_TOLERANCE = 1e-6  # relative difference of asynchronous frequencies that are one
 POINTS, TURNS = 3, 50.0  # samples for each coefficient on a torus, over so many turns of the slowest of all
-SINGULAR = 1e-12  # part of the largest eigenvalue: combinations too near to each other for the samples to separate
+SINGULAR_COMBINATION = (
+    1e-12  # part of the largest eigenvalue: combinations too near to each other for the samples to separate
+)
 SEPARATED = 5.0  # largest logarithm between diagonal entries of a Cholesky factor of combinations that are separate
 SWINGS = 3  # multiples of an asynchronous frequency that are kept: an angle that swings by m makes J_n(k m) of order k
 
@@ -34,7 +36,7 @@ class Torus:
     def at(self, speeds: np.ndarray) -> Torus:
         """Return the combinations at other speeds: the asynchronous frequency is constant, or a part of the speed."""
         parts = self.second / np.abs(self.speeds)
-        same = np.ptp(self.second) <= CONSTANT * self.second.max()
+        same = np.ptp(self.second) <= FREQUENCY_TOLERANCE * self.second.max()
         second = np.full(len(speeds), self.second.mean()) if same else parts.mean() * np.abs(speeds)
         return Torus(speeds, self.K, second, self.orders, self.forced)
 
@@ -58,4 +60,4 @@ def _projection(speed: float, nu: float, K: int, orders: tuple[int, ...]) -> tup
             return times, cho_solve(factor, waves.conj().T)[rows]
     except np.linalg.LinAlgError:
         pass
-    return times, np.linalg.pinv(normal, rcond=SINGULAR, hermitian=True)[rows] @ waves.conj().T
+    return times, np.linalg.pinv(normal, rcond=SINGULAR_COMBINATION, hermitian=True)[rows] @ waves.conj().T

@@ -14,7 +14,7 @@ import numpy as np
 from rotorsim.signals.harmonic_basis import Basis, harmonic_basis
 from rotorsim.signals.shaft_angle import MOST_TURNED, ShaftAngle
 
-SETTLED = 0.1  # standard deviations that the angle may still change by
+ANGLE_CHANGE = 0.1  # standard deviations that the angle may still change by
 PLAUSIBLE = 4.0  # standard deviations of the pulses (once in 16 000 runs): what the harmonics ask for beyond is not the
 # angle's doing
 
@@ -47,7 +47,7 @@ def refined_angle(time: np.ndarray, angle: ShaftAngle, y: np.ndarray, basis: Bas
             return replace(angle, contradicted=True), basis
         information = information + np.eye(2) / angle.smooth**2
         step = np.linalg.solve(information, gradient - total / angle.smooth**2)
-        if step @ information @ step < 2 * SETTLED**2:
+        if step @ information @ step < 2 * ANGLE_CHANGE**2:
             break
         total = total + step
         if np.abs(total).max() > PLAUSIBLE * angle.smooth:

@@ -15,7 +15,7 @@ from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonic_basis import Basis, harmonic_basis, wave_columns
 from rotorsim.signals.harmonic_fit import NEAR, HarmonicFit, fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics, samples_of, with_one_noise
-from rotorsim.signals.lines import SLOWEST, Spectrum, faint_line, spectrum_of
+from rotorsim.signals.lines import FEWEST_PERIODS, Spectrum, faint_line, spectrum_of
 from rotorsim.signals.whitening import FALSE_ALARM
 
 SIDEBANDS = 5  # combinations k W + nu with |k| up to this
@@ -159,7 +159,7 @@ def frequency_of_pulses(runs: Sequence[RunHarmonics]) -> Asynchronous | None:
         return None
     longest = max(float(np.ptp(t)) for t, _ in swings)
     rates = [len(t) / float(np.ptp(t)) for t, _ in swings]
-    grid = np.arange(SLOWEST / longest, 0.5 * min(rates), 0.2 / longest)
+    grid = np.arange(FEWEST_PERIODS / longest, 0.5 * min(rates), 0.2 / longest)
     if not len(grid):
         return None
     power = []

@@ -19,7 +19,7 @@ from rotorsim.signals.harmonics import harmonics_of
 from rotorsim.signals.quantisation import Step, readings_of, step_of, without_steps
 from rotorsim.units import format_quantity
 
-SAME = 1e-3  # of a step, within which readings show the one that is stated
+STEP_TOLERANCE = 1e-3  # of a step, within which readings show the one that is stated
 
 
 def stated_steps(diagram: Diagram, recording: Recording) -> tuple[dict[str, Step], list[Problem]]:
@@ -38,7 +38,7 @@ def stated_steps(diagram: Diagram, recording: Recording) -> tuple[dict[str, Step
             key = next(iter(keys))
             stated = float(np.min(diagram.nodes[meant.block].values[key]))
             step = step_of(readings_of(recording, name))
-            if step is not None and abs(step.size - stated) <= SAME * stated:
+            if step is not None and abs(step.size - stated) <= STEP_TOLERANCE * stated:
                 shown[name] = step
                 continue
             what = f"readings of {name} do not have the step of {format_quantity(stated, 'm')} that is stated"

@@ -12,7 +12,7 @@ from rotorsim.signals.whitening import FALSE_ALARM
 AWAY = 6.0  # standard deviations of the noise: a repeated value so far off is the one before (2e-9 by chance)
 BY_CHANCE = 0.1  # of the instants at which all channels repeat, at most
 MOST_DROPPED = 0.05  # of the samples: what repeats more often has another rate, or a coarse converter
-NORMAL = 1.4826  # standard deviations in a median absolute deviation
+MAD_TO_STD = 1.4826  # standard deviations in a median absolute deviation
 
 
 def dropped_samples(y: np.ndarray, residual: np.ndarray) -> np.ndarray:
@@ -26,7 +26,7 @@ def dropped_samples(y: np.ndarray, residual: np.ndarray) -> np.ndarray:
     repeats = np.zeros((n, C), bool)
     repeats[1:] = y[1:] == y[:-1]
     moving = np.ptp(y, axis=0) > 0
-    noise = NORMAL * np.median(np.abs(residual), axis=0)
+    noise = MAD_TO_STD * np.median(np.abs(residual), axis=0)
     away = np.where(noise > 0, AWAY * noise + [smallest_step(column) for column in y.T], np.inf)
     inside = (y > y.min(axis=0)) & (y < y.max(axis=0))
     dropped = repeats & inside & (np.abs(residual) > away) & moving

@@ -13,10 +13,12 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.signals.spectrum import finite
 from rotorsim.simulation.result import Result
 
-SPEED = "clock.speed"
-ORDERS = (1, 2, 3)
-WINDOW = 3  # turns that an order is fitted over, with a Hann window: orders one apart do not leak into each other
-STANDS_OUT = 0.2  # prominence over height: an unbalance response of damping ratio 0.45 peaks 1.25 above its limit 1
+SPEED_SIGNAL = "clock.speed"
+SWEEP_ORDERS = (1, 2, 3)
+WINDOW_TURNS = 3  # turns that an order is fitted over, with a Hann window: orders one apart do not leak into each other
+PEAK_PROMINENCE = (
+    0.2  # prominence over height: an unbalance response of damping ratio 0.45 peaks 1.25 above its limit 1
+)
 LEAKAGE = 0.02  # of the peak of the turn: below, an order may be leakage of a larger one (0.002 at 50 rad/s^2)
 
 
@@ -58,7 +60,7 @@ class RunUp:
         for order, curve in self.orders.items():
             inside = np.flatnonzero(np.isfinite(curve))
             inside = inside[_transient(curve[inside]) :]
-            at, _ = find_peaks(curve[inside], prominence=STANDS_OUT * np.nanmax(curve, initial=0.0))
+            at, _ = find_peaks(curve[inside], prominence=PEAK_PROMINENCE * np.nanmax(curve, initial=0.0))
             at = inside[at]
             at = at[curve[at] > LEAKAGE * self.peaks[at]]
             if len(at):
@@ -77,7 +79,7 @@ def envelope(samples: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(hilbert(samples)))
 
 
-def run_up(result: Result, signal: str, *, speed: str = SPEED, orders: Sequence[int] = ORDERS) -> RunUp:
+def run_up(result: Result, signal: str, *, speed: str = SPEED_SIGNAL, orders: Sequence[int] = SWEEP_ORDERS) -> RunUp:
     """Return one axis of a run-up turn by turn: peak of each turn, and its orders |R_k|, k > 0.
 
     x = sum over k of Re(R_k e^{i k theta}), fitted over three turns with a Hann window about the mean of the turn; the
@@ -93,7 +95,7 @@ def run_up(result: Result, signal: str, *, speed: str = SPEED, orders: Sequence[
         raise RotorsimError(Problem("the speed does not rise", speed, hint="set clock.profile to ramp"))
     theta = _angle(result, speed, speeds)
     turns = int((theta[-1] - theta[0]) / (tau))
-    if turns < 2 * WINDOW:
+    if turns < 2 * WINDOW_TURNS:
         raise RotorsimError(Problem(f"only {turns} turns", speed, hint="a longer run-up"))
     starts = np.searchsorted(theta - theta[0], tau * np.arange(turns + 1))
     counts = np.diff(starts)
@@ -117,7 +119,7 @@ def run_up(result: Result, signal: str, *, speed: str = SPEED, orders: Sequence[
         {int(k): _order(about, theta, starts, int(k)) for k in orders},
         float(speeds[middles[best]]),
         float(peaks[best]),
-        best >= turns - WINDOW,
+        best >= turns - WINDOW_TURNS,
     )
 
 
@@ -140,18 +142,18 @@ def _transient(peaks: np.ndarray) -> int:
 def _order(samples: np.ndarray, theta: np.ndarray, starts: np.ndarray, order: int) -> np.ndarray:
     """Return |R_k| in the middle of each turn, (turns,): 2 int w x e^{-i k theta} dtheta / int w dtheta."""
     out = np.full(len(starts) - 1, np.nan)
-    for turn in range(WINDOW // 2, len(out) - WINDOW // 2):
-        first = turn - WINDOW // 2
-        part = slice(starts[first], starts[first + WINDOW] + 1)
+    for turn in range(WINDOW_TURNS // 2, len(out) - WINDOW_TURNS // 2):
+        first = turn - WINDOW_TURNS // 2
+        part = slice(starts[first], starts[first + WINDOW_TURNS] + 1)
         angle = theta[part]
-        weight = 0.5 - 0.5 * np.cos((angle - theta[0] - tau * first) / WINDOW)
+        weight = 0.5 - 0.5 * np.cos((angle - theta[0] - tau * first) / WINDOW_TURNS)
         value = np.trapezoid(weight * samples[part] * np.exp(-1j * order * angle), angle)
         out[turn] = 2 * abs(value) / np.trapezoid(weight, angle)
     return out
 
 
 def resonance_peaks(
-    result: Result, signal: str, *, speed: str = SPEED, orders: Sequence[int] = ORDERS
+    result: Result, signal: str, *, speed: str = SPEED_SIGNAL, orders: Sequence[int] = SWEEP_ORDERS
 ) -> tuple[Resonance, ...]:
     """Return the resonances of a run-up, each a maximum of an order of the motion over the speed.
 

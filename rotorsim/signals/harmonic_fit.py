@@ -25,7 +25,7 @@ OWN_PLACE = 0.5  # of the resolution, from which on a steady line has columns of
 NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something beside a harmonic is not told from it
 LOUD = 2.5  # times the noise, for lines of samples that differ in what they tell: those may follow the motion a little
 SLACK = 3.0  # times the rms of the curvature of a turn: what it says of the angle is then a quarter of what is known
-ROUNDING = 1e-10  # of a signal's rms: residual of numbers of seven to sixteen digits and of the fit itself
+FIT_ROUNDING = 1e-10  # of a signal's rms: residual of numbers of seven to sixteen digits and of the fit itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,14 +234,14 @@ def fit_harmonics(
     coefficients, left = basis.solve(y)
     mean, rms, scale = y.mean(axis=0), y.std(axis=0), np.sqrt(np.mean(y**2, axis=0))
     reach = NEAR_JITTER if samples.angle_std > 0 else NEAR  # an error of the speed spreads a harmonic to its sides
-    least = ROUNDING * (rms + np.abs(mean))
+    least = FIT_ROUNDING * (rms + np.abs(mean))
     for c in map(names.index, samples.weights):
         least[c] = LOUD * np.sqrt(np.mean(left[:, c] ** 2))
     lines = find_lines(time, left, speed, K, least, reach, basis.kept)
     if lines:
         basis = basis.with_lines(time, (line.frequency for line in lines))
         coefficients, left = basis.solve(y)
-    floor = ROUNDING * np.where(scale > 0, scale, 1.0)
+    floor = FIT_ROUNDING * np.where(scale > 0, scale, 1.0)
     noise = noise_of(left, time, speed, K, len(y) - basis.columns.shape[1], floor, lines, basis.kept)
     waves = coefficients[first::2] + 1j * coefficients[first + 1 :: 2]
     variances = np.diag(basis.inverse)[first:].reshape(-1, 2)

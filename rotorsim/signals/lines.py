@@ -16,11 +16,11 @@ from rotorsim.signals.whitening import FALSE_ALARM, independent, is_white
 MOST_LINES = 20
 GAP, NEIGHBOURS = 3, 24  # the level of the noise at a line: the mean of so many others, these next to it left out
 LEAST_KEPT = 0.3  # of the noise that a fit leaves of a line: below, the line says little of the noise
-LEAST = 64  # samples of a run in which lines are looked for
+FEWEST_SAMPLES = 64  # samples of a run in which lines are looked for
 FINE = 4  # places in which a line of the spectrum is looked at
-BESIDE = 4  # lines of the spectrum on each side, that hold less than a line
+FLOOR_LINES = 4  # lines of the spectrum on each side, that hold less than a line
 APART = 1.5  # lines of the spectrum beside a harmonic that belong to it
-SLOWEST = 2.5  # periods in a run
+FEWEST_PERIODS = 2.5  # periods in a run
 LEAST_CHANCE = 1e-6  # probability of the largest power that counts: a strong line of one run is not all runs'
 FAINT_ALARM = 1e-6  # chance of a false alarm of all runs: quantised noise is not quite chi-squared
 CLEAR = 0.5  # of the runs, in which a line must not be too near to a harmonic
@@ -69,7 +69,7 @@ def find_lines(
     spectrum beside a fitted harmonic belong to it and are not reported. kept: see `rotorsim.signals.noise.noise_of`.
     """
     n = len(left)
-    if n < LEAST:
+    if n < FEWEST_SAMPLES:
         return []
     power = np.abs(np.fft.rfft(left, axis=0)[1:-1]) ** 2 / n
     threshold = np.log(power.size / FALSE_ALARM)
@@ -122,19 +122,19 @@ def spectrum_of(
         shape = np.sqrt(density(colour, np.arange(n // 2 + 1)))
         left = np.fft.irfft(np.fft.rfft(left, axis=0) / np.where(shape > 0, shape, 1.0), n, axis=0)
     white = independent(left)
-    if n < LEAST or not white.shape[1]:
+    if n < FEWEST_SAMPLES or not white.shape[1]:
         return None
     power = (2 / n * np.abs(np.fft.rfft(white, FINE * n, axis=0)) ** 2).sum(axis=1)
     freedom = 2 * white.shape[1]
-    away = FINE * (1 + BESIDE // 2)
-    mean = np.pad(uniform_filter1d(power, FINE * BESIDE, mode="nearest") / freedom, away, mode="edge")
+    away = FINE * (1 + FLOOR_LINES // 2)
+    mean = np.pad(uniform_filter1d(power, FINE * FLOOR_LINES, mode="nearest") / freedom, away, mode="edge")
     level = np.maximum(mean[: len(power)], mean[2 * away :])
     total = np.minimum(power / np.maximum(level, 1.0), chi2.isf(LEAST_CHANCE, freedom))
     resolution = (n - 1) / n / (time[-1] - time[0])
     at, turns = np.arange(len(total)) * resolution / FINE, abs(speed) / tau
     order = np.round(at / turns)
     harmonic = (np.abs(at - order * turns) < APART * resolution) & (order <= K)
-    outside = (at < SLOWEST * resolution) | (at > at[-1] - SLOWEST * resolution)
+    outside = (at < FEWEST_PERIODS * resolution) | (at > at[-1] - FEWEST_PERIODS * resolution)
     return Spectrum(np.where(harmonic | outside, np.nan, total), resolution / FINE, turns, freedom)
 
 

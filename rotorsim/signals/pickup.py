@@ -24,7 +24,7 @@ GRID_DRIFT = 0.01  # of it, either way: EN 50160 for interconnected grids
 HIGHEST = 20  # rectifiers and saturated cores make them
 AS_GOOD = 0.99  # of the best score: as good
 LARGEST_RUN = 200_000  # samples of a run: fitting harmonics takes 1.4 kB for each, which a check is not to cost
-STEP = 0.25  # of the resolution of the longest run
+PICKUP_STEP = 0.25  # of the resolution of the longest run
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ def find_mains(recording: Recording, runs: Sequence[RunHarmonics]) -> list[float
         spectra = spectra_of(recording, runs)
         if not spectra:
             return []
-        finest = STEP * min(4 * item.step for item in spectra)
+        finest = PICKUP_STEP * min(4 * item.step for item in spectra)
         m = np.arange(1, HIGHEST + 1)
         candidates: list[tuple[float, np.ndarray]] = []
         for mains in MAINS:
             reach = np.arange(0.0, GRID_DRIFT * mains, finest / HIGHEST)
             grid = np.concatenate([mains - reach[:0:-1], mains + reach])
             chance = log_chance(spectra, [np.multiply.outer(m, grid)] * len(spectra))
-            looked = 2 * HIGHEST * max(2 * GRID_DRIFT * mains * HIGHEST / finest * STEP, 1.0)
+            looked = 2 * HIGHEST * max(2 * GRID_DRIFT * mains * HIGHEST / finest * PICKUP_STEP, 1.0)
             significant = chance < np.log(FALSE_ALARM / looked)
             score = np.where(significant, chance, 0.0).sum(axis=0)
             best = int(np.median(np.flatnonzero(score <= AS_GOOD * score.min())))  # near strong lines all are alike

@@ -25,7 +25,7 @@ from rotorsim.signals.lines import Line
 CHANGED = 10.0  # distance, in standard deviations of the noise, by which steps must change the harmonics of all runs
 UNEVEN = 0.02  # of a step, by which readings may miss their level: they are written with few digits
 KNOWN = 1e-6  # of a step, to which it is known at best: no converter is better calibrated
-RESOLUTION = 1e-6  # of a signal's rms, that harmonics cannot be trusted to
+HARMONIC_RESOLUTION = 1e-6  # of a signal's rms, that harmonics cannot be trusted to
 TELLING = 3.0  # times as many samples that tell something as the motion takes: less tell nothing of the noise
 BARELY = 1 / 3  # of a step: standard deviation of harmonics of which the readings tell no more
 SIMULATED = 4  # recordings by which the covariance is widened
@@ -33,7 +33,7 @@ TAILS = 0.999  # probability of a miss that is still taken for one of a parabola
 LINE_GAIN = 15.0  # logarithm of the likelihood that a line adds which is there
 FEW, DITHERED = 3.0, 0.1  # steps that a run must move by to be told, unless noise of so many steps dithers it
 LEAST_NOISE = 0.02  # of a step: with less, few samples tell anything, and their likelihood is a box and no parabola
-NOTHING = 1e-12  # of the information of a sample at an edge
+ZERO_INFORMATION = 1e-12  # of the information of a sample at an edge
 ROOT = 0.5 * np.log(2 * np.pi)
 
 
@@ -175,7 +175,7 @@ class _Readings:
         upper, lower = self.ends(x)
         a, b, _ = interval_slopes(upper, lower)
         told = (upper * a + (a - b) ** 2 - lower * b) * inverse**2
-        return self.columns @ x[:-1] / inverse, (b - a) * inverse, np.maximum(told, NOTHING * inverse**2)
+        return self.columns @ x[:-1] / inverse, (b - a) * inverse, np.maximum(told, ZERO_INFORMATION * inverse**2)
 
     def ends(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds of each reading about the motion, in standard deviations of the noise."""
@@ -258,5 +258,5 @@ def _changed(old: RunHarmonics, new: RunHarmonics, name: str) -> float:
     """Return the square of the change of a channel's harmonics in one run, in variances of their noise."""
     column = np.array([old.fit.names.index(name)])
     change = real_vector((new.fit.values - old.fit.values)[:, column])
-    covariance = old.fit.covariance_at(column, range(len(old.fit.orders)), RESOLUTION)
+    covariance = old.fit.covariance_at(column, range(len(old.fit.orders)), HARMONIC_RESOLUTION)
     return float(change @ np.linalg.solve(covariance, change))

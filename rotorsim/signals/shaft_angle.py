@@ -13,7 +13,7 @@ from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 
 MOST_COEFFICIENTS = 8  # of the polynomial through the pulses
-MOST_SAMPLES = 100_000  # of a run, in which a change of speed is looked for: more are thinned out evenly
+THINNED_SAMPLES = 100_000  # of a run, in which a change of speed is looked for: more are thinned out evenly
 SLOPE = np.sqrt(5)  # times jitter / sqrt(N): standard deviation of what N pulses say of a line and a parabola, at most
 TEETH = 1.5  # times the variance of a sampled pulse: jitter of a fifth of its period beside it breaks up saw teeth
 STATED = 0.01  # of a stated speed: its standard deviation, half of what `open_experiment` lets it be wrong by
@@ -219,7 +219,7 @@ def _shared(residual: np.ndarray, jitter: float, each: float) -> float:
 
 def _speed_change(time: np.ndarray, theta: np.ndarray) -> float:
     """Return the even change of the speed over samples of the shaft angle (n,), as a share of the mean speed."""
-    every = -(-len(time) // MOST_SAMPLES)
+    every = -(-len(time) // THINNED_SAMPLES)
     time, theta = time[::every], theta[::every]
     u = 2 * (time - time[0]) / (time[-1] - time[0]) - 1
     _, first, second = np.polynomial.polynomial.polyfit(u, theta - theta[0], 2)

@@ -26,7 +26,7 @@ from rotorsim.signals.spectrum import (
 from rotorsim.signals.whitening import FALSE_ALARM
 from rotorsim.simulation.result import Result
 
-METHODS = ("least-squares", "fft", "regression")
+SPECTRUM_METHODS = ("least-squares", "fft", "regression")
 REFERENCE = "reference.measured"
 
 
@@ -120,8 +120,8 @@ def two_axis_harmonics(
 
     Raises RotorsimError for unknown methods, signals that are not finite, windows that are too short.
     """
-    if method not in METHODS:
-        raise RotorsimError(Problem(f"unknown method '{method}'", signal, hint=f"one of {', '.join(METHODS)}"))
+    if method not in SPECTRUM_METHODS:
+        raise RotorsimError(Problem(f"unknown method '{method}'", signal, hint=f"one of {', '.join(SPECTRUM_METHODS)}"))
     part = samples_in(result, window)
     if not use_mean:
         centred = result[signal] - result[signal][part].mean(axis=0)

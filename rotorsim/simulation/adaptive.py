@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from rotorsim.diagram.solver import ADAPTIVE, METHODS
+from rotorsim.diagram.solver import ADAPTIVE, SOLVER_METHODS
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
@@ -34,7 +34,7 @@ def run_adaptive(
     so that a kink or a jump never lies inside a step. Raises RotorsimError for an unknown method.
     """
     if method not in ADAPTIVE:
-        known = ", ".join(METHODS)
+        known = ", ".join(SOLVER_METHODS)
         raise RotorsimError(Problem(what=f"unknown method '{method}'", subject="solver.method", hint=f"one of {known}"))
     solver = model.diagram.solver
     p, end = instance.p, n_steps * h  # type: ignore[attr-defined]

@@ -23,14 +23,14 @@ from rotorsim.simulation.result import cut
 
 LARGEST_ERROR = 0.01  # of the rms of a signal: what a run may be wrong by without a word
 STRETCH = (200, 20_000)  # steps of which the error is estimated, at the start and at the end
-SHARE = 100  # and this part of the run: two stretches of three times as many steps are 6 % of its work
+RUN_DIVISOR = 100  # and this part of the run: two stretches of three times as many steps are 6 % of its work
 MOST_HALVINGS = 8  # of the step, in search of one that would do
 SAFETY = 0.9  # of the step that the order of the method says
 GROWS = 1.05  # from one eighth of a run to the next, three times: it is still growing
-INSTANTS = 64  # over which a Jacobian that changes is averaged
+JACOBIAN_INSTANTS = 64  # over which a Jacobian that changes is averaged
 MOST_SAMPLED = 64  # shortest sample periods in the one in which all samplers return
 BETWEEN = 0.3819660112501051  # of the time between two hits
-WHOLE = 1e-9  # relative: numbers this close to a whole one are whole
+WHOLE_NUMBER = 1e-9  # relative: numbers this close to a whole one are whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ class Run:
 
 def stretches_of(n_steps: int) -> list[tuple[int, int]]:
     """Return the first and last step of the stretches at the start and at the end; one where they meet."""
-    length = min(max(n_steps // SHARE, STRETCH[0]), STRETCH[1])
+    length = min(max(n_steps // RUN_DIVISOR, STRETCH[0]), STRETCH[1])
     return [(0, n_steps)] if 2 * length >= n_steps else [(0, length), (n_steps - length, n_steps)]
 
 
@@ -104,7 +104,7 @@ def judge(run: Run) -> Verdict:
         return Verdict("unstable", why, error)
     if h is not None:
         values = np.linalg.eigvals(A) if np.isfinite(A).all() else np.zeros(0)
-        beyond = (step_factor(h * values[values.real < 0]) > 1 + WHOLE).any()
+        beyond = (step_factor(h * values[values.real < 0]) > 1 + WHOLE_NUMBER).any()
         if beyond and (model.linear or (error or 0.0) >= 1.0):
             limit = rounded_down(largest_stable_step(values))
             what = f"the step {h:.3g} s is too large: RK4 is stable here up to {limit:.3g} s"
@@ -131,11 +131,11 @@ def loose_tolerance(model: Model, signals: Mapping[str, np.ndarray], atol: float
     """Return which recorded signal the absolute tolerance of an adaptive method leaves to chance; empty where none.
 
     It is an error of a state in one step: above LARGEST_ERROR of a signal that moves, nothing keeps that right.
-    signals: (n, entries); those below WHOLE of another one of their unit are rounding.
+    signals: (n, entries); those below WHOLE_NUMBER of another one of their unit are rounding.
     """
     peaks = {name: float(np.abs(values).max(initial=0.0)) for name, values in signals.items()}
     units = {name: model.select(name)[0].unit or "" for name in signals}
-    least = {unit: WHOLE * max(peaks[name] for name in peaks if units[name] == unit) for unit in units.values()}
+    least = {unit: WHOLE_NUMBER * max(peaks[name] for name in peaks if units[name] == unit) for unit in units.values()}
     told = {name: peak for name, peak in peaks.items() if least[units[name]] < peak < atol / LARGEST_ERROR}
     if not told:
         return ""
@@ -174,7 +174,7 @@ def _mean_jacobian(run: Run, x: np.ndarray) -> np.ndarray:
     if ca.depends_on(model.jacobian_expression, model.trace.t):
         speed = speed_of(model, p)
         turn = min(2 * np.pi / abs(speed), end) if speed else end / 50
-        times = end - turn * np.arange(INSTANTS) / INSTANTS
+        times = end - turn * np.arange(JACOBIAN_INSTANTS) / JACOBIAN_INSTANTS
     with np.errstate(all="ignore"):
         return np.asarray(jacobians(model)["A"](times[None, :], x, model.z0(p), p).mean(axis=0))
 
@@ -185,11 +185,11 @@ def _changing(run: Run, x: np.ndarray, poles: Growing, rate: float) -> str:
     steady = _returns(run, x)
     if not ca.depends_on(model.jacobian_expression, model.trace.x) and steady:
         from rotorsim.settled.equations import Equations  # as long to load as a short run takes
-        from rotorsim.settled.floquet import STABLE, largest_multiplier
+        from rotorsim.settled.floquet import STABLE_MULTIPLIER, largest_multiplier
 
         equations = Equations(model, (), (), p[None], every_state=True).whole
         largest = largest_multiplier(equations, abs(speed_of(model, p) or 0.0), p, np.zeros((1, model.n_x)))
-        if largest <= STABLE:
+        if largest <= STABLE_MULTIPLIER:
             return ""
         pole = f": {poles.describe(model)}" if poles else ", parametric resonance"
         return f"the machine is unstable{pole}; its motion grows {largest:.6g} times a turn"
@@ -237,7 +237,7 @@ def _common_period(run: Run) -> float | None:
     shortest = periods.min(initial=np.inf)
     for k in range(1, MOST_SAMPLED + 1 if len(periods) else 0):
         ratio = k * shortest / periods
-        if (np.abs(ratio - np.round(ratio)) <= WHOLE * ratio).all() and (np.round(ratio) >= 1).all():
+        if (np.abs(ratio - np.round(ratio)) <= WHOLE_NUMBER * ratio).all() and (np.round(ratio) >= 1).all():
             return float(k * shortest)
     return None
 
@@ -297,7 +297,7 @@ def _errors(run: Run, h: float, stretch: Stretch, parts: int) -> np.ndarray:
             for rows in (change * 16 / 15, few if len(few) else np.zeros((1, run.rows.shape[1])))
         )
     units = np.array([run.model.select(name)[0].unit or "" for name in run.names])
-    size = np.maximum(rms, [WHOLE * np.max(rms[units == unit]) for unit in units])
+    size = np.maximum(rms, [WHOLE_NUMBER * np.max(rms[units == unit]) for unit in units])
     usable = (size > 0) & np.isfinite(wrong) & np.isfinite(rms)
     return np.asarray(np.divide(wrong, size, out=np.zeros(len(wrong)), where=usable))
 

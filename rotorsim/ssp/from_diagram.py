@@ -25,7 +25,7 @@ from rotorsim.fmi.description.model import FmuUnit, FmuVariable, ModelDescriptio
 from rotorsim.fmi.export.export import export_fmu
 from rotorsim.fmi.export.variables import INPUT, OUTPUT, PARAMETER, Interface, Variable
 from rotorsim.linear.linearisation import entry_names
-from rotorsim.ssp.structure import MAIN, Component, Connection, Connector, End, Setting, Structure, System
+from rotorsim.ssp.structure import STRUCTURE_FILE, Component, Connection, Connector, End, Setting, Structure, System
 from rotorsim.ssp.writer import system_description, values_description
 from rotorsim.units import BASES, parse_unit
 
@@ -102,7 +102,7 @@ def export_ssp(
 
 def write_ssp(structure: Structure, files: Mapping[str, Path], file: str | Path) -> None:
     """Write a system of FMUs. files: component -> its FMU. Raises RotorsimError where a file cannot be written."""
-    held: dict[str, bytes | Path] = {MAIN: system_description(structure)}
+    held: dict[str, bytes | Path] = {STRUCTURE_FILE: system_description(structure)}
     for component in structure.system.components:
         held[component.source] = files[component.name]
         if component.settings:

@@ -19,8 +19,8 @@ from rotorsim.fmi.description.xml_reader import Element, XmlLimits, read_xml
 from rotorsim.ssp.structure import (
     FMU,
     INTERFACES,
-    MAIN,
     NAMESPACES,
+    STRUCTURE_FILE,
     Component,
     Connection,
     Connector,
@@ -30,8 +30,8 @@ from rotorsim.ssp.structure import (
     System,
 )
 
-MAX_BYTES = 16 << 20  # of one XML file
-_LIMITS = XmlLimits(bytes=MAX_BYTES, elements=300_000)
+MAX_XML_BYTES = 16 << 20  # of one XML file
+_LIMITS = XmlLimits(bytes=MAX_XML_BYTES, elements=300_000)
 _TYPES = {"Real": "Float64", "Integer": "Int32"} | {
     name: name for name in (*FLOATS, *INTEGERS, "Boolean", "String", "Binary")
 }
@@ -45,7 +45,7 @@ _TRANSFORMATIONS = ("BooleanMappingTransformation", "IntegerMappingTransformatio
 
 def read_structure(archive: Archive) -> Structure:
     """Return the system that an archive describes. Raises RotorsimError with every mistake."""
-    root, mistakes = _open_document(archive, MAIN, "SystemStructureDescription", [])
+    root, mistakes = _open_document(archive, STRUCTURE_FILE, "SystemStructureDescription", [])
     version = root.get("version")
     if not re.fullmatch(r"[12]\.\d+(-.*)?", version):
         what = f"SSP {version[:20]} is not supported" if version else "the attribute version is missing"
@@ -194,7 +194,7 @@ class _Reader:
 def _open_document(archive: Archive, name: str, tag: str, problems: list[Problem]) -> tuple[Element, Mistakes]:
     """Return the root of a file in the archive, and where its mistakes go: among problems."""
     mistakes = Mistakes(f"{archive.path}/{name}", problems)
-    document = read_xml(archive.read(name, MAX_BYTES), mistakes.file, limits=_LIMITS)
+    document = read_xml(archive.read(name, MAX_XML_BYTES), mistakes.file, limits=_LIMITS)
     root = _without_prefixes(document, {}) or replace(document, tag="", children=[])
     if root.tag != tag:
         raise RotorsimError(Problem(f"the document is no {tag} of SSP", place=mistakes.place(root)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from rotorsim.errors import Place
 from rotorsim.fmi.description.model import FmuUnit, Value
 
-MAIN = "SystemStructure.ssd"
+STRUCTURE_FILE = "SystemStructure.ssd"
 FMU = "application/x-fmu-sharedlibrary"  # type of a component
 INTERFACES = {"cs": "CoSimulation", "me": "ModelExchange"}
 _BASE = "http://ssp-standard.org/SSP1/SystemStructure"  # also in SSP 2.0

@@ -32,7 +32,7 @@ from rotorsim.ssp.structure import Component, Connector, Setting, Structure, sam
 from rotorsim.units import compatible
 
 DIAGRAM = "diagram.json"
-STEPS = 1000  # of a run where no FMU proposes a step
+DEFAULT_STEPS = 1000  # of a run where no FMU proposes a step
 MAX_COMPONENTS = 2000
 MAX_ENTRIES = 100_000  # of an array that leaves the system
 _INTO = ("input", "parameter", "structuralParameter")
@@ -338,7 +338,7 @@ class _Writer:
     def _solver(self) -> dict[str, Any]:
         experiments = [self._description(path).experiment for path in self.classes]
         stop = self.structure.stop or max((e.stop for e in experiments if e.stop), default=1.0)
-        step = min((e.step for e in experiments if e.step), default=stop / STEPS)
+        step = min((e.step for e in experiments if e.step), default=stop / DEFAULT_STEPS)
         if self.structure.start:
             what = f"begins at {self.structure.start:g} s; the diagram begins at 0"
             self.warnings.append(Problem(what, self.structure.name, severity="warning"))

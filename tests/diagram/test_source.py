@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotorsim.diagram.parse.source import MAX_BYTES, MAX_DEPTH, parse_document, read_document
+from rotorsim.diagram.parse.source import MAX_DEPTH, MAX_DIAGRAM_BYTES, parse_document, read_document
 from rotorsim.errors import Place, RotorsimError
 
 
@@ -94,7 +94,7 @@ def test_files_are_read_with_limits(tmp_path: Path) -> None:
         return str(error.value).replace(str(tmp_path), "T")
 
     big = tmp_path / "big.json"
-    big.write_bytes(b" " * (MAX_BYTES + 1))
+    big.write_bytes(b" " * (MAX_DIAGRAM_BYTES + 1))
     assert refused(big) == "T/big.json: error: file is larger than 20 MB\n\nhint: split it by sub-diagrams"
     latin = tmp_path / "latin.json"
     latin.write_bytes(b'{\n "a": "\xe9"}')

@@ -50,7 +50,7 @@ def test_where_the_first_runs_out_of_evaluations_the_second_goes_on(start, monke
     monkeypatch.setattr(estimate, "MOST_EVALUATIONS", few)
     search, q = lag.search(), np.array(start) / lag.scale
     with monkeypatch.context() as alone:
-        alone.setattr(estimate, "METHODS", estimate.METHODS[:1])
+        alone.setattr(estimate, "SEARCH_METHODS", estimate.SEARCH_METHODS[:1])
         alone.setattr(estimate, "PASSES", 1)
         assert search.minimise(q, most=few) * lag.scale != pytest.approx([TIME, SHARE], rel=1e-2)
     lag.evaluations = 0

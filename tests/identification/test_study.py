@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.study.plan import Case, Study
-from rotorsim.identification.study.printed import LEVELS, TABLES, misprints
+from rotorsim.identification.study.printed import PRINTED_LEVELS, TABLES, misprints
 from rotorsim.identification.study.questions import compare_controllers, smallest_rows, smallest_size
 from rotorsim.identification.study.runs import Bench, bench_of, clean_runs
 from rotorsim.identification.study.study import run_study, study_data, study_of_table, study_rows, write_rows
@@ -32,9 +32,9 @@ MISPRINTED = {
     ("2-7", "k_s", 0.05),
     ("4-2", "k_I", 0.01),
     ("5-4", "k_L^x", 0.0),
-    *(("5-3", "beta_2", level) for level in LEVELS),
+    *(("5-3", "beta_2", level) for level in PRINTED_LEVELS),
     ("5-3", "beta_1", 0.0),
-    *(("5-5", beta, level) for beta in ("beta_1", "beta_2") for level in LEVELS),
+    *(("5-5", beta, level) for beta in ("beta_1", "beta_2") for level in PRINTED_LEVELS),
 }
 
 

@@ -11,7 +11,7 @@ from rotorsim.measure.as_result import as_result, has_angle
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load as load_diagram
 from rotorsim.signals.spectrum import harmonics
-from rotorsim.signals.two_axis import METHODS, two_axis_harmonics, two_axis_names, whole_turns
+from rotorsim.signals.two_axis import SPECTRUM_METHODS, two_axis_harmonics, two_axis_names, whole_turns
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate
 from tests.recordings import made
@@ -147,7 +147,7 @@ def whirl(speed: float = SPEED, n: int = 5000, noise: float = 0.0, seed: int = 0
     return Result(time, {"rotor.displacement": np.stack([r.real, r.imag], -1), "clock.theta": theta}, units)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", SPECTRUM_METHODS)
 @pytest.mark.parametrize("speed", [2 * np.pi * 25.0, -2 * np.pi * 25.0])
 @pytest.mark.parametrize("start", [0.0, -0.4])
 def test_every_method_finds_a_whirl_of_whole_turns(method: str, speed: float, start: float) -> None:
@@ -203,7 +203,7 @@ def test_a_line_that_does_not_follow_the_shaft_is_found_with_both_whirls() -> No
 
 
 def test_a_mean_that_means_nothing_is_left_out() -> None:
-    for method in METHODS:
+    for method in SPECTRUM_METHODS:
         found = two_axis_harmonics(whirl(2 * np.pi * 25.0), "rotor.displacement", method, use_mean=False)
         assert 0 not in found.harmonics.orders
         assert found.harmonics[1] == pytest.approx(PARTS[1], abs=1e-14)

@@ -34,7 +34,7 @@ def test_the_unrolled_step_the_chunked_one_and_the_virtual_machine_agree(name, m
     unrolled = simulate(load(name), stop=stop)
     machine = simulate(load(name), stop=stop, use_compiler=False)
     monkeypatch.setattr(emit, "UNROLL_LIMIT", 0)
-    monkeypatch.setattr(writer, "CHUNK", 7)  # every function is cut into many
+    monkeypatch.setattr(writer, "STATEMENTS_PER_FUNCTION", 7)  # every function is cut into many
     chunked = simulate(load(name), stop=stop)
     for signal, values in unrolled.signals.items():
         scale = np.abs(values).max()

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from rotorsim.diagram.parse.source import Source, parse_document
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.measure.checks import check_signals
-from rotorsim.recordings.document import KEYS, parse_recording
+from rotorsim.recordings.document import RECORDING_KEYS, parse_recording
 from rotorsim.recordings.loading import load_recording
 from rotorsim.recordings.recording import Recording
 from tests.recordings.made import CHANNELS, SHARED, SPEED, document, load, run, samples, write
@@ -360,9 +360,9 @@ def test_a_pipe_or_a_folder_is_no_data_file(tmp_path):
 def test_the_schema_names_the_keys_that_are_read():
     schema = SCHEMA
     jsonschema.Draft202012Validator.check_schema(schema)
-    assert set(schema["properties"]) == set(KEYS["recording"])
-    assert set(schema["$defs"]["channel"]["properties"]) == set(KEYS["channel"])
-    assert set(schema["$defs"]["run"]["properties"]) == set(KEYS["run"])
+    assert set(schema["properties"]) == set(RECORDING_KEYS["recording"])
+    assert set(schema["$defs"]["channel"]["properties"]) == set(RECORDING_KEYS["channel"])
+    assert set(schema["$defs"]["run"]["properties"]) == set(RECORDING_KEYS["run"])
 
 
 @pytest.mark.parametrize(
@@ -414,7 +414,7 @@ def test_the_shared_recordings_load_and_are_good():
 
 WORDS = st.sampled_from(["x", "rotor.displacement", "um", "run1.npz", "identify", "1 Hz", "", "..", "é", "time", "\0"])
 SCALARS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False, allow_infinity=False), WORDS)
-KEY = st.sampled_from([*KEYS["recording"], *KEYS["channel"], *KEYS["run"], "other", ""])
+KEY = st.sampled_from([*RECORDING_KEYS["recording"], *RECORDING_KEYS["channel"], *RECORDING_KEYS["run"], "other", ""])
 ANYTHING = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(KEY, inner, max_size=5))
 
 
@@ -423,7 +423,7 @@ ANYTHING = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=3) | st.
 def test_damaged_documents_end_with_a_message_and_never_with_a_traceback(value, part, choice):
     data = json.loads(json.dumps(document()))
     target = {"recording": data, "channel": data["channels"]["x"], "run": data["runs"][0]}[part]
-    target[choice.draw(st.sampled_from([*KEYS[part], "other"]))] = value
+    target[choice.draw(st.sampled_from([*RECORDING_KEYS[part], "other"]))] = value
     mistakes: tuple[Problem, ...] = ()
     try:
         source = parse_document(json.dumps(data), "recording.json")

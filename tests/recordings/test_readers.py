@@ -124,7 +124,7 @@ def test_other_formats_are_named(tmp_path):
 def test_a_file_that_is_too_large_is_not_read(tmp_path):
     path = tmp_path / "a.csv"
     with path.open("wb") as stream:
-        stream.truncate(reader.MAX_BYTES + 1)  # takes no room on the disk
+        stream.truncate(reader.MAX_RECORDING_BYTES + 1)  # takes no room on the disk
     assert refused(path, ["x"]) == ["data: error: file is larger than 2 GB\n\nhint: split it into several runs"]
 
 
@@ -151,7 +151,7 @@ def test_columns_that_unpack_to_too_much_together_are_not_read(tmp_path, monkeyp
         ]
     scipy.io.savemat(tmp_path / "a.mat", {"run": {"inner": {"a": np.zeros(100_000)}}}, do_compression=True)
     assert len(read_columns(tmp_path / "a.mat", ["run/inner/a"])["run/inner/a"]) == 100_000
-    monkeypatch.setattr(reader, "MAX_BYTES", 700_000)
+    monkeypatch.setattr(reader, "MAX_RECORDING_BYTES", 700_000)
     assert refused(tmp_path / "a.mat", ["run/inner/a"])[0].startswith("data: error: it unpacks to more than")
 
 

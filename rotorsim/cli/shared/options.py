@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from rotorsim.cli.shared.inputs import Chosen, check_target
-from rotorsim.diagram.solver import METHODS
+from rotorsim.diagram.solver import SOLVER_METHODS
 from rotorsim.errors import Problem, RotorsimError, near_miss
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -117,7 +117,7 @@ def plot_option(what: str) -> Decorator:
 
 def solver_option(help: str, **more: Any) -> Decorator:
     """Return --solver."""
-    return click.option("--solver", type=click.Choice(METHODS, case_sensitive=False), help=help, **more)
+    return click.option("--solver", type=click.Choice(SOLVER_METHODS, case_sensitive=False), help=help, **more)
 
 
 def noise_kind_option(name: str, help: str, **more: Any) -> Decorator:

@@ -10,12 +10,12 @@ import numpy as np
 from rotorsim.cosim.coupling import Coupling
 from rotorsim.cosim.inputs import Point, Polynomial, hermite, through
 from rotorsim.cosim.masters.master import Settings
-from rotorsim.cosim.masters.stepping import NEAR, SavedMaster, SteppingMaster
+from rotorsim.cosim.masters.stepping import CLOSEST_POINTS, SavedMaster, SteppingMaster
 from rotorsim.cosim.participant import Participant
 from rotorsim.errors import Problem, RotorsimError
 
 ITERATIONS = 30
-SLOW = 0.5  # a contraction worse than this calls for Newton's method
+SLOW_CONTRACTION = 0.5  # a contraction worse than this calls for Newton's method
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Iterative(SteppingMaster):
         """Return time and moving inputs (n_u,) of the newest point and earlier ones, not too close to each other."""
         chosen: list[Point] = []
         for row in zip(*(points[::-1] for points in self.known), strict=True):
-            if len(chosen) < count and (not chosen or chosen[-1][0] - row[0][0] > NEAR * self._usual):
+            if len(chosen) < count and (not chosen or chosen[-1][0] - row[0][0] > CLOSEST_POINTS * self._usual):
                 y = np.concatenate([value for _, value in row])
                 chosen.append((row[0][0], self.coupling.moving_wires @ y + self.coupling.u0))
         return chosen
@@ -143,7 +143,7 @@ class Iterative(SteppingMaster):
             if not np.isfinite(size):
                 break
             patience = 4 if self.jacobian is None else 8
-            if count > patience or (self.jacobian is None and size > SLOW * before):
+            if count > patience or (self.jacobian is None and size > SLOW_CONTRACTION * before):
                 self.jacobian = self._interface(trial, end, y, floor)
             try:
                 slow = self.jacobian is not None

@@ -12,9 +12,9 @@ from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit
 
-TERMS = ("cubic", "damping_growth", "drag", "friction", "quadratic", "cross", "cross_cubic", "quintic")
+FORCE_TERMS = ("cubic", "damping_growth", "drag", "friction", "quadratic", "cross", "cross_cubic", "quintic")
 MOST_TERMS = 4
-NAME = "force_map"
+FORCE_MAP = "force_map"
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ def unknown_force(base: Fit, evidence: Evidence, spot: Spot) -> UnknownForce:
     if mapped is not None:
         fit, terms = mapped
         share = 1 - fit.misfit / base.misfit
-        data["map"] = {"terms": {t: fit.values[f"{NAME}.{t}"] for t in terms}, "explains": share}
+        data["map"] = {"terms": {t: fit.values[f"{FORCE_MAP}.{t}"] for t in terms}, "explains": share}
         if terms:
             words.append(
                 f"a map of displacement and velocity ({', '.join(terms)}) explains {100 * share:.3g} % of the misfit"
@@ -51,20 +51,20 @@ def _mapped(base: Fit, document: Mapping[str, Any], evidence: Evidence, spot: Sp
     if node is None or spot.port not in node.inputs or "velocity" not in node.outputs:
         return None
     index = "" if spot.node is None else f"[{spot.node}]"
-    ports = (("displacement", f"{NAME}.displacement"), ("velocity", f"{NAME}.velocity"))
+    ports = (("displacement", f"{FORCE_MAP}.displacement"), ("velocity", f"{FORCE_MAP}.velocity"))
     wires = [[f"{spot.block}.{port}{index}", target] for port, target in ports]
-    wires.append([f"{NAME}.force", f"{spot.block}.{spot.port}{index}"])
+    wires.append([f"{FORCE_MAP}.force", f"{spot.block}.{spot.port}{index}"])
     scales = _scales(evidence, spot)
     best, chosen = base, tuple[str, ...]()
     while len(chosen) < MOST_TERMS:
         fits: dict[tuple[str, ...], Fit] = {}
-        for terms in [(*chosen, term) for term in TERMS if term not in chosen]:
-            values = {t: best.values.get(f"{NAME}.{t}", 1e-3 * scales[t]) for t in terms}
+        for terms in [(*chosen, term) for term in FORCE_TERMS if term not in chosen]:
+            values = {t: best.values.get(f"{FORCE_MAP}.{t}", 1e-3 * scales[t]) for t in terms}
             block = {"type": "force_map", "parameters": {**values, "width": scales["width"]}}
             new = values_in(document, best.values)
-            new["blocks"][NAME] = block
+            new["blocks"][FORCE_MAP] = block
             new["wires"] = [*new["wires"], *wires]
-            new["identify"] = {**new.get("identify", {}), **{f"{NAME}.{t}": {} for t in terms}}
+            new["identify"] = {**new.get("identify", {}), **{f"{FORCE_MAP}.{t}": {} for t in terms}}
             fit = evidence.fit(new, [[{}]], most=12)
             if not fit.failure:
                 fits[terms] = fit

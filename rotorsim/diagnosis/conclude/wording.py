@@ -13,7 +13,7 @@ from rotorsim.diagnosis.evidence.fit import is_noise
 from rotorsim.fault import Fault
 from rotorsim.units import format_quantity
 
-WHOLE = 0.999  # a share from which its digits say nothing
+WHOLE_SHARE = 0.999  # a share from which its digits say nothing
 ONE_SPEED = "at one speed unbalance imitates bow and runout, and force factors imitate stiffness and damping"
 MORE_RUNS = "runs at several speeds, from slow roll to above the first critical, and some with other gains"
 
@@ -143,8 +143,8 @@ def _explains(item: Explained, diagnosis: Diagnosis) -> str:
     if item.share is None:
         return ""
     of = "the residual without it" if item.explainable is None else "what any law at that place could explain"
-    if item.share.interval is None or item.share.interval[0] > WHOLE:
-        much = f"more than {_percent(WHOLE)}" if item.share.value > WHOLE else _percent(item.share.value)
+    if item.share.interval is None or item.share.interval[0] > WHOLE_SHARE:
+        much = f"more than {_percent(WHOLE_SHARE)}" if item.share.value > WHOLE_SHARE else _percent(item.share.value)
     else:
         much = "{} ({} to {})".format(*(_percent(share) for share in (item.share.value, *item.share.interval)))
     return f"On {_runs(diagnosis)} it explains {much} of {of}."

@@ -15,7 +15,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.identification.profile import Z90
 
 DEFERRED = "is nonlinear, and not fitted yet"
-ROUNDING = 1e-12  # of the largest eigenvalue of a scaled information matrix
+RANK_TOLERANCE = 1e-12  # of the largest eigenvalue of a scaled information matrix
 
 # Groups of starts {free parameter: SI value}: of each group the most promising ones are followed.
 Starts = Sequence[Sequence[Mapping[str, float]]]
@@ -153,7 +153,7 @@ def left_out(residual: np.ndarray, jacobian: np.ndarray, sizes: Sequence[int]) -
     ends = np.cumsum(sizes)[:-1]
     out = []
     for rows, r in zip(np.split(J, ends), np.split(residual, ends), strict=True):
-        others = np.linalg.pinv(information - rows.T @ rows, rcond=ROUNDING, hermitian=True)
+        others = np.linalg.pinv(information - rows.T @ rows, rcond=RANK_TOLERANCE, hermitian=True)
         predicted = r + rows @ (others @ (rows.T @ r))
         out.append(float(predicted @ predicted))
     return np.array(out)

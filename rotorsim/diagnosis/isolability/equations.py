@@ -20,7 +20,7 @@ from rotorsim.model.trace.block import BlockTrace
 from rotorsim.model.trace.diagram import flat_indices
 from rotorsim.model.trace.order import block_traces
 
-SHOWN = 8  # signals that a hint lists
+LISTED_SIGNALS = 8  # signals that a hint lists
 UNMEASURED = ("excitation", "clock")  # categories of blocks whose outputs nobody measures
 T = TypeVar("T")
 
@@ -57,7 +57,7 @@ def entries_of(diagram: Diagram, sensors: Sequence[str]) -> list[str]:
         categories = {name: diagram.nodes[name.rpartition(".")[0]].block.category for name in shapes}
         usual = [name for name in shapes if categories[name] not in UNMEASURED]
         usual.sort(key=lambda name: categories[name] not in ("rotor", "controller"))
-        problems.append(Problem("no sensors", diagram.name, hint=f"signals: {', '.join(usual[:SHOWN])}"))
+        problems.append(Problem("no sensors", diagram.name, hint=f"signals: {', '.join(usual[:LISTED_SIGNALS])}"))
     if problems:
         raise RotorsimError(*problems)
     return list(entries)
@@ -68,7 +68,7 @@ def _entries(name: str, shapes: Mapping[str, Shape]) -> list[str]:
     if end is None:
         plain = name.partition("[")[0]
         near = [known for known in shapes if known.partition(".")[0] == plain.partition(".")[0]]
-        near = near or [known for known in shapes if known.endswith(f".{plain}")] or list(shapes)[:SHOWN]
+        near = near or [known for known in shapes if known.endswith(f".{plain}")] or list(shapes)[:LISTED_SIGNALS]
         hint = f"write block.port, with [node] or [node,axis] counted from 1; signals: {', '.join(near)}"
         raise RotorsimError(Problem("is not a signal", f"sensor {name}", hint=hint))
     port = f"{end.block}.{end.port}"

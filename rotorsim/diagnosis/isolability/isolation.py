@@ -13,7 +13,7 @@ import numpy as np
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.isolability.equations import entries_of, structure_of
-from rotorsim.diagnosis.isolability.motion import SECOND, LinearMotion
+from rotorsim.diagnosis.isolability.motion import REPEATED_SENSOR, LinearMotion
 from rotorsim.diagnosis.isolability.runs import Runs, runs_of
 from rotorsim.diagnosis.isolability.signatures import ALIAS, HARDLY, Shares, Signatures, signatures_of
 from rotorsim.diagnosis.isolability.structure import Gain, Structure
@@ -118,8 +118,8 @@ def _periodic(
     """
     entries = {}
     for name in sensors:
-        prefix = SECOND if name.startswith(SECOND) else ""
-        entries[name] = tuple(prefix + entry for entry in entries_of(diagram, [name.removeprefix(SECOND)]))
+        prefix = REPEATED_SENSOR if name.startswith(REPEATED_SENSOR) else ""
+        entries[name] = tuple(prefix + entry for entry in entries_of(diagram, [name.removeprefix(REPEATED_SENSOR)]))
     signals = list(dict.fromkeys([*recorded, *chain.from_iterable(entries.values())]))
     aperiodic = LinearMotion(diagram, signals, runs, (), {}).aperiodic(np.zeros(0))
     if not aperiodic.isdisjoint(recorded):

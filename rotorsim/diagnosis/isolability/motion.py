@@ -21,15 +21,15 @@ from rotorsim.settled.nonlinear import NonlinearMotion
 from rotorsim.settled.resolvent import resolvent_of
 from rotorsim.settled.slow_states import slow_states
 
-SECOND = "second "  # before the name of a signal that is measured once more
-ORDERS = 14
+REPEATED_SENSOR = "second "  # before the name of a signal that is measured once more
+MOST_ORDERS = 14
 H = 20  # orders of the motion itself
 COUNT = 128  # samples of a turn
-WINDOW = 10.0  # s: modes that decay slower leave the mean open
+MEAN_WINDOW = 10.0  # s: modes that decay slower leave the mean open
 NEVER = 1e6  # s: within this a free integrator still does not settle
-PROBES = (0.137, 0.618)  # instants, in turns, that are compared one turn later
-CONSTANT = 1e-9
-KEPT = 8  # resolvents: many faults do not change the diagram's own
+PERIODICITY_INSTANTS = (0.137, 0.618)  # instants, in turns, that are compared one turn later
+FORCING_TOLERANCE = 1e-9
+CACHED_RESOLVENTS = 8  # resolvents: many faults do not change the diagram's own
 
 
 class LinearMotion:
@@ -46,9 +46,11 @@ class LinearMotion:
         free: Sequence[Free],
         resolvents: dict[bytes, np.ndarray],
     ) -> None:
-        ports = (name.partition("[")[0].removeprefix(SECOND) for name in signals if name.startswith(SECOND))
+        ports = (
+            name.partition("[")[0].removeprefix(REPEATED_SENSOR) for name in signals if name.startswith(REPEATED_SENSOR)
+        )
         ends = [Endpoint(block, port) for block, _, port in (name.rpartition(".") for name in ports)]
-        second = {Endpoint(SECOND + end.block, end.port): end for end in ends}
+        second = {Endpoint(REPEATED_SENSOR + end.block, end.port): end for end in ends}
         model = compile_diagram(replace(diagram, measured={**diagram.measured, **second}))
         if model.n_z:
             raise RotorsimError(Problem("has a sample time, which harmonics of linear equations do not show"))
@@ -81,7 +83,9 @@ class LinearMotion:
 
     def _repeats(self, theta: np.ndarray) -> np.ndarray:
         """Return whether each rate and signal of the first run is the same one turn later, states at zero, (n + c,)."""
-        times = np.array([[turn + probe for turn in (0, 1) for probe in PROBES]]) * 2 * np.pi / self.speeds[0]
+        times = (
+            np.array([[turn + probe for turn in (0, 1) for probe in PERIODICITY_INSTANTS]]) * 2 * np.pi / self.speeds[0]
+        )
         values = [self._values(function, theta, times) for function in (self.equations.f, self.equations.g)]
         f = np.concatenate(values, axis=2)[0, :, :, 0]
         size = np.abs(f).max(axis=0)
@@ -101,26 +105,28 @@ class LinearMotion:
                 return None
         few = [0, COUNT // 3]
         C = self._values(equations.C, theta, times[:, few], x[:, few])
-        if not np.allclose(C[:, 0], C[:, 1], rtol=CONSTANT, atol=0.0):
+        if not np.allclose(C[:, 0], C[:, 1], rtol=FORCING_TOLERANCE, atol=0.0):
             return None
         f_theta, g_theta = (self._values(part, theta, times, x) for part in (equations.f_theta, equations.g_theta))
-        dY = C[:, :1] @ (gain[:, : ORDERS + 1] @ _harmonics(f_theta, ORDERS)) + _harmonics(g_theta, ORDERS)
-        return _harmonics(self._values(equations.g, theta, times, x)[..., 0], ORDERS), dY
+        dY = C[:, :1] @ (gain[:, : MOST_ORDERS + 1] @ _harmonics(f_theta, MOST_ORDERS)) + _harmonics(
+            g_theta, MOST_ORDERS
+        )
+        return _harmonics(self._values(equations.g, theta, times, x)[..., 0], MOST_ORDERS), dY
 
     def _is_linear(self, theta: np.ndarray, f0: np.ndarray, A: np.ndarray, x: np.ndarray) -> bool:
         """Return whether f = f0 + A x with the same A all along the motion x (R, N, n)."""
         transposed, (E, S) = A.swapaxes(1, 2), self.equations.places
         size = np.abs(x) @ np.abs(transposed) + np.abs(f0)
         wrong = np.abs(self._values(self.equations.f, theta, self.times, x)[..., 0] - f0 - x @ transposed)
-        if not (wrong.max(axis=(0, 1)) <= CONSTANT * size.max(axis=(0, 1))).all():
+        if not (wrong.max(axis=(0, 1)) <= FORCING_TOLERANCE * size.max(axis=(0, 1))).all():
             return False
         change = self._values(self.equations.J_part, theta, self.times, x) - A[:, None, E[:, None], S]
-        return bool((np.abs(change) <= CONSTANT * np.abs(A).max(initial=0.0)).all())
+        return bool((np.abs(change) <= FORCING_TOLERANCE * np.abs(A).max(initial=0.0)).all())
 
     def nonlinear(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return Y and dY by harmonic balance, None where no settled motion is found."""
         runs = len(self.p)
-        motion = NonlinearMotion(self.all, self.p, self.speeds, ORDERS, np.full(runs, NEVER), np.zeros(runs))
+        motion = NonlinearMotion(self.all, self.p, self.speeds, MOST_ORDERS, np.full(runs, NEVER), np.zeros(runs))
         try:
             with np.errstate(all="ignore"):
                 predicted = motion.predict(theta)
@@ -132,10 +138,10 @@ class LinearMotion:
     def open_means(self, theta: np.ndarray) -> np.ndarray:
         """Return dY (R, K+1, c, s) by the means of states that have no time to settle."""
         A = self._jacobian(theta)
-        resolvent = resolvent_of(A, np.zeros((len(A), 1)), [slow_states(one, WINDOW, self.all.means) for one in A])
+        resolvent = resolvent_of(A, np.zeros((len(A), 1)), [slow_states(one, MEAN_WINDOW, self.all.means) for one in A])
         C = self._values(self.equations.C, theta, self.times[:, :1])[:, 0]
         columns = [C[r] @ resolvent.slow[r] for r in range(len(A))]
-        dY = np.zeros((len(A), ORDERS + 1, self.equations.c, sum(own.shape[1] for own in columns)), complex)
+        dY = np.zeros((len(A), MOST_ORDERS + 1, self.equations.c, sum(own.shape[1] for own in columns)), complex)
         ends = np.cumsum([0, *(own.shape[1] for own in columns)])
         for r, own in enumerate(columns):
             dY[r, 0, :, ends[r] : ends[r + 1]] = own
@@ -148,7 +154,7 @@ class LinearMotion:
         """Return (i k W - A)^-1, (R, H+1, n, n), at order 0 without states that never settle."""
         key = A.tobytes()
         if key not in self.resolvents:
-            if len(self.resolvents) >= KEPT:
+            if len(self.resolvents) >= CACHED_RESOLVENTS:
                 self.resolvents.popitem()
             s = 1j * self.speeds[:, None] * np.arange(H + 1)
             self.resolvents[key] = resolvent_of(A, s, [slow_states(one, NEVER) for one in A]).gain

@@ -13,8 +13,8 @@ from rotorsim.linear.linearisation import speed_entries
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.units import format_quantity
 
-SPEEDS = (0.5, 0.7, 0.9, 1.15, 1.4)  # of the diagram's speed
-GAINS = (1.3, 0.8, 1.1)  # of proportional and derivative gains, the first that is stable
+SPEED_FACTORS = (0.5, 0.7, 0.9, 1.15, 1.4)  # of the diagram's speed
+GAIN_FACTORS = (1.3, 0.8, 1.1)  # of proportional and derivative gains, the first that is stable
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +42,12 @@ def runs_of(diagram: Diagram, speeds: Sequence[float] = ()) -> Runs:
     if entries is None or not entries.any():
         hint = 'add "parameters": {"speed": "1500 rpm"} and let the clock follow it'
         raise RotorsimError(Problem("no diagram parameter 'speed'", diagram.name, hint=hint))
-    wanted = list(speeds) or [factor * float(model.p0[entries][0]) for factor in SPEEDS]
+    wanted = list(speeds) or [factor * float(model.p0[entries][0]) for factor in SPEED_FACTORS]
     first = [one for one in ({"speed": float(speed)} for speed in wanted if speed) if _is_stable(model, one)]
     if not first:
         raise RotorsimError(Problem("no settled motion at any of these speeds", diagram.name))
     gains = _gains(diagram)
-    for factor in GAINS if gains else ():
+    for factor in GAIN_FACTORS if gains else ():
         changed = {name: factor * value for name, (value, _) in gains.items()}
         second = [one | changed for one in first[::2]]  # at every other speed: that is enough
         if all(_is_stable(model, one) for one in second):

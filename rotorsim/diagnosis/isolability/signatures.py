@@ -33,12 +33,12 @@ from rotorsim.model.load import load
 ANY_LINE = 100.0  # rad/s: asynchronous
 ALIAS = 1e-6  # share below which a fault is not isolable from another
 HARDLY = 0.03  # share below which only a strong fault is isolable
-SMALL = 1e-9  # of columns as long as one another: what is less is rounding
-NOISE = 1e-3  # of a signal's rms, in the real and the imaginary part of every harmonic
+ZERO_COLUMN = 1e-9  # of columns as long as one another: what is less is rounding
+RELATIVE_NOISE = 1e-3  # of a signal's rms, in the real and the imaginary part of every harmonic
 SIGMAS = 5.0
 MOST_STARTS = 3
-ANGLES = (0.0, np.pi / 4, np.pi / 2, 3 * np.pi / 4)
-SAME = 1e-7  # of the largest harmonic: a fault of this size is none
+PROBE_ANGLES = (0.0, np.pi / 4, np.pi / 2, 3 * np.pi / 4)
+NO_EFFECT = 1e-7  # of the largest harmonic: a fault of this size is none
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class Shares:
             span = self._spans[other]
             part = part - span @ (span.T @ part)
         least = float(np.linalg.norm(part, axis=0).min())
-        return SIGMAS * NOISE / least if least > ALIAS * self._norms[name].max() else None
+        return SIGMAS * RELATIVE_NOISE / least if least > ALIAS * self._norms[name].max() else None
 
 
 def _basis(columns: np.ndarray) -> np.ndarray:
@@ -156,7 +156,7 @@ def _basis(columns: np.ndarray) -> np.ndarray:
     if not columns.size:
         return np.zeros((len(columns), 0))
     u, s, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(u[:, s > SMALL * s[0]])
+    return np.asarray(u[:, s > ZERO_COLUMN * s[0]])
 
 
 # -- signatures ------------------------------------------------------------------------------------------------------
@@ -306,7 +306,7 @@ class _Maker:
         """
         first, width = own[0], len(own[0])
         sizes = [j for j in range(width) if not angles[j] and first[j].low <= 0.0 <= first[j].high]
-        turns = ANGLES if angles.any() else (0.0,)
+        turns = PROBE_ANGLES if angles.any() else (0.0,)
         for which in [[j] for j in sizes] + ([sizes] if len(sizes) > 1 else []):
             parts = width * np.arange(len(own))[:, None] + which  # of each fault
             every = parts.ravel()
@@ -327,7 +327,7 @@ class _Maker:
     def _is_small(self, change: np.ndarray) -> bool:
         """Return whether a change (R, K+1, c, ...) is nothing beside the signals."""
         axes = tuple(k for k in range(change.ndim) if k != 2)
-        return bool((np.abs(change).max(axis=axes, initial=0.0) <= SAME * self.scale).all())
+        return bool((np.abs(change).max(axis=axes, initial=0.0) <= NO_EFFECT * self.scale).all())
 
     def _at(self, motion: LinearMotion, theta: np.ndarray) -> np.ndarray | None:
         """Return what a fault and its parameters change at a start, less what is rounding; None if unsettled."""

@@ -18,7 +18,7 @@ from rotorsim.diagnosis.search.trials import Candidate, Round, Trials
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs, local_workers
 
-BEAM = 2  # hypotheses that the next round starts from
+BEAM_WIDTH = 2  # hypotheses that the next round starts from
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ def _selected(trials: Trials, base: Fit) -> Selection:
     first = trials.round(base)
     level = _level(first.tried)
     worth = _noticed(first.tried, base, level, slack) if is_adequate(base) else first.tried
-    beam: list[tuple[Candidate, ...]] = [(item,) for item in _distinct(worth, base)[:BEAM]]
+    beam: list[tuple[Candidate, ...]] = [(item,) for item in _distinct(worth, base)[:BEAM_WIDTH]]
     if not beam:
         return Selection(base, (), (first,), base, level, trials.counts, slack, first)
     chosen: tuple[Candidate, ...] = beam[0]

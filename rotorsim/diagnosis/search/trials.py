@@ -26,13 +26,13 @@ POSSIBLE = 10.0
 BATCHES = 4  # of jobs, for every process
 FIRST_EVALUATIONS, SECOND_EVALUATIONS = 5, 15  # of a nonlinear diagram, before it is judged whether it is worth more
 LAST_EVALUATIONS = 3  # where the data are explained already, and only rivals are looked for
-SECOND = 8  # nonlinear fits that get as far as the second
+SECOND_STAGE_FITS = 8  # nonlinear fits that get as far as the second
 REFINED = 3  # fits carried to the end at least
 PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
 HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
 STARTED = 0.1  # share of what the best explains: of nonlinear laws below, SECOND_EVALUATIONS are the last
 RESTART = 0.1  # of its scale: how far off a bound a parameter of the diagram begins again
-NEAR = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
+RIVAL_MISFIT = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
 
 _Job = tuple[dict[str, Any], list[list[dict[str, float]]]]  # a document with an insertion, groups of starts
 
@@ -267,19 +267,21 @@ class Trials:
         """
         if not any(is_adequate(fit) for fit in fits):
             order = [k for k in _by_misfit(fits) if fits[k].nonlinear]
-            self._again(jobs, fits, order[:SECOND], SECOND_EVALUATIONS)
+            self._again(jobs, fits, order[:SECOND_STAGE_FITS], SECOND_EVALUATIONS)
         order = _by_misfit(fits)
         if is_adequate(before):  # only what is not noise matters
-            order = [k for k in order if before.misfit - fits[k].misfit > HINT * len(fits[k].free)][:SECOND]
+            order = [k for k in order if before.misfit - fits[k].misfit > HINT * len(fits[k].free)][:SECOND_STAGE_FITS]
         elif any(is_adequate(fit) for fit in fits):
             least = fits[order[0]].misfit
             slow = before.misfit - STARTED * (before.misfit - least)
-            if before.misfit < NEAR * least:
+            if before.misfit < RIVAL_MISFIT * least:
                 best_of: dict[tuple[str, int], int] = {}  # of the places of each law
                 for k in order:
                     best_of.setdefault(laws[k], k)
                 self._again(jobs, fits, [k for k in best_of.values() if _is_slow(fits[k], slow)], SECOND_EVALUATIONS)
-            order = [k for k in _by_misfit(fits) if fits[k].misfit < NEAR * least and not _is_slow(fits[k], slow)]
+            order = [
+                k for k in _by_misfit(fits) if fits[k].misfit < RIVAL_MISFIT * least and not _is_slow(fits[k], slow)
+            ]
         else:
             order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < PROMISING * before.misfit]
         self._again(jobs, fits, order, None)

@@ -14,7 +14,7 @@ from rotorsim.diagram.diagram import Endpoint
 from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.errors import Place, Problems
 
-NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+NAME_PATTERN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _END = re.compile(
     r"([A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*)\.([A-Za-z_][A-Za-z0-9_]*)(?:\[\s*([0-9]{1,9}(?:\s*,\s*[0-9]{1,9})*)\s*\])?"
 )

@@ -12,7 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from rotorsim.diagram.diagram import Endpoint
-from rotorsim.diagram.parse.document import NAME, FlatDocument, Parameter, RawBlock, RawWire, Scope, SubPorts, endpoint
+from rotorsim.diagram.parse.document import (
+    NAME_PATTERN,
+    FlatDocument,
+    Parameter,
+    RawBlock,
+    RawWire,
+    Scope,
+    SubPorts,
+    endpoint,
+)
 from rotorsim.diagram.parse.form import checked_form, is_block
 from rotorsim.diagram.parse.source import Source, read_document
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
@@ -77,7 +86,7 @@ class _Flattener:
     def document(self, data: dict[str, Any], scope: Scope, folder: Path | None, chain: tuple[Path, ...]) -> None:
         source, prefix = scope.source, scope.prefix
         for name, block in data["blocks"].items():
-            if not NAME.fullmatch(str(name)):
+            if not NAME_PATTERN.fullmatch(str(name)):
                 continue
             flat_name = prefix + name
             if not is_block(source, name, block, self.problems):
@@ -204,7 +213,7 @@ class _Flattener:
     def port(self, ports: SubPorts, is_input: bool, name: str, written: Any, scope: Scope) -> None:
         place = scope.source.place(("ports", "inputs" if is_input else "outputs", name))
         subject = f"ports.{name}"
-        if not NAME.fullmatch(str(name)):
+        if not NAME_PATTERN.fullmatch(str(name)):
             self.problems.error(f"'{name}' is not a name", subject, place, "letters, digits and _, not a digit first")
         ends: list[Endpoint] = []
         for text in written if isinstance(written, list) and is_input else [written]:

@@ -6,10 +6,10 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from rotorsim.diagram.parse.form import BLOCK_KEYS, KEYS
+from rotorsim.diagram.parse.form import BLOCK_KEYS, DOCUMENT_KEYS
 from rotorsim.errors import Problem, RotorsimError
 
-WIDTH = 120
+LINE_WIDTH = 120
 
 
 def format_document(data: Mapping[str, Any]) -> str:
@@ -18,7 +18,7 @@ def format_document(data: Mapping[str, Any]) -> str:
     Raises RotorsimError for what JSON cannot hold (NaN, an array).
     """
     lines = []
-    for key in _ordered(data, KEYS):
+    for key in _ordered(data, DOCUMENT_KEYS):
         value = data[key]
         if key == "blocks" and isinstance(value, Mapping):
             value = {name: _block(block) for name, block in value.items()}
@@ -47,7 +47,7 @@ def _text(value: Any) -> str:
 def _value(value: Any, indent: str, used: int, by_line: bool = False) -> str:
     """Return a value on one line if it fits (and need not be broken), else one entry a line."""
     flat = _text(value)
-    if not isinstance(value, Mapping | list) or not value or (len(flat) + used + 1 <= WIDTH and not by_line):
+    if not isinstance(value, Mapping | list) or not value or (len(flat) + used + 1 <= LINE_WIDTH and not by_line):
         return flat
     inner = indent + "  "
     if isinstance(value, Mapping):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from rotorsim.diagram.parse.document import NAME
+from rotorsim.diagram.parse.document import NAME_PATTERN
 from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.errors import CONTROL, Problems, near_miss
 
 RESERVED = ("solver",)
-KEYS: dict[str, type] = {  # in the order of the canonical form
+DOCUMENT_KEYS: dict[str, type] = {  # in the order of the canonical form
     "$schema": str,
     "schema_version": int,
     "name": str,
@@ -43,16 +43,16 @@ class _Form:
         data: dict[str, Any] = {}
         unknown = 0
         for key, value in self.source.data.items():
-            if key not in KEYS:
+            if key not in DOCUMENT_KEYS:
                 unknown += 1
                 self.error(
                     f"unknown key '{key}'",
                     (key,),
-                    hint=near_miss(str(key), KEYS) if unknown <= MAX_HINTS else "see docs/diagrams.md",
+                    hint=near_miss(str(key), DOCUMENT_KEYS) if unknown <= MAX_HINTS else "see docs/diagrams.md",
                     key=True,
                 )
-            elif not isinstance(value, KEYS[key]) or isinstance(value, bool):
-                self.error(f"must be {_WORDS[KEYS[key]]}", (key,), key)
+            elif not isinstance(value, DOCUMENT_KEYS[key]) or isinstance(value, bool):
+                self.error(f"must be {_WORDS[DOCUMENT_KEYS[key]]}", (key,), key)
             else:
                 data[key] = value
         for key in ("name", "description"):
@@ -73,7 +73,7 @@ class _Form:
         for key, empty in (("parameters", {}), ("blocks", {}), ("wires", []), ("ports", {}), ("layout", {})):
             data.setdefault(key, empty)
         for key in ("parameters", "blocks"):
-            for name in [name for name in data[key] if not NAME.fullmatch(str(name))]:
+            for name in [name for name in data[key] if not NAME_PATTERN.fullmatch(str(name))]:
                 self.error(f"'{name}' is not a name", (key, name), key, _NAMES, key=True)
         for name in RESERVED:
             if name in data["blocks"]:

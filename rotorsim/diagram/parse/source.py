@@ -16,7 +16,7 @@ from typing import Any
 
 from rotorsim.errors import CONTROL, Place, Problem, RotorsimError
 
-MAX_BYTES = 20_000_000
+MAX_DIAGRAM_BYTES = 20_000_000
 MAX_DEPTH = 64
 MAX_DIGITS = 300
 TOO_DEEP = "a diagram needs no more than ten; use sub-diagrams"
@@ -120,14 +120,16 @@ def read_document(path: str | Path) -> Source:
             why = "is a folder" if path.is_dir() else "is not a file" if path.exists() else "does not exist"
             raise RotorsimError(Problem(f"file {why}", place=Place(file)))
         with path.open("rb") as stream:  # one read with a limit: the size on disk may change meanwhile
-            content = stream.read(MAX_BYTES + 1)
+            content = stream.read(MAX_DIAGRAM_BYTES + 1)
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise RotorsimError(Problem(f"file cannot be read: {why}", place=Place(file))) from None
-    if len(content) > MAX_BYTES:
+    if len(content) > MAX_DIAGRAM_BYTES:
         raise RotorsimError(
             Problem(
-                f"file is larger than {MAX_BYTES // 1_000_000} MB", place=Place(file), hint="split it by sub-diagrams"
+                f"file is larger than {MAX_DIAGRAM_BYTES // 1_000_000} MB",
+                place=Place(file),
+                hint="split it by sub-diagrams",
             )
         )
     try:

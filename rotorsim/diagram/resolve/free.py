@@ -16,8 +16,8 @@ from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Problem, Problems, near_miss
 
-SPEED = "speed"
-KEYS = ("low", "high", "prior", "description")
+SPEED_NAME = "speed"
+FREE_KEYS = ("low", "high", "prior", "description")
 PRIOR_KEYS = ("mean", "std")
 MOST = 1e100
 COLLAPSED = 1e-3  # of what is usual: a value below says nothing of its size (an earlier fit may have ended at a bound)
@@ -75,13 +75,13 @@ class _Reader:
             hint = near_miss(name, [*self.parameters, *blocks], list_all=False)
             self.error("no such parameter", path, hint, key=True)
             return []
-        if base == SPEED:
+        if base == SPEED_NAME:
             self.error("is measured, so that it cannot be free", path, key=True)
             return []
         if not isinstance(given, Mapping):
             self.error("must be an object", path, '{} leaves it free; {"low": 0, "prior": {"std": "5 %"}} says more')
             return []
-        self.unknown_keys(given, KEYS, path)
+        self.unknown_keys(given, FREE_KEYS, path)
         block, _, key = base.rpartition(".")
         followed = self.nodes[block].references.get(key) if block else None
         if followed:

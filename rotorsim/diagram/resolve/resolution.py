@@ -24,7 +24,7 @@ from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.diagram.resolve.template import Templates
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.diagram.resolve.wiring import Wiring
-from rotorsim.diagram.solver import METHODS, Solver
+from rotorsim.diagram.solver import SOLVER_METHODS, Solver
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
 _SOLVER = {"step": "s", "stop": "s", "record_every": "1", "rtol": "1", "atol": "1"}
@@ -313,10 +313,10 @@ def _solver(flat: FlatDocument, overrides: Mapping[str, Any]) -> Solver:
 def _solver_setting(key: str, value: Any, bare: bool) -> Any:
     """Return a setting of the solver in SI; raise ValueProblem."""
     if key == "method":
-        if not isinstance(value, str) or value.lower() not in METHODS:
+        if not isinstance(value, str) or value.lower() not in SOLVER_METHODS:
             raise ValueProblem(
                 "must be a text" if isinstance(value, dict | list) else f"unknown method {value!r}",
-                near_miss(str(value)[:50], METHODS),
+                near_miss(str(value)[:50], SOLVER_METHODS),
             )
         return value.lower()
     if key not in _SOLVER:

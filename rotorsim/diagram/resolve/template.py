@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.block import Block, In, Out, Shape
-from rotorsim.diagram.parse.document import NAME
+from rotorsim.diagram.parse.document import NAME_PATTERN
 from rotorsim.diagram.resolve.values import numeric
 
 
@@ -51,7 +51,7 @@ class Template:
         for group in (self.block.inputs, self.block.outputs):
             names = [(name, d.many) for d in group.values() for name in self.block.port_names(d)]
             count = Counter(name for name, _ in names)
-            bad += [name for name, many in names if many and (count[name] > 1 or not NAME.fullmatch(name))]
+            bad += [name for name, many in names if many and (count[name] > 1 or not NAME_PATTERN.fullmatch(name))]
         return list(dict.fromkeys(bad))
 
 

@@ -12,7 +12,7 @@ from rotorsim.diagram.resolve.draft import Draft
 from rotorsim.diagram.resolve.template import Templates
 from rotorsim.errors import Place, near_miss
 
-MAX_HINTS = 50
+MAX_WIRE_HINTS = 50
 
 
 @dataclass
@@ -105,7 +105,7 @@ class Wiring:
         """Return the near miss of a block; after many, none (each takes a look at every block)."""
         if name not in self._hints:
             known = [*self.drafts, *self.broken, *self.flat.sub_diagrams]
-            few = len(self._hints) < MAX_HINTS
+            few = len(self._hints) < MAX_WIRE_HINTS
             self._hints[name] = near_miss(name, known) if few and known else 'declare it under "blocks"'
         return self._hints[name]
 

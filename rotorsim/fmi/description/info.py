@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from rotorsim.fmi.description.model import KINDS, FmuUnit, FmuVariable, Kind, ModelDescription
+from rotorsim.fmi.description.model import FMU_KINDS, FmuUnit, FmuVariable, Kind, ModelDescription
 from rotorsim.fmi.description.platforms import folders, this_platform
 
 _GROUPS = (
@@ -119,7 +119,7 @@ def information_text(data: dict[str, Any], *, every: bool = False) -> str:
     experiment = {key: value for key, value in data["experiment"].items() if value is not None}
     proposed = [f"{key} {value:g}{'' if key == 'tolerance' else ' s'}" for key, value in experiment.items()]
     lines = [
-        f"{data['name']}: FMI {data['fmi']}, {' and '.join(KINDS[name] for name in data['kinds'])}",
+        f"{data['name']}: FMI {data['fmi']}, {' and '.join(FMU_KINDS[name] for name in data['kinds'])}",
         *([f"  {_line(data['description'])}"] if data["description"] else []),
         *([f"made by     {made}"] if made else []),
         f"platforms   {inside}; this machine is {data['this_platform']}: {here}",

@@ -20,7 +20,7 @@ from rotorsim.units import BASES, Unit, UnitError, parse_foreign_unit, parse_uni
 FLOATS = ("Float64", "Float32")
 INTEGERS = ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")
 NUMERIC = (*FLOATS, *INTEGERS, "Boolean")
-KINDS = {"cs": "Co-Simulation", "me": "Model Exchange", "se": "Scheduled Execution"}
+FMU_KINDS = {"cs": "Co-Simulation", "me": "Model Exchange", "se": "Scheduled Execution"}
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # attributes of <BaseUnit>, in the order of the schema
 
 Value = float | int | bool | str
@@ -262,7 +262,7 @@ class ModelDescription:
     def kind(self, name: str) -> Kind:
         """Return a kind. Raises RotorsimError when the FMU does not offer it."""
         if name not in self.kinds:
-            offered = " and ".join(KINDS[kind] for kind in self.kinds)
-            what = f"does not offer {KINDS.get(name, name)}; it offers {offered}"
+            offered = " and ".join(FMU_KINDS[kind] for kind in self.kinds)
+            what = f"does not offer {FMU_KINDS.get(name, name)}; it offers {offered}"
             raise RotorsimError(Problem(what, self.name, self.place))
         return self.kinds[name]

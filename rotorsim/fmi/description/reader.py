@@ -9,7 +9,7 @@ from typing import Any
 
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.fmi.description.attributes import Mistakes
-from rotorsim.fmi.description.model import KINDS, Experiment, FmuUnit, Kind, ModelDescription
+from rotorsim.fmi.description.model import FMU_KINDS, Experiment, FmuUnit, Kind, ModelDescription
 from rotorsim.fmi.description.variables import VariableReader, reference_in
 from rotorsim.fmi.description.xml_reader import Element, XmlLimits, read_xml
 
@@ -91,7 +91,7 @@ def _version(root: Element, mistakes: Mistakes) -> str:
 
 
 def _kinds(root: Element, two: bool, mistakes: Mistakes) -> dict[str, Kind]:
-    found = {name: root.first(re.sub(r"\W", "", words)) for name, words in KINDS.items() if name != "se" or not two}
+    found = {name: root.first(re.sub(r"\W", "", words)) for name, words in FMU_KINDS.items() if name != "se" or not two}
     kinds = {name: _kind(name, element, two, mistakes) for name, element in found.items() if element}
     if not kinds:
         mistakes.wrong(root, "offers neither Co-Simulation nor Model Exchange")

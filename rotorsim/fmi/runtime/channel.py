@@ -16,7 +16,7 @@ import threading
 import time
 
 BELL = b"\0\0\0\0"
-LONGEST = 1 << 28  # bytes of a message
+LONGEST_MESSAGE = 1 << 28  # bytes of a message
 LOOKS = 5000  # some 2 ms, before sleeping
 _SLICE = 0.2  # s, between looks at whether the other side still lives
 _yield = getattr(os, "sched_yield", lambda: None)
@@ -95,7 +95,7 @@ class Pipe:
     def _keep(self, deadline: float | None) -> None:
         """Keep what comes; the bell is no message."""
         size = struct.unpack("<I", self._exactly(4, deadline))[0]
-        if size > LONGEST:
+        if size > LONGEST_MESSAGE:
             raise ClosedError
         if size:
             self.kept.append(self._exactly(size, deadline))

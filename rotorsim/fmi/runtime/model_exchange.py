@@ -26,8 +26,8 @@ NUDGE = 6e-6  # cube root of eps: relative width of central differences
 LOCATED = 1e-12  # of a step: how well state events are located
 TOUCH = 1e-10  # of a step: how far an indicator that is exactly zero is followed first
 CHATTER = 1e-8  # of a step: the same crossing again so soon means that events accumulate
-MOST_EVENTS = 1000  # in one step
-KEPT = 8  # saved states of the FMU that may be come back to
+MOST_EVENTS_PER_STEP = 1000  # in one step
+SAVED_STATES = 8  # saved states of the FMU that may be come back to
 EPS = float(np.finfo(float).eps)
 _NONE = np.zeros(0, bool)
 
@@ -129,8 +129,10 @@ class ModelExchange:
                 raise self.slave.end_asked(t)
             if crossed.any() or wants:
                 events += 1
-                if events > MOST_EVENTS:
-                    raise self._endless(t, f"there are more than {MOST_EVENTS} state events in one step of {h:.3g} s")
+                if events > MOST_EVENTS_PER_STEP:
+                    raise self._endless(
+                        t, f"there are more than {MOST_EVENTS_PER_STEP} state events in one step of {h:.3g} s"
+                    )
                 self._note(crossed, t, h)
                 self._events(t, tiny, now)
             elif self.next_time <= t + tiny:
@@ -146,7 +148,7 @@ class ModelExchange:
 
     def _events(self, t: float, tiny: float, u: np.ndarray) -> None:
         """Carry out the event at t, and more while the next one is due at once."""
-        for _ in range(MOST_EVENTS):
+        for _ in range(MOST_EVENTS_PER_STEP):
             self.clock = max(t, self.next_time) if self.next_time <= t + tiny else t
             update = self.slave.event_update(self.clock, self.x, u)
             self.epoch = self._epochs = self._epochs + 1
@@ -156,7 +158,7 @@ class ModelExchange:
             if self.next_time > t + tiny:
                 self.sides = self._sides(self.clock, u)
                 return
-        raise self._endless(t, f"the next time event is due at once, {MOST_EVENTS} times")
+        raise self._endless(t, f"the next time event is due at once, {MOST_EVENTS_PER_STEP} times")
 
     def _not_before_event(self, t: float) -> float:
         """Return t, or the time of the last event where that is later by rounding: time never goes back."""
@@ -276,7 +278,7 @@ class ModelExchange:
         """
         if self.saves and (self.reports or self._saved[0] != self.epoch):
             self._saved = self.epoch, self.slave.save_state()
-            self.slave.free_states(but=KEPT)
+            self.slave.free_states(but=SAVED_STATES)
         handle = self._saved[1] if self.saves else None
         return SavedState(
             self.x.copy(), self.next_time, self.sides.copy(), self.touching, self.fed, self.clock, self.epoch, handle

@@ -9,10 +9,10 @@ from typing import Any
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.identification import METHODS
+from rotorsim.identification.identification import ESTIMATORS
 from rotorsim.identification.regression import REDUCTIONS
 from rotorsim.identification.study.printed import TABLES
-from rotorsim.measure.record import KINDS
+from rotorsim.measure.record import NOISE_KINDS
 from rotorsim.model.load import load
 
 NOT_OF_ONE_SEED = ("seeds", "noise", "bias", "kinds", "table")
@@ -72,8 +72,8 @@ class Study:
     def __post_init__(self) -> None:
         """Raise RotorsimError with all that makes no sense."""
         known = {
-            "kind of noise": (self.kinds, KINDS),
-            "method": ((self.method,), METHODS),
+            "kind of noise": (self.kinds, NOISE_KINDS),
+            "method": ((self.method,), ESTIMATORS),
             "reduction": ((self.reduction,), REDUCTIONS),
             "table of the thesis": ((self.table,) if self.table else (), tuple(TABLES)),
         }

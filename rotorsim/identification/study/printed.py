@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-LEVELS = (0.0, 0.01, 0.02, 0.05)  # of noise or of bias, the columns of every table
+PRINTED_LEVELS = (0.0, 0.01, 0.02, 0.05)  # of noise or of bias, the columns of every table
 
 
 @dataclass(frozen=True)
@@ -58,18 +58,18 @@ class PublishedTable:
     def error(self, parameter: str, level: float) -> float | None:
         """Return the error [%] printed for a parameter at a level, None where the table says nothing."""
         for row in self.rows:
-            if row.parameter == parameter and level in LEVELS:
-                return row.errors[LEVELS.index(level)]
+            if row.parameter == parameter and level in PRINTED_LEVELS:
+                return row.errors[PRINTED_LEVELS.index(level)]
         return None
 
 
 LUMPED = {"mass": ("rotor.mass", "unbalance.mass"), "stiffness": ("rotor.stiffness",), "sag": ("crack.sag",)}
-BEAM = {
+PRINTED_BEAM = {
     "mass": ("rotor.density", "rotor.disc_mass", "rotor.disc_diametral_inertia", "unbalance.mass"),
     "stiffness": ("rotor.young_modulus",),
     "sag": ("crack.sag",),
 }
-BEAM_TWO_DISCS = {**BEAM, "mass": (*BEAM["mass"][:-1], "unbalance1.mass", "unbalance2.mass")}
+BEAM_TWO_DISCS = {**PRINTED_BEAM, "mass": (*PRINTED_BEAM["mass"][:-1], "unbalance1.mass", "unbalance2.mass")}
 
 _C = ("c", "viscous_damping", "N s/m", 76.0)
 _CRACK = ("Delta k_22", "crack_stiffness", "N/m", 3e5)
@@ -89,7 +89,7 @@ _RY = ("k_R^y", "support_right.stiffness[2]", "MN/m", 805.82)
 _CHAPTER = {
     "2": ("jeffcott", "exact", LUMPED),
     "3": ("offset_disc", "central", LUMPED),
-    "4": ("fe_rigid", "central", BEAM),
+    "4": ("fe_rigid", "central", PRINTED_BEAM),
     "5": ("fe_flexible", "central", BEAM_TWO_DISCS),
 }
 
@@ -260,7 +260,7 @@ def misprints(tolerance: float = 0.1) -> list[tuple[str, str, float, float, floa
     found = []
     for table in _ALL:
         for row in table.rows:
-            for level, value, printed in zip(LEVELS, row.values, row.errors, strict=True):
+            for level, value, printed in zip(PRINTED_LEVELS, row.values, row.errors, strict=True):
                 error = 100 * (value / row.true - 1)
                 if abs(error - printed) > tolerance:
                     found.append((table.number, row.symbol, level, printed, error))

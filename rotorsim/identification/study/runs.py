@@ -37,7 +37,7 @@ from rotorsim.signals.harmonic_fit import HarmonicFit, Samples, fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.signals.shaft_angle import ShaftAngle
 
-RATE = 1e4  # Hz, of the recordings; the thesis' step of 0.1 ms
+THESIS_RATE = 1e4  # Hz, of the recordings; the thesis' step of 0.1 ms
 PROBE, LINEAR = 0.1, 1e-6  # size of a step; departure from linearity, of the change, that counts as none
 
 
@@ -131,7 +131,7 @@ def _one_run(
 ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Return times (n,) and shaft angles (n,) of the window, and the signals (n, ...) over it."""
     wanted = [] if settled else signals
-    result = measure(model, wanted, ANGLE, window=window, rate=RATE, parameters=parameters, closed=False)
+    result = measure(model, wanted, ANGLE, window=window, rate=THESIS_RATE, parameters=parameters, closed=False)
     time, theta = result.time, result[ANGLE].reshape(len(result.time))
     if not settled:
         return time, theta, {name: result[name] for name in signals}

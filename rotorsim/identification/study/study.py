@@ -23,12 +23,12 @@ from rotorsim.files import write_atomically
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.profile import Z90
 from rotorsim.identification.study.plan import Case, Study
-from rotorsim.identification.study.printed import LEVELS, TABLES
+from rotorsim.identification.study.printed import PRINTED_LEVELS, TABLES
 from rotorsim.identification.study.runs import Bench, bench_of
 from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
 from rotorsim.model.load import load
 
-CHUNK = 20  # estimates handed over at a time
+ESTIMATES_PER_TASK = 20  # estimates handed over at a time
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,9 @@ def study_of_table(number: str, **changes: Any) -> Study:
     if number not in TABLES:
         raise RotorsimError(Problem(f"no table '{number}'", hint=f"one of {', '.join(TABLES)}"))
     table = TABLES[number]
-    varied: dict[str, Any] = {"noise": LEVELS, "kinds": ("thesis", "uniform", "white")}
+    varied: dict[str, Any] = {"noise": PRINTED_LEVELS, "kinds": ("thesis", "uniform", "white")}
     if table.kind == "bias":
-        varied = {"bias": LEVELS, "groups": table.groups}
+        varied = {"bias": PRINTED_LEVELS, "groups": table.groups}
     fields = {
         "diagram": load(table.diagram).document,
         "speeds": table.speeds,
@@ -137,7 +137,7 @@ def run_study(
         store=store,
         key=hashlib.sha256(study.text.encode()).hexdigest(),
         jobs=how,
-        chunk=CHUNK,
+        chunk=ESTIMATES_PER_TASK,
         on_error="return",
     )
     of_case: dict[Case, list[dict[str, Any]]] = {case: [] for case in study.cases}

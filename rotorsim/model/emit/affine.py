@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 
-LARGEST = 400  # operations of the right-hand side above which collapsing is not tried
+MOST_OPERATIONS = 400  # operations of the right-hand side above which collapsing is not tried
 Form = tuple[dict[int, int], int]  # atom -> coefficient node, and the node of the rest; all of the new program
 
 
@@ -31,7 +31,7 @@ def collapse_linear(old: Program, outputs: Sequence[int], *, n_rates: int) -> tu
     def work(program: Program, nodes: Sequence[int]) -> int:
         return 4 * state_operations(program, nodes[:n_rates]) + state_operations(program, nodes[n_rates:])
 
-    if state_operations(old, outputs[:n_rates]) > LARGEST:
+    if state_operations(old, outputs[:n_rates]) > MOST_OPERATIONS:
         return old, list(outputs)
     new = Program(old.reassociate)
     forms: dict[int, Form] = {}

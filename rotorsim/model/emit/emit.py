@@ -26,7 +26,7 @@ from rotorsim.model.trace.diagram import Trace
 
 UNROLL_LIMIT = 1500  # operations of the right-hand side above which the step is not unrolled
 LARGEST_PAIRED = 200  # states up to which axes of one form are laid out side by side
-INSTANTS = {0.0: "g0", 0.5: "gm", 1.0: "g1"}  # forcing at t + c h
+FORCING_AT = {0.0: "g0", 0.5: "gm", 1.0: "g1"}  # forcing at t + c h
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ def step_program(kernel: Kernel) -> StepProgram:
             if a:
                 by = h if a == 1.0 else step.apply(ir.MUL, step.constant(a), h)
                 state = [step.apply(ir.ADD, s, step.apply(ir.MUL, by, k[i])) for i, s in enumerate(state)]
-        values = evaluate([*kernel.xdot, *([] if stages else kernel.outputs)], state, INSTANTS[c])
+        values = evaluate([*kernel.xdot, *([] if stages else kernel.outputs)], state, FORCING_AT[c])
         y = y or values[n:]
         stages.append(values[:n])
     unit = min(RK4.b)

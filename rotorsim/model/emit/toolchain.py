@@ -24,7 +24,7 @@ from rotorsim.files import sweep, temporary_prefix, write_atomically
 
 FLAGS = ("-std=c99", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off")
 TIME_LIMIT = 600.0  # s; a compiler that takes longer is taken for hung
-SHOWN = 5  # last lines of what a compiler said
+COMPILER_LINES = 5  # last lines of what a compiler said
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 _SCRATCH = "rotorsim-build-"
 
@@ -234,7 +234,7 @@ def run_compiler(command: Sequence[str], subject: str) -> None:
         raise compiler_error(subject, f"cannot be started: {(error.strerror or str(error)).lower()}") from None
     if done.returncode == 0:
         return
-    lines = (done.stderr.strip() or done.stdout.strip()).decode("utf-8", "replace").splitlines()[-SHOWN:]
+    lines = (done.stderr.strip() or done.stdout.strip()).decode("utf-8", "replace").splitlines()[-COMPILER_LINES:]
     why = "failed"
     if done.returncode < 0:
         with suppress(ValueError):

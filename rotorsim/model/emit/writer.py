@@ -11,7 +11,7 @@ import casadi as ca
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 
-CHUNK = 200  # statements per C function of large diagrams (compilers are slow on long functions)
+STATEMENTS_PER_FUNCTION = 200  # statements per C function of large diagrams (compilers are slow on long functions)
 
 _INFIX = {
     ca.OP_ADD: "+",
@@ -91,7 +91,7 @@ class Writer:
             for k in self.program.needed([node for _, node in targets], self.given)
             if k not in self.given and self.program.nodes[k][0] not in (ir.INPUT, ir.CONSTANT)
         ]
-        if whole or len(order) <= 6 * CHUNK:
+        if whole or len(order) <= 6 * STATEMENTS_PER_FUNCTION:
             lines = [f"  const double v{k} = {self._expression(k, self._operand)};" for k in order]
             lines += [f"  {target} = {self._operand(node)};" for target, node in targets]
             return f"static void {name}({arguments}) {{\n" + "\n".join(lines) + "\n  (void)work;\n}\n", 0
@@ -100,7 +100,7 @@ class Writer:
     def _chunked(
         self, name: str, arguments: str, call: str, targets: Sequence[tuple[str, int]], order: list[int]
     ) -> tuple[str, int]:
-        where = {k: i // CHUNK for i, k in enumerate(order)}
+        where = {k: i // STATEMENTS_PER_FUNCTION for i, k in enumerate(order)}
         last_use = dict(where)
         for k in order:
             for operand in self.program.operands(k):
@@ -117,7 +117,7 @@ class Writer:
         size = 0
         for chunk in range(n_chunks):
             lines = []
-            for k in order[chunk * CHUNK : (chunk + 1) * CHUNK]:
+            for k in order[chunk * STATEMENTS_PER_FUNCTION : (chunk + 1) * STATEMENTS_PER_FUNCTION]:
                 expression = self._expression(k, partial(self._chunk_operand, where, slots, chunk))
                 lines.append(f"  const double v{k} = {expression};")
                 if last_use[k] > chunk:
@@ -129,11 +129,11 @@ class Writer:
             free += released.pop(chunk, [])  # reusable from the next chunk on
             text.append(f"static void {name}_{chunk}({arguments}) {{\n" + "\n".join(lines) + "\n}\n")
         final = [f"  {t} = {self._chunk_operand(where, slots, n_chunks, node)};" for t, node in targets]
-        for start in range(0, len(final), CHUNK):
-            body = "\n".join(final[start : start + CHUNK])
-            text.append(f"static void {name}_out{start // CHUNK}({arguments}) {{\n{body}\n}}\n")
+        for start in range(0, len(final), STATEMENTS_PER_FUNCTION):
+            body = "\n".join(final[start : start + STATEMENTS_PER_FUNCTION])
+            text.append(f"static void {name}_out{start // STATEMENTS_PER_FUNCTION}({arguments}) {{\n{body}\n}}\n")
         calls = [f"  {name}_{chunk}({call});" for chunk in range(n_chunks)]
-        calls += [f"  {name}_out{k}({call});" for k in range(math.ceil(len(final) / CHUNK))]
+        calls += [f"  {name}_out{k}({call});" for k in range(math.ceil(len(final) / STATEMENTS_PER_FUNCTION))]
         text.append(f"static void {name}({arguments}) {{\n" + "\n".join(calls) + "\n}\n")
         return "\n".join(text), size
 

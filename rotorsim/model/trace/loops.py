@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorsim.model.trace.order import Key
 
-NEWTON_STEPS = 12  # of a nonlinear loop
+LOOP_NEWTON_STEPS = 12  # of a nonlinear loop
 
 
 def solve_loop(
@@ -45,7 +45,7 @@ def solve_loop(
     newton = ca.Function("newton", [unknown, *others], [unknown - ca.solve(jacobian, residual), residual])
     linear = not ca.depends_on(jacobian, unknown)
     value = ca.SX.zeros(unknown.shape[0])
-    for _ in range(1 if linear else NEWTON_STEPS):
+    for _ in range(1 if linear else LOOP_NEWTON_STEPS):
         value = newton.call([value, *others])[0]
     left = None if linear else newton.call([value, *others])[1] / (1 + ca.fabs(value))
     ends = np.cumsum([0, *(sizes[key] for key in torn)]).tolist()

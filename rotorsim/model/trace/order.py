@@ -19,7 +19,7 @@ from rotorsim.model.trace.block import BlockTrace, TraceError, trace_block
 Key = tuple[str, str]  # (block, port)
 Feedthrough = Mapping[str, Mapping[str, Iterable[str]]]
 Shapes = tuple[tuple[str, Any], ...]
-KEPT = 256  # traces of blocks; a diagnosis loads hundreds of diagrams that differ in one block
+CACHED_TRACES = 256  # traces of blocks; a diagnosis loads hundreds of diagrams that differ in one block
 SHOWN_HOPS = 20  # at the start and at the end of a loop
 _TRACES: WeakKeyDictionary[Diagram, dict[str, BlockTrace]] = WeakKeyDictionary()
 
@@ -62,7 +62,7 @@ class _Like:
     wired: frozenset[str]
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_TRACES)
 def _traced(
     like: _Like, inputs: Shapes, outputs: Shapes, parameters: Shapes, states: Shapes, randoms: Shapes
 ) -> BlockTrace:

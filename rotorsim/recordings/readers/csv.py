@@ -19,7 +19,7 @@ from rotorsim.recordings.readers.reader import Columns, check_names
 MAX_LINE = 1_000_000
 MAX_TABLE = 2_000_000_000  # bytes of the columns that are wanted
 ROWS = 100_000  # read at a time: only what is wanted of them is kept
-MAX_PROBLEMS = 20
+MAX_CELL_PROBLEMS = 20
 
 
 class CsvReader:
@@ -110,9 +110,9 @@ class _Table:
                     else:
                         values.append(value)
             mistakes += len(wrong)
-            problems += wrong[: MAX_PROBLEMS - len(problems)]
-        if mistakes > MAX_PROBLEMS:
-            problems.append(Problem(f"{mistakes - MAX_PROBLEMS} more cells are wrong"))
+            problems += wrong[: MAX_CELL_PROBLEMS - len(problems)]
+        if mistakes > MAX_CELL_PROBLEMS:
+            problems.append(Problem(f"{mistakes - MAX_CELL_PROBLEMS} more cells are wrong"))
         if problems:
             raise RotorsimError(*problems)
         return {name: np.array(values) for name, values in columns.items()}

@@ -17,7 +17,7 @@ import numpy as np
 
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
-MAX_BYTES = 2_000_000_000
+MAX_RECORDING_BYTES = 2_000_000_000
 OWN_TIME = "time"  # names the clock that .tdms, .uff and .mf4 files have besides their channels
 _PART = re.compile(r"(.+)\[([1-9][0-9]{0,8})\]")
 
@@ -63,8 +63,10 @@ def columns_of(arrays: Mapping[str, Array], wanted: Sequence[str]) -> Columns:
     homes = {name: next((home for home in spellings(name) if home[0] in arrays), (name, None)) for name in wanted}
     check_names([name for name, (home, _) in homes.items() if home not in arrays], list(arrays))
     sizes = {home: arrays[home].size for home, _ in homes.values()}
-    limit, total = f"{MAX_BYTES // 10**9} GB", sum(sizes.values())
-    problems = [Problem(f"column '{n}' is larger than {limit}") for n, size in sizes.items() if size > MAX_BYTES]
+    limit, total = f"{MAX_RECORDING_BYTES // 10**9} GB", sum(sizes.values())
+    problems = [
+        Problem(f"column '{n}' is larger than {limit}") for n, size in sizes.items() if size > MAX_RECORDING_BYTES
+    ]
     if problems:
         raise RotorsimError(*problems)
     refuse_large(total, f"{len(sizes)} columns take {total / 1e9:.3g} GB, more than")
@@ -91,8 +93,8 @@ def spellings(name: str) -> list[tuple[str, int | None]]:
 
 def refuse_large(size: float, what: str) -> None:
     """Raise RotorsimError for more bytes than are read."""
-    if size > MAX_BYTES:
-        raise RotorsimError(Problem(f"{what} {MAX_BYTES // 10**9} GB", hint="split it into several runs"))
+    if size > MAX_RECORDING_BYTES:
+        raise RotorsimError(Problem(f"{what} {MAX_RECORDING_BYTES // 10**9} GB", hint="split it into several runs"))
 
 
 def check_names(wanted: Iterable[str], known: Sequence[str]) -> None:

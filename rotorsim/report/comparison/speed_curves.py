@@ -10,7 +10,7 @@ import numpy as np
 from rotorsim.identification.whitening import harmonics_of_time
 from rotorsim.jobs.threads import one_thread
 from rotorsim.report.comparison.harmonics import PredictedRuns, Signal
-from rotorsim.report.style import ROUNDING
+from rotorsim.report.style import ZERO_SHARE
 
 SPEEDS, STEP, REFINEMENTS = 121, 0.2, 4  # of a curve: first points; change between two that is refined
 UNSEEN = 0.1  # of the noise of the best run: a line at its tenth adds 0.5 % to what is measured
@@ -50,7 +50,7 @@ def speed_curve(
     if not _meets(runs, own, signal, orders, speeds, values):
         return None
     noise = min(float(runs.measured(r, signal).noise.min()) for r in range(len(every)))
-    least = max(ROUNDING * float(np.nanmax(np.abs(values), initial=0.0)), UNSEEN * noise)
+    least = max(ZERO_SHARE * float(np.nanmax(np.abs(values), initial=0.0)), UNSEEN * noise)
     return speeds, np.where(np.abs(values) > least, values, np.nan)
 
 

@@ -28,7 +28,7 @@ code{background:#f2f2f0;padding:.1em .3em;overflow-wrap:anywhere}
 .key{margin:0 .3em 0 .8em}@media print{h2{break-after:avoid}figure,tr{break-inside:avoid}}
 """
 DPI = 130
-SMALL = ' class="small"'
+SMALL_CLASS = ' class="small"'
 
 
 @dataclass
@@ -85,4 +85,4 @@ def table(
 
 def paragraph(text: str, *, small: bool = False) -> str:
     """Return a paragraph, escaped; nothing for an empty text."""
-    return f"<p{SMALL if small else ''}>{escape(text)}</p>" if text else ""
+    return f"<p{SMALL_CLASS if small else ''}>{escape(text)}</p>" if text else ""

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from rotorsim.report.style import GREY, Look, figure, legend_below, styled
 
-WIDEST = {"%": 150.0, "deg": 180.0}  # change of a parameter to which the axis reaches
+WIDEST_AXIS = {"%": 150.0, "deg": 180.0}  # change of a parameter to which the axis reaches
 Estimates = Mapping[str, Mapping[str, Any]]  # name -> value, interval90, unit, at_bound
 
 
@@ -21,7 +21,7 @@ def parameters_figure(before: Estimates, after: Estimates, looks: Sequence[Look]
     """Return how parameters move: both values with 90 % intervals, in parts of the later one, or degrees for angles.
 
     None where nothing is in both. One at its bound is hollow, without an interval; the other value is then what it is
-    compared with. Beyond WIDEST the change is written at the edge.
+    compared with. Beyond WIDEST_AXIS the change is written at the edge.
     """
     names = [name for name in after if name in before and not (_at_bound(before[name]) and _at_bound(after[name]))]
     angles = [name for name in names if after[name]["unit"] == "rad"]
@@ -54,7 +54,7 @@ def _draw_moves(
             for shift, item, look in zip((0.14, -0.14), (before, after), looks, strict=True)
         ]
     ends = np.array([places for *_, places in drawn])
-    limit = min(1.15 * float(np.abs(ends).max(initial=1e-3)), WIDEST[unit])
+    limit = min(1.15 * float(np.abs(ends).max(initial=1e-3)), WIDEST_AXIS[unit])
     for height, look, item, (centre, low, high) in drawn:
         form: dict[str, Any] = {"ms": 5, "color": look.colour, "capsize": 2.5, "elinewidth": 1.2}
         marker, label = look.marker, look.label

@@ -25,7 +25,7 @@ from rotorsim.report.diagnosis.rivals import fits_table, rivals_tables
 from rotorsim.report.diagnosis.words import estimate, percent, plain_words
 
 REPORT = "report.html"
-VERDICTS = {
+VERDICT_WORDS = {
     "consistent": ("Nothing is missing", "#0b6b4f"),
     "missing_physics": ("Physics is missing", "#b33c00"),
     "outside_catalogue": ("Physics outside the catalogue is missing", "#6a2300"),
@@ -79,7 +79,7 @@ def _runs(found: Diagnosis) -> str:
 
 
 def _head(found: Diagnosis, title: str) -> str:
-    words, colour = VERDICTS[found.verdict]
+    words, colour = VERDICT_WORDS[found.verdict]
     return (
         f"<h1>{escape(title)}</h1>\n"
         f'<div class="verdict" style="border-color:{colour}"><b style="color:{colour}">{escape(words)}</b>'

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 from matplotlib.transforms import Bbox
 
-from rotorsim.report.style import BLUE, GREEN, GREY, ORANGE, RED, ROUNDING, display, figure, phase_line, styled
+from rotorsim.report.style import BLUE, GREEN, GREY, ORANGE, RED, ZERO_SHARE, display, figure, phase_line, styled
 from rotorsim.report.text.table import rpm
 
 if TYPE_CHECKING:
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from rotorsim.settled.result import Periodic
 
 
-LEVELS = (-13, 5, -25, 17, -37, 29, -49, 41)  # points below or above a mark at which its speed is written
-LINES = ("-", "--", ":", "-.")  # of curves that may lie on each other
+LABEL_OFFSETS = (-13, 5, -25, 17, -37, 29, -49, 41)  # points below or above a mark at which its speed is written
+LINE_STYLES = ("-", "--", ":", "-.")  # of curves that may lie on each other
 _WHIRL = {"forward": (BLUE, "-"), "backward": (ORANGE, "--"), "planar": (GREEN, ":")}
 
 
@@ -49,7 +49,7 @@ def _mark_crossings(axes: Axes, found: Campbell) -> None:
     for (speed, frequency), spot in zip(places, spots, strict=True):
         text = f"{speed:.0f}"
         width = 0.62 * 8 * len(text)  # of 8-point digits
-        for shift in ((side, level) for level in LEVELS for side in (6.0, -6.0 - width)):
+        for shift in ((side, level) for level in LABEL_OFFSETS for side in (6.0, -6.0 - width)):
             low = spot + pixels * np.array(shift)
             frame = Bbox([low, low + pixels * np.array([width, 9.0])])
             if _fits(frame, inside, taken):
@@ -130,7 +130,7 @@ def frequency_response_figure(found: FrequencyResponse, title: str = "") -> Figu
     pairs = list(np.ndindex(found.value.shape[1:]))
     drawn = [(o, i) for o, i in pairs if np.nanmax(np.abs(found.value[:, o, i]), initial=0.0) > 1e-12 * largest]
     for k, (o, i) in enumerate(drawn):
-        value, line = found.value[:, o, i], LINES[k % 4]
+        value, line = found.value[:, o, i], LINE_STYLES[k % 4]
         label = f"{found.outputs[o]} / {found.inputs[i]} [{found.units[o][i]}]"
         upper.loglog(found.frequencies, np.abs(value), line, label=label)
         angle = np.degrees(np.unwrap(np.angle(value)))
@@ -157,7 +157,7 @@ def sensitivity_figure(found: Sensitivity, title: str = "") -> Figure:
         axes.annotate(name, (0.985, (low + high) / 2), xycoords=("axes fraction", "data"), ha="right", va="center")
     for k, name in enumerate(found.names):
         label = f"{name}: peak {found.peaks[k]:.2f} at {found.peak_frequencies[k]:.0f} Hz, zone {found.zones[k]}"
-        axes.semilogx(found.frequencies, np.abs(found.axes[:, k]), LINES[k % 4], label=label)
+        axes.semilogx(found.frequencies, np.abs(found.axes[:, k]), LINE_STYLES[k % 4], label=label)
     axes.semilogx(found.frequencies, found.singular, color=GREY, lw=0.8, zorder=1.9, label="largest singular value")
     axes.set(xlabel="frequency [Hz]", ylabel="sensitivity |S|", ylim=(0, top), xmargin=0)
     axes.legend(loc="upper left")
@@ -187,7 +187,7 @@ def periodic_figure(
     for (left, right), name in zip(panels, names, strict=True):
         unit = found.units.get(name, "")
         curves = np.array([found.harmonic(name, order) for order in there])
-        floor = ROUNDING * np.nanmax(np.abs(curves), initial=0.0)
+        floor = ZERO_SHARE * np.nanmax(np.abs(curves), initial=0.0)
         for order, curve in zip(there, curves, strict=True):
             seen = np.where(np.abs(curve) > floor, curve, np.nan)
             sizes, shown = display(np.abs(seen), unit)

@@ -17,7 +17,7 @@ from matplotlib.text import Text
 
 from rotorsim.errors import Problem, RotorsimError, visible
 from rotorsim.files import atomic_target
-from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, RED, ROUNDING, display, figure, styled
+from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, RED, ZERO_SHARE, display, figure, styled
 from rotorsim.report.text.run import two_axis_signals
 from rotorsim.report.text.table import rpm
 from rotorsim.signals.envelopes import RunUp, run_up
@@ -25,9 +25,9 @@ from rotorsim.signals.spectrum import FullSpectrum, angle_of, full_spectrum, las
 from rotorsim.simulation.result import Result, flat_name
 
 TURNS = 4.0  # shown in time histories
-HUGE = 1e100  # the axes of matplotlib overflow far beyond
-ORDERS = 8  # shown in spectra
-ORDER = "order of running speed"
+LARGEST_DRAWN = 1e100  # the axes of matplotlib overflow far beyond
+DRAWN_ORDERS = 8  # shown in spectra
+ORDER_LABEL = "order of running speed"
 SIDES = {(-1, "backward"): ORANGE, (0, "_mean"): GREY, (1, "forward"): BLUE}
 GROWN = 1e3  # from the first to the second half of an unstable run: then on a logarithmic scale
 
@@ -78,7 +78,7 @@ def _draw_time(axes: Axes, result: Result, signal: str, part: slice) -> None:
     grown = _has_grown(result, signal, part)
     if grown:  # growth without bound is a straight line on a logarithmic scale
         size = np.abs(values)
-        values = np.where((size > 0) & (size < HUGE), size, np.nan)
+        values = np.where((size > 0) & (size < LARGEST_DRAWN), size, np.nan)
         names = [f"|{name}|" for name in names] if two_axis else names
     for k, name in enumerate(names):
         colour: dict[str, Any] = {"color": (BLUE, ORANGE)[k]} if two_axis else {}
@@ -95,7 +95,9 @@ def _has_grown(result: Result, signal: str, part: slice) -> bool:
     """Return whether a signal grew without bound; at first its growth is still seen on a linear scale."""
     first, second = (np.abs(half).max(initial=0.0) for half in np.array_split(result[signal], 2))
     unstable = result.status == "unstable" and second > GROWN * first
-    return bool(result.status == "diverged" or unstable or np.abs(result[signal][part]).max(initial=0.0) > HUGE)
+    return bool(
+        result.status == "diverged" or unstable or np.abs(result[signal][part]).max(initial=0.0) > LARGEST_DRAWN
+    )
 
 
 @styled()
@@ -133,17 +135,17 @@ def _draw_spectrum(axes: Axes, found: FullSpectrum, title: str) -> np.ndarray:
     """Draw the amplitudes of a spectrum; return where its lines are."""
     amplitude, unit = display(found.amplitude, found.unit)
     order, size = found.frequency / (found.running or 1.0), np.abs(amplitude)
-    inside = np.abs(order) <= ORDERS + 0.5
-    nearest = np.abs(order[:, None] - np.arange(-ORDERS, ORDERS + 1)).argmin(axis=0)
+    inside = np.abs(order) <= DRAWN_ORDERS + 0.5
+    nearest = np.abs(order[:, None] - np.arange(-DRAWN_ORDERS, DRAWN_ORDERS + 1)).argmin(axis=0)
     peaks = nearest[size[nearest] > 1e-4 * size.max()]
     axes.plot(order[inside], size[inside], color=GREY, lw=0.6)
     for (side, name), colour in SIDES.items():
         chosen = peaks[_side(order[peaks]) == side]
         axes.vlines(order[chosen], 0, size[chosen], color=colour, lw=2.2, label=name)
     axes.set_title(title, loc="left")
-    axes.set_xticks(range(-ORDERS, ORDERS + 1), minor=True)
-    ends = (-ORDERS - 0.5, ORDERS + 0.5), (0, float(size[inside].max()) * 1.05 or 1.0)
-    axes.set(xticks=range(-ORDERS + 1, ORDERS, 2), xlim=ends[0], ylim=ends[1], ylabel=f"[{unit}, 0-peak]")
+    axes.set_xticks(range(-DRAWN_ORDERS, DRAWN_ORDERS + 1), minor=True)
+    ends = (-DRAWN_ORDERS - 0.5, DRAWN_ORDERS + 0.5), (0, float(size[inside].max()) * 1.05 or 1.0)
+    axes.set(xticks=range(-DRAWN_ORDERS + 1, DRAWN_ORDERS, 2), xlim=ends[0], ylim=ends[1], ylabel=f"[{unit}, 0-peak]")
     _key(axes, 3)
     return np.asarray(peaks)
 
@@ -180,7 +182,7 @@ def spectrum_figure(result: Result, signal: str, *, window: tuple[float, float] 
     for (side, _), colour in SIDES.items():
         chosen = _side(order) == side
         phase.plot(order[chosen], np.degrees(np.angle(found.amplitude[peaks[chosen]])), "o", ms=4, color=colour)
-    phase.set(ylabel="phase [deg]", ylim=(-190, 190), yticks=range(-180, 181, 90), xlabel=ORDER)
+    phase.set(ylabel="phase [deg]", ylim=(-190, 190), yticks=range(-180, 181, 90), xlabel=ORDER_LABEL)
     return made
 
 
@@ -191,7 +193,7 @@ def _draw_run_up(axes: Axes, found: RunUp) -> None:
     axes.plot(speeds, peaks, color=INK, lw=0.9, label="peak of each turn")
     largest = max(float(np.nanmax(curve, initial=0.0)) for curve in found.orders.values())
     for (order, curve), colour in zip(found.orders.items(), (BLUE, ORANGE, GREEN), strict=False):
-        if np.nanmax(curve, initial=0.0) > ROUNDING * largest:
+        if np.nanmax(curve, initial=0.0) > ZERO_SHARE * largest:
             axes.plot(speeds, display(curve, found.unit)[0], color=colour, lw=1.0, label=f"{order}X")
     marks = [(f"{one.order}X", one.speed, one.peak) for one in found.resonances()]
     if found.rises:
@@ -233,7 +235,7 @@ def overview(result: Result) -> Figure:
         _draw_orbit(made.add_subplot(grid[k, 1]), result, angle, name, part)
         axes = made.add_subplot(grid[k, 2])
         _draw_spectrum(axes, _spectrum(result, name, None), "full spectrum")
-        axes.set_xlabel(ORDER)
+        axes.set_xlabel(ORDER_LABEL)
     return made
 
 

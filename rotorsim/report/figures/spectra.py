@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 
 from rotorsim.identification.profile import Z90
 from rotorsim.report.comparison.harmonics import Comparison, Harmonics, Signal
-from rotorsim.report.style import INK, STANDS_OUT, Look, display, figure, legend_below, order_axis, styled
+from rotorsim.report.style import INK, SHOWN_HARMONIC, Look, display, figure, legend_below, order_axis, styled
 from rotorsim.report.text.table import rpm
 
 RUNS, SIGNALS = 4, 3  # that are shown
 NOISE_COLOUR = "#e4e4e4"
-LEVELS = (0, 2, 4, 10, 30, 100, 300, 1000)  # standard deviations
+NOISE_LEVELS = (0, 2, 4, 10, 30, 100, 300, 1000)  # standard deviations
 LEVEL_COLOURS = ("#ffffff", "#fdebd0", "#fdc98c", "#f39c46", "#d9670f", "#a63c00", "#6a2300", "#330d00")
 
 
@@ -107,12 +107,12 @@ def _limit(column: Sequence[Axes], compared: Comparison, signal: Signal, chosen:
     orders, seen, tops, noises = compared.runs.orders(signal), [0, 3, -3 if signal.y else 0], [], []
     for r in chosen:
         noise, size = compared.runs.measured(r, signal).noise, compared.largest(r, signal)
-        seen += orders[size > STANDS_OUT * noise].tolist()
+        seen += orders[size > SHOWN_HARMONIC * noise].tolist()
         tops.append(size)
         noises.append(noise)
         lines = compared.runs.lines(r, signal)
         if lines is not None:
-            seen += np.round(lines[0].orders[lines[0].size > STANDS_OUT * lines[0].noise]).astype(int).tolist()
+            seen += np.round(lines[0].orders[lines[0].size > SHOWN_HARMONIC * lines[0].noise]).astype(int).tolist()
             tops.append(lines[0].size)
     first, last = max(min(seen) - 1, int(orders.min())), min(max(seen) + 1, int(orders.max()))
     for axes in column:
@@ -136,7 +136,7 @@ def residuals_figure(compared: Comparison) -> Figure:
     title = f"Residual of each harmonic, {compared.of} [standard deviations of the noise]"
     made = figure(max(width, 8.0), 1.6 + 0.15 * sum(heights) + 0.75 * len(signals), title)
     grid = made.subplots(len(signals), len(compared.diagrams), squeeze=False, height_ratios=heights)
-    norm, colours = BoundaryNorm(LEVELS, len(LEVELS), extend="max"), ListedColormap(LEVEL_COLOURS)
+    norm, colours = BoundaryNorm(NOISE_LEVELS, len(NOISE_LEVELS), extend="max"), ListedColormap(LEVEL_COLOURS)
     for (row, column), axes in np.ndenumerate(grid):
         (look, own), signal, orders = compared.diagrams[column], signals[row], rows[row]
         places = np.searchsorted(own.orders(signal), orders)
@@ -154,7 +154,7 @@ def residuals_figure(compared: Comparison) -> Figure:
         axes.set_xticks(shown + 0.5, speeds, rotation=60, fontsize=7.5)
         if row == len(signals) - 1:
             axes.set_xlabel("speed of the runs [rpm]; lines part sets of settings")
-    bar = made.colorbar(image, ax=grid, ticks=LEVELS, shrink=0.9, pad=0.01, aspect=35)
+    bar = made.colorbar(image, ax=grid, ticks=NOISE_LEVELS, shrink=0.9, pad=0.01, aspect=35)
     bar.set_label("|measured - model| / noise")
     return made
 
@@ -165,8 +165,8 @@ def _shown_orders(compared: Comparison, signal: Signal) -> np.ndarray:
     clear = np.abs(orders) <= 3
     for r in range(len(compared.runs.speeds)):
         measured = compared.runs.measured(r, signal)
-        clear |= measured.size > STANDS_OUT * measured.noise
+        clear |= measured.size > SHOWN_HARMONIC * measured.noise
         for _, runs in compared.diagrams:
-            clear |= np.nan_to_num(runs.residual(r, signal)) > 2 * STANDS_OUT
+            clear |= np.nan_to_num(runs.residual(r, signal)) > 2 * SHOWN_HARMONIC
     seen = orders[clear]
     return np.asarray(orders[(orders >= seen.min()) & (orders <= seen.max())])

@@ -22,7 +22,7 @@ from rotorsim.report.style import (
     ORANGE,
     PURPLE,
     RED,
-    STANDS_OUT,
+    SHOWN_HARMONIC,
     Look,
     display,
     figure,
@@ -31,12 +31,12 @@ from rotorsim.report.style import (
 )
 from rotorsim.report.text.table import rpm
 
-MAIN = (1, -1, 2, 3, -2, -3)  # orders that come first
+FIRST_ORDERS = (1, -1, 2, 3, -2, -3)  # orders that come first
 CURVES, GROUPS = 4, 2  # orders, and sets of settings with panels of their own
 PHASE_STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 45, 90)
 MEASURED = Look("measured, 90 % interval", INK, "D", size=4.0)
 FITTED = Look("measured, fitted runs", "#8a8a8a", "D", size=3.2)
-BESIDE = (
+NOT_BESIDE_CURVES = (
     Look("", BLUE, "o", "-"),
     Look("", RED, "s", "--"),
     Look("", GREEN, "^", "-."),
@@ -119,7 +119,7 @@ def _rows(compared: Comparison) -> list[list[_Set]]:
         return [[_Set(group, MEASURED, compared.diagrams)] for group in largest]
     [(model, runs)] = compared.diagrams
     row = []
-    for group, look in zip(groups, cycle(BESIDE), strict=False):
+    for group, look in zip(groups, cycle(NOT_BESIDE_CURVES), strict=False):
         behind = f", {group}" if group else ""
         measured = replace(look, label=f"{MEASURED.label}{behind}", size=4.5)
         row.append(_Set(group, measured, [(replace(look, label=f"{model.label}{behind}"), runs)]))
@@ -130,10 +130,10 @@ def _main_orders(runs: PredictedRuns, signal: Signal) -> np.ndarray:
     """Return the orders that stand out of the noise in some run, 1X, -1X, 2X, 3X first."""
     orders = runs.orders(signal)
     measured = [runs.measured(r, signal) for r in range(len(runs.speeds))]
-    clear = np.any([one.size > STANDS_OUT * one.noise for one in measured], axis=0) & (orders != 0)
+    clear = np.any([one.size > SHOWN_HARMONIC * one.noise for one in measured], axis=0) & (orders != 0)
     largest = np.max([one.size for one in measured], axis=0)
     by_size = orders[clear][np.argsort(-largest[clear])].tolist()
-    chosen = [*(k for k in MAIN if k in by_size), *(k for k in by_size if k not in MAIN)][:CURVES]
+    chosen = [*(k for k in FIRST_ORDERS if k in by_size), *(k for k in by_size if k not in FIRST_ORDERS)][:CURVES]
     return np.array(sorted(chosen, key=lambda k: (abs(k), -k)), int)
 
 

@@ -10,7 +10,7 @@ from rotorsim.report.comparison.samples import SampleComparison, Trace
 from rotorsim.report.style import INK, display, figure, legend_below, styled
 
 TRACES = 3  # shown
-SHOWN = 2500  # samples of a residual that are drawn
+DRAWN_SAMPLES = 2500  # samples of a residual that are drawn
 PERIODS = 15  # of a trace that are drawn in full
 
 
@@ -27,7 +27,7 @@ def traces_figure(compared: SampleComparison) -> Figure:
 
 
 def _draw_trace(upper: Axes, lower: Axes, trace: Trace, compared: SampleComparison) -> None:
-    part, step = _window(trace), max(1, len(trace.measured) // SHOWN)
+    part, step = _window(trace), max(1, len(trace.measured) // DRAWN_SAMPLES)
     measured, unit = display(trace.measured, trace.unit)
     upper.plot(trace.time[part], measured[part], color=INK, lw=2.0, label="measured")
     for look, values in zip(compared.looks, trace.simulated, strict=True):

@@ -8,7 +8,7 @@ from typing import Any
 
 from rotorsim.block import Block, Declaration
 
-KEYS = ("default", "low", "high", "above", "optional", "additive", "conjugate", "many", "init", "seed")
+PORT_KEYS = ("default", "low", "high", "above", "optional", "additive", "conjugate", "many", "init", "seed")
 DETAILS = {
     "default": "default {}",
     "choices": "one of {}",
@@ -22,7 +22,7 @@ DETAILS = {
     "exists": "{}",
 }
 TITLES = {"randoms": "random draws"}
-SINGULAR = {"inputs": "in", "outputs": "out"}
+PORT_LABELS = {"inputs": "in", "outputs": "out"}
 HEAD = """# Blocks
 
 <!-- Made by `rotorsim blocks --markdown > docs/blocks.md`; do not edit. -->
@@ -67,7 +67,7 @@ def _summary(cls: type[Block]) -> str:
 def _declaration(block: Block, item: Declaration) -> dict[str, Any]:
     fields = vars(item)
     data: dict[str, Any] = {"shape": _shape(block, item), "unit": item.unit, "doc": item.doc}
-    data |= {key: fields[key] for key in KEYS if fields.get(key) is not None and fields[key] is not False}
+    data |= {key: fields[key] for key in PORT_KEYS if fields.get(key) is not None and fields[key] is not False}
     if fields.get("choices"):
         data["choices"] = list(fields["choices"])
     if fields.get("unless_wired"):
@@ -168,7 +168,7 @@ def _markdown_block(cls: type[Block]) -> list[str]:
     if data["equation"]:
         lines += ["", "```text", *data["equation"].splitlines(), "```"]
     rows = [
-        f"| {SINGULAR.get(kind, kind[:-1])} | `{name}` | {' | '.join(map(_cell, cells))} |"
+        f"| {PORT_LABELS.get(kind, kind[:-1])} | `{name}` | {' | '.join(map(_cell, cells))} |"
         for kind in _kinds(cls)
         for name, *cells in _rows(data, kind)
     ]

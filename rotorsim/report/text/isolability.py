@@ -10,13 +10,13 @@ from typing import TypeVar
 import numpy as np
 
 from rotorsim.diagnosis.isolability.isolation import Isolation, Laws
-from rotorsim.diagnosis.isolability.signatures import NOISE, SIGMAS
+from rotorsim.diagnosis.isolability.signatures import RELATIVE_NOISE, SIGMAS
 from rotorsim.diagnosis.isolability.structure import Gain
 from rotorsim.report.text.table import counted, rpm, table
 from rotorsim.units import format_quantity
 
-WIDTH = 110
-SHOWN = 8  # sensors, pairs
+PAGE_WIDTH = 110
+LISTED_SENSORS = 8  # sensors, pairs
 FARTHEST = 10.0  # times the size from which a fault is detected: isolated only beyond, it is said
 NO_SENSOR = "No further sensor helps."
 
@@ -70,8 +70,8 @@ def _sensors_table(rows: Iterable[tuple[str, str, str]]) -> str:
     useful = sorted((row for row in rows if row[1:] != ("0", "0")), key=lambda row: (-int(row[1]), -int(row[2])))
     if not useful:
         return NO_SENSOR
-    text = table(("further sensor", "faults detected", "pairs isolated"), useful[:SHOWN])
-    if any(name.startswith("second ") for name, *_ in useful[:SHOWN]):
+    text = table(("further sensor", "faults detected", "pairs isolated"), useful[:LISTED_SENSORS])
+    if any(name.startswith("second ") for name, *_ in useful[:LISTED_SENSORS]):
         text += "\n(second: the same signal measured once more, by a chain with faults of its own)"
     return text
 
@@ -105,8 +105,8 @@ def _laws(isolation: Isolation, laws: Laws) -> list[str]:
         _folded(gains) if runs.gains else "",
         _sensors_table(sensors) if sensors else "",
         *(_entry(f"Not judged ({why})", _names(isolation, names)) for why, names in skipped.items()),
-        f"Sizes are those that stand out by {SIGMAS:g} standard deviations of noise of {100 * NOISE:g} % of each "
-        "signal's rms\nin every harmonic.",
+        f"Sizes are those that stand out by {SIGMAS:g} standard deviations of noise of {100 * RELATIVE_NOISE:g} % of "
+        "each signal's rms\nin every harmonic.",
     ]
 
 
@@ -118,7 +118,7 @@ def _detected_from(isolation: Isolation, laws: Laws) -> str:
         if size is not None and least is not None and key in laws.one.detectable:
             item, name = (least, size.unit, laws.two.size(key)), (_name(isolation, key), size.parameter)
             rows[name] = min(rows.get(name, item), item, key=lambda some: some[0])
-    if not rows or len({name for name, _ in rows}) > SHOWN:
+    if not rows or len({name for name, _ in rows}) > LISTED_SENSORS:
         return ""
     lines = [(*name, format_quantity(least, unit, 3), _size(more, unit)) for name, (least, unit, more) in rows.items()]
     return table(("fault", "its", "detected from", "with other gains"), lines)
@@ -142,8 +142,8 @@ def _isolated_from(isolation: Isolation, laws: Laws) -> str:
     if not rows:
         return ""
     header = ("isolable only if large", "from", "its", "detected from", "isolated from", "with other gains")
-    more = f"\n... and {len(rows) - SHOWN} pairs more (--json)" if len(rows) > SHOWN else ""
-    return table(header, list(rows.values())[:SHOWN]) + more
+    more = f"\n... and {len(rows) - LISTED_SENSORS} pairs more (--json)" if len(rows) > LISTED_SENSORS else ""
+    return table(header, list(rows.values())[:LISTED_SENSORS]) + more
 
 
 def _gains(isolation: Isolation, laws: Laws) -> str:
@@ -164,7 +164,7 @@ def _gains(isolation: Isolation, laws: Laws) -> str:
             smaller.append(f"{_name(isolation, key)}: {size.parameter} {then} instead of {first}")
     words = (
         ("show {}", list(dict.fromkeys(shown))),
-        ("isolate {}", list(dict.fromkeys(apart))[:SHOWN]),
+        ("isolate {}", list(dict.fromkeys(apart))[:LISTED_SENSORS]),
         ("show smaller faults ({})", list(dict.fromkeys(smaller))),
     )
     return "; ".join(text.format(", ".join(names)) for text, names in words if names)
@@ -267,4 +267,4 @@ def _entry(title: str, lines: Sequence[str]) -> str:
 
 
 def _folded(line: str, indent: str = "  ") -> str:
-    return fill(line, WIDTH, subsequent_indent=indent, break_on_hyphens=False)
+    return fill(line, PAGE_WIDTH, subsequent_indent=indent, break_on_hyphens=False)

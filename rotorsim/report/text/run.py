@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from rotorsim.signals.spectrum import Harmonics
 
 
-FEW = 1500  # samples that tell whether the motion has settled
-SETTLED = 0.01  # of the largest harmonic: what may still change
-SLOWEST = 0.95  # ratio of changes that is believed: beyond, noise and not decay makes it
+SETTLING_SAMPLES = 1500  # samples that tell whether the motion has settled
+SETTLING_CHANGE = 0.01  # of the largest harmonic: what may still change
+SLOWEST_RATIO = 0.95  # ratio of changes that is believed: beyond, noise and not decay makes it
 OVER = 1e-4  # of a transient: it is over
-ROUNDING = 1e-12  # of the largest pole: a pole at zero
-CONSTANT = 1e-6  # relative change of speed below which it is constant
+ZERO_POLE = 1e-12  # of the largest pole: a pole at zero
+SPEED_TOLERANCE = 1e-6  # relative change of speed below which it is constant
 
 
 def two_axis_signals(result: Result) -> list[str]:
@@ -47,7 +47,7 @@ def steady_speed(result: Result, angle: str) -> float | None:
     ends = [0, len(time) // 2, -1]
     first, second = np.diff(theta[ends]) / np.diff(time[ends])
     whole = float((theta[-1] - theta[0]) / (time[-1] - time[0]))
-    if abs(second - first) > CONSTANT * abs(whole) or abs(theta[-1] - theta[0]) < 2 * np.pi * (1 - 1e-9):
+    if abs(second - first) > SPEED_TOLERANCE * abs(whole) or abs(theta[-1] - theta[0]) < 2 * np.pi * (1 - 1e-9):
         return None
     return whole
 
@@ -78,7 +78,7 @@ def settled_motion(model: Model, result: Result, angle: str, harmonics: Sequence
     p = model.p0
     A = np.array(model.jacobian(0.0, model.x0(p), model.z0(p), p))
     poles = np.linalg.eigvals(A) if np.isfinite(A).all() else np.zeros(0)
-    decaying = poles.real[poles.real < -ROUNDING * np.abs(poles).max(initial=0.0)]
+    decaying = poles.real[poles.real < -ZERO_POLE * np.abs(poles).max(initial=0.0)]
     if decaying.max(initial=-np.inf) * result.time[-1] < np.log(OVER):
         return None
     from rotorsim.settled.periodic import periodic
@@ -130,11 +130,11 @@ def _decay(result: Result, angle: str, item: Harmonics, window: tuple[float, flo
 
     width = window[1] - window[0]
     samples = int(np.diff(np.searchsorted(result.time, window))[0])
-    few = width * min(max(int(FEW * turns / max(samples, 1)), 1), turns) / turns
+    few = width * min(max(int(SETTLING_SAMPLES * turns / max(samples, 1)), 1), turns) / turns
     ends = [window[1] - k * width for k in (2, 1, 0)]
     values = [harmonics(result, item.signal, angle=angle, window=(end - few, end)).values for end in ends]
     before, after = np.abs(np.diff(values, axis=0))
-    q = np.minimum(np.divide(after, before, out=np.ones_like(after), where=before > 0), SLOWEST)
+    q = np.minimum(np.divide(after, before, out=np.ones_like(after), where=before > 0), SLOWEST_RATIO)
     largest = float(np.abs(item.values).max(initial=0.0))
     return item.signal, item.unit, np.asarray(item.orders), after * q / (1 - q), largest
 
@@ -157,7 +157,7 @@ def _largest_change(changes: Iterable[Change]) -> dict[str, Any]:
         share = float(left[k]) / largest if largest > 0 else 0.0
         if share > worst.get("share", -1.0):
             worst = {"signal": signal, "order": orders[k], "left": float(left[k]), "unit": unit, "share": share}
-    return {"settled": worst.get("share", 0.0) <= SETTLED, "still_changes": worst}
+    return {"settled": worst.get("share", 0.0) <= SETTLING_CHANGE, "still_changes": worst}
 
 
 def motion_line(motion: dict[str, Any]) -> str:

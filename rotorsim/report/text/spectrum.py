@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rotorsim.signals.two_axis import TwoAxis
 
 
-METHODS = {"fft": "FFT", "regression": "regression", "least-squares": "least squares"}
+METHOD_WORDS = {"fft": "FFT", "regression": "regression", "least-squares": "least squares"}
 
 
 def spectrum_text(spectrum: FullSpectrum, running: float | None, threshold: float) -> str:
@@ -66,7 +66,7 @@ def harmonics_text(fit: TwoAxis, threshold: float) -> str:
     rows = [row for row, wanted in zip(zip(*known.values(), strict=True), shown, strict=True) if wanted]
     first, last = fit.window
     lines = [
-        f"{item.signal}, {METHODS[fit.method]} over {fit.turns:.4g} turns, {first:.4g}..{last:.4g} s",
+        f"{item.signal}, {METHOD_WORDS[fit.method]} over {fit.turns:.4g} turns, {first:.4g}..{last:.4g} s",
         table([name.strip() for name in known], rows) if rows else "nothing but noise",
         *(
             f"asynchronous line: {line.frequency:.6g} Hz, order {line.order:.4f}, "

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from rotorsim.identification.study.printed import LEVELS, TABLES, misprints
+from rotorsim.identification.study.printed import PRINTED_LEVELS, TABLES, misprints
 from rotorsim.report.text.table import parameter_unit, percent, rpm, table
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def tables_data() -> list[dict[str, Any]]:
             "varied": t.kind,
             "diagram": t.diagram,
             "speeds_rpm": list(t.speeds_rpm),
-            "levels": list(LEVELS),
+            "levels": list(PRINTED_LEVELS),
             "parameters": list(t.free),
             "reduction": t.reduction,
         }

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rotorsim.diagnosis.evidence.waveform.data import RATE, SampledRun, between_samples, channels_of
+from rotorsim.diagnosis.evidence.waveform.data import RATE_PREFIX, SampledRun, between_samples, channels_of
 from rotorsim.diagnosis.evidence.waveform.equations import DrivenEquations, ForceMap, driven_equations
 from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
 from rotorsim.diagnosis.evidence.waveform.subsystems import subsystems_of
@@ -146,7 +146,7 @@ def test_a_held_value_and_a_straight_line():
 def test_the_rate_of_a_measured_signal():
     t = np.arange(200) * DT
     run = SampledRun("run", {"a": np.sin(3 * t)}, {}, DT, 0.0, {})
-    found = run.inputs((RATE + "a",), 1)[:-1, :, 0]
+    found = run.inputs((RATE_PREFIX + "a",), 1)[:-1, :, 0]
     at = (np.arange(199)[:, None] + np.arange(3) / 2) * DT
     assert np.abs(found - 3 * np.cos(3 * at)).max() < 1e-4
 
@@ -157,7 +157,7 @@ def test_a_controller_with_measured_inputs_is_a_subsystem_of_its_own():
     assert [system.name for system in systems] == ["", "controller"]
     cell = systems[1].equations
     assert cell.outputs == ("controller.voltage",)
-    assert set(cell.inputs) == {"reference.output", "carriage.displacement", RATE + "carriage.displacement"}
+    assert set(cell.inputs) == {"reference.output", "carriage.displacement", RATE_PREFIX + "carriage.displacement"}
     assert cell.state_names == ("controller.observed",)
 
 

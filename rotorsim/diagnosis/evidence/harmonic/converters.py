@@ -9,7 +9,7 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagnosis.evidence.opened import Converter
 from rotorsim.errors import Problem
-from rotorsim.signals.converters import SAME, is_entry
+from rotorsim.signals.converters import STEP_TOLERANCE, is_entry
 from rotorsim.signals.quantisation import find_steps, readings_of, step_of
 from rotorsim.units import format_quantity
 
@@ -29,7 +29,7 @@ def find_converters(document: Mapping[str, Any], runs: HarmonicRuns, catalogue: 
         steps, warnings = {}, []
         for name in sorted(behind):  # one converter has them all
             step = seen.get(name) or step_of(readings_of(runs.recording, name))
-            if step is not None and abs(step.size - best.size) <= SAME * best.size:
+            if step is not None and abs(step.size - best.size) <= STEP_TOLERANCE * best.size:
                 steps[name] = step
             else:
                 what = f"does not have the step that the readings beside it have, {format_quantity(best.size, 'm')}"

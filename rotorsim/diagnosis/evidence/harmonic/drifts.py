@@ -21,7 +21,7 @@ from rotorsim.units import conversion
 # a random walk that starts with a run has Var(mean) = s^2 T / 3, and s^2 3 T / 10 in its slope's Legendre coefficient
 MEAN = 10 / 9
 SCORINGS = 20  # steps of Fisher's scoring
-LEAST = 1e-9  # of a channel's information that slow states leave: below, they take all of its drift
+DRIFT_INFORMATION = 1e-9  # of a channel's information that slow states leave: below, they take all of its drift
 
 
 def find_drifts(base: Fit, runs: HarmonicRuns) -> dict[str, float]:
@@ -50,12 +50,12 @@ def find_drifts(base: Fit, runs: HarmonicRuns) -> dict[str, float]:
             slow = response.C[r] @ response.slow_states(r) / np.sqrt(variance)[:, None]
             length = np.linalg.norm(slow, axis=0)
             q = np.linalg.qr(slow[:, length > 0] / length[length > 0])[0]
-            free = np.maximum(1 - (q**2).sum(axis=1), LEAST)
+            free = np.maximum(1 - (q**2).sum(axis=1), DRIFT_INFORMATION)
             white = item.fit.drift[degree - 1, columns] / np.sqrt(variance)
             rest = (white - (white @ q) @ q.T) / free
-            power += np.where(free > LEAST, rest**2 * free, 0.0)
+            power += np.where(free > DRIFT_INFORMATION, rest**2 * free, 0.0)
             if degree == 1:
-                pairs.append((rest**2 * variance, np.where(free > LEAST, variance / free, np.inf)))
+                pairs.append((rest**2 * variance, np.where(free > DRIFT_INFORMATION, variance / free, np.inf)))
         count += 1
     if not count:
         return {}

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnosis.evidence.fit import DEFERRED, FAILURES, ROUNDING, Fit, Starts, left_out, reason_of
+from rotorsim.diagnosis.evidence.fit import DEFERRED, FAILURES, RANK_TOLERANCE, Fit, Starts, left_out, reason_of
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.estimate import MOST_EVALUATIONS, Estimate, Search, summary
@@ -18,7 +18,7 @@ from rotorsim.identification.experiment import Experiment
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.identification.profile import linear_intervals
 
-ANGLES = 8  # values over a turn of a new angle that enters in more than one way
+START_ANGLES = 8  # values over a turn of a new angle that enters in more than one way
 NONLINEAR_TRIALS = 8  # of a group, of which the best is followed
 PROMISE_TRIALS = 2  # of a nonlinear diagram, twice as many of a linear one
 LINEAR_EVALUATIONS = 12  # for one of a nonlinear diagram
@@ -121,9 +121,9 @@ def _alone(found: Estimate) -> np.ndarray:
     out = np.full(len(blocks), np.inf)
     for j, block in enumerate(blocks):
         rest = [k for k, other in enumerate(blocks) if other != block and not found.at_bound[k]]
-        known = np.linalg.pinv(scaled[np.ix_(rest, rest)], rcond=ROUNDING, hermitian=True)
+        known = np.linalg.pinv(scaled[np.ix_(rest, rest)], rcond=RANK_TOLERANCE, hermitian=True)
         left = float(scaled[j, j] - scaled[j, rest] @ known @ scaled[rest, j])
-        if size[j] > 0 and left > ROUNDING:
+        if size[j] > 0 and left > RANK_TOLERANCE:
             out[j] = 1 / (size[j] * np.sqrt(left))
     return out
 
@@ -186,9 +186,9 @@ def _trials(search: Search, theta0: np.ndarray, start: Mapping[str, float]) -> l
         if item.unit == ANGLE_UNIT and j not in paired and item.name in start and item.low == -np.inf
     ][:2]
     found = []
-    for turns in itertools.product(range(ANGLES), repeat=len(angles)):
+    for turns in itertools.product(range(START_ANGLES), repeat=len(angles)):
         trial = theta.copy()
-        trial[angles] = theta[angles] + np.array(turns) * TURN / ANGLES
+        trial[angles] = theta[angles] + np.array(turns) * TURN / START_ANGLES
         found.append(trial)
     return found
 

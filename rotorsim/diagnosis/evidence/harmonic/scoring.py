@@ -18,10 +18,10 @@ from rotorsim.identification.experiment import Experiment, open_experiment
 from rotorsim.identification.likelihood import Evaluation, Likelihood
 from rotorsim.signals.converters import before_converters
 
-ROUNDING = 1e-13  # of the largest eigenvalue: below, it is rounding
+ZERO_EIGENVALUE = 1e-13  # of the largest eigenvalue: below, it is rounding
 HELD_BY_NONE = 1e-8  # 1 - leverage of a direction that no other run determines: it is not predicted from them
 UNSETTLED = "it has no settled motion in the runs that were fitted"
-AT_BOUND = 1e-9  # relative: such a parameter takes no part in linear theory
+BOUND_TOLERANCE = 1e-9  # relative: such a parameter takes no part in linear theory
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def _surprise(S: np.ndarray, e: np.ndarray, J: np.ndarray) -> float | None:
     size[size == 0] = 1.0
     S, J = S / size, J / size
     onto = J.T @ e
-    known = np.linalg.pinv(S.T @ S + J.T @ J, rcond=ROUNDING, hermitian=True)
+    known = np.linalg.pinv(S.T @ S + J.T @ J, rcond=ZERO_EIGENVALUE, hermitian=True)
     return float(e @ e - onto @ known @ onto)
 
 
@@ -172,7 +172,7 @@ def standardised(fitted: Prediction) -> tuple[tuple[float, float], ...] | None:
     S = S[:, [not _at_bound(v, item.low, item.high) for v, item in zip(theta, free, strict=True)]]
     norm = np.linalg.norm(S, axis=0)
     S = S[:, norm > 0] / norm[norm > 0]
-    inverse = np.linalg.pinv(S.T @ S, rcond=ROUNDING, hermitian=True)
+    inverse = np.linalg.pinv(S.T @ S, rcond=ZERO_EIGENVALUE, hermitian=True)
     lost = (sum(sizes) - fitted.evaluation.rows) / len(sizes)
     out, at = [], 0
     for size in sizes:
@@ -186,7 +186,7 @@ def standardised(fitted: Prediction) -> tuple[tuple[float, float], ...] | None:
 
 
 def _at_bound(value: float, low: float, high: float) -> bool:
-    return any(np.isfinite(end) and abs(value - end) <= AT_BOUND * max(abs(end), 1e-300) for end in (low, high))
+    return any(np.isfinite(end) and abs(value - end) <= BOUND_TOLERANCE * max(abs(end), 1e-300) for end in (low, high))
 
 
 def _errors(parts: Sequence[Prediction]) -> tuple[dict[str, float], dict[str, float]]:

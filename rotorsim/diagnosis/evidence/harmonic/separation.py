@@ -27,12 +27,14 @@ from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.units import format_quantity
 
-GAINS = (0.7, 1.5)
+SEPARATION_GAINS = (0.7, 1.5)
 SLOWER, FASTER = (0.1, 0.25, 0.5), 1.25  # times the lowest and the highest speed of the recording
 MOST_GAPS = 6  # between recorded speeds in whose middle a run is tried
 MOST_ALIKE = 16  # runs of one kind that anyone would make
-MOST_RUNS = 3  # of the recording that are repeated with another gain
-LARGEST = 2.0  # times the largest signal on record: what exceeds it is not proposed at new gains or higher speeds
+REPEATED_RUNS = 3  # of the recording that are repeated with another gain
+LARGEST_SIGNAL = (
+    2.0  # times the largest signal on record: what exceeds it is not proposed at new gains or higher speeds
+)
 RPM = np.pi / 30
 
 
@@ -104,7 +106,7 @@ def _changes(diagram: Diagram, record: HarmonicRuns) -> Iterator[tuple[list[str]
         ],
         tuple(moved),
     )
-    places = np.unique(np.linspace(0, len(on_record) - 1, MOST_RUNS).round().astype(int))
+    places = np.unique(np.linspace(0, len(on_record) - 1, REPEATED_RUNS).round().astype(int))
     repeated = [on_record[int(k)] for k in places]
     for name, node in diagram.nodes.items():
         if node.block.category != "controller":
@@ -113,7 +115,7 @@ def _changes(diagram: Diagram, record: HarmonicRuns) -> Iterator[tuple[list[str]
             if value.ndim or not float(value) or key not in ("KP", "KD", "KI"):
                 continue
             unit = node.block.parameters[key].unit or "1"
-            for factor in GAINS:
+            for factor in SEPARATION_GAINS:
                 full = f"{name}.{key}"
                 words, changed = [], []
                 for item in repeated:
@@ -179,7 +181,7 @@ def _predicted(fit: Fit, record: HarmonicRuns, runs: tuple[RunHarmonics, ...]) -
     Y, dY = np.pad(Y, ((0, 0), (0, lines), (0, 0))), np.pad(dY, ((0, 0), (0, lines), (0, 0), (0, 0)))
     turned = np.pi * 1j * Y * (np.arange(likelihood.orders) > likelihood.K)[:, None]  # their phase will be any
     largest = record.largest()
-    limits = LARGEST * np.array([largest.get(name, np.inf) for name in experiment.predicted])
+    limits = LARGEST_SIGNAL * np.array([largest.get(name, np.inf) for name in experiment.predicted])
     fastest = max(abs(item.fit.speed) for item in record.harmonics)
     settings = [_without(item) for item in record.harmonics]
     rms = np.sqrt(2 * (np.abs(Y[:, 1:]) ** 2).sum(axis=1))

@@ -14,7 +14,7 @@ from rotorsim.diagnosis.evidence.waveform.data import SampledRuns
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.linear.linearisation import linearise
 
-LINES = 8  # of the spectrum, of which one is compared: smoothed neighbours say the same
+SMOOTHED_LINES = 8  # of the spectrum, of which one is compared: smoothed neighbours say the same
 
 
 def driven_at(runs: SampledRuns, measured: Sequence[Resonance], document: Mapping[str, Any]) -> list[str]:
@@ -43,7 +43,7 @@ def driven_at(runs: SampledRuns, measured: Sequence[Resonance], document: Mappin
     U = np.fft.rfft(run.values[runs.channels.inputs[0]])
     H = gaussian_filter1d(Y * np.conj(U)[:, None], SMOOTH, axis=0)
     between = (frequencies > measured[0].frequency / 2) & (frequencies < measured[-1].frequency * 1.1)
-    lines = np.flatnonzero(between)[::LINES]
+    lines = np.flatnonzero(between)[::SMOOTHED_LINES]
     system = linearise(diagram, inputs=[port], outputs=[_moved(name) for name in runs.channels.outputs])
     width, axis = diagram.nodes[target.block].inputs[target.port].shape[1], target.index[1] if target.index[1:] else 0
     G, H = system.response(frequencies[lines])[:, :, [node * width + axis for node in nodes]], H[lines, :, None]

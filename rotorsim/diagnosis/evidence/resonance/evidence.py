@@ -23,9 +23,9 @@ from rotorsim.diagnosis.evidence.resonance.resonances import Resonance
 from rotorsim.diagnosis.evidence.waveform.data import SampledRuns
 from rotorsim.diagram.diagram import Free
 
-FAR = 3.0  # residual of a resonance that no mode is left for
-MOST_EVALUATIONS = 40
-STEP = 1e-4  # of a parameter, for differences
+UNMATCHED_RESIDUAL = 3.0  # residual of a resonance that no mode is left for
+MOST_SOLUTIONS = 40
+DIFFERENCE_STEP = 1e-4  # of a parameter, for differences
 AT_BOUND = 1e-6  # of a parameter or its usual size: how near the search comes to a bound that holds it
 TERMS = Terms(
     noise=f"the error of models from drawings ({CRITERIA.frequency:.0%} of a frequency)",
@@ -56,7 +56,7 @@ class ResonanceEvidence(SampledRuns, Defaults):
 
     def _residual_of(self, frequencies: np.ndarray, shapes: np.ndarray) -> np.ndarray:
         """Return the residuals (2 M,) of modes in ascending order: frequency and shape of each resonance."""
-        out = np.full((len(self.strong), 2), FAR / CRITERIA.frequency)
+        out = np.full((len(self.strong), 2), UNMATCHED_RESIDUAL / CRITERIA.frequency)
         for k, (item, frequency, shape) in enumerate(zip(self.strong, frequencies, shapes, strict=False)):
             mac = abs(np.vdot(shape, item.shape)) ** 2 / float(np.vdot(shape, shape).real)
             out[k, 0] = np.log(frequency / item.frequency) / CRITERIA.frequency
@@ -76,8 +76,8 @@ class ResonanceEvidence(SampledRuns, Defaults):
                 theta / scale,
                 bounds=(low / scale, high / scale),
                 x_scale="jac",
-                diff_step=STEP,
-                max_nfev=MOST_EVALUATIONS if most is None else most,
+                diff_step=DIFFERENCE_STEP,
+                max_nfev=MOST_SOLUTIONS if most is None else most,
             )
             theta = solution.x * scale
         r, J = residual(theta), _jacobian(residual, theta, low, high)
@@ -186,7 +186,7 @@ def _best_start(free: Sequence[Free], starts: Starts, residual: Residual) -> np.
 
 def _jacobian(residual: Residual, theta: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return d residual / d theta by central differences within the bounds."""
-    steps = STEP * np.diag(np.maximum(np.abs(theta), 1e-9))
+    steps = DIFFERENCE_STEP * np.diag(np.maximum(np.abs(theta), 1e-9))
     above, below = np.clip(theta + steps, low, high), np.clip(theta - steps, low, high)
     width = np.maximum(np.diag(above - below), 1e-300)
     changes = [residual(after) - residual(before) for after, before in zip(above, below, strict=True)]

@@ -15,10 +15,14 @@ from rotorsim.diagnosis.evidence.waveform.data import SampledRun
 SMOOTH = 5.0  # lines of the spectrum, standard deviation of the window
 STRONG, WEAK = 0.7, 0.4  # prominence of a peak, of the logarithm of amplitude
 STRONG_CHANNELS = 2  # in which a resonance stands out
-SAME = 0.02  # relative distance of peaks of one resonance
+PEAK_DISTANCE = 0.02  # relative distance of peaks of one resonance
 DRIVEN = 1e-2  # power of the inputs, of that at a peak, below which they cease to drive
-BESIDE = 0.05  # of the frequency of a peak
-ORDER = {"displacement": 1.0, "velocity": 0.0, "acceleration": -1.0}  # power of frequency that makes it a velocity
+PEAK_HALF_WIDTH = 0.05  # of the frequency of a peak
+FREQUENCY_POWER = {
+    "displacement": 1.0,
+    "velocity": 0.0,
+    "acceleration": -1.0,
+}  # power of frequency that makes it a velocity
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +52,7 @@ def resonances(runs: Sequence[SampledRun], outputs: Sequence[str], inputs: Seque
     Y = np.fft.rfft(y - y.mean(axis=0), axis=0)
     smooth = gaussian_filter1d(np.abs(Y) ** 2, SMOOTH, axis=0)
     ports = [name.partition("[")[0].rpartition(".")[2] for name in outputs]
-    orders = np.array([ORDER.get(port, 0.0) for port in ports])
+    orders = np.array([FREQUENCY_POWER.get(port, 0.0) for port in ports])
     to_velocity = np.maximum(frequencies, frequencies[1])[:, None] ** (2 * orders)
     total = np.sqrt((smooth * to_velocity).sum(axis=1))
     peaks: list[tuple[float, int, float]] = []
@@ -56,7 +60,7 @@ def resonances(runs: Sequence[SampledRun], outputs: Sequence[str], inputs: Seque
         at, about = find_peaks(0.5 * np.log(np.maximum(smooth[:, c], 1e-300)), prominence=WEAK)
         peaks += zip(frequencies[at], [c] * len(at), about["prominences"], strict=True)
     sorted_peaks = np.array(sorted(peaks)).reshape(-1, 3)
-    apart = np.flatnonzero(sorted_peaks[1:, 0] > (1 + SAME) * sorted_peaks[:-1, 0]) + 1
+    apart = np.flatnonzero(sorted_peaks[1:, 0] > (1 + PEAK_DISTANCE) * sorted_peaks[:-1, 0]) + 1
     u = run.measured(inputs) if inputs else np.zeros((run.size, 1))
     power = gaussian_filter1d((np.abs(np.fft.rfft(u - u.mean(axis=0), axis=0)) ** 2).sum(axis=1), SMOOTH)
     groups = (_resonance(group, frequencies, Y, total) for group in np.split(sorted_peaks, apart))
@@ -71,7 +75,7 @@ def resonances(runs: Sequence[SampledRun], outputs: Sequence[str], inputs: Seque
 
 def _ceases(at: float, frequencies: np.ndarray, power: np.ndarray) -> bool:
     """Return whether the inputs cease to drive beside a frequency; power: theirs by frequency."""
-    beside = np.abs(frequencies - at) <= max(BESIDE * at, SMOOTH * frequencies[1])
+    beside = np.abs(frequencies - at) <= max(PEAK_HALF_WIDTH * at, SMOOTH * frequencies[1])
     return bool(power[beside].min() < DRIVEN * power[np.abs(frequencies - at).argmin()])
 
 
@@ -84,7 +88,7 @@ def _resonance(peaks: np.ndarray, frequencies: np.ndarray, Y: np.ndarray, total:
     used = (strong if is_strong else peaks)[:, 0]
     at = float(np.median(used))
     spread = float(np.median(np.abs(used - at)))
-    if spread > SAME * at:
+    if spread > PEAK_DISTANCE * at:
         return None
     near = np.abs(frequencies - at) <= SMOOTH * frequencies[1]
     shape = np.linalg.svd(Y[near].T, full_matrices=False)[0][:, 0]

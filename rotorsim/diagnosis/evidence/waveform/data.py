@@ -25,8 +25,8 @@ from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.units import compatible
 
 EVEN = 1e-4  # of a sample period: jitter of the time column that counts as none
-RATE = "rate of "
-CLOSE = 1e-3  # m, between a sensor and the node that stands for it
+RATE_PREFIX = "rate of "
+SENSOR_DISTANCE = 1e-3  # m, between a sensor and the node that stands for it
 
 
 @dataclass(frozen=True)
@@ -85,10 +85,10 @@ class SampledRun:
     def _input(self, name: str, parts: int) -> np.ndarray:
         if name in self.kinds:
             return between_samples(self.values[name], self.kinds[name], parts)
-        spline = CubicSpline(np.arange(self.size) * self.dt, self.values[name.removeprefix(RATE)])
+        spline = CubicSpline(np.arange(self.size) * self.dt, self.values[name.removeprefix(RATE_PREFIX)])
         at = (np.arange(self.size)[:, None] + np.linspace(0.0, 1.0, parts + 1)) * self.dt
         at[-1] = at[-1, 0]
-        return np.asarray(spline(at, int(name.startswith(RATE))))
+        return np.asarray(spline(at, int(name.startswith(RATE_PREFIX))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +227,7 @@ def _node_name(model: Model, channel: Channel) -> str:
     lengths = np.broadcast_to(np.ravel(node.values["element_length"]), int(node.block.option.elements))
     places = np.cumsum([0.0, *lengths])
     k = int(np.argmin(np.abs(places - channel.position)))
-    if abs(places[k] - channel.position) > CLOSE:
+    if abs(places[k] - channel.position) > SENSOR_DISTANCE:
         nearest = f"the nearest is node {k + 1} at {places[k]:g} m"
         hint = f"{nearest}; divide the shaft so that a node is where it was measured"
         raise RotorsimError(Problem(f"no node at {channel.position:g} m", hint=hint))

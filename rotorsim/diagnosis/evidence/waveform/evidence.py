@@ -31,7 +31,7 @@ from rotorsim.diagnosis.evidence.waveform.noise import (
     weights_of,
 )
 from rotorsim.diagnosis.evidence.waveform.scoring import held_score, left_out_score
-from rotorsim.diagnosis.evidence.waveform.search import MOST_EVALUATIONS, Evaluation, Label, OutputErrorSearch
+from rotorsim.diagnosis.evidence.waveform.search import MOST_SIMULATIONS, Evaluation, Label, OutputErrorSearch
 from rotorsim.diagnosis.evidence.waveform.subsystems import subsystems_of
 from rotorsim.diagram.diagram import Diagram, Port
 from rotorsim.errors import Problem, RotorsimError
@@ -105,7 +105,7 @@ class WaveformEvidence(SampledRuns, Defaults):
 
     def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None) -> Fit:
         """Follow the best of each group on the beginning of the runs, then the best of these on all samples."""
-        limit = MOST_EVALUATIONS if most is None else LINEAR_EVALUATIONS * most
+        limit = MOST_SIMULATIONS if most is None else LINEAR_EVALUATIONS * most
         search = self.search(document)
         short = search.shortened(SHORT)
         tried = [self._followed(search, short, group) for group in starts or [[{}]]]

@@ -24,7 +24,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.evidence.fit import left_out
 from rotorsim.diagnosis.evidence.waveform.data import SampledRun
 from rotorsim.diagnosis.evidence.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
-from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE
+from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE_DIAGRAM
 
 STRETCHES = 20  # of all runs together; 4 of each run at least
 MOST_ROWS = 2000
@@ -72,7 +72,7 @@ def reweighted(search: OutputErrorSearch, start: np.ndarray) -> tuple[OutputErro
         if not np.isfinite(evaluation.cost):
             break
         start, variance = evaluation.unknowns, residual_variance(search, evaluation)
-        whole = {signal: 1 / value for signal, value in variance.items() if signal[0] == WHOLE}
+        whole = {signal: 1 / value for signal, value in variance.items() if signal[0] == WHOLE_DIAGRAM}
         search = replace(search, weights={**search.weights, **whole})
     return search, evaluation
 

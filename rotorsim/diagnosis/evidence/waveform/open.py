@@ -30,14 +30,14 @@ from rotorsim.diagnosis.evidence.waveform.noise import (
 )
 from rotorsim.diagnosis.evidence.waveform.search import Evaluation, OutputErrorSearch
 from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
-from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE, subsystems_of
+from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear import linearisation as linear
 from rotorsim.recordings.recording import Recording
 
 ACCURACY = 3e-4  # of the scale of a signal, of the steps between samples
-MOST_STEPS = 16  # between samples, to be as accurate
+ACCURATE_SUBSTEPS = 16  # between samples, to be as accurate
 MOST_PORTS = 4  # where a flexible force is tried
 SIGNALS = 200  # whose size is evaluation
 
@@ -138,14 +138,14 @@ def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[
     search = replace(search, weights={signal: 1 / value for signal, value in scale.items()})
     start = search.first()
     if len(systems) > 1:
-        whole = {signal: weight for signal, weight in search.weights.items() if signal[0] == WHOLE}
+        whole = {signal: weight for signal, weight in search.weights.items() if signal[0] == WHOLE_DIAGRAM}
         evaluation = replace(search, weights={**search.weights, **dict.fromkeys(whole, 0.0)}).minimise(start)
         start = evaluation.unknowns
         if np.isfinite(evaluation.cost):
             weights = {signal: 1 / value for signal, value in residual_variance(search, evaluation).items()}
             search = replace(search, weights={**weights, **whole})
     evaluation = search.minimise(start)
-    while search.least < MOST_STEPS and not _is_fine(search, evaluation, scale):
+    while search.least < ACCURATE_SUBSTEPS and not _is_fine(search, evaluation, scale):
         search = replace(search, least=2 * search.least)
         evaluation = search.minimise(evaluation.unknowns)
     return search, evaluation

@@ -10,7 +10,7 @@ import numpy as np
 from rotorsim.diagnosis.evidence.evidence import Score
 from rotorsim.diagnosis.evidence.waveform.noise import Variance
 from rotorsim.diagnosis.evidence.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
-from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE
+from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE_DIAGRAM
 
 FOLDS = 4  # stretches of all runs, each left out once
 
@@ -55,6 +55,6 @@ def _score(
     moving = [(name, square, total) for name, square, total in zip(outputs, squares, totals, strict=True) if total > 0]
     return Score(
         {name: float(np.sqrt(square / total)) for name, square, total in moving},
-        {name: float(np.sqrt(variance[WHOLE, name] * samples / total)) for name, _, total in moving},
+        {name: float(np.sqrt(variance[WHOLE_DIAGRAM, name] * samples / total)) for name, _, total in moving},
         {name: (float(np.sqrt(square / samples)), units[name]) for name, square in zip(outputs, squares, strict=True)},
     )

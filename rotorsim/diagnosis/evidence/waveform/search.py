@@ -18,12 +18,14 @@ from rotorsim.diagnosis.evidence.waveform.data import SampledRun
 from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
 from rotorsim.diagram.diagram import Free
 
-MOST_EVALUATIONS = 60  # what data determine takes up to 25
+MOST_SIMULATIONS = 60  # what data determine takes up to 25
 REFIT_EVALUATIONS = 15  # of a fit that starts where a similar one ended
-CLOSE = 1e-8  # relative fall of the cost below which a step was the last, twice: far below one unit of a misfit
-MOST_STEPS = 64  # between samples: a matter of time
+COST_TOLERANCE = (
+    1e-8  # relative fall of the cost below which a step was the last, twice: far below one unit of a misfit
+)
+MOST_SUBSTEPS = 64  # between samples: a matter of time
 LEAP = 4.0  # factor by which a positive parameter may change in a step
-STABLE = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
+STABLE_STEP = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8  # of the scaled information: nearly none, none, no step
 AMPLITUDES = tuple(10.0**-k for k in range(0, 25, 2))  # of what is stated, of an effect that is made smaller
 NEARBY = (100.0, 30.0, 10.0, 3.0, 0.3, 0.1)  # of that which is small enough: sizes within a step of AMPLITUDES
@@ -157,7 +159,7 @@ class OutputErrorSearch:
                 if A.size and np.isfinite(A).all():
                     fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()) * run.dt)
         sub = self.least
-        while sub < fastest / STABLE and sub < MOST_STEPS:
+        while sub < fastest / STABLE_STEP and sub < MOST_SUBSTEPS:
             sub *= 2
         return sub
 
@@ -199,7 +201,7 @@ class OutputErrorSearch:
                 information[j, j] += 1 / item.prior_std**2
         return Evaluation(unknowns, sub, cost, residuals, jacobians, gradient, information)
 
-    def minimise(self, start: np.ndarray, most: int = MOST_EVALUATIONS) -> Evaluation:
+    def minimise(self, start: np.ndarray, most: int = MOST_SIMULATIONS) -> Evaluation:
         """Return the evaluation where the cost is least, as found from a start within the bounds."""
         here = self.evaluate(start, self.substeps(start))
         damping, calm, used = FIRST_DAMPING, 0, 1
@@ -207,7 +209,7 @@ class OutputErrorSearch:
             step = self._step(here, damping)
             after = self.evaluate(self._moved(here.unknowns, step), here.sub, sensitivities=False)
             if after.cost < here.cost:
-                calm = calm + 1 if after.cost > here.cost * (1 - CLOSE) else 0
+                calm = calm + 1 if after.cost > here.cost * (1 - COST_TOLERANCE) else 0
                 here = self.evaluate(after.unknowns, here.sub)
                 damping = max(damping / 10, LEAST_DAMPING)
             else:

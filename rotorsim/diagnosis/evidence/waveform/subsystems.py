@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from rotorsim.diagnosis.evidence.waveform.data import RATE, Channels
+from rotorsim.diagnosis.evidence.waveform.data import RATE_PREFIX, Channels
 from rotorsim.diagnosis.evidence.waveform.equations import (
     DrivenEquations,
     ForceMap,
@@ -21,7 +21,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
 
-WHOLE = ""  # name of the whole diagram
+WHOLE_DIAGRAM = ""  # name of the whole diagram
 ALIKE = 1e-9  # relative, of two expressions at points of chance: rounding
 POINTS = 3
 
@@ -34,7 +34,9 @@ def subsystems_of(diagram: Diagram, channels: Channels, *, force: ForceMap | Non
     Raises RotorsimError for signals that the diagram does not have.
     """
     systems = [
-        Simulation(driven_equations(diagram, channels.outputs, channels.inputs, diagram.free, force=force), WHOLE)
+        Simulation(
+            driven_equations(diagram, channels.outputs, channels.inputs, diagram.free, force=force), WHOLE_DIAGRAM
+        )
     ]
     controllers = {
         name: [output for output in channels.outputs if output.partition("[")[0].rpartition(".")[0] == name]
@@ -65,7 +67,7 @@ def _measured_ports(model: Model, outputs: Sequence[str], passed: set[str]) -> d
     known: dict[str, ca.SX] = {}
     for name in outputs:
         known[name] = measured_expression(model, name)
-        known[RATE + name] = rate_of(model, known[name])
+        known[RATE_PREFIX + name] = rate_of(model, known[name])
     own = {f"{name}.{port}" for name, node in model.diagram.nodes.items() for port in node.outputs}
     ports = {port: model.trace.signals[port] for port in model.signals if port in own - passed}
     values = _at_random(model, [*ports.values(), *known.values()])
