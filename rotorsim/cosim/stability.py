@@ -22,7 +22,7 @@ from rotorsim.cosim.linear import LinearCoupling, LinearParticipant
 from rotorsim.cosim.linear_model import LinearModel
 from rotorsim.cosim.masters.choice import make_stepping_master
 from rotorsim.cosim.masters.master import Settings
-from rotorsim.cosim.masters.stepping import HIT_TOLERANCE, SteppingMaster
+from rotorsim.cosim.masters.stepping import STEP_HIT_TOLERANCE, SteppingMaster
 from rotorsim.cosim.participant import Participant
 from rotorsim.errors import RotorsimError
 from rotorsim.jobs.threads import one_thread
@@ -232,7 +232,7 @@ def _earlier(worker: SteppingMaster, coupling: LinearCoupling, step: float, coun
         return [[-(j + 1) * rate * step for j in range(memory)] for rate in worker.rates]
     end = count * step
     hits = [hit for k in worker.sampling for hit in coupling.participants[k].model.hits(0.0, end)]
-    points = _apart([*hits, *(step * (k + 1) for k in range(count))], HIT_TOLERANCE * step)
+    points = _apart([*hits, *(step * (k + 1) for k in range(count))], STEP_HIT_TOLERANCE * step)
     before = [t - (turn + 1) * end for turn in range(2 * memory + 1) for t in reversed(points)]
     return [before[1 : 2 * memory + 1]] * len(worker.rates)  # points that are close to each other are left out
 

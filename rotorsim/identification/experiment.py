@@ -27,7 +27,7 @@ from rotorsim.signals.harmonics import RunHarmonics, harmonics_of
 from rotorsim.units import compatible
 
 SPEED_MISMATCH = 0.02  # stated against measured
-PERIODICITY_INSTANTS = (0.137, 1.137, 0.618, 1.618)  # instants, in turns, at which forcing is compared one turn apart
+FORCING_INSTANTS = (0.137, 1.137, 0.618, 1.618)  # instants, in turns, at which forcing is compared one turn apart
 
 RESOLUTION = 1e-6  # of a signal's rms: no measuring chain is better, and no settled model either
 
@@ -327,7 +327,7 @@ def _is_aperiodic(model: Model, p: np.ndarray, speeds: np.ndarray) -> str | None
     """Return a block whose forcing is not the same one turn later, None where all of it follows the shaft."""
     period = 2 * np.pi / np.abs(speeds[0])
     x, z = np.zeros(model.n_x), model.z0(p[0])
-    rates = [np.array(model.rhs(at * period, x, z, p[0])).ravel() for at in PERIODICITY_INSTANTS]
+    rates = [np.array(model.rhs(at * period, x, z, p[0])).ravel() for at in FORCING_INSTANTS]
     for first, second in (rates[:2], rates[2:]):
         size = np.maximum(np.abs(first), np.abs(second))
         changed = np.flatnonzero(np.abs(second - first) > 1e-6 * np.maximum(size, 1e-9 * size.max(initial=0.0)))

@@ -20,7 +20,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.instance import is_finite
 
-HIT_TOLERANCE = 1e-6  # of a step: a sample hit so close to a communication point is there
+STEP_HIT_TOLERANCE = 1e-6  # of a step: a sample hit so close to a communication point is there
 CLOSEST_POINTS = 0.1  # of a step: points closer than this are not used together
 LARGEST_ADAPTIVE = 100  # the adaptive step over the one given
 
@@ -157,9 +157,9 @@ class SteppingMaster(Master):
         With several rates there are none in between: the rate of a sampled participant is to fit its sample time.
         """
         self._usual = h = end - t
-        while (hit := self.next_hit(t)) < end - HIT_TOLERANCE * h:
-            self.step(t, max(hit - t, HIT_TOLERANCE * h))
-            t = max(hit, t + HIT_TOLERANCE * h)
+        while (hit := self.next_hit(t)) < end - STEP_HIT_TOLERANCE * h:
+            self.step(t, max(hit - t, STEP_HIT_TOLERANCE * h))
+            t = max(hit, t + STEP_HIT_TOLERANCE * h)
         return self.step(t, end - t, last=last)
 
     def next_hit(self, t: float) -> float:

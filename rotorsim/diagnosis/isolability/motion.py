@@ -22,7 +22,7 @@ from rotorsim.settled.resolvent import resolvent_of
 from rotorsim.settled.slow_states import slow_states
 
 REPEATED_SENSOR = "second "  # before the name of a signal that is measured once more
-MOST_ORDERS = 14
+CONSIDERED_ORDERS = 14
 H = 20  # orders of the motion itself
 COUNT = 128  # samples of a turn
 MEAN_WINDOW = 10.0  # s: modes that decay slower leave the mean open
@@ -108,10 +108,10 @@ class LinearMotion:
         if not np.allclose(C[:, 0], C[:, 1], rtol=FORCING_TOLERANCE, atol=0.0):
             return None
         f_theta, g_theta = (self._values(part, theta, times, x) for part in (equations.f_theta, equations.g_theta))
-        dY = C[:, :1] @ (gain[:, : MOST_ORDERS + 1] @ _harmonics(f_theta, MOST_ORDERS)) + _harmonics(
-            g_theta, MOST_ORDERS
+        dY = C[:, :1] @ (gain[:, : CONSIDERED_ORDERS + 1] @ _harmonics(f_theta, CONSIDERED_ORDERS)) + _harmonics(
+            g_theta, CONSIDERED_ORDERS
         )
-        return _harmonics(self._values(equations.g, theta, times, x)[..., 0], MOST_ORDERS), dY
+        return _harmonics(self._values(equations.g, theta, times, x)[..., 0], CONSIDERED_ORDERS), dY
 
     def _is_linear(self, theta: np.ndarray, f0: np.ndarray, A: np.ndarray, x: np.ndarray) -> bool:
         """Return whether f = f0 + A x with the same A all along the motion x (R, N, n)."""
@@ -126,7 +126,7 @@ class LinearMotion:
     def nonlinear(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return Y and dY by harmonic balance, None where no settled motion is found."""
         runs = len(self.p)
-        motion = NonlinearMotion(self.all, self.p, self.speeds, MOST_ORDERS, np.full(runs, NEVER), np.zeros(runs))
+        motion = NonlinearMotion(self.all, self.p, self.speeds, CONSIDERED_ORDERS, np.full(runs, NEVER), np.zeros(runs))
         try:
             with np.errstate(all="ignore"):
                 predicted = motion.predict(theta)
@@ -141,7 +141,7 @@ class LinearMotion:
         resolvent = resolvent_of(A, np.zeros((len(A), 1)), [slow_states(one, MEAN_WINDOW, self.all.means) for one in A])
         C = self._values(self.equations.C, theta, self.times[:, :1])[:, 0]
         columns = [C[r] @ resolvent.slow[r] for r in range(len(A))]
-        dY = np.zeros((len(A), MOST_ORDERS + 1, self.equations.c, sum(own.shape[1] for own in columns)), complex)
+        dY = np.zeros((len(A), CONSIDERED_ORDERS + 1, self.equations.c, sum(own.shape[1] for own in columns)), complex)
         ends = np.cumsum([0, *(own.shape[1] for own in columns)])
         for r, own in enumerate(columns):
             dY[r, 0, :, ends[r] : ends[r + 1]] = own

@@ -27,7 +27,7 @@ UNMATCHED_RESIDUAL = 3.0  # residual of a resonance that no mode is left for
 MOST_SOLUTIONS = 40
 DIFFERENCE_STEP = 1e-4  # of a parameter, for differences
 AT_BOUND = 1e-6  # of a parameter or its usual size: how near the search comes to a bound that holds it
-TERMS = Terms(
+RESONANCE_TERMS = Terms(
     noise=f"the error of models from drawings ({CRITERIA.frequency:.0%} of a frequency)",
     left_out="resonances left out one by one",
     predicted="resonances left out",
@@ -52,7 +52,7 @@ class ResonanceEvidence(SampledRuns, Defaults):
     held: tuple[ResonanceEvidence, ...] = ()
     without: int | None = None
 
-    terms = TERMS
+    terms = RESONANCE_TERMS
 
     def _residual_of(self, frequencies: np.ndarray, shapes: np.ndarray) -> np.ndarray:
         """Return the residuals (2 M,) of modes in ascending order: frequency and shape of each resonance."""

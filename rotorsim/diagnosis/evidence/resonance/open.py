@@ -17,7 +17,7 @@ from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
 from rotorsim.diagnosis.evidence.resonance.resonances import resonances
 from rotorsim.diagnosis.evidence.waveform.data import channels_of, chosen_runs, read_run
-from rotorsim.diagnosis.evidence.waveform.search import MOST_SUBSTEPS, STABLE_STEP
+from rotorsim.diagnosis.evidence.waveform.search import SIMULATION_SUBSTEPS, STABLE_STEP
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.linearisation import jacobians
@@ -86,7 +86,7 @@ def is_by_resonances(diagram: Diagram, recording: Recording) -> bool:
     fastest = float(np.abs(rates).max())
     steps = sum(max(fastest * length / STABLE_STEP, count) for length, count in samples)
     period = max(length / (count - 1) for length, count in samples)
-    return fastest * period > STABLE_STEP * MOST_SUBSTEPS or steps * model.n_x**2 > WORK
+    return fastest * period > STABLE_STEP * SIMULATION_SUBSTEPS or steps * model.n_x**2 > WORK
 
 
 def _screened(base: Fit, evidence: ResonanceEvidence, catalogue: Catalogue) -> tuple[Catalogue, list[tuple[str, str]]]:

@@ -40,9 +40,9 @@ from rotorsim.units import compatible
 FIRST_STEPS = 4  # from each start, before the best is followed
 SHORT = 8192  # samples of all runs on which a start is chosen and followed
 LAST_STEPS = 12  # on all samples after that
-LINEAR_EVALUATIONS = 4  # for one that is asked for: they are cheap
+REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
 INVERTED = 1e-13  # smallest eigenvalue of the scaled information, of the largest, that counts
-TERMS = Terms(
+WAVEFORM_TERMS = Terms(
     left_out="stretches left out one by one",
     predicted="stretches left out",
     more_runs="runs at more amplitudes and frequencies of what drives it",
@@ -71,7 +71,7 @@ class WaveformEvidence(SampledRuns, Defaults):
     old: frozenset[str]
     held: tuple[SampledRun, ...]
 
-    terms = TERMS
+    terms = WAVEFORM_TERMS
     independent = False
 
     def search(self, document: Mapping[str, Any]) -> OutputErrorSearch:
@@ -105,7 +105,7 @@ class WaveformEvidence(SampledRuns, Defaults):
 
     def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None) -> Fit:
         """Follow the best of each group on the beginning of the runs, then the best of these on all samples."""
-        limit = MOST_SIMULATIONS if most is None else LINEAR_EVALUATIONS * most
+        limit = MOST_SIMULATIONS if most is None else REFINED_EVALUATIONS * most
         search = self.search(document)
         short = search.shortened(SHORT)
         tried = [self._followed(search, short, group) for group in starts or [[{}]]]

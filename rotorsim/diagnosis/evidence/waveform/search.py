@@ -20,10 +20,10 @@ from rotorsim.diagram.diagram import Free
 
 MOST_SIMULATIONS = 60  # what data determine takes up to 25
 REFIT_EVALUATIONS = 15  # of a fit that starts where a similar one ended
-COST_TOLERANCE = (
+SEARCH_COST_TOLERANCE = (
     1e-8  # relative fall of the cost below which a step was the last, twice: far below one unit of a misfit
 )
-MOST_SUBSTEPS = 64  # between samples: a matter of time
+SIMULATION_SUBSTEPS = 64  # between samples: a matter of time
 LEAP = 4.0  # factor by which a positive parameter may change in a step
 STABLE_STEP = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8  # of the scaled information: nearly none, none, no step
@@ -159,7 +159,7 @@ class OutputErrorSearch:
                 if A.size and np.isfinite(A).all():
                     fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()) * run.dt)
         sub = self.least
-        while sub < fastest / STABLE_STEP and sub < MOST_SUBSTEPS:
+        while sub < fastest / STABLE_STEP and sub < SIMULATION_SUBSTEPS:
             sub *= 2
         return sub
 
@@ -209,7 +209,7 @@ class OutputErrorSearch:
             step = self._step(here, damping)
             after = self.evaluate(self._moved(here.unknowns, step), here.sub, sensitivities=False)
             if after.cost < here.cost:
-                calm = calm + 1 if after.cost > here.cost * (1 - COST_TOLERANCE) else 0
+                calm = calm + 1 if after.cost > here.cost * (1 - SEARCH_COST_TOLERANCE) else 0
                 here = self.evaluate(after.unknowns, here.sub)
                 damping = max(damping / 10, LEAST_DAMPING)
             else:

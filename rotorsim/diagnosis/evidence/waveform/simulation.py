@@ -23,7 +23,7 @@ from rotorsim.model.emit.writer import Writer, array_leaf
 from rotorsim.model.runge_kutta import RK4
 
 LARGE = 1e100  # a state beyond has diverged
-ZERO_SENSITIVITY = 1e-200  # a sensitivity below is zero: denormal numbers are slow
+DENORMAL_SENSITIVITY = 1e-200  # a sensitivity below is zero: denormal numbers are slow
 
 _RUNTIME = r"""
 /* out += (sparse value) S, whose last rows are the unit vectors of the parameters; RS_K columns. */
@@ -230,7 +230,7 @@ def _source(eq: DrivenEquations) -> tuple[str, int]:
         "RS_F_COUNT": len(f_jacobian),
         "RS_G_COUNT": len(g_jacobian),
         "RS_LARGE": LARGE,
-        "RS_SMALL": ZERO_SENSITIVITY,
+        "RS_SMALL": DENORMAL_SENSITIVITY,
     }
     head = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
     head += [f"#define {name} {value}" for name, value in sizes.items()]
