@@ -27,6 +27,11 @@ from rotorsim.model.trace.diagram import Trace
 UNROLL_LIMIT = 1500  # operations of the right-hand side above which the step is not unrolled
 LARGEST_PAIRED = 200  # states up to which axes of one form are laid out side by side
 FORCING_AT = {0.0: "g0", 0.5: "gm", 1.0: "g1"}  # forcing at t + c h
+STEP_ARGUMENTS = (
+    "double *restrict x, const double *restrict z, const double *restrict p, const double *restrict c, "
+    "const double *restrict g0, const double *restrict gm, const double *restrict g1, double h, "
+    "double *restrict y, double *restrict k, double *restrict work"
+)
 
 
 @dataclass(frozen=True)
@@ -116,12 +121,12 @@ def emit_c(kernel: Kernel) -> str:
     if kernel.trace.samplers:
         at_hit = f"{state}, const double *w, const double *hit"
         parts.append(written("rs_update", given, at_hit, "x, z, p, c, g, w, hit", "zn", kernel.update))
-    if kernel.unrolled:
-        parts.append(_unrolled_step(kernel))
+    parts.append(_unrolled_step(kernel) if kernel.unrolled else (_staged_step(), 0))
     sizes = {
         **kernel.sizes,
         "RS_NC": len(kernel.constants),
         "RS_NG": len(kernel.forcing),
+        "RS_STAGES": len(RK4.b),
         "RS_WORK": max(size for _, size in parts),
         "RS_UNROLLED": int(kernel.unrolled),
     }
@@ -216,11 +221,24 @@ def _unrolled_step(kernel: Kernel) -> tuple[str, int]:
     given = {node: f"x_{i}" for i, node in enumerate(step.x)}
     targets = [(f"y[{k}]", node) for k, node in enumerate(step.y)]
     targets += [(f"x[{k}]", step.new[i]) for k, i in enumerate(kernel.order)]
-    arguments = (
-        "double *restrict x, const double *restrict z, const double *restrict p, const double *restrict c, "
-        "const double *restrict g0, const double *restrict gm, const double *restrict g1, double h, "
-        "double *restrict y, double *restrict k, double *restrict work"
-    )
     writer = Writer(step.program, given, leaf)
-    text, size = writer.text("rs_step", arguments, "x, z, p, c, g0, gm, g1, h, y, k, work", targets, whole=True)
+    text, size = writer.text("rs_step", STEP_ARGUMENTS, "x, z, p, c, g0, gm, g1, h, y, k, work", targets, whole=True)
     return text.replace("{\n", "{\n" + loads + "  (void)k;\n", 1), size
+
+
+def _staged_step() -> str:
+    """Write the step as calls of the right-hand side, k_j in row j of k and the state of a stage behind them."""
+
+    def combined(weights: Sequence[float]) -> str:
+        terms = [f"{weight!r} * k[{j} * RS_NX + i]" for j, weight in enumerate(weights) if weight]
+        return f"x[i] + h * ({' + '.join(terms)})"
+
+    each = "  for (int i = 0; i < RS_NX; ++i)"
+    lines = ["  rs_outputs(x, z, p, c, g0, y, work);", "  double *restrict at = k + RS_STAGES * RS_NX;"]
+    for stage, (row, c) in enumerate(zip(RK4.a, RK4.c, strict=True)):
+        if any(row):
+            lines.append(f"{each} at[i] = {combined(row)};")
+        state = "at" if any(row) else "x"
+        lines.append(f"  rs_rhs({state}, z, p, c, {FORCING_AT[c]}, k + {stage} * RS_NX, work);")
+    lines.append(f"{each} x[i] = {combined(RK4.b)};")
+    return "\n".join([f"static void rs_step({STEP_ARGUMENTS}) {{", *lines, "}", ""])

@@ -3,8 +3,8 @@
  * It is appended to the generated functions of one diagram and is the same in process and in an FMU.
  * Generated before it: RS_NX states, RS_NZ discrete states, RS_NC values that depend on parameters only,
  * RS_NG values that depend on time and parameters only, RS_NY recorded values, RS_NS samplers,
- * RS_NW random draws, RS_WORK work space, RS_UNROLLED (1: rs_step is generated, its states laid out as
- * rs_order says), and the functions
+ * RS_NW random draws, RS_STAGES of a step, RS_WORK work space, RS_UNROLLED (1: the states of rs_step are laid
+ * out as rs_order says), and the functions
  * rs_constants, rs_forcing, rs_rhs, rs_outputs, rs_update, rs_step. With RS_STATIC defined no function is exported.
  *
  * One instance is one block of doubles m, laid out as below; nothing else holds state.
@@ -14,7 +14,7 @@
 #define RS_AT_G (RS_AT_Z + RS_NZ)
 #define RS_AT_C (RS_AT_G + 3 * RS_NG)
 #define RS_AT_K (RS_AT_C + RS_NC)
-#define RS_AT_W (RS_AT_K + 4 * RS_NX)
+#define RS_AT_W (RS_AT_K + (RS_STAGES + 1) * RS_NX)
 #define RS_AT_HIT (RS_AT_W + RS_NW)
 #define RS_AT_COUNT (RS_AT_HIT + RS_NS)
 #define RS_AT_NEW (RS_AT_COUNT + RS_NS)
@@ -124,23 +124,6 @@ RS_EXPORT void rs_sample(double t, const double *p, double *m) {
   (void)t, (void)p, (void)m;
 #endif
 }
-
-#if !RS_UNROLLED
-/* Classical Runge-Kutta step of order 4 (Kutta 1901) over generated right-hand sides. */
-static void rs_step(double *restrict x, const double *z, const double *p, const double *c, const double *g0,
-                    const double *gm, const double *g1, double h, double *y, double *k, double *work) {
-  double *restrict slope = k, *restrict sum = k + RS_NX, *restrict at = k + 2 * RS_NX;
-  rs_outputs(x, z, p, c, g0, y, work);
-  rs_rhs(x, z, p, c, g0, slope, work);
-  for (int i = 0; i < RS_NX; ++i) sum[i] = slope[i], at[i] = x[i] + 0.5 * h * slope[i];
-  rs_rhs(at, z, p, c, gm, slope, work);
-  for (int i = 0; i < RS_NX; ++i) sum[i] += 2.0 * slope[i], at[i] = x[i] + 0.5 * h * slope[i];
-  rs_rhs(at, z, p, c, gm, slope, work);
-  for (int i = 0; i < RS_NX; ++i) sum[i] += 2.0 * slope[i], at[i] = x[i] + h * slope[i];
-  rs_rhs(at, z, p, c, g1, slope, work);
-  for (int i = 0; i < RS_NX; ++i) x[i] += h / 6.0 * (sum[i] + slope[i]);
-}
-#endif
 
 /* Run steps n0..n1-1 of size h from t0; a row is recorded at the start of every step divisible by `every`.
  * Returns the number of the step reached: less than n1 when a state is no longer finite. */
