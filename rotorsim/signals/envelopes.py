@@ -141,14 +141,16 @@ def _transient(peaks: np.ndarray) -> int:
 
 def _order(samples: np.ndarray, theta: np.ndarray, starts: np.ndarray, order: int) -> np.ndarray:
     """Return |R_k| in the middle of each turn, (turns,): 2 int w x e^{-i k theta} dtheta / int w dtheta."""
+    from scipy.integrate import trapezoid  # np.trapezoid is of numpy 2; slow to load
+
     out = np.full(len(starts) - 1, np.nan)
     for turn in range(WINDOW_TURNS // 2, len(out) - WINDOW_TURNS // 2):
         first = turn - WINDOW_TURNS // 2
         part = slice(starts[first], starts[first + WINDOW_TURNS] + 1)
         angle = theta[part]
         weight = 0.5 - 0.5 * np.cos((angle - theta[0] - tau * first) / WINDOW_TURNS)
-        value = np.trapezoid(weight * samples[part] * np.exp(-1j * order * angle), angle)
-        out[turn] = 2 * abs(value) / np.trapezoid(weight, angle)
+        value = trapezoid(weight * samples[part] * np.exp(-1j * order * angle), angle)
+        out[turn] = 2 * abs(value) / trapezoid(weight, angle)
     return out
 
 
