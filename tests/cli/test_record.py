@@ -143,7 +143,7 @@ def test_noise_by_kind_and_seed(run) -> None:
 
 
 def test_the_options_offer_all_kinds_of_noise() -> None:
-    assert NOISE_KINDS == measuring.KINDS
+    assert NOISE_KINDS == measuring.NOISE_KINDS
 
 
 @pytest.mark.slow
