@@ -194,9 +194,9 @@ def test_lines_that_no_row_explains_are_described(name):
     machine = MACHINES[name]
     found = diagnose(load("jeffcott"), recording(machine), physics=("residual_bow",), workers=1)
     assert (found.verdict, found.effects) == ("outside_catalogue", ())
-    assert found.outside["place"] == "rotor.force"
-    assert "orders" not in found.outside  # harmonics are noise
-    lines = found.outside["lines"]
+    assert found.unknown.data["place"] == "rotor.force"
+    assert "orders" not in found.unknown.data  # harmonics are noise
+    lines = found.unknown.data["lines"]
     assert lines["unit"] == "Hz"
     assert abs(lines["value"] - SHAKEN / TURN) < 4 * lines["std"]
     assert lines["orders"]["0"] == pytest.approx(machine.mass * machine.shaking, rel=0.01 if name == "shaken" else 0.4)

@@ -89,18 +89,18 @@ def test_the_run_named_tells_bow_from_runout():
     found = found_with(*CLOSE)
     assert set(found.effects[0].members) == set(BOWS)
     named = re.fullmatch(
-        r"to tell \w+ from \w+: a run at (\d+) rpm \(predictions ([\d.e+]+) standard deviations apart\)",
+        r"to separate \w+ from \w+: a run at (\d+) rpm \(predictions ([\d.e+]+) standard deviations apart\)",
         found.next_experiment,
     )
     assert named is not None, found.next_experiment
     assert float(named[1]) < 1500
     assert float(named[2]) > 3.16
-    assert "which the data do not tell apart: " in found.statement
+    assert "which the data do not separate: " in found.statement
     assert "residual_bow at rotor.force" in found.statement
     assert "runout at rotor.displacement" in found.statement
     after = found_with(float(named[1]) * RPM, *CLOSE)
     assert set(after.effects[0].members) == {"residual_bow"}
-    assert after.next_experiment == "none is needed: one explanation is left"
+    assert after.next_experiment == "none is needed: one hypothesis is left"
 
 
 @pytest.mark.parametrize(

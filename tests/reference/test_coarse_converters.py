@@ -26,7 +26,7 @@ def test_the_step_of_a_converter_is_read_off_the_recording(tmp_path):
     assert (found.verdict, [effect.physics for effect in found.effects]) == ("missing_physics", ["quantisation"])
     assert [str(spot) for spot, _ in found.places] == ["rotor.displacement"]
     assert found.before.goodness < 1e-4 < found.after.goodness
-    size, std, unit = found.taken(found.effects[0])["interval"]
+    size, std, unit = found.measured(found.effects[0])["interval"]
     assert unit == "m"
     assert size == pytest.approx(case.truth()["effect"]["lsb"], abs=4 * std)
     assert "Missing physics: quantisation at rotor.displacement (interval " in found.statement

@@ -28,13 +28,13 @@ def test_runs_that_took_no_part_tell_a_law_from_its_imitation(tmp_path, kind, la
         physics=["clearance"],
         hold_out=load_recording(tmp_path / "hold_out" / "case"),
     )
-    assert found.named.explained
+    assert found.selection.explained
     assert found.verdict == verdict
     assert found.proof.status == ("proved" if verdict == "missing_physics" else "disproved")
-    said = f", but held-out runs disprove it: {found.proof.reason}." in found.statement
+    said = f"; hold-out runs disprove it: {found.proof.reason}." in found.statement
     assert said == (verdict == "outside_catalogue")
     if verdict == "missing_physics":
         assert found.score_after.total < 1.1 * found.score_after.noise
     else:
-        left = re.search(r"([\d.e+]+) times the variance of the noise", found.proof.reason)
+        left = re.search(r"residual variance ([\d.e+]+) times the noise", found.proof.reason)
         assert float(left[1]) > 10
