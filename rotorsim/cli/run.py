@@ -151,7 +151,7 @@ def _report(model: Model, result: Result, wanted: Output) -> int:
 def _hint(result: Result, out: str | None) -> str:
     """Return what helps: a smaller step, or a look at the modes; and where the part is that was computed."""
     smaller = ""
-    if "is too large" in result.message:
+    if result.cause == "step":
         smaller = "a smaller --step, or --solver dop853 or radau, which choose their own"
     if result.status == "finished":
         return smaller
@@ -161,7 +161,7 @@ def _hint(result: Result, out: str | None) -> str:
         return kept
     if smaller:
         return f"{smaller}; {kept}"
-    return kept if "sampled blocks" in result.message else f"{kept}; 'rotorsim modes' shows which modes grow"
+    return kept if result.cause in ("sampled", "loop") else f"{kept}; 'rotorsim modes' shows which modes grow"
 
 
 def _data(result: Result, harmonics: Sequence[Harmonics], files: Sequence[str]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from rotorsim.diagram.solver import ADAPTIVE, SOLVER_METHODS
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
-from rotorsim.simulation.failure import cause
+from rotorsim.simulation.failure import Verdict, growth, interrupted
 
 IMPLICIT = {"radau", "bdf", "lsoda"}
 MOST_EVENTS = 1_000_000
@@ -27,7 +27,7 @@ def run_adaptive(
     h: float,
     every: int,
     progress: Callable[[float], None] | None,
-) -> tuple[np.ndarray, np.ndarray, str, str, dict[str, Any]]:
+) -> tuple[np.ndarray, np.ndarray, Verdict, dict[str, Any]]:
     """Integrate adaptively; rows are recorded on the same grid as a fixed-step run.
 
     Zero crossings that blocks declare are located to rounding and the integration restarts behind them,
@@ -45,7 +45,7 @@ def run_adaptive(
     grid = np.arange(n_steps // every + 1) * every * h
     rows = np.empty((len(grid), instance.n_y))
     counters = {"steps": 0, "evaluations": 0, "events": 0, "jacobians": 0}
-    t, filled, status, message = 0.0, 0, "finished", ""
+    t, filled, verdict = 0.0, 0, Verdict()
     instance.start(0.0)
     x = np.array(instance.x)
     try:
@@ -60,7 +60,7 @@ def run_adaptive(
                 rows[filled] = instance.record(grid[filled], part.sol(grid[filled]))
                 filled += 1
             if part.status < 0 or not np.isfinite(part.y[:, -1]).all():
-                status, message = "diverged", _failure(model, instance, part, reached)
+                verdict = Verdict("diverged", _failure(model, instance, part, reached))
                 break
             x, t = np.array(part.y[:, -1]), reached
             if part.status == 1:  # step over the crossing: far enough to be behind it, too little to matter
@@ -68,7 +68,7 @@ def run_adaptive(
                 beyond = 1e-9 * h
                 x, t = x + beyond * instance.derivative(t + beyond, x), t + beyond
                 if counters["events"] > MOST_EVENTS:
-                    status, message = "diverged", f"more than {MOST_EVENTS} zero crossings until t = {t:.6g} s"
+                    verdict = Verdict("diverged", f"more than {MOST_EVENTS} zero crossings until t = {t:.6g} s")
                     break
             elif t < end:
                 instance.x[:] = x
@@ -76,12 +76,12 @@ def run_adaptive(
             if progress is not None:
                 progress(t / end)
     except KeyboardInterrupt:
-        status, message = "stopped", f"interrupted at t = {t:.6g} s; what was computed until then is kept"
+        verdict = interrupted(t)
     instance.x[:] = x
-    if status == "finished" and filled == len(grid) - 1:  # the last crossing lay on the end
+    if verdict.status == "finished" and filled == len(grid) - 1:  # the last crossing lay on the end
         rows[filled] = instance.record(grid[filled], x)
         filled += 1
-    return grid[:filled], rows[:filled], status, message, counters
+    return grid[:filled], rows[:filled], verdict, counters
 
 
 def _events(model: Model, p: np.ndarray, instance: Instance) -> list[Callable[[float, np.ndarray], float]]:
@@ -113,5 +113,5 @@ def _failure(model: Model, instance: Instance, part: Any, reached: float) -> str
     worst = int(np.nanargmax(np.where(np.isfinite(last), last, np.inf))) if len(last) else 0
     state = next((n for n, s in model.states.items() if s.part.start <= worst < s.part.stop), "")
     block = model.block_of_state(worst)
-    why = cause(model, instance, None)
+    why, _ = growth(model, instance, None)
     return f"diverged at t = {reached:.6g} s: state '{state}' of block '{block}'{why} ({part.message.rstrip('.')})"

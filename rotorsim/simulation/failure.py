@@ -1,6 +1,8 @@
-"""Say where and why a fixed-step run diverged."""
+"""How a run ended; where and why one diverged."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,10 +11,25 @@ from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
 
 
+@dataclass(frozen=True)
+class Verdict:
+    """How a run ended: status, message and cause as in `Result`; error: of the step, relative."""
+
+    status: str = "finished"
+    message: str = ""
+    error: float | None = None
+    cause: str = ""
+
+
+def interrupted(t: float) -> Verdict:
+    """Return that a run was stopped at a time [s]."""
+    return Verdict("stopped", f"interrupted at t = {t:.6g} s; what was computed until then is kept")
+
+
 def describe_failure(
     model: Model, instance: Instance, first: int, until: int, h: float, every: int, rows: np.ndarray
-) -> tuple[int, str]:
-    """Repeat a stretch that ended non-finite; return the first bad step and a message with time, block and cure."""
+) -> tuple[int, Verdict]:
+    """Repeat a stretch that ended non-finite; return the first bad step and why, with time and block."""
     start = instance.save()
     reached = instance.run(first, until, 0.0, h, every, rows[-(-first // every) :])
     instance.restore(start)
@@ -26,21 +43,23 @@ def describe_failure(
     bad = np.flatnonzero(~np.isfinite(instance.x))
     worst = int(bad[np.argmax(np.abs(before[bad]))]) if len(bad) else 0
     state = next(name for name, signal in model.states.items() if signal.part.start <= worst < signal.part.stop)
-    why = cause(model, instance, h)
-    return n, f"diverged at t = {n * h:.6g} s: state '{state}' of block '{model.block_of_state(worst)}'{why}"
+    why, cause = growth(model, instance, h)
+    what = f"diverged at t = {n * h:.6g} s: state '{state}' of block '{model.block_of_state(worst)}'{why}"
+    return n, Verdict("diverged", what, cause=cause)
 
 
-def cause(model: Model, instance: Instance, h: float | None) -> str:
-    """Tell instability of the system from a step that is too large, by the Jacobian at the start."""
+def growth(model: Model, instance: Instance, h: float | None) -> tuple[str, str]:
+    """Tell instability of the system from a step that is too large, by the Jacobian at the start: words, cause."""
     z = np.asarray(instance.z)
     p = instance.p  # type: ignore[attr-defined]
     jacobian = np.array(model.jacobian(0.0, model.x0(p), z, p))
     if model.n_z or not np.isfinite(jacobian).all():
-        return " is not finite any more"
-    found = growing(jacobian)
-    if found:
-        return f" grows without bound: the system is unstable ({found.describe(model)})"
+        return " is not finite any more", ""
+    poles = growing(jacobian)
+    if poles:
+        return f" grows without bound: the system is unstable ({poles.describe(model)})", ""
     stable = rounded_down(largest_stable_step(np.linalg.eigvals(jacobian)))
     if h is not None and stable < h:
-        return f" grows without bound: the step {h:.3g} s is too large, RK4 is stable here up to {stable:.3g} s"
-    return " is not finite any more"
+        why = f" grows without bound: the step {h:.3g} s is too large, RK4 is stable here up to {stable:.3g} s"
+        return why, "step"
+    return " is not finite any more", ""

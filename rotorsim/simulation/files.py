@@ -97,6 +97,7 @@ def _meta(result: Result) -> dict[str, Any]:
         },
         "status": result.status,
         "message": result.message,
+        "cause": result.cause,
         "counters": dict(result.counters),
         "provenance": dict(result.provenance),
     }
@@ -104,7 +105,8 @@ def _meta(result: Result) -> dict[str, Any]:
 
 def _result(time: np.ndarray, signals: dict[str, np.ndarray], meta: dict[str, Any]) -> Result:
     units = {name: entry["unit"] for name, entry in meta["signals"].items()}
-    return Result(time, signals, units, meta["status"], meta["message"], meta["counters"], meta["provenance"])
+    cause = meta.get("cause", "")  # files of earlier versions name none
+    return Result(time, signals, units, meta["status"], meta["message"], meta["counters"], meta["provenance"], cause)
 
 
 def _save_csv(result: Result, path: Path) -> None:

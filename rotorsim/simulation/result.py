@@ -33,8 +33,9 @@ class Result(Shown):
 
     time: (n,) [s]. signals: name -> (n, *shape), SI. units: name -> unit. status: "finished",
     "unstable" (the machine is, by its poles), "diverged" (a state stopped being finite, or the step is beyond the
-    stability limit) or "stopped" (interrupted); message: the reason, or advice. counters: steps, evaluations,
-    CPU seconds, step_error (of a fixed step, relative). provenance: what was run, with what.
+    stability limit) or "stopped" (interrupted); message: the reason, or advice; cause: what it is about, where that
+    decides the cure: "step" (too large), "sampled" (unstable, with sampled blocks), "loop". counters: steps,
+    evaluations, CPU seconds, step_error (of a fixed step, relative). provenance: what was run, with what.
 
     ``result["rotor.displacement"]`` is the whole signal, ``result["rotor.displacement[3,1]"]`` one entry of it.
     Raises RotorsimError for signals that are not as long as time.
@@ -47,6 +48,7 @@ class Result(Shown):
     message: str = ""
     counters: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    cause: str = ""
 
     _figure = "rotorsim.report.figures.run:overview"
 
@@ -70,7 +72,7 @@ class Result(Shown):
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as plain dictionaries: results travel between processes."""
         maps = (dict(self.counters), dict(self.provenance))
-        return Result, (self.time, dict(self.signals), dict(self.units), self.status, self.message, *maps)
+        return Result, (self.time, dict(self.signals), dict(self.units), self.status, self.message, *maps, self.cause)
 
     def __eq__(self, other: object) -> bool:
         """Whether everything is equal, to the last bit (NaN equals NaN)."""
@@ -80,7 +82,8 @@ class Result(Shown):
             list(self.signals) == list(other.signals)
             and np.array_equal(self.time, other.time)
             and all(np.array_equal(self.signals[k], other.signals[k], equal_nan=True) for k in self.signals)
-            and (self.units, self.status, self.message) == (other.units, other.status, other.message)
+            and (self.units, self.status, self.message, self.cause)
+            == (other.units, other.status, other.message, other.cause)
             and (self.counters, self.provenance) == (other.counters, other.provenance)
         )
 

@@ -15,7 +15,7 @@ from rotorsim.linear.linearisation import as_model
 from rotorsim.model.compiled import Model
 from rotorsim.model.input_limits import input_limits, passed_limit
 from rotorsim.model.instance import Instance, make_instance
-from rotorsim.simulation.failure import describe_failure
+from rotorsim.simulation.failure import Verdict, describe_failure, interrupted
 from rotorsim.simulation.result import Result, cut
 from rotorsim.simulation.validity import Run, Stretch, judge, loose_tolerance, stretches_of
 
@@ -86,35 +86,36 @@ def simulate(
         from rotorsim.simulation.adaptive import run_adaptive
 
         outcome = run_adaptive(model, instance, chosen, n_steps, h, every, progress)
-    time, rows, status, message, counters = outcome
+    time, rows, verdict, counters = outcome
     counters["compile_cpu_seconds"] = prepared - begun
     ran = clock.process_time()
     counters["run_cpu_seconds"] = ran - prepared
     signals, residuals = cut(rows, {name: model.shape_of(name) for name in watched})
-    if status == "finished":
+    if verdict.status == "finished":
         run = Run(model, instance, watched, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
         verdict = judge(run)
-        status, message = verdict.status, verdict.message
-        too_far = passed_limit(limits, time, signals)
-        if too_far and status == "finished":
-            status, message = "diverged", too_far
-        if status == "finished" and not message and chosen != "rk4":
-            message = loose_tolerance(model, signals, solver.atol)
         if verdict.error is not None:
             counters["step_error"] = verdict.error
+        too_far = passed_limit(limits, time, signals)
+        if too_far and verdict.status == "finished":
+            verdict = Verdict("diverged", too_far)
+        if verdict.status == "finished" and not verdict.message and chosen != "rk4":
+            verdict = Verdict(message=loose_tolerance(model, signals, solver.atol))
         counters["check_cpu_seconds"] = clock.process_time() - ran
     if residuals.shape[1]:
         counters["loop_residual"] = largest = float(np.abs(residuals).max(initial=0.0))
-        if largest > LARGEST_RESIDUAL and status == "finished":
-            status, message = "diverged", f"an algebraic loop did not converge: largest residual {largest:.2g}"
+        if largest > LARGEST_RESIDUAL and verdict.status == "finished":
+            what = f"an algebraic loop did not converge: largest residual {largest:.2g}"
+            verdict = Verdict("diverged", what, cause="loop")
     return Result(
         time,
         {name: signals[name] for name in names},
         {name: model.select(name)[0].unit or "" for name in names},
-        status,
-        message,
+        verdict.status,
+        verdict.message,
         counters,
         {**_provenance(model, p), "method": chosen, "step": h, "path": instance.path},
+        verdict.cause,
     )
 
 
@@ -172,7 +173,7 @@ def _check(h: float, end: float, every: int) -> None:
         raise RotorsimError(*problems)
 
 
-Outcome = tuple[np.ndarray, np.ndarray, str, str, dict[str, Any]]
+Outcome = tuple[np.ndarray, np.ndarray, Verdict, dict[str, Any]]
 
 
 def _run_rk4(
@@ -187,7 +188,7 @@ def _run_rk4(
     """Take the steps; ``stretches`` receives the states from which parts of them can be repeated."""
     ahead = stretches_of(n_steps)
     rows = np.empty((n_steps // every + 1, instance.n_y))
-    n, chunk, status, message = 0, n_steps if progress is None else 1000, "finished", ""
+    n, chunk, verdict = 0, n_steps if progress is None else 1000, Verdict()
     chunk = min(chunk, 10_000_000)
     try:
         instance.start(0.0)
@@ -202,20 +203,19 @@ def _run_rk4(
             if not np.isfinite(instance.x).all():
                 instance.restore(saved)
                 n = first
-                n, message = describe_failure(model, instance, first, until, h, every, rows)
-                status = "diverged"
+                n, verdict = describe_failure(model, instance, first, until, h, every, rows)
                 break
             elapsed = clock.perf_counter() - begun
             if progress is not None:
                 progress(n / n_steps)
                 chunk = int(chunk * min(max(0.1 / max(elapsed, 1e-6), 0.5), 10.0)) + 1
     except KeyboardInterrupt:
-        status, message = "stopped", f"interrupted at t = {n * h:.6g} s; what was computed until then is kept"
-    if status == "finished" and n_steps % every == 0:
+        verdict = interrupted(n * h)
+    if verdict.status == "finished" and n_steps % every == 0:
         rows[n_steps // every] = instance.record(n_steps * h, instance.x)
         kept = n_steps // every + 1
     else:
         kept = -(-n // every)
     time = np.arange(kept) * every * h
     counters = {"steps": n, "evaluations": 4 * n}
-    return time, rows[:kept], status, message, counters
+    return time, rows[:kept], verdict, counters

@@ -19,6 +19,7 @@ from rotorsim.linear.linearisation import jacobians, speed_of
 from rotorsim.linear.stability import Growing, growing, largest_stable_step, rounded_down, step_factor
 from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
+from rotorsim.simulation.failure import Verdict
 from rotorsim.simulation.result import cut
 
 LARGEST_ERROR = 0.01  # of the rms of a signal: what a run may be wrong by without a word
@@ -47,15 +48,6 @@ class Stretch:
         rows = np.empty((self.last - self.first, instance.n_y))
         instance.run(self.first * parts, self.last * parts, 0.0, h / parts, parts, rows)
         return rows
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """status: "finished", "unstable" or "diverged"; message: the reason, or advice; error: of the step, relative."""
-
-    status: str = "finished"
-    message: str = ""
-    error: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +101,7 @@ def judge(run: Run) -> Verdict:
             limit = rounded_down(largest_stable_step(values))
             what = f"the step {h:.3g} s is too large: RK4 is stable here up to {limit:.3g} s"
             still = model.linear and not np.any(x)  # nothing moved: nothing could grow
-            return Verdict("finished" if still else "diverged", what, error)
+            return Verdict("finished" if still else "diverged", what, error, "step")
     return _finished(run, error, worst)
 
 
@@ -124,7 +116,7 @@ def _finished(run: Run, error: float | None, worst: str) -> Verdict:
         text = f"{what}, and no step down to {run.h / 2**MOST_HALVINGS:.2g} s brings it below 1 %"
     else:
         text = f"{what}; a step of {enough:.2g} s would do"
-    return Verdict(message=text, error=error)
+    return Verdict(message=text, error=error, cause="step")
 
 
 def loose_tolerance(model: Model, signals: Mapping[str, np.ndarray], atol: float) -> str:
@@ -225,9 +217,10 @@ def _sampled(run: Run, at_end: Any, x: np.ndarray, z: np.ndarray, rate: float, e
         return None
     if _transition_rate(run, at_end, x, z, period, min(run.h or run.end, period / 4)) >= 0.5 * rate:
         text = f"the machine with its sampled blocks is unstable: its motion grows at {rate:.4g} 1/s"
-        return Verdict("unstable", text, error)
+        return Verdict("unstable", text, error, "sampled")
     if run.h is not None and (error or 0.0) >= 1.0:
-        return Verdict("diverged", f"the step {run.h:.3g} s is too large: the motion grows at {rate:.4g} 1/s", error)
+        text = f"the step {run.h:.3g} s is too large: the motion grows at {rate:.4g} 1/s"
+        return Verdict("diverged", text, error, "step")
     return None
 
 

@@ -26,6 +26,7 @@ def test_a_step_that_is_too_large_is_told_from_an_unstable_system():
     result = simulate(load(oscillator(stiffness=1e8)), stop=2.0)
     assert result.status == "diverged"
     assert result.message.endswith("the step 0.001 s is too large, RK4 is stable here up to 0.000282 s")
+    assert result.cause == "step"
 
 
 def test_the_largest_stable_step_is_that_of_the_stability_function():
@@ -153,5 +154,6 @@ def test_an_algebraic_loop_without_a_solution_is_said():
     result = simulate(load(document(blocks, [list(wire) for wire in wires], ["y.output"], algebraic_loops="solve")))
     assert result.status == "diverged"
     assert result.message.startswith("an algebraic loop did not converge: largest residual")
+    assert result.cause == "loop"
     assert result.counters["loop_residual"] > 1e-9
     assert list(result.signals) == ["y.output"]

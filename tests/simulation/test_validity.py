@@ -94,6 +94,7 @@ def test_a_step_beyond_the_stability_limit_is_not_finished():
     result = simulate(load(oscillator(stiffness=1e8)), step=0.4e-3, stop=0.02)
     assert result.status == "diverged"
     assert result.message == "the step 0.0004 s is too large: RK4 is stable here up to 0.000282 s"
+    assert result.cause == "step"
 
 
 @pytest.mark.parametrize("name", ["jeffcott", "offset_disc"])
@@ -167,6 +168,7 @@ def test_sampled_machines_are_judged_by_their_transition(tmp_path):
     result = simulate(load(str(file), set={"controller.KD": -5.0}), stop=1.0)
     assert result.status == "unstable"
     assert result.message.startswith("the machine with its sampled blocks is unstable: its motion grows at ")
+    assert result.cause == "sampled"
 
 
 # -- the error of the step ---------------------------------------------------------------------------------------------
@@ -187,6 +189,7 @@ def test_a_step_that_is_too_coarse_is_said_with_one_that_would_do():
     assert coarse.status == "finished"
     head, _, tail = coarse.message.partition("; a step of ")
     assert head == "the step 0.003 s is too large: 'rotor.displacement' is wrong by about 25 % of its rms"
+    assert coarse.cause == "step"
     step = float(tail.removesuffix(" s would do"))
     assert 0.2e-3 < step < 3e-3
     better = simulate(load("jeffcott"), step=step)
