@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from rotorsim.block import Block
 from rotorsim.diagram.diagram import Diagram, Endpoint
 
 
@@ -29,6 +30,8 @@ def input_limits(diagram: Diagram, given: Mapping[str, np.ndarray] | None = None
     """
     known, limits = given or {}, []
     for name, node in diagram.nodes.items():
+        if type(node.block).holds_below is Block.holds_below:
+            continue
         values = {key: known.get(f"{name}.{key}", node.values[key]) for key in node.block.parameters}
         single = {key: float(np.ravel(value)[0]) if np.size(value) == 1 else value for key, value in values.items()}
         for port, limit in node.block.holds_below(SimpleNamespace(**single)).items():
