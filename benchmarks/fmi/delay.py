@@ -36,7 +36,7 @@ def _result(command: str) -> Result:
 def delay_figure() -> Figure:
     """Return the x displacement from rest: the whole diagram, and cut with held and with linear inputs."""
     with styled():
-        made = figure(8.6, 3.4, "jeffcott, cut at its controller: inputs held over a communication step are a delay")
+        made = figure(8.6, 3.4, "jeffcott, cut at its controller: an input held is an input delayed")
         axes = made.add_subplot()
         for label, command, line in RUNS:
             result = _result(command)
