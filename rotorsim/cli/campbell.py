@@ -47,15 +47,15 @@ def command(chosen: Chosen, speeds: str, orders: str, plot: str | None, as_json:
     loaded = chosen.open()
     from rotorsim.linear.campbell import campbell
 
-    found = campbell(loaded, speeds=range_of_speeds, orders=multiples)
+    result = campbell(loaded, speeds=range_of_speeds, orders=multiples)
 
-    save_plot(lambda: found.plot(loaded.name, orders=multiples), plot)
-    unstable = found.speeds[~found.stable]
+    save_plot(lambda: result.plot(loaded.name, orders=multiples), plot)
+    unstable = result.speeds[~result.stable]
     if len(unstable):
         between = " .. ".join(dict.fromkeys(f"{rpm(float(speed)):.6g}" for speed in unstable[[0, -1]]))
-        what = f"unstable at {len(unstable)} of {len(found.speeds)} speeds ({between} rpm): a pole grows there"
+        what = f"unstable at {len(unstable)} of {len(result.speeds)} speeds ({between} rpm): a pole grows there"
         warn(what, loaded.name, "'rotorsim modes --set speed=...' shows which; a critical speed there is never reached")
-    left_out = len(found.resonant) - int(sum(found.resonant))
+    left_out = len(result.resonant) - int(sum(result.resonant))
     if left_out and not as_json:
         note(f"{left_out} modes with a damping ratio above 0.707 at all speeds, no resonance: --json has them")
     crossings = [
@@ -69,25 +69,25 @@ def command(chosen: Chosen, speeds: str, orders: str, plot: str | None, as_json:
             "damping_ratio": c.damping_ratio,
             "stable": c.stable,
         }
-        for c in found.crossings
+        for c in result.crossings
     ]
     data = {
         "diagram": loaded.name,
-        "speeds": found.speeds,
-        "speeds_rpm": rpm(found.speeds),
-        "frequency_hz": found.frequency_hz,
-        "damping_ratio": found.damping_ratio,
-        "whirl": found.whirl,
-        "stable": found.stable,
+        "speeds": result.speeds,
+        "speeds_rpm": rpm(result.speeds),
+        "frequency_hz": result.frequency_hz,
+        "damping_ratio": result.damping_ratio,
+        "whirl": result.whirl,
+        "stable": result.stable,
         "critical_speeds": crossings,
     }
-    show(as_json, lambda: data, lambda: _text(found))
+    show(as_json, lambda: data, lambda: _text(result))
 
 
-def _text(found: Campbell) -> str:
+def _text(result: Campbell) -> str:
     """Return the frequencies and the critical speeds; whether the machine is stable, where it is not everywhere."""
-    shown = [k for k, resonant in enumerate(found.resonant) if resonant]
-    shaky = not found.stable.all()
+    shown = [k for k, resonant in enumerate(result.resonant) if resonant]
+    shaky = not result.stable.all()
     last = ("machine",) if shaky else ()
     machine = {True: ("stable",) if shaky else (), False: ("unstable",) if shaky else ()}
     rows = [
@@ -96,7 +96,7 @@ def _text(found: Campbell) -> str:
             *(f"{f:.4f}" if math.isfinite(f) else "-" for f in frequencies[shown]),
             *machine[bool(stable)],
         )
-        for speed, frequencies, stable in zip(found.speeds, found.frequency_hz, found.stable, strict=True)
+        for speed, frequencies, stable in zip(result.speeds, result.frequency_hz, result.stable, strict=True)
     ]
     text = table(("speed [rpm]", *(f"mode {k + 1} [Hz]" for k in shown), *last), rows)
     crossings = [
@@ -108,8 +108,8 @@ def _text(found: Campbell) -> str:
             c.whirl,
             *machine[bool(c.stable)],
         )
-        for c in found.crossings
-        if found.resonant[c.mode - 1]
+        for c in result.crossings
+        if result.resonant[c.mode - 1]
     ]
     header = ("order", "critical speed [rpm]", "frequency [Hz]", "damping ratio", "whirl", *last)
     return f"{text}\n\n{table(header, crossings)}" if crossings else text

@@ -106,7 +106,7 @@ def command(
     if out:
         _make(out)
     with progress_bar("diagnose", progress) as bar:
-        found = diagnose(
+        diagnosis = diagnose(
             loaded,
             measured,
             hold_out=held,
@@ -116,14 +116,14 @@ def command(
             scheduler=scheduler,
             progress=bar,
         )
-    show_problems(found.warnings)
+    show_problems(diagnosis.warnings)
     if out:
         from rotorsim.report.diagnosis.report import save_report
 
-        for file in (*save_diagnosis(found, out), *save_report(found, out)):
+        for file in (*save_diagnosis(diagnosis, out), *save_report(diagnosis, out)):
             note(f"written: {file}")
-    show(as_json, lambda: diagnosis_data(found), lambda: _text(found))
-    return 0 if found.verdict == "consistent" else 1
+    show(as_json, lambda: diagnosis_data(diagnosis), lambda: _text(diagnosis))
+    return 0 if diagnosis.verdict == "consistent" else 1
 
 
 def _show_isolability(
@@ -142,7 +142,7 @@ def _show_isolability(
     at = [] if speeds is None else speeds_of(speeds).tolist()
     refuse_if(0 in at, f"--speeds {speeds}: the shaft does not turn", hint="leave 0 out")
     with progress_bar("signatures", progress) as bar:
-        found = isolate(
+        isolation = isolate(
             loaded,
             list(dict.fromkeys(sensors)),
             speeds=at,
@@ -150,7 +150,7 @@ def _show_isolability(
             trust_blocks=chosen.trust_blocks,
             progress=bar,
         )
-    show(as_json, lambda: isolation_data(found), lambda: isolability_text(found))
+    show(as_json, lambda: isolation_data(isolation), lambda: isolability_text(isolation))
 
 
 def _existing(what: str, path: str) -> str:
@@ -193,18 +193,18 @@ def _physics(text: str) -> list[str]:
     return wanted
 
 
-def _text(found: Diagnosis) -> str:
+def _text(diagnosis: Diagnosis) -> str:
     """Return verdict, table of what is missing, places, and the statement."""
-    parts = [f"verdict: {found.verdict}"]
+    parts = [f"verdict: {diagnosis.verdict}"]
     rows = [
         (name, f"{probability:.2g}", str(effect.spot_of(name) or ""))
-        for effect in found.effects
+        for effect in diagnosis.effects
         for name, probability in effect.members.items()
     ]
-    if rows and found.verdict != "outside_catalogue":
+    if rows and diagnosis.verdict != "outside_catalogue":
         parts.append(table(("missing", "probability", "at"), rows))
-    elif found.places:
-        parts.append(table(("place", "probability"), [(str(s), f"{p:.2g}") for s, p in found.places[:8]]))
-    parts.append(found.statement)
-    parts.append(f"Next experiment: {found.next_experiment}.")
+    elif diagnosis.places:
+        parts.append(table(("place", "probability"), [(str(s), f"{p:.2g}") for s, p in diagnosis.places[:8]]))
+    parts.append(diagnosis.statement)
+    parts.append(f"Next experiment: {diagnosis.next_experiment}.")
     return "\n\n".join(parts)

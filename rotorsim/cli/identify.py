@@ -95,7 +95,7 @@ def command(
     wanted = THESIS_ORDERS if orders is None else whole_numbers("--orders", orders, "--orders 0,1,2,-1")
     _refuse_unheard(method, orders, reduction, given)
     loaded, measured = chosen.open(), load_recording(recording)
-    found = identify(
+    identification = identify(
         loaded,
         measured,
         method=method,
@@ -105,14 +105,14 @@ def command(
         precision=share,
         hold_out=None if hold_out is None else load_recording(hold_out),
     )
-    show_problems(found.warnings)
+    show_problems(identification.warnings)
     if out:
         from rotorsim.report.identification.figures import save_figures
 
-        for file in [*save_identification(found, out), *save_figures(found, measured, out)]:
+        for file in [*save_identification(identification, out), *save_figures(identification, measured, out)]:
             note(f"written: {file}")
-    show(as_json, lambda: identification_data(found), lambda: _text(found))
-    return 1 if found.open or not found.adequate else 0
+    show(as_json, lambda: identification_data(identification), lambda: _text(identification))
+    return 1 if identification.open or not identification.adequate else 0
 
 
 def _refuse_unheard(method: str, orders: str | None, reduction: str, given: tuple[str, ...]) -> None:
@@ -127,24 +127,24 @@ def _refuse_unheard(method: str, orders: str | None, reduction: str, given: tupl
     refuse_all(problems)
 
 
-def _text(found: Identification) -> str:
+def _text(identification: Identification) -> str:
     """Return the table of parameters, the fit and the statement."""
     rows = []
-    for item in found.parameters.values():
+    for item in identification.parameters.values():
         unit, scale = parameter_unit(item.unit)
         low, high = (f"{end * scale:.6g}" for end in item.interval90)
-        verdict = ("yes" if found.adequate else "if the model is right") if item.verdict.identifiable else "NO"
+        verdict = ("yes" if identification.adequate else "if the model is right") if item.verdict.identifiable else "NO"
         rows.append(
             (item.name, f"{item.value * scale:.6g}", f"{item.std * scale:.2g}", f"{low} .. {high}", unit, verdict)
         )
     errors = [
-        (signal, *(f"{fit.get(signal, math.nan) * 100:.3g} %" for fit in found.fit.values()), percent(floor))
-        for signal, floor in found.noise_floor.items()
+        (signal, *(f"{fit.get(signal, math.nan) * 100:.3g} %" for fit in identification.fit.values()), percent(floor))
+        for signal, floor in identification.noise_floor.items()
     ]
     return "\n\n".join(
         [
             table(("parameter", "value", "std", "90 % interval", "unit", "identified"), rows),
-            table(("NRMSE of signal", *(USE_WORDS[use] for use in found.fit), "noise floor"), errors),
-            found.statement,
+            table(("NRMSE of signal", *(USE_WORDS[use] for use in identification.fit), "noise floor"), errors),
+            identification.statement,
         ]
     )

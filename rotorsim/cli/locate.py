@@ -51,18 +51,22 @@ def command(
     from rotorsim.recordings.loading import load_recording
 
     loaded, measured, trust = chosen.open(), load_recording(recording), chosen.trust_blocks
-    found = locate(loaded, measured, block, count=count, given=given, trust_blocks=trust)
+    locations = locate(loaded, measured, block, count=count, given=given, trust_blocks=trust)
     single = locate(loaded, measured, block, given=given, trust_blocks=trust)[0] if count == 2 else None
     if out:
-        _save(found[0], loaded, out, trust)
+        _save(locations[0], loaded, out, trust)
         note(f"written: {out}")
     rows = [
         (" and ".join(map(str, item.nodes)), f"{item.probability:.3g}", f"{item.misfit / item.estimate.freedom:.4g}")
-        for item in found
+        for item in locations
     ]
     places = table((f"node of {block}", "probability", "misfit / freedom"), rows)
-    show(as_json, lambda: _data(found, single), lambda: f"{places}\n\n{_statement(found, single, block)}")
-    return 0 if found[0].probability > CRITERIA.located and found[0].estimate.goodness >= CRITERIA.not_explained else 1
+    show(as_json, lambda: _data(locations, single), lambda: f"{places}\n\n{_statement(locations, single, block)}")
+    return (
+        0
+        if locations[0].probability > CRITERIA.located and locations[0].estimate.goodness >= CRITERIA.not_explained
+        else 1
+    )
 
 
 def _save(best: Location, diagram: Diagram, file: str, trust_blocks: bool) -> None:
@@ -83,8 +87,8 @@ def _criterion(item: Location) -> float:
     return item.misfit + len(item.values) * math.log(item.estimate.evaluation.rows)
 
 
-def _statement(found: list[Location], single: Location | None, block: str) -> str:
-    best = found[0]
+def _statement(locations: list[Location], single: Location | None, block: str) -> str:
+    best = locations[0]
     places = " and ".join(map(str, best.nodes))
     if single is None and best.probability <= CRITERIA.located:
         return f"The node of {block} cannot be located: {places} is most probable, with {best.probability:.2g} only."
@@ -98,7 +102,7 @@ def _statement(found: list[Location], single: Location | None, block: str) -> st
     return f"One {block} at node {single.nodes[0]} is enough: a second one gains nothing (BIC {-gain:+.3g}){poor}."
 
 
-def _data(found: list[Location], single: Location | None) -> dict[str, Any]:
+def _data(locations: list[Location], single: Location | None) -> dict[str, Any]:
     def one(item: Location) -> dict[str, Any]:
         return {
             "nodes": item.nodes,
@@ -109,4 +113,4 @@ def _data(found: list[Location], single: Location | None) -> dict[str, Any]:
             "parameters": item.values,
         }
 
-    return {"places": [one(item) for item in found], "one_alone": None if single is None else one(single)}
+    return {"places": [one(item) for item in locations], "one_alone": None if single is None else one(single)}

@@ -28,16 +28,16 @@ def command(chosen: Chosen, as_json: bool) -> None:
     loaded = chosen.open()
     from rotorsim.linear.eigenmodes import modes
 
-    found = modes(loaded)
-    for text in (*found.notes, *([] if found.stable else ["unstable: a pole has a positive real part"])):
+    result = modes(loaded)
+    for text in (*result.notes, *([] if result.stable else ["unstable: a pole has a positive real part"])):
         note(text)
-    data = {"diagram": loaded.name, "speed": found.speed, "stable": found.stable, "modes": found.to_table()}
-    show(as_json, lambda: {**data, "real_poles": found.real_poles}, lambda: _text(found))
+    data = {"diagram": loaded.name, "speed": result.speed, "stable": result.stable, "modes": result.to_table()}
+    show(as_json, lambda: {**data, "real_poles": result.real_poles}, lambda: _text(result))
 
 
-def _text(found: Modes) -> str:
+def _text(result: Modes) -> str:
     rows: dict[bool, list[tuple[str, ...]]] = {True: [], False: []}
-    for k, mode in enumerate(found.modes, 1):
+    for k, mode in enumerate(result.modes, 1):
         frequencies = f"{mode.frequency_hz:.4f}", f"{mode.natural_frequency_hz:.4f}"
         damping = f"{round(mode.damping_ratio, 6) + 0.0:.6f}"
         grows = ", grows" if mode.damping_ratio < -ZERO_DAMPING else ""
@@ -45,8 +45,8 @@ def _text(found: Modes) -> str:
     parts = [table(HEADER, rows[True])]
     if rows[False]:
         parts.append(f"damped beyond 0.707, which no force brings to resonance\n{table(HEADER, rows[False])}")
-    if len(found.real_poles):
-        least = 0.0 if found.stable else 1e-9 * float(abs(found.real_poles).max())
-        poles = (f"{p:.4g}{' (grows)' if not found.stable and p > least else ''}" for p in found.real_poles)
+    if len(result.real_poles):
+        least = 0.0 if result.stable else 1e-9 * float(abs(result.real_poles).max())
+        poles = (f"{p:.4g}{' (grows)' if not result.stable and p > least else ''}" for p in result.real_poles)
         parts.append(f"poles that do not oscillate [1/s]: {', '.join(poles)}")
     return "\n\n".join(parts)

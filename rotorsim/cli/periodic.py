@@ -59,57 +59,57 @@ def command(
     loaded = chosen.open()
     from rotorsim.settled.periodic import periodic
 
-    found = periodic(loaded, speeds=at, harmonics=harmonics, subharmonic=subharmonic, signals=record or None)
-    for name in found.drifting:
+    result = periodic(loaded, speeds=at, harmonics=harmonics, subharmonic=subharmonic, signals=record or None)
+    for name in result.drifting:
         note(f"{name} drifts: its mean has no settled value")
-    refuse_if(plot and len(found.speeds) < 2, "--plot needs several speeds", hint="give --speeds")
+    refuse_if(plot and len(result.speeds) < 2, "--plot needs several speeds", hint="give --speeds")
 
-    save_plot(lambda: found.plot(title=loaded.name), plot)
-    places = [f"{loaded.name} at {rpm(float(speed)):.6g} rpm" for speed in found.speeds]
-    states = zip(found.status, places, found.settled, strict=True)
+    save_plot(lambda: result.plot(title=loaded.name), plot)
+    places = [f"{loaded.name} at {rpm(float(speed)):.6g} rpm" for speed in result.speeds]
+    states = zip(result.status, places, result.settled, strict=True)
     failed = [Problem(text, place) for text, place, settled in states if not settled]
     show_problems(failed)
-    worst = int(found.truncation_error.argmax())
-    share, H = float(found.truncation_error[worst]), found.provenance["harmonics"]
+    worst = int(result.truncation_error.argmax())
+    share, H = float(result.truncation_error[worst]), result.provenance["harmonics"]
     if share > NOTICED:
         what = (
             f"{2 * H + 1} orders instead of {H} change those that are kept by up to {100 * share:.2g} % of the largest"
         )
         warn(what, places[worst], "leave --harmonics out: as many as needed")
-    shaky = [float(speed) for speed, stable in zip(found.speeds, found.stable, strict=True) if stable is False]
+    shaky = [float(speed) for speed, stable in zip(result.speeds, result.stable, strict=True) if stable is False]
     if shaky:
         between = " .. ".join(dict.fromkeys(f"{rpm(speed):.6g}" for speed in (shaky[0], shaky[-1])))
-        what = f"unstable at {len(shaky)} of {len(found.speeds)} speeds ({between} rpm): this motion is never reached"
+        what = f"unstable at {len(shaky)} of {len(result.speeds)} speeds ({between} rpm): this motion is never reached"
         warn(what, loaded.name, "'rotorsim modes' shows which pole grows")
     data = {
         "diagram": loaded.name,
-        "speeds": found.speeds,
-        "speeds_rpm": rpm(found.speeds),
-        "orders": found.orders,
+        "speeds": result.speeds,
+        "speeds_rpm": rpm(result.speeds),
+        "orders": result.orders,
         "harmonics": {
-            name: {"unit": found.units[name], "real": value.real, "imag": value.imag}
-            for name, value in found.harmonics.items()
+            name: {"unit": result.units[name], "real": value.real, "imag": value.imag}
+            for name, value in result.harmonics.items()
         },
-        "status": found.status,
-        "stable": found.stable,
-        "drifting": found.drifting,
+        "status": result.status,
+        "stable": result.stable,
+        "drifting": result.drifting,
     }
-    names = found.two_axis or found.harmonics
-    show(as_json, lambda: data, lambda: "\n\n".join(_table(found, name) for name in names))
+    names = result.two_axis or result.harmonics
+    show(as_json, lambda: data, lambda: "\n\n".join(_table(result, name) for name in names))
     return 1 if failed else 0
 
 
-def _table(found: Periodic, name: str) -> str:
+def _table(result: Periodic, name: str) -> str:
     """Return the harmonics of one signal that exceed LISTED_SHARE of the largest at their speed."""
-    unit, scale = display_unit(found.units[name])
-    shaky = False in found.stable
+    unit, scale = display_unit(result.units[name])
+    shaky = False in result.stable
     lines = []
-    for speed, values, stable in zip(found.speeds, found.harmonics[name].tolist(), found.stable, strict=True):
+    for speed, values, stable in zip(result.speeds, result.harmonics[name].tolist(), result.stable, strict=True):
         mark = (("unstable" if stable is False else "settled"),) if shaky else ()
         least = LISTED_SHARE * max((abs(value) for value in values if math.isfinite(abs(value))), default=0.0)
         lines += [
             (f"{rpm(float(speed)):.6g}", f"{order:g}", f"{abs(value) * scale:.6g}", f"{degrees(value):.2f}", *mark)
-            for order, value in zip(found.orders, values, strict=True)
+            for order, value in zip(result.orders, values, strict=True)
             if abs(value) > least
         ]
     header = ("speed [rpm]", "order", f"amplitude [{unit}, 0-peak]", "phase [deg]", *(("motion",) if shaky else ()))

@@ -140,8 +140,8 @@ def command(
         else:
             from rotorsim.identification.study.study import run_study, study_data, study_rows
 
-            found = run_study(study, store=store, **jobs)
-            said, rows, data = text.study_text(found), study_rows(found), study_data(found)
+            result = run_study(study, store=store, **jobs)
+            said, rows, data = text.study_text(result), study_rows(result), study_data(result)
     if out:
         from rotorsim.identification.study.study import write_rows
 

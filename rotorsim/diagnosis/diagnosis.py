@@ -55,14 +55,16 @@ def diagnose(
     if quieter is not None:
         evidence, selection = quieter, select_effects(base, quieter, opened.catalogue, jobs)
     with one_thread():
-        found = _concluded(replace(opened, evidence=evidence, base=base), selection)
+        diagnosis = _concluded(replace(opened, evidence=evidence, base=base), selection)
     recordings = (recording, *(() if hold_out is None else (hold_out,)))
-    found = replace(found, recordings=recordings, warnings=(*found.warnings, *verdicts.conventions(found.effects)))
-    found = replace(found, next_experiment=next_experiment(found), statement=statement(found))
-    inserted = [effect.candidate.insertion.name for effect in found.effects]
+    diagnosis = replace(
+        diagnosis, recordings=recordings, warnings=(*diagnosis.warnings, *verdicts.conventions(diagnosis.effects))
+    )
+    diagnosis = replace(diagnosis, next_experiment=next_experiment(diagnosis), statement=statement(diagnosis))
+    inserted = [effect.candidate.insertion.name for effect in diagnosis.effects]
     with one_thread():
-        remarks = found.evidence.remarks(found.before, found.after, inserted)
-    return replace(found, statement=" ".join([found.statement, *remarks]))
+        remarks = diagnosis.evidence.remarks(diagnosis.before, diagnosis.after, inserted)
+    return replace(diagnosis, statement=" ".join([diagnosis.statement, *remarks]))
 
 
 def _checked(recording: Recording) -> list[Problem]:

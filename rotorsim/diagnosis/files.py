@@ -29,36 +29,40 @@ def diagnosis_schema() -> dict[str, Any]:
     return schema
 
 
-def diagnosis_data(found: Diagnosis) -> dict[str, Any]:
+def diagnosis_data(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return a diagnosis as plain data, in the form of diagnosis.json."""
     return {
-        "verdict": found.verdict,
-        "where": [_place(spot, probability) for spot, probability in found.places],
-        "missing": _missing(found),
-        "rejected": [{"physics": name, "why": why} for name, why in found.rejected],
-        "open": [{"physics": name, "why": why} for name, why in found.open],
-        "parameters": {"before": _parameters(found.before), "after": _parameters(found.after)},
+        "verdict": diagnosis.verdict,
+        "where": [_place(spot, probability) for spot, probability in diagnosis.places],
+        "missing": _missing(diagnosis),
+        "rejected": [{"physics": name, "why": why} for name, why in diagnosis.rejected],
+        "open": [{"physics": name, "why": why} for name, why in diagnosis.open],
+        "parameters": {"before": _parameters(diagnosis.before), "after": _parameters(diagnosis.after)},
         "fit": {
-            "before": _score(found.score_before, found.before, found),
-            "after": _score(found.score_after, found.after, found),
-            "noise_floor": found.score_after.noise if found.score_after.noise is not None else found.score_before.noise,
-            "held_out": "hold_out" if found.held_out else "left_out",
+            "before": _score(diagnosis.score_before, diagnosis.before, diagnosis),
+            "after": _score(diagnosis.score_after, diagnosis.after, diagnosis),
+            "noise_floor": diagnosis.score_after.noise
+            if diagnosis.score_after.noise is not None
+            else diagnosis.score_before.noise,
+            "held_out": "hold_out" if diagnosis.held_out else "left_out",
         },
-        "nearest": _nearest(found),
-        "next_experiment": found.next_experiment,
-        "statement": found.statement,
+        "nearest": _nearest(diagnosis),
+        "next_experiment": diagnosis.next_experiment,
+        "statement": diagnosis.statement,
         "diagram": DIAGRAM,
-        "proof": None if found.proof is None else {"status": found.proof.status, "reason": found.proof.reason},
-        "residual": None if found.residual is None else dict(found.residual),
-        "detectable": {name: dict(values) for name, values in found.detectable.items()},
-        "outside": _unknown(found),
-        "warnings": [f"{problem.subject}: {problem.what}" for problem in found.warnings],
-        "counts": dict(found.selection.counts),
+        "proof": None
+        if diagnosis.proof is None
+        else {"status": diagnosis.proof.status, "reason": diagnosis.proof.reason},
+        "residual": None if diagnosis.residual is None else dict(diagnosis.residual),
+        "detectable": {name: dict(values) for name, values in diagnosis.detectable.items()},
+        "outside": _unknown(diagnosis),
+        "warnings": [f"{problem.subject}: {problem.what}" for problem in diagnosis.warnings],
+        "counts": dict(diagnosis.selection.counts),
     }
 
 
-def _missing(found: Diagnosis) -> list[dict[str, Any]]:
-    if found.verdict == "outside_catalogue":
+def _missing(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    if diagnosis.verdict == "outside_catalogue":
         return [{"physics": "outside_catalogue", "class": ["outside_catalogue"], "probability": 1.0, "parameters": {}}]
     return [
         {
@@ -67,24 +71,24 @@ def _missing(found: Diagnosis) -> list[dict[str, Any]]:
             "probability": effect.members[effect.physics],
             "block": effect.candidate.insertion.name,
             "place": str(effect.spot_of(effect.physics)),
-            "parameters": {**_effect_parameters(effect, found.after), **_measured(effect, found)},
-            "explained": _explained(found.explained[number]) if number < len(found.explained) else None,
+            "parameters": {**_effect_parameters(effect, diagnosis.after), **_measured(effect, diagnosis)},
+            "explained": _explained(diagnosis.explained[number]) if number < len(diagnosis.explained) else None,
         }
-        for number, effect in enumerate(found.effects)
+        for number, effect in enumerate(diagnosis.effects)
     ]
 
 
-def _nearest(found: Diagnosis) -> dict[str, Any] | None:
+def _nearest(diagnosis: Diagnosis) -> dict[str, Any] | None:
     """Return which candidates explain most in the fitted runs, and the share of the misfit."""
-    selection = found.selection
+    selection = diagnosis.selection
     if not selection.chosen:
         return None
     physics = [item.insertion.physics for item in selection.chosen]
     return {"physics": physics, "share": selection.share, "excess_variance": _finite(selection.fit.excess_variance)}
 
 
-def _unknown(found: Diagnosis) -> dict[str, Any]:
-    return {} if found.unknown is None else {**found.unknown.data, "description": found.unknown.description}
+def _unknown(diagnosis: Diagnosis) -> dict[str, Any]:
+    return {} if diagnosis.unknown is None else {**diagnosis.unknown.data, "description": diagnosis.unknown.description}
 
 
 def _explained(item: Explained) -> dict[str, Any] | None:
@@ -104,10 +108,10 @@ def _effect_parameters(effect: Effect, fit: Fit) -> dict[str, Any]:
     return {name.rpartition(".")[2]: every[name] for name in effect.candidate.insertion.free if name in every}
 
 
-def _measured(effect: Effect, found: Diagnosis) -> dict[str, Any]:
+def _measured(effect: Effect, diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the parameters that asynchronous lines, or quantisation steps of the readings, gave."""
     out = {}
-    for key, (value, std, unit) in found.measured(effect).items():
+    for key, (value, std, unit) in diagnosis.measured(effect).items():
         ends = [_finite(end) for end in interval(value, std)]
         out[key] = {"value": value, "std": std, "interval90": ends, "unit": unit, "at_bound": False}
     return out
@@ -126,12 +130,12 @@ def _parameters(fit: Fit) -> dict[str, Any]:
     }
 
 
-def _score(scored: Score, fit: Fit, found: Diagnosis) -> dict[str, Any]:
+def _score(scored: Score, fit: Fit, diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "hold_out": scored.total,
         "ports": {k: _finite(v) for k, v in scored.ports.items() if k},
         "excess_variance": _finite(fit.excess_variance),
-        "goodness": fit.goodness if found.evidence.independent else None,
+        "goodness": fit.goodness if diagnosis.evidence.independent else None,
         "adequate": is_adequate(fit),
         "reason": scored.reason or None,
     }
@@ -141,12 +145,12 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def repaired_document(found: Diagnosis) -> dict[str, Any]:
+def repaired_document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the repaired diagram: the values of the fit with their units, the new blocks beside the old ones."""
-    document = copy.deepcopy(dict(found.document))
-    units = {item.name: item.unit for item in found.after.free}
-    for effect in found.effects:
-        taken = found.measured(effect).items()
+    document = copy.deepcopy(dict(diagnosis.document))
+    units = {item.name: item.unit for item in diagnosis.after.free}
+    for effect in diagnosis.effects:
+        taken = diagnosis.measured(effect).items()
         units |= {f"{effect.candidate.insertion.name}.{key}": unit for key, (_, _, unit) in taken}
     for name, unit in units.items():
         block, _, key = name.rpartition(".")
@@ -156,27 +160,27 @@ def repaired_document(found: Diagnosis) -> dict[str, Any]:
             holder[key] = f"{value!r} {unit}"
     layout = document.get("layout")
     if isinstance(layout, dict) and layout:
-        for effect in found.effects:
+        for effect in diagnosis.effects:
             insertion = effect.candidate.insertion
             if insertion.name not in layout and insertion.spot.block in layout:
                 x, y = layout[insertion.spot.block]
                 layout[insertion.name] = [x, y + 1.5]
     description = str(document.get("description", "")).rstrip()
     description += "." if description and not description.endswith(".") else ""
-    if found.effects and found.verdict == "missing_physics":
-        names = ", ".join(effect.physics for effect in found.effects)
+    if diagnosis.effects and diagnosis.verdict == "missing_physics":
+        names = ", ".join(effect.physics for effect in diagnosis.effects)
         document["description"] = f"{description} Repaired by diagnosis: {names}.".strip()
     return document
 
 
-def save_diagnosis(found: Diagnosis, folder: str | Path) -> list[Path]:
+def save_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:
     """Write diagnosis.json and diagram.json into a folder (made if need be); return the files."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / DIAGNOSIS_FILE, folder / DIAGRAM]
-    text = json.dumps(diagnosis_data(found), indent=2, allow_nan=False, default=_plain)
+    text = json.dumps(diagnosis_data(diagnosis), indent=2, allow_nan=False, default=_plain)
     write_atomically(files[0], text + "\n")
-    write_atomically(files[1], format_document(repaired_document(found)))
+    write_atomically(files[1], format_document(repaired_document(diagnosis)))
     return files
 
 

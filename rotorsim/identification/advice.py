@@ -36,13 +36,13 @@ class Advice:
     solves: tuple[str, ...]
 
 
-def advise(experiment: Experiment, found: Estimate, open_names: Sequence[str], precision: float) -> list[Advice]:
+def advise(experiment: Experiment, estimate: Estimate, open_names: Sequence[str], precision: float) -> list[Advice]:
     """Return changes that would determine parameters left open, the most helpful first.
 
     Tried are: other gains of the controller, other speeds, a longer recording, a sine added to the current. Each
     is judged by the information that it would add at the estimate, with the noise of the recording.
     """
-    names = [item.name for item in found.free]
+    names = [item.name for item in estimate.free]
     wanted = [names.index(name) for name in open_names if name in names]
     if not wanted:
         return []
@@ -52,12 +52,12 @@ def advise(experiment: Experiment, found: Estimate, open_names: Sequence[str], p
         base = open_experiment(
             experiment.diagram, experiment.recording, runs=runs, free=experiment.free, harmonics=experiment.runs
         )
-    J = np.linalg.inv(found.coordinates.jacobian(found.theta))
-    at_hand = J.T @ found.information @ J
+    J = np.linalg.inv(estimate.coordinates.jacobian(estimate.theta))
+    at_hand = J.T @ estimate.information @ J
     results = []
-    for change, added in _candidates(base, found):
-        std = _std(at_hand + added, found)
-        limits = [relative_width(float(found.theta[j]), Z90 * std[j], found.free[j].unit) for j in wanted]
+    for change, added in _candidates(base, estimate):
+        std = _std(at_hand + added, estimate)
+        limits = [relative_width(float(estimate.theta[j]), Z90 * std[j], estimate.free[j].unit) for j in wanted]
         solved = tuple(names[j] for j, width in zip(wanted, limits, strict=True) if width <= precision)
         if solved:
             results.append((len(solved), -float(np.max(limits)), Advice(change, std, solved)))
@@ -65,21 +65,21 @@ def advise(experiment: Experiment, found: Estimate, open_names: Sequence[str], p
     return [advice for _, _, advice in results]
 
 
-def _std(information: np.ndarray, found: Estimate) -> np.ndarray:
+def _std(information: np.ndarray, estimate: Estimate) -> np.ndarray:
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T
     return np.asarray(np.sqrt(np.maximum(np.diag(inverse), 0)) * scale)
 
 
-def _candidates(base: Experiment, found: Estimate) -> Iterator[tuple[str, np.ndarray]]:
-    theta, p = found.theta, base.linear.p
-    yield f"a recording {LONGER:g} times as long", (LONGER - 1) * _information(base, found, p, base.linear.speeds)
+def _candidates(base: Experiment, estimate: Estimate) -> Iterator[tuple[str, np.ndarray]]:
+    theta, p = estimate.theta, base.linear.p
+    yield f"a recording {LONGER:g} times as long", (LONGER - 1) * _information(base, estimate, p, base.linear.speeds)
     for text, changed in _other_gains(base.diagram, base, p):
         if _stable(base, changed, theta):
             yield (
                 f"the same speeds again with other gains: {text}",
-                _information(base, found, changed, base.linear.speeds),
+                _information(base, estimate, changed, base.linear.speeds),
             )
     entries = np.flatnonzero(base.model.parameter_vector({"speed": 1.0}) != base.model.parameter_vector({"speed": 2.0}))
     for factor in OTHER_SPEEDS:
@@ -88,8 +88,8 @@ def _candidates(base: Experiment, found: Estimate) -> Iterator[tuple[str, np.nda
         speeds = base.linear.speeds * factor
         if _stable(base, changed, theta):
             low, high = (format_rpm(value) for value in (np.abs(speeds).min(), np.abs(speeds).max()))
-            yield f"as many runs at other speeds, {low} to {high}", _information(base, found, changed, speeds)
-    excited = _excitation(base, found)
+            yield f"as many runs at other speeds, {low} to {high}", _information(base, estimate, changed, speeds)
+    excited = _excitation(base, estimate)
     if excited is not None:
         yield excited
 
@@ -99,10 +99,10 @@ def format_rpm(speed: float) -> str:
     return f"{speed * 30 / np.pi:.0f} rpm"
 
 
-def _information(base: Experiment, found: Estimate, p: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+def _information(base: Experiment, estimate: Estimate, p: np.ndarray, speeds: np.ndarray) -> np.ndarray:
     """Return the information (m, m) that runs at these parameters would give, with the noise of those at hand."""
     likelihood = Likelihood(replace(base, p=p, motion=replace(base.linear, p=p, speeds=speeds, beside=None)))
-    jacobian = likelihood.expected(found.theta)
+    jacobian = likelihood.expected(estimate.theta)
     return np.asarray(jacobian.T @ jacobian)
 
 
@@ -138,7 +138,7 @@ def _other_gains(diagram: Diagram, base: Experiment, p: np.ndarray) -> Iterator[
             yield text, changed
 
 
-def _excitation(base: Experiment, found: Estimate) -> tuple[str, np.ndarray] | None:
+def _excitation(base: Experiment, estimate: Estimate) -> tuple[str, np.ndarray] | None:
     """Return the information of one run with a sine added to the measured current, at several frequencies in turn."""
     ports = dict.fromkeys(name.partition("[")[0] for name in base.predicted)
     current = next(
@@ -159,16 +159,16 @@ def _excitation(base: Experiment, found: Estimate) -> tuple[str, np.ndarray] | N
     except RotorsimError:
         return None
     motion = injected.linear
-    response = motion.response(found.theta, 0, forced=False)
+    response = motion.response(estimate.theta, 0, forced=False)
     modes = np.linalg.eigvals(response.A[0])
     modes = modes[(modes.imag > 0) & (-modes.real < 0.7 * np.abs(modes))]
     centre = float(np.abs(modes).min()) if len(modes) else float(np.abs(motion.speeds[0]))
     likelihood = Likelihood(injected)
-    total = np.zeros((len(found.free), len(found.free)))
+    total = np.zeros((len(estimate.free), len(estimate.free)))
     entry = injected.model.trace.external[current].part.start
     for frequency in centre * FREQUENCIES:
         sine = replace(motion, speeds=np.array([frequency]), K=1, phase=np.zeros(1), beside=None)
-        at = sine.response(found.theta, forced=False)  # what is linear adds up: the sine alone
+        at = sine.response(estimate.theta, forced=False)  # what is linear adds up: the sine alone
         inputs = np.zeros((1, 2, at.B.shape[2]), complex)
         inputs[0, 1, entry] = EXCITATION * rms / 2
         jacobian = at.sensitivity(at.states(inputs), inputs)[0, 1]

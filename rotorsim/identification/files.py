@@ -21,9 +21,9 @@ DIAGRAM = "diagram.json"
 IDENTIFICATION_FILE = "identification.json"
 
 
-def identification_data(found: Identification, *, diagram_file: str = DIAGRAM) -> dict[str, Any]:
+def identification_data(identification: Identification, *, diagram_file: str = DIAGRAM) -> dict[str, Any]:
     """Return an identification as plain data, in the form of identification.json."""
-    names = list(found.parameters)
+    names = list(identification.parameters)
     parameters = {
         name: {
             "value": item.value,
@@ -33,7 +33,7 @@ def identification_data(found: Identification, *, diagram_file: str = DIAGRAM) -
             "unit": item.unit,
             "at_bound": item.at_bound,
         }
-        for name, item in found.parameters.items()
+        for name, item in identification.parameters.items()
     }
     advice = [
         {
@@ -41,25 +41,25 @@ def identification_data(found: Identification, *, diagram_file: str = DIAGRAM) -
             "solves": list(item.solves),
             "expected_std": {name: _finite(value) for name, value in zip(names, item.std, strict=True)},
         }
-        for item in found.advice
+        for item in identification.advice
     ]
     return {
-        "method": found.method,
+        "method": identification.method,
         "diagram": diagram_file,
         "parameters": parameters,
-        "correlation": {"names": names, "matrix": np.asarray(found.correlation).tolist()},
-        "identifiable": {name: _verdict(item.verdict) for name, item in found.parameters.items()},
-        "fit": {use: dict(values) for use, values in found.fit.items()},
-        "noise_floor": dict(found.noise_floor),
-        "adequate": found.adequate,
-        "excess_variance": found.excess,
-        "goodness": found.goodness,
+        "correlation": {"names": names, "matrix": np.asarray(identification.correlation).tolist()},
+        "identifiable": {name: _verdict(item.verdict) for name, item in identification.parameters.items()},
+        "fit": {use: dict(values) for use, values in identification.fit.items()},
+        "noise_floor": dict(identification.noise_floor),
+        "adequate": identification.adequate,
+        "excess_variance": identification.excess,
+        "goodness": identification.goodness,
         "next_experiment": advice,
-        "statement": found.statement,
-        "warnings": [f"{problem.subject}: {problem.what}" for problem in found.warnings],
-        "runs": [item.run.id for item in found.runs],
-        "settings": dict(found.settings),
-        "provenance": {"diagram": found.diagram.name, "diagram_sha256": found.diagram.sha256},
+        "statement": identification.statement,
+        "warnings": [f"{problem.subject}: {problem.what}" for problem in identification.warnings],
+        "runs": [item.run.id for item in identification.runs],
+        "settings": dict(identification.settings),
+        "provenance": {"diagram": identification.diagram.name, "diagram_sha256": identification.diagram.sha256},
     }
 
 
@@ -138,18 +138,18 @@ def _replaced(values: np.ndarray, free: Free, text: Any, before: Any) -> Any:
     return before
 
 
-def save_identification(found: Identification, folder: str | Path) -> list[Path]:
+def save_identification(identification: Identification, folder: str | Path) -> list[Path]:
     """Write identification.json and diagram.json into a folder (made if need be); return the files."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    known = {item.name: item for item in found.diagram.free}
+    known = {item.name: item for item in identification.diagram.free}
     values = [
         (known[name], item.value)
-        for name, item in found.parameters.items()
+        for name, item in identification.parameters.items()
         if name in known and known[name].low <= item.value <= known[name].high  # else the diagram would be refused
     ]
-    document = with_values(found.diagram, values)
+    document = with_values(identification.diagram, values)
     files = [folder / IDENTIFICATION_FILE, folder / DIAGRAM]
-    write_atomically(files[0], json.dumps(identification_data(found), indent=2, allow_nan=False) + "\n")
+    write_atomically(files[0], json.dumps(identification_data(identification), indent=2, allow_nan=False) + "\n")
     write_atomically(files[1], format_document(document))
     return files

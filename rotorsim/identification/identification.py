@@ -148,8 +148,8 @@ def identify(
         found = tuple(harmonics_of(recording, chosen) if harmonics is None else harmonics)
         warnings += contradictions(found)
 
-        def likelihood(found: tuple[RunHarmonics, ...]) -> Likelihood:
-            experiment = open_experiment(diagram, recording, runs=chosen, given=given, free=free, harmonics=found)
+        def likelihood(runs: tuple[RunHarmonics, ...]) -> Likelihood:
+            experiment = open_experiment(diagram, recording, runs=chosen, given=given, free=free, harmonics=runs)
             if not given:
                 refuse_sampled(experiment.model, "identification with the loop closed")
             return Likelihood(experiment)

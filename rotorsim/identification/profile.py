@@ -15,53 +15,53 @@ PROFILE_STEPS = 8
 UNBOUNDED_WIDTH = 1e3  # standard widths beyond which an interval is called unbounded
 
 
-def profile_intervals(search: Search, found: Estimate, widen: float = 1.0) -> np.ndarray:
+def profile_intervals(search: Search, estimate: Estimate, widen: float = 1.0) -> np.ndarray:
     """Return 90 % intervals (m, 2) [SI] at which the profile of minus twice the log likelihood rises by 2.71.
 
     widen: factor on standard deviations where the model does not explain the data. Intervals end at the physical
     bounds. Source: Pawitan, In All Likelihood (2001), ch. 3; Raue et al., Bioinformatics 25 (2009) 1923.
     """
     polar = _polar(search)
-    covariance = found.covariance
-    intervals = np.empty((len(found.free), 2))
-    best = polar.residual(polar.coordinates.inside(found.theta))
+    covariance = estimate.covariance
+    intervals = np.empty((len(estimate.free), 2))
+    best = polar.residual(polar.coordinates.inside(estimate.theta))
     least = float(best @ best)
-    whole, nothing = _unbounded(found), found.undetermined
-    for j, item in enumerate(found.free):
-        used = whole if found.at_bound[j] else covariance
+    whole, nothing = _unbounded(estimate), estimate.undetermined
+    for j, item in enumerate(estimate.free):
+        used = whole if estimate.at_bound[j] else covariance
         std = float(np.sqrt(max(used[j, j], 0.0))) * widen
         if nothing[j] or not 0 < std < np.inf:
             intervals[j] = item.low, item.high
             continue
         ridge = used[:, j] / used[j, j]
         for side, sign in enumerate((-1.0, 1.0)):
-            end = _end(polar, found.theta, ridge, j, sign * Z90 * std, least, (Z90 * widen) ** 2)
+            end = _end(polar, estimate.theta, ridge, j, sign * Z90 * std, least, (Z90 * widen) ** 2)
             intervals[j, side] = float(np.clip(end, item.low, item.high))
     return intervals
 
 
-def linear_intervals(search: Search, found: Estimate) -> np.ndarray:
+def linear_intervals(search: Search, estimate: Estimate) -> np.ndarray:
     """Return 90 % intervals (m, 2) [SI] by linear theory, cut at the physical bounds: where undetermined, all between.
 
     At a bound the profile rises by 2 b x + h x^2 over a step x off it, h = |J_j|^2 and b = J_j^T r beside all other
     parameters: the interval is one-sided, up to the x of a rise by 2.71.
     """
     low, high = search.coordinates.low, search.coordinates.high
-    half = Z90 * found.std
-    intervals = np.column_stack([np.maximum(found.theta - half, low), np.minimum(found.theta + half, high)])
-    q = search.coordinates.inside(found.theta)
-    if not found.at_bound.any():
+    half = Z90 * estimate.std
+    intervals = np.column_stack([np.maximum(estimate.theta - half, low), np.minimum(estimate.theta + half, high)])
+    q = search.coordinates.inside(estimate.theta)
+    if not estimate.at_bound.any():
         return intervals
     r, J = search.residual(q), search.jacobian(q)
-    base, _, _ = np.linalg.svd(_units(J[:, ~found.at_bound]), full_matrices=False)
-    for j in np.flatnonzero(found.at_bound):
+    base, _, _ = np.linalg.svd(_units(J[:, ~estimate.at_bound]), full_matrices=False)
+    for j in np.flatnonzero(estimate.at_bound):
         scale = search.coordinates.scale[j]
-        below = found.theta[j] - low[j] <= high[j] - found.theta[j]
+        below = estimate.theta[j] - low[j] <= high[j] - estimate.theta[j]
         own = (1.0 if below else -1.0) * (J[:, j] - base @ (base.T @ J[:, j]))
         h, b = float(own @ own), max(float(own @ r), 0.0)
         # x = (sqrt(b^2 + h 2.71) - b) / h, without its difference of large numbers
         rise = Z90**2 / (b + np.sqrt(b**2 + h * Z90**2)) * scale if h > 0 or b > 0 else np.inf
-        end = found.theta[j] + (rise if below else -rise)
+        end = estimate.theta[j] + (rise if below else -rise)
         intervals[j] = (low[j], min(end, high[j])) if below else (max(end, low[j]), high[j])
     return intervals
 
@@ -84,11 +84,11 @@ def joint_factor(correlation: np.ndarray) -> float:
     return float(np.quantile(np.abs(draws).max(axis=1), 0.9) / Z90)
 
 
-def _unbounded(found: Estimate) -> np.ndarray:
+def _unbounded(estimate: Estimate) -> np.ndarray:
     """Return the covariance (m, m) of theta as it would be if no parameter were at its bound."""
-    if not found.at_bound.any():
-        return found.covariance
-    free = replace(found, at_bound=np.zeros(len(found.free), bool))
+    if not estimate.at_bound.any():
+        return estimate.covariance
+    free = replace(estimate, at_bound=np.zeros(len(estimate.free), bool))
     return free.covariance
 
 

@@ -50,7 +50,7 @@ def relative_width(value: float, half_width: float, unit: str) -> float:
 
 
 def judge(
-    found: Estimate, intervals: np.ndarray, *, precision: float = CRITERIA.precision, widen: float = 1.0
+    estimate: Estimate, intervals: np.ndarray, *, precision: float = CRITERIA.precision, widen: float = 1.0
 ) -> list[Verdict]:
     """Return the verdict on every parameter.
 
@@ -58,45 +58,45 @@ def judge(
     an angle). Otherwise it is uncertain by itself, or only together with others: then the best known combination is
     given.
     """
-    covariance = found.covariance * widen**2
+    covariance = estimate.covariance * widen**2
     std = np.sqrt(np.maximum(np.diag(covariance), 0))
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = np.nan_to_num(covariance / np.outer(std, std))
     verdicts = []
-    for j, item in enumerate(found.free):
-        value = float(found.theta[j])
+    for j, item in enumerate(estimate.free):
+        value = float(estimate.theta[j])
         half = float(intervals[j, 1] - intervals[j, 0]) / 2
         width = relative_width(value, half, item.unit)
         if not item.low <= value <= item.high:
             text = f"{format_quantity(value, item.unit)} is outside its physical bounds: the data or the model are not"
             verdicts.append(Verdict(False, text + " right for it"))
-        elif found.at_bound[j]:
+        elif estimate.at_bound[j]:
             near = item.low if abs(value - item.low) <= abs(value - item.high) else item.high
             text = f"the search ended at its physical bound {format_quantity(near, item.unit)}"
             verdicts.append(Verdict(False, text + ": the data or the model are not right for it"))
         elif width <= precision:
             verdicts.append(Verdict(True, f"known within {_percent(width, item.unit)}"))
         else:
-            verdicts.append(_not_identified(found, covariance, correlation, j, width, precision))
+            verdicts.append(_not_identified(estimate, covariance, correlation, j, width, precision))
     return verdicts
 
 
 def _not_identified(
-    found: Estimate, covariance: np.ndarray, correlation: np.ndarray, j: int, width: float, precision: float
+    estimate: Estimate, covariance: np.ndarray, correlation: np.ndarray, j: int, width: float, precision: float
 ) -> Verdict:
-    item = found.free[j]
+    item = estimate.free[j]
     others = [k for k in np.argsort(-np.abs(correlation[j])) if k != j and abs(correlation[j, k]) > CRITERIA.correlated]
-    others = [k for k in others if not found.at_bound[k]]
-    alone = _conditional(found, j) * covariance[j, j] ** 0.5 / max(found.covariance[j, j] ** 0.5, 1e-300)
-    alone_width = relative_width(float(found.theta[j]), Z90 * alone, item.unit)
+    others = [k for k in others if not estimate.at_bound[k]]
+    alone = _conditional(estimate, j) * covariance[j, j] ** 0.5 / max(estimate.covariance[j, j] ** 0.5, 1e-300)
+    alone_width = relative_width(float(estimate.theta[j]), Z90 * alone, item.unit)
     if not others or alone_width > CRITERIA.partners * width:
         text = (
             f"the data say too little about it: its 90 % interval is +-{_percent(width, item.unit)}, and would be "
             f"+-{_percent(alone_width, item.unit)} if all other parameters were known"
         )
         return Verdict(False, text)
-    names = tuple(found.free[k].name for k in others)
-    combination = _combination(found, covariance, j, others)
+    names = tuple(estimate.free[k].name for k in others)
+    combination = _combination(estimate, covariance, j, others)
     text = (
         f"cannot be told from {_list(names)} with these data (correlation {correlation[j, others[0]]:+.4f}): by itself "
         f"it is known within +-{_percent(width, item.unit)} only, but {combination.expression} is "
@@ -105,21 +105,24 @@ def _not_identified(
     return Verdict(False, text, names, combination)
 
 
-def _conditional(found: Estimate, j: int) -> float:
+def _conditional(estimate: Estimate, j: int) -> float:
     """Return the standard deviation of a parameter if all others were known."""
-    jacobian = np.linalg.inv(found.coordinates.jacobian(found.theta))
-    information = float(jacobian[:, j] @ found.information @ jacobian[:, j])
+    jacobian = np.linalg.inv(estimate.coordinates.jacobian(estimate.theta))
+    information = float(jacobian[:, j] @ estimate.information @ jacobian[:, j])
     return 1 / np.sqrt(information) if information > 0 else np.inf
 
 
-def _combination(found: Estimate, covariance: np.ndarray, j: int, others: list[int]) -> Combination:
+def _combination(estimate: Estimate, covariance: np.ndarray, j: int, others: list[int]) -> Combination:
     """Return parameter j less its regression on the others: what is left is known best."""
     inner = covariance[np.ix_(others, others)]
     factors = np.linalg.lstsq(inner, covariance[others, j], rcond=1e-12)[0]
-    weights = {found.free[j].name: 1.0, **{found.free[k].name: -float(f) for k, f in zip(others, factors, strict=True)}}
-    value = float(found.theta[j] - factors @ found.theta[others])
+    weights = {
+        estimate.free[j].name: 1.0,
+        **{estimate.free[k].name: -float(f) for k, f in zip(others, factors, strict=True)},
+    }
+    value = float(estimate.theta[j] - factors @ estimate.theta[others])
     variance = float(covariance[j, j] - factors @ covariance[others, j])
-    return Combination(weights, value, float(np.sqrt(max(variance, 0.0))), found.free[j].unit)
+    return Combination(weights, value, float(np.sqrt(max(variance, 0.0))), estimate.free[j].unit)
 
 
 def _percent(width: float, unit: str) -> str:

@@ -187,13 +187,13 @@ def _normalised(shape: np.ndarray) -> np.ndarray:
     return np.asarray(shape / shape[np.argmax(np.abs(shape))])
 
 
-def whirl(found: Eigen, system: LinearSystem) -> list[str]:
+def whirl(eigen: Eigen, system: LinearSystem) -> list[str]:
     """Return "forward", "backward" or "planar" for every oscillating eigenvalue (see `modes`)."""
-    motion = system.C @ found.right
+    motion = system.C @ eigen.right
     tilt = np.array([".tilt" in name for name in system.outputs], bool)
     directions = []
-    for k, value in enumerate(found.values):
-        distance = np.abs(np.delete(found.values, k) - value)
+    for k, value in enumerate(eigen.values):
+        distance = np.abs(np.delete(eigen.values, k) - value)
         if not len(motion) or distance.min(initial=np.inf) <= DEGENERATE * abs(value):
             directions.append("planar")
             continue

@@ -235,14 +235,14 @@ def harmonics(
 
 
 def reconstruction_error(
-    result: Result, found: Harmonics, *, angle: str = ANGLE, window: tuple[float, float] | None = None
+    result: Result, harmonics: Harmonics, *, angle: str = ANGLE, window: tuple[float, float] | None = None
 ) -> np.ndarray:
     """Return how far harmonics are from their signal, for x and y: rms of the difference / rms, shape (2,).
 
     Source: thesis section 2.5, below Tables 2-2 and 2-3.
     """
     part = samples_in(result, window)
-    r = finite(one_row(result, found.signal, part), result, found.signal, part)
-    residual = r - found.at(result[angle][part])
+    r = finite(one_row(result, harmonics.signal, part), result, harmonics.signal, part)
+    residual = r - harmonics.at(result[angle][part])
     error, rms = (np.sqrt([np.mean(z.real**2), np.mean(z.imag**2)]) for z in (residual, r))
     return np.asarray(np.divide(error, rms, out=np.zeros(2), where=rms > 0))

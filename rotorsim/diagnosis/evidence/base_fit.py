@@ -66,14 +66,14 @@ def base_fit(diagram: Diagram, evidence: Evidence) -> tuple[Fit, list[str]]:
     return found, notes[-1:]
 
 
-def _shows(found: Fit, evidence: Evidence, block: str, option: str, value: int) -> bool:
+def _shows(fit: Fit, evidence: Evidence, block: str, option: str, value: int) -> bool:
     """Return whether a finer mesh changes what the fit predicts by more than the data can tell."""
-    document = values_in(found.document, found.values)
+    document = values_in(fit.document, fit.values)
     coarse, fine = (evidence.residual(d) for d in (document, _with_option(document, block, option, value)))
     if coarse is None or fine is None:
         return False
     change = fine - coarse
-    return float(change @ change) > CRITERIA.mesh_visible * found.rows
+    return float(change @ change) > CRITERIA.mesh_visible * fit.rows
 
 
 def _with_option(document: Mapping[str, Any], block: str, option: str, value: int) -> Mapping[str, Any]:

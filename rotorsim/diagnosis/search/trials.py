@@ -184,25 +184,25 @@ class Trials:
                 found[item.name] = float(np.clip(self.nominal[item.name], item.low + off, item.high - off))
         return found
 
-    def _screened(self, before: Fit, found: Sequence[Insertion], jobs: Sequence[_Job]) -> list[int]:
+    def _screened(self, before: Fit, candidates: Sequence[Insertion], jobs: Sequence[_Job]) -> list[int]:
         """Return which insertions are fitted where places are many: each law at its best place, then the best places.
 
         A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
         """
         if is_adequate(before):
-            return self._promising(found, jobs, before.misfit - HINT * MOST_FITS)
+            return self._promising(candidates, jobs, before.misfit - HINT * MOST_FITS)
         places = self.evidence.bounds(before)
         if places is None:
-            return self._promising(found, jobs)
+            return self._promising(candidates, jobs)
         with one_thread():
-            bounds = [places.bound(item) for item in found]
+            bounds = [places.bound(item) for item in candidates]
         known = sorted({bound for bound in bounds if bound is not None})
         if not known:
-            return self._promising(found, jobs)
+            return self._promising(candidates, jobs)
         kept = [k for k, bound in enumerate(bounds) if bound is None]
         best: dict[tuple[str, int], int] = {}
-        for k in sorted((k for k in range(len(found)) if bounds[k] is not None), key=lambda k: bounds[k] or 0.0):
-            best.setdefault(found[k].law, k)
+        for k in sorted((k for k in range(len(candidates)) if bounds[k] is not None), key=lambda k: bounds[k] or 0.0):
+            best.setdefault(candidates[k].law, k)
         kept += best.values()
         for least in known:
             if least > POSSIBLE * known[0]:
@@ -213,7 +213,7 @@ class Trials:
             kept += here
         return kept
 
-    def _promising(self, found: Sequence[Insertion], jobs: Sequence[_Job], most: float = np.inf) -> list[int]:
+    def _promising(self, candidates: Sequence[Insertion], jobs: Sequence[_Job], most: float = np.inf) -> list[int]:
         """Return the best place of each law, and the next best below ``most``, by what one step promises."""
         promises = np.array(self._promises(jobs))
         order = np.argsort(promises, kind="stable")
@@ -221,7 +221,7 @@ class Trials:
         first: list[int] = []
         second: list[int] = []
         for k in order.tolist():
-            law = found[k].law
+            law = candidates[k].law
             if not np.isfinite(promises[k]):
                 continue
             if law not in seen:

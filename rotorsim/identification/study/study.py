@@ -198,14 +198,14 @@ def _row(
     )
 
 
-def study_data(found: StudyResult) -> dict[str, Any]:
+def study_data(result: StudyResult) -> dict[str, Any]:
     """Return the result of a study as plain data."""
-    said = {name: value for name, value in vars(found.study).items() if name != "diagram"}
-    name = found.study.diagram.get("name")
-    return {"diagram": name, "study": said, "rows": study_rows(found), "failed": list(found.failed)}
+    said = {name: value for name, value in vars(result.study).items() if name != "diagram"}
+    name = result.study.diagram.get("name")
+    return {"diagram": name, "study": said, "rows": study_rows(result), "failed": list(result.failed)}
 
 
-def study_rows(found: StudyResult) -> list[dict[str, Any]]:
+def study_rows(result: StudyResult) -> list[dict[str, Any]]:
     """Return the rows of a study as plain data, for a table."""
     return [
         {
@@ -224,7 +224,7 @@ def study_rows(found: StudyResult) -> list[dict[str, Any]]:
             "identified": row.identified,
             "seeds": row.seeds,
         }
-        for row in found.rows
+        for row in result.rows
     ]
 
 

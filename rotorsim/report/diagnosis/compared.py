@@ -64,12 +64,12 @@ class Compared(Protocol):
         """Return the figure of residuals in units of independent noise; None where it is not independent."""
 
 
-def before_and_after_figure(found: Diagnosis) -> Figure:
+def before_and_after_figure(diagnosis: Diagnosis) -> Figure:
     """Return both diagrams beside hold-out runs (fitted ones without any): over speed, or in time.
 
     Raises RotorsimError where there is nothing to draw.
     """
-    figures = {drawn.name: drawn.figure for drawn in compared(found).figures() if drawn.figure is not None}
+    figures = {drawn.name: drawn.figure for drawn in compared(diagnosis).figures() if drawn.figure is not None}
     for name in ("speed_curves", *figures):
         if name in figures:
             return figures[name]
@@ -77,20 +77,20 @@ def before_and_after_figure(found: Diagnosis) -> Figure:
     raise RotorsimError(Problem("nothing of this diagnosis can be drawn beside its recording", hint=hint))
 
 
-def is_unchanged(found: Diagnosis) -> bool:
+def is_unchanged(diagnosis: Diagnosis) -> bool:
     """Return whether the diagram stayed as it was given."""
-    return not found.effects and found.after is found.before
+    return not diagnosis.effects and diagnosis.after is diagnosis.before
 
 
-def looks_of(found: Diagnosis) -> tuple[Look, ...]:
+def looks_of(diagnosis: Diagnosis) -> tuple[Look, ...]:
     """Return how the diagram as given and the repaired one are called and drawn; one where nothing was changed."""
-    if is_unchanged(found):
+    if is_unchanged(diagnosis):
         return (replace(REPAIRED, label=GIVEN.label),)
-    return GIVEN, replace(REPAIRED, label="nearest model") if found.verdict == "outside_catalogue" else REPAIRED
+    return GIVEN, replace(REPAIRED, label="nearest model") if diagnosis.verdict == "outside_catalogue" else REPAIRED
 
 
-def _documents(found: Diagnosis) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    return values_in(found.before.document, found.before.values), found.document
+def _documents(diagnosis: Diagnosis) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    return values_in(diagnosis.before.document, diagnosis.before.values), diagnosis.document
 
 
 # -- harmonics of a turning shaft --------------------------------------------------------------------------------------
@@ -223,6 +223,6 @@ _BY_EVIDENCE: Mapping[type[Any], Callable[[Diagnosis, Any, Any], Compared]] = {
 }
 
 
-def compared(found: Diagnosis) -> Compared:
+def compared(diagnosis: Diagnosis) -> Compared:
     """Return the comparison that the evidence of a diagnosis allows."""
-    return _BY_EVIDENCE[type(found.evidence)](found, found.evidence, found.given)
+    return _BY_EVIDENCE[type(diagnosis.evidence)](diagnosis, diagnosis.evidence, diagnosis.given)

@@ -14,21 +14,21 @@ from rotorsim.report.text.table import rpm
 CONSISTENT = "No fault candidate of the catalogue explains more than noise would"
 
 
-def what_is_missing(found: Diagnosis, data: Mapping[str, Any], speeds: Sequence[float]) -> str:
+def what_is_missing(diagnosis: Diagnosis, data: Mapping[str, Any], speeds: Sequence[float]) -> str:
     """Return the section; data: of diagnosis.json; speeds: of the fitted runs [rad/s]."""
     parts = ["<h2>What</h2>"]
-    if found.verdict == "consistent":
-        parts.append(paragraph(CONSISTENT + ("." if found.residual is None else " in hold-out runs.")))
-        parts += [_residual(found.residual), _detectable(found.detectable)]
+    if diagnosis.verdict == "consistent":
+        parts.append(paragraph(CONSISTENT + ("." if diagnosis.residual is None else " in hold-out runs.")))
+        parts += [_residual(diagnosis.residual), _detectable(diagnosis.detectable)]
         return "\n".join(parts)
-    if found.verdict == "outside_catalogue":
-        parts += _unknown_force(found, speeds)
-    parts += [_effect(found, data, effect, number) for number, effect in enumerate(found.effects)]
-    if found.residual is not None:
-        parts.append(f"<h3>Residual</h3>{_residual(found.residual)}")
-    if found.open:
+    if diagnosis.verdict == "outside_catalogue":
+        parts += _unknown_force(diagnosis, speeds)
+    parts += [_effect(diagnosis, data, effect, number) for number, effect in enumerate(diagnosis.effects)]
+    if diagnosis.residual is not None:
+        parts.append(f"<h3>Residual</h3>{_residual(diagnosis.residual)}")
+    if diagnosis.open:
         parts.append("<h3>Tried, but not fitted to the end: not rejected</h3>")
-        parts.append(table(["effect", ""], [[plain_words(name), why] for name, why in found.open]))
+        parts.append(table(["effect", ""], [[plain_words(name), why] for name, why in diagnosis.open]))
     return "\n".join(parts)
 
 
@@ -42,15 +42,15 @@ def _detectable(sizes: Mapping[str, Mapping[str, Any]]) -> str:
     return f"<h3>What would have been detected</h3>\n{table(header, rows)}" if rows else ""
 
 
-def _unknown_force(found: Diagnosis, speeds: Sequence[float]) -> list[str]:
-    unknown = found.unknown
+def _unknown_force(diagnosis: Diagnosis, speeds: Sequence[float]) -> list[str]:
+    unknown = diagnosis.unknown
     rows = flat({} if unknown is None else unknown.data, speeds=[rpm(speed) for speed in speeds])
-    nearest = "The nearest fault candidates, which do not explain it:" if found.effects else ""
+    nearest = "The nearest fault candidates, which do not explain it:" if diagnosis.effects else ""
     described = "" if unknown is None else unknown.description
     return [paragraph(described), table(["of the unknown force", ""], rows) if rows else "", paragraph(nearest)]
 
 
-def _effect(found: Diagnosis, data: Mapping[str, Any], effect: Effect, number: int) -> str:
+def _effect(diagnosis: Diagnosis, data: Mapping[str, Any], effect: Effect, number: int) -> str:
     insertion, fault = effect.candidate.insertion, effect.candidate.insertion.fault
     place = f" at {effect.spot_of(effect.physics)}"
     parts = [f"<h3>{escape(plain_words(effect.physics))}{escape(place)}</h3>"]
@@ -68,7 +68,7 @@ def _effect(found: Diagnosis, data: Mapping[str, Any], effect: Effect, number: i
     if len(effect.members) > 1:
         parts.append(paragraph("These explain the data as well:"))
         own = {name: (item, item.fit) for name, item in effect.rivals.items()}
-        own[effect.physics] = effect.candidate, found.after
+        own[effect.physics] = effect.candidate, diagnosis.after
         rows = [
             [
                 plain_words(name),

@@ -20,17 +20,17 @@ from rotorsim.recordings.recording import Recording
 LIBRARIES = ("casadi", "numpy", "scipy", "matplotlib")
 
 
-def provenance(found: Diagnosis, command: str) -> str:
+def provenance(diagnosis: Diagnosis, command: str) -> str:
     """Return the table of what a diagnosis was made from and with."""
     made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    rows = [("made", made), ("command", command), ("diagram as given, sha256", _of_document(found.before.document))]
-    rows.append(("repaired diagram, sha256", _of_document(repaired_document(found))))
-    for k, item in enumerate(found.recordings):
+    rows = [("made", made), ("command", command), ("diagram as given, sha256", _of_document(diagnosis.before.document))]
+    rows.append(("repaired diagram, sha256", _of_document(repaired_document(diagnosis))))
+    for k, item in enumerate(diagnosis.recordings):
         what = "held-out recording" if k else "recording"
         text = f"{item.name}, {len(item.runs)} runs: {_of_samples(item)}"
         rows += [(f"{what}, sha256 of the samples", text), ("source of the recording", str(item.source))]
     libraries = ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
-    rows.append(("work", ", ".join(f"{value} {name}" for name, value in found.selection.counts.items())))
+    rows.append(("work", ", ".join(f"{value} {name}" for name, value in diagnosis.selection.counts.items())))
     rows.append(("versions", f"rotorsim {version('rotorsim')}, Python {platform.python_version()}, {libraries}"))
     lines = [f"<tr><th>{escape(name)}</th><td><code>{escape(text)}</code></td></tr>" for name, text in rows if text]
     return f'<h2>Provenance</h2>\n<table class="small">{"".join(lines)}</table>'

@@ -34,16 +34,16 @@ VERDICT_WORDS = {
 ERROR = "Root mean square of the residual, in parts of the signal about its mean."
 
 
-def save_report(found: Diagnosis, folder: str | Path, *, command: str | None = None) -> list[Path]:
+def save_report(diagnosis: Diagnosis, folder: str | Path, *, command: str | None = None) -> list[Path]:
     """Write report.html and its figures as PNG (the diagram as SVG) into a folder; return the files.
 
     command: what made the diagnosis (default: the command line of rotorsim, if this is one).
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    page, both = Page(folder), compared(found)
-    title = f"Diagnosis of {found.document.get('name', 'diagram')} from {found.evidence.recording.name}"
-    sections = _sections(found, both, page, title, _command() if command is None else command)
+    page, both = Page(folder), compared(diagnosis)
+    title = f"Diagnosis of {diagnosis.document.get('name', 'diagram')} from {diagnosis.evidence.recording.name}"
+    sections = _sections(diagnosis, both, page, title, _command() if command is None else command)
     write_atomically(folder / REPORT, page.html(title, sections))
     return [folder / REPORT, *page.files]
 
@@ -53,75 +53,75 @@ def _command() -> str:
     return shlex.join(["rotorsim", *sys.argv[1:]]) if name in ("rotorsim", "__main__") else ""
 
 
-def _sections(found: Diagnosis, both: Compared, page: Page, title: str, command: str) -> Iterator[str]:
-    data = diagnosis_data(found)
-    yield _head(found, title)
-    yield _where(found, page)
-    yield what_is_missing(found, data, both.speeds)
-    yield _before_and_after(found, both, page)
+def _sections(diagnosis: Diagnosis, both: Compared, page: Page, title: str, command: str) -> Iterator[str]:
+    data = diagnosis_data(diagnosis)
+    yield _head(diagnosis, title)
+    yield _where(diagnosis, page)
+    yield what_is_missing(diagnosis, data, both.speeds)
+    yield _before_and_after(diagnosis, both, page)
     residuals = both.residuals()
-    yield fits_table(found, independent=residuals is not None)
+    yield fits_table(diagnosis, independent=residuals is not None)
     yield page.figure(residuals)
-    yield rivals_tables(found)
-    yield _parameters(found, data["parameters"]["before"], data["parameters"]["after"], page)
-    yield f"<h2>Next experiment</h2>\n{paragraph(_sentence(found.next_experiment))}"
+    yield rivals_tables(diagnosis)
+    yield _parameters(diagnosis, data["parameters"]["before"], data["parameters"]["after"], page)
+    yield f"<h2>Next experiment</h2>\n{paragraph(_sentence(diagnosis.next_experiment))}"
     if data["warnings"]:
         yield f"<h3>Warnings</h3>\n<ul>{''.join(f'<li>{escape(text)}</li>' for text in data['warnings'])}</ul>"
-    yield provenance(found, command)
+    yield provenance(diagnosis, command)
 
 
 def _sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def _runs(found: Diagnosis) -> str:
-    return "hold-out runs" if found.held_out else "leave-one-out cross-validation"
+def _runs(diagnosis: Diagnosis) -> str:
+    return "hold-out runs" if diagnosis.held_out else "leave-one-out cross-validation"
 
 
-def _head(found: Diagnosis, title: str) -> str:
-    words, colour = VERDICT_WORDS[found.verdict]
+def _head(diagnosis: Diagnosis, title: str) -> str:
+    words, colour = VERDICT_WORDS[diagnosis.verdict]
     return (
         f"<h1>{escape(title)}</h1>\n"
         f'<div class="verdict" style="border-color:{colour}"><b style="color:{colour}">{escape(words)}</b>'
-        f"{escape(_verdict(found))}</div>\n{paragraph(found.statement)}"
+        f"{escape(_verdict(diagnosis))}</div>\n{paragraph(diagnosis.statement)}"
     )
 
 
-def _verdict(found: Diagnosis) -> str:
+def _verdict(diagnosis: Diagnosis) -> str:
     """Return the verdict in one sentence."""
-    scores, runs = (found.score_before.total, found.score_after.total), _runs(found)
+    scores, runs = (diagnosis.score_before.total, diagnosis.score_after.total), _runs(diagnosis)
     before, after = map(percent, scores)
-    if found.verdict == "consistent":
+    if diagnosis.verdict == "consistent":
         return (
             f"The diagram explains the recording within its noise{f'; its error is {before} in {runs}' * bool(before)}."
         )
-    if found.verdict == "outside_catalogue":
-        place = f"; it acts most likely at {found.places[0][0]}" if found.places else ""
+    if diagnosis.verdict == "outside_catalogue":
+        place = f"; it acts most likely at {diagnosis.places[0][0]}" if diagnosis.places else ""
         return f"No fault candidate of the catalogue explains the residual{place}."
     effects = ", and ".join(
         " or ".join(f"{plain_words(name)} at {effect.spot_of(name)}" for name in effect.members)
-        for effect in found.effects
+        for effect in diagnosis.effects
     )
     said = f"The diagram lacks {effects}"
     if before and after:
         falls = "falls" if (scores[1] or 0) < (scores[0] or 0) else "goes"
         said += f"; with it the error in {runs} {falls} from {before} to {after}"
-    if found.proof is not None and found.proof.status == "unproved":
+    if diagnosis.proof is not None and diagnosis.proof.status == "unproved":
         said += f"; in {runs} this is unproved"
     return f"{said}."
 
 
-def _where(found: Diagnosis, page: Page) -> str:
+def _where(diagnosis: Diagnosis, page: Page) -> str:
     parts = ["<h2>Where</h2>"]
-    given = _loaded(found.evidence, values_in(found.before.document, found.before.values))
+    given = _loaded(diagnosis.evidence, values_in(diagnosis.before.document, diagnosis.before.values))
     if given is not None:
-        made = places_figure(given, found.places, found.evidence.recorded)
+        made = places_figure(given, diagnosis.places, diagnosis.evidence.recorded)
         parts.append(page.figure(Drawn("where", made, "Places where faults were tried, by the best fault at each.")))
-    if found.places:
-        parts.append(table(["place", "probability"], [[str(spot), f"{p:.2f}"] for spot, p in found.places[:10]]))
-    repaired = _loaded(found.evidence, repaired_document(found))
+    if diagnosis.places:
+        parts.append(table(["place", "probability"], [[str(spot), f"{p:.2f}"] for spot, p in diagnosis.places[:10]]))
+    repaired = _loaded(diagnosis.evidence, repaired_document(diagnosis))
     if repaired is not None:
-        parts.append(_diagram(found, repaired, page))
+        parts.append(_diagram(diagnosis, repaired, page))
     return "\n".join(parts)
 
 
@@ -132,22 +132,22 @@ def _loaded(evidence: Evidence, document: Mapping[str, Any]) -> Diagram | None:
         return None
 
 
-def _diagram(found: Diagnosis, repaired: Diagram, page: Page) -> str:
-    new = [effect.candidate.insertion.name for effect in found.effects]
-    svg = block_diagram(repaired, found.places, new)
+def _diagram(diagnosis: Diagnosis, repaired: Diagram, page: Page) -> str:
+    new = [effect.candidate.insertion.name for effect in diagnosis.effects]
+    svg = block_diagram(repaired, diagnosis.places, new)
     page.write("diagram.svg", svg)
     frames = {colour: f"probability {least:g} and more" if least else "less probable" for least, colour in SHADES}
     key = "".join(
         f'<span class="key" style="border-color:{colour}"></span>{escape(text)}'
         for colour, text in {**frames, NEW: "put in by the diagnosis"}.items()
     )
-    caption = f"The {looks_of(found)[-1].label}. " + (f"Frames:{key}" if found.places or new else "")
+    caption = f"The {looks_of(diagnosis)[-1].label}. " + (f"Frames:{key}" if diagnosis.places or new else "")
     return f'<figure class="wide">{svg}<figcaption>{caption}</figcaption></figure>'
 
 
-def _before_and_after(found: Diagnosis, both: Compared, page: Page) -> str:
-    looks, scores, kind = looks_of(found), (found.score_before, found.score_after), _runs(found)
-    parts = [f"<h2>{'Fit' if is_unchanged(found) else 'Before and after'}, {kind}</h2>"]
+def _before_and_after(diagnosis: Diagnosis, both: Compared, page: Page) -> str:
+    looks, scores, kind = looks_of(diagnosis), (diagnosis.score_before, diagnosis.score_after), _runs(diagnosis)
+    parts = [f"<h2>{'Fit' if is_unchanged(diagnosis) else 'Before and after'}, {kind}</h2>"]
     floor = {**scores[0].floor, **scores[1].floor}
     rows = []
     for name in [name for name in scores[0].ports if name] or [name for name in scores[1].ports if name]:
@@ -156,18 +156,18 @@ def _before_and_after(found: Diagnosis, both: Compared, page: Page) -> str:
     if rows:
         parts.append(table(["error of", *(look.label for look in looks), "noise floor"], rows, right=range(1, 4)))
         parts.append(paragraph(ERROR, small=True))
-    if found.proof is not None:
-        parts.append(paragraph(_sentence(f"{found.proof.status} on {kind}: {found.proof.reason}")))
+    if diagnosis.proof is not None:
+        parts.append(paragraph(_sentence(f"{diagnosis.proof.status} on {kind}: {diagnosis.proof.reason}")))
     figures = [page.figure(drawn) for drawn in both.figures()]
-    if figures and not found.held_out:
+    if figures and not diagnosis.held_out:
         parts.append(paragraph("There were no hold-out runs: the figures show fitted runs."))
     return "\n".join([*parts, *figures])
 
 
 def _parameters(
-    found: Diagnosis, before: Mapping[str, Mapping[str, Any]], after: Mapping[str, Mapping[str, Any]], page: Page
+    diagnosis: Diagnosis, before: Mapping[str, Mapping[str, Any]], after: Mapping[str, Mapping[str, Any]], page: Page
 ) -> str:
-    looks = looks_of(found)
+    looks = looks_of(diagnosis)
     both = (before, after)[: len(looks)]
     rows = [
         [name, *(cell for some in both for cell in (estimate(some[name]) if name in some else ("", "")))]

@@ -20,10 +20,10 @@ VARIANCE, CROSS = "residual variance / noise", "misfit in cross-validation"
 OPEN = "not fitted to the end: not rejected"
 
 
-def fits_table(found: Diagnosis, *, independent: bool) -> str:
+def fits_table(diagnosis: Diagnosis, *, independent: bool) -> str:
     """Return how each diagram fits; independent: whether the residuals are, so that they have a probability."""
     rows = []
-    for look, fit in zip(looks_of(found), (found.before, found.after), strict=False):
+    for look, fit in zip(looks_of(diagnosis), (diagnosis.before, diagnosis.after), strict=False):
         probability = f"{fit.goodness:.2g}" if fit.goodness > 1e-12 else "< 1e-12"
         variance, cross = f"{fit.misfit / fit.freedom:.3g}", f"{fit.left_out.sum():.4g}"
         rows.append([look.label, f"{fit.misfit:.4g}", str(fit.freedom), variance, cross, probability])
@@ -33,17 +33,18 @@ def fits_table(found: Diagnosis, *, independent: bool) -> str:
     return "\n".join(["<h2>Evidence</h2>", table(header[:last], [row[:last] for row in rows], right=range(1, 6)), note])
 
 
-def rivals_tables(found: Diagnosis) -> str:
+def rivals_tables(diagnosis: Diagnosis) -> str:
     """Return for each round of the search the nearest fault candidates."""
-    reasons = dict(found.rejected)
-    count = max(len(found.searched), 1)
+    reasons = dict(diagnosis.rejected)
+    count = max(len(diagnosis.searched), 1)
     return "\n".join(
-        _rivals(found, item, k, reasons if k == 0 else {}) for k, item in enumerate(found.selection.rounds[:count])
+        _rivals(diagnosis, item, k, reasons if k == 0 else {})
+        for k, item in enumerate(diagnosis.selection.rounds[:count])
     )
 
 
-def _rivals(found: Diagnosis, item: Round, number: int, reasons: Mapping[str, str]) -> str:
-    effects = found.searched
+def _rivals(diagnosis: Diagnosis, item: Round, number: int, reasons: Mapping[str, str]) -> str:
+    effects = diagnosis.searched
     best: dict[str, Candidate] = {}
     for candidate in item.tried:
         best.setdefault(candidate.insertion.physics, candidate)
@@ -51,7 +52,7 @@ def _rivals(found: Diagnosis, item: Round, number: int, reasons: Mapping[str, st
     base = kept.candidate.fit.criterion if kept is not None else item.before.criterion
     rows = []
     for name, candidate in list(best.items())[:RIVALS]:
-        fit, why = candidate.fit, _why(candidate, kept, reasons.get(name, ""), found.verdict)
+        fit, why = candidate.fit, _why(candidate, kept, reasons.get(name, ""), diagnosis.verdict)
         numbers = (
             str(len(candidate.parameters)),
             f"{fit.misfit / fit.freedom:.3g}",

@@ -37,9 +37,9 @@ def _stretches(whirl: np.ndarray) -> list[tuple[slice, str]]:
     return [(slice(part[0], part[-1] + 2), kinds[part[0]]) for part in parts]
 
 
-def _mark_crossings(axes: Axes, found: Campbell) -> None:
+def _mark_crossings(axes: Axes, result: Campbell) -> None:
     """Mark critical speeds, and write each where it hides no other."""
-    crossings = sorted((c for c in found.crossings if found.resonant[c.mode - 1]), key=lambda c: (c.order, c.speed))
+    crossings = sorted((c for c in result.crossings if result.resonant[c.mode - 1]), key=lambda c: (c.order, c.speed))
     places = np.array([(rpm(c.speed), c.frequency_hz) for c in crossings]).reshape(-1, 2)
     if crossings:
         axes.plot(*places.T, "o", ms=5, mfc="white", mec=RED, zorder=4, label="critical speed [rpm]")
@@ -67,31 +67,31 @@ def _fits(frame: Bbox, inside: Bbox, taken: Sequence[Bbox]) -> bool:
 
 
 @styled()
-def campbell_figure(found: Campbell, title: str = "", *, orders: Sequence[int] = (1, 2)) -> Figure:
+def campbell_figure(result: Campbell, title: str = "", *, orders: Sequence[int] = (1, 2)) -> Figure:
     """Return damped natural frequencies over speed, with the lines of the orders and the critical speeds.
 
     Modes with a damping ratio above 1/sqrt(2) at all speeds, which have no resonance, are left out.
     """
-    speed = rpm(found.speeds)
-    made = figure(7.5, 5.0, title or str(found.provenance.get("diagram", "")))
+    speed = rpm(result.speeds)
+    made = figure(7.5, 5.0, title or str(result.provenance.get("diagram", "")))
     axes = made.add_subplot()
-    resonant = np.flatnonzero(found.resonant)
+    resonant = np.flatnonzero(result.resonant)
     for mode in resonant:
-        for part, kind in _stretches(found.whirl[:, mode]):
+        for part, kind in _stretches(result.whirl[:, mode]):
             colour, line = _WHIRL.get(kind, (GREY, "-"))
-            axes.plot(speed[part], found.frequency_hz[part, mode], line, color=colour, label=kind)
-    top = _top(found, orders)
-    if len(found.stable) and not found.stable.all():
-        there = ~found.stable
-        axes.plot(speed[there], found.frequency_hz[there][:, resonant], "x", ms=4, color=RED, label="machine unstable")
+            axes.plot(speed[part], result.frequency_hz[part, mode], line, color=colour, label=kind)
+    top = _top(result, orders)
+    if len(result.stable) and not result.stable.all():
+        there = ~result.stable
+        axes.plot(speed[there], result.frequency_hz[there][:, resonant], "x", ms=4, color=RED, label="machine unstable")
     for order in orders:
-        line_hz = order * np.asarray(found.speeds) / (2 * np.pi)
+        line_hz = order * np.asarray(result.speeds) / (2 * np.pi)
         inside = np.flatnonzero(line_hz <= top)
         axes.plot(speed, np.where(line_hz <= top, line_hz, np.nan), color=GREY, lw=0.8)
         at = (speed[inside[-1]], line_hz[inside[-1]])
         axes.annotate(f"{order}X", at, color=GREY, ha="right", va="bottom")
     axes.set(xlabel="speed [rpm]", ylabel="damped natural frequency [Hz]", ylim=(0, top), xmargin=0)
-    _mark_crossings(axes, found)
+    _mark_crossings(axes, result)
     _legend_above(axes)
     return made
 
@@ -105,38 +105,38 @@ def _legend_above(axes: Axes) -> None:
         axes.legend(list(entries.values()), list(entries), **place)
 
 
-def _top(found: Campbell, orders: Sequence[int]) -> float:
+def _top(result: Campbell, orders: Sequence[int]) -> float:
     """Return the highest frequency shown [Hz]: modes far above every order are never excited."""
-    line = max(orders) * float(found.speeds[-1]) / (2 * np.pi)
-    if not np.isfinite(found.frequency_hz).any():
+    line = max(orders) * float(result.speeds[-1]) / (2 * np.pi)
+    if not np.isfinite(result.frequency_hz).any():
         return max(line, 1.0)
-    shown = found.frequency_hz[:, found.resonant]
+    shown = result.frequency_hz[:, result.resonant]
     lowest = np.sort(shown[0][np.isfinite(shown[0])])[:4] if shown.size else np.zeros(0)
     highest = float(np.nanmax(shown, initial=0.0)) * 1.08 or 1.25 * line
     return min(highest, max(1.25 * line, 1.2 * float(lowest.max(initial=0.0))))
 
 
 @styled()
-def frequency_response_figure(found: FrequencyResponse, title: str = "") -> Figure:
+def frequency_response_figure(response: FrequencyResponse, title: str = "") -> Figure:
     """Return magnitude and phase over frequency of every output to every input (entries that are zero left out).
 
     Of a loop that is not stable the figure says so: it would never settle to this response.
     """
-    if not found.stable:
+    if not response.stable:
         title = f"{title} (not stable: no settled response)".strip()
     made = figure(7.5, 5.0, title)
     upper, lower = made.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    largest = float(np.nanmax(np.abs(found.value), initial=0.0))
-    pairs = list(np.ndindex(found.value.shape[1:]))
-    drawn = [(o, i) for o, i in pairs if np.nanmax(np.abs(found.value[:, o, i]), initial=0.0) > 1e-12 * largest]
+    largest = float(np.nanmax(np.abs(response.value), initial=0.0))
+    pairs = list(np.ndindex(response.value.shape[1:]))
+    drawn = [(o, i) for o, i in pairs if np.nanmax(np.abs(response.value[:, o, i]), initial=0.0) > 1e-12 * largest]
     for k, (o, i) in enumerate(drawn):
-        value, line = found.value[:, o, i], LINE_STYLES[k % 4]
-        label = f"{found.outputs[o]} / {found.inputs[i]} [{found.units[o][i]}]"
-        upper.loglog(found.frequencies, np.abs(value), line, label=label)
+        value, line = response.value[:, o, i], LINE_STYLES[k % 4]
+        label = f"{response.outputs[o]} / {response.inputs[i]} [{response.units[o][i]}]"
+        upper.loglog(response.frequencies, np.abs(value), line, label=label)
         angle = np.degrees(np.unwrap(np.angle(value)))
         angle -= 360 * np.round(angle[0] / 360 - 1e-6)  # begin in -180..180
-        lower.semilogx(found.frequencies, angle, line)
-    units = {found.units[o][i] for o, i in drawn}
+        lower.semilogx(response.frequencies, angle, line)
+    units = {response.units[o][i] for o, i in drawn}
     upper.set(ylabel=f"magnitude [{units.pop()}]" if len(units) == 1 else "magnitude", xmargin=0)
     lower.set(ylabel="phase [deg]", xlabel="frequency [Hz]", xmargin=0)
     lower.yaxis.set_major_locator(MultipleLocator(90))
@@ -146,19 +146,19 @@ def frequency_response_figure(found: FrequencyResponse, title: str = "") -> Figu
 
 
 @styled()
-def sensitivity_figure(found: Sensitivity, title: str = "") -> Figure:
+def sensitivity_figure(result: Sensitivity, title: str = "") -> Figure:
     """Return the sensitivity of every axis with the zones of ISO 14839-3."""
     made = figure(7.5, 4.2, title)
     axes = made.add_subplot()
-    top = max(6.0, 1.15 * float(np.nanmax(found.singular)))
+    top = max(6.0, 1.15 * float(np.nanmax(result.singular)))
     zones = ((0, 3, "A", "#dff0e3"), (3, 4, "B", "#eef3d2"), (4, 5, "C", "#fbe8c8"), (5, top, "D", "#f7d4cb"))
     for low, high, name, colour in zones:
         axes.axhspan(low, high, color=colour, zorder=0)
         axes.annotate(name, (0.985, (low + high) / 2), xycoords=("axes fraction", "data"), ha="right", va="center")
-    for k, name in enumerate(found.names):
-        label = f"{name}: peak {found.peaks[k]:.2f} at {found.peak_frequencies[k]:.0f} Hz, zone {found.zones[k]}"
-        axes.semilogx(found.frequencies, np.abs(found.axes[:, k]), LINE_STYLES[k % 4], label=label)
-    axes.semilogx(found.frequencies, found.singular, color=GREY, lw=0.8, zorder=1.9, label="largest singular value")
+    for k, name in enumerate(result.names):
+        label = f"{name}: peak {result.peaks[k]:.2f} at {result.peak_frequencies[k]:.0f} Hz, zone {result.zones[k]}"
+        axes.semilogx(result.frequencies, np.abs(result.axes[:, k]), LINE_STYLES[k % 4], label=label)
+    axes.semilogx(result.frequencies, result.singular, color=GREY, lw=0.8, zorder=1.9, label="largest singular value")
     axes.set(xlabel="frequency [Hz]", ylabel="sensitivity |S|", ylim=(0, top), xmargin=0)
     axes.legend(loc="upper left")
     return made
@@ -166,7 +166,7 @@ def sensitivity_figure(found: Sensitivity, title: str = "") -> Figure:
 
 @styled()
 def periodic_figure(
-    found: Periodic,
+    result: Periodic,
     signals: Sequence[str] | str | None = None,
     title: str = "",
     *,
@@ -177,16 +177,16 @@ def periodic_figure(
     signals: default those of two axes, else all. Speeds without a solution are gaps, unstable motions crosses; what is
     rounding beside the largest harmonic is not drawn. Raises RotorsimError for signals not in the result.
     """
-    names = [signals] if isinstance(signals, str) else list(signals or found.two_axis or found.harmonics)
-    there = [k for k in orders if np.isclose(found.orders, k, rtol=0, atol=1e-9).any()]
-    speed = rpm(found.speeds)
-    unstable = np.array([stable is False for stable in found.stable], bool)
+    names = [signals] if isinstance(signals, str) else list(signals or result.two_axis or result.harmonics)
+    there = [k for k in orders if np.isclose(result.orders, k, rtol=0, atol=1e-9).any()]
+    speed = rpm(result.speeds)
+    unstable = np.array([stable is False for stable in result.stable], bool)
     mark = "-" if len(speed) > 1 else "o"
-    made = figure(9.5, 0.7 + 2.6 * len(names), title or str(found.provenance.get("diagram", "")))
+    made = figure(9.5, 0.7 + 2.6 * len(names), title or str(result.provenance.get("diagram", "")))
     panels = made.subplots(len(names), 2, sharex=True, squeeze=False)
     for (left, right), name in zip(panels, names, strict=True):
-        unit = found.units.get(name, "")
-        curves = np.array([found.harmonic(name, order) for order in there])
+        unit = result.units.get(name, "")
+        curves = np.array([result.harmonic(name, order) for order in there])
         floor = ZERO_SHARE * np.nanmax(np.abs(curves), initial=0.0)
         for order, curve in zip(there, curves, strict=True):
             seen = np.where(np.abs(curve) > floor, curve, np.nan)
@@ -205,12 +205,12 @@ def periodic_figure(
 
 
 @styled()
-def modes_figure(found: Modes, title: str = "") -> Figure:
+def modes_figure(result: Modes, title: str = "") -> Figure:
     """Return the poles that oscillate: frequency [Hz] against damping ratio; unstable ones stand left of zero."""
-    made = figure(6.5, 4.2, title or str(found.provenance.get("diagram", "")))
+    made = figure(6.5, 4.2, title or str(result.provenance.get("diagram", "")))
     axes = made.add_subplot()
     for whirl, (colour, _) in _WHIRL.items():
-        chosen = [mode for mode in found.modes if mode.whirl == whirl]
+        chosen = [mode for mode in result.modes if mode.whirl == whirl]
         sizes = [mode.damping_ratio for mode in chosen], [mode.frequency_hz for mode in chosen]
         if chosen:
             axes.plot(*sizes, "o", ms=6, mfc="white", mec=colour, label=whirl)

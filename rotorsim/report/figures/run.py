@@ -131,10 +131,10 @@ def _draw_orbit(axes: Axes, result: Result, angle: str, signal: str, part: slice
     axes.set_aspect("equal", adjustable="datalim")
 
 
-def _draw_spectrum(axes: Axes, found: FullSpectrum, title: str) -> np.ndarray:
+def _draw_spectrum(axes: Axes, spectrum: FullSpectrum, title: str) -> np.ndarray:
     """Draw the amplitudes of a spectrum; return where its lines are."""
-    amplitude, unit = display(found.amplitude, found.unit)
-    order, size = found.frequency / (found.running or 1.0), np.abs(amplitude)
+    amplitude, unit = display(spectrum.amplitude, spectrum.unit)
+    order, size = spectrum.frequency / (spectrum.running or 1.0), np.abs(amplitude)
     inside = np.abs(order) <= DRAWN_ORDERS + 0.5
     nearest = np.abs(order[:, None] - np.arange(-DRAWN_ORDERS, DRAWN_ORDERS + 1)).argmin(axis=0)
     peaks = nearest[size[nearest] > 1e-4 * size.max()]
@@ -160,10 +160,10 @@ def _spectrum(result: Result, signal: str, window: tuple[float, float] | None) -
     if angle is None:
         hint = "record clock.theta"
         raise RotorsimError(Problem("the shaft angle was not recorded", signal, hint=hint))
-    found = full_spectrum(result, signal, window=window or last_turns(result, angle), angle=angle)
-    if not found.running:
+    spectrum = full_spectrum(result, signal, window=window or last_turns(result, angle), angle=angle)
+    if not spectrum.running:
         raise RotorsimError(Problem("the shaft does not turn", angle, hint="set a speed other than zero"))
-    return found
+    return spectrum
 
 
 @styled()
@@ -173,37 +173,37 @@ def spectrum_figure(result: Result, signal: str, *, window: tuple[float, float] 
     window: times [s] (default: the last whole turns). Phases count from shaft angle zero.
     Raises RotorsimError when the shaft angle was not recorded or the shaft does not turn.
     """
-    found = _spectrum(result, signal, window)
+    spectrum = _spectrum(result, signal, window)
     made = figure(7.5, 5.0, _title_of(result))
     axes, phase = made.subplots(2, 1, height_ratios=(2, 1), sharex=True)
-    peaks = _draw_spectrum(axes, found, f"full spectrum of {signal}")
-    order = found.frequency[peaks] / (found.running or 1.0)
+    peaks = _draw_spectrum(axes, spectrum, f"full spectrum of {signal}")
+    order = spectrum.frequency[peaks] / (spectrum.running or 1.0)
     phase.axhline(0, color=GREY, lw=0.6)
     for (side, _), colour in SIDES.items():
         chosen = _side(order) == side
-        phase.plot(order[chosen], np.degrees(np.angle(found.amplitude[peaks[chosen]])), "o", ms=4, color=colour)
+        phase.plot(order[chosen], np.degrees(np.angle(spectrum.amplitude[peaks[chosen]])), "o", ms=4, color=colour)
     phase.set(ylabel="phase [deg]", ylim=(-190, 190), yticks=range(-180, 181, 90), xlabel=ORDER_LABEL)
     return made
 
 
-def _draw_run_up(axes: Axes, found: RunUp) -> None:
-    speeds, (peaks, unit) = rpm(found.speeds), display(found.peaks, found.unit)
-    samples, _ = display(found.samples, found.unit)
-    axes.plot(rpm(found.speed), samples, color=GREY, lw=0.3, alpha=0.25, rasterized=True)
+def _draw_run_up(axes: Axes, result: RunUp) -> None:
+    speeds, (peaks, unit) = rpm(result.speeds), display(result.peaks, result.unit)
+    samples, _ = display(result.samples, result.unit)
+    axes.plot(rpm(result.speed), samples, color=GREY, lw=0.3, alpha=0.25, rasterized=True)
     axes.plot(speeds, peaks, color=INK, lw=0.9, label="peak of each turn")
-    largest = max(float(np.nanmax(curve, initial=0.0)) for curve in found.orders.values())
-    for (order, curve), colour in zip(found.orders.items(), (BLUE, ORANGE, GREEN), strict=False):
+    largest = max(float(np.nanmax(curve, initial=0.0)) for curve in result.orders.values())
+    for (order, curve), colour in zip(result.orders.items(), (BLUE, ORANGE, GREEN), strict=False):
         if np.nanmax(curve, initial=0.0) > ZERO_SHARE * largest:
-            axes.plot(speeds, display(curve, found.unit)[0], color=colour, lw=1.0, label=f"{order}X")
-    marks = [(f"{one.order}X", one.speed, one.peak) for one in found.resonances()]
-    if found.rises:
-        marks.append(("still rising", found.resonance, found.peak))
+            axes.plot(speeds, display(curve, result.unit)[0], color=colour, lw=1.0, label=f"{order}X")
+    marks = [(f"{one.order}X", one.speed, one.peak) for one in result.resonances()]
+    if result.rises:
+        marks.append(("still rising", result.resonance, result.peak))
     for (name, speed, peak), mark in zip(marks, "ov^s", strict=False):
-        height = float(display(peak, found.unit)[0])
+        height = float(display(peak, result.unit)[0])
         label = f"{name} at {rpm(speed):.0f} rpm: {height:.4g} {unit}, 0-peak"
         axes.plot(rpm(speed), height, mark, ms=6, mfc="white", mec=INK, ls="none", label=label, zorder=4)
     top = 1.12 * float(peaks[len(peaks) // 50 :].max())
-    axes.set_title(f"run-up: {found.signal}, about its mean", loc="left")
+    axes.set_title(f"run-up: {result.signal}, about its mean", loc="left")
     axes.set(xlabel="speed [rpm]", ylabel=f"[{unit}, 0-peak]", ylim=(-top, top), xmargin=0)
     axes.legend(loc="lower left", fontsize=7.5)
 

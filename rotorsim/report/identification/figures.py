@@ -26,28 +26,28 @@ from rotorsim.report.style import RED, Look
 MODEL = Look("model", RED, "o", "--", 8.0)
 
 
-def compare(found: Identification, recording: Recording) -> Comparison:
+def compare(identification: Identification, recording: Recording) -> Comparison:
     """Return the identified model beside the recording that it was made from."""
     experiment = open_experiment(
-        found.diagram,
+        identification.diagram,
         recording,
-        runs=[item.run for item in found.runs],
-        given=found.settings.get("given", ()),
-        free=found.free,
-        harmonics=found.runs,
+        runs=[item.run for item in identification.runs],
+        given=identification.settings.get("given", ()),
+        free=identification.free,
+        harmonics=identification.runs,
     )
-    theta = np.array([found.parameters[item.name].value for item in experiment.free])
+    theta = np.array([identification.parameters[item.name].value for item in experiment.free])
     with one_thread():
         runs = predicted_runs(experiment, theta, Likelihood(experiment).evaluate(theta).Y)
-    return Comparison(((MODEL, runs),), heading(found, recording))
+    return Comparison(((MODEL, runs),), heading(identification, recording))
 
 
-def identification_figures(found: Identification, recording: Recording) -> dict[str, Figure]:
+def identification_figures(identification: Identification, recording: Recording) -> dict[str, Figure]:
     """Return the figures of an identification by name, those left out that have nothing to show."""
-    compared = compare(found, recording)
+    compared = compare(identification, recording)
     made = {
-        "parameters": parameters_figure(found, recording),
-        "correlation": correlation_figure(found, recording),
+        "parameters": parameters_figure(identification, recording),
+        "correlation": correlation_figure(identification, recording),
         "spectrum": spectra_figure(compared),
         "speed_curve": speed_curves_figure(compared),
         "orbits": orbits_figure(compared),
@@ -55,9 +55,11 @@ def identification_figures(found: Identification, recording: Recording) -> dict[
     return {name: one for name, one in made.items() if one is not None}
 
 
-def save_figures(found: Identification, recording: Recording, folder: str | Path) -> list[Path]:
+def save_figures(identification: Identification, recording: Recording, folder: str | Path) -> list[Path]:
     """Write the figures of an identification into a folder as PNG; return the files."""
-    files = {Path(folder) / f"{name}.png": made for name, made in identification_figures(found, recording).items()}
+    files = {
+        Path(folder) / f"{name}.png": made for name, made in identification_figures(identification, recording).items()
+    }
     for file, made in files.items():
         save_figure(made, file)
     return list(files)

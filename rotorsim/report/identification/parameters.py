@@ -22,12 +22,12 @@ MINUS = "\u2212"
 WANTED = "#eaf3ec"
 
 
-def heading(found: Identification, recording: Recording | None) -> str:
+def heading(identification: Identification, recording: Recording | None) -> str:
     """Return what was identified from what, for titles, and in a second line whether the model explains it."""
-    title = found.diagram.name + (f" identified from {recording.name}" if recording is not None else "")
-    if found.adequate:
+    title = identification.diagram.name + (f" identified from {recording.name}" if recording is not None else "")
+    if identification.adequate:
         return title
-    excess = f"{float(f'{found.excess:.3g}'):,.6g}"
+    excess = f"{float(f'{identification.excess:.3g}'):,.6g}"
     return f"{title}\nnot explained by the model: residual variance {excess} times the noise"
 
 
@@ -68,18 +68,18 @@ def _relative(item: Identified, start: float) -> list[float]:
 
 
 @styled()
-def parameters_figure(found: Identification, recording: Recording | None = None) -> Figure:
+def parameters_figure(identification: Identification, recording: Recording | None = None) -> Figure:
     """Return every parameter's 90 % interval and start value, relative to the identified value, with its number."""
-    items, known = list(found.parameters.values()), {item.name: item.value for item in found.free}
+    items, known = list(identification.parameters.values()), {item.name: item.value for item in identification.free}
     starts = [known.get(item.name, math.nan) for item in items]
     moved = np.array([_relative(item, start) for item, start in zip(items, starts, strict=True)])
-    precision = 100 * float(found.settings.get("precision", 0.05))
+    precision = 100 * float(identification.settings.get("precision", 0.05))
     sizes = (moved[:, 1] - moved[:, 0]) / 2
     sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
     linear = 10.0 ** np.clip(np.floor(np.log10(sizes.min(initial=precision))), -4, 0)
     reach = float(np.clip(np.nanmax(np.abs([*sizes, *moved[:, 2], 2 * precision])), 10, 900)) * 1.5
     colours = [BLUE if item.verdict.identifiable else GREY for item in items]
-    made = figure(9.0, 1.7 + 0.36 * len(items), f"Parameters, {heading(found, recording)}")
+    made = figure(9.0, 1.7 + 0.36 * len(items), f"Parameters, {heading(identification, recording)}")
     axes = made.add_subplot()
     axes.set_xscale("symlog", linthresh=linear, linscale=0.8)
     axes.axvspan(-precision, precision, color=WANTED, zorder=0)
@@ -135,12 +135,12 @@ def _symlog_ticks(axes: Axes, linear: float, reach: float) -> None:
 
 
 @styled()
-def correlation_figure(found: Identification, recording: Recording | None = None) -> Figure:
+def correlation_figure(identification: Identification, recording: Recording | None = None) -> Figure:
     """Return the correlation of the estimates as a matrix with numbers."""
-    names, values = list(found.parameters), np.asarray(found.correlation)
+    names, values = list(identification.parameters), np.asarray(identification.correlation)
     m = len(names)
     size = 0.62 * m if m <= 12 else 0.42 * m
-    made = figure(3.4 + size, 2.4 + size, f"Correlation, {heading(found, recording)}")
+    made = figure(3.4 + size, 2.4 + size, f"Correlation, {heading(identification, recording)}")
     axes = made.add_subplot()
     shown = np.where(np.eye(m, dtype=bool), np.nan, values)
     picture = axes.imshow(shown, cmap="RdBu_r", vmin=-1, vmax=1)

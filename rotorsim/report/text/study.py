@@ -39,23 +39,23 @@ def tables_text() -> str:
     return table(("table", "varied", "diagram", "speeds", "parameters", "reduction"), rows)
 
 
-def study_text(found: StudyResult) -> str:
+def study_text(result: StudyResult) -> str:
     """Return the table of a study with what must be known to read it."""
-    study = found.study
+    study = result.study
     columns = {
-        "parameter": [row.parameter for row in found.rows],
-        "true": [_value(row.true, row.unit) for row in found.rows],
-        "case": [str(row.case) for row in found.rows],
-        "mean error": [_per_cent(row.mean_percent) for row in found.rows],
-        "rms error": [_per_cent(row.rms_percent) for row in found.rows],
-        "rms error ": [_value(row.rms_error, row.unit) for row in found.rows],
-        "thesis": [_per_cent(row.published) for row in found.rows],
-        "coverage": [percent(row.coverage) for row in found.rows],
-        "identified": [percent(row.identified) for row in found.rows],
+        "parameter": [row.parameter for row in result.rows],
+        "true": [_value(row.true, row.unit) for row in result.rows],
+        "case": [str(row.case) for row in result.rows],
+        "mean error": [_per_cent(row.mean_percent) for row in result.rows],
+        "rms error": [_per_cent(row.rms_percent) for row in result.rows],
+        "rms error ": [_value(row.rms_error, row.unit) for row in result.rows],
+        "thesis": [_per_cent(row.published) for row in result.rows],
+        "coverage": [percent(row.coverage) for row in result.rows],
+        "identified": [percent(row.identified) for row in result.rows],
     }
     columns = {name: cells for name, cells in columns.items() if any(cell != "-" for cell in cells)}
     lines = [list(line) for line in zip(*columns.values(), strict=True)]
-    for before, line in zip(found.rows, lines[1:], strict=False):
+    for before, line in zip(result.rows, lines[1:], strict=False):
         if before.parameter == line[0]:
             line[:2] = "", ""
     speeds = [abs(rpm(speed)) for speed in study.speeds]
@@ -63,20 +63,20 @@ def study_text(found: StudyResult) -> str:
     title += f"{study.diagram.get('name')}, {len(speeds)} speeds, {min(speeds):g} to {max(speeds):g} rpm"
     title += f", {len(study.gains)} sets of gains" if len(study.gains) > 1 else ""
     title += f"; {study.method}" + (f", {study.reduction} reduction" if study.method == "regression" else "")
-    return "\n\n".join([title, table([name.strip() for name in columns], lines), "\n".join(_notes(found))])
+    return "\n\n".join([title, table([name.strip() for name in columns], lines), "\n".join(_notes(result))])
 
 
-def _notes(found: StudyResult) -> list[str]:
-    notes = [f"{found.study.seeds} seeds in every case; errors in % of the true value, angles too."]
-    if any(row.coverage is not None for row in found.rows):
-        share = 100 * found.coverage_tolerance
+def _notes(result: StudyResult) -> list[str]:
+    notes = [f"{result.study.seeds} seeds in every case; errors in % of the true value, angles too."]
+    if any(row.coverage is not None for row in result.rows):
+        share = 100 * result.coverage_tolerance
         notes.append(f"A right 90 % interval covers the true value in 90 +- {share:.2g} % of so many seeds.")
-    if found.failed:
-        notes.append(f"{len(found.failed)} estimates failed and are left out; the first: {found.failed[0]}")
+    if result.failed:
+        notes.append(f"{len(result.failed)} estimates failed and are left out; the first: {result.failed[0]}")
     wrong = [
         f"  {symbol} at {100 * level:g} %: {printed:g} % is printed, its value says {error:.2f} %"
         for number, symbol, level, printed, error in misprints()
-        if number == found.study.table
+        if number == result.study.table
     ]
     return [*notes, *(["The thesis contradicts itself:", *wrong] if wrong else [])]
 

@@ -107,20 +107,20 @@ def _fit_of(document: Mapping[str, Any], search: Search, best: Estimate) -> Fit:
     )
 
 
-def _alone(found: Estimate) -> np.ndarray:
+def _alone(estimate: Estimate) -> np.ndarray:
     """Return the standard deviations (m,) with all other parameters of the same block known, and no others.
 
     Where only a combination is determined, as of the size and the time constant of a drift, each still has one.
     """
-    back = np.linalg.inv(found.coordinates.jacobian(found.theta))
-    information = back.T @ found.information @ back
+    back = np.linalg.inv(estimate.coordinates.jacobian(estimate.theta))
+    information = back.T @ estimate.information @ back
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
     unit = np.where(size > 0, size, 1.0)
     scaled = information / np.outer(unit, unit)
-    blocks = [item.base.rpartition(".")[0] or item.name for item in found.free]
+    blocks = [item.base.rpartition(".")[0] or item.name for item in estimate.free]
     out = np.full(len(blocks), np.inf)
     for j, block in enumerate(blocks):
-        rest = [k for k, other in enumerate(blocks) if other != block and not found.at_bound[k]]
+        rest = [k for k, other in enumerate(blocks) if other != block and not estimate.at_bound[k]]
         known = np.linalg.pinv(scaled[np.ix_(rest, rest)], rcond=RANK_TOLERANCE, hermitian=True)
         left = float(scaled[j, j] - scaled[j, rest] @ known @ scaled[rest, j])
         if size[j] > 0 and left > RANK_TOLERANCE:

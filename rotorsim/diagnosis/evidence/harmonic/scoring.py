@@ -100,10 +100,10 @@ def _unpredicted(reason: str) -> HeldScore:
     return HeldScore({"": float("nan")}, {}, reason=reason)
 
 
-def _unsettled_in(found: Prediction) -> str:
+def _unsettled_in(prediction: Prediction) -> str:
     """Return in which runs a prediction is no settled motion, and why; empty where it is one everywhere."""
-    experiment = found.experiment
-    lost = [r for r, Y in enumerate(found.evaluation.Y) if not np.isfinite(Y).all()]
+    experiment = prediction.experiment
+    lost = [r for r, Y in enumerate(prediction.evaluation.Y) if not np.isfinite(Y).all()]
     if lost:
         return f"no periodic motion was found in {_runs(experiment, lost)}"
     grown = unsettled(experiment)
