@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rotorsim.block import Block
 from rotorsim.diagram.diagram import Endpoint, Wire
 from rotorsim.model.compiled import Model
 from rotorsim.model.trace.diagram import Signal, Trace
@@ -101,9 +102,14 @@ def handmade(
 
 
 def _node() -> SimpleNamespace:
-    return SimpleNamespace(
-        values={}, references={}, outputs={}, block=SimpleNamespace(parameters={}, holds_below=lambda p: {})
-    )
+    return SimpleNamespace(values={}, references={}, outputs={}, block=_Bare())
+
+
+class _Bare(Block):
+    """What a handmade model knows of a block: its parameters, to which each model adds its own."""
+
+    def __init__(self) -> None:
+        self.parameters = {}  # type: ignore[misc]
 
 
 def _end(text: str) -> Endpoint:
