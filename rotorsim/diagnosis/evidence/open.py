@@ -8,10 +8,10 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.evidence.harmonic.open import open_harmonics
 from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagnosis.evidence.resonance.open import is_by_resonances, open_resonances
-from rotorsim.diagnosis.evidence.waveform.data import is_in_time
 from rotorsim.diagnosis.evidence.waveform.open import open_waveforms
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
+from rotorsim.identification.waveform.data import is_in_time
 from rotorsim.recordings.recording import Recording
 
 __all__ = ["Opened", "open_evidence"]

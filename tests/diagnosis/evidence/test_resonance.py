@@ -12,8 +12,8 @@ from scipy.linalg import eigh
 from rotorsim.cli.app import rotorsim
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
 from rotorsim.diagnosis.evidence.resonance.resonances import resonances
-from rotorsim.diagnosis.evidence.waveform.data import SampledRun
 from rotorsim.errors import Place, RotorsimError
+from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Channel, Recording, Run
 

@@ -13,11 +13,11 @@ from rotorsim.cli.app import rotorsim
 from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
-from rotorsim.diagnosis.evidence.waveform.data import channels_of, read_run
-from rotorsim.diagnosis.evidence.waveform.search import OutputErrorSearch
-from rotorsim.diagnosis.evidence.waveform.subsystems import subsystems_of
 from rotorsim.diagnosis.files import diagnosis_data, diagnosis_schema, save_diagnosis
 from rotorsim.errors import RotorsimError
+from rotorsim.identification.waveform.data import channels_of, read_run
+from rotorsim.identification.waveform.search import OutputErrorSearch
+from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.model.load import load
 from rotorsim.recordings.loading import load_recording
 from rotorsim.recordings.recording import Recording

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from rotorsim.diagnosis.evidence.resonance.resonances import SMOOTH, Resonance
-from rotorsim.diagnosis.evidence.waveform.data import SampledRuns
+from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.linear.linearisation import linearise
 

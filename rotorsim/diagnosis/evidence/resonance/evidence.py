@@ -20,7 +20,7 @@ from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, left_out
 from rotorsim.diagnosis.evidence.resonance.drive import driven_at
 from rotorsim.diagnosis.evidence.resonance.modes import Modes
 from rotorsim.diagnosis.evidence.resonance.resonances import Resonance
-from rotorsim.diagnosis.evidence.waveform.data import SampledRuns
+from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.diagram.diagram import Free
 
 UNMATCHED_RESIDUAL = 3.0  # residual of a resonance that no mode is left for

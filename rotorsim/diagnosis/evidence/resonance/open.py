@@ -16,10 +16,10 @@ from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
 from rotorsim.diagnosis.evidence.resonance.resonances import resonances
-from rotorsim.diagnosis.evidence.waveform.data import channels_of, chosen_runs, read_run
-from rotorsim.diagnosis.evidence.waveform.search import SIMULATION_SUBSTEPS, STABLE_STEP
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.waveform.data import channels_of, chosen_runs, read_run
+from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, STABLE_STEP
 from rotorsim.linear.linearisation import jacobians
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.recordings.recording import Recording, Run

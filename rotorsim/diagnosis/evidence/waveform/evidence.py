@@ -18,7 +18,6 @@ from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Defaults, Score, Terms
 from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, left_out, reason_of
-from rotorsim.diagnosis.evidence.waveform.data import SampledRun, SampledRuns
 from rotorsim.diagnosis.evidence.waveform.noise import (
     Stretch,
     Variance,
@@ -30,11 +29,13 @@ from rotorsim.diagnosis.evidence.waveform.noise import (
     stacked,
     weights_of,
 )
+from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.diagnosis.evidence.waveform.scoring import held_score, left_out_score
-from rotorsim.diagnosis.evidence.waveform.search import MOST_SIMULATIONS, Evaluation, Label, OutputErrorSearch
-from rotorsim.diagnosis.evidence.waveform.subsystems import subsystems_of
 from rotorsim.diagram.diagram import Diagram, Port
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation, Label, OutputErrorSearch
+from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.units import compatible
 
 FIRST_STEPS = 4  # from each start, before the best is followed

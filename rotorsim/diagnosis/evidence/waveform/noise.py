@@ -22,9 +22,9 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.evidence.fit import left_out
-from rotorsim.diagnosis.evidence.waveform.data import SampledRun
-from rotorsim.diagnosis.evidence.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
-from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE_DIAGRAM
+from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 
 STRETCHES = 20  # of all runs together; 4 of each run at least
 MOST_ROWS = 2000

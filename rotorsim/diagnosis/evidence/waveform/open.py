@@ -15,8 +15,6 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.evidence.base_fit import base_fit
 from rotorsim.diagnosis.evidence.opened import Opened
-from rotorsim.diagnosis.evidence.waveform.data import Channels, SampledRun, channels_of, chosen_runs, read_run
-from rotorsim.diagnosis.evidence.waveform.equations import ForceMap, driven_equations
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.diagnosis.evidence.waveform.noise import (
     block_misfit,
@@ -28,11 +26,13 @@ from rotorsim.diagnosis.evidence.waveform.noise import (
     variance_scale,
     weights_of,
 )
-from rotorsim.diagnosis.evidence.waveform.search import Evaluation, OutputErrorSearch
-from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
-from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.waveform.data import Channels, SampledRun, channels_of, chosen_runs, read_run
+from rotorsim.identification.waveform.equations import ForceMap, driven_equations
+from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.linear import linearisation as linear
 from rotorsim.recordings.recording import Recording
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from rotorsim.diagnosis.evidence.evidence import Score
 from rotorsim.diagnosis.evidence.waveform.noise import Variance
-from rotorsim.diagnosis.evidence.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
-from rotorsim.diagnosis.evidence.waveform.subsystems import WHOLE_DIAGRAM
+from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 
 FOLDS = 4  # stretches of all runs, each left out once
 

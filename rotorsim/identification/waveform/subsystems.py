@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from rotorsim.diagnosis.evidence.waveform.data import RATE_PREFIX, Channels
-from rotorsim.diagnosis.evidence.waveform.equations import (
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.identification.waveform.data import RATE_PREFIX, Channels
+from rotorsim.identification.waveform.equations import (
     DrivenEquations,
     ForceMap,
     driven_equations,
@@ -16,8 +17,7 @@ from rotorsim.diagnosis.evidence.waveform.equations import (
     measured_expression,
     rate_of,
 )
-from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
-from rotorsim.diagram.diagram import Diagram
+from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rotorsim.diagnosis.evidence.waveform.data import RATE_PREFIX, SampledRun, between_samples, channels_of
-from rotorsim.diagnosis.evidence.waveform.equations import DrivenEquations, ForceMap, driven_equations
-from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
-from rotorsim.diagnosis.evidence.waveform.subsystems import subsystems_of
 from rotorsim.errors import RotorsimError
+from rotorsim.identification.waveform.data import RATE_PREFIX, SampledRun, between_samples, channels_of
+from rotorsim.identification.waveform.equations import DrivenEquations, ForceMap, driven_equations
+from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.model.load import load
 from tests.diagnosis.evidence.machines import OSCILLATOR, POSITIONER, carriage_recording
 

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rotorsim.diagnosis.evidence.waveform.equations import DrivenEquations
+from rotorsim.identification.waveform.equations import DrivenEquations
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler

@@ -14,9 +14,9 @@ from itertools import product
 
 import numpy as np
 
-from rotorsim.diagnosis.evidence.waveform.data import SampledRun
-from rotorsim.diagnosis.evidence.waveform.simulation import Simulation
 from rotorsim.diagram.diagram import Free
+from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.simulation import Simulation
 
 MOST_SIMULATIONS = 60  # what data determine takes up to 25
 REFIT_EVALUATIONS = 15  # of a fit that starts where a similar one ended

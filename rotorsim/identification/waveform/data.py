@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from time import process_time
 from typing import Any
 
 import numpy as np
@@ -14,13 +11,11 @@ from scipy.fft import next_fast_len
 from scipy.interpolate import CubicSpline
 from scipy.signal import resample
 
-from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, reason_of
-from rotorsim.diagnosis.evidence.waveform.equations import driven_parameters, measured_expression
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.identification.waveform.equations import driven_parameters, measured_expression
 from rotorsim.model.compiled import Model, compile_diagram
-from rotorsim.model.load import load
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.units import compatible
 
@@ -89,53 +84,6 @@ class SampledRun:
         at = (np.arange(self.size)[:, None] + np.linspace(0.0, 1.0, parts + 1)) * self.dt
         at[-1] = at[-1, 0]
         return np.asarray(spline(at, int(name.startswith(RATE_PREFIX))))
-
-
-@dataclass(frozen=True, eq=False)
-class SampledRuns(ABC):
-    """Runs as samples in time, to be compared with a diagram that is read as the given one was.
-
-    sizes: largest magnitude of signals by flat name.
-    """
-
-    recording: Recording
-    runs: tuple[SampledRun, ...]
-    channels: Channels
-    sizes: Mapping[str, float]
-    folder: str | None
-    trust_blocks: bool
-
-    def load(self, document: Mapping[str, Any]) -> Diagram:
-        """Return the diagram of a document. Raises RotorsimError."""
-        return load(document, folder=Path(self.folder) if self.folder else None, trust_blocks=self.trust_blocks)
-
-    def largest(self) -> Mapping[str, float]:
-        """Return the largest magnitude of signals by flat name."""
-        return self.sizes
-
-    @property
-    def recorded(self) -> list[str]:
-        """The flat names of the recorded signals."""
-        return [*self.channels.inputs, *self.channels.outputs]
-
-    def fit(
-        self, document: Mapping[str, Any], starts: Starts, *, most: int | None = None, linear_only: bool = False
-    ) -> Fit:
-        """Return the best fit of a diagram from the best of each group of starts {free parameter: SI value}.
-
-        What a start does not name begins as written. most: a limit of evaluations. linear_only is not heeded: a
-        nonlinear diagram costs no more.
-        """
-        began = process_time()
-        try:
-            fit = self._fit(document, starts, most)
-        except FAILURES as error:
-            fit = Fit(document, failure=reason_of(error))
-        return replace(fit, seconds=process_time() - began)
-
-    @abstractmethod
-    def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None) -> Fit:
-        """Return the best fit of a diagram. Raises one of FAILURES where it cannot be compared with the runs."""
 
 
 def chosen_runs(recording: Recording) -> tuple[Run, ...]:

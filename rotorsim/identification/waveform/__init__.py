@@ -1,0 +1,1 @@
+"""Samples in time: driven equations, their simulation with sensitivities, output-error search."""
