@@ -17,12 +17,14 @@ from rotorsim.diagnosis.evidence.base_fit import base_fit
 from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.diagnosis.evidence.waveform.noise import (
+    Variance,
     block_misfit,
     independent,
     misfits_left_out,
     residual_variance,
     reweighted,
     stretches_of,
+    unpredicted,
     variance_scale,
     weights_of,
 )
@@ -75,11 +77,16 @@ def waveform_evidence(
     flexible, residual = _flexible(diagram, channels, replace(base, weights=weights), evaluation, sizes)
     stretches = stretches_of(runs)
     noise = _noise_share(flexible, residual)
-    variance = {signal: value * noise for signal, value in residual_variance(flexible, residual).items()}
-    rows = independent(block_misfit(flexible, residual, stretches), stretches)
-    weights = weights_of(variance, runs, rows)
-    least = misfits_left_out(replace(flexible, weights=weights), residual, stretches)
-    given = misfits_left_out(replace(base, weights=weights), evaluation, stretches)
+    variance: Variance = {signal: value * noise for signal, value in residual_variance(flexible, residual).items()}
+    beside = unpredicted(diagram, base, evaluation, stretches)
+    if sum(map(log, beside.variance.values())) < sum(map(log, variance.values())):
+        variance, rows, allowed = beside.variance, beside.rows, CRITERIA.model_error * beside.left
+    else:
+        rows = independent(block_misfit(flexible, residual, stretches), stretches)
+        weights = weights_of(variance, runs, rows)
+        least = misfits_left_out(replace(flexible, weights=weights), residual, stretches)
+        given = misfits_left_out(replace(base, weights=weights), evaluation, stretches)
+        allowed = _allowed(least, given, noise)
     return WaveformEvidence(
         channels=channels,
         folder=str(Path(diagram.file).parent) if diagram.file else None,
@@ -89,7 +96,7 @@ def waveform_evidence(
         variance=variance,
         rows=rows,
         stretches=stretches,
-        allowed=_allowed(least, given, noise),
+        allowed=allowed,
         least=base.least,
         starts=flexible.starts(residual.unknowns),
         sizes=sizes,
