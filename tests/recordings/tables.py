@@ -1,5 +1,7 @@
-"""Data files for the tests of readers: a writer for every format, which declares nothing but the bytes."""
+"""Data files for the tests of readers: a writer for every format."""
 
+import importlib.util
+from collections.abc import Iterable
 from pathlib import Path
 
 import h5py
@@ -35,6 +37,50 @@ def write_mat73(path: Path, table: dict[str, np.ndarray]) -> None:
         stream.write(header)
 
 
+def write_tdms(path: Path, table: dict[str, np.ndarray], segments: int = 1) -> None:
+    from nptdms import ChannelObject, TdmsWriter
+
+    clock = {"wf_increment": 0.1, "wf_start_offset": 0.0}
+    with TdmsWriter(str(path)) as writer:
+        for part in zip(*(np.array_split(array, segments) for array in table.values()), strict=True):
+            writer.write_segment([ChannelObject("rig", *item, clock) for item in zip(table, part, strict=True)])
+
+
+def write_uff(path: Path, table: dict[str, np.ndarray]) -> None:
+    """Write functions at nodes 1, 2, ... in direction 3."""
+    import pyuff
+
+    for node, (name, array) in enumerate(table.items(), start=1):
+        data = pyuff.prepare_58(
+            binary=1,
+            func_type=1,
+            rsp_node=node,
+            rsp_dir=3,
+            ref_dir=1,
+            ref_node=1,
+            data=array,
+            x=0.1 * np.arange(len(array)),
+            id1=name,
+            rsp_ent_name="NONE",
+            ref_ent_name="NONE",
+            abscissa_spacing=1,
+            abscissa_spec_data_type=17,
+            ordinate_spec_data_type=8,
+            orddenom_spec_data_type=0,
+        )
+        pyuff.UFF(str(path)).write_sets(data, mode="add")
+
+
+def write_mf4(path: Path, table: dict[str, np.ndarray]) -> None:
+    """Write every column with a clock of its own."""
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        for name, array in table.items():
+            file.append([Signal(array, 0.1 * np.arange(len(array)), name=name)])
+        file.save(path)
+
+
 WRITERS = {
     "a.csv": write_csv,
     "a.CSV": lambda path, table: write_csv(path, table, ";"),
@@ -46,7 +92,30 @@ WRITERS = {
     "73.mat": write_mat73,
     "a.h5": write_h5,
     "a.hdf5": write_h5,
+    "a.tdms": write_tdms,
+    "b.tdms": lambda path, table: write_tdms(path, table, segments=3),
+    "a.uff": write_uff,
+    "a.unv": write_uff,
+    "a.mf4": write_mf4,
 }
+PACKAGES = {".tdms": "nptdms", ".uff": "pyuff", ".unv": "pyuff", ".mf4": "asammdf"}  # optional ones
+
+
+def suffix(name: str) -> str:
+    return Path(name).suffix.lower()
+
+
+def formats(names: Iterable[str] = WRITERS) -> pytest.MarkDecorator:
+    """Run a test with files of these names, of every format by default; without the package of one it is skipped."""
+
+    def marks(package: str | None) -> list[pytest.MarkDecorator]:
+        if package is None:
+            return []
+        missing = importlib.util.find_spec(package) is None
+        quiet = pytest.mark.filterwarnings("ignore")  # packages of others leave files open
+        return [pytest.mark.skipif(missing, reason=f"{package} is not installed"), quiet]
+
+    return pytest.mark.parametrize("name", [pytest.param(n, marks=marks(PACKAGES.get(suffix(n)))) for n in names])
 
 
 def refused(path: Path, columns: list[str], time: str | None = None) -> list[str]:

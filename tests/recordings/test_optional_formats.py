@@ -1,29 +1,19 @@
 """Formats by optional packages."""
 
-import importlib.util
+import gc
+import sys
 
 import numpy as np
-import pytest
 
-from rotorsim.recordings.readers.columns import read_columns
-from tests.recordings.tables import TABLE, refused
+from rotorsim.recordings.readers.columns import DAMAGED, read_columns
+from tests.recordings.tables import TABLE, formats, refused, write_mf4, write_tdms, write_uff
 
-
-def needs(package: str):
-    return pytest.mark.skipif(importlib.util.find_spec(package) is None, reason=f"{package} is not installed")
+CUT = "\n\nhint: copy it again, or save what is left by the program that recorded it"
 
 
-FOREIGN = pytest.mark.filterwarnings("ignore")  # of foreign packages, which leave files open
-
-
-@FOREIGN
-@needs("nptdms")
-def test_tdms(tmp_path):
-    from nptdms import ChannelObject, TdmsWriter
-
-    properties = {"wf_increment": 0.1, "wf_start_offset": 0.0}
-    with TdmsWriter(str(tmp_path / "a.tdms")) as writer:
-        writer.write_segment([ChannelObject("rig", name, TABLE[name], properties) for name in "xy"])
+@formats(["a.tdms"])
+def test_tdms(tmp_path, name):
+    write_tdms(tmp_path / "a.tdms", {column: TABLE[column] for column in "xy"})
     found = read_columns(tmp_path / "a.tdms", ["x", "rig/y"], "time")
     np.testing.assert_array_equal(found["x"], TABLE["x"])
     np.testing.assert_array_equal(found["rig/y"], TABLE["y"])
@@ -31,49 +21,56 @@ def test_tdms(tmp_path):
     assert refused(tmp_path / "a.tdms", ["X"]) == ["data: error: no column 'X'\n\nhint: did you mean 'x'?"]
 
 
-@FOREIGN
-@needs("pyuff")
-@pytest.mark.parametrize("suffix", [".uff", ".unv"])
-def test_universal_files(tmp_path, suffix):
-    import pyuff
+@formats(["a.tdms"])
+def test_a_tdms_that_was_cut_off_is_refused(tmp_path, name, capfd):
+    """In data, metadata or lead-in of its last segment: npTDMS reads all three as a shorter file."""
+    path = tmp_path / name
+    write_tdms(path, {"x": np.arange(90.0), "y": np.arange(90.0)}, segments=3)
+    content = path.read_bytes()
+    last = content.rindex(b"TDSm")
+    for cut in (len(content) - 240, last + 40, last + 20, last + 2):
+        path.write_bytes(content[:cut])
+        assert refused(path, ["x", "y"]) == [
+            f"data: error: the file was cut off: its segment 3 ends beyond byte {cut}{CUT}"
+        ]
+    path.write_bytes(content[: last + 12] + b"\xff" * 8 + content[last + 20 :])
+    assert refused(path, ["x"]) == [f"data: error: the file was cut off: its segment 3 was never closed{CUT}"]
+    path.write_bytes(content + bytes(100))
+    assert refused(path, ["x"]) == [
+        f"data: error: not a .tdms file: no segment at byte {len(content) + 1}\n\nhint: {DAMAGED}"
+    ]
+    assert capfd.readouterr().err == ""
 
-    path = tmp_path / f"a{suffix}"
-    for node, name in enumerate("xy", start=1):
-        pyuff.UFF(str(path)).write_sets(
-            pyuff.prepare_58(
-                binary=1,
-                func_type=1,
-                rsp_node=node,
-                rsp_dir=3,
-                ref_dir=1,
-                ref_node=1,
-                data=TABLE[name],
-                x=TABLE["t"],
-                id1=name if node == 1 else "NONE",
-                rsp_ent_name="NONE",
-                ref_ent_name="NONE",
-                abscissa_spacing=1,
-                abscissa_spec_data_type=17,
-                ordinate_spec_data_type=8,
-                orddenom_spec_data_type=0,
-            ),
-            mode="add",
-        )
+
+@formats(["a.uff", "a.unv"])
+def test_universal_files(tmp_path, name):
+    path = tmp_path / name
+    write_uff(path, {"x": TABLE["x"], "NONE": TABLE["y"]})
     found = read_columns(path, ["x", "2/3"], "time")
     np.testing.assert_array_equal(found["x"], TABLE["x"])
     np.testing.assert_array_equal(found["2/3"], TABLE["y"])
     np.testing.assert_allclose(found["time"], TABLE["t"], rtol=1e-6)
 
 
-@FOREIGN
-@needs("asammdf")
-def test_mf4(tmp_path):
-    from asammdf import MDF, Signal
-
-    with MDF(version="4.10") as file:
-        file.append([Signal(TABLE[name], TABLE["t"], name=name) for name in "xy"])
-        file.save(tmp_path / "a.mf4")
+@formats(["a.mf4"])
+def test_mf4(tmp_path, name):
+    write_mf4(tmp_path / "a.mf4", TABLE)
     found = read_columns(tmp_path / "a.mf4", ["x", "y"], "time")
     np.testing.assert_array_equal(found["x"], TABLE["x"])
     np.testing.assert_array_equal(found["y"], TABLE["y"])
     np.testing.assert_array_equal(found["time"], TABLE["t"])
+
+
+@formats(["a.mf4"])
+def test_a_damaged_mf4_leaves_no_traceback(tmp_path, name, monkeypatch):
+    unheard: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", unheard.append)
+    write_mf4(tmp_path / name, TABLE)
+    content = (tmp_path / name).read_bytes()
+    for cut in (100, len(content) // 2, len(content) - 4):
+        (tmp_path / name).write_bytes(content[:cut])
+        (text,) = refused(tmp_path / name, ["x"])
+        assert text.startswith("data: error: not a .mf4 file that can be read: ")
+        assert text.endswith(f"\n\nhint: {DAMAGED}")
+    gc.collect()
+    assert unheard == []

@@ -16,6 +16,7 @@ class CsvReader:
     """Reads .csv."""
 
     suffixes = (".csv",)
+    counted = False
 
     def read(self, path: Path, wanted: Sequence[str]) -> Columns:
         """Return the columns that are wanted. Raises RotorsimError with the place of every wrong cell."""

@@ -10,6 +10,7 @@ class Mf4Reader:
     """Reads channels whose name is that of one only; ``time`` is the clock of the first that is wanted."""
 
     suffixes = (".mf4",)
+    counted = True
 
     def read(self, path: Path, wanted: Sequence[str]) -> Columns:
         """Return the columns that are wanted."""

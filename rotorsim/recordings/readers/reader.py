@@ -1,7 +1,7 @@
 """What a format of measurement files declares, and what readers of arrays share.
 
-A new format is one class with ``suffixes`` and ``read`` (see `Reader`) in a module of its own beside this one, and an
-entry in the table of `rotorsim.recordings.readers.columns`.
+A new format is one class with ``suffixes``, ``counted`` and ``read`` (see `Reader`) in a module of its own beside this
+one, and an entry in the table of `rotorsim.recordings.readers.columns`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
 MAX_RECORDING_BYTES = 2_000_000_000
 OWN_TIME = "time"  # names the clock that .tdms, .uff and .mf4 files have besides their channels
+DAMAGED = "the suffix says another format than the file has, or the file was cut off: copy it again"
 _PART = re.compile(r"(.+)\[([1-9][0-9]{0,8})\]")
 
 
@@ -39,6 +40,10 @@ class Reader(Protocol):
     @property
     def suffixes(self) -> tuple[str, ...]:
         """Endings of its files, in lower case."""
+
+    @property
+    def counted(self) -> bool:
+        """Whether a file says how many samples it has: one that was cut off is then refused, never read as shorter."""
 
     def read(self, path: Path, wanted: Sequence[str]) -> Columns:
         """Return the columns that are wanted.
@@ -103,6 +108,12 @@ def check_names(wanted: Iterable[str], known: Sequence[str]) -> None:
     if missing:
         hints = (near_miss(name, known) or "the file names no columns" for name in missing)
         raise RotorsimError(*(Problem(f"no column '{n}'", hint=hint) for n, hint in zip(missing, hints, strict=True)))
+
+
+def cut_off(where: str) -> RotorsimError:
+    """Return the error of a file that ends before its samples do."""
+    hint = "copy it again, or save what is left by the program that recorded it"
+    return RotorsimError(Problem(f"the file was cut off: {where}", hint=hint))
 
 
 def optional_package(module: str, package: str) -> Any:

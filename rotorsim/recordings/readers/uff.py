@@ -13,6 +13,7 @@ class UffReader:
     """Reads functions at nodal degrees of freedom: by title, or response node and direction, as in ``3/1``."""
 
     suffixes = (".uff", ".unv")
+    counted = True
 
     def read(self, path: Path, wanted: Sequence[str]) -> Columns:
         """Return the columns that are wanted."""
