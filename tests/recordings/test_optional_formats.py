@@ -52,6 +52,21 @@ def test_universal_files(tmp_path, name):
     np.testing.assert_allclose(found["time"], TABLE["t"], rtol=1e-6)
 
 
+@formats(["a.uff"])
+def test_a_universal_file_that_was_cut_off_is_refused(tmp_path, name):
+    path = tmp_path / name
+    write_uff(path, {"x": np.arange(50.0), "y": np.arange(50.0)})
+    content = path.read_bytes()
+    for cut, number in ((len(content) - 2, 2), (len(content) - 300, 2), (400, 1), (6, 1)):
+        path.write_bytes(content[:cut])
+        assert refused(path, ["x", "y"]) == [
+            f"data: error: the file was cut off: its data set {number} has no end{CUT}"
+        ]
+    last = content.rindex(b"    -1")
+    path.write_bytes(content[: last - 80] + content[last:])
+    assert refused(path, ["x", "y"]) == ["data: error: column 'y' cannot be read: it has 40 samples, but says 50"]
+
+
 @formats(["a.mf4"])
 def test_mf4(tmp_path, name):
     write_mf4(tmp_path / "a.mf4", TABLE)
