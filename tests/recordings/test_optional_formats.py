@@ -6,9 +6,33 @@ import sys
 import numpy as np
 
 from rotorsim.recordings.readers.columns import DAMAGED, read_columns
-from tests.recordings.tables import TABLE, formats, refused, write_mf4, write_tdms, write_uff
+from tests.recordings.tables import TABLE, WRITERS, formats, refused, write_mf4, write_tdms, write_uff
 
 CUT = "\n\nhint: copy it again, or save what is left by the program that recorded it"
+
+
+@formats(["a.tdms", "a.uff", "a.mf4"])
+def test_the_clock_of_a_file_is_that_of_what_is_wanted_and_no_channel_of_its_name(tmp_path, name):
+    WRITERS[name](tmp_path / name, {"other": np.zeros(3), "x": TABLE["x"]})
+    np.testing.assert_allclose(read_columns(tmp_path / name, ["x"], "time")["time"], TABLE["t"], rtol=1e-6)
+    path = tmp_path / f"with {name}"
+    WRITERS[name](path, {"time": 7 + TABLE["t"], "x": TABLE["x"]})
+    np.testing.assert_array_equal(read_columns(path, ["x"], "time")["time"], 7 + TABLE["t"])
+
+
+@formats(["a.mf4"])
+def test_columns_that_were_sampled_at_different_times_have_no_common_clock(tmp_path, name):
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        for column, late in {"x": 0.0, "y": 0.03}.items():
+            file.append([Signal(TABLE[column], TABLE["t"] + late, name=column)])
+        file.save(tmp_path / name)
+    write_mf4(tmp_path / "empty.mf4", {"x": np.empty(0), "y": np.empty(0)})
+    assert read_columns(tmp_path / "empty.mf4", ["x", "y"], "time")["time"].shape == (0,)
+    assert refused(tmp_path / name, ["x", "y"], "time") == [
+        "data: error: column 'time' cannot be read: columns 'x' and 'y' were sampled at different times"
+    ]
 
 
 @formats(["a.tdms"])

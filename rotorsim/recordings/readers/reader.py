@@ -18,7 +18,7 @@ import numpy as np
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
 MAX_RECORDING_BYTES = 2_000_000_000
-OWN_TIME = "time"  # names the clock that .tdms, .uff and .mf4 files have besides their channels
+OWN_TIME = "time"  # names the clock [s] that .tdms, .uff and .mf4 files have besides their channels
 DAMAGED = "the suffix says another format than the file has, or the file was cut off: copy it again"
 _PART = re.compile(r"(.+)\[([1-9][0-9]{0,8})\]")
 
@@ -54,18 +54,26 @@ class Reader(Protocol):
 
 @dataclass(frozen=True)
 class Array:
-    """An array of a file: what reads it, and its size [bytes] in double precision (0: not known before)."""
+    """An array of a file: what reads it, and its size [bytes] in double precision (0: not known before).
+
+    clock: what reads the times [s] of its samples, where the file says them.
+    """
 
     read: Callable[[], Any]
     size: int = 0
+    clock: Callable[[], Any] | None = None
 
 
 def columns_of(arrays: Mapping[str, Array], wanted: Sequence[str]) -> Columns:
     """Return columns of arrays by name, which may be two-dimensional or have paths (``group/x``) for names.
 
-    ``name[2]`` is the second column of a two-dimensional array. Raises RotorsimError with every mistake.
+    ``name[2]`` is the second column of a two-dimensional array. `OWN_TIME` is the array of that name, else the clock
+    of what is wanted. Raises RotorsimError with every mistake.
     """
     homes = {name: next((home for home in spellings(name) if home[0] in arrays), (name, None)) for name in wanted}
+    clocks = {name: clock for name, (home, _) in homes.items() if home in arrays and (clock := arrays[home].clock)}
+    if clocks:
+        arrays = {OWN_TIME: Array(lambda: _common(clocks)), **arrays}
     check_names([name for name, (home, _) in homes.items() if home not in arrays], list(arrays))
     sizes = {home: arrays[home].size for home, _ in homes.values()}
     limit, total = f"{MAX_RECORDING_BYTES // 10**9} GB", sum(sizes.values())
@@ -133,6 +141,17 @@ def by_unique_name(named: Iterable[tuple[str, str, Array]]) -> Iterator[tuple[st
         yield long, array
         if shorts.count(short) == 1:
             yield short, array
+
+
+def _common(clocks: Mapping[str, Callable[[], Any]]) -> np.ndarray:
+    """Return the times that columns have in common. Raises ValueError where they differ by a part of a sample."""
+    times = {name: np.asarray(clock(), dtype=float) for name, clock in clocks.items()}
+    first, time = next(iter(times.items()))
+    limit = 1e-3 * np.ptp(time) / len(time) if len(time) else 0.0
+    for name, other in times.items():
+        if other.shape != time.shape or np.abs(other - time).max(initial=0) > limit:
+            raise ValueError(f"columns '{first}' and '{name}' were sampled at different times")
+    return time
 
 
 def _vector(array: np.ndarray, index: int | None, name: str) -> np.ndarray:

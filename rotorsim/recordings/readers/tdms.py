@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.readers.reader import (
     DAMAGED,
-    OWN_TIME,
     Array,
     Columns,
     by_unique_name,
@@ -32,12 +34,15 @@ class TdmsReader:
         _check_segments(path)
         with path.open("rb") as stream, package.TdmsFile.open(stream) as tree:
             channels = [(group.name, channel) for group in tree.groups() for channel in group.channels()]
-            arrays = {OWN_TIME: Array(channels[0][1].time_track)} if channels else {}
-            arrays |= by_unique_name(
-                (channel.name, f"{group}/{channel.name}", Array(lambda channel=channel: channel[:], len(channel) * 8))  # type: ignore[misc]
-                for group, channel in channels
-            )
-            return columns_of(arrays, wanted)
+            arrays = by_unique_name((item.name, f"{group}/{item.name}", _array(item)) for group, item in channels)
+            return columns_of(dict(arrays), wanted)
+
+
+def _array(channel: Any) -> Array:
+    """Return the samples of a channel, and their times where it is a waveform."""
+    start, step = (channel.properties.get(f"wf_{key}") for key in ("start_offset", "increment"))
+    clock = None if step is None else lambda: (start or 0.0) + step * np.arange(len(channel))
+    return Array(lambda: channel[:], len(channel) * 8, clock)
 
 
 def _check_segments(path: Path) -> None:

@@ -8,19 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.recordings.readers.reader import (
-    OWN_TIME,
-    Array,
-    Columns,
-    by_unique_name,
-    columns_of,
-    cut_off,
-    optional_package,
-)
+from rotorsim.recordings.readers.reader import Array, Columns, by_unique_name, columns_of, cut_off, optional_package
 
 DELIMITER = re.compile(
     rb" {4}-1(?=[\r\n]|\Z| {74})"
 )  # before and after every data set; binary data may stand before it
+
+TIME = (0, 17)  # kinds of an abscissa: unknown, time
 
 
 class UffReader:
@@ -42,9 +36,9 @@ class UffReader:
             degree = f"{data.get('rsp_node', 0)}/{data.get('rsp_dir', 0)}"
             title = str(data.get("id1", "")).strip()
             short = title if title not in ("", "NONE") else degree
-            named.append((short, degree, Array(partial(_samples, data))))
-        own = {OWN_TIME: Array(partial(np.ravel, sets[0]["x"]))} if sets else {}
-        return columns_of({**own, **dict(by_unique_name(named))}, wanted)
+            clock = partial(np.ravel, data["x"]) if data.get("abscissa_spec_data_type", 0) in TIME else None
+            named.append((short, degree, Array(partial(_samples, data), clock=clock)))
+        return columns_of(dict(by_unique_name(named)), wanted)
 
 
 def _samples(data: dict[str, Any]) -> np.ndarray:
