@@ -50,9 +50,12 @@ def test_csv_as_instruments_write_it(tmp_path, text):
 def test_csv_of_one_column_and_of_no_rows(tmp_path):
     (tmp_path / "a.csv").write_text("x\n1\n2\n")
     assert read_columns(tmp_path / "a.csv", ["x"])["x"].tolist() == [1, 2]
-    (tmp_path / "a.csv").write_text("x,y\n")
-    found = read_columns(tmp_path / "a.csv", ["x", "y"])
-    assert {name: values.shape for name, values in found.items()} == {"x": (0,), "y": (0,)}
+    for text in ("x,y\n", "x,y", "y,x\n\n", "x,y,speed"):
+        (tmp_path / "a.csv").write_text(text)
+        assert {name: values.shape for name, values in read_columns(tmp_path / "a.csv", ["x", "y"]).items()} == {
+            "x": (0,),
+            "y": (0,),
+        }
 
 
 def test_names_with_commas_and_letters_of_all_languages(tmp_path):
@@ -109,6 +112,65 @@ def test_many_mistakes_are_counted(tmp_path):
 def test_a_line_without_end_is_refused(tmp_path):
     (tmp_path / "a.csv").write_text("x" * 2_000_000)
     assert refused(tmp_path / "a.csv", ["x"]) == ["data:1:1: error: a line is longer than 1000000 characters"]
+
+
+LEFT_OUT = (
+    "warning: column y: the last line has no line feed, and this number may lack digits: the line is left out\n\n"
+    "hint: copy the file again; if this line is whole, end it with a line feed"
+)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize(
+    ("rows", "left_out"),
+    [
+        ("1,2.25\n3,4.1", "3:3"),
+        ("1,-21.25\n3,4", "3:3"),
+        ("1,1001\n3,10", "3:3"),
+        ("1,0.123\n3,1.2e-0", "3:3"),  # the first exponent of the column
+        ("1,1.2e-05\n3,1.20e-0", "3:3"),
+        ("1,2.25\r\n3,4.1", "3:3"),
+        ("1,2.25\n3,4.1 # whole", None),
+        ('1,2.25\n3,"4.1"', None),
+        ("1,2.25\n3,4.1,", None),
+        ("1,2.25\n3,4.1\n", None),
+        ("1,2.25\n3,4.1\n\n ", None),
+        ("1,-2.25\n3,4.12", None),
+        ("1,1.2e-05\n3,1.2e-07", None),
+        ("1,2\n3,4", None),
+        ("1,2", None),
+    ],
+)
+def test_a_last_number_that_may_lack_digits_is_left_out(tmp_path, rows, left_out, encoding):
+    (tmp_path / "a.csv").write_bytes(f"x,y\n{rows}".encode(encoding))
+    warnings: list[Problem] = []
+    found = read_columns(tmp_path / "a.csv", ["x", "y"], shown="data", warnings=warnings)
+    cut = left_out is not None
+    assert [str(warning) for warning in warnings] == ([f"data:{left_out}: {LEFT_OUT}"] if cut else [])
+    assert found["x"].tolist() == ([1, 3] if "3" in rows else [1])[: 1 if cut else None]
+    (tmp_path / "a.csv").write_bytes(f"y,note\n{rows}".encode(encoding))  # what nobody wants may be cut
+    assert len(read_columns(tmp_path / "a.csv", ["y"])["y"]) == (2 if "3" in rows else 1)
+
+
+@pytest.mark.parametrize("rows", ["1,2\n3", "1,2.5\n3,4e-", "1,2\n3,"])
+def test_a_last_line_that_was_cut_off_is_refused(tmp_path, rows):
+    (tmp_path / "a.csv").write_text(f"x,y\n{rows}")
+    (text,) = refused(tmp_path / "a.csv", ["x", "y"])
+    assert text.endswith("hint: the file ends within this line: it was cut off; copy it again, or delete the line")
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(-(10**9), 10**9), min_size=2, max_size=20), st.sampled_from([".6e", ".4f"]), st.data())
+def test_csv_of_one_format_that_was_cut_off_has_whole_numbers_only(tmp_path_factory, values, form, data):
+    path = tmp_path_factory.getbasetemp() / "cut.csv"
+    lines = [format(value / 1e4, form) for value in values]
+    text = "x\n" + "\n".join(lines)
+    path.write_text(text[: data.draw(st.integers(len(text) - len(lines[-1]), len(text)))])
+    try:
+        found = read_columns(path, ["x"])["x"]
+    except RotorsimError:
+        return
+    assert found.tolist() == [float(line) for line in lines[: len(found)]]
 
 
 def test_samples_that_are_not_finite_are_warned_of_with_their_place(tmp_path):

@@ -47,14 +47,14 @@ def test_empty_and_damaged_files_end_with_a_message(tmp_path, ending):
         assert len(refused(path, ["x"])) == 1
 
 
-@formats(name for name in WRITERS if READERS[suffix(name)].counted)
+@formats()
 def test_a_file_that_was_cut_off_is_refused_or_has_the_first_samples(tmp_path, name, capfd):
     """Never others; without a sample count in the format the rest cannot be missed."""
     path = tmp_path / name
     table = {column: np.arange(40.0) / 7 + k for k, column in enumerate("txy")}
     WRITERS[name](path, table)
     content = path.read_bytes()
-    for cut in [len(content) * k // 16 for k in range(1, 16)] + [len(content) - k for k in (8, 4, 1)]:
+    for cut in [*(len(content) * k // 8 for k in range(1, 8)), len(content) - 4, len(content) - 1]:
         path.write_bytes(content[:cut])
         try:
             found = read_columns(path, list(table), shown="data")

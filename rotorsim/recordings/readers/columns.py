@@ -45,7 +45,7 @@ def read_columns(
     """Return columns of a data file: name -> (n,), as the numbers stand in the file.
 
     A name may be a path in the file (``group/x``), and ``name[2]`` is the second column of a two-dimensional array.
-    shown: the file's name in messages. warnings: takes one for values that are not finite.
+    shown: the file's name in messages. warnings: takes those of the reader, and one for values that are not finite.
     Raises RotorsimError with every mistake: missing columns, text in cells, lengths that differ.
     """
     wanted = list(dict.fromkeys([*columns, *([] if time_column is None else [time_column])]))
@@ -61,7 +61,7 @@ def read_columns(
     except RotorsimError as error:
         raise RotorsimError(*(_in_file(problem, file) for problem in error.problems)) from None
     if warnings is not None:
-        warnings += [_in_file(problem, file) for problem in _not_finite(found)]
+        warnings += [_in_file(problem, file) for problem in (*found.warnings, *_not_finite(found))]
     return found.values
 
 

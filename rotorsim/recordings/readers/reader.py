@@ -28,10 +28,12 @@ class Columns:
     """Columns of a measurement file: name -> (n,), as the numbers stand in it.
 
     place: line and column of a sample (from 0) of a column, where the format has them; without the name of the file.
+    warnings: what is odd about the file but no mistake, placed likewise.
     """
 
     values: dict[str, np.ndarray]
     place: Callable[[int, str], Place] = lambda sample, column: Place()
+    warnings: tuple[Problem, ...] = ()
 
 
 class Reader(Protocol):

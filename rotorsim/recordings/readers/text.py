@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,14 +18,32 @@ from rotorsim.recordings.readers.reader import Columns, check_names, refuse_larg
 
 MAX_LINE = 1_000_000  # characters
 ROWS = 100_000  # read at a time: only what is wanted of them is kept
+TAIL = 1 << 16  # bytes at the end of a file, with whose numbers the last one is compared
 MAX_CELL_PROBLEMS = 20
+CUT = "the file ends within this line: it was cut off; copy it again, or delete the line"
 
 
 def open_text(path: Path) -> TextIO:
     """Open a file of UTF-8 or UTF-16; what is neither becomes a character that is no digit."""
+    return path.open(encoding="utf-16" if _wide_mark(path) else "utf-8-sig", errors="replace")
+
+
+def last_lines(path: Path) -> list[str]:
+    """Return the last whole lines of a file, and what stands behind the last line feed."""
+    mark = _wide_mark(path)
     with path.open("rb") as stream:
-        wide = stream.read(2) in (b"\xff\xfe", b"\xfe\xff")
-    return path.open(encoding="utf-16" if wide else "utf-8-sig", errors="replace")
+        start = max(path.stat().st_size // 2 * 2 - TAIL, len(mark))
+        stream.seek(start)
+        text = (mark + stream.read()).decode("utf-16" if mark else "utf-8-sig", errors="replace")
+    lines = re.split(r"\r\n|\r|\n", text)
+    return lines[start > len(mark) :]
+
+
+def _wide_mark(path: Path) -> bytes:
+    """Return the bytes at the start of a file that say UTF-16, else none."""
+    with path.open("rb") as stream:
+        mark = stream.read(2)
+    return mark if mark in (b"\xff\xfe", b"\xfe\xff") else b""
 
 
 def numbered_lines(stream: TextIO) -> Iterator[tuple[int, str]]:
@@ -72,8 +91,42 @@ class TextTable:
         try:
             rows = self._numbers([self.names.index(name) for name in wanted])
         except ValueError:  # text in a cell, perhaps of a column that nobody wants
-            return Columns(self._cells(wanted), self._place_of)
-        return Columns(dict(zip(wanted, np.ascontiguousarray(rows.T), strict=True)), self._place_of)
+            values = self._cells(wanted)
+        else:
+            values = dict(zip(wanted, np.ascontiguousarray(rows.T), strict=True))
+        name = self._cut_column()
+        if name not in values:
+            return Columns(values, self._place_of)
+        last = len(values[name]) - 1
+        what = "the last line has no line feed, and this number may lack digits: the line is left out"
+        hint = "copy the file again; if this line is whole, end it with a line feed"
+        warning = Problem(what, f"column {name}", self._place_of(last, name), hint, "warning")
+        return Columns({name: array[:last] for name, array in values.items()}, self._place_of, (warning,))
+
+    def _cut_column(self) -> str:
+        """Return the column, if any, in whose last number the file ends without a line feed, and others are longer.
+
+        As many digits behind the point as any other has, and as long an exponent, say that nothing is missing.
+        """
+        *others, last = last_lines(self.path)
+        rows = [cells_of(line.partition("#")[0], self.delimiter) for line in (*others, last)]
+        k = len(rows[-1]) - 1
+        if (
+            "#" in last
+            or last.rstrip().endswith('"')
+            or not 0 <= k < len(self.names)
+            or not self._is_number(rows[-1][k])
+        ):
+            return ""
+        column = [row[k] for row in rows if len(row) > k and self._is_number(row[k])]
+        point = any(re.search("[.,]", cell) for cell in column[:-1])
+        digits = [len("".join(re.split("[.,]", cell)[1:])) if point else len(cell.lstrip("+-")) for cell in column]
+        exponents = [len(cell.lower().partition("e")[2]) for cell in column]
+        first = exponents[-1] > 0 and not any(exponents[:-1])
+        return self.names[k] if first or digits[-1] < max(digits) or 0 < exponents[-1] < max(exponents) else ""
+
+    def _is_number(self, cell: str) -> bool:
+        return number_of(cell.replace(self.decimal, ".")) is not None
 
     def _numbers(self, at: list[int]) -> np.ndarray:
         """Return some columns (n, m) of a table without text. Raises ValueError for any."""
@@ -97,16 +150,19 @@ class TextTable:
         columns: dict[str, list[float]] = {name: [] for name in wanted}
         problems: list[Problem] = []
         mistakes = 0
-        for line, row, text in self._rows():
+        for line, row, text, ended in self._rows():
+            cut = "" if ended else CUT
             if len(row) not in (len(self.names), len(self.names) + (row[-1] == "")):
-                wrong = [Problem(f"{len(row)} cells, but the header names {len(self.names)}", place=self._place(line))]
+                what = f"{len(row)} cells, but the header names {len(self.names)}"
+                wrong = [Problem(what, "", self._place(line), cut)]
             else:
                 wrong = []
                 for name, values in columns.items():
                     k = self.names.index(name)
                     value = number_of(row[k].replace(self.decimal, "."))
                     if value is None:
-                        wrong.append(_no_number(row[k], name, self._place(line, k, text)))
+                        hint = cut if k == len(row) - 1 else ""
+                        wrong.append(_no_number(row[k], name, self._place(line, k, text), hint))
                     else:
                         values.append(value)
             mistakes += len(wrong)
@@ -117,17 +173,17 @@ class TextTable:
             raise RotorsimError(*problems)
         return {name: np.array(values) for name, values in columns.items()}
 
-    def _rows(self) -> Iterator[tuple[int, list[str], str]]:
-        """Yield line number, cells and text of every line of samples."""
+    def _rows(self) -> Iterator[tuple[int, list[str], str, bool]]:
+        """Yield line number, cells and text of every line of samples, and whether a line feed ends it."""
         with open_text(self.path) as stream:
             for number, line in enumerate(stream, start=1):
                 text = line.partition("#")[0].rstrip("\r\n")
                 if number > self.header and text.strip():
-                    yield number, cells_of(text, self.delimiter), text
+                    yield number, cells_of(text, self.delimiter), text, line[-1] in "\r\n"
 
     def _place_of(self, sample: int, column: str) -> Place:
         """Return the line and column of a sample, counted from 0."""
-        line, _, text = next(islice(self._rows(), sample, None))
+        line, _, text, _ = next(islice(self._rows(), sample, None))
         return self._place(line, self.names.index(column), text)
 
     def _place(self, line: int, k: int = 0, text: str = "") -> Place:
@@ -135,7 +191,7 @@ class TextTable:
         return Place("", line, column if '"' not in text else 1)
 
 
-def _no_number(cell: str, name: str, place: Place) -> Problem:
+def _no_number(cell: str, name: str, place: Place, cut: str) -> Problem:
     short = cell if len(cell) <= 40 else cell[:37] + "..."
     hint = "units go into recording.json, remarks behind '#'" if cell else "write nan for a sample that is missing"
-    return Problem(f"'{short}' is not a number" if cell else "the cell is empty", f"column {name}", place, hint)
+    return Problem(f"'{short}' is not a number" if cell else "the cell is empty", f"column {name}", place, cut or hint)
