@@ -77,7 +77,7 @@ def test_links_out_of_an_h5_file_are_not_followed(tmp_path):
         file.create_dataset("e", (3,), float, external=[(str(tmp_path / "raw.bin"), 0, 24)])
     assert read_columns(tmp_path / "a.h5", ["y"])["y"].tolist() == [0, 1, 2]
     for column in ("x", "v", "e"):
-        assert refused(tmp_path / "a.h5", [column]) == [f"data: error: no column '{column}'\n\nhint: known: y"]
+        assert refused(tmp_path / "a.h5", [column]) == [f"data: error: no column '{column}'\n\nhint: the file has y"]
 
 
 def test_arrays_that_unpack_to_too_much_are_not_read(tmp_path):
@@ -121,7 +121,9 @@ def test_groups_within_groups_take_no_time(tmp_path):
     before = time.process_time()
     (text,) = refused(tmp_path / "a.h5", ["run/y"])
     assert time.process_time() - before < 0.5
-    assert text == "data: error: no column 'run/y'\n\nhint: did you mean 'run/x'?"
+    assert text.startswith("data: error: no column 'run/y'\n\nhint: did you mean 'run/x'? the file has loop/x, run/x, ")
+    assert text.endswith(", ...")
+    assert text.count(", ") == 20
     (text,) = refused(tmp_path / "a.h5", ["deep/" + "a/" * 3000 + "x"])
     assert "no column 'deep/a/a/" in text
 

@@ -93,6 +93,11 @@ UNITS = "hint: units go into recording.json, remarks behind '#'"
             ["data:3:1: error: 1 cells, but the header names 2", "data:4:1: error: 3 cells, but the header names 2"],
         ),
         ("x;y\n1.000,5;2\n", [f"data:2:1: error: column x: '1.000,5' is not a number\n\n{UNITS}"]),
+        (
+            "# r\nt,ix,iy\n",
+            [f"data:2:1: error: no column '{c}'\n\nhint: did you mean 'i{c}'? the file has t, ix, iy" for c in "xy"],
+        ),
+        ("p,q\n", [f"data:1:1: error: no column '{c}'\n\nhint: the file has p, q" for c in "xy"]),
         ("x,y,x\n1,2,3\n", ["data:1:1: error: column 'x' is there 2 times\n\nhint: rename one of them"]),
         ("x,y\n1_0,2\n", [f"data:2:1: error: column x: '1_0' is not a number\n\n{UNITS}"]),
     ],

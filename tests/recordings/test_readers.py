@@ -26,8 +26,14 @@ def test_all_formats_give_the_same_numbers(tmp_path, name):
 @formats()
 def test_a_column_that_is_missing_has_a_near_miss(tmp_path, name):
     WRITERS[name](tmp_path / name, {"disp_x": TABLE["x"], "t": TABLE["t"]})
-    for text, column in zip(refused(tmp_path / name, ["disp_y", "Disp_X"], "t"), ("disp_y", "Disp_X"), strict=True):
-        assert text.startswith(f"data: error: no column '{column}'\n\nhint: did you mean 'disp_x'")
+    texts = refused(tmp_path / name, ["disp_y", "Disp_X"], "t")
+    place = "data:1:1" if suffix(name) == ".csv" else "data"
+    for text, column in zip(texts, ("disp_y", "Disp_X"), strict=True):
+        what, _, there = text.partition(" the file has ")
+        assert what.split(" or ")[0].rstrip("?") == (
+            f"{place}: error: no column '{column}'\n\nhint: did you mean 'disp_x'"
+        )
+        assert {"disp_x", "t"} <= set(there.split(", "))
 
 
 @formats(name for name in WRITERS if READERS[suffix(name)].counted)
@@ -41,7 +47,9 @@ def test_columns_that_differ_in_length(tmp_path, name):
 def test_empty_and_damaged_files_end_with_a_message(tmp_path, ending):
     path = tmp_path / f"a{ending}"
     path.write_bytes(b"")
-    assert refused(path, ["x"]) == ["data: error: file is empty"]
+    assert refused(path, ["x"]) == [
+        "data: error: file is empty\n\nhint: it should hold the samples of a run: record or copy it again"
+    ]
     for content in (b"\x00\xff\xfe\x80" * 300, b"PK\x03\x04" + bytes(500), b"\x89HDF\r\n\x1a\n" + bytes(900)):
         path.write_bytes(content)
         assert len(refused(path, ["x"])) == 1
@@ -114,6 +122,6 @@ def test_warnings_and_mistakes_of_all_runs_are_collected(tmp_path):
     with pytest.raises(RotorsimError) as error:
         load_recording(write(tmp_path, two, tables))
     assert [(Path(p.place.file).name, p.what, p.hint) for p in error.value.problems] == [
-        ("run1.npz", "no column 'x'", "did you mean 'ix'?"),
-        ("run2.npz", "no column 'iy'", "did you mean 'y'?"),
+        ("run1.npz", "no column 'x'", "did you mean 'ix'? the file has y, ix, iy"),
+        ("run2.npz", "no column 'iy'", "did you mean 'y'? the file has x, y, ix"),
     ]

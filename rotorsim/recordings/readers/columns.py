@@ -102,7 +102,9 @@ def _reader_of(path: Path) -> Reader:
     except OSError as error:
         raise RotorsimError(Problem(f"file cannot be read: {error.strerror}")) from None
     if size == 0:
-        raise RotorsimError(Problem("file is empty"))
+        raise RotorsimError(
+            Problem("file is empty", hint="it should hold the samples of a run: record or copy it again")
+        )
     refuse_large(size, "file is larger than")
     return reader
 

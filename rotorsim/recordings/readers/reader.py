@@ -18,6 +18,7 @@ import numpy as np
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
 MAX_RECORDING_BYTES = 2_000_000_000
+MAX_SHOWN = 20  # columns of a file that has not the wanted one
 OWN_TIME = "time"  # names the clock [s] that .tdms, .uff and .mf4 files have besides their channels
 DAMAGED = "the suffix says another format than the file has, or the file was cut off: copy it again"
 _PART = re.compile(r"(.+)\[([1-9][0-9]{0,8})\]")
@@ -112,12 +113,22 @@ def refuse_large(size: float, what: str) -> None:
         raise RotorsimError(Problem(f"{what} {MAX_RECORDING_BYTES // 10**9} GB", hint="split it into several runs"))
 
 
-def check_names(wanted: Iterable[str], known: Sequence[str]) -> None:
-    """Raise RotorsimError with a near miss for every name that is not known."""
-    missing = [name for name in wanted if name not in known]
-    if missing:
-        hints = (near_miss(name, known) or "the file names no columns" for name in missing)
-        raise RotorsimError(*(Problem(f"no column '{n}'", hint=hint) for n, hint in zip(missing, hints, strict=True)))
+def check_names(wanted: Iterable[str], known: Sequence[str], place: Place | None = None) -> None:
+    """Raise RotorsimError for every name that is not known, with its near misses and the columns that are there.
+
+    place: of the line that names the columns.
+    """
+    there = ", ".join(known[:MAX_SHOWN]) + (", ..." if len(known) > MAX_SHOWN else "")
+    there = f"the file has {there}" if known else "the file names no columns"
+    problems = [
+        Problem(
+            f"no column '{name}'", "", place or Place(), f"{near_miss(name, known, list_all=False)} {there}".strip()
+        )
+        for name in wanted
+        if name not in known
+    ]
+    if problems:
+        raise RotorsimError(*problems)
 
 
 def cut_off(where: str) -> RotorsimError:

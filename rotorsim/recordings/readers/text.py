@@ -83,11 +83,12 @@ class TextTable:
 
     def columns(self, wanted: Sequence[str]) -> Columns:
         """Return the columns that are wanted. Raises RotorsimError with the place of every mistake."""
-        check_names(wanted, self.names)
+        header = Place("", self.header, 1)
+        check_names(wanted, self.names, header)
         for name in wanted:
             if self.names.count(name) > 1:
                 what = f"column '{name}' is there {self.names.count(name)} times"
-                raise RotorsimError(Problem(what, place=Place("", self.header, 1), hint="rename one of them"))
+                raise RotorsimError(Problem(what, place=header, hint="rename one of them"))
         try:
             rows = self._numbers([self.names.index(name) for name in wanted])
         except ValueError:  # text in a cell, perhaps of a column that nobody wants
