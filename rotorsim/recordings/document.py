@@ -84,14 +84,21 @@ class Document:
 def read_recording_document(path: str | Path) -> Document:
     """Read and check a recording.json, or the one in a folder. Raises RotorsimError with every mistake."""
     path = Path(path)
+    what = hint = ""
     try:
         if path.is_dir():
-            path = path / FILE
+            path /= FILE
             if not path.exists():
+                what = "file does not exist"
                 hint = f"a recording is a folder with {FILE} and data files; see docs/recordings.md"
-                raise RotorsimError(Problem("file does not exist", place=Place(str(path)), hint=hint))
+        elif path.suffix.lower() != ".json" and path.is_file():
+            what, there = f"a recording is a folder with {FILE}, or that file; this is neither", path.parent / FILE
+            hint = f"say what the columns of a data file mean in {there}; see docs/recordings.md"
+            hint = f"give the folder: {path.parent}" if there.exists() else hint
     except (OSError, ValueError) as error:
-        raise RotorsimError(Problem(f"file cannot be read: {error}", place=Place(str(path)))) from None
+        what = f"file cannot be read: {error}"
+    if what:
+        raise RotorsimError(Problem(what, place=Place(str(path)), hint=hint))
     return parse_recording(read_document(path, RECORDING_FORM), path.parent)
 
 
