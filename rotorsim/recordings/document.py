@@ -223,7 +223,8 @@ class _Parser:
             self.unit(form, (*path, "unit"), subject)
         if len(self.problems) > before:
             return None
-        return Channel(column, form["signal"], axis, node, position, form["unit"], coupling or "dc")
+        place = self.source.place(path, key=True)
+        return Channel(column, form["signal"], axis, node, position, form["unit"], coupling or "dc", place)
 
     def signal(self, form: Mapping[str, Any], path: JsonPath, subject: str) -> None:
         signal = form["signal"]

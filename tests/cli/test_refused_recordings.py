@@ -39,3 +39,15 @@ def test_the_spectrum_of_a_data_file_is_one_of_its_recording(run: Run, good: Pat
     assert run("spectrum", "alone.csv").stderr == f"alone.csv: {no_result}`rotorsim run ... --out FILE` writes one\n"
     Path("good/a.tdms").touch()
     assert run("spectrum", "good/a.tdms").stderr == f"good/a.tdms: {NEITHER}give the folder: good\n"
+
+
+@pytest.mark.parametrize("verb", [*VERBS[:2], VERBS[-1]], ids=" ".join)
+def test_a_channel_that_does_not_fit_has_its_place(run: Run, verb: list[str]) -> None:
+    channels = {**made.CHANNELS, "x": {**made.CHANNELS["x"], "unit": "A"}}
+    made.write(Path("b"), made.document(channels=channels))
+    text = "channel x: unit 'A' does not fit 'rotor.displacement', which is in m"
+    result = run(*verb, "b")
+    assert result.exit_code == 2
+    assert f"b/recording.json:5:3: error: {text}\n\nhint: correct the unit, or the signal, in recording.json\n" in (
+        result.stderr
+    )
