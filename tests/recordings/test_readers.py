@@ -1,5 +1,6 @@
 """Data files: every format gives the same numbers, and what is wrong is said with its place."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from rotorsim.recordings.readers import reader
 from rotorsim.recordings.readers.columns import READERS, read_columns
 from tests.recordings.made import document, run, samples, write
 from tests.recordings.tables import TABLE, WRITERS, formats, refused, suffix
+
+ROOT = Path(__file__).parents[2]
 
 
 @formats()
@@ -79,10 +82,17 @@ def test_every_format_has_a_writer():
     assert {suffix(name) for name in WRITERS} == set(READERS)
 
 
+def test_every_suffix_is_in_the_schema_and_in_the_page():
+    schema = json.loads((ROOT / "rotorsim/recordings/recording.schema.json").read_text())
+    assert schema["$defs"]["run"]["properties"]["file"]["description"].endswith(": " + " ".join(READERS))
+    table = (ROOT / "docs/recordings.md").read_text().partition("| suffix |")[2].partition("\n\n")[0]
+    assert [ending for ending in READERS if f"`{ending}`" not in table] == []
+
+
 def test_other_formats_are_named(tmp_path):
     (tmp_path / "a.wav").write_bytes(b"x")
     (tmp_path / "a").write_bytes(b"x")
-    known = ".csv, .npz, .mat, .h5, .hdf5, .tdms, .uff, .unv, .mf4"
+    known = ", ".join(READERS)
     assert refused(tmp_path / "a.wav", ["x"]) == [f"data: error: unknown format '.wav'\n\nhint: one of {known}"]
     assert refused(tmp_path / "a", ["x"]) == [
         f"data: error: the name has no suffix that says the format\n\nhint: one of {known}"
