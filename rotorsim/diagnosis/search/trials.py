@@ -23,7 +23,8 @@ MOST_FITS = 90  # in one round; places beyond are screened
 # times the least misfit that any place allows: places that allow no less are not looked at. The bound is that of free
 # harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it
 POSSIBLE = 10.0
-MOST_LAWS = 24  # fitted in one round, where what laws promise is known
+MOST_LAWS = 16  # fitted in one round, where what laws promise is known
+PROMISED = 3.0  # times the least misfit that is promised: within, each law is fitted at its best place
 BATCHES = 4  # of jobs, for every process
 FIRST_EVALUATIONS, SECOND_EVALUATIONS = 5, 15  # of a nonlinear diagram, before it is judged whether it is worth more
 LAST_EVALUATIONS = 3  # where the data are explained already, and only rivals are looked for
@@ -345,7 +346,7 @@ def _most_promising(candidates: Sequence[Insertion], places: Bounds, before: Fit
     order = sorted(promised, key=lambda k: promised[k])
     best: dict[tuple[str, int], int] = {}
     for k in order:
-        if promised[k] <= POSSIBLE * max(promised[order[0]], before.freedom):
+        if promised[k] <= PROMISED * max(promised[order[0]], before.freedom):
             best.setdefault(candidates[k].law, k)
     first = list(best.values())
     more = [k for k in order if k not in first]

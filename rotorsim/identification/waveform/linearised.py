@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -13,9 +16,46 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.model.matrix_function import MatrixFunction
 
+_C = """
+#include <stdint.h>
+#if defined(_WIN32)
+__declspec(dllexport)
+#else
+__attribute__((visibility("default")))
+#endif
+/* x (N + 1, n, K): x_(k+1) = F_k x_k + G_k d_k, F (N, n, n), G (N, n), d (N, K); varying 0: F and G have one sample. */
+void rs_recursion(int64_t N, int64_t n, int64_t K, int64_t varying, const double *F, const double *G, const double *d,
+                  double *x) {
+  for (int64_t k = 0; k < N; ++k, x += n * K, d += K) {
+    const double *f = F + varying * k * n * n, *g = G + varying * k * n;
+    double *to = x + n * K;
+    for (int64_t i = 0; i < n; ++i, to += K) {
+      for (int64_t c = 0; c < K; ++c) to[c] = g[i] * d[c];
+      for (int64_t j = 0; j < n; ++j)
+        for (int64_t c = 0; c < K; ++c) to[c] += f[i * n + j] * x[j * K + c];
+    }
+  }
+}
+"""
+
 CONSTANT = 1e-9  # relative: Jacobians that change less along all runs are those of a linear diagram
+
+
+@cache
+def _recursion() -> Any:
+    """Return the recursion of the states in C, which takes a hundredth of the time of a loop here; None without."""
+    if (compiler := find_compiler()) is None:
+        return None
+    try:
+        function = compile_c(_C, compiler, "-O3")[0].rs_recursion
+    except CompilerError:
+        return None
+    i64, ptr = ctypes.c_int64, ctypes.c_void_p
+    function.argtypes, function.restype = [i64, i64, i64, i64, ptr, ptr, ptr, ptr], None
+    return function
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,13 +89,17 @@ class LinearisedRun:
 
     def responses(self, place: int, added: np.ndarray) -> np.ndarray:
         """Return the outputs (N, c, K) of signals (N, K) that are added to one wire."""
-        N, x = len(added), np.zeros((self.F.shape[1], added.shape[1]))
-        G, states = self.G[:, :, place], np.empty((N, *x.shape))
-        for k in range(N):
-            states[k] = x
-            j = 0 if self.constant else k
-            x = self.F[j] @ x + G[j][:, None] * added[k]
-        return np.asarray(self.H @ states + self.D[:, :, place, None] * added[:, None, :])
+        (N, K), n = added.shape, self.F.shape[1]
+        states = np.zeros((N + 1, n, K))
+        arrays = [np.ascontiguousarray(a, float) for a in (self.F, self.G[:, :, place], added)]
+        if (run := _recursion()) is not None:
+            run(N, n, K, 0 if self.constant else 1, *(a.ctypes.data for a in arrays), states.ctypes.data)
+        else:
+            F, G, d = arrays
+            for k in range(N):
+                j = 0 if self.constant else k
+                states[k + 1] = F[j] @ states[k] + G[j][:, None] * d[k]
+        return np.asarray(self.H @ states[:N] + self.D[:, :, place, None] * added[:, None, :])
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ from scipy.linalg import solve_discrete_are
 
 from rotorsim.identification.waveform.linearised import LinearisedRun
 
-STRENGTHS = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of the signal, in noise of the outputs and root seconds
+STRENGTHS = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of the signal, in noise of the outputs and root seconds; of
+# nonlinear diagrams, whose filters change from sample to sample, every fourth
 RESPONSE_FREQUENCIES = 60  # at which the largest response to a signal is looked for
 LEAST_RESPONSE = 1e-12  # of the largest of all places: what has less does not show
 REGULAR = 1e-3  # of the noise, by states that are driven at every sample: what nothing drives has no steady filter
@@ -98,7 +99,8 @@ class UnknownInputs:
     def estimates(self) -> list[SignalEstimate]:
         """Return the best free signal at every place that shows in the outputs, the likeliest first."""
         places = np.flatnonzero(np.isfinite(self.scales)).tolist()
-        pairs = [(place, q) for place in places for q in STRENGTHS.tolist()]
+        strengths = STRENGTHS if all(run.constant for run in self.runs) else STRENGTHS[::4]
+        pairs = [(place, q) for place in places for q in strengths.tolist()]
         sums, log_dets, kept = self._innovations(pairs)
         best: dict[int, SignalEstimate] = {}
         for (place, q), G, log_det in zip(kept, sums, log_dets, strict=True):
