@@ -19,9 +19,10 @@ from dataclasses import replace
 from itertools import chain, pairwise
 
 import numpy as np
+from scipy.stats import t as student
 
 from rotorsim.criteria import CRITERIA
-from rotorsim.diagnosis.evidence.fit import left_out
+from rotorsim.identification.left_out import left_out
 from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
@@ -30,6 +31,7 @@ STRETCHES = 20  # of all runs together; 4 of each run at least
 MOST_ROWS = 2000
 LEAST_ROWS = 4  # times the stretches
 REWEIGHTED = 4  # times that a fit and the weights follow one another
+INVERTED = 1e-13  # smallest eigenvalue of the scaled information, of the largest, that counts
 
 Stretch = tuple[int, int, int]  # run, first sample, last sample but one
 Variance = Mapping[tuple[str, str], float]  # (subsystem, output) -> mean square that counts as noise
@@ -123,3 +125,38 @@ def misfits_left_out(search: OutputErrorSearch, evaluation: Evaluation, stretche
     """Return the misfits of stretches left out, (B,)."""
     residual, jacobian, sizes = stacked(search, evaluation, stretches)
     return left_out(residual, jacobian[:, : search.m], sizes)
+
+
+def robust_covariance(
+    information: np.ndarray, residual: np.ndarray, J: np.ndarray, sizes: Sequence[int], searched: np.ndarray, rows: int
+) -> np.ndarray:
+    """Return H^-1 (sum_b g_b g_b^T) H^-1 B / (B - 1) of all unknowns, g_b = J_b^T r_b; held ones are known.
+
+    residual (n,), J (n, q): as `stacked` returns them, sizes of the B stretches. Where a model leaves less than the
+    resolution, H^-1 of what is missing to ``rows`` is added; and all of H^-1 in directions that the data say nothing
+    about. Source: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13-22.
+    """
+    starts, count = np.cumsum([0, *sizes[:-1]]), len(sizes)
+    g = np.add.reduceat(J[:, searched] * residual[:, None], starts, axis=0)
+    H = information[np.ix_(searched, searched)]
+    scale = np.sqrt(np.diag(H))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    least = INVERTED * values.max(initial=0.0)
+    vectors = vectors / scale[:, None]
+    inverse = vectors / np.maximum(values, least) @ vectors.T
+    robust = inverse @ (g.T @ g) @ inverse * (count / max(count - 1, 1))
+    below = max(1 - float(residual @ residual) / rows, 0.0)
+    weak = vectors[:, values <= least]
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(searched, searched)] = robust + below * inverse + weak / least @ weak.T
+    return covariance
+
+
+def goodness_left_out(left: np.ndarray, allowed: np.ndarray) -> float:
+    """Return the probability of such misfits of stretches left out (B,) if a model is adequate; allowed (B,)."""
+    ratio = np.log(np.maximum(left, 1e-300) / np.maximum(allowed, 1e-300))
+    spread = float(ratio.std(ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
+    if spread <= 1e-12:
+        return float(ratio.mean() <= 1e-9)
+    return float(student.sf(float(ratio.mean()) / spread, len(ratio) - 1))
