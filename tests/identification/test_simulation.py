@@ -145,7 +145,7 @@ def test_a_held_value_and_a_straight_line():
 
 def test_the_rate_of_a_measured_signal():
     t = np.arange(200) * DT
-    run = SampledRun("run", {"a": np.sin(3 * t)}, {}, DT, 0.0, {})
+    run = SampledRun("run", {"a": np.sin(3 * t)}, {}, t, {})
     found = run.inputs((RATE_PREFIX + "a",), 1)[:-1, :, 0]
     at = (np.arange(199)[:, None] + np.arange(3) / 2) * DT
     assert np.abs(found - 3 * np.cos(3 * at)).max() < 1e-4

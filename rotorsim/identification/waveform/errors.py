@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorsim.identification.waveform.data import mean_of
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
 
 
@@ -50,7 +51,7 @@ def errors_of(search: OutputErrorSearch, fits: Iterable[tuple[Evaluation, Sequen
         if not np.isfinite(evaluation.cost):
             return None
         for residual, y, part in zip(evaluation.residuals[0], search.measured[0], parts, strict=True):
-            squares += (residual[part] ** 2).sum(axis=0)
-            totals += ((y - y.mean(axis=0))[part] ** 2).sum(axis=0)
-            samples += len(residual[part])
+            squares += np.nansum(residual[part] ** 2, axis=0)
+            totals += np.nansum((y - mean_of(y))[part] ** 2, axis=0)
+            samples += np.isfinite(residual[part]).sum(axis=0)
     return Errors(outputs, squares, totals, samples)

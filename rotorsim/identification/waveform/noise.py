@@ -23,11 +23,12 @@ from scipy.stats import t as student
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.identification.left_out import left_out
-from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.data import SampledRun, mean_of
 from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 
 STRETCHES = 20  # of all runs together; 4 of each run at least
+LEAST_STRETCH = 10  # samples, of one of these 4
 MOST_ROWS = 2000
 LEAST_ROWS = 4  # times the stretches
 REWEIGHTED = 4  # times that a fit and the weights follow one another
@@ -39,7 +40,7 @@ Variance = Mapping[tuple[str, str], float]  # (subsystem, output) -> mean square
 
 def weights_of(variance: Variance, runs: Sequence[SampledRun], rows: int) -> dict[tuple[str, str], float]:
     """Return the weights of squares that make a misfit that of ``rows`` independent samples of unit variance."""
-    samples = sum(run.size for run in runs) * len(variance)
+    samples = sum(int(np.isfinite(run.values[name]).sum()) for run in runs for _, name in variance)
     return {signal: rows / samples / value for signal, value in variance.items()}
 
 
@@ -53,8 +54,11 @@ def variance_scale(search: OutputErrorSearch) -> dict[tuple[str, str], float]:
         y = np.concatenate(measured)
         given = np.concatenate([run.inputs(system.equations.inputs, 1)[:, 0] for run in search.runs])
         inputs = np.column_stack([np.ones(len(y)), given])
-        residual = y - inputs @ np.linalg.lstsq(inputs, y, rcond=None)[0]
-        scale |= zip(system.signals, np.maximum((residual**2).mean(axis=0), 1e-300).tolist(), strict=True)
+        for signal, values in zip(system.signals, y.T, strict=True):
+            there = np.isfinite(values)
+            own, at = values[there], inputs[there]
+            residual = own - at @ np.linalg.lstsq(at, own, rcond=None)[0]
+            scale[signal] = max(float((residual**2).mean()), 1e-300)
     return scale
 
 
@@ -63,7 +67,7 @@ def residual_variance(search: OutputErrorSearch, evaluation: Evaluation) -> dict
     scale = variance_scale(search)
     squares: dict[tuple[str, str], float] = {}
     for system, residuals in zip(search.systems, evaluation.residuals, strict=True):
-        squares |= zip(system.signals, (np.concatenate(residuals) ** 2).mean(axis=0).tolist(), strict=True)
+        squares |= zip(system.signals, mean_of(np.concatenate(residuals) ** 2).tolist(), strict=True)
     return {signal: max(value, CRITERIA.resolution**2 * scale[signal]) for signal, value in squares.items()}
 
 
@@ -80,11 +84,16 @@ def reweighted(search: OutputErrorSearch, start: np.ndarray) -> tuple[OutputErro
 
 
 def stretches_of(runs: Sequence[SampledRun]) -> tuple[Stretch, ...]:
-    """Return the stretches into which runs are divided."""
-    total = sum(run.size for run in runs)
-    counts = [max(4, round(STRETCHES * run.size / total)) for run in runs]
-    ends = [np.linspace(0, run.size, count + 1).astype(int).tolist() for run, count in zip(runs, counts, strict=True)]
-    return tuple((r, first, last) for r, own in enumerate(ends) for first, last in pairwise(own))
+    """Return the stretches into which runs are divided, as many samples in each of a run."""
+    places = [np.flatnonzero(run.counted) for run in runs]
+    total = sum(map(len, places))
+    stretches: list[Stretch] = []
+    for r, own in enumerate(places):
+        count = max(min(4, len(own) // LEAST_STRETCH), round(STRETCHES * len(own) / total), 1)
+        at = np.linspace(0, len(own), count + 1).astype(int)[1:-1]
+        ends = [0, *own[at].tolist(), runs[r].size]
+        stretches += [(r, first, last) for first, last in pairwise(ends)]
+    return tuple(stretches)
 
 
 def independent(energies: np.ndarray, stretches: Sequence[Stretch]) -> int:
@@ -108,7 +117,7 @@ def stacked(
         root, J = search.root(k, r)[first:last], evaluation.jacobians[k][r][first:last]
         jacobian = np.zeros((root.size, len(evaluation.unknowns)))
         jacobian[:, search.columns(k, r)] = (root[:, :, None] * J).reshape(root.size, -1)
-        return (root * evaluation.residuals[k][r][first:last]).ravel(), jacobian
+        return (root * np.nan_to_num(evaluation.residuals[k][r][first:last])).ravel(), jacobian
 
     parts = [[rows(k, *stretch) for k in range(len(search.systems))] for stretch in stretches]
     residual, jacobian = (np.concatenate(arrays) for arrays in zip(*chain(*parts), strict=True))

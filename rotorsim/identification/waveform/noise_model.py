@@ -16,7 +16,7 @@ from rotorsim.block import In
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.waveform.data import Channels, SampledRun
+from rotorsim.identification.waveform.data import Channels, SampledRun, mean_of
 from rotorsim.identification.waveform.equations import ForceMap, driven_equations
 from rotorsim.identification.waveform.noise import (
     Stretch,
@@ -108,11 +108,11 @@ def _noise_share(search: OutputErrorSearch, evaluation: Evaluation) -> float:
     Stat. 12 (1941) 367): the flexible model has failed, and what it leaves is motion.
     """
     square, white, total = (
-        sum((part**2).sum(axis=0) for part in parts)
+        sum(np.nansum(part**2, axis=0) for part in parts)
         for parts in (
             evaluation.residuals[0],
             [np.diff(error, axis=0) / np.sqrt(2) for error in evaluation.residuals[0]],
-            [y - y.mean(axis=0) for y in search.measured[0]],
+            [y - mean_of(y) for y in search.measured[0]],
         )
     )
     failed = (square > CRITERIA.noisy**2 * total) & (white < CRITERIA.white * square)
@@ -148,7 +148,7 @@ def _is_fine(search: OutputErrorSearch, evaluation: Evaluation, scale: Mapping[t
     if not (np.isfinite(evaluation.cost) and np.isfinite(fine.cost)):
         return not np.isfinite(fine.cost)
     changed = [
-        np.sqrt(((b - a) ** 2).mean(axis=0)) / np.sqrt([scale[signal] for signal in system.signals])
+        np.sqrt(mean_of((b - a) ** 2)) / np.sqrt([scale[signal] for signal in system.signals])
         for system, coarse, finer in zip(search.systems, evaluation.residuals, fine.residuals, strict=True)
         for a, b in zip(coarse, finer, strict=True)
     ]
@@ -163,7 +163,8 @@ def _sizes(diagram: Diagram, channels: Channels, base: OutputErrorSearch, evalua
     search = replace(base, systems=(Simulation(equations),))
     unknowns = search.first(base.starts(evaluation.unknowns))
     unknowns[: search.m] = evaluation.unknowns[: search.m]
-    sizes = {name: max(float(np.abs(run.values[name]).max()) for run in base.runs) for name in base.runs[0].values}
+    runs = [run.values for run in base.runs]
+    sizes = {name: max(float(np.nanmax(np.abs(own[name]), initial=0.0)) for own in runs) for name in runs[0]}
     for r in range(len(base.runs)):
         y, _ = search.simulated(unknowns, 0, r, evaluation.sub, sensitivities=False)
         for name, size in zip(names, np.nan_to_num(np.abs(y).max(axis=0)), strict=True):

@@ -11,8 +11,9 @@ from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
-from rotorsim.identification.waveform.data import channels_of, chosen_runs, read_run
+from rotorsim.identification.waveform.data import channels_of, chosen_runs
 from rotorsim.identification.waveform.noise_model import noise_model
+from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
 from rotorsim.recordings.recording import Recording
 
 
@@ -26,7 +27,8 @@ def open_waveforms(
     """Return the samples of a recording as evidence, and the fit of the diagram as given."""
     evidence = waveform_evidence(diagram, recording, hold_out, trust_blocks=catalogue.trust)
     base, refined = base_fit(diagram, evidence)
-    notes = [Problem(note, severity="warning") for note in refined]
+    notes = notes_of([*evidence.runs, *evidence.held])
+    notes += [Problem(note, severity="warning") for note in refined]
     return Opened(evidence, base, base, evidence, catalogue, held_out=bool(evidence.held), warnings=[*warnings, *notes])
 
 
@@ -38,7 +40,8 @@ def waveform_evidence(
     Raises RotorsimError with all that does not fit, and where the diagram diverges when it is driven as recorded.
     """
     channels = channels_of(diagram, recording)
-    runs = tuple(read_run(diagram, run, channels) for run in chosen_runs(recording))
+    runs = read_runs(diagram, chosen_runs(recording), channels)
+    channels = marked(channels, runs)
     held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
     noise = noise_model(diagram, channels, runs)
     return WaveformEvidence(
@@ -55,5 +58,5 @@ def waveform_evidence(
         starts=noise.starts,
         sizes=noise.sizes,
         old=frozenset(item.name for item in diagram.free),
-        held=tuple(read_run(diagram, run, channels) for run in held),
+        held=read_runs(diagram, held, channels),
     )
