@@ -15,7 +15,7 @@ _HOME = {
     "Channel": "recordings.recording",
     "Diagnosis": "diagnosis.conclude.result",
     "Diagram": "diagram.diagram",
-    "Identification": "identification.identification",
+    "Identification": "identification.result",
     "NewRun": "recordings.writing",
     "Recording": "recordings.recording",
     "Result": "simulation.result",

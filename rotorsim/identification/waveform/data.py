@@ -15,7 +15,7 @@ from scipy.signal import resample
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.identification.waveform.equations import driven_parameters, measured_expression
-from rotorsim.identification.waveform.gaps import EVEN
+from rotorsim.identification.waveform.gaps import EVEN_SAMPLES
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.units import compatible
@@ -86,7 +86,7 @@ class SampledRun:
     def steps(self) -> np.ndarray | None:
         """The steps between samples (N - 1,) [s], None where they are even."""
         uneven = np.abs(self.time - self.start - self.dt * np.arange(self.size)).max()
-        return np.diff(self.time) if uneven > EVEN * self.dt else None
+        return np.diff(self.time) if uneven > EVEN_SAMPLES * self.dt else None
 
     @cached_property
     def counted(self) -> np.ndarray:

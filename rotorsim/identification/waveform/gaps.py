@@ -8,30 +8,30 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 
-EVEN = 1e-4  # of a sample period: jitter of the time column that counts as none
-GAP = 1.5  # of the usual step: a longer one lost rows
-DIGITS = 12  # of a time stamp [s] behind the point, at most
-ROUNDING = 1e-6  # of the last digit: rounding of binary numbers
+EVEN_SAMPLES = 1e-4  # of a sample period: jitter of the time column that counts as none
+LOST_ROWS = 1.5  # of the usual step: a longer one lost rows
+STAMP_DIGITS = 12  # of a time stamp [s] behind the point, at most
+STAMP_ROUNDING = 1e-6  # of the last digit: rounding of binary numbers
 
 
 def even_time(time: np.ndarray) -> np.ndarray | None:
-    """Return even instants (n,) where stamps differ from them by no more than EVEN, or their last digit; else None."""
+    """Return even instants (n,) where stamps differ by no more than EVEN_SAMPLES, or their last digit; else None."""
     n = len(time)
     dt = float(time[-1] - time[0]) / (n - 1)
     even = time[0] + dt * np.arange(n)
     off = time - even
-    if np.abs(off).max() <= EVEN * dt:
+    if np.abs(off).max() <= EVEN_SAMPLES * dt:
         return np.asarray(even)
     digit = _last_digit(time)
     span = float(np.ptp(off))
-    return np.asarray(even + (off.max() + off.min()) / 2) if span <= digit * (1 + ROUNDING) else None
+    return np.asarray(even + (off.max() + off.min()) / 2) if span <= digit * (1 + STAMP_ROUNDING) else None
 
 
 def _last_digit(time: np.ndarray) -> float:
-    """Return the step of the last decimal that any of some stamps has, zero where they have more than DIGITS."""
-    for digits in range(DIGITS + 1):
+    """Return the step of the last decimal that any of some stamps has, zero where they have more than STAMP_DIGITS."""
+    for digits in range(STAMP_DIGITS + 1):
         scaled = time * 10.0**digits
-        if np.abs(scaled - np.round(scaled)).max() <= max(ROUNDING, 4e-16 * np.abs(scaled).max()):
+        if np.abs(scaled - np.round(scaled)).max() <= max(STAMP_ROUNDING, 4e-16 * np.abs(scaled).max()):
             return float(10.0**-digits)
     return 0.0
 
@@ -39,11 +39,11 @@ def _last_digit(time: np.ndarray) -> float:
 def with_lost_rows(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return instants (N,) with those of lost rows put in, and which of them were recorded, (N,).
 
-    A step longer than GAP times the usual one is divided into as many as fit.
+    A step longer than LOST_ROWS times the usual one is divided into as many as fit.
     """
     steps = np.diff(time)
     usual = float(np.median(steps))
-    parts = np.where(steps > GAP * usual, np.round(steps / usual), 1).astype(int)
+    parts = np.where(steps > LOST_ROWS * usual, np.round(steps / usual), 1).astype(int)
     first = np.repeat(np.arange(len(steps)), parts)
     within = np.arange(len(first)) - np.repeat(np.cumsum(parts) - parts, parts)
     filled = time[first] + steps[first] * within / parts[first]

@@ -137,16 +137,25 @@ def misfits_left_out(search: OutputErrorSearch, evaluation: Evaluation, stretche
 
 
 def robust_covariance(
-    information: np.ndarray, residual: np.ndarray, J: np.ndarray, sizes: Sequence[int], searched: np.ndarray, rows: int
+    information: np.ndarray,
+    residual: np.ndarray,
+    J: np.ndarray,
+    sizes: Sequence[int],
+    searched: np.ndarray,
+    rows: int,
+    prior: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return H^-1 (sum_b g_b g_b^T) H^-1 B / (B - 1) of all unknowns, g_b = J_b^T r_b; held ones are known.
 
     residual (n,), J (n, q): as `stacked` returns them, sizes of the B stretches. Where a model leaves less than the
     resolution, H^-1 of what is missing to ``rows`` is added; and all of H^-1 in directions that the data say nothing
-    about. Source: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13-22.
+    about. prior (q,): information of priors within H, each one more measured value in the sum. Source: K.-Y. Liang,
+    S. L. Zeger, Biometrika 73 (1986) 13-22.
     """
     starts, count = np.cumsum([0, *sizes[:-1]]), len(sizes)
     g = np.add.reduceat(J[:, searched] * residual[:, None], starts, axis=0)
+    scores = g.T @ g * (count / max(count - 1, 1))
+    scores += np.diag(np.zeros(len(scores)) if prior is None else prior[searched])
     H = information[np.ix_(searched, searched)]
     scale = np.sqrt(np.diag(H))
     scale = np.where(scale > 0, scale, 1.0)
@@ -154,7 +163,7 @@ def robust_covariance(
     least = INVERTED * values.max(initial=0.0)
     vectors = vectors / scale[:, None]
     inverse = vectors / np.maximum(values, least) @ vectors.T
-    robust = inverse @ (g.T @ g) @ inverse * (count / max(count - 1, 1))
+    robust = inverse @ scores @ inverse
     below = max(1 - float(residual @ residual) / rows, 0.0)
     weak = vectors[:, values <= least]
     covariance = np.zeros_like(information)

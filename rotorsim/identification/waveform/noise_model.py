@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from math import log
+from operator import attrgetter
 
 import numpy as np
 
@@ -31,10 +32,12 @@ from rotorsim.identification.waveform.noise import (
     weights_of,
 )
 from rotorsim.identification.waveform.search import Evaluation, Label, OutputErrorSearch
+from rotorsim.identification.waveform.shooting import is_lost, shot
 from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.linear import linearisation as linear
 
+SIMULATION_DIVERGES = "its simulation diverges"
 ACCURACY = 3e-4  # of the scale of a signal, of the steps between samples
 ACCURATE_SUBSTEPS = 16  # between samples, to be as accurate
 MOST_PORTS = 4  # where a flexible force is tried
@@ -47,7 +50,8 @@ class NoiseModel:
 
     variance: mean square of every output. rows: independent samples. stretches: into which the runs are divided.
     allowed (B,): what an adequate model may leave of each when it is left out. least: steps between samples. starts:
-    states at the first samples. sizes: largest magnitude of every signal, recorded or simulated.
+    states at the first samples. theta (m,): parameters of the diagram that leave least. sizes: largest magnitude of
+    every signal, recorded or simulated.
     """
 
     variance: Variance
@@ -56,6 +60,7 @@ class NoiseModel:
     allowed: np.ndarray
     least: int
     starts: Mapping[Label, float]
+    theta: np.ndarray
     sizes: Mapping[str, float]
 
 
@@ -67,7 +72,7 @@ def noise_model(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]
     base, evaluation = _base(subsystems_of(diagram, channels), runs)
     if not np.isfinite(evaluation.cost):
         hint = "start from values nearer to the machine's, or check the signs and units of what drives it"
-        raise RotorsimError(Problem("its simulation diverges when it is driven as recorded", diagram.name, hint=hint))
+        raise RotorsimError(Problem(f"{SIMULATION_DIVERGES} when it is driven as recorded", diagram.name, hint=hint))
     sizes = _sizes(diagram, channels, base, evaluation)
     weights = {signal: 1 / value for signal, value in residual_variance(base, evaluation).items()}
     flexible, residual = _flexible(diagram, channels, replace(base, weights=weights), evaluation, sizes)
@@ -85,6 +90,7 @@ def noise_model(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]
         allowed=allowed_misfits(least, given, noise),
         least=base.least,
         starts=flexible.starts(residual.unknowns),
+        theta=evaluation.unknowns[: base.m],
         sizes=sizes,
     )
 
@@ -136,6 +142,8 @@ def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[
             weights = {signal: 1 / value for signal, value in residual_variance(search, evaluation).items()}
             search = replace(search, weights={**weights, **whole})
     evaluation = search.minimise(start)
+    if is_lost(search, evaluation):
+        evaluation = min(evaluation, search.minimise(shot(search, start)), key=attrgetter("cost"))
     while search.least < ACCURATE_SUBSTEPS and not _is_fine(search, evaluation, scale):
         search = replace(search, least=2 * search.least)
         evaluation = search.minimise(evaluation.unknowns)

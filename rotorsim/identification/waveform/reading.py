@@ -21,7 +21,7 @@ from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.identification.waveform.gaps import bridged, even_time, with_lost_rows
 from rotorsim.recordings.recording import Run
 
-LEAST_SAMPLES = 20  # of a part of a run between gaps: fewer say little beside the unknown states that they begin with
+LEAST_PART = 20  # of a part of a run between gaps: fewer say little beside the unknown states that they begin with
 
 
 def read_runs(diagram: Diagram, runs: Sequence[Run], channels: Channels) -> tuple[SampledRun, ...]:
@@ -125,7 +125,7 @@ def _in_parts(whole: SampledRun, run: Run, channels: Channels, recorded: np.ndar
         if len(used):
             parts.append(slice(int(first + used[0]), int(first + used[-1]) + 1))
     alone = len(parts) == 1
-    kept = parts if alone else [part for part in parts if part.stop - part.start >= LEAST_SAMPLES]
+    kept = parts if alone else [part for part in parts if part.stop - part.start >= LEAST_PART]
     inside = np.zeros(whole.size, bool)
     for part in kept:
         inside[part] = True
@@ -137,7 +137,7 @@ def _in_parts(whole: SampledRun, run: Run, channels: Channels, recorded: np.ndar
         what = f"{lost} of {len(run.time)} samples are not used, for what drives the diagram is not known there"
         notes.append(_note(run, what))
     if not kept:
-        hint = f"stretches of {LEAST_SAMPLES} samples in which all inputs were recorded are needed"
+        hint = f"stretches of {LEAST_PART} samples in which all inputs were recorded are needed"
         raise RotorsimError(Problem("what drives the diagram is hardly ever known", f"run {run.id}", run.place, hint))
     for k, part in enumerate(kept):
         name = run.id if alone else f"{run.id} from {whole.time[part.start]:.6g} s"

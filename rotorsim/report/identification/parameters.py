@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from rotorsim.identification.identification import Identification, Identified
+from rotorsim.identification.result import Identification, Identified
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.style import BLUE, GREY, INK, RED, figure, styled
 from rotorsim.report.text.table import parameter_unit
