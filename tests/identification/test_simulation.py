@@ -176,4 +176,4 @@ def test_sampled_blocks_are_refused():
     diagram = load(document)
     with pytest.raises(RotorsimError) as caught:
         driven_equations(diagram, ["oscillator.displacement"], ["drive.output"], diagram.free)
-    assert "hold: a diagnosis in time needs continuous blocks; this one has a sample time" in str(caught.value)
+    assert "hold: a comparison in time needs continuous blocks; this one has a sample time" in str(caught.value)

@@ -155,7 +155,7 @@ def driven_equations(
     """
     cut = cut or {}
     model = compile_diagram(diagram, inject=[force.port] if force else [], replace=list(cut))
-    linear.refuse_sampled(model, "a diagnosis in time")
+    linear.refuse_sampled(model, "a comparison in time")
     trace = model.trace
     v = ca.SX.sym("v", len(inputs))
     coefficients = ca.SX.sym("c", force.count if force else 0)

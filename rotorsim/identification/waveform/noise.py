@@ -47,7 +47,7 @@ def weights_of(variance: Variance, runs: Sequence[SampledRun], rows: int) -> dic
 def variance_scale(search: OutputErrorSearch) -> dict[tuple[str, str], float]:
     """Return the mean squares of all outputs less their regression on the inputs at the same instant.
 
-    A position that follows its reference is no larger than the distance between them.
+    A position that follows its reference is no larger than the distance between them. One for what nobody measured.
     """
     scale: dict[tuple[str, str], float] = {}
     for system, measured in zip(search.systems, search.measured, strict=True):
@@ -56,6 +56,9 @@ def variance_scale(search: OutputErrorSearch) -> dict[tuple[str, str], float]:
         inputs = np.column_stack([np.ones(len(y)), given])
         for signal, values in zip(system.signals, y.T, strict=True):
             there = np.isfinite(values)
+            if not there.any():
+                scale[signal] = 1.0
+                continue
             own, at = values[there], inputs[there]
             residual = own - at @ np.linalg.lstsq(at, own, rcond=None)[0]
             scale[signal] = max(float((residual**2).mean()), 1e-300)

@@ -144,6 +144,13 @@ def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[
     evaluation = search.minimise(start)
     if is_lost(search, evaluation):
         evaluation = min(evaluation, search.minimise(shot(search, start)), key=attrgetter("cost"))
+    return refined(search, evaluation, scale)
+
+
+def refined(
+    search: OutputErrorSearch, evaluation: Evaluation, scale: Mapping[tuple[str, str], float]
+) -> tuple[OutputErrorSearch, Evaluation]:
+    """Return a fit at steps so short that half of them would change it by less than ACCURACY of the signals."""
     while search.least < ACCURATE_SUBSTEPS and not _is_fine(search, evaluation, scale):
         search = replace(search, least=2 * search.least)
         evaluation = search.minimise(evaluation.unknowns)

@@ -27,6 +27,8 @@ def heading(identification: Identification, recording: Recording | None) -> str:
     title = identification.diagram.name + (f" identified from {recording.name}" if recording is not None else "")
     if identification.adequate:
         return title
+    if identification.excess is None:
+        return f"{title}\nnot explained by the model"
     excess = f"{float(f'{identification.excess:.3g}'):,.6g}"
     return f"{title}\nnot explained by the model: residual variance {excess} times the noise"
 
