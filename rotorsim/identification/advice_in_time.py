@@ -60,7 +60,7 @@ def advise_in_time(
 
 def _inverse(information: np.ndarray) -> np.ndarray:
     """Return the covariance that information promises, very large where it is none."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-100))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     return np.asarray((vectors / np.maximum(values, 1e-13)) @ vectors.T * np.outer(scale, scale))
 

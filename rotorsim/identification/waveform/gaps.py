@@ -22,9 +22,9 @@ def even_time(time: np.ndarray) -> np.ndarray | None:
     off = time - even
     if np.abs(off).max() <= EVEN_SAMPLES * dt:
         return np.asarray(even)
-    digit = _last_digit(time)
-    span = float(np.ptp(off))
-    return np.asarray(even + (off.max() + off.min()) / 2) if span <= digit * (1 + STAMP_ROUNDING) else None
+    line = np.polynomial.Polynomial.fit(np.arange(n), off, 1)(np.arange(n))
+    span = float(np.ptp(off - line))
+    return np.asarray(even + line) if span <= _last_digit(time) * (1 + STAMP_ROUNDING) else None
 
 
 def _last_digit(time: np.ndarray) -> float:

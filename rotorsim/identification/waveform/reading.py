@@ -131,7 +131,8 @@ def _in_parts(whole: SampledRun, run: Run, channels: Channels, recorded: np.ndar
         inside[part] = True
     lost = int((whole.counted & recorded & ~inside).sum())
     if not alone:
-        what = f"is cut at {len(parts) - 1} gaps of what drives it, and begins anew behind each"
+        gaps = f"{len(parts) - 1} gap{'s' * (len(parts) > 2)}"
+        what = f"is cut at {gaps} of what drives it, and begins anew behind each"
         notes.append(_note(run, what))
     if lost:
         what = f"{lost} of {len(run.time)} samples are not used, for what drives the diagram is not known there"
