@@ -25,8 +25,8 @@ from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 from rotorsim.signals.shaft_angle import shaft_angle
 from rotorsim.simulation.result import Result
 
-STARTS = ("estimated", "diagram")
-MEASURED = "measured."  # before the names of measured signals in a result
+RUN_STARTS = ("estimated", "diagram")
+MEASURED_PREFIX = "measured."  # before the names of measured signals in a result
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,8 @@ def simulate_as_recorded(
     Raises RotorsimError for runs, channels, signals and settings that are not there, sampled blocks, a shaft whose
     angle nothing tells, and simulations that diverge.
     """
-    if start not in STARTS:
-        raise RotorsimError(Problem(f"no start '{start}'", hint=f"one of {', '.join(STARTS)}"))
+    if start not in RUN_STARTS:
+        raise RotorsimError(Problem(f"no start '{start}'", hint=f"one of {', '.join(RUN_STARTS)}"))
     chosen = _run(recording, run)
     turning = None if is_in_time(diagram, recording) else _turning(diagram, recording, chosen)
     channels = channels_of(diagram, recording if turning is None else _without_angle(recording))
@@ -78,11 +78,11 @@ def simulate_as_recorded(
     )
     with one_thread():
         search = OutputErrorSearch(
-            (Simulation(equations),), parts, {}, hold="theta" if start == STARTS[0] else "starts"
+            (Simulation(equations),), parts, {}, hold="theta" if start == RUN_STARTS[0] else "starts"
         )
         scale = variance_scale(search)
         search = replace(search, weights={signal: 1 / value for signal, value in scale.items()})
-        search, evaluation = refined(search, search.minimise(search.first()), scale)
+        search, evaluation = refined(search, search.minimise(_first(search, start)), scale)
         if not np.isfinite(evaluation.cost):
             hint = "is the loop stable? are signs and units of what drives it right?"
             what = f"{SIMULATION_DIVERGES} when it is driven as run {chosen.id} was"
@@ -104,6 +104,13 @@ def simulate_as_recorded(
         evaluation.sub,
         (*recording.warnings, *notes_of(parts)),
     )
+
+
+def _first(search: OutputErrorSearch, start: str) -> np.ndarray:
+    """Return the states at the first samples: as the diagram has them, or for a search, measured ones as measured."""
+    equations = search.systems[0].equations
+    stated = [equations.model.x0(p)[equations.kept] for p in search.p]
+    return search.first() if start == RUN_STARTS[0] else np.concatenate(stated)
 
 
 def _run(recording: Recording, name: str | None) -> Run:
@@ -196,11 +203,11 @@ def _result(
     diagram, recording, run = what
     signals = dict(zip(equations.outputs, simulated.T, strict=True))
     given = [name for name in equations.inputs if not name.startswith(RATE_PREFIX)]
-    for prefix, names in (("", given), (MEASURED, measured)):
+    for prefix, names in (("", given), (MEASURED_PREFIX, measured)):
         signals |= {prefix + name: np.concatenate([part.values[name] for part in parts]) for name in names}
     units = {}
     for name in signals:
-        port = equations.model.diagram.as_measured(name.removeprefix(MEASURED)).partition("[")[0]
+        port = equations.model.diagram.as_measured(name.removeprefix(MEASURED_PREFIX)).partition("[")[0]
         signal = equations.model.signals.get(port)
         units[name] = "" if signal is None or signal.unit is None else signal.unit
     provenance = {"diagram": diagram, "recording": recording, "run": run.id, "file": run.file}

@@ -23,8 +23,8 @@ def even_time(time: np.ndarray) -> np.ndarray | None:
     if np.abs(off).max() <= EVEN_SAMPLES * dt:
         return np.asarray(even)
     line = np.polynomial.Polynomial.fit(np.arange(n), off, 1)(np.arange(n))
-    span = float(np.ptp(off - line))
-    return np.asarray(even + line) if span <= _last_digit(time) * (1 + STAMP_ROUNDING) else None
+    rounding = float(np.abs(off - line).max())  # half a digit about the true line, less than one about that which fits
+    return np.asarray(even + line) if rounding <= _last_digit(time) else None
 
 
 def _last_digit(time: np.ndarray) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from rotorsim.identification.as_recorded import MEASURED, AsRecorded
+from rotorsim.identification.as_recorded import MEASURED_PREFIX, AsRecorded
 from rotorsim.report.figures.samples import Beside, beside_figure
 
 
@@ -12,7 +12,7 @@ def as_recorded_figure(found: AsRecorded) -> Figure:
     """Return the measured signals of a run beside the simulated ones, with the worst stretch of each."""
     result = found.result
     traces = [
-        Beside(found.run, name, found.units[name], result.time, result[MEASURED + name], result[name])
+        Beside(found.run, name, found.units[name], result.time, result[MEASURED_PREFIX + name], result[name])
         for name in found.outputs
     ]
     provenance = result.provenance

@@ -9,7 +9,7 @@ from rotorsim.recordings.recording import Recording
 from rotorsim.report.figures.samples import Beside, beside_figure, residuals_in_time_figure
 from rotorsim.report.identification.parameters import heading
 
-USES = {"identify": "fitted runs", "hold_out": "hold-out runs"}
+RUNS_OF_USE = {"identify": "fitted runs", "hold_out": "hold-out runs"}
 
 
 def traces_of(identification: TimeIdentification, use: str) -> list[Beside]:
@@ -26,9 +26,9 @@ def traces_of(identification: TimeIdentification, use: str) -> list[Beside]:
 def sample_figures(identification: TimeIdentification, recording: Recording) -> dict[str, Figure | None]:
     """Return signals of fitted and of hold-out runs, and the residuals of the fitted ones; None without any."""
     title = heading(identification, recording)
-    fitted, held = (traces_of(identification, use) for use in USES)
+    fitted, held = (traces_of(identification, use) for use in RUNS_OF_USE)
     return {
-        "simulated": beside_figure(fitted, f"{USES['identify'].capitalize()}, {title}") if fitted else None,
-        "hold_out": beside_figure(held, f"{USES['hold_out'].capitalize()}, {title}") if held else None,
+        "simulated": beside_figure(fitted, f"{RUNS_OF_USE['identify'].capitalize()}, {title}") if fitted else None,
+        "hold_out": beside_figure(held, f"{RUNS_OF_USE['hold_out'].capitalize()}, {title}") if held else None,
         "residual": residuals_in_time_figure(fitted, f"Residuals, {title}") if fitted else None,
     }
