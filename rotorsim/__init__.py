@@ -15,7 +15,7 @@ _HOME = {
     "Channel": "recordings.recording",
     "Diagnosis": "diagnosis.conclude.result",
     "Diagram": "diagram.diagram",
-    "Identification": "identification.identification",
+    "Identification": "identification.result",
     "NewRun": "recordings.writing",
     "Recording": "recordings.recording",
     "Result": "simulation.result",
@@ -50,6 +50,7 @@ _HOME = {
     "save_recording": "recordings.writing",
     "sensitivity": "linear.frequency",
     "simulate": "simulation.run",
+    "simulate_as_recorded": "identification.as_recorded",
 }
 __all__ = ["__version__", *_HOME]
 __version__ = "0.1.0"

@@ -28,7 +28,7 @@ from rotorsim.errors import Problem
 from rotorsim.report.text.table import parameter_unit, percent, table
 
 if TYPE_CHECKING:
-    from rotorsim.identification.identification import Identification
+    from rotorsim.identification.result import Identification
 
 USE_WORDS = {"identify": "identified from", "hold_out": "held out"}
 

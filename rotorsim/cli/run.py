@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -20,11 +21,13 @@ from rotorsim.cli.shared import (
     progress_bar,
     progress_option,
     quantity,
+    refuse_all,
     show,
     show_problems,
     solver_option,
 )
 from rotorsim.errors import Problem
+from rotorsim.report.text.table import percent, table
 
 if TYPE_CHECKING:
     from rotorsim.model.compiled import Model
@@ -51,6 +54,13 @@ class Output:
 @click.option("--record", multiple=True, metavar="SIGNAL", help="Record this signal as well (block.port); repeatable.")
 @file_option("--out", suffixes=RESULTS, help="Write the recorded signals: .csv (as FMPy does), .h5 or .npz.")
 @plot_option("the recorded signals")
+@click.option("--input", "recording", metavar="RECORDING", help="Drive it as a run of this recording was.")
+@click.option("--run", "run_id", metavar="ID", help="The run of --input (default: the first).")
+@click.option(
+    "--start",
+    type=click.Choice(["estimated", "diagram"]),
+    help="States at the first sample of --input: those that leave least (default), or those of the diagram.",
+)
 @click.option("--no-compiler", is_flag=True, help="Use CasADi's virtual machine instead of compiled C (slower).")
 @progress_option
 @json_option
@@ -62,6 +72,9 @@ def command(
     record: tuple[str, ...],
     out: str | None,
     plot: str | None,
+    recording: str | None,
+    run_id: str | None,
+    start: str | None,
     no_compiler: bool,
     progress: bool | None,
     as_json: bool,
@@ -69,12 +82,20 @@ def command(
     """Simulate a diagram; write, plot and summarise the recorded signals.
 
     Prints the peak of every recorded signal; of two-axis signals the harmonics at constant speed, and the
-    resonance in a run-up.
+    resonance in a run-up. With --input, what a recording measured drives it, and the errors are printed.
 
     \b
     rotorsim run jeffcott --plot jeffcott.png
     rotorsim run diagrams/jeffcott.json --set "speed=1800 rpm" --stop "8 s" --out run.csv
+    rotorsim run servo.json --input measurements/2026-11 --run run02 --plot beside.png
     """
+    if recording is not None:
+        unheard = {"--solver": solver, "--step": step, "--stop": stop, "--no-compiler": no_compiler}
+        hint = "the recorded instants say where it goes, in steps that are short enough"
+        refuse_all([Problem(f"{name} does not go with --input", hint=hint) for name, used in unheard.items() if used])
+        return _as_recorded(chosen, recording, run_id, start or "estimated", record, out, plot, as_json)
+    alone = {"--run": run_id, "--start": start}
+    refuse_all([Problem(f"{name} needs --input RECORDING") for name, used in alone.items() if used is not None])
     times = {name: quantity(text, "s", f"--{name}") for name, text in (("step", step), ("stop", stop)) if text}
     loaded = chosen.open()
 
@@ -102,6 +123,64 @@ def command(
         )
     angle = f"{clock}.theta" if clock else ""
     return _report(model, result, Output(shown, angle, out, plot, as_json))
+
+
+def _as_recorded(
+    chosen: Chosen,
+    source: str,
+    run_id: str | None,
+    start: str,
+    record: tuple[str, ...],
+    out: str | None,
+    plot: str | None,
+    as_json: bool,
+) -> int:
+    """Drive a diagram as a run was; write and draw simulated beside measured, print the errors."""
+    from rotorsim.identification.as_recorded import simulate_as_recorded
+    from rotorsim.recordings.loading import load_recording
+
+    loaded, recording = chosen.open(), load_recording(source)
+    found = simulate_as_recorded(loaded, recording, run_id, start=start, record=record)
+    show_problems(found.warnings)
+    among = f" of {len(recording.runs)} (--run chooses another)" if len(recording.runs) > 1 and run_id is None else ""
+    states = "starts estimated" if start == "estimated" else "starts of the diagram"
+    note(f"{loaded.name}: driven as run {found.run}{among}, {len(found.result.time)} samples, {states}")
+    files = []
+    if out:
+        from rotorsim.simulation.files import save
+
+        save(found.result, out)
+        files.append(out)
+    if plot:
+        from rotorsim.report.figures.as_recorded import as_recorded_figure
+        from rotorsim.report.figures.run import save_figure
+
+        save_figure(as_recorded_figure(found), plot)
+        files.append(plot)
+    if files:
+        note("written: " + ", ".join(files))
+    nrmse, rms = found.errors.nrmse, found.errors.rms
+    shown = {name: in_unit(rms[name], found.units[name]) for name in found.outputs}
+    rows = [(name, percent(nrmse.get(name, math.nan)), f"{value:.4g}", unit) for name, (value, unit) in shown.items()]
+    data = {
+        "diagram": loaded.name,
+        "recording": recording.name,
+        "run": found.run,
+        "start": {"states": start, "values": dict(found.starts)},
+        "errors": {name: {"nrmse": nrmse.get(name), "rms": rms[name]} for name in found.outputs},
+        "time": {"samples": len(found.result.time), "steps_between_samples": found.sub},
+        "warnings": [f"{problem.subject}: {problem.what}" for problem in found.warnings],
+        "files": files,
+    }
+    show(as_json, lambda: data, lambda: table(("signal", "NRMSE", "rms error", "unit"), rows))
+    return 0
+
+
+def in_unit(value: float, unit: str) -> tuple[float, str]:
+    """Return an SI value in the unit in which it was recorded."""
+    from rotorsim.units import conversion
+
+    return value / conversion(unit, None), "" if unit == "1" else unit
 
 
 def _silent(fraction: float) -> None:

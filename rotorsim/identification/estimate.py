@@ -120,6 +120,12 @@ class Estimate:
         J = self.coordinates.jacobian(self.theta) * unit
         return np.asarray((np.abs(J @ nothing) > PART * np.linalg.norm(J, axis=1)[:, None]).any(axis=1))
 
+    def conditional(self, j: int) -> float:
+        """Return the standard deviation of parameter j if all others were known."""
+        jacobian = np.linalg.inv(self.coordinates.jacobian(self.theta))
+        information = float(jacobian[:, j] @ self.information @ jacobian[:, j])
+        return 1 / float(np.sqrt(information)) if information > 0 else np.inf
+
     @property
     def std(self) -> np.ndarray:
         """Standard deviations of theta (m,)."""

@@ -137,6 +137,7 @@ def open_experiment(
     if not predicted:
         raise RotorsimError(Problem("nothing was measured that the diagram could be compared with", recording.name))
     found = tuple(harmonics_of(recording, chosen) if harmonics is None else harmonics)
+    _refuse_missing(found, [*predicted, *taken])
     _refuse_unknown_phase(found)
     kept = _free(model, diagram, wanted)
     p = _parameters(model, diagram, found, kept)
@@ -239,6 +240,15 @@ def _is_entry(channel: Channel, shape: tuple[int, ...]) -> bool:
     index = [channel.node] if channel.node is not None else []
     index += [1 if channel.axis == "x" else 2] if channel.axis is not None else []
     return len(index) == len(shape) and all(1 <= k <= n for k, n in zip(index, shape, strict=True))
+
+
+def _refuse_missing(runs: Sequence[RunHarmonics], names: Sequence[str]) -> None:
+    """Refuse runs in which a channel was not measured."""
+    missing = [(item.run, name) for item in runs for name in names if name not in item.fit.names]
+    hint = "compared at harmonics of the shaft, runs have the same channels: leave the channel out, or the run"
+    if missing:
+        what = "was not measured in this run"
+        raise RotorsimError(*(Problem(f"'{name}' {what}", f"run {run.id}", run.place, hint) for run, name in missing))
 
 
 def _refuse_unknown_phase(runs: Sequence[RunHarmonics]) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.files import write_atomically
-from rotorsim.identification.identification import Identification
+from rotorsim.identification.result import Identification
 from rotorsim.identification.verdict import Verdict
 
 DIAGRAM = "diagram.json"
@@ -52,12 +52,11 @@ def identification_data(identification: Identification, *, diagram_file: str = D
         "fit": {use: dict(values) for use, values in identification.fit.items()},
         "noise_floor": dict(identification.noise_floor),
         "adequate": identification.adequate,
-        "excess_variance": identification.excess,
-        "goodness": identification.goodness,
+        **identification.misfit_data(),
         "next_experiment": advice,
         "statement": identification.statement,
         "warnings": [f"{problem.subject}: {problem.what}" for problem in identification.warnings],
-        "runs": [item.run.id for item in identification.runs],
+        "runs": identification.run_ids,
         "settings": dict(identification.settings),
         "provenance": {"diagram": identification.diagram.name, "diagram_sha256": identification.diagram.sha256},
     }

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from rotorsim._shown import Shown
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.advice import Advice, advise
 from rotorsim.identification.estimate import Estimate, Residuals, Search, estimate
 from rotorsim.identification.experiment import open_experiment
+from rotorsim.identification.in_time import identify_in_time
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.identification.profile import Z90, joint_factor, linear_intervals, profile_intervals
 from rotorsim.identification.regression import THESIS_ORDERS, open_regression
+from rotorsim.identification.result import Identification, Identified, sentences
 from rotorsim.identification.scatter import scatter_of, with_covariance
-from rotorsim.identification.verdict import Verdict, judge
+from rotorsim.identification.verdict import judge
+from rotorsim.identification.waveform.data import is_in_time
 from rotorsim.jobs.threads import one_thread
 from rotorsim.linear.linearisation import refuse_sampled
 from rotorsim.measure.checks import check_signals
@@ -31,79 +33,23 @@ from rotorsim.signals.pickup import find_mains, pickup_warnings, with_pickups
 ESTIMATORS = ("likelihood", "regression")
 
 
-@dataclass(frozen=True)
-class Identified:
-    """One identified parameter (SI): value, standard deviation, central 90 % interval, and the verdict on it.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class HarmonicIdentification(Identification):
+    """What harmonics of a turning shaft say; goodness: probability of the misfit, None for the regression."""
 
-    joint90: intervals that hold all parameters at once with 90 %. at_bound: the search ended at a physical bound; the
-    interval is then one-sided, and std is what it stands for.
-    """
-
-    name: str
-    value: float
-    std: float
-    interval90: tuple[float, float]
-    joint90: tuple[float, float]
-    unit: str
-    verdict: Verdict
-    at_bound: bool = False
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Identification(Shown):
-    """What a recording says about the free parameters of a diagram.
-
-    correlation: (m, m). fit: "identify" and "hold_out" -> signal -> NRMSE; noise_floor: signal -> what no model can
-    undercut. excess: variance of the residual over that of the noise (1 for a right model); goodness: its
-    probability; None for the regression, which does not weigh. adequate: the model explains the data within noise.
-    free: the parameters as they were before, with start values and bounds.
-    """
-
-    method: str
-    parameters: Mapping[str, Identified]
-    correlation: np.ndarray
-    fit: Mapping[str, Mapping[str, float]]
-    noise_floor: Mapping[str, float]
     goodness: float | None
-    excess: float | None
-    adequate: bool
-    statement: str
-    advice: tuple[Advice, ...]
-    warnings: tuple[Problem, ...]
-    diagram: Diagram
     runs: tuple[RunHarmonics, ...] = ()
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    free: tuple[Free, ...] = ()
 
-    _figure = "rotorsim.report.identification.parameters:parameters_figure"
-
-    def __repr__(self) -> str:
-        return f"Identification({self.statement})"
-
-    def to_table(self) -> list[dict[str, Any]]:
-        """Return one row per parameter (SI): value, std, ends of the 90 % interval, unit, whether identifiable."""
-        return [
-            {
-                "parameter": item.name,
-                "value": item.value,
-                "std": item.std,
-                "low90": item.interval90[0],
-                "high90": item.interval90[1],
-                "unit": item.unit,
-                "identifiable": item.verdict.identifiable,
-            }
-            for item in self.parameters.values()
-        ]
+    _beside = "rotorsim.report.identification.harmonics:harmonic_figures"
 
     @property
-    def values(self) -> dict[str, float]:
-        """The identified values by name, SI."""
-        return {name: item.value for name, item in self.parameters.items()}
+    def run_ids(self) -> list[str]:
+        """The runs that were identified from."""
+        return [item.run.id for item in self.runs]
 
-    @property
-    def open(self) -> tuple[str, ...]:
-        """The parameters that the data do not determine."""
-        return tuple(name for name, item in self.parameters.items() if not item.verdict.identifiable)
+    def misfit_data(self) -> dict[str, Any]:
+        """Return how large the residual is, in the form of identification.json."""
+        return {"excess_variance": self.excess, "goodness": self.goodness}
 
 
 def identify(
@@ -123,11 +69,12 @@ def identify(
 ) -> Identification:
     """Estimate the free parameters of a diagram from the runs of a recording.
 
-    method: "likelihood" (errors in all measured signals, bounds, priors; intervals from the profile of the
-    likelihood), or "regression" (the thesis' least squares, eq. (2.64)-(2.66), (3.47), (4.34), (5.18)). given: ports
-    taken as measured inputs with their noise, so that what makes them need not be right. precision: half width of
-    the 90 % interval, as part of the value, that counts as identified. hold_out: further runs that are only scored.
-    orders, reduction: of the regression.
+    Compared are harmonics where a shaft turns, else samples in time (`is_in_time` tells which). method: "likelihood"
+    (errors in all measured signals, bounds, priors; intervals from the profile of the likelihood; in time: output
+    error), or "regression" (the thesis' least squares, eq. (2.64)-(2.66), (3.47), (4.34), (5.18)). given: ports taken
+    as measured inputs with their noise, so that what makes them need not be right. precision: half width of the 90 %
+    interval, as part of the value, that counts as identified. hold_out: further runs that are only scored. orders,
+    reduction: of the regression.
 
     Raises RotorsimError for recordings with errors, channels or settings that the diagram does not have, runs
     without phase reference, diagrams that are not linear in their states.
@@ -135,6 +82,18 @@ def identify(
     if method not in ESTIMATORS:
         raise RotorsimError(Problem(f"no method '{method}'", hint=f"one of {', '.join(ESTIMATORS)}"))
     warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
+    if harmonics is None and is_in_time(diagram, recording):
+        return identify_in_time(
+            diagram,
+            recording,
+            method=method,
+            given=given,
+            free=free,
+            runs=runs,
+            precision=precision,
+            hold_out=hold_out,
+            warnings=warnings,
+        )
     steps, unseen = stated_steps(diagram, recording)
     diagram, warnings = before_converters(diagram), [*warnings, *unseen]
     if steps and harmonics is None:
@@ -222,7 +181,7 @@ def identify(
     }
     goodness = result.goodness if method == "likelihood" else None
     excess = result.excess if method == "likelihood" else None
-    return Identification(
+    return HarmonicIdentification(
         method=method,
         parameters=parameters,
         correlation=correlation,
@@ -298,16 +257,8 @@ def _statement(
     method: str, parameters: Mapping[str, Identified], adequate: bool, result: Estimate, advice: Sequence[Advice]
 ) -> str:
     """Return what was found in plain words."""
-    sure = [name for name, item in parameters.items() if item.verdict.identifiable]
-    parts = [f"{len(sure)} of {len(parameters)} parameters are identified" + (f": {', '.join(sure)}." if sure else ".")]
-    parts += [
-        f"{name} is not: {item.verdict.reason}." for name, item in parameters.items() if not item.verdict.identifiable
-    ]
-    if advice:
-        best = advice[0]
-        parts.append(f"Next experiment: {best.change}; it would determine {', '.join(best.solves)}.")
-    elif len(sure) < len(parameters) and method == "likelihood":
-        parts.append("No change of gains, speeds, length or excitation that was tried would determine them.")
+    tried = "gains, speeds, length or excitation" if method == "likelihood" else ""
+    parts = sentences(parameters, advice, tried)
     if not adequate and method == "regression":
         parts.append(
             "The model does not explain the data: the residual of the equations is larger than noise can make; the "

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from rotorsim.criteria import CRITERIA
+from rotorsim.diagram.diagram import Free
 from rotorsim.identification.coordinates import ANGLE_UNIT
-from rotorsim.identification.estimate import Estimate
 from rotorsim.identification.profile import Z90
 from rotorsim.units import format_quantity
 
@@ -43,6 +44,29 @@ class Verdict:
     combination: Combination | None = None
 
 
+class Uncertain(Protocol):
+    """Estimated parameters theta (m,) [SI] with what is judged of them."""
+
+    @property
+    def free(self) -> tuple[Free, ...]:
+        """The free parameters as they were before."""
+
+    @property
+    def theta(self) -> np.ndarray:
+        """The estimates (m,)."""
+
+    @property
+    def at_bound(self) -> np.ndarray:
+        """Whether the search ended at a bound, (m,)."""
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """The covariance of theta (m, m)."""
+
+    def conditional(self, j: int) -> float:
+        """Return the standard deviation of parameter j if all others were known."""
+
+
 def relative_width(value: float, half_width: float, unit: str) -> float:
     """Return the half width of an interval as part of the value; of one radian for an angle."""
     scale = 1.0 if unit == ANGLE_UNIT else abs(value)
@@ -50,7 +74,7 @@ def relative_width(value: float, half_width: float, unit: str) -> float:
 
 
 def judge(
-    estimate: Estimate, intervals: np.ndarray, *, precision: float = CRITERIA.precision, widen: float = 1.0
+    estimate: Uncertain, intervals: np.ndarray, *, precision: float = CRITERIA.precision, widen: float = 1.0
 ) -> list[Verdict]:
     """Return the verdict on every parameter.
 
@@ -82,12 +106,12 @@ def judge(
 
 
 def _not_identified(
-    estimate: Estimate, covariance: np.ndarray, correlation: np.ndarray, j: int, width: float, precision: float
+    estimate: Uncertain, covariance: np.ndarray, correlation: np.ndarray, j: int, width: float, precision: float
 ) -> Verdict:
     item = estimate.free[j]
     others = [k for k in np.argsort(-np.abs(correlation[j])) if k != j and abs(correlation[j, k]) > CRITERIA.correlated]
     others = [k for k in others if not estimate.at_bound[k]]
-    alone = _conditional(estimate, j) * covariance[j, j] ** 0.5 / max(estimate.covariance[j, j] ** 0.5, 1e-300)
+    alone = estimate.conditional(j) * covariance[j, j] ** 0.5 / max(estimate.covariance[j, j] ** 0.5, 1e-300)
     alone_width = relative_width(float(estimate.theta[j]), Z90 * alone, item.unit)
     if not others or alone_width > CRITERIA.partners * width:
         text = (
@@ -105,14 +129,7 @@ def _not_identified(
     return Verdict(False, text, names, combination)
 
 
-def _conditional(estimate: Estimate, j: int) -> float:
-    """Return the standard deviation of a parameter if all others were known."""
-    jacobian = np.linalg.inv(estimate.coordinates.jacobian(estimate.theta))
-    information = float(jacobian[:, j] @ estimate.information @ jacobian[:, j])
-    return 1 / np.sqrt(information) if information > 0 else np.inf
-
-
-def _combination(estimate: Estimate, covariance: np.ndarray, j: int, others: list[int]) -> Combination:
+def _combination(estimate: Uncertain, covariance: np.ndarray, j: int, others: list[int]) -> Combination:
     """Return parameter j less its regression on the others: what is left is known best."""
     inner = covariance[np.ix_(others, others)]
     factors = np.linalg.lstsq(inner, covariance[others, j], rcond=1e-12)[0]

@@ -34,10 +34,11 @@ _STEADY = 0.1  # of the usual interval, all intervals of such a run
 def check_signals(recording: Recording) -> list[Problem]:
     """Return what is wrong or suspicious; each text begins with the words of its ``code``.
 
-    Errors: "empty_run", "not_finite", "impossible_size", "lost_samples" (time that does not rise, a stated rate that
-    does not fit), "tacho", "two_runs_alike" (identical data). Warnings: "constant_signal", "clipped_signal",
-    "flat_stretch", "lost_samples" (gaps), "wrong_unit", "missing_channel", "no_phase_reference", "speed_wanders",
-    "run_up" (or coast-down), "sampled_pulses", "two_runs_alike" (no new equations), "swapped_axes".
+    Errors: "empty_run", "not_finite" (a warning where nothing turns), "impossible_size", "lost_samples" (time that
+    does not rise, a stated rate that does not fit), "tacho", "two_runs_alike" (identical data). Warnings:
+    "constant_signal", "clipped_signal", "flat_stretch", "lost_samples" (gaps), "wrong_unit", "missing_channel",
+    "no_phase_reference", "speed_wanders", "run_up" (or coast-down), "sampled_pulses", "two_runs_alike" (no new
+    equations), "swapped_axes".
     """
     problems = list(_missing_channels(recording))
     sound = []
@@ -84,6 +85,12 @@ class _RunCheck:
             found += self.steadiness(turnings[0])
         return [*found, *self.phase_reference()]
 
+    @property
+    def turns(self) -> bool:
+        """Whether a shaft turns in this run, whose harmonics need every sample."""
+        signals = {channel.signal for channel in self.recording.channels.values()}
+        return bool(signals & {ANGLE, TACHO} or self.run.tacho is not None or self.run.speed)
+
     # --- samples ------------------------------------------------------------------------------------
 
     def time(self) -> Iterator[Problem]:
@@ -118,11 +125,17 @@ class _RunCheck:
 
     def column(self, channel: Channel, values: np.ndarray) -> Iterator[Problem]:
         column, time = channel.column, self.run.time
-        bad, largest = np.flatnonzero(~np.isfinite(values)), float(np.abs(values).max())
+        bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
             what = f"not finite: {len(bad)} of {len(values)} samples, first at {time[bad[0]]:.6g} s"
-            yield self.problem("not_finite", what, "cut the run before it, or leave it out", column=column, error=True)
-        elif largest > _HUGE or 0 < largest < _TINY:
+            known, error = values[np.isfinite(values)], bool(np.isinf(values).any() or self.turns)
+            hint = "cut the run before it, or leave it out" if error else "compared in time, it is left out"
+            yield self.problem("not_finite", what, hint, column=column, error=error)
+            if error or not len(known):
+                return
+            values = known
+        largest = float(np.abs(values).max())
+        if largest > _HUGE or 0 < largest < _TINY:
             what = f"impossible size: the largest value is {largest:.3g} in SI"
             yield self.problem("impossible_size", what, "check the unit", column=column, error=True)
         elif values.min() == values.max():
@@ -130,7 +143,7 @@ class _RunCheck:
             yield self.problem("constant_signal", what, column=column)
         else:
             yield from self.size(channel, values)
-            if channel.signal not in (ANGLE, TACHO) and not channel.signal.startswith("reference."):
+            if not (len(bad) or channel.signal in (ANGLE, TACHO) or channel.signal.startswith("reference.")):
                 yield from self.stretches(channel, values)  # others stand still by nature
 
     def stretches(self, channel: Channel, values: np.ndarray) -> Iterator[Problem]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Mapping
@@ -44,6 +45,7 @@ RECORDING_KEYS: dict[str, Mapping[str, type]] = {
         "tacho": list,
         "tacho_resolution": object,
         "set": dict,
+        "not_measured": list,
         "use": str,
         "description": str,
     },
@@ -67,10 +69,11 @@ _RATES = (1e-6, 1e12)  # Hz
 
 @dataclass(frozen=True)
 class DataFile:
-    """Where the samples of a run are: the path of the file, and its time column if there is one."""
+    """Where the samples of a run are: the path of the file, its time column if there is one, channels not in it."""
 
     path: Path
     time: str | None
+    without: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -177,7 +180,7 @@ class _Parser:
             if key in form and not form[key]:
                 self.error(f"names no {key[:-1]}", (key,), key, _EXAMPLES[key])
         channels = self.channels(form.get("channels", {}))
-        runs = self.runs(form.get("runs", []), form.get("time"))
+        runs = self.runs(form.get("runs", []), form.get("time"), list(form.get("channels", {})))
         for column in channels:
             if column == form.get("time") or any(file.time == column for _, file in runs):
                 hint = f'the time column is named by "time": "{column}" alone'
@@ -248,11 +251,11 @@ class _Parser:
 
     # --- runs ---------------------------------------------------------------------------------------
 
-    def runs(self, data: list[Any], time: str | None) -> list[tuple[Run, DataFile]]:
+    def runs(self, data: list[Any], time: str | None, columns: list[str]) -> list[tuple[Run, DataFile]]:
         runs = []
         seen: dict[str, int] = {}
         for k, entry in enumerate(data):
-            run = self.run(entry, ("runs", k), f"run {k + 1}", time)
+            run = self.run(entry, ("runs", k), f"run {k + 1}", time, columns)
             runs += [] if run is None else [run]
             name = entry.get("id") if isinstance(entry, dict) else None
             if isinstance(name, str) and seen.setdefault(name, k) < k:
@@ -260,7 +263,9 @@ class _Parser:
                 self.error(what, ("runs", k, "id"), name, "every run needs an id of its own")
         return runs
 
-    def run(self, entry: Any, path: JsonPath, subject: str, time: str | None) -> tuple[Run, DataFile] | None:
+    def run(
+        self, entry: Any, path: JsonPath, subject: str, time: str | None, columns: list[str]
+    ) -> tuple[Run, DataFile] | None:
         before = len(self.problems)
         name = entry.get("id") if isinstance(entry, dict) else None
         if isinstance(name, str) and _ID.fullmatch(name) and name.strip():
@@ -286,12 +291,24 @@ class _Parser:
         elif "tacho_resolution" in form and "tacho" not in entry:
             self.error("tacho_resolution is that of 'tacho', which is missing", at, subject, key=True)
         settings = self.settings(form.get("set", {}), (*path, "set"), subject)
+        without = self.not_measured(form, (*path, "not_measured"), subject, columns)
         use = self.choice(form, "use", USES, path, subject) or USES[0]
         if len(self.problems) > before or file is None:
             return None
         shown, place, none = str(self.folder / form["file"]), self.source.place(path), np.empty(0)
         run = Run(form["id"], shown, none, {}, speed, tacho, settings, use, place, rate, tacho_resolution=resolution)
-        return run, DataFile(file, time)
+        return run, DataFile(file, time, without)
+
+    def not_measured(self, form: Mapping[str, Any], path: JsonPath, subject: str, columns: list[str]) -> frozenset[str]:
+        """Return the channels that a run lacks, after noting what is wrong."""
+        named = form.get("not_measured", [])
+        for k, column in enumerate(named):
+            if column not in columns:
+                what = f"not_measured: {json.dumps(column)[:80]} is no channel"
+                self.error(what, (*path, k), subject, near_miss(str(column), columns))
+        if columns and set(columns) <= {str(column) for column in named}:
+            self.error("not_measured: nothing is left of this run", path, subject, "leave the run out")
+        return frozenset(str(column) for column in named)
 
     def file(self, file: str, path: JsonPath, subject: str) -> Path | None:
         """Return the path of a data file inside the folder of the recording."""

@@ -38,8 +38,9 @@ def load_recording(path: str | Path, *, read: bool = True) -> Recording:
 
 
 def _with_samples(run: Run, file: DataFile, recording: Recording, warnings: list[Problem]) -> Run:
-    data = read_columns(file.path, list(recording.channels), file.time, shown=run.file, warnings=warnings)
-    values = {c: _scaled(data[c], conversion(channel.unit, None)) for c, channel in recording.channels.items()}
+    channels = {column: channel for column, channel in recording.channels.items() if column not in file.without}
+    data = read_columns(file.path, list(channels), file.time, shown=run.file, warnings=warnings)
+    values = {c: _scaled(data[c], conversion(channel.unit, None)) for c, channel in channels.items()}
     count, rate = len(next(iter(values.values()))), run.sample_rate
     time = data[file.time] if file.time is not None else np.arange(count) / (rate or np.nan)
     return replace(run, time=time, values=values)

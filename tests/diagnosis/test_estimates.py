@@ -10,10 +10,10 @@ from rotorsim.diagnosis.conclude.result import Effect, estimates, interval
 from rotorsim.diagnosis.conclude.wording import _sentence
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.waveform import evidence as waveform
-from rotorsim.diagnosis.evidence.waveform.open import _allowed
 from rotorsim.diagnosis.files import _parameters
 from rotorsim.diagnosis.search.trials import Candidate
 from rotorsim.diagram.diagram import Free
+from rotorsim.identification.waveform.noise_model import allowed_misfits
 from rotorsim.report.diagnosis.words import estimate, own_parameters
 
 
@@ -121,5 +121,5 @@ def test_noise_is_measured_again_where_a_fit_leaves_half_or_twice_of_it(monkeypa
 def test_a_model_in_time_may_leave_a_hundredth_of_what_the_diagram_left():
     """Of its square beyond the flexible model's, or a quarter more than that one's rms; of noise, where that fails."""
     flexible, given = np.array([1.0, 1.0, 4.0]), np.array([57.0, 58.0, 4.0])
-    np.testing.assert_allclose(_allowed(flexible, given, 1.0), [1.5625, 1.57, 6.25])
-    np.testing.assert_allclose(_allowed(flexible, given, 0.1), [0.15625, 0.15625, 0.625])
+    np.testing.assert_allclose(allowed_misfits(flexible, given, 1.0), [1.5625, 1.57, 6.25])
+    np.testing.assert_allclose(allowed_misfits(flexible, given, 0.1), [0.15625, 0.15625, 0.625])

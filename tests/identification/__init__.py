@@ -13,7 +13,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.errors import Place
-from rotorsim.identification.identification import Identification
+from rotorsim.identification.result import Identification
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Channel, Recording, Run
 from tests.reference import recordings as reference

@@ -13,8 +13,9 @@ import pytest
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.estimate import Search, estimate
-from rotorsim.identification.identification import Identification, identify
+from rotorsim.identification.identification import identify
 from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.result import Identification
 from rotorsim.recordings.loading import load_recording
 from rotorsim.recordings.recording import Recording
 from tests.identification import changed, errors, made, recorded, shipped

@@ -145,7 +145,7 @@ def test_a_held_value_and_a_straight_line():
 
 def test_the_rate_of_a_measured_signal():
     t = np.arange(200) * DT
-    run = SampledRun("run", {"a": np.sin(3 * t)}, {}, DT, 0.0, {})
+    run = SampledRun("run", {"a": np.sin(3 * t)}, {}, t, {})
     found = run.inputs((RATE_PREFIX + "a",), 1)[:-1, :, 0]
     at = (np.arange(199)[:, None] + np.arange(3) / 2) * DT
     assert np.abs(found - 3 * np.cos(3 * at)).max() < 1e-4
@@ -176,4 +176,4 @@ def test_sampled_blocks_are_refused():
     diagram = load(document)
     with pytest.raises(RotorsimError) as caught:
         driven_equations(diagram, ["oscillator.displacement"], ["drive.output"], diagram.free)
-    assert "hold: a diagnosis in time needs continuous blocks; this one has a sample time" in str(caught.value)
+    assert "hold: a comparison in time needs continuous blocks; this one has a sample time" in str(caught.value)

@@ -67,7 +67,7 @@ def recorded(seed: int, missing: np.ndarray, at: int, noise: np.ndarray = NOISE)
         x[k + 1] = F @ x[k] + G @ inputs[k]
     y = x + random.normal(size=x.shape) * noise
     values = {"reference.output": reference, **dict(zip(OUTPUTS, y.T, strict=True))}
-    return SampledRun("a", values, {"reference.output": "hold"}, 1 / RATE, 0.0, {})
+    return SampledRun("a", values, {"reference.output": "hold"}, np.arange(SAMPLES) / RATE, {})
 
 
 def analysed(run: SampledRun, document: dict = SERVO, steps: int = 60):

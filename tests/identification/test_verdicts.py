@@ -11,8 +11,9 @@ from scipy.stats import binom, norm
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.identification.estimate import Search, estimate
 from rotorsim.identification.files import identification_data
-from rotorsim.identification.identification import Identification, Identified, identify
+from rotorsim.identification.identification import identify
 from rotorsim.identification.profile import joint_factor, profile_intervals
+from rotorsim.identification.result import Identification, Identified
 from rotorsim.identification.verdict import Combination, relative_width
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonics import harmonics_of

@@ -95,6 +95,26 @@ def test_a_recording_says_what_was_measured(tmp_path):
     assert found.select("identify") == ()
 
 
+def test_a_channel_that_a_run_lacks_is_named(tmp_path):
+    short = {column: values for column, values in samples().items() if column != "iy"}
+    folder = write(
+        tmp_path,
+        document(run(), run(id="b", file="b.npz", not_measured=["iy"])),
+        {"run1.npz": samples(), "b.npz": short},
+    )
+    found = load_recording(folder)
+    assert [sorted(one.values) for one in found.runs] == [["ix", "iy", "x", "y"], ["ix", "x", "y"]]
+
+
+def test_channels_that_a_run_cannot_lack(tmp_path):
+    data = document(run(not_measured=["iz", 3]), run(id="b", not_measured=["x", "y", "ix", "iy"]))
+    assert problems(tmp_path, data) == [
+        'run1: not_measured: "iz" is no channel | known: ix, iy, x, y',
+        "run1: not_measured: 3 is no channel | known: ix, iy, x, y",
+        "b: not_measured: nothing is left of this run | leave the run out",
+    ]
+
+
 def test_nothing_in_a_recording_can_be_changed(tmp_path):
     found = load(tmp_path, document())
     with pytest.raises(AttributeError):

@@ -17,7 +17,8 @@ from rotorsim.report.comparison.speed_curves import speed_curve
 from rotorsim.report.figures.orbits import orbits_figure
 from rotorsim.report.figures.spectra import spectra_figure
 from rotorsim.report.figures.speed_curves import speed_curves_figure
-from rotorsim.report.identification.figures import compare, save_figures
+from rotorsim.report.identification.figures import save_figures
+from rotorsim.report.identification.harmonics import compare
 from rotorsim.report.identification.parameters import correlation_figure, parameters_figure
 from rotorsim.report.style import BLUE, GREY, INK, RED
 from rotorsim.settled.periodic import periodic

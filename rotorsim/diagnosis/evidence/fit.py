@@ -15,7 +15,6 @@ from rotorsim.errors import RotorsimError
 from rotorsim.identification.profile import Z90
 
 DEFERRED = "is nonlinear, and not fitted yet"
-RANK_TOLERANCE = 1e-12  # of the largest eigenvalue of a scaled information matrix
 
 # Groups of starts {free parameter: SI value}: of each group the most promising ones are followed.
 Starts = Sequence[Sequence[Mapping[str, float]]]
@@ -140,20 +139,3 @@ def fit_from_plain(document: Mapping[str, Any], plain: Mapping[str, Any]) -> Fit
     values: dict[str, Any] = {name: np.array(v) if isinstance(v, list) else v for name, v in plain.items()}
     values["free"] = tuple(Free(**item) for item in plain["free"])
     return Fit(document, **values)
-
-
-def left_out(residual: np.ndarray, jacobian: np.ndarray, sizes: Sequence[int]) -> np.ndarray:
-    """Return the misfit of each run when it is predicted from the others, (R,), by linear theory.
-
-    e_r = (I - J_r (J^T J)^-1 J_r^T)^-1 r_r,  with  (I - J C J^T)^-1 = I + J (C^-1 - J^T J)^-1 J^T  (Woodbury)
-    """
-    norm = np.linalg.norm(jacobian, axis=0)
-    J = jacobian / np.where(norm > 0, norm, 1.0)
-    information = J.T @ J
-    ends = np.cumsum(sizes)[:-1]
-    out = []
-    for rows, r in zip(np.split(J, ends), np.split(residual, ends), strict=True):
-        others = np.linalg.pinv(information - rows.T @ rows, rcond=RANK_TOLERANCE, hermitian=True)
-        predicted = r + rows @ (others @ (rows.T @ r))
-        out.append(float(predicted @ predicted))
-    return np.array(out)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,13 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import resample
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.identification.waveform.equations import driven_parameters, measured_expression
+from rotorsim.identification.waveform.gaps import EVEN_SAMPLES
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.units import compatible
 
-EVEN = 1e-4  # of a sample period: jitter of the time column that counts as none
 RATE_PREFIX = "rate of "
 SENSOR_DISTANCE = 1e-3  # m, between a sensor and the node that stands for it
 
@@ -28,39 +28,71 @@ SENSOR_DISTANCE = 1e-3  # m, between a sensor and the node that stands for it
 class Channels:
     """Recorded signals by flat name: inputs drive the diagram, outputs are what it predicts.
 
-    columns: name -> column of the data. kinds: of each input, how it goes on between samples.
+    columns: name -> column of the data. kinds: of each input, how it goes on between samples. gappy: outputs of which
+    samples are missing in some run.
     """
 
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     columns: Mapping[str, str]
     kinds: Mapping[str, str]
+    gappy: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
 class SampledRun:
-    """Samples of one run: values {flat name: (N,)}, SI; dt: sample period [s]; start: time of the first [s]."""
+    """Samples of one run: values {flat name: (N,)}, SI, at instants time (N,) [s]; NaN where an output is missing.
+
+    notes: what of the recording is not used, or was filled in.
+    """
 
     id: str
     values: Mapping[str, np.ndarray]
     kinds: Mapping[str, str]
-    dt: float
-    start: float
+    time: np.ndarray
     settings: Mapping[str, Any]
+    notes: tuple[Problem, ...] = ()
     _inputs: dict[tuple[tuple[str, ...], int], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without what can be computed again."""
-        return SampledRun, (self.id, self.values, self.kinds, self.dt, self.start, self.settings)
+        return SampledRun, (self.id, self.values, self.kinds, self.time, self.settings, self.notes)
 
     def first(self, count: int) -> SampledRun:
         """Return the run up to a number of samples."""
-        return replace(self, values={name: array[:count] for name, array in self.values.items()})
+        return self.part(slice(count))
+
+    def part(self, part: slice) -> SampledRun:
+        """Return a part of the run."""
+        values = {name: array[part] for name, array in self.values.items()}
+        return replace(self, values=values, time=self.time[part])
 
     @property
     def size(self) -> int:
         """The number of samples N."""
-        return len(next(iter(self.values.values())))
+        return len(self.time)
+
+    @property
+    def start(self) -> float:
+        """The time of the first sample [s]."""
+        return float(self.time[0])
+
+    @property
+    def dt(self) -> float:
+        """The sample period [s], the mean one where samples are not even."""
+        return float(self.time[-1] - self.time[0]) / max(self.size - 1, 1)
+
+    @cached_property
+    def steps(self) -> np.ndarray | None:
+        """The steps between samples (N - 1,) [s], None where they are even."""
+        uneven = np.abs(self.time - self.start - self.dt * np.arange(self.size)).max()
+        return np.diff(self.time) if uneven > EVEN_SAMPLES * self.dt else None
+
+    @cached_property
+    def counted(self) -> np.ndarray:
+        """Whether any output was measured at a sample, (N,)."""
+        outputs = [array for name, array in self.values.items() if name not in self.kinds]
+        return np.asarray(np.isfinite(outputs).any(axis=0)) if outputs else np.zeros(self.size, bool)
 
     def measured(self, names: Sequence[str]) -> np.ndarray:
         """Return samples of signals, (N, c)."""
@@ -70,7 +102,7 @@ class SampledRun:
         """Return signals at ends and middles of the ``sub`` steps after each sample, (N, 2 sub + 1, n_v).
 
         A name that begins with "rate of " stands for the time derivative of the rest; measured outputs and rates go
-        between samples on a cubic spline.
+        between samples on a cubic spline, and so does what is band-limited where samples are not even.
         """
         if (names, sub) not in self._inputs:
             values = [self._input(name, 2 * sub) for name in names]
@@ -78,12 +110,19 @@ class SampledRun:
         return self._inputs[names, sub]
 
     def _input(self, name: str, parts: int) -> np.ndarray:
-        if name in self.kinds:
-            return between_samples(self.values[name], self.kinds[name], parts)
-        spline = CubicSpline(np.arange(self.size) * self.dt, self.values[name.removeprefix(RATE_PREFIX)])
-        at = (np.arange(self.size)[:, None] + np.linspace(0.0, 1.0, parts + 1)) * self.dt
-        at[-1] = at[-1, 0]
+        kind = self.kinds.get(name, "")
+        if kind in ("hold", "linear") or (kind and self.steps is None):
+            return between_samples(self.values[name], kind, parts)
+        spline = CubicSpline(self.time - self.start, self.values[name.removeprefix(RATE_PREFIX)])
+        steps = np.append(np.diff(self.time), 0.0)
+        at = (self.time - self.start)[:, None] + steps[:, None] * np.linspace(0.0, 1.0, parts + 1)
         return np.asarray(spline(at, int(name.startswith(RATE_PREFIX))))
+
+
+def mean_of(y: np.ndarray) -> np.ndarray:
+    """Return the means (c,) of outputs (N, c), zero of those that are missing."""
+    there = np.isfinite(y)
+    return np.asarray(np.nansum(y, axis=0) / np.maximum(there.sum(axis=0), 1))
 
 
 def chosen_runs(recording: Recording) -> tuple[Run, ...]:
@@ -112,9 +151,13 @@ def between_samples(values: np.ndarray, kind: str, parts: int) -> np.ndarray:
 
 
 def is_in_time(diagram: Diagram, recording: Recording) -> bool:
-    """Return whether a recording is compared sample by sample: nothing in it or in the diagram turns."""
-    turning = {channel.signal for channel in recording.channels.values()} & {ANGLE, TACHO}
-    return not (turning or "speed" in diagram.parameters or any(run.tacho is not None for run in recording.runs))
+    """Return whether a recording is compared sample by sample: no shaft turns in it or in the diagram.
+
+    One does where the recording has its angle or its pulses, or where a wire begins at a clock.
+    """
+    measured = {channel.signal for channel in recording.channels.values()} & {ANGLE, TACHO}
+    clocked = any(diagram.nodes[wire.source.block].block.category == "clock" for wire in diagram.wires)
+    return not (measured or clocked or any(run.tacho is not None for run in recording.runs))
 
 
 def channels_of(diagram: Diagram, recording: Recording) -> Channels:
@@ -181,30 +224,3 @@ def _node_name(model: Model, channel: Channel) -> str:
         hint = f"{nearest}; divide the shaft so that a node is where it was measured"
         raise RotorsimError(Problem(f"no node at {channel.position:g} m", hint=hint))
     return channel.name.replace(f"{channel.position:g} m", str(k + 1))
-
-
-def read_run(diagram: Diagram, run: Run, channels: Channels) -> SampledRun:
-    """Return the samples of a run. Raises RotorsimError for uneven samples and settings that are not numbers."""
-    problems: list[Problem] = []
-    dt = float(run.time[-1] - run.time[0]) / (len(run.time) - 1)
-    uneven = np.abs(run.time - run.time[0] - dt * np.arange(len(run.time))).max()
-    if uneven > EVEN * dt:
-        what = f"its samples are not evenly spaced (by up to {uneven / dt:.2g} periods)"
-        problems.append(Problem(what, run.id, run.place, "resample the run at equal steps"))
-    blocks = ((name, node.block.parameters) for name, node in diagram.nodes.items())
-    units = {
-        **{f"{name}.{key}": declared.unit for name, parameters in blocks for key, declared in parameters.items()},
-        **diagram.parameter_units,
-    }
-    settings: dict[str, Any] = {}
-    for name, value in run.settings.items():
-        try:
-            settings[name] = numeric(value, units.get(name))
-        except ValueProblem as problem:
-            problems.append(Problem(problem.what, f"run {run.id}: set {name}", run.place, problem.hint))
-    missing = [column for column in channels.columns.values() if column not in run.values]
-    problems += [Problem(f"has no column '{column}'", f"run {run.id}", run.place) for column in missing]
-    if problems:
-        raise RotorsimError(*problems)
-    values = {name: run.values[column] for name, column in channels.columns.items()}
-    return SampledRun(run.id, values, channels.kinds, dt, float(run.time[0]), settings)

@@ -157,7 +157,7 @@ def driven_equations(
     """
     cut = cut or {}
     model = compile_diagram(diagram, inject=[*([force.port] if force else []), *added], replace=list(cut))
-    linear.refuse_sampled(model, "a diagnosis in time")
+    linear.refuse_sampled(model, "a comparison in time")
     trace = model.trace
     v = ca.SX.sym("v", len(inputs) + len(added))
     coefficients = ca.SX.sym("c", force.count if force else 0)

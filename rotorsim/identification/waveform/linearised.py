@@ -67,7 +67,7 @@ class LinearisedRun:
     F (N, n, n), G (N, n, P), H (N, c, n), D (N, c, P): P signals, each added at a `Place`; W (N, P, n), E (N, P, P):
     what the places carry, before anything is added. residual (N, c): measured less simulated; wires (N, P): simulated
     values at the places. by_output (N, c, m), by_wire (N, P, m): derivatives by the m free parameters.
-    A linear diagram has one matrix for all samples: N is 1 there.
+    A linear diagram has one matrix for all even samples: N is 1 there. A sample that is missing has no H, D, residual.
     """
 
     F: np.ndarray
@@ -151,21 +151,27 @@ def linearised(
     for r, run in enumerate(search.runs):
         y, by = whole.simulated(unknowns, 0, r, evaluation.sub)
         p = whole.systems[0].equations.parameters(search.p[r], unknowns[:m])
-        times = run.start + run.dt * np.arange(run.size)
-        A, B, C, D = matrices.at(times, y[:, len(outputs) :], run.inputs(given.inputs, 1)[:, 0], p)
-        F, G = _sampled(A, B, run.dt)
+        A, B, C, D = matrices.at(run.time, y[:, len(outputs) :], run.inputs(given.inputs, 1)[:, 0], p)
+        residual = evaluation.residuals[0][r]
+        lost = ~np.isfinite(residual)
+        if run.steps is not None or lost.any():
+            A, B, C, D = (np.broadcast_to(M, (run.size, *M.shape[1:])).copy() for M in (A, B, C, D))
+        F, G = _sampled(A, B, np.full(1, run.dt) if run.steps is None else np.append(run.steps, run.dt))
         G, D = (np.concatenate([M, np.zeros_like(M[:, :, :1])], axis=2)[:, :, column] for M in (G, D))
+        H, through, by_output = C[:, :c].copy(), D[:, :c] + reading, by[:, :c, :m].copy()
+        if lost.any():
+            H[lost], through[lost], by_output[lost] = 0.0, 0.0, 0.0
         runs.append(
             LinearisedRun(
                 F=F,
                 G=G,
-                H=C[:, :c],
-                D=D[:, :c] + reading,
+                H=H,
+                D=through,
                 W=C[:, row],
                 E=D[:, row],
-                residual=evaluation.residuals[0][r],
+                residual=np.where(lost, 0.0, residual),
                 wires=y[:, row],
-                by_output=by[:, :c, :m],
+                by_output=by_output,
                 by_wire=by[:, row, :m],
                 dt=run.dt,
             )
@@ -222,10 +228,10 @@ class _Matrices:
         return at if any(changes) else [one[:1] for one in at]
 
 
-def _sampled(A: np.ndarray, B: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+def _sampled(A: np.ndarray, B: np.ndarray, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return F = exp(A dt) and G = int exp(A s) ds B for inputs that are held over a step (Van Loan)."""
     N, n, P = B.shape
     block = np.zeros((N, n + P, n + P))
-    block[:, :n, :n], block[:, :n, n:] = A * dt, B * dt
+    block[:, :n, :n], block[:, :n, n:] = A * dt[:, None, None], B * dt[:, None, None]
     whole = expm(block)
     return whole[:, :n, :n], whole[:, :n, n:]

@@ -40,8 +40,9 @@ class Evaluation:
 
     unknowns (q,): the m free parameters, then the states at the first samples, of every subsystem and run. sub: steps
     between samples. cost: weighted sum of squares with priors. residuals: of each subsystem and run (N, c), measured
-    less simulated, not weighted. gradient, information: J^T r and J^T J of all unknowns. jacobians: of each subsystem
-    and run (N, c, m + n) by parameters and its start, not weighted; (N, c, 0) without sensitivities.
+    less simulated, not weighted, NaN where nothing was measured. gradient, information: J^T r and J^T J of all
+    unknowns. jacobians: of each subsystem and run (N, c, m + n) by parameters and its start, not weighted; (N, c, 0)
+    without sensitivities.
     """
 
     unknowns: np.ndarray
@@ -113,7 +114,7 @@ class OutputErrorSearch:
         """Return the square roots of the weights of a subsystem's outputs in a run, (N, c)."""
         system = self.systems[k]
         weights = [self.weights[signal] for signal in system.signals]
-        root: np.ndarray = np.tile(np.sqrt(weights), (self.runs[r].size, 1))
+        root: np.ndarray = np.where(np.isfinite(self.measured[k][r]), np.sqrt(weights), 0.0)
         if self.unused:
             root[self.unused[r]] = 0.0
         return root
@@ -131,7 +132,8 @@ class OutputErrorSearch:
             eq = system.equations
             start = eq.model.x0(self.p[r])[eq.kept]
             for k, (output, factor) in eq.measured_states.items():
-                start[k] = run.values[output][0] / factor if output in run.values else start[k]
+                there = np.flatnonzero(np.isfinite(run.values.get(output, ())))
+                start[k] = run.values[output][there[0]] / factor if len(there) else start[k]
             starts += start.tolist()
         theta = [item.value for item in self.free] + [0.0] * (self.m - len(self.free))
         known = known or {}
@@ -154,10 +156,11 @@ class OutputErrorSearch:
         for (k, system), (r, run) in product(enumerate(self.systems), enumerate(self.runs)):
             eq, own = system.equations, unknowns[self.columns(k, r)]
             p, v = eq.parameters(self.p[r], own[: eq.m]), run.inputs(eq.inputs, 1)[0, 0]
+            longest = run.dt if run.steps is None else float(run.steps.max())
             for x in (np.zeros(eq.n), own[eq.m :]):
                 A = eq.matrices[0](run.start, x, v, p)[0]
                 if A.size and np.isfinite(A).all():
-                    fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()) * run.dt)
+                    fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()) * longest)
         sub = self.least
         while sub < fastest / STABLE_STEP and sub < SIMULATION_SUBSTEPS:
             sub *= 2
@@ -170,7 +173,8 @@ class OutputErrorSearch:
         system, run, own = self.systems[k], self.runs[r], unknowns[self.columns(k, r)]
         eq = system.equations
         p, v = eq.parameters(self.p[r], own[: eq.m]), run.inputs(eq.inputs, sub)
-        return system.simulate(p, own[eq.m :], v, run.dt, t0=run.start, sensitivities=sensitivities)
+        steps = run.dt if run.steps is None else run.steps
+        return system.simulate(p, own[eq.m :], v, steps, t0=run.start, sensitivities=sensitivities)
 
     @np.errstate(over="ignore", invalid="ignore")
     def evaluate(self, unknowns: np.ndarray, sub: int, sensitivities: bool = True) -> Evaluation:
@@ -183,10 +187,11 @@ class OutputErrorSearch:
             y, dy = self.simulated(unknowns, k, r, sub, sensitivities)
             residuals[k].append(self.measured[k][r] - y)
             jacobians[k].append(-dy)
-            if not (np.isfinite(residuals[k][r]).all() and np.isfinite(dy).all()):
+            if not (np.isfinite(y).all() and np.isfinite(dy).all()):
                 return Evaluation(unknowns, sub)
             root = self.root(k, r)
-            e, J = (root * residuals[k][r]).ravel(), (root[:, :, None] * jacobians[k][r]).reshape(root.size, -1)
+            e = (root * np.nan_to_num(residuals[k][r])).ravel()
+            J = (root[:, :, None] * jacobians[k][r]).reshape(root.size, -1)
             own = self.columns(k, r)[: J.shape[1]]
             cost += float(e @ e)
             gradient[own] += J.T @ e

@@ -55,14 +55,14 @@ static inline void rs_rates(int exact, double t, const double *w, const double *
   }
 }
 
-static inline int64_t rs_simulate(int exact, int size, int64_t N, int64_t sub, double t0, double dt, const double *v,
-                                  const double *p, double *restrict w, double *y, double *dy, double *memory) {
+static inline int64_t rs_simulate(int exact, int size, int64_t N, int64_t sub, const double *times,
+                                  const double *steps, const double *v, const double *p, double *restrict w, double *y,
+                                  double *dy, double *memory) {
   double *c = memory, *work = c + RS_NC, *jac = work + RS_WORK;
   double *restrict ws = jac + RS_JAC, *restrict k = ws + size;
-  const double h = dt / (double)sub;
   rs_constants(p, c, work);
   for (int64_t i = 0; i < N; ++i) {
-    const double t = t0 + dt * (double)i;
+    const double t = times[i], h = steps[i] / (double)sub;
     const double *vi = v + (2 * sub + 1) * i * RS_NV;
     double large = 0.0;
     for (int j = 0; j < RS_N; ++j) large += fabs(w[j]);
@@ -87,13 +87,14 @@ static inline int64_t rs_simulate(int exact, int size, int64_t N, int64_t sub, d
   return N;
 }
 
-/* N samples, sub steps after each; v (N, 2 sub + 1, n_v): inputs at the ends and middles of the steps.
+/* N samples at times (N), steps (N) from one to the next in sub parts; v (N, 2 sub + 1, n_v): inputs at the ends and
+ * middles of the parts.
  * w: x (n), then S (n, K), at the first sample; y (N, c), dy (N, c, K). memory: beside what is fixed, as often w as a
  * step has stages, and once more. Returns the number of samples computed before it diverged. */
-RS_EXPORT int64_t rs_run(int exact, int64_t N, int64_t sub, double t0, double dt, const double *v, const double *p,
-                         double *w, double *y, double *dy, double *memory) {
-  return exact ? rs_simulate(1, RS_N * (1 + RS_K), N, sub, t0, dt, v, p, w, y, dy, memory)
-               : rs_simulate(0, RS_N, N, sub, t0, dt, v, p, w, y, dy, memory);
+RS_EXPORT int64_t rs_run(int exact, int64_t N, int64_t sub, const double *times, const double *steps, const double *v,
+                         const double *p, double *w, double *y, double *dy, double *memory) {
+  return exact ? rs_simulate(1, RS_N * (1 + RS_K), N, sub, times, steps, v, p, w, y, dy, memory)
+               : rs_simulate(0, RS_N, N, sub, times, steps, v, p, w, y, dy, memory);
 }
 """
 
@@ -126,40 +127,51 @@ class Simulation:
         except CompilerError as failure:
             failure.warn("the fit runs on CasADi's virtual machine: the same numbers, several times slower")
             return None
-        i64, f64, ptr = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
-        run.argtypes, run.restype = [ctypes.c_int, i64, i64, f64, f64, *[ptr] * 6], i64
+        i64, ptr = ctypes.c_int64, ctypes.c_void_p
+        run.argtypes, run.restype = [ctypes.c_int, i64, i64, *[ptr] * 8], i64
         return run, size
 
     def simulate(
-        self, p: np.ndarray, x0: np.ndarray, v: np.ndarray, dt: float, *, t0: float = 0.0, sensitivities: bool = True
+        self,
+        p: np.ndarray,
+        x0: np.ndarray,
+        v: np.ndarray,
+        dt: float | np.ndarray,
+        *,
+        t0: float = 0.0,
+        sensitivities: bool = True,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return y (N, c) and its derivatives (N, c, m + n) by free parameters and start; NaN once it has diverged.
 
         p (n_p,), x0 (n,), v (N, 2 sub + 1, n_v): inputs at ends and middles of the ``sub`` steps that follow a sample.
-        dt: between samples [s]. Without sensitivities the derivatives are (N, c, 0).
+        dt: between samples [s], one for all or (N - 1,). t0: time of the first [s].
+        Without sensitivities the derivatives are (N, c, 0).
         """
         eq, N = self.equations, len(v)
         K = eq.m + eq.n if sensitivities else 0
         state = np.concatenate([x0, np.eye(eq.n, K, eq.m).ravel()])
         v, p = np.ascontiguousarray(v, float), np.ascontiguousarray(p, float)
+        steps, times = np.zeros(N), np.full(N, t0)
+        steps[:-1] = dt
+        times[1:] = t0 + (np.cumsum(steps[:-1]) if np.ndim(dt) else dt * np.arange(1, N))
         if self._library is None:
-            return self._interpreted(p, state, v, t0 + dt * np.arange(N), dt)
+            return self._interpreted(p, state, v, times, steps)
         run, size = self._library
         y, dy = np.empty((N, len(eq.outputs))), np.empty((N, len(eq.outputs), K))
         memory = np.zeros(size + (1 + len(RK4.b)) * len(state))
-        arrays = [array.ctypes.data for array in (v, p, state, y, dy, memory)]
-        done = run(int(sensitivities), N, v.shape[1] // 2, t0, dt, *arrays)
+        arrays = [array.ctypes.data for array in (times, steps, v, p, state, y, dy, memory)]
+        done = run(int(sensitivities), N, v.shape[1] // 2, *arrays)
         y[done:], dy[done:] = np.nan, np.nan
         return y, dy
 
     def _interpreted(
-        self, p: np.ndarray, state: np.ndarray, v: np.ndarray, times: np.ndarray, dt: float
+        self, p: np.ndarray, state: np.ndarray, v: np.ndarray, times: np.ndarray, dt: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         eq, N, c = self.equations, len(v), len(self.equations.outputs)
         K = len(state) // eq.n - 1 if eq.n else 0
         steps, read = _interpreter(eq, N, v.shape[1] // 2, K)
         inputs = v.reshape(N, -1).T
-        states = np.column_stack([state, np.array(steps(state, times[None], inputs, p, dt))])[:, :N]
+        states = np.column_stack([state, np.array(steps(state, times[None], inputs, p, dt[None]))])[:, :N]
         rows = np.array(read(states, times[None], inputs[: len(eq.inputs)], p)).T
         good = np.isfinite(states).all(axis=0) & (np.abs(states[: eq.n]).sum(axis=0) < LARGE)
         rows[np.cumsum(~good) > 0] = np.nan

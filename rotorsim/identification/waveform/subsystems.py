@@ -51,7 +51,7 @@ def subsystems_of(diagram: Diagram, channels: Channels, *, force: ForceMap | Non
 
 def _controller(diagram: Diagram, channels: Channels, outputs: Sequence[str]) -> DrivenEquations | None:
     """Return the equations of a controller; None where what was measured does not cut it from the rest."""
-    others = [output for output in channels.outputs if output not in outputs]
+    others = [output for output in channels.outputs if output not in outputs and output not in channels.gappy]
     passed = {*driven_parameters(diagram), *(output.partition("[")[0] for output in outputs)}
     cut = _measured_ports(compile_diagram(diagram), others, passed)
     if not cut:

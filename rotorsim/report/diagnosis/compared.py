@@ -186,7 +186,7 @@ class OfSamples:
                 run.id,
                 name,
                 evidence.units[name],
-                run.start + run.dt * np.arange(run.size),
+                run.time,
                 run.values[name],
                 tuple(None if one is None else one[r][:, c] for one in simulated),
             )

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from rotorsim.identification.identification import Identification, Identified
+from rotorsim.identification.result import Identification, Identified
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.style import BLUE, GREY, INK, RED, figure, styled
 from rotorsim.report.text.table import parameter_unit
@@ -27,6 +27,8 @@ def heading(identification: Identification, recording: Recording | None) -> str:
     title = identification.diagram.name + (f" identified from {recording.name}" if recording is not None else "")
     if identification.adequate:
         return title
+    if identification.excess is None:
+        return f"{title}\nnot explained by the model"
     excess = f"{float(f'{identification.excess:.3g}'):,.6g}"
     return f"{title}\nnot explained by the model: residual variance {excess} times the noise"
 

@@ -14,7 +14,7 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.conclude.verdict import effect_of
-from rotorsim.diagnosis.evidence.fit import Fit, fit_from_plain, fit_to_plain, left_out
+from rotorsim.diagnosis.evidence.fit import Fit, fit_from_plain, fit_to_plain
 from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
 from rotorsim.diagnosis.evidence.harmonic.fitting import _alone
 from rotorsim.diagnosis.search.selection import least_gain
@@ -23,6 +23,7 @@ from rotorsim.diagram.diagram import Free
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.identification.coordinates import Coordinates
 from rotorsim.identification.estimate import Estimate
+from rotorsim.identification.left_out import left_out
 from rotorsim.jobs.jobs import Jobs
 from rotorsim.model.load import load
 

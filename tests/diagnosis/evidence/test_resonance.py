@@ -179,7 +179,7 @@ def test_the_end_of_a_sweep_is_no_resonance():
     made = recording(1.0)
     names = [f"rotor.acceleration[{k},1]" for k in SENSORS]
     values = {n: made.runs[0].values[f"a{k}"] for k, n in enumerate(names)}
-    run = SampledRun("sweep", {**values, "drive.output": made.runs[0].values["i"]}, {}, 1 / RATE, 0.0, {})
+    run = SampledRun("sweep", {**values, "drive.output": made.runs[0].values["i"]}, {}, made.runs[0].time, {})
     ends = [item.frequency for item in resonances([run], names) if 380 < item.frequency < 402]
     assert ends  # a peak of the spectrum
     assert not [f for f in ends if f in [item.frequency for item in resonances([run], names, ["drive.output"])]]
@@ -189,7 +189,7 @@ def test_resonances_are_those_of_the_matrices():
     made = recording(1.0)
     names = [f"rotor.acceleration[{k},1]" for k in SENSORS]
     values = {n: made.runs[0].values[f"a{k}"] for k, n in enumerate(names)}
-    run = SampledRun("sweep", {**values, "drive.output": made.runs[0].values["i"]}, {}, 1 / RATE, 0.0, {})
+    run = SampledRun("sweep", {**values, "drive.output": made.runs[0].values["i"]}, {}, made.runs[0].time, {})
     found = [item for item in resonances([run], names, ["drive.output"]) if item.strong]
     M, _, K = matrices(1.0)
     values, vectors = eigh(K, M)

@@ -15,7 +15,8 @@ from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
 from rotorsim.diagnosis.files import diagnosis_data, diagnosis_schema, save_diagnosis
 from rotorsim.errors import RotorsimError
-from rotorsim.identification.waveform.data import channels_of, read_run
+from rotorsim.identification.waveform.data import channels_of
+from rotorsim.identification.waveform.reading import read_runs
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.model.load import load
@@ -187,7 +188,7 @@ def test_the_gains_of_a_controller_follow_from_its_own_law_whatever_moves():
     made = carriage_recording(1.0, noise=0.0)
     diagram = load(POSITIONER)
     channels = channels_of(diagram, made)
-    runs = [read_run(diagram, made.runs[0], channels)]
+    runs = read_runs(diagram, made.runs[:1], channels)
     system = subsystems_of(diagram, channels)[1]
     search = OutputErrorSearch((system,), runs, {("controller", "controller.voltage"): 1.0}, least=4)
     unknowns = search.minimise(search.first()).unknowns[: search.m]
@@ -224,19 +225,6 @@ def test_a_channel_that_the_diagram_does_not_have_is_refused():
     assert refusal(OSCILLATOR, made) == (
         "error: channel y: no such signal\n\nhint: did you mean 'oscillator.displacement'?"
     )
-
-
-def test_uneven_samples_are_refused():
-    made = oscillator_recording(machines.CUBIC)
-    time = made.runs[0].time.copy()
-    time[5:] += 0.004
-    run = type(made.runs[0])(*made.runs[0].__reduce__()[1])
-    object.__setattr__(run, "time", time)
-    object.__setattr__(run, "sample_rate", None)
-    made = type(made)(made.name, made.source, made.folder, made.channels, (run,))
-    said = refusal(OSCILLATOR, made)
-    assert "run0: its samples are not evenly spaced (by up to 0.2 periods)" in said
-    assert "hint: resample the run at equal steps" in said
 
 
 def test_a_recording_of_inputs_alone_is_refused():

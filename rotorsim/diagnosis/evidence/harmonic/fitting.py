@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnosis.evidence.fit import DEFERRED, FAILURES, RANK_TOLERANCE, Fit, Starts, left_out, reason_of
+from rotorsim.diagnosis.evidence.fit import DEFERRED, FAILURES, Fit, Starts, reason_of
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.estimate import MOST_EVALUATIONS, Estimate, Search, summary
 from rotorsim.identification.experiment import Experiment
+from rotorsim.identification.left_out import RANK_TOLERANCE, left_out
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.identification.profile import linear_intervals
 

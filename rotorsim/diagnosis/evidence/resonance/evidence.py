@@ -16,12 +16,13 @@ from scipy.stats import chi2
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Defaults, Score, Terms
-from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, left_out
+from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts
 from rotorsim.diagnosis.evidence.resonance.drive import driven_at
 from rotorsim.diagnosis.evidence.resonance.modes import Modes
 from rotorsim.diagnosis.evidence.resonance.resonances import Resonance
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.diagram.diagram import Free
+from rotorsim.identification.left_out import left_out
 
 UNMATCHED_RESIDUAL = 3.0  # residual of a resonance that no mode is left for
 MOST_SOLUTIONS = 40

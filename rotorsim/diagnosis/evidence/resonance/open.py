@@ -18,7 +18,8 @@ from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
 from rotorsim.diagnosis.evidence.resonance.resonances import resonances
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.waveform.data import channels_of, chosen_runs, read_run
+from rotorsim.identification.waveform.data import channels_of, chosen_runs
+from rotorsim.identification.waveform.reading import marked, read_runs
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, STABLE_STEP
 from rotorsim.linear.linearisation import jacobians
 from rotorsim.model.compiled import compile_diagram
@@ -58,7 +59,13 @@ def _evidence(
 ) -> ResonanceEvidence:
     """Return the resonances of some runs. Raises RotorsimError with all that does not fit."""
     channels = channels_of(diagram, recording)
-    runs = tuple(read_run(diagram, run, channels) for run in chosen)
+    runs = read_runs(diagram, chosen, channels)
+    gappy = marked(channels, runs).gappy
+    wrong = [run.id for run in runs if run.steps is not None or gappy or run.notes]
+    if wrong:
+        hint = "resample the runs at equal steps, and leave out what has gaps"
+        what = f"resonances are read from even samples without gaps, which {', '.join(wrong)} has not"
+        raise RotorsimError(Problem(what, recording.name, hint=hint))
     every = resonances(runs, channels.outputs, channels.inputs)
     strong = tuple(item for item in every if item.strong)
     if not strong:

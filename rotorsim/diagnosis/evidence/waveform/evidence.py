@@ -1,6 +1,6 @@
 """Evidence of samples in time: runs that a diagram is driven through, compared with its simulation.
 
-What counts as noise, and what is adequate: `rotorsim.diagnosis.evidence.waveform.noise`.
+What counts as noise, and what is adequate: `rotorsim.identification.waveform.noise`.
 """
 
 from __future__ import annotations
@@ -11,29 +11,31 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Defaults, Score, Terms
-from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, left_out, reason_of
+from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, reason_of
 from rotorsim.diagnosis.evidence.waveform.laws import LawBounds
-from rotorsim.diagnosis.evidence.waveform.noise import (
-    Stretch,
-    Variance,
-    block_misfit,
-    reweighted,
-    stacked,
-    unpredicted,
-    weights_of,
-)
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.diagnosis.evidence.waveform.scoring import held_score, left_out_score
 from rotorsim.diagram.diagram import Diagram, Port
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.left_out import left_out
 from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.linearised import linearised, places_of
+from rotorsim.identification.waveform.noise import (
+    Stretch,
+    Variance,
+    block_misfit,
+    goodness_left_out,
+    reweighted,
+    robust_covariance,
+    stacked,
+    unpredicted,
+    weights_of,
+)
 from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation, Label, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.identification.waveform.unknown_input import UnknownInputs
@@ -43,7 +45,6 @@ FIRST_STEPS = 4  # from each start, before the best is followed
 SHORT = 8192  # samples of all runs on which a start is chosen and followed
 LAST_STEPS = 12  # on all samples after that
 REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
-INVERTED = 1e-13  # smallest eigenvalue of the scaled information, of the largest, that counts
 WAVEFORM_TERMS = Terms(
     left_out="stretches left out one by one",
     predicted="stretches left out",
@@ -188,50 +189,19 @@ class WaveformEvidence(SampledRuns, Defaults):
         at_bound = search.at_bound(evaluation.unknowns)
         loo = left_out(residual, J[:, :m][:, ~at_bound[:m]], sizes)
         energies = block_misfit(search, evaluation, self.stretches)
+        covariance = robust_covariance(evaluation.information, residual, J, sizes, ~at_bound, self.rows)
         return Fit(
             document=document,
             free=search.free,
             theta=evaluation.unknowns[:count],
-            covariance=self._covariance(evaluation.information, residual, J, sizes, ~at_bound)[:count, :count],
+            covariance=covariance[:count, :count],
             at_bound=at_bound[:count],
             misfit=float(energies.sum()),
             rows=self.rows,
             run_misfit=energies,
             left_out=loo,
-            goodness=self._goodness(loo),
+            goodness=goodness_left_out(loo, self.allowed),
         )
-
-    def _covariance(
-        self, information: np.ndarray, residual: np.ndarray, J: np.ndarray, sizes: Sequence[int], searched: np.ndarray
-    ) -> np.ndarray:
-        """Return H^-1 (sum_b g_b g_b^T) H^-1 B / (B - 1) of all unknowns, g_b = J_b^T r_b; held ones are known.
-
-        Where a model leaves less than the resolution, H^-1 of what is missing to that is added; and all of H^-1 in
-        directions that the data say nothing about.
-        """
-        starts, count = np.cumsum([0, *sizes[:-1]]), len(sizes)
-        g = np.add.reduceat(J[:, searched] * residual[:, None], starts, axis=0)
-        H = information[np.ix_(searched, searched)]
-        scale = np.sqrt(np.diag(H))
-        scale = np.where(scale > 0, scale, 1.0)
-        values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-        least = INVERTED * values.max(initial=0.0)
-        vectors = vectors / scale[:, None]
-        inverse = vectors / np.maximum(values, least) @ vectors.T
-        robust = inverse @ (g.T @ g) @ inverse * (count / max(count - 1, 1))
-        below = max(1 - float(residual @ residual) / self.rows, 0.0)
-        weak = vectors[:, values <= least]
-        covariance = np.zeros_like(information)
-        covariance[np.ix_(searched, searched)] = robust + below * inverse + weak / least @ weak.T
-        return covariance
-
-    def _goodness(self, left: np.ndarray) -> float:
-        """Return the probability of such misfits of stretches left out (B,) if a model is adequate."""
-        ratio = np.log(np.maximum(left, 1e-300) / np.maximum(self.allowed, 1e-300))
-        spread = float(ratio.std(ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
-        if spread <= 1e-12:
-            return float(ratio.mean() <= 1e-9)
-        return float(student.sf(float(ratio.mean()) / spread, len(ratio) - 1))
 
     def score(self, fit: Fit) -> Score:
         """Return the errors of a fit on hold-out runs, or on stretches left out one by one."""

@@ -216,7 +216,7 @@ class LawBounds:
         """Return runs in which a wire carries signals, (N,)."""
         kinds = {f"{WIRE}.output": "linear"}
         pairs = zip(self.sampled, wires, strict=True)
-        return [SampledRun(run.id, {f"{WIRE}.output": s}, kinds, run.dt, run.start, {}) for run, s in pairs]
+        return [SampledRun(run.id, {f"{WIRE}.output": s}, kinds, run.time, {}) for run, s in pairs]
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,8 +248,9 @@ class _Law:
         A = equations.matrices[0](run.start, self.x0, run.inputs(equations.inputs, 1)[0, 0], p)[0]
         fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) * run.dt
         sub = min(2 ** max(int(np.ceil(np.log2(max(fastest / STABLE_STEP, 1.0)))), 0), SIMULATION_SUBSTEPS)
+        steps = run.dt if run.steps is None else run.steps
         y, by = self.law.simulate(
-            p, self.x0, run.inputs(equations.inputs, sub), run.dt, t0=run.start, sensitivities=slopes
+            p, self.x0, run.inputs(equations.inputs, sub), steps, t0=run.start, sensitivities=slopes
         )
         added = y - run.values[f"{WIRE}.output"][:, None]
         whole = np.concatenate([added, by[:, 0, : equations.m]], axis=1) if slopes else added

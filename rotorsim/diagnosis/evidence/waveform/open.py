@@ -2,46 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from itertools import islice
-from math import log
+from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
-from rotorsim.block import In
-from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.evidence.base_fit import base_fit
 from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
-from rotorsim.diagnosis.evidence.waveform.noise import (
-    Variance,
-    block_misfit,
-    independent,
-    misfits_left_out,
-    residual_variance,
-    reweighted,
-    stretches_of,
-    unpredicted,
-    variance_scale,
-    weights_of,
-)
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.waveform.data import Channels, SampledRun, channels_of, chosen_runs, read_run
-from rotorsim.identification.waveform.equations import ForceMap, driven_equations
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
-from rotorsim.identification.waveform.simulation import Simulation
-from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
-from rotorsim.linear import linearisation as linear
+from rotorsim.errors import Problem
+from rotorsim.identification.waveform.data import channels_of, chosen_runs
+from rotorsim.identification.waveform.noise_model import noise_model
+from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
 from rotorsim.recordings.recording import Recording
-
-ACCURACY = 3e-4  # of the scale of a signal, of the steps between samples
-ACCURATE_SUBSTEPS = 16  # between samples, to be as accurate
-MOST_PORTS = 4  # where a flexible force is tried
-SIGNALS = 200  # whose size is evaluation
 
 
 def open_waveforms(
@@ -54,7 +27,8 @@ def open_waveforms(
     """Return the samples of a recording as evidence, and the fit of the diagram as given."""
     evidence = waveform_evidence(diagram, recording, hold_out, trust_blocks=catalogue.trust)
     base, refined = base_fit(diagram, evidence)
-    notes = [Problem(note, severity="warning") for note in refined]
+    notes = notes_of([*evidence.runs, *evidence.held])
+    notes += [Problem(note, severity="warning") for note in refined]
     return Opened(evidence, base, base, evidence, catalogue, held_out=bool(evidence.held), warnings=[*warnings, *notes])
 
 
@@ -66,156 +40,23 @@ def waveform_evidence(
     Raises RotorsimError with all that does not fit, and where the diagram diverges when it is driven as recorded.
     """
     channels = channels_of(diagram, recording)
-    runs = tuple(read_run(diagram, run, channels) for run in chosen_runs(recording))
+    runs = read_runs(diagram, chosen_runs(recording), channels)
+    channels = marked(channels, runs)
     held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
-    base, evaluation = _base(subsystems_of(diagram, channels), runs)
-    if not np.isfinite(evaluation.cost):
-        hint = "start from values nearer to the machine's, or check the signs and units of what drives it"
-        raise RotorsimError(Problem("its simulation diverges when it is driven as recorded", diagram.name, hint=hint))
-    sizes = _sizes(diagram, channels, base, evaluation)
-    weights = {signal: 1 / value for signal, value in residual_variance(base, evaluation).items()}
-    flexible, residual = _flexible(diagram, channels, replace(base, weights=weights), evaluation, sizes)
-    stretches = stretches_of(runs)
-    noise = _noise_share(flexible, residual)
-    variance: Variance = {signal: value * noise for signal, value in residual_variance(flexible, residual).items()}
-    beside = unpredicted(diagram, base, evaluation, stretches)
-    if sum(map(log, beside.variance.values())) < sum(map(log, variance.values())):
-        variance, rows, allowed = beside.variance, beside.rows, CRITERIA.model_error * beside.left
-    else:
-        rows = independent(block_misfit(flexible, residual, stretches), stretches)
-        weights = weights_of(variance, runs, rows)
-        least = misfits_left_out(replace(flexible, weights=weights), residual, stretches)
-        given = misfits_left_out(replace(base, weights=weights), evaluation, stretches)
-        allowed = _allowed(least, given, noise)
+    noise = noise_model(diagram, channels, runs)
     return WaveformEvidence(
         channels=channels,
         folder=str(Path(diagram.file).parent) if diagram.file else None,
         trust_blocks=trust_blocks,
         recording=recording,
         runs=runs,
-        variance=variance,
-        rows=rows,
-        stretches=stretches,
-        allowed=allowed,
-        least=base.least,
-        starts=flexible.starts(residual.unknowns),
-        sizes=sizes,
+        variance=noise.variance,
+        rows=noise.rows,
+        stretches=noise.stretches,
+        allowed=noise.allowed,
+        least=noise.least,
+        starts=noise.starts,
+        sizes=noise.sizes,
         old=frozenset(item.name for item in diagram.free),
-        held=tuple(read_run(diagram, run, channels) for run in held),
+        held=read_runs(diagram, held, channels),
     )
-
-
-def _allowed(flexible: np.ndarray, given: np.ndarray, noise: float) -> np.ndarray:
-    """Return what an adequate model may leave of stretches left out, (B,).
-
-    flexible, given: what the flexible model and the diagram leave; noise: the share of the former that can be noise.
-    """
-    if noise < 1:
-        return np.asarray(CRITERIA.no_worse**2 * noise * flexible)
-    return np.asarray(
-        np.maximum(CRITERIA.no_worse**2 * flexible, flexible + CRITERIA.flexible_share * (given - flexible))
-    )
-
-
-def _noise_share(search: OutputErrorSearch, evaluation: Evaluation) -> float:
-    """Return the share of the residual that can be noise: 1, unless that is much of a signal, and smooth.
-
-    Then it is the share of its white part, half of the mean square of its differences (J. von Neumann, Ann. Math.
-    Stat. 12 (1941) 367): the flexible model has failed, and what it leaves is motion.
-    """
-    square, white, total = (
-        sum((part**2).sum(axis=0) for part in parts)
-        for parts in (
-            evaluation.residuals[0],
-            [np.diff(error, axis=0) / np.sqrt(2) for error in evaluation.residuals[0]],
-            [y - y.mean(axis=0) for y in search.measured[0]],
-        )
-    )
-    failed = (square > CRITERIA.noisy**2 * total) & (white < CRITERIA.white * square)
-    return float(max((white[failed] / square[failed]).min(initial=1.0), CRITERIA.resolution))
-
-
-def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[OutputErrorSearch, Evaluation]:
-    """Return the fit of the diagram as it is, at steps that are short enough.
-
-    Controllers with their measured inputs come first; what they leave is their noise, whatever the whole leaves.
-    """
-    search = OutputErrorSearch(systems, runs, {})
-    scale = variance_scale(search)
-    search = replace(search, weights={signal: 1 / value for signal, value in scale.items()})
-    start = search.first()
-    if len(systems) > 1:
-        whole = {signal: weight for signal, weight in search.weights.items() if signal[0] == WHOLE_DIAGRAM}
-        evaluation = replace(search, weights={**search.weights, **dict.fromkeys(whole, 0.0)}).minimise(start)
-        start = evaluation.unknowns
-        if np.isfinite(evaluation.cost):
-            weights = {signal: 1 / value for signal, value in residual_variance(search, evaluation).items()}
-            search = replace(search, weights={**weights, **whole})
-    evaluation = search.minimise(start)
-    while search.least < ACCURATE_SUBSTEPS and not _is_fine(search, evaluation, scale):
-        search = replace(search, least=2 * search.least)
-        evaluation = search.minimise(evaluation.unknowns)
-    return search, evaluation
-
-
-def _is_fine(search: OutputErrorSearch, evaluation: Evaluation, scale: Mapping[tuple[str, str], float]) -> bool:
-    """Return whether half the step would change what is simulated by less than ACCURACY."""
-    fine = search.evaluate(evaluation.unknowns, 2 * evaluation.sub, sensitivities=False)
-    if not (np.isfinite(evaluation.cost) and np.isfinite(fine.cost)):
-        return not np.isfinite(fine.cost)
-    changed = [
-        np.sqrt(((b - a) ** 2).mean(axis=0)) / np.sqrt([scale[signal] for signal in system.signals])
-        for system, coarse, finer in zip(search.systems, evaluation.residuals, fine.residuals, strict=True)
-        for a, b in zip(coarse, finer, strict=True)
-    ]
-    return bool(np.concatenate(changed).max() <= ACCURACY)
-
-
-def _sizes(diagram: Diagram, channels: Channels, base: OutputErrorSearch, evaluation: Evaluation) -> dict[str, float]:
-    """Return the largest magnitude of every signal of the diagram, simulated, and of every recorded one."""
-    signals = base.systems[0].equations.model.signals
-    names = [name for port, signal in signals.items() for name in linear.entry_names(port, signal.shape)][:SIGNALS]
-    equations = driven_equations(diagram, names, channels.inputs, diagram.free)
-    search = replace(base, systems=(Simulation(equations),))
-    unknowns = search.first(base.starts(evaluation.unknowns))
-    unknowns[: search.m] = evaluation.unknowns[: search.m]
-    sizes = {name: max(float(np.abs(run.values[name]).max()) for run in base.runs) for name in base.runs[0].values}
-    for r in range(len(base.runs)):
-        y, _ = search.simulated(unknowns, 0, r, evaluation.sub, sensitivities=False)
-        for name, size in zip(names, np.nan_to_num(np.abs(y).max(axis=0)), strict=True):
-            sizes[name] = max(sizes.get(name, 0.0), float(size))
-    return sizes
-
-
-def _force_maps(diagram: Diagram, channels: Channels, sizes: Mapping[str, float]) -> list[ForceMap]:
-    """Return a flexible force at every additive scalar port whose displacement was measured."""
-    ports = (
-        (str(port), f"{name}.{port.declaration.conjugate}", f"{name}.velocity")
-        for name, node in diagram.nodes.items()
-        for port in node.inputs.values()
-        if port.shape == () and isinstance(port.declaration, In)
-        if port.declaration.additive and port.declaration.conjugate
-    )
-    measured = ((port, q, v) for port, q, v in ports if q in channels.outputs and sizes.get(q) and sizes.get(v))
-    return [ForceMap(port, q, v, (sizes[q], sizes[v])) for port, q, v in islice(measured, MOST_PORTS)]
-
-
-def _flexible(
-    diagram: Diagram, channels: Channels, given: OutputErrorSearch, evaluation: Evaluation, sizes: Mapping[str, float]
-) -> tuple[OutputErrorSearch, Evaluation]:
-    """Return the fit of the flexible model that leaves least; the diagram as it is where none does better."""
-    m = given.m
-    best = reweighted(given, evaluation.unknowns)
-    base = best[0]
-    for force in _force_maps(diagram, channels, sizes):
-        search = replace(base, systems=subsystems_of(diagram, channels, force=force))
-        for start in (evaluation.unknowns, base.first()):  # where the fit went, and where the diagram stood
-            after = reweighted(search, np.concatenate([start[:m], np.zeros(force.count), start[m:]]))
-            best = min(best, after, key=_left)
-    return best
-
-
-def _left(fit: tuple[OutputErrorSearch, Evaluation]) -> float:
-    """Return the sum of the logarithms of what is left of every signal: minus twice a log-likelihood, per sample."""
-    search, evaluation = fit
-    return sum(map(log, residual_variance(search, evaluation).values())) if np.isfinite(evaluation.cost) else np.inf

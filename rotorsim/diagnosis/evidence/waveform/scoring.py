@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from rotorsim.diagnosis.evidence.evidence import Score
-from rotorsim.diagnosis.evidence.waveform.noise import Variance
+from rotorsim.identification.waveform.errors import errors_of
+from rotorsim.identification.waveform.noise import Variance
 from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 
@@ -39,22 +40,12 @@ def _score(
     variance: Variance,
     units: Mapping[str, str],
 ) -> Score:
-    """Return the score of fits, each on a part of each run.
-
-    NRMSE = sqrt(sum (y - y_model)^2 / sum (y - mean)^2) per signal; floor: by the variance that counts as noise.
-    """
-    outputs = search.systems[0].equations.outputs
-    squares, totals, samples = np.zeros(len(outputs)), np.zeros(len(outputs)), 0
-    for evaluation, parts in fits:
-        if not np.isfinite(evaluation.cost):
-            return Score({"": float("nan")}, {})
-        for residual, y, part in zip(evaluation.residuals[0], search.measured[0], parts, strict=True):
-            squares += (residual[part] ** 2).sum(axis=0)
-            totals += ((y - y.mean(axis=0))[part] ** 2).sum(axis=0)
-            samples += len(residual[part])
-    moving = [(name, square, total) for name, square, total in zip(outputs, squares, totals, strict=True) if total > 0]
+    """Return the score of fits, each on a part of each run; floor: by the variance that counts as noise."""
+    errors = errors_of(search, fits)
+    if errors is None:
+        return Score({"": float("nan")}, {})
     return Score(
-        {name: float(np.sqrt(square / total)) for name, square, total in moving},
-        {name: float(np.sqrt(variance[WHOLE_DIAGRAM, name] * samples / total)) for name, _, total in moving},
-        {name: (float(np.sqrt(square / samples)), units[name]) for name, square in zip(outputs, squares, strict=True)},
+        errors.nrmse,
+        errors.floor({name: variance[WHOLE_DIAGRAM, name] for name in errors.outputs}),
+        {name: (value, units[name]) for name, value in errors.rms.items()},
     )

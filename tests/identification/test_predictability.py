@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from rotorsim.diagnosis.evidence.waveform.predictability import predictability
+from rotorsim.identification.waveform.predictability import predictability
 
 RUNS, SAMPLES = 3, 2000
 POLES = np.array([0.9, 0.95 * np.exp(0.1j), 0.95 * np.exp(-0.1j)])

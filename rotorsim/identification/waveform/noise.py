@@ -22,20 +22,23 @@ from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
 import numpy as np
+from scipy.stats import t as student
 
 from rotorsim.criteria import CRITERIA
-from rotorsim.diagnosis.evidence.fit import left_out
-from rotorsim.diagnosis.evidence.waveform.predictability import predictability
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.left_out import left_out
+from rotorsim.identification.waveform.data import SampledRun, mean_of
 from rotorsim.identification.waveform.linearised import places_of, simulated_signals
+from rotorsim.identification.waveform.predictability import predictability
 from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 
 STRETCHES = 20  # of all runs together; 4 of each run at least
+LEAST_STRETCH = 10  # samples, of one of these 4
 MOST_ROWS = 2000
 LEAST_ROWS = 4  # times the stretches
 REWEIGHTED = 4  # times that a fit and the weights follow one another
+INVERTED = 1e-13  # smallest eigenvalue of the scaled information, of the largest, that counts
 
 Stretch = tuple[int, int, int]  # run, first sample, last sample but one
 Variance = Mapping[tuple[str, str], float]  # (subsystem, output) -> mean square that counts as noise
@@ -43,22 +46,28 @@ Variance = Mapping[tuple[str, str], float]  # (subsystem, output) -> mean square
 
 def weights_of(variance: Variance, runs: Sequence[SampledRun], rows: int) -> dict[tuple[str, str], float]:
     """Return the weights of squares that make a misfit that of ``rows`` independent samples of unit variance."""
-    samples = sum(run.size for run in runs) * len(variance)
+    samples = sum(int(np.isfinite(run.values[name]).sum()) for run in runs for _, name in variance)
     return {signal: rows / samples / value for signal, value in variance.items()}
 
 
 def variance_scale(search: OutputErrorSearch) -> dict[tuple[str, str], float]:
     """Return the mean squares of all outputs less their regression on the inputs at the same instant.
 
-    A position that follows its reference is no larger than the distance between them.
+    A position that follows its reference is no larger than the distance between them. One for what nobody measured.
     """
     scale: dict[tuple[str, str], float] = {}
     for system, measured in zip(search.systems, search.measured, strict=True):
         y = np.concatenate(measured)
         given = np.concatenate([run.inputs(system.equations.inputs, 1)[:, 0] for run in search.runs])
         inputs = np.column_stack([np.ones(len(y)), given])
-        residual = y - inputs @ np.linalg.lstsq(inputs, y, rcond=None)[0]
-        scale |= zip(system.signals, np.maximum((residual**2).mean(axis=0), 1e-300).tolist(), strict=True)
+        for signal, values in zip(system.signals, y.T, strict=True):
+            there = np.isfinite(values)
+            if not there.any():
+                scale[signal] = 1.0
+                continue
+            own, at = values[there], inputs[there]
+            residual = own - at @ np.linalg.lstsq(at, own, rcond=None)[0]
+            scale[signal] = max(float((residual**2).mean()), 1e-300)
     return scale
 
 
@@ -67,7 +76,7 @@ def residual_variance(search: OutputErrorSearch, evaluation: Evaluation) -> dict
     scale = variance_scale(search)
     squares: dict[tuple[str, str], float] = {}
     for system, residuals in zip(search.systems, evaluation.residuals, strict=True):
-        squares |= zip(system.signals, (np.concatenate(residuals) ** 2).mean(axis=0).tolist(), strict=True)
+        squares |= zip(system.signals, mean_of(np.concatenate(residuals) ** 2).tolist(), strict=True)
     return {signal: max(value, CRITERIA.resolution**2 * scale[signal]) for signal, value in squares.items()}
 
 
@@ -91,12 +100,12 @@ def unpredicted(
     p = first.parameters(search.p[0], evaluation.unknowns[: search.m])
     A = first.matrices[0](run.start, np.zeros(first.n), run.inputs(first.inputs, 1)[0, 0], p)[0]
     poles = np.exp(np.linalg.eigvals(A) * run.dt) if np.isfinite(A).all() else np.zeros(0)
-    judged = predictability(evaluation.residuals[0], signals, poles)
-    rest = replace(evaluation, residuals=[judged.rest, *evaluation.residuals[1:]])
-    white = {
-        signal: float(np.mean(np.concatenate([np.diff(part[:, j]) for part in judged.rest]) ** 2)) / 2
-        for j, signal in enumerate(search.systems[0].signals)
-    }
+    residuals = evaluation.residuals[0]
+    judged = predictability([np.nan_to_num(part) for part in residuals], signals, poles)
+    left_over = [np.where(np.isfinite(e), part, np.nan) for e, part in zip(residuals, judged.rest, strict=True)]
+    rest = replace(evaluation, residuals=[left_over, *evaluation.residuals[1:]])
+    changes = mean_of(np.concatenate([np.diff(part, axis=0) for part in left_over]) ** 2) / 2
+    white = dict(zip(search.systems[0].signals, changes.tolist(), strict=True))
     most = CRITERIA.faint if judged.structured else CRITERIA.colour  # beside physics that are missing, less is certain
     variance = {
         signal: min(value, max(most * white.get(signal, np.inf), CRITERIA.resolution**2 * scale))
@@ -124,11 +133,16 @@ def reweighted(search: OutputErrorSearch, start: np.ndarray) -> tuple[OutputErro
 
 
 def stretches_of(runs: Sequence[SampledRun]) -> tuple[Stretch, ...]:
-    """Return the stretches into which runs are divided."""
-    total = sum(run.size for run in runs)
-    counts = [max(4, round(STRETCHES * run.size / total)) for run in runs]
-    ends = [np.linspace(0, run.size, count + 1).astype(int).tolist() for run, count in zip(runs, counts, strict=True)]
-    return tuple((r, first, last) for r, own in enumerate(ends) for first, last in pairwise(own))
+    """Return the stretches into which runs are divided, as many samples in each of a run."""
+    places = [np.flatnonzero(run.counted) for run in runs]
+    total = sum(map(len, places))
+    stretches: list[Stretch] = []
+    for r, own in enumerate(places):
+        count = max(min(4, len(own) // LEAST_STRETCH), round(STRETCHES * len(own) / total), 1)
+        at = np.linspace(0, len(own), count + 1).astype(int)[1:-1]
+        ends = [0, *own[at].tolist(), runs[r].size]
+        stretches += [(r, first, last) for first, last in pairwise(ends)]
+    return tuple(stretches)
 
 
 def independent(energies: np.ndarray, stretches: Sequence[Stretch]) -> int:
@@ -152,7 +166,7 @@ def stacked(
         root, J = search.root(k, r)[first:last], evaluation.jacobians[k][r][first:last]
         jacobian = np.zeros((root.size, len(evaluation.unknowns)))
         jacobian[:, search.columns(k, r)] = (root[:, :, None] * J).reshape(root.size, -1)
-        return (root * evaluation.residuals[k][r][first:last]).ravel(), jacobian
+        return (root * np.nan_to_num(evaluation.residuals[k][r][first:last])).ravel(), jacobian
 
     parts = [[rows(k, *stretch) for k in range(len(search.systems))] for stretch in stretches]
     residual, jacobian = (np.concatenate(arrays) for arrays in zip(*chain(*parts), strict=True))
@@ -169,3 +183,47 @@ def misfits_left_out(search: OutputErrorSearch, evaluation: Evaluation, stretche
     """Return the misfits of stretches left out, (B,)."""
     residual, jacobian, sizes = stacked(search, evaluation, stretches)
     return left_out(residual, jacobian[:, : search.m], sizes)
+
+
+def robust_covariance(
+    information: np.ndarray,
+    residual: np.ndarray,
+    J: np.ndarray,
+    sizes: Sequence[int],
+    searched: np.ndarray,
+    rows: int,
+    prior: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return H^-1 (sum_b g_b g_b^T) H^-1 B / (B - 1) of all unknowns, g_b = J_b^T r_b; held ones are known.
+
+    residual (n,), J (n, q): as `stacked` returns them, sizes of the B stretches. Where a model leaves less than the
+    resolution, H^-1 of what is missing to ``rows`` is added; and all of H^-1 in directions that the data say nothing
+    about. prior (q,): information of priors within H, each one more measured value in the sum. Source: K.-Y. Liang,
+    S. L. Zeger, Biometrika 73 (1986) 13-22.
+    """
+    starts, count = np.cumsum([0, *sizes[:-1]]), len(sizes)
+    g = np.add.reduceat(J[:, searched] * residual[:, None], starts, axis=0)
+    scores = g.T @ g * (count / max(count - 1, 1))
+    scores += np.diag(np.zeros(len(scores)) if prior is None else prior[searched])
+    H = information[np.ix_(searched, searched)]
+    scale = np.sqrt(np.diag(H))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    least = INVERTED * values.max(initial=0.0)
+    vectors = vectors / scale[:, None]
+    inverse = vectors / np.maximum(values, least) @ vectors.T
+    robust = inverse @ scores @ inverse
+    below = max(1 - float(residual @ residual) / rows, 0.0)
+    weak = vectors[:, values <= least]
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(searched, searched)] = robust + below * inverse + weak / least @ weak.T
+    return covariance
+
+
+def goodness_left_out(left: np.ndarray, allowed: np.ndarray) -> float:
+    """Return the probability of such misfits of stretches left out (B,) if a model is adequate; allowed (B,)."""
+    ratio = np.log(np.maximum(left, 1e-300) / np.maximum(allowed, 1e-300))
+    spread = float(ratio.std(ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
+    if spread <= 1e-12:
+        return float(ratio.mean() <= 1e-9)
+    return float(student.sf(float(ratio.mean()) / spread, len(ratio) - 1))

@@ -1,0 +1,224 @@
+"""From a diagram and samples in time to parameters: output error, with robust intervals and the next experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rotorsim.criteria import CRITERIA
+from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.errors import Place, Problem, RotorsimError
+from rotorsim.identification.advice import Advice
+from rotorsim.identification.advice_in_time import TRIED, advise_in_time
+from rotorsim.identification.profile import joint_factor
+from rotorsim.identification.result import Identification, Identified, sentences
+from rotorsim.identification.verdict import judge
+from rotorsim.identification.waveform.data import Channels, SampledRun, channels_of, chosen_runs
+from rotorsim.identification.waveform.errors import errors_of
+from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate
+from rotorsim.identification.waveform.noise import weights_of
+from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel, noise_model
+from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
+from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
+from rotorsim.jobs.threads import one_thread
+from rotorsim.recordings.recording import Recording, Run
+
+TURNING = ("missing_channel", "no_phase_reference")  # codes of findings that matter only of a shaft that turns
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedRun:
+    """A run beside the identified diagram: simulated {output: (N,)}, SI; use: "identify" or "hold_out"."""
+
+    run: SampledRun
+    use: str
+    simulated: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class TimeIdentification(Identification):
+    """What samples in time say; units: of the outputs, as they were recorded."""
+
+    runs: tuple[SimulatedRun, ...] = ()
+    units: Mapping[str, str]
+
+    _beside = "rotorsim.report.identification.samples:sample_figures"
+
+    @property
+    def run_ids(self) -> list[str]:
+        """The runs that were identified from, in parts where what drives them is not known throughout."""
+        return [item.run.id for item in self.runs if item.use == "identify"]
+
+    def misfit_data(self) -> dict[str, Any]:
+        """Return how large the residual is, in the form of identification.json."""
+        return {"excess_variance": self.excess}
+
+
+def identify_in_time(
+    diagram: Diagram,
+    recording: Recording,
+    *,
+    method: str,
+    given: Sequence[str],
+    free: Sequence[Free] | None,
+    runs: Sequence[Run] | None,
+    precision: float,
+    hold_out: Recording | None,
+    warnings: Sequence[Problem],
+) -> TimeIdentification:
+    """Estimate the free parameters of a diagram from samples in time, by output error; see `identify`.
+
+    Raises RotorsimError for another method, measured inputs, channels, units or settings that the diagram does not
+    have, nothing that is free, and where the diagram diverges when it is driven as recorded.
+    """
+    wanted = diagram.free if free is None else tuple(free)
+    _refuse(diagram, method, given, wanted)
+    channels = channels_of(diagram, recording)
+    sampled = read_runs(diagram, chosen_runs(recording) if runs is None else runs, channels)
+    held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
+    held_out = read_runs(diagram, held, channels)
+    channels = marked(channels, sampled)
+    diagram = replace(diagram, free=wanted)
+    with one_thread():
+        noise, estimate = _estimated(diagram, channels, sampled)
+        verdicts = judge(estimate, estimate.intervals, precision=precision)
+        left = [item.name for item, one in zip(estimate.free, verdicts, strict=True) if not one.identifiable]
+        advice = advise_in_time(estimate, noise, channels, left, precision) if left else []
+        scored = _held(estimate, channels, held_out, noise)
+    variance = {name: noise.variance[WHOLE_DIAGRAM, name] for name in channels.outputs}
+    errors = errors_of(estimate.search, [(estimate.evaluation, [slice(None)] * len(sampled))])
+    fit = {"identify": errors.nrmse if errors else {}}
+    notes = [*(one for one in warnings if one.code not in TURNING), *notes_of([*sampled, *held_out])]
+    if scored is not None:
+        search, evaluation = scored
+        held_errors = errors_of(search, [(evaluation, [slice(None)] * len(held_out))])
+        if held_errors is None:
+            notes.append(Problem(f"{SIMULATION_DIVERGES} in the hold-out runs", diagram.name, severity="warning"))
+        else:
+            fit["hold_out"] = held_errors.nrmse
+    kept = {item.name for item in estimate.free}
+    notes += [
+        Problem("is left out: no block follows it", f"identify.{item.name}", severity="warning")
+        for item in wanted
+        if item.name not in kept
+    ]
+    std = np.sqrt(np.diag(estimate.covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.nan_to_num(estimate.covariance / np.outer(std, std))
+    theta, intervals = estimate.theta, estimate.intervals
+    joint = theta[:, None] + joint_factor(correlation) * (intervals - theta[:, None])
+    parameters = {
+        item.name: Identified(
+            item.name,
+            float(theta[j]),
+            float(estimate.std[j]),
+            (float(intervals[j, 0]), float(intervals[j, 1])),
+            (max(float(joint[j, 0]), item.low), min(float(joint[j, 1]), item.high)),
+            item.unit,
+            verdicts[j],
+            bool(estimate.at_bound[j]),
+        )
+        for j, item in enumerate(estimate.free)
+    }
+    adequate = estimate.goodness >= CRITERIA.not_explained or estimate.excess <= CRITERIA.model_error
+    return TimeIdentification(
+        method=method,
+        parameters=parameters,
+        correlation=correlation,
+        fit=fit,
+        noise_floor=errors.floor(variance) if errors else {},
+        excess=estimate.excess,
+        adequate=adequate,
+        statement=_statement(parameters, adequate, estimate, advice),
+        advice=tuple(advice),
+        warnings=tuple(notes),
+        diagram=diagram,
+        settings={"precision": precision, "steps_between_samples": estimate.evaluation.sub},
+        free=estimate.free,
+        runs=(
+            *_simulated(estimate.search, estimate.evaluation, "identify"),
+            *(_simulated(*scored, "hold_out") if scored is not None else ()),
+        ),
+        units={name: recording.channels[channels.columns[name]].unit for name in channels.outputs},
+    )
+
+
+def _refuse(diagram: Diagram, method: str, given: Sequence[str], wanted: Sequence[Free]) -> None:
+    """Raise RotorsimError for what makes no sense in time."""
+    problems = []
+    if method != "likelihood":
+        what = f"method '{method}' is of harmonics of a turning shaft, and nothing turns here"
+        problems.append(Problem(what, diagram.name, hint="--method likelihood: in time it is output error"))
+    if given:
+        what = f"{', '.join(given)} cannot be taken as measured in time"
+        hint = "put a block 'recorded' in the place of what makes it, and let the channel name that block"
+        problems.append(Problem(what, diagram.name, hint=hint))
+    if not wanted:
+        hint = 'add "identify": {"block.parameter": {}, ...} to the diagram'
+        problems.append(Problem("no free parameters", diagram.name, Place(diagram.file), hint))
+    if problems:
+        raise RotorsimError(*problems)
+
+
+def _estimated(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]) -> tuple[NoiseModel, TimeEstimate]:
+    """Return what counts as noise, and the estimate from where that was found."""
+    noise = noise_model(diagram, channels, runs)
+    weights = weights_of(noise.variance, runs, noise.rows)
+    search = OutputErrorSearch(subsystems_of(diagram, channels), runs, weights, noise.least)
+    _refuse_unseen(search, diagram)
+    start = search.first(noise.starts)
+    start[: search.m] = noise.theta
+    return noise, time_estimate(search, search.minimise(start), noise)
+
+
+def _refuse_unseen(search: OutputErrorSearch, diagram: Diagram) -> None:
+    """Raise RotorsimError where nothing that is measured depends on any free parameter."""
+    if not search.free:
+        what = "what was measured depends on none of the free parameters"
+        raise RotorsimError(Problem(what, diagram.name, Place(diagram.file), "measure a signal behind them"))
+
+
+def simulation_of(
+    estimate: TimeEstimate, runs: Sequence[SampledRun], noise: NoiseModel
+) -> tuple[OutputErrorSearch, Evaluation]:
+    """Return the identified diagram beside further runs, of which only the starts are searched."""
+    weights = {signal: 1 / value for signal, value in noise.variance.items()}
+    search = OutputErrorSearch(estimate.search.systems[:1], runs, weights, noise.least, hold="theta")
+    start = search.first()
+    start[: search.m] = estimate.theta
+    return search, search.minimise(start)
+
+
+def _held(
+    estimate: TimeEstimate, channels: Channels, runs: Sequence[SampledRun], noise: NoiseModel
+) -> tuple[OutputErrorSearch, Evaluation] | None:
+    return simulation_of(estimate, runs, noise) if runs else None
+
+
+def _simulated(search: OutputErrorSearch, evaluation: Evaluation, use: str) -> list[SimulatedRun]:
+    """Return the outputs of the whole diagram in every run, where it does not diverge."""
+    outputs = search.systems[0].equations.outputs
+    found = []
+    for r, run in enumerate(search.runs):
+        y, _ = search.simulated(evaluation.unknowns, 0, r, evaluation.sub, sensitivities=False)
+        found.append(SimulatedRun(run, use, dict(zip(outputs, y.T, strict=True))))
+    return found
+
+
+def _statement(
+    parameters: Mapping[str, Identified], adequate: bool, estimate: TimeEstimate, advice: Sequence[Advice]
+) -> str:
+    """Return what was found in plain words."""
+    parts = sentences(parameters, advice, TRIED)
+    if adequate:
+        return " ".join(parts)
+    wrong = (
+        f"The model does not explain the data: the residual has {estimate.excess:.3g} times the variance of what a "
+        "flexible model leaves, so something is missing in it; the intervals hold only if what is missing does not "
+        "matter to a parameter. 'rotorsim diagnose' looks for it."
+    )
+    return " ".join([wrong, *parts])

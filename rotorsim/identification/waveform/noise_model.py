@@ -1,0 +1,227 @@
+"""What counts as noise beside a diagram: what a flexible model leaves of the runs, and what an adequate one may leave.
+
+How it is weighed: `rotorsim.identification.waveform.noise`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from math import log
+from operator import attrgetter
+
+import numpy as np
+
+from rotorsim.block import In
+from rotorsim.criteria import CRITERIA
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.waveform.data import Channels, SampledRun, mean_of
+from rotorsim.identification.waveform.equations import ForceMap, driven_equations
+from rotorsim.identification.waveform.noise import (
+    Stretch,
+    Variance,
+    block_misfit,
+    independent,
+    misfits_left_out,
+    residual_variance,
+    reweighted,
+    stretches_of,
+    unpredicted,
+    variance_scale,
+    weights_of,
+)
+from rotorsim.identification.waveform.search import Evaluation, Label, OutputErrorSearch
+from rotorsim.identification.waveform.shooting import is_lost, shot
+from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
+from rotorsim.linear import linearisation as linear
+
+SIMULATION_DIVERGES = "its simulation diverges"
+ACCURACY = 3e-4  # of the scale of a signal, of the steps between samples
+ACCURATE_SUBSTEPS = 16  # between samples, to be as accurate
+MOST_PORTS = 4  # where a flexible force is tried
+SIGNALS = 200  # whose size is evaluated
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """What counts as noise in some runs.
+
+    variance: mean square of every output. rows: independent samples. stretches: into which the runs are divided.
+    allowed (B,): what an adequate model may leave of each when it is left out. least: steps between samples. starts:
+    states at the first samples. theta (m,): parameters of the diagram that leave least. sizes: largest magnitude of
+    every signal, recorded or simulated.
+    """
+
+    variance: Variance
+    rows: int
+    stretches: tuple[Stretch, ...]
+    allowed: np.ndarray
+    least: int
+    starts: Mapping[Label, float]
+    theta: np.ndarray
+    sizes: Mapping[str, float]
+
+
+def noise_model(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]) -> NoiseModel:
+    """Return what counts as noise in some runs.
+
+    Raises RotorsimError where the diagram diverges when it is driven as recorded.
+    """
+    base, evaluation = _base(subsystems_of(diagram, channels), runs)
+    if not np.isfinite(evaluation.cost):
+        hint = "start from values nearer to the machine's, or check the signs and units of what drives it"
+        raise RotorsimError(Problem(f"{SIMULATION_DIVERGES} when it is driven as recorded", diagram.name, hint=hint))
+    sizes = _sizes(diagram, channels, base, evaluation)
+    weights = {signal: 1 / value for signal, value in residual_variance(base, evaluation).items()}
+    flexible, residual = _flexible(diagram, channels, replace(base, weights=weights), evaluation, sizes)
+    stretches = stretches_of(runs)
+    noise = _noise_share(flexible, residual)
+    variance: Variance = {signal: value * noise for signal, value in residual_variance(flexible, residual).items()}
+    beside = unpredicted(diagram, base, evaluation, stretches)
+    if sum(map(log, beside.variance.values())) < sum(map(log, variance.values())):
+        variance, rows, allowed = beside.variance, beside.rows, CRITERIA.model_error * beside.left
+    else:
+        rows = independent(block_misfit(flexible, residual, stretches), stretches)
+        weights = weights_of(variance, runs, rows)
+        least = misfits_left_out(replace(flexible, weights=weights), residual, stretches)
+        given = misfits_left_out(replace(base, weights=weights), evaluation, stretches)
+        allowed = allowed_misfits(least, given, noise)
+    return NoiseModel(
+        variance=variance,
+        rows=rows,
+        stretches=stretches,
+        allowed=allowed,
+        least=base.least,
+        starts=flexible.starts(residual.unknowns),
+        theta=evaluation.unknowns[: base.m],
+        sizes=sizes,
+    )
+
+
+def allowed_misfits(flexible: np.ndarray, given: np.ndarray, noise: float) -> np.ndarray:
+    """Return what an adequate model may leave of stretches left out, (B,).
+
+    flexible, given: what the flexible model and the diagram leave; noise: the share of the former that can be noise.
+    """
+    if noise < 1:
+        return np.asarray(CRITERIA.no_worse**2 * noise * flexible)
+    return np.asarray(
+        np.maximum(CRITERIA.no_worse**2 * flexible, flexible + CRITERIA.flexible_share * (given - flexible))
+    )
+
+
+def _noise_share(search: OutputErrorSearch, evaluation: Evaluation) -> float:
+    """Return the share of the residual that can be noise: 1, unless that is much of a signal, and smooth.
+
+    Then it is the share of its white part, half of the mean square of its differences (J. von Neumann, Ann. Math.
+    Stat. 12 (1941) 367): the flexible model has failed, and what it leaves is motion.
+    """
+    square, white, total = (
+        sum(np.nansum(part**2, axis=0) for part in parts)
+        for parts in (
+            evaluation.residuals[0],
+            [np.diff(error, axis=0) / np.sqrt(2) for error in evaluation.residuals[0]],
+            [y - mean_of(y) for y in search.measured[0]],
+        )
+    )
+    failed = (square > CRITERIA.noisy**2 * total) & (white < CRITERIA.white * square)
+    return float(max((white[failed] / square[failed]).min(initial=1.0), CRITERIA.resolution))
+
+
+def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[OutputErrorSearch, Evaluation]:
+    """Return the fit of the diagram as it is, at steps that are short enough.
+
+    Controllers with their measured inputs come first; what they leave is their noise, whatever the whole leaves.
+    """
+    search = OutputErrorSearch(systems, runs, {})
+    scale = variance_scale(search)
+    search = replace(search, weights={signal: 1 / value for signal, value in scale.items()})
+    start = search.first()
+    if len(systems) > 1:
+        whole = {signal: weight for signal, weight in search.weights.items() if signal[0] == WHOLE_DIAGRAM}
+        evaluation = replace(search, weights={**search.weights, **dict.fromkeys(whole, 0.0)}).minimise(start)
+        start = evaluation.unknowns
+        if np.isfinite(evaluation.cost):
+            weights = {signal: 1 / value for signal, value in residual_variance(search, evaluation).items()}
+            search = replace(search, weights={**weights, **whole})
+    evaluation = search.minimise(start)
+    if is_lost(search, evaluation):
+        evaluation = min(evaluation, search.minimise(shot(search, start)), key=attrgetter("cost"))
+    return refined(search, evaluation, scale)
+
+
+def refined(
+    search: OutputErrorSearch, evaluation: Evaluation, scale: Mapping[tuple[str, str], float]
+) -> tuple[OutputErrorSearch, Evaluation]:
+    """Return a fit at steps so short that half of them would change it by less than ACCURACY of the signals."""
+    while search.least < ACCURATE_SUBSTEPS and not _is_fine(search, evaluation, scale):
+        search = replace(search, least=2 * search.least)
+        evaluation = search.minimise(evaluation.unknowns)
+    return search, evaluation
+
+
+def _is_fine(search: OutputErrorSearch, evaluation: Evaluation, scale: Mapping[tuple[str, str], float]) -> bool:
+    """Return whether half the step would change what is simulated by less than ACCURACY."""
+    fine = search.evaluate(evaluation.unknowns, 2 * evaluation.sub, sensitivities=False)
+    if not (np.isfinite(evaluation.cost) and np.isfinite(fine.cost)):
+        return not np.isfinite(fine.cost)
+    changed = [
+        np.sqrt(mean_of((b - a) ** 2)) / np.sqrt([scale[signal] for signal in system.signals])
+        for system, coarse, finer in zip(search.systems, evaluation.residuals, fine.residuals, strict=True)
+        for a, b in zip(coarse, finer, strict=True)
+    ]
+    return bool(np.concatenate(changed).max() <= ACCURACY)
+
+
+def _sizes(diagram: Diagram, channels: Channels, base: OutputErrorSearch, evaluation: Evaluation) -> dict[str, float]:
+    """Return the largest magnitude of every signal of the diagram, simulated, and of every recorded one."""
+    signals = base.systems[0].equations.model.signals
+    names = [name for port, signal in signals.items() for name in linear.entry_names(port, signal.shape)][:SIGNALS]
+    equations = driven_equations(diagram, names, channels.inputs, diagram.free)
+    search = replace(base, systems=(Simulation(equations),))
+    unknowns = search.first(base.starts(evaluation.unknowns))
+    unknowns[: search.m] = evaluation.unknowns[: search.m]
+    runs = [run.values for run in base.runs]
+    sizes = {name: max(float(np.nanmax(np.abs(own[name]), initial=0.0)) for own in runs) for name in runs[0]}
+    for r in range(len(base.runs)):
+        y, _ = search.simulated(unknowns, 0, r, evaluation.sub, sensitivities=False)
+        for name, size in zip(names, np.nan_to_num(np.abs(y).max(axis=0)), strict=True):
+            sizes[name] = max(sizes.get(name, 0.0), float(size))
+    return sizes
+
+
+def _force_maps(diagram: Diagram, channels: Channels, sizes: Mapping[str, float]) -> list[ForceMap]:
+    """Return a flexible force at every additive scalar port whose displacement was measured."""
+    ports = (
+        (str(port), f"{name}.{port.declaration.conjugate}", f"{name}.velocity")
+        for name, node in diagram.nodes.items()
+        for port in node.inputs.values()
+        if port.shape == () and isinstance(port.declaration, In)
+        if port.declaration.additive and port.declaration.conjugate
+    )
+    measured = ((port, q, v) for port, q, v in ports if q in channels.outputs and sizes.get(q) and sizes.get(v))
+    return [ForceMap(port, q, v, (sizes[q], sizes[v])) for port, q, v in islice(measured, MOST_PORTS)]
+
+
+def _flexible(
+    diagram: Diagram, channels: Channels, given: OutputErrorSearch, evaluation: Evaluation, sizes: Mapping[str, float]
+) -> tuple[OutputErrorSearch, Evaluation]:
+    """Return the fit of the flexible model that leaves least; the diagram as it is where none does better."""
+    m = given.m
+    best = reweighted(given, evaluation.unknowns)
+    base = best[0]
+    for force in _force_maps(diagram, channels, sizes):
+        search = replace(base, systems=subsystems_of(diagram, channels, force=force))
+        for start in (evaluation.unknowns, base.first()):  # where the fit went, and where the diagram stood
+            after = reweighted(search, np.concatenate([start[:m], np.zeros(force.count), start[m:]]))
+            best = min(best, after, key=_left)
+    return best
+
+
+def _left(fit: tuple[OutputErrorSearch, Evaluation]) -> float:
+    """Return the sum of the logarithms of what is left of every signal: minus twice a log-likelihood, per sample."""
+    search, evaluation = fit
+    return sum(map(log, residual_variance(search, evaluation).values())) if np.isfinite(evaluation.cost) else np.inf
