@@ -100,7 +100,8 @@ PLANTS = {
     plant.name: plant
     for plant in (
         Plant(
-            "two_tanks", 0,
+            "two_tanks",
+            0,
             ("pump.gain", "outlet1.gain", "outlet2.gain", "inverse_area1.gain", "inverse_area2.gain"),
             _pairs("""
                 DRIVE pump.input
@@ -116,7 +117,9 @@ PLANTS = {
             """),
             (("level1", "level1_sensor.output", "m"), ("level2", "level2_sensor.output", "m")),
             (Input("pump", "pump_voltage.output", "V", 5.0, 2.8, 0.02, rest=5.0),),
-            1.0, 80.0, 2,
+            1.0,
+            80.0,
+            2,
             _lines("""
                 saturation DRIVE, dead_zone DRIVE, play DRIVE, rate_limit DRIVE, quadratic INFLOW, cubic DRIVE
                 delay INFLOW, lag INFLOW, lag READ1, leak NET1 READ1, drift READ1, jump READ2, offset READ2
@@ -126,9 +129,16 @@ PLANTS = {
             ("level1.initial", "level2.initial"),
         ),
         Plant(
-            "heated_chamber", 1,
-            ("inverse_heater_capacity.gain", "conductance.gain", "inverse_chamber_capacity.gain", "loss.gain",
-             "proportional.gain", "integral_gain.gain"),
+            "heated_chamber",
+            1,
+            (
+                "inverse_heater_capacity.gain",
+                "conductance.gain",
+                "inverse_chamber_capacity.gain",
+                "loss.gain",
+                "proportional.gain",
+                "integral_gain.gain",
+            ),
             _pairs("""
                 SENSED1 heater_thermometer.output
                 SENSED2 chamber_thermometer.output
@@ -142,11 +152,18 @@ PLANTS = {
                 NET chamber_balance.output
                 LOSS loss.output
             """),
-            (("power", "controller.output", "W"), ("heater", "heater_thermometer.output", "K"),
-             ("chamber", "chamber_thermometer.output", "K")),
-            (Input("setpoint", "setpoint.output", "K", 0.0, 8.0, 0.02),
-             Input("room", "room.output", "K", 0.0, 3.0, 0.004, linear=True)),
-            1.0, 60.0, 3,
+            (
+                ("power", "controller.output", "W"),
+                ("heater", "heater_thermometer.output", "K"),
+                ("chamber", "chamber_thermometer.output", "K"),
+            ),
+            (
+                Input("setpoint", "setpoint.output", "K", 0.0, 8.0, 0.02),
+                Input("room", "room.output", "K", 0.0, 3.0, 0.004, linear=True),
+            ),
+            1.0,
+            60.0,
+            3,
             _lines("""
                 saturation POWER, dead_zone POWER, play POWER, asymmetry POWER, rate_limit POWER, lag POWER, delay POWER
                 delay SENSED2, lag SENSED2, lag SENSED1, cubic HEAT, quadratic HEAT, leak INTEGRAND INTEGRAL
@@ -156,9 +173,16 @@ PLANTS = {
             """),
         ),
         Plant(
-            "buck_converter", 2,
-            ("inverse_inductance.gain", "coil_resistance.gain", "inverse_capacitance.gain", "load.gain",
-             "proportional.gain", "integral_gain.gain"),
+            "buck_converter",
+            2,
+            (
+                "inverse_inductance.gain",
+                "coil_resistance.gain",
+                "inverse_capacitance.gain",
+                "load.gain",
+                "proportional.gain",
+                "integral_gain.gain",
+            ),
             _pairs("""
                 CURRENT coil_current.output
                 VOLTAGE capacitor_voltage.output
@@ -173,11 +197,18 @@ PLANTS = {
                 LOAD load.output
                 NET_I capacitor_current.output
             """),
-            (("duty", "controller.output", "1"), ("current", "current_probe.output", "A"),
-             ("voltage", "voltage_divider.output", "V")),
-            (Input("reference", "reference.output", "V", 6.0, 3.0, 600.0),
-             Input("source", "source.output", "V", 24.0, 2.0, 150.0, linear=True, rest=24.0)),
-            20e3, 4e-4, 3,
+            (
+                ("duty", "controller.output", "1"),
+                ("current", "current_probe.output", "A"),
+                ("voltage", "voltage_divider.output", "V"),
+            ),
+            (
+                Input("reference", "reference.output", "V", 6.0, 3.0, 600.0),
+                Input("source", "source.output", "V", 24.0, 2.0, 150.0, linear=True, rest=24.0),
+            ),
+            20e3,
+            4e-4,
+            3,
             _lines("""
                 saturation DUTY, dead_zone SWITCHED, cubic LOAD, delay DUTY, lag SENSED_V, lag DUTY
                 mode SENSED_V, mode DUTY, rate_limit DUTY, leak INTEGRAND INTEGRAL, offset SENSED_I, offset SENSED_V
@@ -187,9 +218,18 @@ PLANTS = {
             """),
         ),
         Plant(
-            "hydraulic_cylinder", 3,
-            ("flow_gain.gain", "stiffness.gain", "leakage.gain", "inverse_mass.gain", "viscous.gain", "area.gain",
-             "controller.gain", "valve.denominator[1]"),
+            "hydraulic_cylinder",
+            3,
+            (
+                "flow_gain.gain",
+                "stiffness.gain",
+                "leakage.gain",
+                "inverse_mass.gain",
+                "viscous.gain",
+                "area.gain",
+                "controller.gain",
+                "valve.denominator[1]",
+            ),
             _pairs("""
                 PRESSURE load_pressure.output
                 SPEED velocity.output
@@ -205,10 +245,15 @@ PLANTS = {
                 DRAG viscous.output
                 NET_F net_force.output
             """),
-            (("command", "controller.output", "V"), ("pressure", "pressure_sensor.output", "Pa"),
-             ("position", "position_sensor.output", "m")),
+            (
+                ("command", "controller.output", "V"),
+                ("pressure", "pressure_sensor.output", "Pa"),
+                ("position", "position_sensor.output", "m"),
+            ),
             (Input("reference", "reference.output", "m", 0.0, 0.02, 25.0),),
-            1000.0, 0.03, 4,
+            1000.0,
+            0.03,
+            4,
             _lines("""
                 saturation COMMAND, dead_zone SPOOL, play COMMAND, friction NET_F SPEED, cubic SPOOL, asymmetry SPOOL
                 stop NET_F POSITION, delay COMMAND, rate_limit COMMAND, lag SENSED_P, mode COMMAND, mode SENSED_Z
@@ -218,9 +263,18 @@ PLANTS = {
             """),
         ),
         Plant(
-            "crane", 4,
-            ("inverse_mass.gain", "trolley_friction.gain", "load_weight.gain", "inverse_length.gain",
-             "swing_damping.gain", "proportional.gain", "velocity_gain.gain", "gravity.gain"),
+            "crane",
+            4,
+            (
+                "inverse_mass.gain",
+                "trolley_friction.gain",
+                "load_weight.gain",
+                "inverse_length.gain",
+                "swing_damping.gain",
+                "proportional.gain",
+                "velocity_gain.gain",
+                "gravity.gain",
+            ),
             _pairs("""
                 SPEED trolley_speed.output
                 TROLLEY trolley.output
@@ -236,10 +290,15 @@ PLANTS = {
                 NET trolley_force.output
                 NET_SWING swing_acceleration.output
             """),
-            (("force", "controller.output", "N"), ("distance", "distance_sensor.output", "m"),
-             ("angle", "angle_sensor.output", "rad")),
+            (
+                ("force", "controller.output", "N"),
+                ("distance", "distance_sensor.output", "m"),
+                ("angle", "angle_sensor.output", "rad"),
+            ),
             (Input("reference", "reference.output", "m", 0.0, 0.3, 1.5),),
-            100.0, 0.3, 4,
+            100.0,
+            0.3,
+            4,
             _lines("""
                 saturation FORCE, dead_zone FORCE, play FORCE, friction NET SPEED, quadratic FORCE, asymmetry FORCE
                 stop NET TROLLEY, delay FORCE, delay SENSED_X, rate_limit FORCE, lag FORCE, lag SENSED_A, mode SENSED_A
@@ -250,9 +309,16 @@ PLANTS = {
             """),
         ),
         Plant(
-            "belt_drive", 5,
-            ("inverse_carriage_mass.gain", "belt_stiffness.gain", "belt_damping.gain", "inverse_load_mass.gain",
-             "load_friction.gain", "carriage_friction.gain"),
+            "belt_drive",
+            5,
+            (
+                "inverse_carriage_mass.gain",
+                "belt_stiffness.gain",
+                "belt_damping.gain",
+                "inverse_load_mass.gain",
+                "load_friction.gain",
+                "carriage_friction.gain",
+            ),
             _pairs("""
                 SPEED1 carriage_speed.output
                 SPEED2 load_speed.output
@@ -270,7 +336,9 @@ PLANTS = {
             """),
             (("carriage", "carriage_tacho.output", "m/s"), ("load", "load_tacho.output", "m/s")),
             (Input("force", "force.output", "N", 0.0, 60.0, 30.0),),
-            500.0, 0.02, 3,
+            500.0,
+            0.02,
+            3,
             _lines("""
                 dead_zone STRETCH, play FORCE, friction NET2 SPEED2, friction NET1 SPEED1, cubic SPRING
                 asymmetry SPRING, stop BELT STRETCH, saturation FORCE, delay FORCE, rate_limit FORCE, lag FORCE
@@ -281,9 +349,18 @@ PLANTS = {
             """),
         ),
         Plant(
-            "generator", 6,
-            ("inverse_field_inductance.gain", "field_resistance.gain", "flux.gain", "inverse_armature_inductance.gain",
-             "load.gain", "armature_resistance.gain", "proportional.gain", "integral_gain.gain"),
+            "generator",
+            6,
+            (
+                "inverse_field_inductance.gain",
+                "field_resistance.gain",
+                "flux.gain",
+                "inverse_armature_inductance.gain",
+                "load.gain",
+                "armature_resistance.gain",
+                "proportional.gain",
+                "integral_gain.gain",
+            ),
             _pairs("""
                 FIELD field_current.output
                 ARMATURE armature_current.output
@@ -299,11 +376,18 @@ PLANTS = {
                 EMF emf.output
                 NET_ARM armature_balance.output
             """),
-            (("field_voltage", "controller.output", "V"), ("field_current", "ammeter.output", "A"),
-             ("voltage", "voltmeter.output", "V")),
-            (Input("reference", "reference.output", "V", 100.0, 30.0, 20.0),
-             Input("speed", "speed.output", "rad/s", 150.0, 20.0, 1.0, linear=True, rest=150.0)),
-            1000.0, 0.05, 3,
+            (
+                ("field_voltage", "controller.output", "V"),
+                ("field_current", "ammeter.output", "A"),
+                ("voltage", "voltmeter.output", "V"),
+            ),
+            (
+                Input("reference", "reference.output", "V", 100.0, 30.0, 20.0),
+                Input("speed", "speed.output", "rad/s", 150.0, 20.0, 1.0, linear=True, rest=150.0),
+            ),
+            1000.0,
+            0.05,
+            3,
             _lines("""
                 saturation EXCITER, cubic FLUX, dead_zone EXCITER, play EXCITER, delay EXCITER, delay SENSED_V
                 lag SENSED_V, lag EXCITER, mode EXCITER, rate_limit EXCITER, leak INTEGRAND INTEGRAL, offset SENSED_I
@@ -313,9 +397,16 @@ PLANTS = {
             """),
         ),
         Plant(
-            "ball_and_beam", 7,
-            ("servo.denominator[1]", "rolling.gain", "resistance.gain", "proportional.gain", "derivative_gain.gain",
-             "derivative.time_constant"),
+            "ball_and_beam",
+            7,
+            (
+                "servo.denominator[1]",
+                "rolling.gain",
+                "resistance.gain",
+                "proportional.gain",
+                "derivative_gain.gain",
+                "derivative.time_constant",
+            ),
             _pairs("""
                 ANGLE servo.output
                 SPEED ball_speed.output
@@ -329,10 +420,15 @@ PLANTS = {
                 DRAG resistance.output
                 NET ball_acceleration.output
             """),
-            (("command", "controller.output", "rad"), ("angle", "angle_sensor.output", "rad"),
-             ("position", "camera.output", "m")),
+            (
+                ("command", "controller.output", "rad"),
+                ("angle", "angle_sensor.output", "rad"),
+                ("position", "camera.output", "m"),
+            ),
             (Input("reference", "reference.output", "m", 0.0, 0.2, 1.0),),
-            100.0, 0.35, 4,
+            100.0,
+            0.35,
+            4,
             _lines("""
                 saturation COMMAND, dead_zone COMMAND, play SLOPE, friction NET SPEED, cubic SLOPE, stop NET BALL
                 delay CAMERA, delay COMMAND, rate_limit COMMAND, lag CAMERA, mode COMMAND, mode CAMERA, offset SENSED_A
@@ -342,4 +438,4 @@ PLANTS = {
             """),
         ),
     )
-}  # fmt: skip
+}

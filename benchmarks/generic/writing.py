@@ -86,16 +86,14 @@ def tell(case: Case, measured: Sequence[Array]) -> dict[str, Any]:
         "parameters": {name: case.parameters[case.plant.parameters.index(name)] for name in case.plant.free},
         "effects": effects,
         "noise": {
-            name: {
-                key: getattr(recorder, key) for key in ("white", "coloured", "corner", "mains", "step", "floor")
-            }
+            name: {key: getattr(recorder, key) for key in ("white", "coloured", "corner", "mains", "step", "floor")}
             for (name, _, _), recorder in zip(case.plant.channels, case.recorders, strict=True)
         },
         "noise_floor": scores["true_model"]["held_out_total"],
         "integration_error": case.error,
         "attempts": case.attempts,
         "scores": scores,
-    }  # fmt: skip
+    }
 
 
 def _scores(case: Case, simulated: Sequence[Array] | None, measured: Sequence[Array]) -> dict[str, Any] | None:
