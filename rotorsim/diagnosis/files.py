@@ -100,7 +100,8 @@ def _explained(item: Explained) -> dict[str, Any] | None:
 
 def _place(spot: Spot, probability: float) -> dict[str, Any]:
     node = spot.beside if spot.node is None else spot.node
-    return {"block": spot.block, "port": spot.port, "node": node, "axis": None, "probability": probability}
+    side = {"side": spot.side} if spot.side else {}  # of a signal in time: "reading", or "both" it and what takes it
+    return {"block": spot.block, "port": spot.port, "node": node, "axis": None, "probability": probability, **side}
 
 
 def _effect_parameters(effect: Effect, fit: Fit) -> dict[str, Any]:

@@ -34,6 +34,11 @@ class Spot:
     def __str__(self) -> str:
         return f"{self.block}.{self.port}" + (f"[{self.node}]" if self.node is not None else "")
 
+    @property
+    def words(self) -> str:
+        """The place in words: what of a signal is meant."""
+        return {"reading": f"the reading of {self}", "both": f"{self}, its reading too"}.get(self.side, str(self))
+
 
 @dataclass(frozen=True, eq=False)
 class Insertion:

@@ -180,7 +180,7 @@ def _sentence(effect: Effect, diagnosis: Diagnosis) -> str:
             values.append(f"{name.rpartition('.')[2]} {size}" + (" at its bound" if item.at_bound else ""))
     values += [f"{key} {_quantity(*value)}" for key, value in diagnosis.measured(effect).items()]
     sizes = ", ".join(values)
-    names = [f"{name} at {spot}" if (spot := effect.spot_of(name)) else name for name in effect.members]
+    names = [f"{name} at {spot.words}" if (spot := effect.spot_of(name)) else name for name in effect.members]
     if len(names) == 1:
         return f"Missing physics: {names[0]}" + (f" ({sizes})." if sizes else ".")
     text = f"Missing physics: one of these, which the data do not separate: {', '.join(names)}"

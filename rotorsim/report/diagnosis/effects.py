@@ -73,7 +73,7 @@ def _effect(diagnosis: Diagnosis, data: Mapping[str, Any], effect: Effect, numbe
             [
                 plain_words(name),
                 f"{probability:.2f}",
-                str(effect.spot_of(name) or ""),
+                spot.words if (spot := effect.spot_of(name)) else "",
                 own_parameters(*own[name]) if name in own else "",
             ]
             for name, probability in effect.members.items()

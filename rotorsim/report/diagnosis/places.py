@@ -70,7 +70,7 @@ def _title(places: Sequence[tuple[Spot, float]]) -> str:
     if not places:
         return "The machine as the diagram has it; no place is suspect"
     spot, probability = places[0]
-    return f"Where it acts: {spot} with probability {probability:.2f}"
+    return f"Where it acts: {spot.words} with probability {probability:.2f}"
 
 
 # -- the machine -------------------------------------------------------------------------------------------------------
@@ -184,7 +184,7 @@ def _draw_bars(axes: Axes, shaft: _Shaft, places: Sequence[tuple[Spot, float]]) 
 def _draw_others(axes: Axes, places: Sequence[tuple[Spot, float]], title: str) -> None:
     bars = axes.barh(range(len(places)), [p for _, p in places], color=RED, alpha=0.55, height=0.6)
     axes.bar_label(bars, fmt=" %.2f", fontsize=8)
-    axes.set_yticks(range(len(places)), [str(spot) for spot, _ in places])
+    axes.set_yticks(range(len(places)), [spot.words for spot, _ in places])
     axes.set(ylim=(max(len(places), 2) - 0.4, -0.6), xlim=(0, 1.15), xlabel="probability")
     axes.set_title(title, loc="left")
 

@@ -118,7 +118,7 @@ def _where(diagnosis: Diagnosis, page: Page) -> str:
         made = places_figure(given, diagnosis.places, diagnosis.evidence.recorded)
         parts.append(page.figure(Drawn("where", made, "Places where faults were tried, by the best fault at each.")))
     if diagnosis.places:
-        parts.append(table(["place", "probability"], [[str(spot), f"{p:.2f}"] for spot, p in diagnosis.places[:10]]))
+        parts.append(table(["place", "probability"], [[spot.words, f"{p:.2f}"] for spot, p in diagnosis.places[:10]]))
     repaired = _loaded(diagnosis.evidence, repaired_document(diagnosis))
     if repaired is not None:
         parts.append(_diagram(diagnosis, repaired, page))

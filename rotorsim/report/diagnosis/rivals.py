@@ -60,7 +60,7 @@ def _rivals(diagnosis: Diagnosis, item: Round, number: int, reasons: Mapping[str
             f"{fit.criterion - base:+.4g}",
         )
         cells = [""] * 4 if fit.failure else numbers
-        rows.append([plain_words(name), str(candidate.insertion.spot), *cells, why or fit.failure])
+        rows.append([plain_words(name), candidate.insertion.spot.words, *cells, why or fit.failure])
     if not rows:
         return ""
     others = [plain_words(effect.physics) for k, effect in enumerate(effects) if k != number]
