@@ -40,11 +40,8 @@ def layers_of(container: str) -> list[list[str]]:
         "contracts"
     ]
     for contract in contracts:
-        if contract["type"] == "layers" and container in contract.get("containers", ["rotorsim"]):
-            return [
-                [name.strip().strip("()").removeprefix("rotorsim.") for name in re.split(r"[|:]", layer)]
-                for layer in contract["layers"]
-            ]
+        if contract["type"] == "layers" and container in contract["containers"]:
+            return [[name.strip().strip("()") for name in re.split(r"[|:]", layer)] for layer in contract["layers"]]
     return []
 
 

@@ -118,6 +118,9 @@ class Criteria:
     white: float = 0.5
     # residual variance, of that of the flexible model, below which a fit takes its place
     surpassed: float = 0.5
+    # variance of what is not predictable, of its white part: hum and drift of 2 standard deviations and flicker noise
+    # together (benchmarks/concealed, --nuisances all) make 1 + 2 + 4/3 + 1
+    colour: float = 6.0
 
     # -- resonances ----------------------------------------------------------------------------------------------------
     # relative error of a frequency: what a beam model from drawings is good for

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-ENTRIES = ("force", "shaft", "wire", "reading", "replace", "move")
+ENTRIES = ("force", "shaft", "wire", "reading", "signal", "replace", "move")
 
 
 @dataclass(frozen=True)
@@ -57,14 +57,16 @@ class Fault:
       of the input (the output of that name of the source); further outputs go to optional inputs of their name. With
       ``recorded`` "after" a recording of that signal means the block's output, with "before" its input.
     - "reading": only the recording sees the block's output (``through``), not the diagram.
+    - "signal": the block's ``output`` takes the place of any scalar signal, its ``input``: for all blocks that take it,
+      for its recording, or for both. Of diagrams in which nothing turns.
     - "replace": the block takes the place of one whose type is in ``of``, which may be its own type; parameters of
       equal name keep their values.
     - "move": a block of this type acts at another place.
 
-    options: of the block where it enters. free: parameter -> starts (SI numbers or `Of`), all of them tried; bounds
-    are those of the parameter; what is not free keeps its default. fixed: parameters that are set once, to a number
-    or by `Of`, and not fitted, or by `Lines`: it is tried only where the recording has lines that call for it. By
-    `Steps`: the block is a converter, a "reading", which is put in where readings show its steps; harmonics are
+    options: of the block where it enters. free: parameter -> starts (SI numbers, `Of` or `Longest`), all of them tried;
+    bounds are those of the parameter; what is not free keeps its default. fixed: parameters that are set once, to a
+    number or by `Of`, and not fitted, or by `Lines`: it is tried only where the recording has lines that call for it.
+    By `Steps`: the block is a converter, a "reading", which is put in where readings show its steps; harmonics are
     compared with what goes into it.
     most: what the magnitude of a free parameter can be at most, beside the bounds of the parameter. sizes: parameters
     that the effect is proportional to: where the data tell none of them from zero, there is no effect.
@@ -78,8 +80,8 @@ class Fault:
 
     physics: str
     enters: str
-    free: Mapping[str, tuple[float | Of, ...]] = field(default_factory=dict)
-    fixed: Mapping[str, float | Of | Lines | Steps] = field(default_factory=dict)
+    free: Mapping[str, tuple[float | Of | Longest, ...]] = field(default_factory=dict)
+    fixed: Mapping[str, float | Of | Longest | Lines | Steps] = field(default_factory=dict)
     most: Mapping[str, Of | Longest] = field(default_factory=dict)
     sizes: tuple[str, ...] = ()
     of: tuple[str, ...] = ()

@@ -27,11 +27,15 @@ def read_truths(folder: Path) -> dict[str, dict[str, Any]]:
     for file in files:
         truth = json.loads(file.read_text())
         missing = truth["missing"]
+        if "diagram" in truth:
+            _complete_generic(truth)
         truth.setdefault(
             "kind",
             "nothing" if not missing else "outside" if OUTSIDE in missing else "one" if len(missing) == 1 else "two",
         )
-        if not (folder / "truth").is_dir():  # the shared sets count beta from the front of the crack
+        if (
+            not (folder / "truth").is_dir() and "diagram" not in truth
+        ):  # the shared sets count beta from the front of the crack
             numbers = truth["parameters"]
             truth["parameters"] = numbers | {"beta": numbers["beta"] + numbers["crack_phase"]}
         truth.setdefault("class", {physics: [physics] for physics in missing})
@@ -39,6 +43,26 @@ def read_truths(folder: Path) -> dict[str, dict[str, Any]]:
         truth.setdefault("nodes", {physics: truth.get("node") for physics in missing})
         truths[truth["case"]] = truth
     return truths
+
+
+def _complete_generic(truth: dict[str, Any]) -> None:
+    """Give the truth of a generic diagram the keys of those of rotors: kind, synonyms as class, places, floor.
+
+    The shared sets say of a law outside the catalogue that it may be called so.
+    """
+    effects, scores = truth.get("effects", []), truth["scores"]
+    outside = any(OUTSIDE in effect["also_called"] for effect in effects)
+    truth.setdefault("kind", "outside" if outside else ("nothing", "one", "two")[min(len(effects), 2)])
+    truth.setdefault("class", {effect["physics"]: [effect["physics"], *effect["also_called"]] for effect in effects})
+    truth.setdefault("accepted", {effect["physics"]: effect["accepted_locations"] for effect in effects})
+    truth.setdefault("noise_floor", scores["true_model"]["held_out_total"])
+    truth.setdefault("detectability", scores["base_refitted"]["chi"])
+    if truth["kind"] == "outside":
+        truth["law"] = truth.get("law") or truth["missing"][0]
+    if effects and truth.get("predictable", True) and scores.get("true_refitted"):
+        ends = (scores["base_refitted"], scores["true_refitted"])
+        truth["held_out"] = [end["held_out_total"] if end else None for end in ends]
+    truth |= {"machine": truth["diagram"], "effect": {}, "nodes": {}}
 
 
 def _number(value: Any) -> float | None:
@@ -79,6 +103,8 @@ def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, 
         "free": [],
         "false_names": [],
         "class_sizes": [],
+        "credit": {},
+        "places": None,
     }
     if diagnosis is None:
         return result
@@ -93,6 +119,8 @@ def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, 
             result["named"][physics] = any(accepted & names for _, names, _ in answers)
             result["exact"][physics] = any(first == physics for first, _, _ in answers)
             result["located"][physics] = _located(truth, physics, diagnosis.get("where", []))
+            sizes = [len(names) for _, names, _ in answers if accepted & names]
+            result["credit"][physics] = 1 / min(sizes) if sizes else 0.0
         for first, _, item in answers:
             if first in truth["missing"] and kind in ("one", "two"):
                 effect = _effect(truth, first)
@@ -102,14 +130,17 @@ def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, 
                         result["parameters"].append({"physics": first, "name": name, **_estimate(found, *known)})
     result["false_names"] = [first for first, names, _ in answers if not names & right and first != OUTSIDE]
     result["class_sizes"] = [len(names) for _, names, _ in answers]
+    result["places"] = len(diagnosis.get("where", [])) or None
     result["right"] = _verdict_right(kind, diagnosis["verdict"], result)
+    if kind == "outside" and "accepted" in truth:  # who names a law that others call outside is right as well
+        result["right"] |= bool(answers) and all(names & right for _, names, _ in answers)
     if kind == "nothing" or (kind in ("one", "two") and all(result["exact"].values())):
         for name, found in (diagnosis.get("parameters", {}).get("after") or {}).items():
-            key = FREE.get(name)
+            key = FREE.get(name, name)
             if key in truth["parameters"] and isinstance(found, dict) and _number(found.get("value")) is not None:
                 period = 6.283185307179586 if name.endswith("phase") else 0.0
                 result["free"].append({"name": name, **_estimate(found, truth["parameters"][key], period)})
-    result |= _held_out(diagnosis.get("fit", {}), truth.get("noise_floor"))
+    result |= _held_out(diagnosis.get("fit", {}), truth.get("noise_floor"), truth.get("held_out"))
     return result
 
 
@@ -121,7 +152,14 @@ def _effect(truth: dict[str, Any], physics: str) -> dict[str, float]:
 
 
 def _located(truth: dict[str, Any], physics: str, where: list[dict[str, Any]]) -> bool | None:
-    """Return whether a likely place is right: its block and, on a beam, the node. None if the truth has no place."""
+    """Return whether a likely place is right: its block and, on a beam, the node. None if the truth has no place.
+
+    In a generic diagram: whether it is one of the ports that the data cannot tell apart.
+    """
+    if physics in truth.get("accepted", {}):
+        ports = truth["accepted"][physics]
+        best = sorted(where, key=lambda place: -float(place.get("probability") or 0))[: len(truth["missing"])]
+        return any(f"{place.get('block')}.{place.get('port')}" in ports for place in best)
     blocks, node = truth.get("blocks", {}).get(physics), truth["nodes"].get(physics)
     if not blocks and node is None:
         return None
@@ -144,15 +182,24 @@ def _verdict_right(kind: str, verdict: str, result: dict[str, Any]) -> bool:
     return verdict == "missing_physics" or (verdict == "not_identifiable" and all(result["named"].values()))
 
 
-def _held_out(fit: dict[str, Any], floor: float | None) -> dict[str, float | None]:
-    """Return the share of the way, in logarithms, from the misfit before to the noise floor, claimed and true."""
+def _held_out(
+    fit: dict[str, Any], floor: float | None, ends: list[float | None] | None = None
+) -> dict[str, float | None]:
+    """Return the share of the way, in logarithms, from the misfit before to the noise floor, claimed and true.
+
+    ends: misfits of the diagram and of the true structure, both refitted by the maker of the set: `achieved` is the
+    share of the way between them.
+    """
     before = _number((fit.get("before") or {}).get("hold_out"))
     after = _number((fit.get("after") or {}).get("hold_out"))
     claimed = _number(fit.get("noise_floor"))
-    gain = None
+    gain = achieved = None
     if before and after and claimed and before > 1.2 * claimed:
         gain = log(before / after) / log(before / claimed)
-    return {"before": before, "after": after, "floor": claimed, "true_floor": floor, "gain": gain}
+    if after and ends and ends[0] and ends[1] and ends[0] > 1.2 * ends[1]:
+        achieved = log(ends[0] / after) / log(ends[0] / ends[1])
+    told = {"before": before, "after": after, "floor": claimed, "true_floor": floor}
+    return told | {"gain": gain, "achieved": achieved}
 
 
 def judge_all(folder: Path, diagnoses: Path) -> list[dict[str, Any]]:

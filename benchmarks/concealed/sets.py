@@ -84,7 +84,9 @@ def make(jobs: list[Job], processes: int) -> list[dict[str, Any]]:
 
 
 def diagrams_of(folder: Path, diagram: str | None) -> dict[str, str]:
-    """Return the diagram of each case: as the set says, or one for all of a shared set.
+    """Return the diagram of each case: as the set or its truths say, or one for all of a shared set.
+
+    A file is meant from the folder of the set; the shared sets of several diagrams have them beside the set.
 
     Raises:
         FileNotFoundError: there is no set, or it does not say which diagram its cases are of
@@ -92,11 +94,26 @@ def diagrams_of(folder: Path, diagram: str | None) -> dict[str, str]:
     said = folder / "set.json"
     if diagram is None and said.exists():
         found: dict[str, str] = json.loads(said.read_text())["diagrams"]
-        return found
+        return {name: str(folder / which) if which.endswith(".json") else which for name, which in found.items()}
     cases = [file.parent.name for file in sorted(folder.glob("*/recording.json"))]
+    if diagram is None and cases:
+        own = {name: _named_diagram(folder, name) for name in cases}
+        if all(own.values()):
+            return {name: str(which) for name, which in own.items()}
     if not cases or diagram is None:
         raise FileNotFoundError(f"{folder}: no set.json; hint: a set of others needs --diagram jeffcott or fe_rigid")
     return dict.fromkeys(cases, diagram)
+
+
+def _named_diagram(folder: Path, case: str) -> Path | None:
+    """Return the file of the diagram that a truth, or the description of a recording, names."""
+    truth = folder / case / "truth.json"
+    name = str(json.loads(truth.read_text()).get("diagram", "")) if truth.exists() else ""
+    if not name:
+        text = str(json.loads((folder / case / "recording.json").read_text()).get("description", ""))
+        name = next((word.removesuffix(".json") for word in text.split() if word.endswith(".json")), "")
+    file = folder.parent / "diagrams" / f"{name}.json"
+    return file if name and file.exists() else None
 
 
 def held_out(folder: Path, case: str) -> Path:

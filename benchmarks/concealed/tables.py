@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from statistics import median
 from typing import Any
 
@@ -31,11 +32,16 @@ def _count(flags: list[Any]) -> dict[str, Any]:
     }
 
 
-def _numbers(values: list[float | None]) -> dict[str, Any]:
+def _numbers(values: Sequence[float | None]) -> dict[str, Any]:
     known = sorted(v for v in values if v is not None)
     if not known:
         return {"of": 0}
-    return {"of": len(known), "median": median(known), "p90": known[min(len(known) - 1, int(0.9 * len(known)))]}
+    return {
+        "of": len(known),
+        "mean": sum(known) / len(known),
+        "median": median(known),
+        "p90": known[min(len(known) - 1, int(0.9 * len(known)))],
+    }
 
 
 def summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
@@ -54,6 +60,8 @@ def summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
         "named_both": _count([all(item["named"].values()) for item in kind["two"]]),
         "named_exactly": _count([item["exact"][physics] for item, physics in rows]),
         "located": _count([item["located"].get(physics) for item, physics in rows]),
+        "credit": _numbers([item["credit"].get(physics) for item, physics in rows]),
+        "places": _numbers([item["places"] for item in known]),
         "false_name": _count([bool(item["false_names"]) for item in known]),
         "false_alarm": _count([item["verdict"] != "consistent" for item in kind["nothing"]]),
         "missed": _count([item["verdict"] == "consistent" for item in known]),
@@ -87,6 +95,7 @@ def summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
         }
     out["held_out_gain"] = {
         "of_one_and_two": _numbers([item.get("gain") for item in known]),
+        "of_what_is_achievable": _numbers([item.get("achieved") for item in known]),
         "after_over_floor": _numbers(
             [item["after"] / item["floor"] for item in known if item.get("after") and item.get("floor")]
         ),
@@ -155,8 +164,16 @@ def markdown(result: dict[str, Any], title: str) -> str:
     lines += [f"| verdict right, {kind} | {_share(count)} |" for kind, count in result["verdict_right"].items()]
     lines += [f"| named, {band} | {_share(count)} |" for band, count in result["named_by_detectability"].items()]
     lines.append(f"| size of the classes named | {_spread(result['class_size'], percent=False)} |")
+    lines += [
+        f"| {text} | mean {result[key]['mean']:.3g} ({result[key]['of']}) |"
+        for key, text in (("credit", "names, 1/n in a class of n"), ("places", "places reported"))
+        if result[key]["of"]
+    ]
     gain = result["held_out_gain"]
     lines.append(f"| log(before/after) over log(before/noise floor), held-out | {_spread(gain['of_one_and_two'])} |")
+    achieved = gain["of_what_is_achievable"]
+    if achieved["of"]:  # the maker of the set says how far its true structures come
+        lines.append(f"| ... as a share of what the true structure, refitted, achieves | {_spread(achieved)} |")
     lines.append(f"| ... at least 90 % | {_share(gain['at_least_90_%'])} |")
     lines.append(f"| error after over noise floor, held-out | {_spread(gain['after_over_floor'], percent=False)} |")
     lines.append(

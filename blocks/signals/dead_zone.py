@@ -1,6 +1,7 @@
 """Dead zone."""
 
 from rotorsim.block import Block, Equations, In, Out, Param, maximum, minimum
+from rotorsim.fault import Fault, Of
 
 
 class DeadZone(Block):
@@ -10,6 +11,18 @@ class DeadZone(Block):
     """
 
     source = "Simulink: Dead Zone"
+    faults = (
+        Fault(
+            physics="dead_zone",
+            enters="signal",
+            through={"input": "output"},
+            free={"width": (Of("input", 0.1), Of("input", 0.5))},
+            sizes=("width",),
+            law="nothing passes inside the zone (a clearance); its share falls with the amplitude",
+            confused_with=("dry_friction", "gain_error"),
+            told_apart_by="amplitude: the share that is lost falls as it grows",
+        ),
+    )
 
     input = In(shape="signal", unit=None, doc="signal")
     output = Out(shape="signal", unit=None, doc="excess over the zone, shape of the input")

@@ -3,6 +3,7 @@
 from rotorsim.blocks.common import pade
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param
+from rotorsim.fault import Fault
 
 
 class Delay(Block):
@@ -26,6 +27,18 @@ class Delay(Block):
     """
 
     source = "Golub and Van Loan, Matrix Computations (2013), 9.3.1; DLMF 4.39.1 (ladder); Simulink: Transport Delay"
+    faults = (
+        Fault(
+            physics="delay",
+            enters="signal",
+            through={"input": "output"},
+            free={"delay": (1e-3, 1e-2, 0.1)},
+            options={"order": 3},
+            law="phase that falls in proportion to the frequency; no change of magnitude",
+            confused_with=("lag", "missing_mode"),
+            told_apart_by="high frequencies: a lag attenuates them, a delay does not",
+        ),
+    )
 
     input = In(shape="signal", unit=None, doc="signal")
     output = Out(shape="signal", unit=None, doc="delayed signal, shape of the input")

@@ -1,6 +1,7 @@
 """Gain."""
 
 from rotorsim.block import Block, Equations, In, Out, Param
+from rotorsim.fault import Fault
 
 
 class Gain(Block):
@@ -10,6 +11,17 @@ class Gain(Block):
     """
 
     source = "Simulink: Gain"
+    faults = (
+        Fault(
+            physics="gain_error",
+            enters="signal",
+            through={"input": "output"},
+            free={"gain": (1.1, 0.9)},
+            law="proportional to the signal at all frequencies and amplitudes",
+            confused_with=("lag", "asymmetry"),
+            told_apart_by="a sensor on the other side of the gain",
+        ),
+    )
 
     input = In(shape="signal", unit=None, doc="signal")
     output = Out(shape="signal", unit=None, doc="scaled signal, shape of the input")

@@ -1,6 +1,7 @@
 """Rate limiter."""
 
 from rotorsim.block import Block, Equations, In, Out, Param, State, maximum, minimum
+from rotorsim.fault import Fault, Of
 
 
 class RateLimiter(Block):
@@ -12,6 +13,17 @@ class RateLimiter(Block):
     """
 
     source = "Simulink: Rate Limiter (here continuous, with a lag)"
+    faults = (
+        Fault(
+            physics="rate_limit",
+            enters="signal",
+            through={"input": "output"},
+            free={"rising": (Of("input", 20.0), Of("input", 2.0)), "falling": (Of("input", -20.0), Of("input", -2.0))},
+            law="straight flanks; nothing while the signal is slow",
+            confused_with=("saturation", "lag"),
+            told_apart_by="frequency at small amplitude: below the rate nothing is left",
+        ),
+    )
 
     input = In(shape="signal", unit=None, doc="signal to follow")
     output = Out(shape="signal", unit=None, doc="limited signal, shape of the input")

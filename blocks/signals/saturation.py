@@ -1,6 +1,7 @@
 """Saturation."""
 
 from rotorsim.block import Block, Equations, In, Out, Param, maximum, minimum
+from rotorsim.fault import Fault, Of
 
 
 class Saturation(Block):
@@ -10,6 +11,17 @@ class Saturation(Block):
     """
 
     source = "Simulink: Saturation"
+    faults = (
+        Fault(
+            physics="saturation",
+            enters="signal",
+            through={"input": "output"},
+            free={"lower": (Of("input", -0.9), Of("input", -0.5)), "upper": (Of("input", 0.9), Of("input", 0.5))},
+            law="flat tops; nothing below the limits",
+            confused_with=("rate_limit", "static_nonlinearity"),
+            told_apart_by="amplitude: below a limit nothing is left",
+        ),
+    )
 
     input = In(shape="signal", unit=None, doc="signal")
     output = Out(shape="signal", unit=None, doc="limited signal, shape of the input")

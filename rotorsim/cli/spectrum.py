@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotorsim.cli.shared import (
+    RECORDING,
     RESULTS,
     Chosen,
     clock_of,
@@ -102,7 +103,7 @@ def command(
     rotorsim spectrum jeffcott --window "4 s:5 s" --harmonics fft
     """
     wanted = Wanted(signals, window_of(window) if window else None, method, threshold, plot, as_json)
-    if is_recording(chosen.name):
+    if is_recording(chosen.name, RESULTS):
         chosen.refuse_changes("a recording")
         _show_recording(chosen.name, runs, wanted)
         return
@@ -198,7 +199,14 @@ def _saved(chosen: Chosen) -> tuple[Result, str | None]:
     from rotorsim.simulation.files import load_result
 
     chosen.refuse_changes("a saved result")
-    result = load_result(chosen.name)
+    try:
+        result = load_result(chosen.name)
+    except RotorsimError as error:
+        folder = Path(chosen.name).parent
+        if not (folder / RECORDING).exists():
+            raise
+        hint = f"it is in a recording: give the folder {folder}, and the run by --run"
+        raise RotorsimError(*(replace(problem, hint=hint) for problem in error.problems)) from None
     bad = result.status in ("unstable", "diverged")
     refuse_if(
         bad or any((np.abs(values) > LARGEST_MOTION).any() for values in result.signals.values()),

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Free
-from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.identification.whitening import harmonics_of_time
@@ -174,25 +172,25 @@ def _names(model: Model, recording: Recording, problems: list[Problem]) -> list[
     for column, channel in recording.channels.items():
         if channel.signal in (ANGLE, TACHO):
             continue
-        subject = f"channel {column}"
+        subject, place = f"channel {column}", channel.place
         if channel.signal not in model.signals:
             hint = near_miss(channel.signal, model.signals)
-            problems.append(Problem(f"the diagram has no signal '{channel.signal}'", subject, hint=hint))
+            problems.append(Problem(f"the diagram has no signal '{channel.signal}'", subject, place, hint))
             continue
         name = channel.name
         unit = model.signals[channel.signal].unit
         if unit is not None and compatible(channel.unit, unit) not in ("same", "scaled"):
             what = f"unit '{channel.unit}' does not fit '{channel.signal}', which is in {unit}"
-            problems.append(Problem(what, subject, hint="correct the unit, or the signal, in recording.json"))
+            problems.append(Problem(what, subject, place, "correct the unit, or the signal, in recording.json"))
             continue
         shape = model.signals[channel.signal].shape
         if shape and not _is_entry(channel, shape):
             size = " x ".join(map(str, shape))
             hint = "say node and axis" if len(shape) == 2 else "say axis"
             what = f"'{name}' is not one entry of '{channel.signal}', which is {size}"
-            problems.append(Problem(what, subject, hint=hint))
+            problems.append(Problem(what, subject, place, hint))
         elif name in found:
-            problems.append(Problem(f"'{name}' is measured by two channels", subject, hint="leave one of them out"))
+            problems.append(Problem(f"'{name}' is measured by two channels", subject, place, "leave one of them out"))
         else:
             found.append(name)
     return found
@@ -224,10 +222,6 @@ def check_against(diagram: Diagram, recording: Recording) -> list[Problem]:
         )
     }
     _names(model, replace(recording, channels=compared), problems)
-    source = read_document(Path(recording.runs[0].place.file)) if problems and recording.runs else None
-    if source is not None:
-        places = {f"channel {column}": source.place(("channels", column), key=True) for column in recording.channels}
-        problems = [replace(problem, place=places.get(problem.subject, problem.place)) for problem in problems]
     for run in recording.runs:
         for name, value in run.settings.items():
             subject = f"run {run.id}: set {name}"

@@ -13,13 +13,18 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagram.parse.document import endpoint
-from rotorsim.diagram.parse.source import JsonPath, Source, read_document
+from rotorsim.diagram.parse.source import Expected, JsonPath, Source, read_document
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.recordings.recording import ANGLE, AXES, TACHO, USES, Channel, Recording, Run
 from rotorsim.units import UnitError, compatible, parse_unit, split_quantity
 
 FILE = "recording.json"
+RECORDING_FORM = Expected(
+    'a recording is a JSON object: {"name": ..., "source": ..., "channels": {...}, "runs": [...]}',
+    "a recording needs no more than four",
+    "samples belong into data files",
+)
 RECORDING_KEYS: dict[str, Mapping[str, type]] = {
     "recording": {
         "$schema": str,
@@ -82,15 +87,22 @@ class Document:
 def read_recording_document(path: str | Path) -> Document:
     """Read and check a recording.json, or the one in a folder. Raises RotorsimError with every mistake."""
     path = Path(path)
+    what = hint = ""
     try:
         if path.is_dir():
-            path = path / FILE
+            path /= FILE
             if not path.exists():
+                what = "file does not exist"
                 hint = f"a recording is a folder with {FILE} and data files; see docs/recordings.md"
-                raise RotorsimError(Problem("file does not exist", place=Place(str(path)), hint=hint))
+        elif path.suffix.lower() != ".json" and path.is_file():
+            what, there = f"a recording is a folder with {FILE}, or that file; this is neither", path.parent / FILE
+            hint = f"say what the columns of a data file mean in {there}; see docs/recordings.md"
+            hint = f"give the folder: {path.parent}" if there.exists() else hint
     except (OSError, ValueError) as error:
-        raise RotorsimError(Problem(f"file cannot be read: {error}", place=Place(str(path)))) from None
-    return parse_recording(read_document(path), path.parent)
+        what = f"file cannot be read: {error}"
+    if what:
+        raise RotorsimError(Problem(what, place=Place(str(path)), hint=hint))
+    return parse_recording(read_document(path, RECORDING_FORM), path.parent)
 
 
 def parse_recording(source: Source, folder: Path, *, files: bool = True) -> Document:
@@ -214,7 +226,8 @@ class _Parser:
             self.unit(form, (*path, "unit"), subject)
         if len(self.problems) > before:
             return None
-        return Channel(column, form["signal"], axis, node, position, form["unit"], coupling or "dc")
+        place = self.source.place(path, key=True)
+        return Channel(column, form["signal"], axis, node, position, form["unit"], coupling or "dc", place)
 
     def signal(self, form: Mapping[str, Any], path: JsonPath, subject: str) -> None:
         signal = form["signal"]
@@ -314,8 +327,12 @@ class _Parser:
         try:
             if not self.files or target.is_file():
                 return target
-            why = "is a folder" if target.is_dir() else "does not exist or cannot be read"
-            hint = near_miss(parts[-1], [entry.name for entry in target.parent.iterdir()], list_all=False)
+            folder = target if target.is_dir() else target.parent
+            there = sorted(entry.name for entry in folder.iterdir() if entry.is_file())
+            if target.is_dir():
+                why, hint = "is a folder", f"name a file in it, such as '{file}/{[*there, 'run1.csv'][0]}'"
+            else:
+                why, hint = "does not exist or cannot be read", near_miss(parts[-1], there, list_all=False)
         except (OSError, ValueError):
             why, hint = "does not exist or cannot be read", ""
         self.error(f"file '{_short(file)}' {why}", path, subject, hint)

@@ -25,7 +25,8 @@ class Channel:
 
     column: name in the data file. signal: "rotor.displacement", "controller.current", "clock.theta" (shaft angle)
     or "tacho" (raw pulse voltage). axis: "x" or "y". node: counted from 1. position: along the shaft [m].
-    unit: as stated; values are SI all the same. coupling: "ac" when the mean means nothing.
+    unit: as stated; values are SI all the same. coupling: "ac" when the mean means nothing. place: where
+    recording.json names it.
     """
 
     column: str
@@ -35,6 +36,7 @@ class Channel:
     position: float | None
     unit: str
     coupling: str = "dc"
+    place: Place = field(default_factory=Place, compare=False, repr=False)
 
     @property
     def name(self) -> str:

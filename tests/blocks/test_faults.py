@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from rotorsim.block import Block
+from rotorsim.diagnosis.catalogue.finder import insertions
+from rotorsim.diagnosis.catalogue.insertion import LONGEST, fixed_of, sizes_at, starts_of
 from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.registry import all_types
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
-from rotorsim.fault import Fault, Lines, Of, Steps
+from rotorsim.fault import Fault, Lines, Longest, Of, Steps
 from rotorsim.model.load import load
 from rotorsim.simulation.run import simulate
 
@@ -66,6 +68,26 @@ CATALOGUE = {
     "mass_error",
     "disc_rotary_inertia",
 }
+# what may happen to any signal of a diagram in which nothing turns
+SIGNALS = {
+    "asymmetry",
+    "dead_zone",
+    "delay",
+    "drift",
+    "dry_friction",
+    "gain_drift",
+    "gain_error",
+    "integrator_leak",
+    "lag",
+    "line",
+    "missing_mode",
+    "offset",
+    "one_sided_stop",
+    "rate_limit",
+    "saturation",
+    "static_nonlinearity",
+    "step",
+}
 # what reads like an effect without being one: parameters of the model, and noise
 OTHERS = {"viscous_damping", "force_displacement_factor", "force_current_factor", "sag", "noise"}
 FAULTS = [(cls, fault) for cls in all_types().values() for fault in cls.faults]
@@ -74,7 +96,7 @@ every_fault = pytest.mark.parametrize(("cls", "fault"), FAULTS, ids=IDS)
 
 
 def test_every_effect_of_the_catalogue_is_offered_and_no_other() -> None:
-    assert {fault.physics for _, fault in FAULTS} == CATALOGUE
+    assert {fault.physics for _, fault in FAULTS} == CATALOGUE | SIGNALS
 
 
 @every_fault
@@ -82,7 +104,7 @@ def test_a_fault_says_what_it_looks_like(cls: type[Block], fault: Fault) -> None
     assert fault.law.strip()
     assert fault.told_apart_by.strip()
     assert fault.confused_with
-    assert set(fault.confused_with) <= (CATALOGUE | OTHERS) - {fault.physics}
+    assert set(fault.confused_with) <= (CATALOGUE | SIGNALS | OTHERS) - {fault.physics}
 
 
 @every_fault
@@ -103,7 +125,7 @@ def test_the_names_of_a_fault_are_declared(cls: type[Block], fault: Fault) -> No
 def test_the_ends_of_a_fault_fit(cls: type[Block], fault: Fault) -> None:
     if fault.enters in ("force", "shaft"):
         assert {"force", "moment"} & cls.outputs.keys()
-    if fault.enters in ("wire", "reading"):
+    if fault.enters in ("wire", "reading", "signal"):
         assert fault.through
         for inside, outside in fault.through.items():
             assert cls.inputs[inside].shape == cls.outputs[outside].shape
@@ -122,7 +144,7 @@ def test_starts_are_small_not_zero_and_within_bounds(cls: type[Block], fault: Fa
         assert declared.shape == (), "a free parameter is one number"
         assert starts
         for start in starts:
-            if isinstance(start, Of):
+            if isinstance(start, (Of, Longest)):
                 assert start.factor != 0
                 continue
             assert start != 0 or declared.unit == "rad", name
@@ -132,14 +154,17 @@ def test_starts_are_small_not_zero_and_within_bounds(cls: type[Block], fault: Fa
 
 
 def test_variants_of_one_effect_differ() -> None:
-    said = [(cls.type_name, f.physics, f.enters, f.recorded, str(f.options), sorted(f.free)) for cls, f in FAULTS]
+    said = [
+        (cls.type_name, f.physics, f.enters, f.recorded, str(f.options), str(f.fixed), sorted(f.free))
+        for cls, f in FAULTS
+    ]
     assert all(said.count(entry) == 1 for entry in said)
 
 
 def test_a_fault_that_enters_nowhere_is_refused() -> None:
     with pytest.raises(ValueError) as caught:
         Fault(physics="rub", enters="torque")
-    assert str(caught.value) == "enters must be one of force, shaft, wire, reading, replace, move, not 'torque'"
+    assert str(caught.value) == "enters must be one of force, shaft, wire, reading, signal, replace, move, not 'torque'"
 
 
 # --- in a diagram -------------------------------------------------------------------------------------------------
@@ -225,6 +250,7 @@ def base_of(text: str, compiled: bool) -> np.ndarray:
             marks=pytest.mark.slow if compiled or each[1] is not each[0].faults[0] else (),
         )
         for each, name in zip(FAULTS, IDS, strict=True)
+        if each[1].physics not in SIGNALS
         for compiled in (False, True)
         if not compiled or each[1] is each[0].faults[0]
     ],
@@ -278,3 +304,53 @@ def test_a_force_on_what_moves_in_a_line_runs(name: str) -> None:
     assert np.shape(result["displacement.output"]) == (501,)
     assert np.isfinite(result["fault.force"]).all()
     assert np.abs(result["fault.force"]).max() > 0
+
+
+LOOP = {  # a servo of one integrator, whose sensor is recorded
+    "schema_version": 1,
+    "name": "loop",
+    "blocks": {
+        "reference": {"type": "sine", "parameters": {"frequency": "2 Hz", "amplitude": 1.0}},
+        "error": {"type": "sum", "parameters": {"signs": "+-"}},
+        "controller": {"type": "gain", "parameters": {"gain": 8.0}},
+        "plant": {"type": "integrator"},
+        "sensor": {"type": "gain", "parameters": {"gain": 1.0}},
+    },
+    "wires": [
+        ["reference.output", "error.input1"],
+        ["sensor.output", "error.input2"],
+        ["error.output", "controller.input"],
+        ["controller.output", "plant.input"],
+        ["plant.output", "sensor.input"],
+    ],
+    "solver": {"method": "rk4", "step": "0.5 ms", "stop": "1 s"},
+    "record": ["sensor.output"],
+}
+
+
+@pytest.mark.parametrize("physics", sorted(SIGNALS))
+def test_a_law_of_a_signal_runs_wherever_it_is_offered_and_changes_what_is_recorded(physics: str) -> None:
+    diagram = load(LOOP)
+    given = simulate(diagram, record=[f"{block}.output" for block in LOOP["blocks"]])
+    base = given["sensor.output"]
+    offered = [item for item in insertions(diagram, ["sensor.output"]) if item.physics == physics]
+    sides = {(str(item.spot), item.spot.side) for item in offered}
+    if physics == "integrator_leak":
+        assert sides == {("plant.output", "")}
+    else:
+        wires = {(f"{block}.output", "") for block in LOOP["blocks"]}
+        assert sides == wires | {("sensor.output", "reading"), ("sensor.output", "both")}
+    largest = {name: float(np.abs(values).max()) for name, values in given.signals.items()} | {LONGEST: 1.0}
+    for item in offered:
+        sizes = sizes_at(item, largest)
+        changed = load(item.document(LOOP, {**fixed_of(item, sizes), **starts_of(item, sizes)[-1]}))
+        result = simulate(changed, record=[changed.as_measured("sensor.output")])
+        assert result.status == "finished", item.key
+        there = result[changed.as_measured("sensor.output")]
+        assert np.isfinite(there).all(), item.key
+        assert np.abs(there - base).max() > 1e-6, item.key
+
+
+def test_no_law_of_a_signal_is_offered_where_a_shaft_turns() -> None:
+    offered = insertions(load("jeffcott"), ["rotor.displacement[1]", "controller.current[1]"])
+    assert not {item.physics for item in offered} & SIGNALS

@@ -147,9 +147,9 @@ def test_a_recording_that_does_not_go_with_the_diagram(run: Run, healthy: str):
     result = run("diagnose", "jeffcott", copied(healthy, "other", other))
     assert result.exit_code == 2
     assert result.stderr == "\n".join(
-        f"error: channel {column}: the diagram has no signal 'rotr.displacement'\n\n"
+        f"other/recording.json:{line}:3: error: channel {column}: the diagram has no signal 'rotr.displacement'\n\n"
         "hint: did you mean 'rotor.displacement'?\n"
-        for column in "xy"
+        for column, line in {"x": 5, "y": 10}.items()
     )
 
 
@@ -247,7 +247,8 @@ def test_the_diagram_itself_is_not_overwritten(run: Run, bowed: str):
 def test_a_diagram_that_does_not_have_the_signals(run: Run, bowed: str):
     result = run("diagnose", "fe_rigid", bowed)
     assert result.exit_code == 2
+    place = f"{bowed}/recording.json:5:3"
     assert lines_of(result.stderr)[:2] == [
-        "error: channel x: 'rotor.displacement[1]' is not one entry of 'rotor.displacement', which is 6 x 2",
+        f"{place}: error: channel x: 'rotor.displacement[1]' is not one entry of 'rotor.displacement', which is 6 x 2",
         "hint: say node and axis",
     ]

@@ -48,7 +48,7 @@ def test_machine_readable(run: Run):
 
 
 def test_a_diagram_that_no_fault_fits_into(run: Run, oscillator):
-    result = run("diagnose", str(oscillator), "--sensors", "state.output")
+    result = run("diagnose", str(oscillator), "--sensors", "state.output", "--physics", "rub")
     assert result.exit_code == 0
     assert result.stdout == (
         "decay, sensors state.output: 0 faults\n\n"

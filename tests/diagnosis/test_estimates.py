@@ -101,18 +101,21 @@ class Judged(waveform.WaveformEvidence):
     def search(self, document):
         return SimpleNamespace(first=lambda starts: None)
 
+    def load(self, document):
+        return None
 
-def test_a_model_in_time_may_err_by_a_quarter_more_than_the_flexible_one(monkeypatch):
-    """1.25 of its rms, squared; a fit takes its place where it leaves less than half of its square."""
-    monkeypatch.setattr(waveform, "reweighted", lambda *_: (waveform.OutputErrorSearch((), (), {}), None))
-    monkeypatch.setattr(waveform, "independent", lambda *_: 7)
-    monkeypatch.setattr(waveform, "block_misfit", lambda *_: np.ones(2))
-    monkeypatch.setattr(waveform, "residual_variance", lambda *_: {})
-    monkeypatch.setattr(waveform, "weights_of", lambda *_: {})
-    monkeypatch.setattr(waveform, "misfits_left_out", lambda *_: np.array([1.0, 2.0]))
-    found = Judged().recalibrated(Fit({"blocks": {}}, misfit=49.9, rows=100))
-    np.testing.assert_allclose(found.allowed, [1.5625, 3.125])
-    assert Judged().recalibrated(Fit({"blocks": {}}, misfit=50.1, rows=100)) is None
+
+@pytest.mark.parametrize(("now", "replaced"), [(0.49, True), (0.51, False), (1.99, False), (2.01, True)])
+def test_noise_is_measured_again_where_a_fit_leaves_half_or_twice_of_it(monkeypatch, now, replaced):
+    """What an adequate model may leave: a twentieth more than what is not predictable beside the fit."""
+    monkeypatch.setattr(waveform, "reweighted", lambda *_: (None, SimpleNamespace(cost=1.0)))
+    monkeypatch.setattr(
+        waveform, "unpredicted", lambda *_: SimpleNamespace(variance={"y": now}, rows=7, left=np.array([1.0, 2.0]))
+    )
+    found = Judged(variance={"y": 1.0}).recalibrated(Fit({"blocks": {}}, misfit=49.9, rows=100))
+    assert (found is not None) == replaced
+    if replaced:
+        np.testing.assert_allclose(found.allowed, [1.05, 2.1])
 
 
 def test_a_model_in_time_may_leave_a_hundredth_of_what_the_diagram_left():

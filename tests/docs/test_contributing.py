@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from itertools import pairwise
 
 import pytest
@@ -44,6 +45,11 @@ def test_a_room_may_import_the_layer_below_it() -> None:
             assert all(f"`{room}`" in stated()[name] for room in below), name
     assert "report" in stated()["cli"]
     assert stated()["errors"] == "no other room"
+
+
+def test_every_contract_of_layers_notices_a_module_that_it_does_not_list() -> None:
+    contracts = tomllib.loads(page_text("pyproject.toml"))["tool"]["importlinter"]["contracts"]
+    assert [c["name"] for c in contracts if c["type"] == "layers" and not c.get("exhaustive")] == []
 
 
 def test_every_room_has_a_docstring_of_one_line() -> None:

@@ -316,6 +316,25 @@ def test_a_folder_without_recording(tmp_path):
         load_recording("a\0b")
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "",
+            "file is empty | a recording is a JSON object: "
+            '{"name": ..., "source": ..., "channels": {...}, "runs": [...]}',
+        ),
+        ("[" * 70, "JSON is nested deeper than 64 levels | a recording needs no more than four"),
+        (" " * 20_000_001, "file is larger than 20 MB | samples belong into data files"),
+    ],
+)
+def test_hints_are_those_of_a_recording(tmp_path, text, expected):
+    (tmp_path / "recording.json").write_text(text)
+    with pytest.raises(RotorsimError) as error:
+        load_recording(tmp_path)
+    assert [f"{problem.what} | {problem.hint}" for problem in error.value.problems] == [expected]
+
+
 OUTSIDE = "is not inside the folder of recording.json | name a file below that folder, such as 'data/run1.csv'"
 
 
@@ -367,10 +386,14 @@ def test_links_out_of_the_folder_are_refused_and_links_inside_are_not(tmp_path):
 def test_a_pipe_or_a_folder_is_no_data_file(tmp_path):
     os.mkfifo(tmp_path / "pipe.npz")
     (tmp_path / "sub.npz").mkdir()
-    both = document(run(file="pipe.npz"), run(id="2", file="sub.npz"))
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "b.csv").touch()
+    (tmp_path / "full" / "a.csv").touch()
+    both = document(run(file="pipe.npz"), run(id="2", file="sub.npz"), run(id="3", file="full"))
     assert problems(tmp_path, both) == [
-        "run1: file 'pipe.npz' does not exist or cannot be read | did you mean 'pipe.npz'?",
-        "2: file 'sub.npz' is a folder | did you mean 'sub.npz'?",
+        "run1: file 'pipe.npz' does not exist or cannot be read | ",
+        "2: file 'sub.npz' is a folder | name a file in it, such as 'sub.npz/run1.csv'",
+        "3: file 'full' is a folder | name a file in it, such as 'full/a.csv'",
     ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rotorsim.cli.shared.inputs import (
+    RECORDING,
     Chosen,
     check_folder,
     clock_of,
@@ -60,6 +61,7 @@ from rotorsim.cli.shared.output import (
 from rotorsim.cli.shared.refusals import refuse_all, refuse_if
 
 __all__ = [
+    "RECORDING",
     "RESULTS",
     "Chosen",
     "Group",

@@ -68,13 +68,18 @@ def object_of(file: str | Path) -> dict[str, Any]:
     return data
 
 
-def is_recording(source: str) -> bool:
-    """Return whether a name on the command line is a recording: its folder, or its recording.json.
+def is_recording(source: str, results: Sequence[str] = ()) -> bool:
+    """Return whether a name on the command line is a recording: its folder, its recording.json, or a data file.
 
-    A folder without that file does not stand before a shipped diagram of its name.
+    A folder without recording.json does not stand before a shipped diagram of its name. A data file is refused as
+    a recording, with what is missing; suffixes in ``results`` are those of files that are no recording.
     """
     path = Path(source)
     try:
+        if path.suffix and path.suffix != ".json" and path.suffix.lower() not in results and path.is_file():
+            from rotorsim.recordings.readers.columns import READERS
+
+            return path.suffix.lower() in READERS
         if path.name == RECORDING or (path / RECORDING).exists():
             return True
         if path.is_dir():

@@ -52,6 +52,7 @@ class _Finder:
             "shaft": self._shafts,
             "wire": self._wires,
             "reading": self._readings,
+            "signal": self._signals,
             "replace": self._replaced,
             "move": self._moved,
         }
@@ -244,6 +245,31 @@ class _Finder:
                 spot = self._spot(self.chains.of(start, self.fault.between[1]), index)
                 measured = {str(start): f"{name}.{output}"}
                 yield self._insertion(spot, name, wires, of=node, measured=measured, feeds={key: str(start)})
+
+    def _signals(self, node: Node) -> Iterator[Insertion]:
+        """Yield the block behind every scalar signal: for what takes it, for its recording, and for both."""
+        if any(other.block.category == "clock" for other in self.diagram.nodes.values()):
+            return  # of what turns, the physics are declared
+        name, [(key, output)] = self._new_name(), self.fault.through.items()
+        for port in (port for port in node.outputs.values() if port.shape == ()):
+            start = Endpoint(node.name, port.name)
+            taken = [wire for wire in self.diagram.wires if wire.source == start]
+            recorded = str(start) in self.recorded and node.block.category != "input"
+            shown = self.diagram.measured.get(start, start)
+            cut = [(str(wire.source), str(wire.target)) for wire in taken]
+            onward = [(f"{name}.{output}", str(wire.target)) for wire in taken]
+            for side in ("", *(("reading", "both") if recorded else ())):
+                if (side != "reading" and not taken) or (side == "both" and shown != start):
+                    continue
+                source = shown if side == "reading" else start
+                yield self._insertion(
+                    Spot(node.name, port.name, side=side),
+                    name,
+                    [(str(source), f"{name}.{key}"), *(onward if side != "reading" else ())],
+                    cut=cut if side != "reading" else (),
+                    measured={str(start): f"{name}.{output}"} if side else None,
+                    feeds={key: str(start)},
+                )
 
     # -- changes of a block ------------------------------------------------------------------------------------------
 

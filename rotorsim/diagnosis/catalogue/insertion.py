@@ -21,13 +21,15 @@ LINES = "lines"  # among the largest magnitudes of signals: the frequency of asy
 class Spot:
     """A place in a diagram: a port of a block, and the node (from 1) where it has nodes.
 
-    beside: the only node of another block to which this one is wired: where along the shaft it stands.
+    beside: the only node of another block to which this one is wired: where along the shaft it stands. side: of a
+    signal, what is behind the place: "" what takes it, "reading" its recording, "both".
     """
 
     block: str
     port: str
     node: int | None = None
     beside: int | None = field(default=None, compare=False)
+    side: str = ""
 
     def __str__(self) -> str:
         return f"{self.block}.{self.port}" + (f"[{self.node}]" if self.node is not None else "")
@@ -65,7 +67,7 @@ class Insertion:
     @property
     def key(self) -> str:
         """A text that identifies this insertion among all of a diagram."""
-        return f"{self.physics}/{self.variant}@{self.spot}"
+        return f"{self.physics}/{self.variant}@{self.spot}{self.spot.side}"
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -160,7 +162,7 @@ def limits_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, t
         if key not in insertion.fault.free or not known:
             continue
         declared = insertion.kind.parameters[key]
-        most = item.factor * known if isinstance(item, Longest) else _number(item, largest)
+        most = _number(item, largest)
         least = declared.low if declared.low is not None else declared.above
         if (declared.high is None or most < declared.high) and (least is None or most > least):
             # an open end is left by a thousandth of the way, as where a value is given (diagram.resolve.free)
@@ -175,9 +177,11 @@ def fixed_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, fl
     return {key: _number(item, largest) for key, item in fixed if not isinstance(item, Steps)}
 
 
-def _number(item: float | Of | Lines, largest: Mapping[str, float]) -> float:
+def _number(item: float | Of | Longest | Lines, largest: Mapping[str, float]) -> float:
     if isinstance(item, Lines):
         return largest[LINES]
+    if isinstance(item, Longest):
+        return item.factor * largest.get(LONGEST, 1.0)
     if not isinstance(item, Of):
         return float(item)
     size = largest.get(item.input, 1.0)

@@ -88,10 +88,20 @@ class Unknown:
 
 
 class Bounds(Protocol):
-    """Lower bounds of the misfit that any law at a place can reach."""
+    """What can be known of the misfit beside a fault before it is put in.
+
+    by_law: what the law itself promises by linear theory; else a lower bound of what any law at its place can leave.
+    """
+
+    @property
+    def by_law(self) -> bool:
+        """Whether bounds are those of laws, not of places."""
 
     def bound(self, item: Insertion) -> float | None:
         """Return the least misfit that an insertion can leave, None where nothing is known of it."""
+
+    def start(self, item: Insertion) -> Mapping[str, float]:
+        """Return from where its parameters are to start, {free parameter: SI value}; empty: as declared."""
 
 
 class Validation(Protocol):

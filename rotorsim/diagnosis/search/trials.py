@@ -12,7 +12,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.evidence import Evidence
+from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Fit, fit_from_plain, fit_to_plain, is_adequate
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.profile import Z90
@@ -23,6 +23,8 @@ MOST_FITS = 90  # in one round; places beyond are screened
 # times the least misfit that any place allows: places that allow no less are not looked at. The bound is that of free
 # harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it
 POSSIBLE = 10.0
+MOST_LAWS = 16  # fitted in one round, where what laws promise is known
+PROMISED = 3.0  # times the least misfit that is promised: within, each law is fitted at its best place
 BATCHES = 4  # of jobs, for every process
 FIRST_EVALUATIONS, SECOND_EVALUATIONS = 5, 15  # of a nonlinear diagram, before it is judged whether it is worth more
 LAST_EVALUATIONS = 3  # where the data are explained already, and only rivals are looked for
@@ -131,8 +133,11 @@ class Trials:
                 groups.append([{**self.nominal, **away, **start} for start in here])
             jobs.append((item.document(document, {**fixed, **starts[0]}, limits_of(item, sizes)), groups))
         if len(jobs) > MOST_FITS:
-            kept = self._screened(before, found, jobs)
-            found, jobs = [found[k] for k in kept], [jobs[k] for k in kept]
+            places = self.evidence.bounds(before)
+            kept = self._screened(before, found, jobs, places)
+            led = {k: {} if places is None else dict(places.start(found[k])) for k in kept}
+            jobs = [(jobs[k][0], _led(jobs[k][1], led[k])) for k in kept]
+            found = [found[k] for k in kept]
         self.counts["fits"] += len(found)
         fits = self._fit(jobs, FIRST_EVALUATIONS, linear_only=True)
         later = [k for k, fit in enumerate(fits) if fit.failure == DEFERRED]
@@ -184,14 +189,17 @@ class Trials:
                 found[item.name] = float(np.clip(self.nominal[item.name], item.low + off, item.high - off))
         return found
 
-    def _screened(self, before: Fit, candidates: Sequence[Insertion], jobs: Sequence[_Job]) -> list[int]:
+    def _screened(
+        self, before: Fit, candidates: Sequence[Insertion], jobs: Sequence[_Job], places: Bounds | None
+    ) -> list[int]:
         """Return which insertions are fitted where places are many: each law at its best place, then the best places.
 
         A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
         """
+        if places is not None and places.by_law:
+            return _most_promising(candidates, places, before)
         if is_adequate(before):
             return self._promising(candidates, jobs, before.misfit - HINT * MOST_FITS)
-        places = self.evidence.bounds(before)
         if places is None:
             return self._promising(candidates, jobs)
         with one_thread():
@@ -327,6 +335,27 @@ class Trials:
         pairs = zip(entered[:-1], effects, strict=False)
         kept = (Candidate(new, old.fit if new.name == old.insertion.name else fit) for new, old in pairs)
         return (*kept, Candidate(entered[-1], fit))
+
+
+def _most_promising(candidates: Sequence[Insertion], places: Bounds, before: Fit) -> list[int]:
+    """Return the insertions of which nothing is known, and those that promise most: each law first."""
+    with one_thread():
+        bounds = [places.bound(item) for item in candidates]
+    kept = [k for k, bound in enumerate(bounds) if bound is None]
+    promised = {k: bound for k, bound in enumerate(bounds) if bound is not None and bound < before.misfit}
+    order = sorted(promised, key=lambda k: promised[k])
+    best: dict[tuple[str, int], int] = {}
+    for k in order:
+        if promised[k] <= PROMISED * max(promised[order[0]], before.freedom):
+            best.setdefault(candidates[k].law, k)
+    first = list(best.values())
+    more = [k for k in order if k not in first]
+    return [*kept, *first, *more[: max(MOST_LAWS - len(first), 0)]]
+
+
+def _led(groups: list[list[dict[str, float]]], start: dict[str, float]) -> list[list[dict[str, float]]]:
+    """Return the starts with one that is known to be near before all others, all in one group."""
+    return [[start, *(item for group in groups for item in group)]] if start else groups
 
 
 def _is_slow(fit: Fit, most: float) -> bool:

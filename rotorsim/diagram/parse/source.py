@@ -9,6 +9,7 @@ import json
 import math
 import re
 from bisect import bisect_left
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, islice
 from pathlib import Path
@@ -19,7 +20,6 @@ from rotorsim.errors import CONTROL, Place, Problem, RotorsimError
 MAX_DIAGRAM_BYTES = 20_000_000
 MAX_DEPTH = 64
 MAX_DIGITS = 300
-TOO_DEEP = "a diagram needs no more than ten; use sub-diagrams"
 
 JsonPath = tuple[str | int, ...]
 _STRING = r'"[^"\\]*+(?:\\.[^"\\]*+)*+"?'  # possessive: linear time also for hostile text
@@ -31,6 +31,22 @@ _ESCAPED = re.compile(
     r"\\u(?:00[0-1789]|20|ff)|\\[bf]|[\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff]", re.IGNORECASE
 )
 _TOKEN = re.compile(rf"\s*(?:({_STRING})|([\[\]{{}},:])|([^\s\[\]{{}},:\"]+))", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a document should be, for the hints: its form, and what to do where it is too deep or too large."""
+
+    form: str
+    deep: str
+    large: str
+
+
+DIAGRAM_FORM = Expected(
+    'a diagram is a JSON object: {"blocks": {...}, "wires": [...]}',
+    "a diagram needs no more than ten; use sub-diagrams",
+    "split it by sub-diagrams",
+)
 
 
 class Source:
@@ -109,7 +125,7 @@ class LazyPlace(Place):
         return (self.file, self.line, self.column)
 
 
-def read_document(path: str | Path) -> Source:
+def read_document(path: str | Path, expected: Expected = DIAGRAM_FORM) -> Source:
     """Read and parse a JSON file: at most 20 MB, 64 levels, finite numbers, no key twice.
 
     Raises RotorsimError with file:line:col and a hint.
@@ -126,11 +142,7 @@ def read_document(path: str | Path) -> Source:
         raise RotorsimError(Problem(f"file cannot be read: {why}", place=Place(file))) from None
     if len(content) > MAX_DIAGRAM_BYTES:
         raise RotorsimError(
-            Problem(
-                f"file is larger than {MAX_DIAGRAM_BYTES // 1_000_000} MB",
-                place=Place(file),
-                hint="split it by sub-diagrams",
-            )
+            Problem(f"file is larger than {MAX_DIAGRAM_BYTES // 1_000_000} MB", place=Place(file), hint=expected.large)
         )
     try:
         text = content.decode("utf-8-sig")
@@ -140,16 +152,16 @@ def read_document(path: str | Path) -> Source:
         raise RotorsimError(
             Problem("file is not UTF-8 text", place=Place(file, line, column), hint="save it as UTF-8")
         ) from None
-    return parse_document(text, file, path)
+    return parse_document(text, file, path, expected)
 
 
-def parse_document(text: str, file: str = "", path: Path | None = None) -> Source:
+def parse_document(text: str, file: str = "", path: Path | None = None, expected: Expected = DIAGRAM_FORM) -> Source:
     """Parse JSON text under the limits of `read_document`."""
     source = Source(None, text, file, path)
     deep = _first_too_deep(text)
     if deep is not None:
         place = Place(file, *source.line_column(deep))
-        raise RotorsimError(Problem(f"JSON is nested deeper than {MAX_DEPTH} levels", place=place, hint=TOO_DEEP))
+        raise RotorsimError(Problem(f"JSON is nested deeper than {MAX_DEPTH} levels", place=place, hint=expected.deep))
     suspects: list[str] = []
 
     def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -170,7 +182,7 @@ def parse_document(text: str, file: str = "", path: Path | None = None) -> Sourc
             text, object_pairs_hook=pairs, parse_float=number, parse_int=whole, parse_constant=number
         )
     except json.JSONDecodeError as error:
-        raise RotorsimError(_syntax_problem(error, source)) from None
+        raise RotorsimError(_syntax_problem(error, source, expected)) from None
     if suspects or _SURROGATE.search(text) or _ESCAPED.search(text):
         mistakes = _scan(text)[1]
         problems = [Problem(what, place=Place(file, *source.line_column(at)), hint=hint) for at, what, hint in mistakes]
@@ -252,7 +264,7 @@ _PYTHON_WORDS = {"True": "true", "False": "false", "None": "null"}
 # what the decoder says, what stands before and what follows (patterns of their starts, of the end for what is before)
 # -> where the mistake is seen, what it is and how to cure it; the first that fits is it
 _SYNTAX = (
-    ("", r"\A\Z", r"\Z", "here", "file is empty", 'a diagram is a JSON object: {{"blocks": {{...}}, "wires": [...]}}'),
+    ("", r"\A\Z", r"\Z", "here", "file is empty", "{form}"),
     ("Unterminated string", "", "", "here", "text is not closed", 'close it with "'),
     ("Extra data", "", "", "here", "something follows the end of the document", "a bracket is closed too early?"),
     (
@@ -279,7 +291,7 @@ _SYNTAX = (
 )
 
 
-def _syntax_problem(error: json.JSONDecodeError, source: Source) -> Problem:
+def _syntax_problem(error: json.JSONDecodeError, source: Source, expected: Expected) -> Problem:
     text = source.text
     in_text = error.msg.startswith(("Invalid", "Unterminated"))
     rest = text[error.pos :] if in_text else text[error.pos :].lstrip()
@@ -293,6 +305,7 @@ def _syntax_problem(error: json.JSONDecodeError, source: Source) -> Problem:
     *_, place, what, hint = next(rules, ("here", f"{error.msg[0].lower()}{error.msg[1:]}", ""))
     word = re.match(r"\w+", rest)
     words = {"next": rest[:1], "after": rest.lstrip(", ")[:1], "word": word[0] if word else rest[:1]}
+    words["form"] = expected.form
     words["json"] = _PYTHON_WORDS.get(words["word"], "")
     what, hint = (text.format(**words) for text in (what, hint))
     offset = {"here": at, "before": len(before), "comma": len(before) - 1}[place]

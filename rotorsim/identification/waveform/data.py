@@ -173,10 +173,11 @@ def channels_of(diagram: Diagram, recording: Recording) -> Channels:
         except RotorsimError as error:
             problem = error.problems[0]
             hint = problem.hint or near_miss(channel.signal, model.signals)
-            problems.append(Problem(problem.what, f"channel {column}", hint=hint))
+            problems.append(Problem(problem.what, f"channel {column}", channel.place, hint))
             continue
         if name in columns:
-            problems.append(Problem(f"'{name}' is measured by two channels", f"channel {column}"))
+            what, hint = f"'{name}' is measured by two channels", "leave one of them out"
+            problems.append(Problem(what, f"channel {column}", channel.place, hint))
         elif channel.signal in driven:
             option = diagram.nodes[channel.signal.rpartition(".")[0]].block.option
             kinds[name] = str(getattr(option, "interpolation", "linear"))

@@ -147,21 +147,25 @@ def driven_equations(
     *,
     cut: Mapping[str, Sequence[str]] | None = None,
     force: ForceMap | None = None,
+    added: Sequence[str] = (),
 ) -> DrivenEquations:
     """Return the equations of a diagram between recorded inputs and outputs (flat names).
 
     inputs: recorded values of input blocks, and entries of ``cut`` (output port -> names of its entries in v), whose
-    consumers see v instead. Raises RotorsimError for diagrams with sampled blocks and unknown signals.
+    consumers see v instead. added: scalar output ports whose consumers see their value plus a signal of its own, which
+    follow the inputs in v. Raises RotorsimError for diagrams with sampled blocks and unknown signals.
     """
     cut = cut or {}
-    model = compile_diagram(diagram, inject=[force.port] if force else [], replace=list(cut))
+    model = compile_diagram(diagram, inject=[*([force.port] if force else []), *added], replace=list(cut))
     linear.refuse_sampled(model, "a comparison in time")
     trace = model.trace
-    v = ca.SX.sym("v", len(inputs))
+    v = ca.SX.sym("v", len(inputs) + len(added))
     coefficients = ca.SX.sym("c", force.count if force else 0)
     external = ca.SX.zeros(*trace.v.shape)
     for port, names in cut.items():
         external[trace.external[port].part] = v[[inputs.index(name) for name in names]]
+    for k, port in enumerate(added, len(inputs)):
+        external[trace.external[port].part] = v[k]
     if force:
         q, rate = (measured_expression(model, name) for name in (force.displacement, force.velocity))
         part = trace.external[force.port].part

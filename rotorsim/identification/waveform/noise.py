@@ -2,8 +2,11 @@
 
 Nothing is known of the noise of a measured run, and what a good model leaves is as a rule its own error. Hence:
 
-- Every measured signal is weighed by what a flexible model leaves of it: the diagram with a force that may be any
-  smooth law of displacement and velocity (`ForceMap`) where motion was measured, but not by less than ``resolution``.
+- Noise is what is not predictable: of every measured signal, what a black-box model of all that the diagram simulates
+  leaves of the residual on stretches left out (`predictability`), or what a flexible model leaves, if that is less: the
+  diagram with a force that may be any smooth law of displacement and velocity (`ForceMap`) where motion was measured.
+  It is not less than ``resolution``, and not more than ``colour`` times its white part: drift, lines and steps beyond
+  that are something at the sensor.
 - A misfit is that of ``rows`` independent samples: as many as would scatter between stretches of the runs as the
   residual of the flexible model does, and MOST_ROWS at most, so that what explains less than a percent counts as
   nothing.
@@ -15,15 +18,18 @@ Nothing is known of the noise of a measured run, and what a good model leaves is
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
 import numpy as np
 from scipy.stats import t as student
 
 from rotorsim.criteria import CRITERIA
+from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.left_out import left_out
 from rotorsim.identification.waveform.data import SampledRun, mean_of
+from rotorsim.identification.waveform.linearised import places_of, simulated_signals
+from rotorsim.identification.waveform.predictability import predictability
 from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 
@@ -72,6 +78,48 @@ def residual_variance(search: OutputErrorSearch, evaluation: Evaluation) -> dict
     for system, residuals in zip(search.systems, evaluation.residuals, strict=True):
         squares |= zip(system.signals, mean_of(np.concatenate(residuals) ** 2).tolist(), strict=True)
     return {signal: max(value, CRITERIA.resolution**2 * scale[signal]) for signal, value in squares.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """variance: of what counts as noise, by signal. rows: independent samples. left (B,): misfit of each stretch."""
+
+    variance: Variance
+    rows: int
+    left: np.ndarray
+
+
+def unpredicted(
+    diagram: Diagram, search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]
+) -> Noise:
+    """Return what no black-box model of the diagram's signals predicts of the residual of a fit."""
+    first = search.systems[0].equations
+    names = [*dict.fromkeys(place.port for place in places_of(diagram, first.outputs))] or [*first.outputs]
+    signals = simulated_signals(diagram, search, evaluation, names)
+    run = search.runs[0]
+    p = first.parameters(search.p[0], evaluation.unknowns[: search.m])
+    A = first.matrices[0](run.start, np.zeros(first.n), run.inputs(first.inputs, 1)[0, 0], p)[0]
+    poles = np.exp(np.linalg.eigvals(A) * run.dt) if np.isfinite(A).all() else np.zeros(0)
+    judged = predictability(evaluation.residuals[0], signals, poles)
+    rest = replace(evaluation, residuals=[judged.rest, *evaluation.residuals[1:]])
+    white = {
+        signal: float(mean_of(np.concatenate([np.diff(part[:, j]) for part in judged.rest]) ** 2)) / 2
+        for j, signal in enumerate(search.systems[0].signals)
+    }
+    most = CRITERIA.faint if judged.structured else CRITERIA.colour  # beside physics that are missing, less is certain
+    variance = {
+        signal: min(value, max(most * white.get(signal, np.inf), CRITERIA.resolution**2 * scale))
+        for (signal, value), scale in zip(
+            residual_variance(search, rest).items(), variance_scale(search).values(), strict=True
+        )
+    }
+    energies = block_misfit(replace(search, weights={signal: 1 / v for signal, v in variance.items()}), rest, stretches)
+    rows = independent(energies, stretches)
+    weighed = [np.isfinite(part) for residuals in rest.residuals for part in residuals]
+    runs = len(search.runs)
+    samples = np.array([sum(int(own[a:b].sum()) for own in weighed[r::runs]) for r, a, b in stretches])
+    left = np.minimum(energies, CRITERIA.model_error * samples) * rows / samples.sum()
+    return Noise(variance, rows, left)
 
 
 def reweighted(search: OutputErrorSearch, start: np.ndarray) -> tuple[OutputErrorSearch, Evaluation]:

@@ -28,6 +28,7 @@ from rotorsim.identification.waveform.noise import (
     residual_variance,
     reweighted,
     stretches_of,
+    unpredicted,
     variance_scale,
     weights_of,
 )
@@ -78,16 +79,21 @@ def noise_model(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]
     flexible, residual = _flexible(diagram, channels, replace(base, weights=weights), evaluation, sizes)
     stretches = stretches_of(runs)
     noise = _noise_share(flexible, residual)
-    variance = {signal: value * noise for signal, value in residual_variance(flexible, residual).items()}
-    rows = independent(block_misfit(flexible, residual, stretches), stretches)
-    weights = weights_of(variance, runs, rows)
-    least = misfits_left_out(replace(flexible, weights=weights), residual, stretches)
-    given = misfits_left_out(replace(base, weights=weights), evaluation, stretches)
+    variance: Variance = {signal: value * noise for signal, value in residual_variance(flexible, residual).items()}
+    beside = unpredicted(diagram, base, evaluation, stretches)
+    if sum(map(log, beside.variance.values())) < sum(map(log, variance.values())):
+        variance, rows, allowed = beside.variance, beside.rows, CRITERIA.model_error * beside.left
+    else:
+        rows = independent(block_misfit(flexible, residual, stretches), stretches)
+        weights = weights_of(variance, runs, rows)
+        least = misfits_left_out(replace(flexible, weights=weights), residual, stretches)
+        given = misfits_left_out(replace(base, weights=weights), evaluation, stretches)
+        allowed = allowed_misfits(least, given, noise)
     return NoiseModel(
         variance=variance,
         rows=rows,
         stretches=stretches,
-        allowed=allowed_misfits(least, given, noise),
+        allowed=allowed,
         least=base.least,
         starts=flexible.starts(residual.unknowns),
         theta=evaluation.unknowns[: base.m],

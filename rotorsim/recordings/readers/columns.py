@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import logging
+import sys
 import warnings as python_warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorsim.errors import Place, Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.readers.csv import CsvReader
 from rotorsim.recordings.readers.hdf5 import Hdf5Reader
 from rotorsim.recordings.readers.mat import MatReader
 from rotorsim.recordings.readers.mf4 import Mf4Reader
 from rotorsim.recordings.readers.npz import NpzReader
-from rotorsim.recordings.readers.reader import Columns, Reader, refuse_large
+from rotorsim.recordings.readers.reader import DAMAGED, Columns, Reader, refuse_large
 from rotorsim.recordings.readers.tdms import TdmsReader
 from rotorsim.recordings.readers.uff import UffReader
 
@@ -42,16 +45,14 @@ def read_columns(
     """Return columns of a data file: name -> (n,), as the numbers stand in the file.
 
     A name may be a path in the file (``group/x``), and ``name[2]`` is the second column of a two-dimensional array.
-    shown: the file's name in messages. warnings: takes one for values that are not finite.
+    shown: the file's name in messages. warnings: takes those of the reader, and one for values that are not finite.
     Raises RotorsimError with every mistake: missing columns, text in cells, lengths that differ.
     """
     wanted = list(dict.fromkeys([*columns, *([] if time_column is None else [time_column])]))
-    file, suffix = shown or str(path), path.suffix.lower()
+    file = shown or str(path)
     try:
         reader = _reader_of(path)
-        with python_warnings.catch_warnings():
-            python_warnings.simplefilter("ignore")  # of foreign readers; what matters is checked here
-            found = reader.read(path, wanted)
+        found = _read(reader, path, wanted)
         lengths = {name: len(array) for name, array in found.values.items()}
         if len(set(lengths.values())) > 1:
             text = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -59,13 +60,31 @@ def read_columns(
             raise RotorsimError(Problem(f"columns differ in length: {text}", hint=hint))
     except RotorsimError as error:
         raise RotorsimError(*(_in_file(problem, file) for problem in error.problems)) from None
-    except Exception as error:  # foreign readers raise anything on a damaged file
-        said = (str(error).splitlines() or [""])[0][:120]
-        what = f"not a {suffix} file that can be read: {type(error).__name__}: {said}"
-        raise RotorsimError(Problem(what, place=Place(file))) from None
     if warnings is not None:
-        warnings += [_in_file(problem, file) for problem in _not_finite(found)]
+        warnings += [_in_file(problem, file) for problem in (*found.warnings, *_not_finite(found))]
     return found.values
+
+
+def _read(reader: Reader, path: Path, wanted: Sequence[str]) -> Columns:
+    """Return what a reader reads, in silence: packages warn and log, and objects that they leave half made fail."""
+    said = ""
+    disabled, hook = logging.root.manager.disable, sys.unraisablehook
+    logging.disable()
+    sys.unraisablehook = lambda failure: None
+    try:
+        with python_warnings.catch_warnings():
+            python_warnings.simplefilter("ignore")
+            return reader.read(path, wanted)
+    except RotorsimError:
+        raise
+    except Exception as error:  # foreign readers raise anything on a damaged file
+        said = f"{type(error).__name__}: {(str(error).splitlines() or [''])[0][:120]}"
+    finally:
+        if said:
+            gc.collect()  # half of an MDF4: else its traceback is seen whenever it goes
+        sys.unraisablehook = hook
+        logging.disable(disabled)
+    raise RotorsimError(Problem(f"not a {path.suffix.lower()} file that can be read: {said}", hint=DAMAGED))
 
 
 def _in_file(problem: Problem, file: str) -> Problem:
@@ -83,7 +102,9 @@ def _reader_of(path: Path) -> Reader:
     except OSError as error:
         raise RotorsimError(Problem(f"file cannot be read: {error.strerror}")) from None
     if size == 0:
-        raise RotorsimError(Problem("file is empty"))
+        raise RotorsimError(
+            Problem("file is empty", hint="it should hold the samples of a run: record or copy it again")
+        )
     refuse_large(size, "file is larger than")
     return reader
 

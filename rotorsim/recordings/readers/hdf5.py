@@ -18,6 +18,7 @@ class Hdf5Reader:
     """Reads .h5; transposed: MATLAB writes columns as rows."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".h5", ".hdf5")
+    counted: ClassVar[bool] = True
     transposed: bool = False
 
     def read(self, path: Path, wanted: Sequence[str]) -> Columns:

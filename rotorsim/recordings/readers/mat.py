@@ -19,6 +19,7 @@ class MatReader:
     """Reads .mat; fields of structs are paths."""
 
     suffixes = (".mat",)
+    counted = True
 
     def read(self, path: Path, wanted: Sequence[str]) -> Columns:
         """Return the columns that are wanted."""

@@ -15,6 +15,7 @@ class NpzReader:
     """Reads .npz by name; never pickled objects."""
 
     suffixes = (".npz",)
+    counted = True
 
     def read(self, path: Path, wanted: Sequence[str]) -> Columns:
         """Return the columns that are wanted."""

@@ -1,7 +1,7 @@
 """What a format of measurement files declares, and what readers of arrays share.
 
-A new format is one class with ``suffixes`` and ``read`` (see `Reader`) in a module of its own beside this one, and an
-entry in the table of `rotorsim.recordings.readers.columns`.
+A new format is one class with ``suffixes``, ``counted`` and ``read`` (see `Reader`) in a module of its own beside this
+one, and an entry in the table of `rotorsim.recordings.readers.columns`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ import numpy as np
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
 MAX_RECORDING_BYTES = 2_000_000_000
-OWN_TIME = "time"  # names the clock that .tdms, .uff and .mf4 files have besides their channels
+MAX_SHOWN = 20  # columns of a file that has not the wanted one
+OWN_TIME = "time"  # names the clock [s] that .tdms, .uff and .mf4 files have besides their channels
+DAMAGED = "the suffix says another format than the file has, or the file was cut off: copy it again"
 _PART = re.compile(r"(.+)\[([1-9][0-9]{0,8})\]")
 
 
@@ -27,10 +29,12 @@ class Columns:
     """Columns of a measurement file: name -> (n,), as the numbers stand in it.
 
     place: line and column of a sample (from 0) of a column, where the format has them; without the name of the file.
+    warnings: what is odd about the file but no mistake, placed likewise.
     """
 
     values: dict[str, np.ndarray]
     place: Callable[[int, str], Place] = lambda sample, column: Place()
+    warnings: tuple[Problem, ...] = ()
 
 
 class Reader(Protocol):
@@ -39,6 +43,10 @@ class Reader(Protocol):
     @property
     def suffixes(self) -> tuple[str, ...]:
         """Endings of its files, in lower case."""
+
+    @property
+    def counted(self) -> bool:
+        """Whether a file says how many samples it has: one that was cut off is then refused, never read as shorter."""
 
     def read(self, path: Path, wanted: Sequence[str]) -> Columns:
         """Return the columns that are wanted.
@@ -49,18 +57,26 @@ class Reader(Protocol):
 
 @dataclass(frozen=True)
 class Array:
-    """An array of a file: what reads it, and its size [bytes] in double precision (0: not known before)."""
+    """An array of a file: what reads it, and its size [bytes] in double precision (0: not known before).
+
+    clock: what reads the times [s] of its samples, where the file says them.
+    """
 
     read: Callable[[], Any]
     size: int = 0
+    clock: Callable[[], Any] | None = None
 
 
 def columns_of(arrays: Mapping[str, Array], wanted: Sequence[str]) -> Columns:
     """Return columns of arrays by name, which may be two-dimensional or have paths (``group/x``) for names.
 
-    ``name[2]`` is the second column of a two-dimensional array. Raises RotorsimError with every mistake.
+    ``name[2]`` is the second column of a two-dimensional array. `OWN_TIME` is the array of that name, else the clock
+    of what is wanted. Raises RotorsimError with every mistake.
     """
     homes = {name: next((home for home in spellings(name) if home[0] in arrays), (name, None)) for name in wanted}
+    clocks = {name: clock for name, (home, _) in homes.items() if home in arrays and (clock := arrays[home].clock)}
+    if clocks:
+        arrays = {OWN_TIME: Array(lambda: _common(clocks)), **arrays}
     check_names([name for name, (home, _) in homes.items() if home not in arrays], list(arrays))
     sizes = {home: arrays[home].size for home, _ in homes.values()}
     limit, total = f"{MAX_RECORDING_BYTES // 10**9} GB", sum(sizes.values())
@@ -97,12 +113,28 @@ def refuse_large(size: float, what: str) -> None:
         raise RotorsimError(Problem(f"{what} {MAX_RECORDING_BYTES // 10**9} GB", hint="split it into several runs"))
 
 
-def check_names(wanted: Iterable[str], known: Sequence[str]) -> None:
-    """Raise RotorsimError with a near miss for every name that is not known."""
-    missing = [name for name in wanted if name not in known]
-    if missing:
-        hints = (near_miss(name, known) or "the file names no columns" for name in missing)
-        raise RotorsimError(*(Problem(f"no column '{n}'", hint=hint) for n, hint in zip(missing, hints, strict=True)))
+def check_names(wanted: Iterable[str], known: Sequence[str], place: Place | None = None) -> None:
+    """Raise RotorsimError for every name that is not known, with its near misses and the columns that are there.
+
+    place: of the line that names the columns.
+    """
+    there = ", ".join(known[:MAX_SHOWN]) + (", ..." if len(known) > MAX_SHOWN else "")
+    there = f"the file has {there}" if known else "the file names no columns"
+    problems = [
+        Problem(
+            f"no column '{name}'", "", place or Place(), f"{near_miss(name, known, list_all=False)} {there}".strip()
+        )
+        for name in wanted
+        if name not in known
+    ]
+    if problems:
+        raise RotorsimError(*problems)
+
+
+def cut_off(where: str) -> RotorsimError:
+    """Return the error of a file that ends before its samples do."""
+    hint = "copy it again, or save what is left by the program that recorded it"
+    return RotorsimError(Problem(f"the file was cut off: {where}", hint=hint))
 
 
 def optional_package(module: str, package: str) -> Any:
@@ -122,6 +154,17 @@ def by_unique_name(named: Iterable[tuple[str, str, Array]]) -> Iterator[tuple[st
         yield long, array
         if shorts.count(short) == 1:
             yield short, array
+
+
+def _common(clocks: Mapping[str, Callable[[], Any]]) -> np.ndarray:
+    """Return the times that columns have in common. Raises ValueError where they differ by a part of a sample."""
+    times = {name: np.asarray(clock(), dtype=float) for name, clock in clocks.items()}
+    first, time = next(iter(times.items()))
+    limit = 1e-3 * np.ptp(time) / len(time) if len(time) else 0.0
+    for name, other in times.items():
+        if other.shape != time.shape or np.abs(other - time).max(initial=0) > limit:
+            raise ValueError(f"columns '{first}' and '{name}' were sampled at different times")
+    return time
 
 
 def _vector(array: np.ndarray, index: int | None, name: str) -> np.ndarray:

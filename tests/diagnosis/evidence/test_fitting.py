@@ -233,9 +233,9 @@ def test_every_law_is_fitted_at_its_best_place_however_many_places_there_are(mon
     items = [("second_crack", 2, 4e3), ("rub", 4, 5e4), ("rub", 3, 9e7), ("runout", 1, 4.9e4), ("runout", 2, 4e7)]
     items += [("seal", node, 6e4 + node) for node in range(100)]
     found = [SimpleNamespace(physics=p, law=(p, 0), node=node, left=left) for p, node, left in items]
-    evidence = SimpleNamespace(bounds=lambda fit: SimpleNamespace(bound=lambda item: item.left))
-    trials = Trials(evidence, Catalogue(), Jobs())
-    kept = trials._screened(Fit({}, misfit=1e8, rows=9, equations=9), found, [({}, [])] * len(found))
+    places = SimpleNamespace(by_law=False, bound=lambda item: item.left)
+    trials = Trials(SimpleNamespace(), Catalogue(), Jobs())
+    kept = trials._screened(Fit({}, misfit=1e8, rows=9, equations=9), found, [({}, [])] * len(found), places)
     told = {(found[k].physics, found[k].node) for k in kept}
     assert told == {("second_crack", 2), ("rub", 4), ("runout", 1), ("seal", 0)}
     assert len(kept) == len(told)

@@ -6,6 +6,8 @@ diagram's own parameters, the misfit is the least that any fault candidate can r
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from rotorsim.block import In
@@ -22,6 +24,8 @@ from rotorsim.signals.covariance import real_vector
 class LowerBounds:
     """Bounds on the misfit for every place where something may act on a fitted linear diagram."""
 
+    by_law = False
+
     def __init__(self, likelihood: Likelihood, theta: np.ndarray, targets: list[str]) -> None:
         self.likelihood = likelihood
         self.found = likelihood.evaluate(theta)
@@ -34,6 +38,10 @@ class LowerBounds:
         """Return the least misfit that an insertion can leave over, None where nothing is known of it."""
         key = self.entries(item)
         return None if key is None else self._bound(key)
+
+    def start(self, item: Insertion) -> Mapping[str, float]:
+        """Return nothing: a place says nothing of the parameters of a law."""
+        return {}
 
     def least(self, item: Insertion) -> list[tuple[float, float]] | None:
         """Return of each run the least misfit that an insertion can leave, and the equations that are left then."""

@@ -17,27 +17,28 @@ from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Defaults, Score, Terms
 from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, reason_of
+from rotorsim.diagnosis.evidence.waveform.laws import LawBounds
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.diagnosis.evidence.waveform.scoring import held_score, left_out_score
 from rotorsim.diagram.diagram import Diagram, Port
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.left_out import left_out
 from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.linearised import linearised, places_of
 from rotorsim.identification.waveform.noise import (
     Stretch,
     Variance,
     block_misfit,
     goodness_left_out,
-    independent,
-    misfits_left_out,
-    residual_variance,
     reweighted,
     robust_covariance,
     stacked,
+    unpredicted,
     weights_of,
 )
 from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation, Label, OutputErrorSearch
-from rotorsim.identification.waveform.subsystems import subsystems_of
+from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
+from rotorsim.identification.waveform.unknown_input import UnknownInputs
 from rotorsim.units import compatible
 
 FIRST_STEPS = 4  # from each start, before the best is followed
@@ -118,22 +119,42 @@ class WaveformEvidence(SampledRuns, Defaults):
         return self._summary(document, search, search.minimise(min(ends, key=attrgetter("cost")).unknowns, last))
 
     def recalibrated(self, fit: Fit) -> WaveformEvidence | None:
-        """Return the evidence whose noise is what a fit leaves, for one that leaves less than the flexible model."""
-        if fit.misfit >= CRITERIA.surpassed * fit.freedom:
-            return None
-        search = self.search(values_in(fit.document, fit.values))
+        """Return the evidence whose noise is what is not predictable beside a fit; None where it is much the same."""
+        document = values_in(fit.document, fit.values)
+        search = self.search(document)
         search, evaluation = reweighted(search, search.first(self.starts))
-        variance = residual_variance(search, evaluation)
-        rows = independent(block_misfit(search, evaluation, self.stretches), self.stretches)
-        weighted = replace(search, weights=weights_of(variance, self.runs, rows))
-        allowed = CRITERIA.no_worse**2 * misfits_left_out(weighted, evaluation, self.stretches)
-        return replace(self, variance=variance, rows=rows, allowed=allowed)
+        if not np.isfinite(evaluation.cost):
+            return None
+        noise = unpredicted(self.load(document), search, evaluation, self.stretches)
+        ratio = [value / self.variance[signal] for signal, value in noise.variance.items()]
+        if min(ratio) >= CRITERIA.surpassed and max(ratio) <= 1 / CRITERIA.surpassed:
+            return None
+        return replace(self, variance=noise.variance, rows=noise.rows, allowed=CRITERIA.model_error * noise.left)
 
     def at(self, fit: Fit) -> Fit:
         """Return a fit to the evidence before recalibration as this one judges it, at the same parameters."""
         search = replace(self.search(values_in(fit.document, fit.values)), hold="theta")
         evaluation = search.minimise(search.first(self.starts))
         return replace(self._summary(fit.document, search, evaluation), seconds=fit.seconds)
+
+    def bounds(self, fit: Fit) -> LawBounds | None:
+        """Return what the laws of signals promise beside a fit.
+
+        None where the diagram has no scalar signals, and where samples are uneven or missing.
+        """
+        document = values_in(fit.document, fit.values)
+        diagram, whole = self.load(document), replace(self.search(document), hold="theta")
+        whole = replace(whole, systems=whole.systems[:1]).shortened(SHORT)
+        places = places_of(diagram, self.channels.outputs)
+        evaluation = whole.minimise(whole.first(self.starts))
+        gappy = self.channels.gappy or any(run.steps is not None for run in whole.runs)
+        if not places or gappy or not np.isfinite(evaluation.cost):
+            return None
+        runs = linearised(diagram, whole, evaluation, places)
+        variance = np.array([self.variance[WHOLE_DIAGRAM, name] for name in whole.systems[0].equations.outputs])
+        weight = self.rows / sum(run.size for run in whole.runs) / len(self.variance)  # as if these samples were all
+        unknown = UnknownInputs(runs, np.sqrt(variance))
+        return LawBounds(runs, whole.runs, places, unknown, np.sqrt(weight / variance), self.sizes, self.load)
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
         """Return the misfit after FIRST_STEPS steps from the best start, per sample as on all samples."""

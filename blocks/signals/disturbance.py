@@ -1,0 +1,74 @@
+"""A signal that is added to another: offset, drift, step, sine."""
+
+from rotorsim.block import Block, Equations, In, Option, Out, Param, cos, sin, tanh
+from rotorsim.fault import Fault, Longest, Of
+
+_LAWS = {
+    "offset": ({"offset": (Of("input", 0.01), Of("input", -0.01))}, {}, "a constant in all runs", ("drift", "step")),
+    "drift": (
+        {"offset": (Of("input", 1e-3),), "rate": (Of("input", 0.01), Of("input", -0.01))},
+        {},
+        "grows with time from the start of every run",
+        ("offset", "gain_drift"),
+    ),
+    "step": (
+        {"height": (Of("input", 0.1), Of("input", -0.1)), "time": tuple(Longest(k / 8) for k in (1, 3, 5, 7))},
+        {"width": Longest(1e-3)},
+        "a jump at one time of every run",
+        ("offset", "drift"),
+    ),
+    "line": (
+        {"sine": (Of("input", 0.1),), "cosine": (Of("input", 0.01),), "frequency": (10.0, 60.0, 300.0)},
+        {},
+        "one frequency, whatever the inputs do",
+        ("missing_mode",),
+    ),
+}
+
+
+class Disturbance(Block):
+    """Add a signal of its own to a signal, entry by entry.
+
+    law "offset":  d = offset
+    law "drift":   d = offset + rate t
+    law "step":    d = height (1 + tanh((t - time) / width)) / 2
+    law "line":    d = sine sin(frequency t) + cosine cos(frequency t)
+    output = input + d
+    """
+
+    source = "R. Isermann, Fault-Diagnosis Systems (2006), ch. 5 (additive faults of sensors and actuators)"
+    faults = tuple(
+        Fault(
+            physics=law,
+            enters="signal",
+            through={"input": "output"},
+            options={"law": law},
+            free=free,
+            fixed=fixed,
+            law=said,
+            confused_with=like,
+            told_apart_by="the same inputs again, another length of the run",
+        )
+        for law, (free, fixed, said, like) in _LAWS.items()
+    )
+
+    input = In(shape="signal", unit=None, doc="signal")
+    output = Out(shape="signal", unit=None, doc="signal with the disturbance, shape of the input")
+    law = Option("offset", choices=tuple(_LAWS), kind=str, doc="what is added")
+    offset = Param(0.0, unit=None, doc="constant, unit of the input (laws offset, drift)")
+    rate = Param(0.0, unit=None, doc="drift, unit of the input per second (law drift)")
+    height = Param(0.0, unit=None, doc="height of the step, unit of the input (law step)")
+    time = Param(1.0, unit="s", doc="time of the step (law step)")
+    width = Param(1e-2, unit="s", above=0.0, doc="time over which it rises (law step)")
+    sine = Param(0.0, unit=None, doc="amplitude of the sine, unit of the input (law line)")
+    cosine = Param(0.0, unit=None, doc="amplitude of the cosine, unit of the input (law line)")
+    frequency = Param(10.0, unit="rad/s", above=0.0, doc="angular frequency (law line)")
+
+    def equations(self, p, u, x, t):
+        added = {
+            "offset": lambda: p.offset,
+            "drift": lambda: p.offset + p.rate * t,
+            "step": lambda: p.height * (1 + tanh((t - p.time) / p.width)) / 2,
+            "line": lambda: p.sine * sin(p.frequency * t) + p.cosine * cos(p.frequency * t),
+        }[self.option.law]()
+        return Equations(outputs={"output": u.input + added})

@@ -1,0 +1,35 @@
+"""Second-order low-pass: a mode in the way of a signal."""
+
+from rotorsim.block import Block, Equations, In, Out, Param, State
+from rotorsim.fault import Fault
+
+
+class SecondOrder(Block):
+    """Pass a signal through a mode, entry by entry.
+
+    value'' + 2 damping_ratio w value' + w^2 value = w^2 input,  output = value,  w = frequency
+    """
+
+    source = "Simulink: Transfer Fcn (second order)"
+    faults = (
+        Fault(
+            physics="missing_mode",
+            enters="signal",
+            through={"input": "output"},
+            free={"frequency": (30.0, 150.0, 750.0), "damping_ratio": (0.1,)},
+            law="resonance at its frequency, nothing far below it",
+            confused_with=("delay", "lag"),
+            told_apart_by="excitation at the resonance",
+        ),
+    )
+
+    input = In(shape="signal", unit=None, doc="signal")
+    output = Out(shape="signal", unit=None, doc="signal behind the mode, shape of the input")
+    frequency = Param(100.0, unit="rad/s", above=0.0, doc="natural frequency w")
+    damping_ratio = Param(0.1, unit=None, above=0.0, doc="damping ratio")
+    value = State(shape="signal", unit=None, doc="output")
+    rate = State(shape="signal", unit="1/s", doc="its rate")
+
+    def equations(self, p, u, x, t):
+        force = p.frequency**2 * (u.input - x.value) - 2 * p.damping_ratio * p.frequency * x.rate
+        return Equations(outputs={"output": x.value}, derivatives={"value": x.rate, "rate": force})

@@ -1,0 +1,168 @@
+"""A signal that is missing somewhere: found where it acts and as it is, from data that SciPy made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete
+
+from rotorsim.identification.waveform import linearised as room
+from rotorsim.identification.waveform.data import Channels, SampledRun
+from rotorsim.identification.waveform.linearised import Place, linearised, places_of
+from rotorsim.identification.waveform.search import OutputErrorSearch
+from rotorsim.identification.waveform.subsystems import subsystems_of
+from rotorsim.identification.waveform.unknown_input import UnknownInputs
+from rotorsim.model.load import load
+
+RATE, SAMPLES, NOISE = 200.0, 3000, np.array([2e-3, 2e-3])
+SERVO = {  # x' = 8 (r - s) + d1,  y' = -3 y + 2 x + d2,  s = x: recorded are x and y
+    "schema_version": 1,
+    "name": "servo",
+    "blocks": {
+        "reference": {"type": "recorded", "parameters": {"interpolation": "hold"}},
+        "error": {"type": "sum", "parameters": {"signs": "+-"}},
+        "controller": {"type": "gain", "parameters": {"gain": 8.0}},
+        "first": {"type": "integrator"},
+        "coupling": {"type": "gain", "parameters": {"gain": 2.0}},
+        "rate": {"type": "sum", "parameters": {"signs": "+-"}},
+        "second": {"type": "integrator"},
+        "leak": {"type": "gain", "parameters": {"gain": 3.0}},
+    },
+    "wires": [
+        ["reference.output", "error.input1"],
+        ["first.output", "error.input2"],
+        ["error.output", "controller.input"],
+        ["controller.output", "first.input"],
+        ["first.output", "coupling.input"],
+        ["coupling.output", "rate.input1"],
+        ["leak.output", "rate.input2"],
+        ["rate.output", "second.input"],
+        ["second.output", "leak.input"],
+    ],
+    "solver": {"method": "rk4", "step": "1 ms", "stop": "1 s"},
+    "record": ["first.output", "second.output"],
+    "identify": {"leak.gain": {"low": 0.0}},
+}
+OUTPUTS = ("first.output", "second.output")
+CHANNELS = Channels(
+    ("reference.output",),
+    OUTPUTS,
+    {name: name for name in ("reference.output", *OUTPUTS)},
+    {"reference.output": "hold"},
+)
+
+
+def recorded(seed: int, missing: np.ndarray, at: int, noise: np.ndarray = NOISE) -> SampledRun:
+    """A run with a signal added to the rate of one of the states, by the exact discrete system."""
+    random = np.random.default_rng(seed)
+    reference = np.repeat(random.normal(size=SAMPLES // 50), 50)
+    A, B = np.array([[-8.0, 0.0], [2.0, -3.0]]), np.array([[8.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 3))), 1 / RATE)
+    inputs = np.zeros((SAMPLES, 3))
+    inputs[:, 0], inputs[:, 1 + at] = reference, missing
+    x = np.zeros((SAMPLES, 2))
+    for k in range(SAMPLES - 1):
+        x[k + 1] = F @ x[k] + G @ inputs[k]
+    y = x + random.normal(size=x.shape) * noise
+    values = {"reference.output": reference, **dict(zip(OUTPUTS, y.T, strict=True))}
+    return SampledRun("a", values, {"reference.output": "hold"}, np.arange(SAMPLES) / RATE, {})
+
+
+def analysed(run: SampledRun, document: dict = SERVO, steps: int = 60):
+    """Return the places of a diagram, and a run linearised there; steps: of the search for its start."""
+    diagram = load(document)
+    systems = subsystems_of(diagram, CHANNELS)
+    search = OutputErrorSearch(systems, [run], {signal: 1.0 for system in systems for signal in system.signals})
+    search = replace(search, systems=systems[:1], hold="theta")
+    evaluation = search.minimise(search.first(), steps) if steps else search.evaluate(search.first(), 4)
+    places = places_of(diagram, OUTPUTS)
+    return places, linearised(diagram, search, evaluation, places)
+
+
+def slow(seed: int) -> np.ndarray:
+    """A random walk: what is missing."""
+    return np.cumsum(np.random.default_rng(seed).normal(size=SAMPLES)) * 0.02
+
+
+@pytest.mark.parametrize(
+    ("at", "port", "alike"),
+    [  # what enters the same sum is the same signal; what one output alone shows may be its reading
+        (0, "controller.output", {"controller.output", "error.output", "reference.output"}),
+        (1, "rate.output", {"rate.output", "coupling.output", "leak.output", "second.output"}),
+    ],
+)
+def test_the_place_of_a_missing_signal_is_the_likeliest_and_the_signal_is_what_was_left_out(at, port, alike):
+    missing = slow(7)
+    places, runs = analysed(recorded(1, missing, at))
+    unknown = UnknownInputs(runs, NOISE)
+    estimates = unknown.estimates()
+    assert places[estimates[0].place].port in alike
+    others = [item for item in estimates if places[item.place].port not in alike | {"first.output"}]
+    assert all(item.deviance > 2 * estimates[0].deviance for item in others)
+    found = unknown.smoothed(next(item for item in estimates if places[item.place] == Place(port)))
+    error = (found.added[0] - missing)[50:-50]
+    assert 0.90 < (np.abs(error) < 1.96 * found.std[0][50:-50]).mean() < 0.99
+
+
+def test_where_nothing_is_missing_no_free_signal_explains_more_than_noise():
+    places, runs = analysed(recorded(2, np.zeros(SAMPLES), 0))
+    unknown = UnknownInputs(runs, NOISE)
+    given = sum(float(((run.residual / NOISE) ** 2).sum()) for run in runs)
+    for item in unknown.estimates():
+        assert item.deviance > given - 12.0, places[item.place]
+        assert np.abs(unknown.smoothed(item).added[0]).max() < 5 * item.scale * np.sqrt(runs[0].dt) * SAMPLES**0.5
+
+
+def test_a_signal_at_the_reading_is_told_from_one_in_the_loop():
+    run = recorded(3, np.zeros(SAMPLES), 0)
+    drifted = replace(run, values={**run.values, "first.output": run.values["first.output"] + slow(9) * 0.2})
+    places, runs = analysed(drifted)
+    first = UnknownInputs(runs, NOISE).estimates()[0]
+    assert places[first.place] == Place("first.output", taken=False, recorded=True)
+
+
+CURVED = {**SERVO, "blocks": {**SERVO["blocks"], "coupling": {"type": "polynomial", "parameters": {"quadratic": 0.5}}}}
+
+
+@pytest.mark.parametrize(("document", "rest"), [(SERVO, 1e-6), (CURVED, 0.02)], ids=["linear", "nonlinear"])
+def test_answers_to_an_added_signal_are_those_of_the_diagram(document, rest):
+    """Of a nonlinear one but for its change within a sample: h times its fastest rate, 5 ms 8 / s / 2 = 2 %."""
+    places, [run] = analysed(recorded(4, np.zeros(SAMPLES), 0, noise=np.zeros(2)), document, steps=0)
+    assert run.constant == (document is SERVO)
+    signal = np.repeat(np.sin(np.arange(SAMPLES // 20)), 20)
+    answer = run.responses(places.index(Place("controller.output")), signal[:, None])[:, :, 0]
+    added = {**document, "blocks": {**document["blocks"]}}
+    added["blocks"]["more"] = {"type": "recorded", "parameters": {"interpolation": "hold"}}
+    added["blocks"]["both"] = {"type": "sum", "parameters": {"signs": "++"}}
+    added["wires"] = [
+        *(wire for wire in document["wires"] if wire[0] != "controller.output"),
+        ["controller.output", "both.input1"],
+        ["more.output", "both.input2"],
+        ["both.output", "first.input"],
+    ]
+    size = 1e-4
+    change = (driven(added, size * signal) - driven(document, None)) / size
+    assert np.abs(change - answer).max() < rest * np.abs(answer).max()
+
+
+def driven(document: dict, more: np.ndarray | None) -> np.ndarray:
+    """Return the outputs of a diagram that is driven as recorded, (N, 2)."""
+    given = recorded(4, np.zeros(SAMPLES), 0, noise=np.zeros(2))
+    kinds = {"reference.output": "hold", **({} if more is None else {"more.output": "hold"})}
+    values = given.values if more is None else {**given.values, "more.output": more}
+    channels = replace(CHANNELS, inputs=tuple(kinds), kinds=kinds)
+    [system] = subsystems_of(load(document), channels)[:1]
+    start = replace(given, values=values, kinds=kinds)
+    search = OutputErrorSearch((system,), [start], dict.fromkeys(system.signals, 1.0))
+    unknowns = search.first()
+    return search.simulated(unknowns, 0, 0, 4, sensitivities=False)[0]
+
+
+def test_the_recursion_in_c_is_that_in_numpy(monkeypatch):
+    places, [run] = analysed(recorded(5, np.zeros(SAMPLES), 0), CURVED)
+    signal = np.random.default_rng(1).normal(size=(SAMPLES, 3))
+    in_c = run.responses(places.index(Place("rate.output")), signal)
+    monkeypatch.setattr(room, "_recursion", lambda: None)
+    np.testing.assert_allclose(run.responses(places.index(Place("rate.output")), signal), in_c, rtol=1e-12, atol=1e-15)
