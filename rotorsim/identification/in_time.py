@@ -217,8 +217,8 @@ def _statement(
     if adequate:
         return " ".join(parts)
     wrong = (
-        f"The model does not explain the data: the residual has {estimate.excess:.3g} times the variance of what a "
-        "flexible model leaves, so something is missing in it; the intervals hold only if what is missing does not "
-        "matter to a parameter. 'rotorsim diagnose' looks for it."
+        f"The model does not explain the data: the residual has {estimate.excess:.3g} times the variance of what "
+        "cannot be predicted of it, so something is missing in it; the intervals hold only if what is missing does "
+        "not matter to a parameter. 'rotorsim diagnose' looks for it."
     )
     return " ".join([wrong, *parts])

@@ -50,13 +50,15 @@ def motion(time: np.ndarray, u: np.ndarray, start: Sequence[float]) -> np.ndarra
     m, c, k = TRUTH.values()
     A = np.zeros((4, 4))  # position, velocity, u, slope of u
     A[0, 1], A[1], A[2, 3] = 1.0, [-k * m, -c * m, m, 0.0], 1.0
-    x, out = np.array([*start, 0.0, 0.0]), []
+    x, out, steps = np.array([*start, 0.0, 0.0]), [], {}
     for i, at in enumerate(time):
         out.append(x[:2].copy())
         if i + 1 < len(time):
-            h = time[i + 1] - at
+            h = round(time[i + 1] - at, 14)
             x[2:] = u[i], (u[i + 1] - u[i]) / h
-            x = expm(A * h) @ x
+            if h not in steps:
+                steps[h] = expm(A * h)
+            x = steps[h] @ x
     return np.array(out)
 
 

@@ -319,3 +319,14 @@ def test_parameters_of_machines_simulated_elsewhere_come_back(case, name):
         assert item.value == pytest.approx(value, rel=0.01)
     achievable = truth["scores"]["true_model"]
     assert np.hypot(*found.fit["hold_out"].values()) / np.sqrt(2) < 1.01 * achievable["held_out_total"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not SHARED.exists(), reason="the shared recordings are not here")
+def test_machines_simulated_elsewhere_that_lack_physics_are_not_explained():
+    verdicts = {}
+    for folder in sorted((SHARED / "development").iterdir()):
+        truth = json.loads((folder / "truth.json").read_text())
+        found = identify(load(SHARED / "diagrams" / f"{truth['diagram']}.json"), load_recording(folder))
+        verdicts[folder.name] = found.adequate
+    assert verdicts == {name: name.endswith("_nothing") for name in verdicts}

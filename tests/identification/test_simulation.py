@@ -66,6 +66,26 @@ def test_the_error_falls_with_the_fourth_power_of_the_step(equations):
     assert np.log2(errors[1] / errors[2]) == pytest.approx(4, abs=0.5)
 
 
+@pytest.mark.parametrize("use_compiler", [True, False])
+def test_uneven_instants_are_met_with_the_same_order(equations, use_compiler):
+    simulation, theta = Simulation(equations, use_compiler=use_compiler), theta_of(equations)
+    mass, damping, stiffness, cubic = theta
+
+    def rates(t, x):
+        return x[1], (force(t) - damping * x[1] - stiffness * x[0] - cubic * x[0] ** 3) / mass
+
+    steps = np.random.default_rng(0).uniform(0.2, 1.8, 99) * DT
+    times = 0.3 + np.append(0.0, np.cumsum(steps))
+    exact = solve_ivp(rates, (0.3, times[-1]), START, t_eval=times, rtol=1e-11, atol=1e-13, method="DOP853").y.T
+    errors = []
+    for sub in (4, 8):
+        at = times[:, None] + np.append(steps, 0.0)[:, None] * np.arange(2 * sub + 1) / (2 * sub)
+        p, v = parameters(equations, theta), force(at)[:, :, None]
+        y, _ = simulation.simulate(p, START, v, steps, t0=0.3, sensitivities=False)
+        errors.append(np.abs(y - exact).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.5)
+
+
 def test_derivatives_are_those_of_the_steps(equations):
     simulation, theta = Simulation(equations), theta_of(equations)
     v = inputs(200, 2)

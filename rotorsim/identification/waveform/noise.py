@@ -115,7 +115,9 @@ def unpredicted(
     }
     energies = block_misfit(replace(search, weights={signal: 1 / v for signal, v in variance.items()}), rest, stretches)
     rows = independent(energies, stretches)
-    samples = np.array([last - first for _, first, last in stretches]) * len(variance)
+    weighed = [np.isfinite(part) for residuals in rest.residuals for part in residuals]
+    runs = len(search.runs)
+    samples = np.array([sum(int(own[a:b].sum()) for own in weighed[r::runs]) for r, a, b in stretches])
     left = np.minimum(energies, CRITERIA.model_error * samples) * rows / samples.sum()
     return Noise(variance, rows, left)
 

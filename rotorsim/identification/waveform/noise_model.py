@@ -50,7 +50,8 @@ class NoiseModel:
     """What counts as noise in some runs.
 
     variance: mean square of every output. rows: independent samples. stretches: into which the runs are divided.
-    allowed (B,): what an adequate model may leave of each when it is left out. least: steps between samples. starts:
+    allowed (B,): what an adequate model may leave of each when it is left out. by_force: whether noise is what a
+    diagram with a flexible force leaves; else what no black box predicts. least: steps between samples. starts:
     states at the first samples. theta (m,): parameters of the diagram that leave least. sizes: largest magnitude of
     every signal, recorded or simulated.
     """
@@ -59,6 +60,7 @@ class NoiseModel:
     rows: int
     stretches: tuple[Stretch, ...]
     allowed: np.ndarray
+    by_force: bool
     least: int
     starts: Mapping[Label, float]
     theta: np.ndarray
@@ -80,8 +82,9 @@ def noise_model(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]
     stretches = stretches_of(runs)
     noise = _noise_share(flexible, residual)
     variance: Variance = {signal: value * noise for signal, value in residual_variance(flexible, residual).items()}
-    beside = unpredicted(diagram, base, evaluation, stretches)
-    if sum(map(log, beside.variance.values())) < sum(map(log, variance.values())):
+    by_force = flexible.m > base.m  # a force that may be any law explains more than the diagram
+    if not by_force:
+        beside = unpredicted(diagram, base, evaluation, stretches)
         variance, rows, allowed = beside.variance, beside.rows, CRITERIA.model_error * beside.left
     else:
         rows = independent(block_misfit(flexible, residual, stretches), stretches)
@@ -94,6 +97,7 @@ def noise_model(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]
         rows=rows,
         stretches=stretches,
         allowed=allowed,
+        by_force=by_force,
         least=base.least,
         starts=flexible.starts(residual.unknowns),
         theta=evaluation.unknowns[: base.m],

@@ -49,15 +49,21 @@ class Predictability:
 
 
 def predictability(residuals: Sequence[np.ndarray], signals: Sequence[np.ndarray], poles: np.ndarray) -> Predictability:
-    """Return what signals (N, s) of each run predict of residuals (N, c); poles: discrete ones of the diagram."""
+    """Return what signals (N, s) of each run predict of residuals (N, c), NaN where nothing was measured.
+
+    poles: discrete ones of the diagram.
+    """
     features = _features(signals, poles)
     Y = np.concatenate(residuals)
     sizes = [len(part) for part in residuals]
     ends = [np.linspace(0, size, STRETCHES_OF_RUN + 1).astype(int) for size in sizes]
     stretch = np.concatenate([np.searchsorted(end, np.arange(end[-1]), "right") + 10 * r for r, end in enumerate(ends)])
-    predicted = _left_out(features, Y, stretch)
+    predicted, there = np.full(Y.shape, np.nan), np.isfinite(Y)
+    for known in np.unique(there, axis=1).T:  # outputs that were measured at the same instants, as a rule all
+        alike = (there == known[:, None]).all(axis=0)
+        predicted[np.ix_(known, alike)] = _left_out(features[known], Y[np.ix_(known, alike)], stretch[known])
     squares = np.array(
-        [[(Y[here] ** 2).sum(axis=0), ((Y - predicted)[here] ** 2).sum(axis=0)] for here in _each(stretch)]
+        [[np.nansum(Y[here] ** 2, axis=0), np.nansum((Y - predicted)[here] ** 2, axis=0)] for here in _each(stretch)]
     )
     total = np.maximum(squares[:, 0].sum(axis=0), 1e-300)
     share = 1 - squares[:, 1].sum(axis=0) / total

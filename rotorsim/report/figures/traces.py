@@ -44,10 +44,11 @@ def _draw_trace(upper: Axes, lower: Axes, trace: Trace, compared: SampleComparis
 def _window(trace: Trace) -> slice:
     """Return the part of a trace in which the first diagram is most wrong, PERIODS of it."""
     n = len(trace.measured)
-    above = trace.measured > trace.measured.mean()
+    mean = np.nanmean(trace.measured)
+    above = trace.measured > mean
     period = 2 * n / max(int(np.count_nonzero(above[1:] != above[:-1])), 1)
     width = int(min(n, max(PERIODS * period, 100)))
     first = trace.simulated[0]
-    wrong = trace.measured - (trace.measured.mean() if first is None else first)
+    wrong = np.nan_to_num(trace.measured - (mean if first is None else first))  # nothing where nothing was measured
     start = int(np.argmax(np.convolve(wrong**2, np.ones(width), "valid")))
     return slice(start, start + width)

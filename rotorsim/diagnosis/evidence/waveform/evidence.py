@@ -30,6 +30,9 @@ from rotorsim.identification.waveform.noise import (
     Variance,
     block_misfit,
     goodness_left_out,
+    independent,
+    misfits_left_out,
+    residual_variance,
     reweighted,
     robust_covariance,
     stacked,
@@ -61,14 +64,15 @@ class WaveformEvidence(SampledRuns, Defaults):
 
     sizes: largest magnitude of every signal, recorded or simulated. variance: what counts as noise. rows: independent
     samples. stretches: into which the runs are divided. allowed (B,): what an adequate model may leave of each when it
-    is left out. least: steps between samples. starts: states at the first samples. old: names of the parameters that
-    were free at first. held: hold-out runs.
+    is left out. by_force: whether noise is what a diagram with a flexible force leaves. least: steps between samples.
+    starts: states at the first samples. old: names of the parameters that were free at first. held: hold-out runs.
     """
 
     variance: Variance
     rows: int
     stretches: tuple[Stretch, ...]
     allowed: np.ndarray
+    by_force: bool
     least: int
     starts: Mapping[Label, float]
     old: frozenset[str]
@@ -120,11 +124,19 @@ class WaveformEvidence(SampledRuns, Defaults):
 
     def recalibrated(self, fit: Fit) -> WaveformEvidence | None:
         """Return the evidence whose noise is what is not predictable beside a fit; None where it is much the same."""
+        if self.by_force and fit.misfit >= CRITERIA.surpassed * fit.freedom:
+            return None
         document = values_in(fit.document, fit.values)
         search = self.search(document)
         search, evaluation = reweighted(search, search.first(self.starts))
         if not np.isfinite(evaluation.cost):
             return None
+        if self.by_force:
+            variance = residual_variance(search, evaluation)
+            rows = independent(block_misfit(search, evaluation, self.stretches), self.stretches)
+            weighted = replace(search, weights=weights_of(variance, self.runs, rows))
+            allowed = CRITERIA.no_worse**2 * misfits_left_out(weighted, evaluation, self.stretches)
+            return replace(self, variance=variance, rows=rows, allowed=allowed)
         noise = unpredicted(self.load(document), search, evaluation, self.stretches)
         ratio = [value / self.variance[signal] for signal, value in noise.variance.items()]
         if min(ratio) >= CRITERIA.surpassed and max(ratio) <= 1 / CRITERIA.surpassed:
@@ -138,13 +150,17 @@ class WaveformEvidence(SampledRuns, Defaults):
         return replace(self._summary(fit.document, search, evaluation), seconds=fit.seconds)
 
     def bounds(self, fit: Fit) -> LawBounds | None:
-        """Return what the laws of signals promise beside a fit; None where its diagram has no scalar signals."""
+        """Return what the laws of signals promise beside a fit.
+
+        None where the diagram has no scalar signals, and where samples are uneven or missing.
+        """
         document = values_in(fit.document, fit.values)
         diagram, whole = self.load(document), replace(self.search(document), hold="theta")
         whole = replace(whole, systems=whole.systems[:1]).shortened(SHORT)
         places = places_of(diagram, self.channels.outputs)
         evaluation = whole.minimise(whole.first(self.starts))
-        if not places or not np.isfinite(evaluation.cost):
+        gappy = self.channels.gappy or any(run.steps is not None for run in whole.runs)
+        if not places or gappy or not np.isfinite(evaluation.cost):
             return None
         runs = linearised(diagram, whole, evaluation, places)
         variance = np.array([self.variance[WHOLE_DIAGRAM, name] for name in whole.systems[0].equations.outputs])

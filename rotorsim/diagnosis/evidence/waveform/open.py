@@ -54,6 +54,7 @@ def waveform_evidence(
         rows=noise.rows,
         stretches=noise.stretches,
         allowed=noise.allowed,
+        by_force=noise.by_force,
         least=noise.least,
         starts=noise.starts,
         sizes=noise.sizes,
