@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.conclude.result import Effect, estimates, interval
 from rotorsim.diagnosis.conclude.wording import _sentence
 from rotorsim.diagnosis.evidence.fit import Fit
@@ -61,7 +62,9 @@ def effect() -> Effect:
     )
 
     def put(physics: str, spot: str, fit: Fit, *free: str) -> Candidate:
-        insertion = SimpleNamespace(physics=physics, spot=spot, free=free, from_lines=(), from_steps=())
+        insertion = SimpleNamespace(
+            physics=physics, spot=Spot(*spot.split(".")), free=free, from_lines=(), from_steps=()
+        )
         return Candidate(insertion, fit)
 
     own = put("residual_bow", "rotor.force", round_fit, "bow.amplitude", "bow.phase")
@@ -73,7 +76,7 @@ def effect() -> Effect:
 
 def test_every_explanation_stands_at_its_own_place_everywhere():
     found = effect()
-    assert [found.spot_of(name) for name in found.members] == ["rotor.force", "rotor.displacement"]
+    assert [str(found.spot_of(name)) for name in found.members] == ["rotor.force", "rotor.displacement"]
     assert found.spot_of("rub") is None
 
 

@@ -1,0 +1,112 @@
+"""What is missing in a wire of a servo that NumPy simulates: named, located, sized; and nothing where nothing is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorsim import load_recording
+from rotorsim.diagnosis.catalogue.insertion import Spot
+from rotorsim.diagnosis.diagnosis import diagnose
+from rotorsim.model.load import load
+from rotorsim.recordings.recording import Recording
+
+RATE, SAMPLES, FINE = 200, 2000, 20
+NOISE = {"speed": 4e-3, "angle": 2e-3}
+SERVO = {  # J w' = k sat(u) - b w,  u = K (r - a),  a' = w
+    "schema_version": 1,
+    "name": "servo",
+    "blocks": {
+        "reference": {"type": "recorded", "parameters": {"interpolation": "hold"}},
+        "error": {"type": "sum", "parameters": {"signs": "+-"}},
+        "controller": {"type": "gain", "parameters": {"gain": 12.0}},
+        "torque": {"type": "sum", "parameters": {"signs": "+-"}},
+        "friction": {"type": "gain", "parameters": {"gain": 5.0}},
+        "speed": {"type": "integrator"},
+        "angle": {"type": "integrator"},
+    },
+    "wires": [
+        ["reference.output", "error.input1"],
+        ["angle.output", "error.input2"],
+        ["error.output", "controller.input"],
+        ["controller.output", "torque.input1"],
+        ["friction.output", "torque.input2"],
+        ["torque.output", "speed.input"],
+        ["speed.output", "friction.input"],
+        ["speed.output", "angle.input"],
+    ],
+    "solver": {"method": "rk4", "step": "1 ms", "stop": "1 s"},
+    "record": ["speed.output", "angle.output"],
+    "identify": {"friction.gain": {"low": 0.0}},
+}
+
+
+def simulated(seed: int, *, limit: float = np.inf, dry: float = 0.0) -> dict[str, np.ndarray]:
+    """Return a run by Euler steps a twentieth of a sample long: their error is far below the noise."""
+    random = np.random.default_rng(seed)
+    reference = np.repeat(random.uniform(-1, 1, SAMPLES // 100), 100)
+    w = a = 0.0
+    out = np.empty((SAMPLES, 2))
+    h = 1 / RATE / FINE
+    for k in range(SAMPLES):
+        out[k] = w, a
+        for _ in range(FINE):
+            u = np.clip(12.0 * (reference[k] - a), -limit, limit)
+            middle = w + h / 2 * (u - 4.4 * w - dry * np.tanh(w / 0.01))  # midpoint rule
+            rate = np.clip(12.0 * (reference[k] - a - h / 2 * w), -limit, limit)
+            a, w = a + h * middle, w + h * (rate - 4.4 * middle - dry * np.tanh(middle / 0.01))
+    noisy = {
+        name: column + random.normal(size=SAMPLES) * NOISE[name] for name, column in zip(NOISE, out.T, strict=True)
+    }
+    return {"reference": reference, **noisy}
+
+
+def recording(folder: Path, **missing: float) -> Recording:
+    channels = {name: {"signal": f"{name}.output", "unit": "1"} for name in ("reference", "speed", "angle")}
+    runs = []
+    for seed in (1, 2):
+        np.savez(folder / f"run{seed}.npz", **simulated(seed, **missing))
+        runs.append({"id": f"run{seed}", "file": f"run{seed}.npz", "sample_rate": f"{RATE} Hz", "use": "identify"})
+    (folder / "recording.json").write_text(
+        json.dumps({"name": "servo", "source": "NumPy", "channels": channels, "runs": runs})
+    )
+    return load_recording(folder)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("missing", "physics", "places", "values"),
+    [
+        ({"limit": 4.0}, "saturation", {"controller.output": 1.0, "error.output": 12.0}, {"upper": 4.0, "lower": -4.0}),
+        ({"dry": 0.4}, "dry_friction", {"friction.output": 1.0}, {"level": 0.4}),
+    ],
+)
+def test_what_a_wire_hides_is_named_located_and_sized(tmp_path, missing, physics, places, values):
+    found = diagnose(load(SERVO), recording(tmp_path, **missing), workers=1)
+    assert found.verdict == "missing_physics"
+    [effect] = found.effects
+    assert effect.physics == physics
+    size = places[str(found.places[0][0])]  # a gain that is known lies between places that no data tell apart
+    fit = found.after
+    names = [item.name for item in fit.free]
+    for key, value in values.items():
+        j = names.index(f"{effect.candidate.insertion.name}.{key}")
+        assert abs(size * fit.theta[j] - value) < max(4 * size * fit.std(j), 0.01 * abs(value))
+    j = names.index("friction.gain")
+    assert abs(fit.theta[j] - 4.4) < max(4 * fit.std(j), 0.01 * 4.4)
+
+
+@pytest.mark.slow
+def test_nothing_is_found_where_nothing_is_hidden(tmp_path):
+    found = diagnose(load(SERVO), recording(tmp_path), workers=1)
+    assert found.verdict == "consistent"
+    assert not found.effects
+
+
+def test_a_place_says_which_side_of_a_signal_is_meant():
+    assert Spot("sensor", "output").words == "sensor.output"
+    assert Spot("sensor", "output", side="reading").words == "the reading of sensor.output"
+    assert Spot("sensor", "output", side="both").words == "sensor.output, its reading too"
