@@ -53,7 +53,7 @@ def diagnose(
         quieter = evidence.recalibrated(selection.fit) if selection.chosen else None
         base = opened.base if quieter is None else quieter.at(opened.base)
     if quieter is not None:
-        evidence, selection = quieter, select_effects(base, quieter, opened.catalogue, jobs)
+        evidence, selection = quieter, select_effects(base, quieter, opened.catalogue, jobs, selection)
     with one_thread():
         diagnosis = _concluded(replace(opened, evidence=evidence, base=base), selection)
     recordings = (recording, *(() if hold_out is None else (hold_out,)))

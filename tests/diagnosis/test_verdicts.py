@@ -343,6 +343,15 @@ def test_places_that_allow_ten_times_the_least_are_not_looked_at():
     assert sorted(kept) == [1, 2, 3]
 
 
+def test_what_was_best_with_another_measure_of_the_noise_is_fitted_again_from_where_it_was():
+    """FAULT: a saturation that explained all was not among those that promised most once the noise was known."""
+    best, failed = candidate("saturation", 30.0, 1), candidate("lag", 50.0, 1)
+    best.fit, best.parameters = replace(best.fit, theta=np.array([11.0])), ("saturation0",)
+    failed.fit = Fit({}, failure="diverges")
+    trials = Trials(SimpleNamespace(), Catalogue(), Jobs(1), Round(left(50.0), (best, failed)))
+    assert trials.known == {"saturation": {"saturation0": 11.0}}
+
+
 def test_where_noise_explains_all_only_what_it_cannot_make_is_named():
     """A law that leaves fewer means open has the better criterion, but explains nothing that noise does not."""
     fewer = candidate("hysteretic_damping", 1010.0, 0, nuisances=1)

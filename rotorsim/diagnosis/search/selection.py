@@ -71,13 +71,15 @@ def without_last(selection: Selection) -> Selection:
     return replace(selection, chosen=selection.chosen[:-1], rounds=selection.rounds[:-1], fit=selection.chosen[-2].fit)
 
 
-def select_effects(base: Fit, evidence: Evidence, catalogue: Catalogue, jobs: Jobs) -> Selection:
+def select_effects(
+    base: Fit, evidence: Evidence, catalogue: Catalogue, jobs: Jobs, earlier: Selection | None = None
+) -> Selection:
     """Return what explains a recording that the fitted diagram ``base`` does not, effect by effect (forward selection).
 
-    Raises RotorsimError.
+    earlier: with another measure of the noise. Raises RotorsimError.
     """
     with local_workers(jobs) as shared:
-        return _selected(Trials(evidence, catalogue, shared), base)
+        return _selected(Trials(evidence, catalogue, shared, None if earlier is None else earlier.first), base)
 
 
 def _selected(trials: Trials, base: Fit) -> Selection:

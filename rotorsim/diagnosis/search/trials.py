@@ -24,6 +24,7 @@ MOST_FITS = 90  # in one round; places beyond are screened
 # harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it
 POSSIBLE = 10.0
 MOST_LAWS = 16  # fitted in one round, where what laws promise is known
+AGAIN = 8  # of the best of an earlier round
 PROMISED = 3.0  # times the least misfit that is promised: within, each law is fitted at its best place
 BATCHES = 4  # of jobs, for every process
 FIRST_EVALUATIONS, SECOND_EVALUATIONS = 5, 15  # of a nonlinear diagram, before it is judged whether it is worth more
@@ -104,10 +105,15 @@ class Round:
 
 
 class Trials:
-    """Insertions into fitted diagrams, each refitted; ``slack``: of the misfit, what says nothing."""
+    """Insertions into fitted diagrams, each refitted; ``slack``: of the misfit, what says nothing.
 
-    def __init__(self, evidence: Evidence, catalogue: Catalogue, jobs: Jobs) -> None:
+    earlier: a round with another measure of the noise, whose best candidates are fitted again, from where they were.
+    """
+
+    def __init__(self, evidence: Evidence, catalogue: Catalogue, jobs: Jobs, earlier: Round | None = None) -> None:
         self.evidence, self.catalogue, self.jobs = evidence, catalogue, jobs
+        best = [] if earlier is None else [item for item in earlier.tried if not item.fit.failure][:AGAIN]
+        self.known = {item.insertion.key: {name: item.fit.values[name] for name in item.parameters} for item in best}
         self.counts = {"fits": 0, "rounds": 0}
         self.nominal: dict[str, float] = {}
         self.slack = 0.0
@@ -135,8 +141,9 @@ class Trials:
         if len(jobs) > MOST_FITS:
             places = self.evidence.bounds(before)
             kept = self._screened(before, found, jobs, places)
+            kept += [k for k, item in enumerate(found) if item.key in self.known and k not in kept]
             led = {k: {} if places is None else dict(places.start(found[k])) for k in kept}
-            jobs = [(jobs[k][0], _led(jobs[k][1], led[k])) for k in kept]
+            jobs = [(jobs[k][0], _led(jobs[k][1], self.known.get(found[k].key) or led[k])) for k in kept]
             found = [found[k] for k in kept]
         self.counts["fits"] += len(found)
         fits = self._fit(jobs, FIRST_EVALUATIONS, linear_only=True)
