@@ -108,8 +108,8 @@ class Judged(waveform.WaveformEvidence):
         return None
 
 
-@pytest.mark.parametrize(("now", "replaced"), [(0.49, True), (0.51, False), (1.99, False), (2.01, True)])
-def test_noise_is_measured_again_where_a_fit_leaves_half_or_twice_of_it(monkeypatch, now, replaced):
+@pytest.mark.parametrize(("now", "replaced"), [(0.83, True), (0.84, False), (1.19, False), (1.21, True)])
+def test_noise_is_measured_again_where_a_fit_leaves_another_by_a_fifth(monkeypatch, now, replaced):
     """What an adequate model may leave: a twentieth more than what is not predictable beside the fit."""
     monkeypatch.setattr(waveform, "reweighted", lambda *_: (None, SimpleNamespace(cost=1.0)))
     monkeypatch.setattr(

@@ -139,7 +139,7 @@ class WaveformEvidence(SampledRuns, Defaults):
             return replace(self, variance=variance, rows=rows, allowed=allowed)
         noise = unpredicted(self.load(document), search, evaluation, self.stretches)
         ratio = [value / self.variance[signal] for signal, value in noise.variance.items()]
-        if min(ratio) >= CRITERIA.surpassed and max(ratio) <= 1 / CRITERIA.surpassed:
+        if min(ratio) >= 1 / CRITERIA.slight and max(ratio) <= CRITERIA.slight:
             return None
         return replace(self, variance=noise.variance, rows=noise.rows, allowed=CRITERIA.model_error * noise.left)
 
