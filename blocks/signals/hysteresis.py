@@ -28,7 +28,7 @@ class Hysteresis(Block):
     ratio = Param(0.1, low=0.0, high=1.0, doc="slope beyond the knee, of the first one")
     knee = Param(1.0, unit=None, above=0.0, doc="input at which the two slopes meet")
     exponent = Param(1.0, low=1.0, doc="how sharp the knee is")
-    shape = Param(0.5, low=0.0, high=1.0, doc="share of the loss: 1 fat loops, 0 none")
+    shape = Param(0.5, low=0.0, high=1.0, doc="share of the loss: 1 fat loops, 0 none, and z beyond 1 would grow")
     initial = Param(0.0, shape="signal", doc="z at the start")
     z = State(shape="signal", init="initial", doc="hysteretic part, between -1 and 1")
 
