@@ -118,6 +118,9 @@ class Criteria:
     white: float = 0.5
     # residual variance, of that of the flexible model, below which a fit takes its place
     surpassed: float = 0.5
+    # of a law that the samples must be able to tell from noise (chi-squared), or no verdict says that there is none:
+    # two in each of five places
+    law_parameters: int = 10
     # variance of what is not predictable, of its white part: hum and drift of 2 standard deviations and flicker noise
     # together (benchmarks/concealed, --nuisances all) make 1 + 2 + 4/3 + 1
     colour: float = 6.0

@@ -91,8 +91,15 @@ def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
         selection = without_effects(selection)
     effects = verdicts.effects_of(selection)
     verdict = verdicts.verdict_of(
-        selection, effects, alike=evidence.alike, disproved=disproved, converters=bool(converters), faint=faint
+        selection,
+        effects,
+        alike=evidence.alike or bool(evidence.unjudged),
+        disproved=disproved,
+        converters=bool(converters),
+        faint=faint,
     )
+    if verdict == "consistent" and evidence.structure(selection.fit):
+        verdict = "outside_catalogue"
     verdict = "outside_catalogue" if taken_twice(effects) else verdict
     unknown = verdicts.unknown_of(selection, effects, evidence) if verdict == "outside_catalogue" else None
     before = opened.before if converters else selection.base

@@ -181,6 +181,11 @@ class Diagram:
                 return str(Endpoint(meant.block, meant.port, (*meant.index, *index[len(said.index) :])))
         return name
 
+    @property
+    def turns(self) -> bool:
+        """Whether a shaft turns in it: a wire begins at a clock."""
+        return any(self.nodes[wire.source.block].block.category == "clock" for wire in self.wires)
+
     @cached_property
     def sha256(self) -> str:
         """The hash of the document, by which a result says what was run."""

@@ -120,7 +120,7 @@ def test_a_signal_at_the_reading_is_told_from_one_in_the_loop():
     drifted = replace(run, values={**run.values, "first.output": run.values["first.output"] + slow(9) * 0.2})
     places, runs = analysed(drifted)
     first = UnknownInputs(runs, NOISE).estimates()[0]
-    assert places[first.place] == Place("first.output", taken=False, recorded=True)
+    assert places[first.place] == Place("first.output", "reading")
 
 
 CURVED = {**SERVO, "blocks": {**SERVO["blocks"], "coupling": {"type": "polynomial", "parameters": {"quadratic": 0.5}}}}

@@ -248,7 +248,7 @@ class _Finder:
 
     def _signals(self, node: Node) -> Iterator[Insertion]:
         """Yield the block behind every scalar signal: for what takes it, for its recording, and for both."""
-        if any(other.block.category == "clock" for other in self.diagram.nodes.values()):
+        if self.diagram.turns:
             return  # of what turns, the physics are declared
         name, [(key, output)] = self._new_name(), self.fault.through.items()
         for port in (port for port in node.outputs.values() if port.shape == ()):

@@ -191,4 +191,5 @@ def _number(item: float | Of | Longest | Lines, largest: Mapping[str, float]) ->
         return float(item)
     size = largest.get(item.input, 1.0)
     size = largest.get(f"{LEAST} {item.input}", size) if item.least else size
+    size = size or 1.0  # what stands still has no size
     return item.factor * size**item.power

@@ -76,9 +76,9 @@ def verdict_of(
 ) -> str:
     """Return one of VERDICTS.
 
-    alike: all runs have one speed and the same settings, which anything explains. disproved: with the effects the
-    diagram does not predict hold-out runs. converters: readings show steps that the diagram lacks. faint: the residual
-    of the diagram is so small that only a named cause makes it physics.
+    alike: all runs have one speed and the same settings, which anything explains, or too few samples to judge.
+    disproved: with the effects the diagram does not predict hold-out runs. converters: readings show steps that the
+    diagram lacks. faint: the residual of the diagram is so small that only a named cause makes it physics.
     """
     named = bool(effects) and not disproved and selection.explains
     if not named and (faint or (not effects and is_noise(selection.base))):

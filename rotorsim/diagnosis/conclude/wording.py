@@ -32,6 +32,8 @@ def next_experiment(diagnosis: Diagnosis) -> str:
     open_questions = evidence.open_questions()
     if parts or open_questions:
         return "; ".join([*parts, *([open_questions] if open_questions else [])])
+    if verdict == "not_identifiable" and evidence.unjudged:
+        return f"longer runs, driven so that every signal moves by far more than its noise: {evidence.unjudged}"
     if verdict in ("consistent", "not_identifiable") and evidence.alike:
         return f"{MORE_RUNS}: {ONE_SPEED}"
     if verdict == "consistent":
@@ -91,6 +93,8 @@ def _consistent(diagnosis: Diagnosis) -> list[str]:
     else:
         none = "no fault candidate explains the rest on hold-out runs too"
         parts = [f"{name} explains the recording but for a small residual: {ratio}; {none}.", _residual(diagnosis)]
+    if diagnosis.evidence.unjudged:
+        parts.append(f"Whether that is all cannot be judged, though: {diagnosis.evidence.unjudged}.")
     if diagnosis.evidence.alike:
         parts.append(f"All its runs are alike, though: {ONE_SPEED}.")
     return [*parts, _hold_out(diagnosis)]

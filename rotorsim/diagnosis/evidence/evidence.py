@@ -152,6 +152,10 @@ class Evidence(Protocol):
         """Whether all runs have one speed and the same settings, which almost anything explains."""
 
     @property
+    def unjudged(self) -> str:
+        """Why structure of the residual would not show, so that nothing is `consistent`; empty: it would."""
+
+    @property
     def independent(self) -> bool:
         """Whether the equations are independent, so that the probability of a misfit has its usual meaning."""
 
@@ -192,6 +196,9 @@ class Evidence(Protocol):
     def bounds(self, fit: Fit) -> Bounds | None:
         """Return lower bounds of the misfit beside a fit, None where there are none (it is not linear)."""
 
+    def structure(self, fit: Fit) -> float:
+        """Return the share of the residual of a fit that is predictable, and no noise, 0 where it is not asked."""
+
     def recalibrated(self, fit: Fit) -> Evidence | None:
         """Return the evidence with noise estimated from a fit that leaves less than it assumed; None if it does not."""
 
@@ -219,6 +226,7 @@ class Defaults:
 
     terms = Terms()
     independent = True
+    unjudged = ""
 
     @property
     def alike(self) -> bool:
@@ -246,6 +254,10 @@ class Defaults:
     def bounds(self, fit: Fit) -> Bounds | None:
         """Return None: nothing is known of places but by trying them."""
         return None
+
+    def structure(self, fit: Fit) -> float:
+        """Return 0: the noise was measured, and the misfit says all."""
+        return 0.0
 
     def recalibrated(self, fit: Fit) -> Evidence | None:
         """Return None: the noise was measured, whatever a diagram leaves."""

@@ -138,7 +138,7 @@ class Trials:
             if not before.nonlinear:  # else it costs too much to begin once more from values as given
                 groups.append([{**self.nominal, **away, **start} for start in here])
             jobs.append((item.document(document, {**fixed, **starts[0]}, limits_of(item, sizes)), groups))
-        if len(jobs) > MOST_FITS:
+        if len(jobs) > MOST_FITS or any(item.fault.enters == "signal" for item in found):
             places = self.evidence.bounds(before)
             kept = self._screened(before, found, jobs, places)
             kept += [k for k, item in enumerate(found) if item.key in self.known and k not in kept]

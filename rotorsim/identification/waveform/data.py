@@ -156,8 +156,7 @@ def is_in_time(diagram: Diagram, recording: Recording) -> bool:
     One does where the recording has its angle or its pulses, or where a wire begins at a clock.
     """
     measured = {channel.signal for channel in recording.channels.values()} & {ANGLE, TACHO}
-    clocked = any(diagram.nodes[wire.source.block].block.category == "clock" for wire in diagram.wires)
-    return not (measured or clocked or any(run.tacho is not None for run in recording.runs))
+    return not (measured or diagram.turns or any(run.tacho is not None for run in recording.runs))
 
 
 def channels_of(diagram: Diagram, recording: Recording) -> Channels:

@@ -104,11 +104,20 @@ class LinearisedRun:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a signal may be added: to what is taken from an output port, to what is recorded of it, or to both."""
+    """Where a signal may be added: at an output port, to what takes it (side ""), its "reading", or "both"."""
 
     port: str
-    taken: bool = True
-    recorded: bool = False
+    side: str = ""
+
+    @property
+    def taken(self) -> bool:
+        """Whether the blocks behind the port see it."""
+        return self.side != "reading"
+
+    @property
+    def recorded(self) -> bool:
+        """Whether a recording of the port sees it."""
+        return self.side != ""
 
     def __str__(self) -> str:
         return self.port
@@ -125,8 +134,8 @@ def places_of(diagram: Diagram, outputs: Sequence[str]) -> list[Place]:
     for port in (str(port) for port in ports if port.shape == ()):
         taken, recorded = port in sources, port in outputs
         places += [Place(port)] if taken else []
-        places += [Place(port, taken=False, recorded=True)] if recorded else []
-        places += [Place(port, recorded=True)] if taken and recorded else []
+        places += [Place(port, "reading")] if recorded else []
+        places += [Place(port, "both")] if taken and recorded else []
     return places
 
 

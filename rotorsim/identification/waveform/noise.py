@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
 import numpy as np
+from scipy.stats import chi2
 from scipy.stats import t as student
 
 from rotorsim.criteria import CRITERIA
@@ -82,11 +83,17 @@ def residual_variance(search: OutputErrorSearch, evaluation: Evaluation) -> dict
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """variance: of what counts as noise, by signal. rows: independent samples. left (B,): misfit of each stretch."""
+    """variance: of what counts as noise, by signal. rows: independent samples. left (B,): misfit of each stretch.
+
+    structure: the largest share of a residual that a black box predicts, 0 where that may be chance. unjudged: why
+    such a share would not show; empty where it would.
+    """
 
     variance: Variance
     rows: int
     left: np.ndarray
+    structure: float = 0.0
+    unjudged: str = ""
 
 
 def unpredicted(
@@ -100,11 +107,9 @@ def unpredicted(
     p = first.parameters(search.p[0], evaluation.unknowns[: search.m])
     A = first.matrices[0](run.start, np.zeros(first.n), run.inputs(first.inputs, 1)[0, 0], p)[0]
     poles = np.exp(np.linalg.eigvals(A) * run.dt) if np.isfinite(A).all() else np.zeros(0)
-    residuals = evaluation.residuals[0]
-    judged = predictability([np.nan_to_num(part) for part in residuals], signals, poles)
-    left_over = [np.where(np.isfinite(e), part, np.nan) for e, part in zip(residuals, judged.rest, strict=True)]
-    rest = replace(evaluation, residuals=[left_over, *evaluation.residuals[1:]])
-    changes = mean_of(np.concatenate([np.diff(part, axis=0) for part in left_over]) ** 2) / 2
+    judged = predictability(evaluation.residuals[0], signals, poles)
+    rest = replace(evaluation, residuals=[judged.rest, *evaluation.residuals[1:]])
+    changes = mean_of(np.concatenate([np.diff(part, axis=0) for part in judged.rest]) ** 2) / 2
     white = dict(zip(search.systems[0].signals, changes.tolist(), strict=True))
     most = CRITERIA.faint if judged.structured else CRITERIA.colour  # beside physics that are missing, less is certain
     variance = {
@@ -119,7 +124,39 @@ def unpredicted(
     runs = len(search.runs)
     samples = np.array([sum(int(own[a:b].sum()) for own in weighed[r::runs]) for r, a, b in stretches])
     left = np.minimum(energies, CRITERIA.model_error * samples) * rows / samples.sum()
-    return Noise(variance, rows, left)
+    structure = float(judged.share.max()) if judged.structured else 0.0
+    return Noise(variance, rows, left, structure, _unjudged(search, evaluation, variance))
+
+
+def _unjudged(search: OutputErrorSearch, evaluation: Evaluation, variance: Variance) -> str:
+    """Return why structure of the residual would not show: too few samples, or nothing that moves; else nothing.
+
+    A share s of the noise makes n s of the misfit of n samples, a law of k parameters by chance less than its
+    chi-squared quantile.
+    """
+    share = 1 - 1 / CRITERIA.model_error
+    least = int(np.ceil(chi2.isf(CRITERIA.false_alarm, CRITERIA.law_parameters) / share))
+    measured = np.concatenate(search.measured[0])
+    samples = int(np.isfinite(measured).sum(axis=0).min())
+    if samples < least:
+        return f"{samples} samples are too few to tell structure of {100 * share:.0f} % from noise: {least} are needed"
+    motion = np.concatenate(
+        [y - e - mean_of(y - e) for y, e in zip(search.measured[0], evaluation.residuals[0], strict=True)]
+    )
+    noise = [variance[signal] for signal in search.systems[0].signals]
+    if (mean_of(motion**2) <= noise).all():
+        return "nothing moves by more than its noise"
+    return ""
+
+
+def left_over(
+    search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch], share: float = 1.0
+) -> Noise:
+    """Return all that a fit leaves as noise, or a share of its square."""
+    variance = {signal: value * share for signal, value in residual_variance(search, evaluation).items()}
+    rows = independent(block_misfit(search, evaluation, stretches), stretches)
+    weighted = replace(search, weights=weights_of(variance, search.runs, rows))
+    return Noise(variance, rows, misfits_left_out(weighted, evaluation, stretches))
 
 
 def reweighted(search: OutputErrorSearch, start: np.ndarray) -> tuple[OutputErrorSearch, Evaluation]:

@@ -22,8 +22,7 @@ from rotorsim.identification.waveform.equations import ForceMap, driven_equation
 from rotorsim.identification.waveform.noise import (
     Stretch,
     Variance,
-    block_misfit,
-    independent,
+    left_over,
     misfits_left_out,
     residual_variance,
     reweighted,
@@ -32,7 +31,7 @@ from rotorsim.identification.waveform.noise import (
     variance_scale,
     weights_of,
 )
-from rotorsim.identification.waveform.search import Evaluation, Label, OutputErrorSearch
+from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, Evaluation, Label, OutputErrorSearch
 from rotorsim.identification.waveform.shooting import is_lost, shot
 from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
@@ -51,9 +50,9 @@ class NoiseModel:
 
     variance: mean square of every output. rows: independent samples. stretches: into which the runs are divided.
     allowed (B,): what an adequate model may leave of each when it is left out. by_force: whether noise is what a
-    diagram with a flexible force leaves; else what no black box predicts. least: steps between samples. starts:
-    states at the first samples. theta (m,): parameters of the diagram that leave least. sizes: largest magnitude of
-    every signal, recorded or simulated.
+    diagram with a flexible force leaves; else what no black box predicts. unjudged: see `Noise`. least: steps between
+    samples. starts: states at the first samples. theta (m,): parameters of the diagram that leave least. sizes: largest
+    magnitude of every signal, recorded or simulated.
     """
 
     variance: Variance
@@ -61,6 +60,7 @@ class NoiseModel:
     stretches: tuple[Stretch, ...]
     allowed: np.ndarray
     by_force: bool
+    unjudged: str
     least: int
     starts: Mapping[Label, float]
     theta: np.ndarray
@@ -73,6 +73,10 @@ def noise_model(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]
     Raises RotorsimError where the diagram diverges when it is driven as recorded.
     """
     base, evaluation = _base(subsystems_of(diagram, channels), runs)
+    if not np.isfinite(evaluation.cost) and base.substeps(evaluation.unknowns) >= SIMULATION_SUBSTEPS:
+        what = f"has modes too fast for {SIMULATION_SUBSTEPS} steps between samples"
+        hint = "leave out what is faster than the recording shows: a lag of microseconds is a gain"
+        raise RotorsimError(Problem(what, diagram.name, hint=hint))
     if not np.isfinite(evaluation.cost):
         hint = "start from values nearer to the machine's, or check the signs and units of what drives it"
         raise RotorsimError(Problem(f"{SIMULATION_DIVERGES} when it is driven as recorded", diagram.name, hint=hint))
@@ -80,24 +84,23 @@ def noise_model(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]
     weights = {signal: 1 / value for signal, value in residual_variance(base, evaluation).items()}
     flexible, residual = _flexible(diagram, channels, replace(base, weights=weights), evaluation, sizes)
     stretches = stretches_of(runs)
-    noise = _noise_share(flexible, residual)
-    variance: Variance = {signal: value * noise for signal, value in residual_variance(flexible, residual).items()}
-    by_force = flexible.m > base.m  # a force that may be any law explains more than the diagram
-    if not by_force:
-        beside = unpredicted(diagram, base, evaluation, stretches)
-        variance, rows, allowed = beside.variance, beside.rows, CRITERIA.model_error * beside.left
+    given, after = residual_variance(base, evaluation), residual_variance(flexible, residual)
+    by_force = flexible.m > base.m and min(after[s] / given[s] for s in given) < CRITERIA.surpassed
+    if by_force:  # a force that may be any law explains much
+        share = _noise_share(flexible, residual)
+        noise = left_over(flexible, residual, stretches, share)
+        weighted = replace(base, weights=weights_of(noise.variance, runs, noise.rows))
+        allowed = allowed_misfits(noise.left, misfits_left_out(weighted, evaluation, stretches), share)
     else:
-        rows = independent(block_misfit(flexible, residual, stretches), stretches)
-        weights = weights_of(variance, runs, rows)
-        least = misfits_left_out(replace(flexible, weights=weights), residual, stretches)
-        given = misfits_left_out(replace(base, weights=weights), evaluation, stretches)
-        allowed = allowed_misfits(least, given, noise)
+        noise = unpredicted(diagram, base, evaluation, stretches)
+        allowed = CRITERIA.model_error * noise.left
     return NoiseModel(
-        variance=variance,
-        rows=rows,
+        variance=noise.variance,
+        rows=noise.rows,
         stretches=stretches,
         allowed=allowed,
         by_force=by_force,
+        unjudged=noise.unjudged,
         least=base.least,
         starts=flexible.starts(residual.unknowns),
         theta=evaluation.unknowns[: base.m],

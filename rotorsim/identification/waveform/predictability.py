@@ -1,9 +1,11 @@
-"""How much of a residual is predictable, and hence no noise: a black-box model, judged on stretches left out.
+"""How much of a residual is predictable, and hence no noise: a black-box model, judged on what was left out.
 
 Features: every signal that the diagram simulates (inputs, wires), its magnitude, signed square, cube and sign, each
 also behind first-order filters with the diagram's own poles and some more: rational orthonormal bases in front of which
 static nonlinearities stand (a Hammerstein model). Nothing of the residual itself is among them, so that noise of one
-channel, of whatever colour, is predicted by none. Ridge regression; penalty and share by cross-validation.
+channel, of whatever colour, is predicted by none. Ridge regression; penalty and share by cross-validation: whole runs
+are left out, so that what is slow and by chance alike within a run (a drift) predicts nothing; of a single run,
+stretches.
 
 Source: Heuberger, Van den Hof & Wahlberg, Modelling and Identification with Rational Orthogonal Basis Functions (2005),
 ch. 2; Hastie, Tibshirani & Friedman, The Elements of Statistical Learning (2009), 3.4.1 and 7.10.
@@ -20,7 +22,7 @@ from scipy.stats import t as student
 
 from rotorsim.criteria import CRITERIA
 
-STRETCHES_OF_RUN = 4  # that are left out one by one
+STRETCHES_OF_RUN = 4  # by which gains are compared; of a single run, they are left out one by one, of several the runs
 MOST_SIGNALS = 12  # the least alike of what the diagram simulates
 NEARLY_ONE = 0.9999  # correlation from which on two signals are one
 STEEP = 0.05  # of its standard deviation: over which a signal changes its sign
@@ -31,7 +33,7 @@ PENALTIES = 10.0 ** np.arange(-9.0, 1.0)  # of the largest eigenvalue of the fea
 
 @dataclass(frozen=True, eq=False)
 class Predictability:
-    """share (c,): of the mean square of each residual that is predicted on stretches left out.
+    """share (c,): of the mean square of each residual that is predicted where it was left out.
 
     level (c,): probability of such gains, stretch by stretch, where there is nothing to predict (t-test of logarithms).
     rest: what is not predicted, (N, c) of each run.
@@ -58,10 +60,11 @@ def predictability(residuals: Sequence[np.ndarray], signals: Sequence[np.ndarray
     sizes = [len(part) for part in residuals]
     ends = [np.linspace(0, size, STRETCHES_OF_RUN + 1).astype(int) for size in sizes]
     stretch = np.concatenate([np.searchsorted(end, np.arange(end[-1]), "right") + 10 * r for r, end in enumerate(ends)])
+    fold = stretch // 10 if len(residuals) > 1 else stretch
     predicted, there = np.full(Y.shape, np.nan), np.isfinite(Y)
     for known in np.unique(there, axis=1).T:  # outputs that were measured at the same instants, as a rule all
         alike = (there == known[:, None]).all(axis=0)
-        predicted[np.ix_(known, alike)] = _left_out(features[known], Y[np.ix_(known, alike)], stretch[known])
+        predicted[np.ix_(known, alike)] = _left_out(features[known], Y[np.ix_(known, alike)], fold[known])
     squares = np.array(
         [[np.nansum(Y[here] ** 2, axis=0), np.nansum((Y - predicted)[here] ** 2, axis=0)] for here in _each(stretch)]
     )
@@ -78,11 +81,13 @@ def _each(stretch: np.ndarray) -> list[np.ndarray]:
     return [stretch == name for name in np.unique(stretch)]
 
 
-def _left_out(X: np.ndarray, Y: np.ndarray, stretch: np.ndarray) -> np.ndarray:
-    """Return what a ridge regression from the other stretches predicts of each, (n, c), at the best penalties."""
+def _left_out(X: np.ndarray, Y: np.ndarray, fold: np.ndarray) -> np.ndarray:
+    """Return what a ridge regression from the other folds predicts of each, (n, c), at the best penalties."""
     predicted = np.zeros((len(PENALTIES), *Y.shape))
+    if not X.size:  # nothing moves
+        return np.zeros(Y.shape)
     products, moments = X.T @ X, X.T @ Y
-    for here in _each(stretch):
+    for here in _each(fold):
         values, vectors = np.linalg.eigh(products - X[here].T @ X[here])
         turned, along = X[here] @ vectors, vectors.T @ (moments - X[here].T @ Y[here])
         for k, penalty in enumerate(PENALTIES):

@@ -26,13 +26,12 @@ from rotorsim.identification.left_out import left_out
 from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.linearised import linearised, places_of
 from rotorsim.identification.waveform.noise import (
+    Noise,
     Stretch,
     Variance,
     block_misfit,
     goodness_left_out,
-    independent,
-    misfits_left_out,
-    residual_variance,
+    left_over,
     reweighted,
     robust_covariance,
     stacked,
@@ -77,6 +76,7 @@ class WaveformEvidence(SampledRuns, Defaults):
     starts: Mapping[Label, float]
     old: frozenset[str]
     held: tuple[SampledRun, ...]
+    unjudged: str = ""
 
     terms = WAVEFORM_TERMS
     independent = False
@@ -126,22 +126,32 @@ class WaveformEvidence(SampledRuns, Defaults):
         """Return the evidence whose noise is what is not predictable beside a fit; None where it is much the same."""
         if self.by_force and fit.misfit >= CRITERIA.surpassed * fit.freedom:
             return None
-        document = values_in(fit.document, fit.values)
-        search = self.search(document)
-        search, evaluation = reweighted(search, search.first(self.starts))
-        if not np.isfinite(evaluation.cost):
+        beside = self._beside(fit)
+        if beside is None:
             return None
         if self.by_force:
-            variance = residual_variance(search, evaluation)
-            rows = independent(block_misfit(search, evaluation, self.stretches), self.stretches)
-            weighted = replace(search, weights=weights_of(variance, self.runs, rows))
-            allowed = CRITERIA.no_worse**2 * misfits_left_out(weighted, evaluation, self.stretches)
-            return replace(self, variance=variance, rows=rows, allowed=allowed)
-        noise = unpredicted(self.load(document), search, evaluation, self.stretches)
+            noise = left_over(*beside, self.stretches)
+            return replace(self, variance=noise.variance, rows=noise.rows, allowed=CRITERIA.no_worse**2 * noise.left)
+        noise = self._unpredicted(fit, *beside)
         ratio = [value / self.variance[signal] for signal, value in noise.variance.items()]
         if min(ratio) >= 1 / CRITERIA.slight and max(ratio) <= CRITERIA.slight:
             return None
         return replace(self, variance=noise.variance, rows=noise.rows, allowed=CRITERIA.model_error * noise.left)
+
+    def _beside(self, fit: Fit) -> tuple[OutputErrorSearch, Evaluation] | None:
+        """Return the search and the evaluation of a fit, whose weights follow what it leaves; None if it diverges."""
+        search = self.search(values_in(fit.document, fit.values))
+        search, evaluation = reweighted(search, search.first(self.starts))
+        return (search, evaluation) if np.isfinite(evaluation.cost) else None
+
+    def _unpredicted(self, fit: Fit, search: OutputErrorSearch, evaluation: Evaluation) -> Noise:
+        """Return what no black box predicts beside a fit."""
+        return unpredicted(self.load(values_in(fit.document, fit.values)), search, evaluation, self.stretches)
+
+    def structure(self, fit: Fit) -> float:
+        """Return the share of what a fit leaves that a black box predicts, 0 where that may be chance."""
+        beside = None if fit.failure else self._beside(fit)
+        return 0.0 if beside is None else self._unpredicted(fit, *beside).structure
 
     def at(self, fit: Fit) -> Fit:
         """Return a fit to the evidence before recalibration as this one judges it, at the same parameters."""
@@ -150,17 +160,13 @@ class WaveformEvidence(SampledRuns, Defaults):
         return replace(self._summary(fit.document, search, evaluation), seconds=fit.seconds)
 
     def bounds(self, fit: Fit) -> LawBounds | None:
-        """Return what the laws of signals promise beside a fit.
-
-        None where the diagram has no scalar signals, and where samples are uneven or missing.
-        """
+        """Return what the laws of signals promise beside a fit; None where its diagram has no scalar signals."""
         document = values_in(fit.document, fit.values)
         diagram, whole = self.load(document), replace(self.search(document), hold="theta")
         whole = replace(whole, systems=whole.systems[:1]).shortened(SHORT)
         places = places_of(diagram, self.channels.outputs)
         evaluation = whole.minimise(whole.first(self.starts))
-        gappy = self.channels.gappy or any(run.steps is not None for run in whole.runs)
-        if not places or gappy or not np.isfinite(evaluation.cost):
+        if not places or not np.isfinite(evaluation.cost):
             return None
         runs = linearised(diagram, whole, evaluation, places)
         variance = np.array([self.variance[WHOLE_DIAGRAM, name] for name in whole.systems[0].equations.outputs])
@@ -248,7 +254,10 @@ class WaveformEvidence(SampledRuns, Defaults):
         return freed if better and not freed.at_bound[-len(fixed) :].any() else fit
 
     def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
-        """Return how well controllers follow from measured motion alone, and which units stand for others."""
+        """Return how well controllers follow from measured motion alone, structure that is left, and units.
+
+        Which units stand for others is said of the blocks that are put in.
+        """
         measured = {name: np.concatenate([run.values[name] for run in self.runs]) for name in self.channels.outputs}
         text = [
             f"{name} follows from the measured motion by the law of {controller} to "
@@ -256,6 +265,9 @@ class WaveformEvidence(SampledRuns, Defaults):
             for (controller, name), value in self.variance.items()
             if controller
         ]
+        share = 0.0 if self.by_force or not inserted else self.structure(after)
+        if share:
+            text.append(f"What the repaired diagram leaves is not noise: {100 * share:.2g} % of it can be predicted.")
         units = {name.partition("[")[0]: self.recording.channels[c].unit for name, c in self.channels.columns.items()}
         diagram = self.load(after.document)
         for block in inserted:

@@ -7,7 +7,7 @@ explains much). eta and theta by Gauss-Newton steps, all with the block's own eq
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,11 +16,12 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, fixed_of, limits_of, sizes_at, starts_of
+from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.equations import driven_equations
 from rotorsim.identification.waveform.linearised import LinearisedRun, Place
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, STABLE_STEP
-from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.identification.waveform.simulation import LARGE, Simulation
 from rotorsim.identification.waveform.unknown_input import SignalEstimate, UnknownInputs
 
 WIRE, LAW = "wire", "law"
@@ -55,7 +56,7 @@ class LawBounds:
         unknown: UnknownInputs,
         roots: np.ndarray,
         sizes: Mapping[str, float],
-        load: Any,
+        load: Callable[[Mapping[str, Any]], Diagram],
     ) -> None:
         self.runs, self.sampled, self.places, self.unknown = runs, sampled, places, unknown
         self.roots, self.sizes, self.load = roots, sizes, load
@@ -89,10 +90,10 @@ class LawBounds:
         return self._known[item.key]
 
     def _promise(self, item: Insertion) -> Promise | None:
-        side = Place(f"{item.spot.block}.{item.spot.port}", item.spot.side != "reading", item.spot.side != "")
-        if side not in self.places:
+        here = Place(f"{item.spot.block}.{item.spot.port}", item.spot.side)
+        if here not in self.places:
             return None
-        place = self.places.index(side)
+        place = self.places.index(here)
         free = self._free.get(place, np.inf)
         if free > POSSIBLE * max(min(self._free.values(), default=np.inf), self.rows):
             return Promise(free, {})  # no law leaves less than a free signal does there
@@ -254,4 +255,4 @@ class _Law:
         )
         added = y - run.values[f"{WIRE}.output"][:, None]
         whole = np.concatenate([added, by[:, 0, : equations.m]], axis=1) if slopes else added
-        return whole if np.isfinite(whole).all() else np.zeros_like(whole)
+        return whole if (np.abs(whole) < LARGE).all() else np.zeros_like(whole)

@@ -55,6 +55,7 @@ def waveform_evidence(
         stretches=noise.stretches,
         allowed=noise.allowed,
         by_force=noise.by_force,
+        unjudged=noise.unjudged,
         least=noise.least,
         starts=noise.starts,
         sizes=noise.sizes,
