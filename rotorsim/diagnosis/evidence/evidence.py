@@ -10,6 +10,7 @@ import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.evidence.fit import Fit, Starts
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.recordings.recording import Recording
 
@@ -96,6 +97,10 @@ class Bounds(Protocol):
     @property
     def by_law(self) -> bool:
         """Whether bounds are those of laws, not of places."""
+
+    @property
+    def classes(self) -> Sequence[PlaceClass]:
+        """The classes of places of which a free signal explains the same; none where that was not asked."""
 
     def bound(self, item: Insertion) -> float | None:
         """Return the least misfit that an insertion can leave, None where nothing is known of it."""
@@ -214,6 +219,15 @@ class Evidence(Protocol):
     def unknown_force(self, document: Mapping[str, Any], spot: Spot) -> Unknown:
         """Return orders, laws and lines of the force at a place that explains the residual best."""
 
+    def missing_signal(
+        self, without: Fit, after: Fit, effect: Insertion | None, spot: Spot, classes: Sequence[PlaceClass]
+    ) -> MissingSignal | None:
+        """Return the free signal at a place that explains what a fit leaves; None where none shows, or none is sought.
+
+        effect: that acts there, which the fit is without. after: the fit with all effects. classes: of places of free
+        signals, the likeliest first.
+        """
+
     def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
         """Return sentences about this sort of recording; inserted: names of the blocks that a repair puts in."""
 
@@ -278,6 +292,12 @@ class Defaults:
     def unknown_force(self, document: Mapping[str, Any], spot: Spot) -> Unknown:
         """Return nothing: a force is described by its map only."""
         return Unknown()
+
+    def missing_signal(
+        self, without: Fit, after: Fit, effect: Insertion | None, spot: Spot, classes: Sequence[PlaceClass]
+    ) -> MissingSignal | None:
+        """Return None: signals are not estimated in time."""
+        return None
 
     def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
         """Return nothing: the statement says all."""

@@ -22,6 +22,7 @@ from rotorsim.report.diagnosis.parameters import parameters_figure
 from rotorsim.report.diagnosis.places import NEW, SHADES, block_diagram, places_figure
 from rotorsim.report.diagnosis.provenance import provenance
 from rotorsim.report.diagnosis.rivals import fits_table, rivals_tables
+from rotorsim.report.diagnosis.signals import missing_signals
 from rotorsim.report.diagnosis.words import estimate, percent, plain_words
 
 REPORT = "report.html"
@@ -58,9 +59,10 @@ def _sections(diagnosis: Diagnosis, both: Compared, page: Page, title: str, comm
     yield _head(diagnosis, title)
     yield _where(diagnosis, page)
     yield what_is_missing(diagnosis, data, both.speeds)
+    yield from missing_signals(diagnosis, page)
     yield _before_and_after(diagnosis, both, page)
     residuals = both.residuals()
-    yield fits_table(diagnosis, independent=residuals is not None)
+    yield fits_table(diagnosis, independent=diagnosis.evidence.independent and residuals is not None)
     yield page.figure(residuals)
     yield rivals_tables(diagnosis)
     yield _parameters(diagnosis, data["parameters"]["before"], data["parameters"]["after"], page)
