@@ -136,14 +136,15 @@ def _loaded(evidence: Evidence, document: Mapping[str, Any]) -> Diagram | None:
 
 def _diagram(diagnosis: Diagnosis, repaired: Diagram, page: Page) -> str:
     new = [effect.candidate.insertion.name for effect in diagnosis.effects]
-    svg = block_diagram(repaired, diagnosis.places, new)
+    svg = block_diagram(repaired, diagnosis.places, new, diagnosis.signals)
     page.write("diagram.svg", svg)
     frames = {colour: f"probability {least:g} and more" if least else "less probable" for least, colour in SHADES}
     key = "".join(
         f'<span class="key" style="border-color:{colour}"></span>{escape(text)}'
         for colour, text in {**frames, NEW: "put in by the diagnosis"}.items()
     )
-    caption = f"The {looks_of(diagnosis)[-1].label}. " + (f"Frames:{key}" if diagnosis.places or new else "")
+    what = "Frames, and wires with a letter for their class of places" if diagnosis.signals else "Frames"
+    caption = f"The {looks_of(diagnosis)[-1].label}. " + (f"{what}:{key}" if diagnosis.places or new else "")
     return f'<figure class="wide">{svg}<figcaption>{caption}</figcaption></figure>'
 
 

@@ -5,37 +5,33 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from rotorsim.diagnosis.conclude.result import Diagnosis
-from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
 from rotorsim.report.diagnosis.compared import Drawn
 from rotorsim.report.diagnosis.page import Page, paragraph, table
+from rotorsim.report.diagnosis.places import place_classes
 from rotorsim.report.figures.missing_signal import missing_signal_figure
 
-LISTED = 0.005  # probability from which a class of places is listed
 CAPTION = (
     "What must be added there to explain all recorded outputs, by a Kalman smoother that knows no law; in SI where "
     "neither diagram nor recording states a unit."
 )
 BESIDE = " The other parameters are those of the repaired diagram."
 CLASSES = (
-    "Places where such a signal may act: those of one class no data tell apart, since their signals change all "
-    "recorded outputs alike."
+    "Classes of places where such a signal may act, by its likelihood alone: the places of one class no data tell "
+    "apart, since signals there change all recorded outputs alike."
 )
 
 
 def missing_signals(diagnosis: Diagnosis, page: Page) -> Iterator[str]:
-    """Yield each missing signal with its places."""
+    """Yield each missing signal, and the places where they may act."""
     for number, signal in enumerate(diagnosis.signals):
         if not number:
             yield "<h3>What is missing as a signal</h3>"
         name = "missing_signal" + (f"_{number + 1}" if number else "")
         yield page.figure(Drawn(name, missing_signal_figure(signal), CAPTION + BESIDE * bool(signal.physics)))
-        yield _classes(signal)
-
-
-def _classes(signal: MissingSignal) -> str:
     rows = [
-        [", ".join(spot.words for spot in one.places), f"{one.probability:.2f}"]
-        for one in signal.classes
-        if one.probability >= LISTED
+        [letter, ", ".join(spot.words for spot in spots), f"{probability:.2f}"]
+        for letter, spots, probability in place_classes(diagnosis.signals)
     ]
-    return "\n".join([paragraph(CLASSES), table(["places", "probability"], rows, right=[1])]) if rows else ""
+    if rows:
+        yield paragraph(CLASSES)
+        yield table(["class", "places", "probability"], rows, right=[2])
