@@ -45,7 +45,7 @@ class Predictability:
 
     @property
     def structure(self) -> float:
-        """The largest share that is neither chance nor hidden by noise of an unknown variance, 0 where there is none."""
+        """The largest share that is neither chance nor hidden by noise of an unknown variance; 0: none."""
         counts = (self.share > 1 - 1 / CRITERIA.model_error) & (self.level < CRITERIA.false_alarm)
         return float(self.share[counts].max(initial=0.0))
 
