@@ -283,6 +283,7 @@ def sockets() -> set[Any]:
     return found
 
 
+@pytest.mark.slow
 def test_local_workers_are_kept_for_several_lists():
     with local_workers(Jobs(2)) as kept:
         seen = {run_jobs(process_of, [1, 2, 3], jobs=kept)[0] for _ in range(3)}
@@ -359,6 +360,7 @@ def test_local_processes(tmp_path, monkeypatch):
     assert multiprocessing.active_children() == []
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of a process group")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_ctrl_c_and_a_kill_keep_results_and_leave_no_process(tmp_path, how):

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from rotorsim.identification.waveform.predictability import predictability
 
-RUNS, SAMPLES = 3, 2000
+RUNS, SAMPLES = 3, 1000
 POLES = np.array([0.9, 0.95 * np.exp(0.1j), 0.95 * np.exp(-0.1j)])
 
 
@@ -26,7 +26,7 @@ def coloured(seed: int, pole: float) -> list[np.ndarray]:
 @pytest.mark.parametrize("pole", [0.0, 0.7, 0.97])
 def test_noise_of_any_colour_is_not_structured(pole):
     """At 1 % of false alarms two of sixty are to be expected at most (probability of three: 2 %)."""
-    alarms = [predictability(coloured(seed, pole), inputs(seed + 100), POLES).structured for seed in range(20)]
+    alarms = [predictability(coloured(seed, pole), inputs(seed + 100), POLES).structure for seed in range(20)]
     assert sum(alarms) <= 1
 
 
@@ -41,7 +41,7 @@ def test_what_depends_on_an_input_is_predicted(law, share):
     noise = [random.normal(size=part.shape) for part in motion]
     residuals = [np.sqrt(share) * m / size + np.sqrt(1 - share) * n for m, n in zip(motion, noise, strict=True)]
     judged = predictability(residuals, signals, POLES)
-    assert judged.structured
+    assert judged.structure
     assert judged.share[0] == pytest.approx(share, abs=0.06)
     rest = np.concatenate(judged.rest)
     assert rest.std() ** 2 == pytest.approx(1 - share, abs=0.08)
@@ -52,7 +52,7 @@ def test_a_delayed_input_is_predicted_though_no_filter_is_a_delay():
     random = np.random.default_rng(4)
     residuals = [np.roll(part[:, 1:], 7, axis=0) + random.normal(size=(SAMPLES, 1)) for part in signals]
     judged = predictability(residuals, signals, POLES)
-    assert judged.structured
+    assert judged.structure
     assert judged.share[0] > 0.3
 
 
@@ -60,4 +60,4 @@ def test_a_drift_of_one_channel_alone_is_not_predicted():
     """It is for the sensor to answer for, not for the physics."""
     drift = np.linspace(0, 10, SAMPLES)[:, None]
     judged = predictability([drift + part for part in coloured(5, 0.0)], inputs(6), POLES)
-    assert not judged.structured
+    assert not judged.structure

@@ -101,7 +101,7 @@ def test_the_place_of_a_missing_signal_is_the_likeliest_and_the_signal_is_what_w
     assert places[estimates[0].place].port in alike
     others = [item for item in estimates if places[item.place].port not in alike | {"first.output"}]
     assert all(item.deviance > 2 * estimates[0].deviance for item in others)
-    found = unknown.smoothed(next(item for item in estimates if places[item.place] == Place(port)))
+    [found] = unknown.smoothed([next(item for item in estimates if places[item.place] == Place(port))])
     error = (found.added[0] - missing)[50:-50]
     assert 0.90 < (np.abs(error) < 1.96 * found.std[0][50:-50]).mean() < 0.99
 
@@ -112,7 +112,7 @@ def test_where_nothing_is_missing_no_free_signal_explains_more_than_noise():
     given = sum(float(((run.residual / NOISE) ** 2).sum()) for run in runs)
     for item in unknown.estimates():
         assert item.deviance > given - 12.0, places[item.place]
-        assert np.abs(unknown.smoothed(item).added[0]).max() < 5 * item.scale * np.sqrt(runs[0].dt) * SAMPLES**0.5
+        assert np.abs(unknown.smoothed([item])[0].added[0]).max() < 5 * item.scale * np.sqrt(runs[0].dt) * SAMPLES**0.5
 
 
 def test_a_signal_at_the_reading_is_told_from_one_in_the_loop():

@@ -30,7 +30,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.left_out import left_out
 from rotorsim.identification.waveform.data import SampledRun, mean_of
 from rotorsim.identification.waveform.linearised import places_of, simulated_signals
-from rotorsim.identification.waveform.predictability import predictability
+from rotorsim.identification.waveform.predictability import Predictability, predictability
 from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 
@@ -96,10 +96,8 @@ class Noise:
     unjudged: str = ""
 
 
-def unpredicted(
-    diagram: Diagram, search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]
-) -> Noise:
-    """Return what no black-box model of the diagram's signals predicts of the residual of a fit."""
+def judged_beside(diagram: Diagram, search: OutputErrorSearch, evaluation: Evaluation) -> Predictability:
+    """Return how much of the residual of a fit a black-box model of the diagram's signals predicts."""
     first = search.systems[0].equations
     names = [*dict.fromkeys(place.port for place in places_of(diagram, first.outputs))] or [*first.outputs]
     signals = simulated_signals(diagram, search, evaluation, names)
@@ -107,11 +105,18 @@ def unpredicted(
     p = first.parameters(search.p[0], evaluation.unknowns[: search.m])
     A = first.matrices[0](run.start, np.zeros(first.n), run.inputs(first.inputs, 1)[0, 0], p)[0]
     poles = np.exp(np.linalg.eigvals(A) * run.dt) if np.isfinite(A).all() else np.zeros(0)
-    judged = predictability(evaluation.residuals[0], signals, poles)
+    return predictability(evaluation.residuals[0], signals, poles)
+
+
+def unpredicted(
+    diagram: Diagram, search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]
+) -> Noise:
+    """Return what no black-box model of the diagram's signals predicts of the residual of a fit."""
+    judged = judged_beside(diagram, search, evaluation)
     rest = replace(evaluation, residuals=[judged.rest, *evaluation.residuals[1:]])
     changes = mean_of(np.concatenate([np.diff(part, axis=0) for part in judged.rest]) ** 2) / 2
     white = dict(zip(search.systems[0].signals, changes.tolist(), strict=True))
-    most = CRITERIA.faint if judged.structured else CRITERIA.colour  # beside physics that are missing, less is certain
+    most = CRITERIA.faint if judged.structure else CRITERIA.colour  # beside physics that are missing, less is certain
     variance = {
         signal: min(value, max(most * white.get(signal, np.inf), CRITERIA.resolution**2 * scale))
         for (signal, value), scale in zip(
@@ -124,8 +129,7 @@ def unpredicted(
     runs = len(search.runs)
     samples = np.array([sum(int(own[a:b].sum()) for own in weighed[r::runs]) for r, a, b in stretches])
     left = np.minimum(energies, CRITERIA.model_error * samples) * rows / samples.sum()
-    structure = float(judged.share.max()) if judged.structured else 0.0
-    return Noise(variance, rows, left, structure, _unjudged(search, evaluation, variance))
+    return Noise(variance, rows, left, judged.structure, _unjudged(search, evaluation, variance))
 
 
 def _unjudged(search: OutputErrorSearch, evaluation: Evaluation, variance: Variance) -> str:

@@ -75,7 +75,7 @@ def noise_model(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]
     base, evaluation = _base(subsystems_of(diagram, channels), runs)
     if not np.isfinite(evaluation.cost) and base.substeps(evaluation.unknowns) >= SIMULATION_SUBSTEPS:
         what = f"has modes too fast for {SIMULATION_SUBSTEPS} steps between samples"
-        hint = "leave out what is faster than the recording shows: a lag of microseconds is a gain"
+        hint = "correct its stiffness or mass, or leave it out: a lag that is faster than the recording shows is a gain"
         raise RotorsimError(Problem(what, diagram.name, hint=hint))
     if not np.isfinite(evaluation.cost):
         hint = "start from values nearer to the machine's, or check the signs and units of what drives it"

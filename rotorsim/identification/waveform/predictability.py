@@ -44,10 +44,10 @@ class Predictability:
     rest: Sequence[np.ndarray]
 
     @property
-    def structured(self) -> bool:
-        """Whether more of any residual is predicted than noise of an unknown variance would hide."""
-        enough = self.share > 1 - 1 / CRITERIA.model_error
-        return bool((enough & (self.level < CRITERIA.false_alarm)).any())
+    def structure(self) -> float:
+        """The largest share that is neither chance nor hidden by noise of an unknown variance; 0: none."""
+        counts = (self.share > 1 - 1 / CRITERIA.model_error) & (self.level < CRITERIA.false_alarm)
+        return float(self.share[counts].max(initial=0.0))
 
 
 def predictability(residuals: Sequence[np.ndarray], signals: Sequence[np.ndarray], poles: np.ndarray) -> Predictability:

@@ -79,11 +79,11 @@ class _Filter:
     @classmethod
     def of(cls, F: np.ndarray, H: np.ndarray, P: np.ndarray) -> _Filter:
         """Return the filters with prediction variances P."""
-        V = H @ P @ H.swapaxes(1, 2) + np.eye(H.shape[1])
-        L = np.linalg.cholesky(V)
-        gain = F @ P @ np.linalg.solve(V, H).swapaxes(1, 2)
-        log_det = 2 * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
-        return cls(F, H, P, gain, np.linalg.inv(L), log_det)
+        PH = P @ H.swapaxes(1, 2)
+        root = np.linalg.inv(np.linalg.cholesky(H @ PH + np.eye(H.shape[1])))
+        gain = F @ PH @ root.swapaxes(1, 2) @ root
+        log_det = -2 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        return cls(F, H, P, gain, root, log_det)
 
 
 class UnknownInputs:
@@ -175,11 +175,12 @@ class UnknownInputs:
                 chosen = [kept.index(pair) for pair in here]
                 total, log_dets = (np.asarray(part)[chosen] if np.ndim(part) else part for part in (total, log_dets))
                 kept = here
+            entering = self._entering(run, kept)
             x = np.zeros((len(kept), steady.F.shape[1], columns.shape[2]))
             parts: list[np.ndarray] = []
             for k, y in enumerate(columns):
                 if not run.constant and k:
-                    steady = self._advanced(run, kept, steady, k)
+                    steady = self._advanced(run, kept, entering, steady, k)
                 difference = y - steady.H @ x
                 parts.append(steady.root @ difference)
                 x = steady.F @ x + steady.gain @ difference
@@ -194,28 +195,30 @@ class UnknownInputs:
         return np.asarray(np.concatenate([run.residual[:, :, None], run.by_output], axis=2) / self.noise[:, None])
 
     def _augmented(
-        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], k: int, part: float = 1.0
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return F, H and the variance Q of what enters, of x and d at sample k, for each pair.
-
-        part: of d, that is left a sample later.
-        """
+        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], k: int, left: float = 1.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return F and H of x and d at sample k, for each pair; left: the part of d that is left a sample later."""
         n, B = run.F.shape[1], len(pairs)
         place = [place for place, _ in pairs]
         scale = self.scales[place]
         j = 0 if run.constant else k
         F, H = np.zeros((B, n + 1, n + 1)), np.zeros((B, run.H.shape[1], n + 1))
-        F[:, :n, :n], F[:, :n, n], F[:, n, n] = run.F[j], (run.G[j][:, place] * scale).T, part
+        F[:, :n, :n], F[:, :n, n], F[:, n, n] = run.F[j], (run.G[j][:, place] * scale).T, left
         H[:, :, :n], H[:, :, n] = run.H[j] / self.noise[:, None], (run.D[j][:, place] * scale).T / self.noise
-        Q = np.tile(np.diag([*self.regular, 0.0]), (B, 1, 1))
-        Q[:, n, n] = np.array([q for _, q in pairs]) ** 2 * run.dt
-        return F, H, Q
+        return F, H
+
+    def _entering(self, run: LinearisedRun, pairs: Sequence[tuple[int, float]]) -> np.ndarray:
+        """Return the variance of what enters x and d at every sample, (B, n + 1, n + 1)."""
+        Q = np.tile(np.diag([*self.regular, 0.0]), (len(pairs), 1, 1))
+        Q[:, -1, -1] = np.array([q for _, q in pairs]) ** 2 * run.dt
+        return Q
 
     def _started(
-        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], part: float = 1.0
+        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], left: float = 1.0
     ) -> tuple[_Filter, list[tuple[int, float]]]:
         """Return the steady filters of a run (of its first sample), and the pairs that have one."""
-        F, H, Q = self._augmented(run, pairs, 0, part)
+        F, H = self._augmented(run, pairs, 0, left)
+        Q = self._entering(run, pairs)
         kept, P = [], []
         for b in range(len(pairs)):
             try:
@@ -226,45 +229,66 @@ class UnknownInputs:
         return _Filter.of(F[kept], H[kept], np.array(P)), [pairs[b] for b in kept]
 
     def _advanced(
-        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], before: _Filter, k: int, part: float = 1.0
+        self,
+        run: LinearisedRun,
+        pairs: Sequence[tuple[int, float]],
+        Q: np.ndarray,
+        before: _Filter,
+        k: int,
+        left: float = 1.0,
     ) -> _Filter:
-        """Return the filters of the next sample by the Riccati recursion."""
-        F, H, Q = self._augmented(run, pairs, k, part)
+        """Return the filters of the next sample by the Riccati recursion; Q: of `_entering`."""
+        F, H = self._augmented(run, pairs, k, left)
         rest = before.F - before.gain @ before.H
         P = before.F @ before.P @ rest.swapaxes(1, 2) + Q
         return _Filter.of(F, H, (P + P.swapaxes(1, 2)) / 2)
 
-    def smoothed(self, item: SignalEstimate) -> Smoothed:
-        """Return the estimated signal at a place, given all samples of the runs.
+    def smoothed(self, items: Sequence[SignalEstimate]) -> list[Smoothed]:
+        """Return the estimated signals of some places, each alone, given all samples of the runs.
 
-        It is forgotten within a run, exp(-t / length): a constant that a state makes up for (an angle that nothing
+        They are forgotten within a run, exp(-t / length): a constant that a state makes up for (an angle that nothing
         measures) has no steady filter else, and is zero then, with the standard deviation that it may have.
         """
-        added, std, wires = [], [], []
-        for run in self.runs:
-            pair, left = [(item.place, item.strength)], float(np.exp(-1 / len(run.residual)))
-            y = self._columns(run) @ np.concatenate([[1.0], -item.change])
-            here, _ = self._started(run, pair, left)
-            filters, predicted, innovations = [], [], []
-            x = np.zeros(here.F.shape[1])
-            for k, row in enumerate(y):
-                here = here if run.constant or not k else self._advanced(run, pair, here, k, left)
-                difference = row - here.H[0] @ x
-                filters.append(here)
-                predicted.append(x)
-                innovations.append(here.root[0] @ difference)
-                x = here.F[0] @ x + here.gain[0] @ difference
-            r, N = np.zeros(len(x)), np.zeros((len(x), len(x)))
-            states, spread = np.empty((len(y), len(x))), np.empty(len(y))
-            for k in range(len(y) - 1, -1, -1):
-                one = filters[k]
-                rest, HL = one.F[0] - one.gain[0] @ one.H[0], one.H[0].T @ one.root[0].T
-                r, N = rest.T @ r + HL @ innovations[k], rest.T @ N @ rest + HL @ HL.T
-                states[k] = predicted[k] + one.P[0] @ r
-                spread[k] = one.P[0][-1, -1] - one.P[0][-1] @ N @ one.P[0][-1]
-            signal = states[:, -1] * item.scale
-            carried = (run.W @ states[:, :-1, None])[:, :, 0] + run.E[:, :, item.place] * signal[:, None]
-            added.append(signal)
-            std.append(np.sqrt(np.maximum(spread, 0.0)) * item.scale)
-            wires.append(run.wires + carried + run.by_wire @ item.change)
-        return Smoothed(item.place, added, std, wires)
+        pairs = [(item.place, item.strength) for item in items]
+        weights = np.array([[1.0, *-item.change] for item in items])
+        of_runs = [self._smoothed(run, pairs, weights) for run in self.runs]
+        found = []
+        for b, item in enumerate(items):
+            added, std, wires = [], [], []
+            for run, (states, spread) in zip(self.runs, of_runs, strict=True):
+                signal = states[:, b, -1] * item.scale
+                carried = (run.W @ states[:, b, :-1, None])[:, :, 0] + run.E[:, :, item.place] * signal[:, None]
+                added.append(signal)
+                std.append(np.sqrt(np.maximum(spread[:, b], 0.0)) * item.scale)
+                wires.append(run.wires + carried + run.by_wire @ item.change)
+            found.append(Smoothed(item.place, added, std, wires))
+        return found
+
+    def _smoothed(
+        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], weights: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the smoothed states x and d (N, B, n + 1) of a run and the variance of d (N, B) for each pair."""
+        y = np.einsum("kcm,bm->kbc", self._columns(run), weights)[..., None]
+        left = float(np.exp(-1 / len(run.residual)))
+        here, _ = self._started(run, pairs, left)
+        entering = self._entering(run, pairs)
+        filters, predicted, innovations = [], [], []
+        x = np.zeros((len(pairs), here.F.shape[1], 1))
+        for k, row in enumerate(y):
+            here = here if run.constant or not k else self._advanced(run, pairs, entering, here, k, left)
+            difference = row - here.H @ x
+            filters.append(here)
+            predicted.append(x)
+            innovations.append(here.root @ difference)
+            x = here.F @ x + here.gain @ difference
+        r, N = np.zeros_like(x), np.zeros_like(here.P)
+        states, spread = np.empty((len(y), *x.shape[:2])), np.empty((len(y), len(pairs)))
+        for k in range(len(y) - 1, -1, -1):
+            one = filters[k]
+            rest, HL = one.F - one.gain @ one.H, (one.root @ one.H).swapaxes(1, 2)
+            back = rest.swapaxes(1, 2)
+            r, N = back @ r + HL @ innovations[k], back @ N @ rest + HL @ HL.swapaxes(1, 2)
+            states[k] = (predicted[k] + one.P @ r)[..., 0]
+            last = one.P[:, -1:]
+            spread[k] = (last[:, :, -1:] - last @ N @ last.swapaxes(1, 2))[:, 0, 0]
+        return states, spread

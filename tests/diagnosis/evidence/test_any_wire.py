@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import jsonschema
@@ -47,31 +48,33 @@ SERVO = {  # J w' = k sat(u) - b w,  u = K (r - a),  a' = w
 }
 
 
-def simulated(seed: int, *, limit: float = np.inf, dry: float = 0.0) -> dict[str, np.ndarray]:
-    """Return a run by Euler steps a twentieth of a sample long: their error is far below the noise."""
+def simulated(
+    seed: int, size: int = SAMPLES, *, limit: float = math.inf, dry: float = 0.0, still: bool = False
+) -> dict[str, np.ndarray]:
+    """Return a run by midpoint steps a twentieth of a sample long: their error is far below the noise."""
     random = np.random.default_rng(seed)
-    reference = np.repeat(random.uniform(-1, 1, SAMPLES // 100), 100)
+    reference = np.repeat(random.uniform(-1, 1, -(-size // 100)), 100)[:size] * (not still)
     w = a = 0.0
-    out = np.empty((SAMPLES, 2))
+    out = np.empty((size, 2))
     h = 1 / RATE / FINE
-    for k in range(SAMPLES):
+
+    def rate(r: float, w: float, a: float) -> float:
+        return max(min(12.0 * (r - a), limit), -limit) - 4.4 * w - dry * math.tanh(w / 0.01)
+
+    for k, r in enumerate(reference.tolist()):
         out[k] = w, a
         for _ in range(FINE):
-            u = np.clip(12.0 * (reference[k] - a), -limit, limit)
-            middle = w + h / 2 * (u - 4.4 * w - dry * np.tanh(w / 0.01))  # midpoint rule
-            rate = np.clip(12.0 * (reference[k] - a - h / 2 * w), -limit, limit)
-            a, w = a + h * middle, w + h * (rate - 4.4 * middle - dry * np.tanh(middle / 0.01))
-    noisy = {
-        name: column + random.normal(size=SAMPLES) * NOISE[name] for name, column in zip(NOISE, out.T, strict=True)
-    }
+            middle = w + h / 2 * rate(r, w, a)
+            a, w = a + h * middle, w + h * rate(r, middle, a + h / 2 * w)
+    noisy = {name: column + random.normal(size=size) * NOISE[name] for name, column in zip(NOISE, out.T, strict=True)}
     return {"reference": reference, **noisy}
 
 
-def recording(folder: Path, **missing: float) -> Recording:
+def recording(folder: Path, *sizes: int, **missing: float) -> Recording:
     channels = {name: {"signal": f"{name}.output", "unit": "1"} for name in ("reference", "speed", "angle")}
     runs = []
-    for seed in (1, 2):
-        np.savez(folder / f"run{seed}.npz", **simulated(seed, **missing))
+    for seed, size in enumerate(sizes or (SAMPLES, SAMPLES), 1):
+        np.savez(folder / f"run{seed}.npz", **simulated(seed, size, **missing))
         runs.append({"id": f"run{seed}", "file": f"run{seed}.npz", "sample_rate": f"{RATE} Hz", "use": "identify"})
     (folder / "recording.json").write_text(
         json.dumps({"name": "servo", "source": "NumPy", "channels": channels, "runs": runs})

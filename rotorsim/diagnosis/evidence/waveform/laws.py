@@ -23,7 +23,7 @@ from rotorsim.identification.waveform.equations import driven_equations
 from rotorsim.identification.waveform.linearised import LinearisedRun, Place
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, STABLE_STEP
 from rotorsim.identification.waveform.simulation import LARGE, Simulation
-from rotorsim.identification.waveform.unknown_input import SignalEstimate, UnknownInputs
+from rotorsim.identification.waveform.unknown_input import SignalEstimate, Smoothed, UnknownInputs
 
 WIRE, LAW = "wire", "law"
 SMOOTHED_PLACES = 8  # the likeliest, where the signal that the place carries is estimated, too
@@ -192,10 +192,14 @@ class LawBounds:
         """Return what a place carries in each run, (N,): as simulated, and as smoothed where it is likely."""
         if place not in self._carried:
             simulated = [run.wires[:, place] for run in self.runs]
-            likely = {item.place: item for item in self.estimates[:SMOOTHED_PLACES]}
-            smoothed = [self.unknown.smoothed(likely[place]).wire] if place in likely else []
-            self._carried[place] = [simulated, *smoothed]
+            self._carried[place] = [simulated, *([self._smoothed[place].wire] if place in self._smoothed else [])]
         return self._carried[place]
+
+    @cached_property
+    def _smoothed(self) -> dict[int, Smoothed]:
+        """The estimated signals of the likeliest places."""
+        likely = self.estimates[:SMOOTHED_PLACES]
+        return {item.place: one for item, one in zip(likely, self.unknown.smoothed(likely), strict=True)}
 
     def _response(self, place: int, r: int, added: np.ndarray) -> np.ndarray:
         """Return what signals (N, K) that are added at a place change of the outputs of a run, (N, c, K)."""

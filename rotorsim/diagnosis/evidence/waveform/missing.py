@@ -61,7 +61,7 @@ def missing_signal(
     estimates = [] if k is None else unknown.estimates([k])
     if k is None or not estimates:
         return None
-    smoothed = _at_samples(unknown.smoothed(estimates[0]), here.runs)
+    smoothed = _at_samples(unknown.smoothed(estimates[:1])[0], here.runs)
     laws: list[tuple[np.ndarray, np.ndarray] | None] = [None] * len(here.runs)
     over, values = here.places[k].port, smoothed.wire
     if effect is not None and repaired is not None:

@@ -1,0 +1,78 @@
+"""What may be called noise, and when nothing can be said: each number that decides is stated here."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+
+from rotorsim.diagnosis.diagnosis import diagnose
+from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
+from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
+from rotorsim.errors import RotorsimError
+from rotorsim.identification.waveform import noise
+from rotorsim.identification.waveform.data import is_in_time
+from rotorsim.identification.waveform.predictability import Predictability
+from rotorsim.model.load import load
+from tests.diagnosis.evidence.test_any_wire import SERVO, recording
+
+
+@pytest.mark.parametrize(("samples", "why"), [(487, "487 samples are too few to tell"), (488, "")])
+def test_too_few_samples_judge_nothing(tmp_path, samples, why):
+    """A law of ten parameters makes 23.2 of the misfit by chance at 1 %; structure of 1/21 of n samples n / 21: 488."""
+    found = waveform_evidence(load(SERVO), recording(tmp_path, samples // 2, samples - samples // 2))
+    assert found.unjudged.startswith(why)
+    assert bool(found.unjudged) == bool(why)
+
+
+@pytest.mark.slow
+def test_what_does_not_move_judges_nothing(tmp_path):
+    found = diagnose(load(SERVO), recording(tmp_path, 400, 400, still=True), physics=("gain_error",), workers=1)
+    assert found.verdict == "not_identifiable"
+    assert "Whether that is all cannot be judged, though: nothing moves by more than its noise." in found.statement
+    more = "longer runs, driven so that every signal moves by far more than its noise"
+    assert found.next_experiment == f"{more}: nothing moves by more than its noise"
+
+
+@pytest.mark.slow
+def test_a_residual_that_is_predicted_is_not_consistent(tmp_path, monkeypatch):
+    monkeypatch.setattr(WaveformEvidence, "structure", lambda self, fit: 0.3)
+    found = diagnose(load(SERVO), recording(tmp_path, 500, 500), physics=("gain_error",), workers=1)
+    assert found.verdict == "outside_catalogue"
+
+
+@pytest.mark.parametrize(("structure", "most"), [(False, 6.0), (True, 1.5)])
+def test_noise_is_a_few_times_its_white_part(tmp_path, monkeypatch, structure, most):
+    """Six times where nothing is predicted, one and a half where something is; slow motion of any size is no noise."""
+    diagram, taken = load(SERVO), recording(tmp_path, 500, 500)
+    evidence = waveform_evidence(diagram, taken)
+    search = evidence.search(SERVO)
+    evaluation = search.minimise(search.first(evidence.starts))
+    random = np.random.default_rng(3)
+    rest = [random.normal(size=(500, 2)) + np.linspace(-50, 50, 500)[:, None] for _ in range(2)]
+    share = np.array([0.5, 0.5]) * structure
+    monkeypatch.setattr(noise, "judged_beside", lambda *_: Predictability(share, np.zeros(2), rest))
+    found = noise.unpredicted(diagram, search, evaluation, evidence.stretches)
+    white = (np.diff(np.stack(rest), axis=1) ** 2).mean(axis=(0, 1)) / 2
+    assert [*found.variance.values()] == pytest.approx((most * white).tolist(), rel=2e-3)
+
+
+def test_a_clock_without_a_wire_turns_no_shaft(tmp_path):
+    taken, idle, wired = recording(tmp_path, 100), copy.deepcopy(SERVO), copy.deepcopy(SERVO)
+    idle["blocks"]["clock"] = wired["blocks"]["clock"] = {"type": "clock", "parameters": {"speed": "100 rad/s"}}
+    wired["wires"] = [["clock.theta", wire[1]] if wire[0] == "reference.output" else wire for wire in wired["wires"]]
+    del wired["blocks"]["reference"]
+    assert is_in_time(load(idle), taken)
+    assert not is_in_time(load(wired), taken)
+
+
+def test_what_runs_away_is_said_to_diverge(tmp_path):
+    wrong = copy.deepcopy(SERVO)
+    wrong["blocks"]["controller"]["parameters"]["gain"] = -1e6
+    with pytest.raises(RotorsimError) as caught:
+        waveform_evidence(load(wrong), recording(tmp_path, 300, 300))
+    assert str(caught.value) == (
+        "error: servo: its simulation diverges when it is driven as recorded\n\n"
+        "hint: start from values nearer to the machine's, or check the signs and units of what drives it"
+    )
