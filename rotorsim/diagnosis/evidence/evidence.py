@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
+from rotorsim.diagnosis.evidence.change import Change
 from rotorsim.diagnosis.evidence.fit import Fit, Starts
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagram.diagram import Diagram
@@ -24,7 +25,8 @@ class Terms:
     predicted: str = "runs left out"
     signals: str = "of the signals (noise {})"
     more_runs: str = "runs at more speeds and amplitudes"
-    another: str = ""  # what separates hypotheses where nothing is declared; empty: speeds and gains were searched
+    another: str = ""  # what separates hypotheses where nothing is declared; empty: what is searched was
+    searched: str = "no other speed or gain"  # separates hypotheses, where no further run was found
     turns: bool = True  # whether the experiments that faults declare are those of a turning shaft
 
 
@@ -66,18 +68,6 @@ class HeldScore(Score):
 def _mean(values: Mapping[str, float]) -> float | None:
     found = np.array(list(values.values()))
     return float(np.sqrt(np.mean(found**2))) if found.size and np.isfinite(found).all() else None
-
-
-@dataclass(frozen=True)
-class Change:
-    """A run in words, how far apart it puts two hypotheses [standard deviations], and how often it must be made.
-
-    runs: 0 where no number of such runs suffices.
-    """
-
-    words: str
-    separation: float
-    runs: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,9 +228,13 @@ class Evidence(Protocol):
 class Defaults:
     """What evidence answers that has nothing of its own to say."""
 
-    terms = Terms()
     independent = True
     unjudged = ""
+
+    @property
+    def terms(self) -> Terms:
+        """Those of a turning shaft."""
+        return Terms()
 
     @property
     def alike(self) -> bool:

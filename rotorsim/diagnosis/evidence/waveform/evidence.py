@@ -15,6 +15,7 @@ import numpy as np
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.evidence.change import Change
 from rotorsim.diagnosis.evidence.evidence import Defaults, Score, Terms
 from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, reason_of
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
@@ -22,6 +23,7 @@ from rotorsim.diagnosis.evidence.waveform.laws import LawBounds
 from rotorsim.diagnosis.evidence.waveform.missing import Linearised, missing_signal
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.diagnosis.evidence.waveform.scoring import held_score, left_out_score
+from rotorsim.diagnosis.evidence.waveform.separation import Hypothesis, best_change, sensors_of
 from rotorsim.diagram.diagram import Diagram, Port
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.left_out import left_out
@@ -51,8 +53,7 @@ REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
 WAVEFORM_TERMS = Terms(
     left_out="stretches left out one by one",
     predicted="stretches left out",
-    more_runs="runs at more amplitudes and frequencies of what drives it",
-    another="another input, or a sensor elsewhere",
+    searched="no amplitude of its inputs, further sensor or repeated run",
     turns=False,
 )
 DIVERGES = "the simulation diverges"
@@ -79,8 +80,13 @@ class WaveformEvidence(SampledRuns, Defaults):
     held: tuple[SampledRun, ...]
     unjudged: str = ""
 
-    terms = WAVEFORM_TERMS
     independent = False
+
+    @property
+    def terms(self) -> Terms:
+        """How statements name it; more runs are those with other amplitudes of its inputs."""
+        inputs = " and ".join(self.channels.inputs) or "what drives it"
+        return replace(WAVEFORM_TERMS, more_runs=f"runs with {inputs} at 0.5 and at 2 times the amplitude")
 
     def search(self, document: Mapping[str, Any]) -> OutputErrorSearch:
         """Return the search for the free parameters of a document. Raises RotorsimError."""
@@ -222,6 +228,23 @@ class WaveformEvidence(SampledRuns, Defaults):
             return missing_signal(here, None, effect, spot, classes, self._unit_of(here.diagram))
         except FAILURES:
             return None
+
+    def separation(self, first: Fit, second: Fit) -> Change | None:
+        """Return the amplitude, sensor or repeated run that separates two hypotheses most; see `best_change`."""
+        documents = [values_in(fit.document, fit.values) for fit in (first, second)]
+        diagrams = [self.load(document) for document in documents]
+        outputs = self.channels.outputs
+        signals = [*outputs, *sensors_of(diagrams, self.recorded)]
+        pair = []
+        for fit, document, diagram in zip((first, second), documents, diagrams, strict=True):
+            search = self._held(document)
+            evaluation = search.minimise(search.first(self.starts))
+            pair.append(Hypothesis.of(fit, diagram, search, evaluation, signals))
+        of_sample = weights_of(self.variance, self.runs, self.rows)
+        longer = sum(run.size for run in self.runs) / sum(run.size for run in pair[0].whole.runs)  # than what is shown
+        weights = longer * np.array([of_sample[WHOLE_DIAGRAM, name] for name in outputs])
+        largest = np.array([self.sizes.get(name, np.inf) for name in outputs])
+        return best_change((pair[0], pair[1]), self.channels.inputs, signals, weights, largest)
 
     def _unit_of(self, diagram: Diagram) -> Callable[[str], str | None]:
         """Return what tells the unit of a signal: as it was recorded, or as its port declares it; None: neither."""
