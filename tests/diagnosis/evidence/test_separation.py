@@ -12,7 +12,7 @@ from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.conclude.wording import _elsewhere, _separating
 from rotorsim.diagnosis.evidence.change import Change, best_of
 from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
-from rotorsim.diagnosis.evidence.waveform.separation import Contrast
+from rotorsim.diagnosis.evidence.waveform.separation import Contrast, sensors_of
 from rotorsim.model.load import load
 from tests.diagnosis.evidence.machines import recording
 from tests.diagnosis.evidence.test_any_wire import SERVO
@@ -103,6 +103,10 @@ def test_a_sensor_is_named_where_no_amplitude_tells():
     assert change is not None
     assert change.words == "run run0 again with controller.output recorded as well"
     assert change.runs == 1
+    inserted = [load({**SERVO, "blocks": split, "wires": wires})] * 2
+    signals = [f"{name}.output" for name in SERVO["blocks"]]
+    assert "amplifier.output" not in sensors_of(inserted, signals, evidence.recorded)
+    assert "torque.output" in sensors_of(inserted, signals, evidence.recorded)
 
 
 def test_what_parameters_imitate_does_not_count():

@@ -234,7 +234,7 @@ class WaveformEvidence(SampledRuns, Defaults):
         documents = [values_in(fit.document, fit.values) for fit in (first, second)]
         diagrams = [self.load(document) for document in documents]
         outputs = self.channels.outputs
-        signals = [*outputs, *sensors_of(diagrams, self.recorded)]
+        signals = [*outputs, *sensors_of(diagrams, self.sizes, self.recorded)]
         pair = []
         for fit, document, diagram in zip((first, second), documents, diagrams, strict=True):
             search = self._held(document)

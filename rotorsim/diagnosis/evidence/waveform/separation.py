@@ -8,7 +8,7 @@ s_n^2 = d^T (I / n + S S^T)^-1 d = n (d^T d - d^T S (I / n + S^T S)^-1 S^T d)
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -94,13 +94,16 @@ class Contrast:
         return float(np.sqrt(max(times * (e - b @ np.linalg.solve(np.eye(len(b)) / times + G, b)), 0.0)))
 
 
-def sensors_of(diagrams: Sequence[Diagram], recorded: Sequence[str]) -> list[str]:
-    """Return the outputs that are one number in all of these diagrams, and not recorded: where a sensor may be put."""
+def sensors_of(diagrams: Sequence[Diagram], given: Collection[str], recorded: Collection[str]) -> list[str]:
+    """Return where a sensor may be put: outputs of all these diagrams that are one number, and not recorded.
+
+    given: signals of the diagram as it was given; what a hypothesis puts in cannot be recorded.
+    """
     ports = [
         {str(port) for node in diagram.nodes.values() for port in node.outputs.values() if port.shape == ()}
         for diagram in diagrams
     ]
-    return sorted(set.intersection(*ports) - set(recorded))
+    return sorted(set.intersection(*ports, set(given)) - set(recorded))
 
 
 def best_change(
