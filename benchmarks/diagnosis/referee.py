@@ -23,6 +23,7 @@ from benchmarks.concealed.sets import diagrams_of
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.base_fit import base_fit
+from rotorsim.diagnosis.evidence.fit import is_noise
 from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.waveform.noise import judged_beside, reweighted
@@ -35,13 +36,17 @@ VISIBLE = (1.0, 4.0, 10.0, np.inf)  # residual over noise floor: classes of the 
 
 @dataclass(frozen=True)
 class Judged:
-    """share: largest one whose level is below that of false alarms. rank: of the place that is wrong, 0 if in none."""
+    """share: largest one whose level is below that of false alarms. left: residual variance over that of what counts
+    as noise. noise: whether that is taken for noise. rank: of the place that is wrong, 0 for none.
+    """
 
     case: str
     missing: Sequence[str]
     visible: float
     share: float
     level: float
+    left: float
+    noise: bool
     rank: int
     places: int
 
@@ -63,12 +68,13 @@ def judged(folder: Path, case: str, diagram: str) -> Judged:
     search, evaluation = reweighted(search, search.first(evidence.starts))
     found = judged_beside(evidence.load(values), search, evaluation)
     share = float(found.share[found.level < CRITERIA.false_alarm].max(initial=0.0))
-    bounds = evidence.bounds(fit)
+    bounds = evidence.bounds(fit) if truth["missing"] else None
     ports = [bounds.places[item.place].port for item in bounds.unknown.estimates()] if bounds else []
     accepted = {place for effect in truth["effects"] for place in effect["accepted_locations"]}
     rank = next((k for k, port in enumerate(ports, 1) if port in accepted), 0)
     visible = float(truth.get("detectability") or 1.0)
-    return Judged(case, truth["missing"], visible, share, float(found.level.min()), rank, len(ports))
+    left, noise = fit.misfit / fit.freedom, is_noise(fit)
+    return Judged(case, truth["missing"], visible, share, float(found.level.min()), left, noise, rank, len(ports))
 
 
 def printed(cases: Sequence[Judged]) -> list[str]:
@@ -80,6 +86,8 @@ def printed(cases: Sequence[Judged]) -> list[str]:
     for share in SHARES:
         alarms = [f"{sum(c.share > share for c in group)} of {len(group)}" for group in (healthy, *classes)]
         lines.append(f"| {100 * share:.2g} % | " + " | ".join(alarms) + " |")
+    alarms = [f"{sum(not c.noise for c in group)} of {len(group)}" for group in (healthy, *classes)]
+    lines.append("| residual is no noise | " + " | ".join(alarms) + " |")
     first = sum(c.rank == 1 for c in wrong), sum(0 < c.rank <= 3 for c in wrong)
     lines += ["", f"the place that is wrong is the likeliest {first[0]} times, among three {first[1]}, of {len(wrong)}"]
     return lines
@@ -100,7 +108,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             continue
         last = cases[-1]
         print(
-            f"{case}  share {last.share:8.3f}, level {last.level:7.1e}; {last.visible:6.1f} times the noise; "
+            f"{case}  share {last.share:8.3f}, level {last.level:7.1e}; left {last.left:8.2f}; "
+            f"{last.visible:6.1f} times the noise; "
             f"place {last.rank} of {last.places}; {', '.join(last.missing) or '-'}",
             flush=True,
         )
