@@ -18,6 +18,7 @@ from pathlib import Path
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 
+from benchmarks.diagnosis.picture import overlap_picture
 from benchmarks.engine.controllers import sensitivity_picture
 from benchmarks.flows import diagnosis_flow, engine_flow
 from benchmarks.fmi.delay import delay_figure
@@ -51,6 +52,7 @@ DRAWN: dict[str, Callable[[], Figure]] = {
     "diagnosis.png": diagnosis_flow,
     "cosimulation.png": delay_figure,
     "controllers.png": sensitivity_picture,
+    "missing_signal.png": overlap_picture,
 }
 PICTURES = {
     "jeffcott.png": Picture(("run jeffcott --plot jeffcott.png",), "jeffcott.png"),

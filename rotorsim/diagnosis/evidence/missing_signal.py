@@ -20,7 +20,7 @@ class PlaceClass:
     probability: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SignalRun:
     """A missing signal in one run, at instants time (N,) [s]: added (N,), its standard deviation std (N,).
 

@@ -65,6 +65,6 @@ def _draw_map(axes: Axes, signal: MissingSignal, factor: float) -> str:
         if run.law is not None and run.law_over is not None:
             axes.plot(scale * run.law_over[::step], factor * run.law[::step], ".", color=ORANGE, ms=1.8, mew=0)
     axes.axhline(0, color=GREY, lw=0.8)
-    text = f"over {signal.over}, all runs: a map explains {100 * signal.share:.0f} %"
+    text = f"over {signal.over}, all runs: a map explains {100 * signal.share:.3g} %"
     axes.set_title(text, loc="left", fontsize=9)
     return f"{signal.over} [{unit}]"
