@@ -195,7 +195,7 @@ class UnknownInputs:
         return np.asarray(np.concatenate([run.residual[:, :, None], run.by_output], axis=2) / self.noise[:, None])
 
     def _augmented(
-        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], k: int, left: float = 1.0
+        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], k: int, left: np.ndarray | float = 1.0
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return F and H of x and d at sample k, for each pair; left: the part of d that is left a sample later."""
         n, B = run.F.shape[1], len(pairs)
@@ -214,7 +214,7 @@ class UnknownInputs:
         return Q
 
     def _started(
-        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], left: float = 1.0
+        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], left: np.ndarray | float = 1.0
     ) -> tuple[_Filter, list[tuple[int, float]]]:
         """Return the steady filters of a run (of its first sample), and the pairs that have one."""
         F, H = self._augmented(run, pairs, 0, left)
@@ -235,7 +235,7 @@ class UnknownInputs:
         Q: np.ndarray,
         before: _Filter,
         k: int,
-        left: float = 1.0,
+        left: np.ndarray | float = 1.0,
     ) -> _Filter:
         """Return the filters of the next sample by the Riccati recursion; Q: of `_entering`."""
         F, H = self._augmented(run, pairs, k, left)
@@ -269,7 +269,9 @@ class UnknownInputs:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the smoothed states x and d (N, B, n + 1) of a run and the variance of d (N, B) for each pair."""
         y = np.einsum("kcm,bm->kbc", self._columns(run), weights)[..., None]
-        left = float(np.exp(-1 / len(run.residual)))
+        left = np.full(len(pairs), np.exp(-1 / len(run.residual)))
+        kept = self._started(run, pairs, left)[1]
+        left[[pair not in kept for pair in pairs]] = 1.0  # as in `estimates`, where only that has a steady filter
         here, _ = self._started(run, pairs, left)
         entering = self._entering(run, pairs)
         filters, predicted, innovations = [], [], []
