@@ -141,6 +141,7 @@ def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
         open=verdicts.unfinished(selection, effects, terms),
         warnings=tuple(opened.warnings),
         detectable=verdicts.detectable_sizes(selection) if verdict == "consistent" else {},
+        signals=verdicts.signals_of(selection, effects, after, evidence, verdict),
         unknown=unknown,
         proof=proof,
         explained=explained,

@@ -16,11 +16,13 @@ from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, estimates, int
 from rotorsim.diagnosis.conclude.shares import Explained
 from rotorsim.diagnosis.evidence.evidence import Score
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.files import write_atomically
 
 DIAGRAM = "diagram.json"
 DIAGNOSIS_FILE = "diagnosis.json"
+SIGNAL_POINTS = 200  # of a missing signal
 
 
 def diagnosis_schema() -> dict[str, Any]:
@@ -56,6 +58,7 @@ def diagnosis_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "residual": None if diagnosis.residual is None else dict(diagnosis.residual),
         "detectable": {name: dict(values) for name, values in diagnosis.detectable.items()},
         "outside": _unknown(diagnosis),
+        "signals": [_signal(signal) for signal in diagnosis.signals],
         "warnings": [f"{problem.subject}: {problem.what}" for problem in diagnosis.warnings],
         "counts": dict(diagnosis.selection.counts),
     }
@@ -96,6 +99,28 @@ def _explained(item: Explained) -> dict[str, Any] | None:
         return None
     ends = None if item.share.interval is None else [_finite(end) for end in item.share.interval]
     return {"share": _finite(item.share.value), "interval90": ends, "explainable": item.explainable}
+
+
+def _signal(signal: MissingSignal) -> dict[str, Any]:
+    """Return a missing signal in the run where it is largest, SIGNAL_POINTS of it, and the places where it may act."""
+    run = signal.loudest
+    at = np.unique(np.linspace(0, len(run.time) - 1, SIGNAL_POINTS).round().astype(int))
+    columns = {"time": run.time, "signal": run.added, "std": run.std, "over_values": run.over, "law": run.law}
+    return {
+        "place": _port(signal.place),
+        "unit": signal.unit,
+        "physics": signal.physics or None,
+        "over": {"signal": signal.over, "unit": signal.over_unit, "share": signal.share},
+        "run": run.run,
+        **{name: None if values is None else values[at].tolist() for name, values in columns.items()},
+        "classes": [
+            {"places": [_port(spot) for spot in one.places], "probability": one.probability} for one in signal.classes
+        ],
+    }
+
+
+def _port(spot: Spot) -> dict[str, str]:
+    return {"block": spot.block, "port": spot.port, "side": spot.side}
 
 
 def _place(spot: Spot, probability: float) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from rotorsim.diagram.diagram import Diagram, Endpoint, Node
 from rotorsim.errors import escape
 
 LANE, MARGIN, HEAD, PORT = 7.0, 22.0, 38.0, 15.0  # px: wire spacing, free space, box title, one port
+MARKED, BESIDE = 3.5, "#8796a0"  # px: width of a wire that is marked; colour of the others then
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8c5fa8", "#b8860b", "#56697a", "#a0522d", "#3b7a57")
 FILL = {
     "rotor": "#dcebf7",
@@ -91,12 +92,16 @@ class _Lanes:
         return start + MARGIN + LANE * (self.taken[signal] + 0.5)
 
 
-def draw_svg(diagram: Diagram, highlight: Mapping[str, str] | None = None) -> str:
+def draw_svg(
+    diagram: Diagram, highlight: Mapping[str, str] | None = None, marked: Mapping[Key, tuple[str, str]] | None = None
+) -> str:
     """Return the diagram as SVG text.
 
     Blocks stand where the document's ``layout`` says ([column, row]), else in layers from left to right.
-    highlight: block -> colour of its frame. Wires of one output share a line and branch at dots.
+    highlight: block -> colour of its frame. marked: (block, output) -> colour of its wires, and what is written there.
+    Wires of one output share a line and branch at dots.
     """
+    marked = marked or {}
     boxes = _boxes(diagram)
     _place(diagram, boxes)
     columns = max((box.column for box in boxes.values()), default=0) + 1
@@ -107,12 +112,17 @@ def draw_svg(diagram: Diagram, highlight: Mapping[str, str] | None = None) -> st
     width, height, left, top = _measure(boxes, columns, rows, channels, streets)
     parts = [_box(box, (highlight or {}).get(name)) for name, box in boxes.items()]
     colour = {key: COLOURS[k % len(COLOURS)] for k, key in enumerate(dict.fromkeys(r[0] for r in routes))}
+    if marked:
+        colour = dict.fromkeys(colour, BESIDE) | {key: shade for key, (shade, _) in marked.items()}
     lines: list[str] = []
     dots: dict[Key, list[list[tuple[float, float]]]] = {}
+    written: dict[Key, str] = {}
     for signal, steps, source, target in routes:
         points = _points(boxes, signal, steps, source, target, channels, streets, left, top)
-        lines.append(_wire(points, colour[signal], source, target))
+        lines.append(_wire(points, colour[signal], source, target, MARKED if signal in marked else 1.3))
         dots.setdefault(signal, []).append(points[1:-1])
+        if signal in marked and signal not in written:
+            written[signal] = _label(points[0], *marked[signal])
     marks = [_dot(point, colour[signal]) for signal, points in dots.items() for point in _branches(points)]
     title = escape(diagram.name)
     head = (
@@ -122,7 +132,7 @@ def draw_svg(diagram: Diagram, highlight: Mapping[str, str] | None = None) -> st
         '<rect width="100%" height="100%" fill="white"/>\n'
         f'<text x="{MARGIN}" y="26" font-size="17" font-weight="bold">{title}</text>'
     )
-    return "\n".join([head, *lines, *marks, *parts, "</svg>"]) + "\n"
+    return "\n".join([head, *lines, *marks, *parts, *written.values(), "</svg>"]) + "\n"
 
 
 def _boxes(diagram: Diagram) -> dict[str, _Box]:
@@ -230,11 +240,13 @@ def _points(
     return [(x0, y0), (a, y0), (a, y), (b, y), (b, y1), (x1, y1)]
 
 
-def _wire(points: list[tuple[float, float]], colour: str, source: Endpoint, target: Endpoint) -> str:
+def _wire(
+    points: list[tuple[float, float]], colour: str, source: Endpoint, target: Endpoint, width: float = 1.3
+) -> str:
     path = "M" + " L".join(f"{x:.1f},{y:.1f}" for x, y in points)
     x, y = points[-1]
     parts = [
-        f'<path d="{path}" fill="none" stroke="{colour}" stroke-width="1.3"/>',
+        f'<path d="{path}" fill="none" stroke="{colour}" stroke-width="{width}"/>',
         f'<path d="M{x:.1f},{y:.1f} l-7,-3.2 v6.4 z" fill="{colour}"/>',
     ]
     # an index is written at the other end, where the wire is alone
@@ -247,6 +259,15 @@ def _wire(points: list[tuple[float, float]], colour: str, source: Endpoint, targ
                 f'text-anchor="{anchor}">{escape(text)}</text>'
             )
     return "\n".join(parts)
+
+
+def _label(point: tuple[float, float], colour: str, text: str) -> str:
+    """Return what is written on a wire where it begins, on white, so that lines behind it do not disturb."""
+    x, y = point
+    return (
+        f'<text x="{x + 3:.1f}" y="{y - 5:.1f}" font-size="10.5" font-weight="bold" fill="{colour}" stroke="white" '
+        f'stroke-width="3" paint-order="stroke">{escape(text)}</text>'
+    )
 
 
 def _branches(corners: Iterable[list[tuple[float, float]]]) -> list[tuple[float, float]]:

@@ -5,8 +5,17 @@ import pytest
 
 from rotorsim.identification.identification import identify
 from rotorsim.model.load import load
-from rotorsim.report.figures.samples import Beside, autocorrelation, beside_figure, worst_stretch
+from rotorsim.report.comparison.samples import SampleComparison, Trace
+from rotorsim.report.figures.samples import (
+    SIMULATED,
+    autocorrelation,
+    beside_figure,
+    residuals_in_time_figure,
+    stretch,
+    worst_stretch,
+)
 from rotorsim.report.identification.figures import identification_figures, save_figures
+from rotorsim.report.style import BLUE, RED, Look
 from tests.identification.in_time import OSCILLATOR, even, measured, recording
 
 
@@ -67,9 +76,67 @@ def test_autocorrelation_of_white_and_of_first_order_noise():
 
 def test_the_worst_stretch_and_long_signals():
     time = np.arange(20_000) / 1000
-    trace = Beside("r", "a.output", "V", time, np.sin(time), np.sin(time) + (np.abs(time - 13) < 0.1))
+    trace = Trace("r", "a.output", "V", time, np.sin(time), (np.sin(time) + (np.abs(time - 13) < 0.1),))
     part = worst_stretch(trace)
     assert time[part.start] < 12.9 < 13.1 < time[part.stop - 1]
-    axes = beside_figure([trace], "long").axes[0]
+    axes = beside_figure(SampleComparison((SIMULATED,), (trace,), "long")).axes[0]
     assert len(axes.lines[0].get_xdata()) <= 4000
     assert axes.lines[1].get_ydata().max() == pytest.approx((np.sin(time) + (np.abs(time - 13) < 0.1)).max())
+
+
+# -- before and after --------------------------------------------------------------------------------------------------
+
+TIME = np.arange(400) / 100
+LOOKS = (Look("diagram as given", RED, line="--"), Look("repaired diagram", BLUE))
+
+
+def two(given: np.ndarray | None, repaired: np.ndarray) -> SampleComparison:
+    """Two runs of a signal of 2 V 0-peak beside two diagrams."""
+    y = 2 * np.sin(5 * TIME)
+    traces = [Trace(run, "drive.output", "V", TIME, y, (given, repaired + off)) for run, off in (("a", 0), ("b", 0.1))]
+    return SampleComparison(LOOKS, tuple(traces), "Signals in time, hold-out runs")
+
+
+def texts(legend) -> list[str]:
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def test_before_and_after_of_the_worst_run_with_errors_in_its_unit():
+    y = 2 * np.sin(5 * TIME)
+    both = two(y + 0.5, y + 0.01 * (-1) ** np.arange(400))
+    [worst] = both.worst_runs().traces
+    assert worst.run == "a"
+    whole, zoom = (made := beside_figure(both.worst_runs())).axes
+    assert made.get_suptitle() == "Signals in time, hold-out runs"
+    assert whole.get_title("left") == ("drive.output, run a: diagram as given 0.5 V, repaired diagram 0.01 V rms error")
+    assert (zoom.get_title("left"), zoom.get_xlabel(), zoom.get_ylabel()) == ("worst stretch", "time [s]", "[V]")
+    assert texts(made.legends[0]) == ["measured", "diagram as given", "repaired diagram"]
+
+
+def test_residuals_before_and_after_have_one_legend_and_the_white_band_of_all_samples():
+    y, random = 2 * np.sin(5 * TIME), np.random.default_rng(0)
+    both = two(y + 0.5 * np.sin(TIME), y + 0.01 * random.normal(size=400))
+    left, right = (made := residuals_in_time_figure(both)).axes
+    assert texts(made.legends[0]) == ["diagram as given", "repaired diagram", "next run"]
+    assert texts(made.legends[1]) == ["white noise (95 %)"]
+    assert right.patches[0].get_height() == pytest.approx(2 * 1.96 / np.sqrt(800))
+    assert right.get_title("left").startswith("autocorrelation: ")
+    np.testing.assert_allclose(left.lines[0].get_ydata(), y - both.traces[0].simulated[0])
+
+
+def test_nothing_is_lost_where_a_simulation_diverges():
+    y = 2 * np.sin(5 * TIME)
+    both = two(None, y + 0.01)
+    made = beside_figure(both)
+    assert made.axes[0].get_title("left") == (
+        "drive.output, run a: diagram as given diverges, repaired diagram 0.01 V rms error"
+    )
+    assert texts(made.legends[0]) == ["measured", "repaired diagram"]
+    residual = residuals_in_time_figure(both)
+    assert texts(residual.legends[0]) == ["repaired diagram", "next run"]
+
+
+def test_the_stretch_that_varies_most_is_not_the_largest_one():
+    values = np.concatenate([np.full(1000, 3.0), np.sin(np.arange(1000) / 9)])
+    assert stretch(values).stop <= 1000
+    assert stretch(values, about_mean=True).start >= 900

@@ -13,6 +13,7 @@ from rotorsim.diagnosis.conclude.unknown_force import UnknownForce
 from rotorsim.diagnosis.conclude.validation import Proof
 from rotorsim.diagnosis.evidence.evidence import Evidence, Score
 from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
 from rotorsim.diagnosis.evidence.opened import Converter
 from rotorsim.diagnosis.search.selection import Selection
 from rotorsim.diagnosis.search.trials import Candidate
@@ -54,6 +55,7 @@ class Diagnosis(Shown):
     given and repaired; document: the repaired one; scores of both. places, rejected (physics, why), open: (physics, how
     far it came), where a fit was not carried to the end. detectable: physics -> smallest size that would have been
     seen, where nothing was found. proof: what hold-out runs say; explained: by effect; residual: beyond noise.
+    signals: what is missing, as signals in time: of each effect, or of what is outside the catalogue.
     unknown: a force outside the catalogue. converters: whose quantisation steps the readings show; given: the evidence
     without them. recordings: as they were given, held-out ones last.
     """
@@ -75,6 +77,7 @@ class Diagnosis(Shown):
     open: tuple[tuple[str, str], ...] = ()
     warnings: tuple[Problem, ...] = ()
     detectable: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    signals: tuple[MissingSignal, ...] = ()
     unknown: UnknownForce | None = None
     proof: Proof | None = None
     explained: Sequence[Explained] = ()

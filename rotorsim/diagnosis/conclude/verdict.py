@@ -13,6 +13,7 @@ from rotorsim.diagnosis.conclude.result import Effect
 from rotorsim.diagnosis.conclude.unknown_force import UnknownForce, unknown_force
 from rotorsim.diagnosis.evidence.evidence import Evidence, Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_noise
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagnosis.evidence.opened import Converter
 from rotorsim.diagnosis.search.selection import Selection, least_gain, probabilities
 from rotorsim.diagnosis.search.trials import Candidate, Round
@@ -98,6 +99,36 @@ def unknown_of(selection: Selection, effects: Sequence[Effect], evidence: Eviden
     acting = {item.spot for item in tried if item.fault.enters == "force"}
     spots = [spot for spot, _ in places_of(selection, effects) if spot in acting] or sorted(acting, key=str)
     return unknown_force(selection.base, evidence, spots[0]) if spots else None
+
+
+def signals_of(
+    selection: Selection, effects: Sequence[Effect], after: Fit, evidence: Evidence, verdict: str
+) -> tuple[MissingSignal, ...]:
+    """Return what is missing as signals in time: of each effect beside the others, or outside the catalogue of all."""
+    if verdict == "consistent":
+        return ()
+    first = selection.first
+    if verdict == "outside_catalogue" or not effects:
+        spot = _likeliest(first.classes, places_of(selection, effects))
+        found = [] if spot is None else [evidence.missing_signal(first.before, after, None, spot, first.classes)]
+    else:
+        pairs = zip((effect.candidate.insertion for effect in effects), selection.rounds, strict=False)
+        found = [
+            evidence.missing_signal(beside.before, after, item, item.spot, beside.classes) for item, beside in pairs
+        ]
+    return tuple(signal for signal in found if signal is not None)
+
+
+def _likeliest(classes: Sequence[PlaceClass], places: Sequence[tuple[Spot, float]]) -> Spot | None:
+    """Return the likeliest place of a free signal; of those that the data do not tell apart, where a law explains most.
+
+    places: of laws, the likeliest first.
+    """
+    if not classes:
+        return None
+    least = classes[0].probability * np.exp(-CRITERIA.equivalent / 2)
+    alike = [spot for one in classes if one.probability >= least for spot in one.places]
+    return next((spot for spot, _ in places if spot in alike), alike[0])
 
 
 def nearest(selection: Selection, unknown: UnknownForce | None, *, disproved: bool = False) -> Fit:

@@ -10,9 +10,11 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, estimates
 from rotorsim.diagnosis.conclude.shares import Explained
 from rotorsim.diagnosis.evidence.fit import is_noise
+from rotorsim.diagnosis.search.trials import Candidate, Round
 from rotorsim.fault import Fault
 from rotorsim.units import format_quantity
 
+ELSEWHERE = 0.05  # probability of another place, from which an experiment is looked for that tells it apart
 WHOLE_SHARE = 0.999  # a share from which its digits say nothing
 ONE_SPEED = "at one speed unbalance imitates bow and runout, and force factors imitate stiffness and damping"
 MORE_RUNS = "runs at several speeds, from slow roll to above the first critical, and some with other gains"
@@ -23,12 +25,18 @@ def next_experiment(diagnosis: Diagnosis) -> str:
     evidence, verdict = diagnosis.evidence, diagnosis.verdict
     known = () if verdict == "outside_catalogue" else diagnosis.effects  # else none to separate from its rivals
     parts = [
-        f"to separate {effect.physics} from {name}: {_separating(effect, name, diagnosis)}"
+        f"to separate {effect.physics} from {name}: {_separating(effect, rival, diagnosis)}"
         for effect in known
-        for name in effect.rivals
+        for name, rival in effect.rivals.items()
     ]
+    for effect, found in zip(known, diagnosis.selection.rounds, strict=False):
+        other = None if evidence.terms.turns else _elsewhere(effect, found)
+        if other is not None:
+            here, there = (item.insertion.spot.words for item in (effect.candidate, other))
+            how = _separating(effect, other, diagnosis)
+            parts.append(f"to separate {effect.physics} at {here} from that at {there}: {how}")
     if verdict == "outside_catalogue":
-        parts.append(f"{evidence.terms.more_runs} about the place named, to see the law of the unknown force")
+        parts.append(_law_of_unknown(diagnosis))
     open_questions = evidence.open_questions()
     if parts or open_questions:
         return "; ".join([*parts, *([open_questions] if open_questions else [])])
@@ -41,9 +49,27 @@ def next_experiment(diagnosis: Diagnosis) -> str:
     return "none is needed: one hypothesis is left"
 
 
-def _separating(effect: Effect, name: str, diagnosis: Diagnosis) -> str:
+def _law_of_unknown(diagnosis: Diagnosis) -> str:
+    """Return what shows the law of what is outside the catalogue."""
+    runs = diagnosis.evidence.terms.more_runs
+    if not diagnosis.signals:
+        return f"{runs} about the place named, to see the law of the unknown force"
+    signal = diagnosis.signals[0]
+    of_map = f"a map over {signal.over} explains {_percent(signal.share)} of it in these runs"
+    return f"{runs}, to see the law of the missing signal at {signal.place.words}: {of_map}"
+
+
+def _elsewhere(effect: Effect, found: Round) -> Candidate | None:
+    """Return the same physics at the likeliest other place, where that is nearly as likely; None where it is not."""
+    spots = [spot for spot, probability in effect.places if probability >= ELSEWHERE]
+    best = effect.candidate.insertion
+    others = (item for item in found.tried if item.insertion.physics == best.physics and not item.fit.failure)
+    return next((item for item in others if item.insertion.spot in spots and item.insertion.spot != best.spot), None)
+
+
+def _separating(effect: Effect, rival: Candidate, diagnosis: Diagnosis) -> str:
     """Return in words the experiment that separates an effect from a rival."""
-    rival, terms = effect.rivals[name], diagnosis.evidence.terms
+    terms = diagnosis.evidence.terms
     declared = _declared(effect.candidate.insertion.fault, rival.insertion.fault, terms.turns)
     change = diagnosis.evidence.separation(effect.candidate.fit, rival.fit)
     more = f"; {declared}" if declared else ""
@@ -53,7 +79,7 @@ def _separating(effect: Effect, name: str, diagnosis: Diagnosis) -> str:
     if change is not None:
         apart = f"predictions only {change.separation:.2g} standard deviations apart"
         return f"{change.words} separates them most ({apart}){more}"
-    return (declared or terms.another) if terms.another else f"no other speed or gain does{more}"
+    return (declared or terms.another) if terms.another else f"{terms.searched} does{more}"
 
 
 def _declared(first: Fault, second: Fault, turns: bool) -> str:

@@ -9,7 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
+from rotorsim.diagnosis.evidence.change import Change
 from rotorsim.diagnosis.evidence.fit import Fit, Starts
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.recordings.recording import Recording
 
@@ -23,7 +25,8 @@ class Terms:
     predicted: str = "runs left out"
     signals: str = "of the signals (noise {})"
     more_runs: str = "runs at more speeds and amplitudes"
-    another: str = ""  # what separates hypotheses where nothing is declared; empty: speeds and gains were searched
+    another: str = ""  # what separates hypotheses where nothing is declared; empty: what is searched was
+    searched: str = "no other speed or gain"  # separates hypotheses, where no further run was found
     turns: bool = True  # whether the experiments that faults declare are those of a turning shaft
 
 
@@ -67,18 +70,6 @@ def _mean(values: Mapping[str, float]) -> float | None:
     return float(np.sqrt(np.mean(found**2))) if found.size and np.isfinite(found).all() else None
 
 
-@dataclass(frozen=True)
-class Change:
-    """A run in words, how far apart it puts two hypotheses [standard deviations], and how often it must be made.
-
-    runs: 0 where no number of such runs suffices.
-    """
-
-    words: str
-    separation: float
-    runs: int = 1
-
-
 @dataclass(frozen=True, eq=False)
 class Unknown:
     """What is known of a force: plain data for diagnosis.json, and a description in words."""
@@ -96,6 +87,10 @@ class Bounds(Protocol):
     @property
     def by_law(self) -> bool:
         """Whether bounds are those of laws, not of places."""
+
+    @property
+    def classes(self) -> Sequence[PlaceClass]:
+        """The classes of places of which a free signal explains the same; none where that was not asked."""
 
     def bound(self, item: Insertion) -> float | None:
         """Return the least misfit that an insertion can leave, None where nothing is known of it."""
@@ -214,6 +209,15 @@ class Evidence(Protocol):
     def unknown_force(self, document: Mapping[str, Any], spot: Spot) -> Unknown:
         """Return orders, laws and lines of the force at a place that explains the residual best."""
 
+    def missing_signal(
+        self, without: Fit, after: Fit, effect: Insertion | None, spot: Spot, classes: Sequence[PlaceClass]
+    ) -> MissingSignal | None:
+        """Return the free signal at a place that explains what a fit leaves; None where none shows, or none is sought.
+
+        effect: that acts there, which the fit is without. after: the fit with all effects. classes: of places of free
+        signals, the likeliest first.
+        """
+
     def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
         """Return sentences about this sort of recording; inserted: names of the blocks that a repair puts in."""
 
@@ -224,9 +228,13 @@ class Evidence(Protocol):
 class Defaults:
     """What evidence answers that has nothing of its own to say."""
 
-    terms = Terms()
     independent = True
     unjudged = ""
+
+    @property
+    def terms(self) -> Terms:
+        """Those of a turning shaft."""
+        return Terms()
 
     @property
     def alike(self) -> bool:
@@ -278,6 +286,12 @@ class Defaults:
     def unknown_force(self, document: Mapping[str, Any], spot: Spot) -> Unknown:
         """Return nothing: a force is described by its map only."""
         return Unknown()
+
+    def missing_signal(
+        self, without: Fit, after: Fit, effect: Insertion | None, spot: Spot, classes: Sequence[PlaceClass]
+    ) -> MissingSignal | None:
+        """Return None: signals are not estimated in time."""
+        return None
 
     def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
         """Return nothing: the statement says all."""

@@ -14,6 +14,7 @@ from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, l
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Fit, fit_from_plain, fit_to_plain, is_adequate
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.profile import Z90
 from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
@@ -93,10 +94,11 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One round of the selection: what was tried on top of ``before``, the best first."""
+    """One round of the selection: what was tried on top of ``before``, the best first; classes: of free signals."""
 
     before: Fit
     tried: tuple[Candidate, ...]
+    classes: tuple[PlaceClass, ...] = ()
 
     @property
     def best(self) -> Candidate | None:
@@ -120,8 +122,7 @@ class Trials:
 
     def round(self, before: Fit) -> Round:
         """Try every insertion into a fitted diagram."""
-        document = values_in(before.document, before.values)
-        largest = self.evidence.largest()
+        document, largest = values_in(before.document, before.values), self.evidence.largest()
         found = [
             item
             for item in self.catalogue.candidates(self.evidence.load(document), self.evidence.recorded)
@@ -130,6 +131,7 @@ class Trials:
         self.counts["rounds"] += 1
         jobs = []
         away = self._off_bounds(before)
+        classes: Sequence[PlaceClass] = ()
         for item in found:
             sizes = sizes_at(item, largest)
             starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
@@ -141,6 +143,7 @@ class Trials:
         if len(jobs) > MOST_FITS or any(item.fault.enters == "signal" for item in found):
             places = self.evidence.bounds(before)
             kept = self._screened(before, found, jobs, places)
+            classes = () if places is None else places.classes
             kept += [k for k, item in enumerate(found) if item.key in self.known and k not in kept]
             led = {k: {} if places is None else dict(places.start(found[k])) for k in kept}
             jobs = [(jobs[k][0], _led(jobs[k][1], self.known.get(found[k].key) or led[k])) for k in kept]
@@ -157,7 +160,7 @@ class Trials:
             Candidate(item, fit, self._astray(before, fit), bool(fit.failure) or not fit.nonlinear or k in ended)
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
         ]
-        return Round(before, tuple(_simplest_first(tried, self.slack)))
+        return Round(before, tuple(_simplest_first(tried, self.slack)), tuple(classes))
 
     def completed(self, found: Round, physics: Collection[str]) -> Round:
         """Return a round with these physics carried to the end, each law at its best place."""
@@ -173,7 +176,7 @@ class Trials:
             better = not fit.failure and fit.misfit <= tried[k].fit.misfit
             fit = fit if better else tried[k].fit
             tried[k] = Candidate(tried[k].insertion, fit, self._astray(found.before, fit))
-        return Round(found.before, tuple(_simplest_first(tried, self.slack))) if which else found
+        return replace(found, tried=tuple(_simplest_first(tried, self.slack))) if which else found
 
     def _astray(self, before: Fit, fit: Fit) -> str:
         """Return in words the parameters of the diagram that are ``astray`` times what was given and fitted."""
@@ -247,8 +250,7 @@ class Trials:
         return [*first, *second[: max(MOST_FITS - len(first), MOST_FITS // 3)]]
 
     def _promises(self, jobs: Sequence[_Job]) -> list[float]:
-        promised = self._spread(_promise_batch, jobs, ())
-        return [float("inf") if isinstance(item, Failure) else item for item in promised]
+        return [np.inf if isinstance(item, Failure) else item for item in self._spread(_promise_batch, jobs, ())]
 
     def _fit(self, jobs: Sequence[_Job], most: int | None, *, linear_only: bool = False) -> list[Fit]:
         fits = self._spread(_fit_batch, jobs, (most, linear_only))

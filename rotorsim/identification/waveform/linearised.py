@@ -150,7 +150,7 @@ def linearised(
     c, m = len(given.outputs), search.m
     ports = list(dict.fromkeys(place.port for place in places))
     outputs = [*given.outputs, *ports]
-    whole, unknowns = _with_states(diagram, search, evaluation, outputs)
+    whole, unknowns = with_outputs(diagram, search, evaluation, outputs)
     taken = [port for port in ports if any(place.taken for place in places if place.port == port)]
     matrices = _Matrices.of(driven_equations(diagram, outputs, given.inputs, diagram.free, added=taken))
     column = [taken.index(place.port) if place.taken else len(taken) for place in places]  # the last is no input
@@ -192,15 +192,18 @@ def simulated_signals(
     diagram: Diagram, search: OutputErrorSearch, evaluation: Evaluation, names: Sequence[str]
 ) -> list[np.ndarray]:
     """Return signals (flat names) in each run of a fitted diagram, as simulated, (N, s)."""
-    whole, unknowns = _with_states(diagram, search, evaluation, names)
+    whole, unknowns = with_outputs(diagram, search, evaluation, names)
     runs = range(len(search.runs))
     return [whole.simulated(unknowns, 0, r, evaluation.sub, sensitivities=False)[0][:, : len(names)] for r in runs]
 
 
-def _with_states(
+def with_outputs(
     diagram: Diagram, search: OutputErrorSearch, evaluation: Evaluation, outputs: Sequence[str]
 ) -> tuple[OutputErrorSearch, np.ndarray]:
-    """Return a search whose outputs are these signals, then the states; and its unknowns, those of a fit."""
+    """Return a search whose outputs are these signals, then the states; and its unknowns, those of a fit.
+
+    outputs: flat names. Raises RotorsimError for signals that the diagram does not have.
+    """
     equations = driven_equations(diagram, outputs, search.systems[0].equations.inputs, diagram.free)
     states = replace(
         equations, outputs=(*outputs, *equations.state_names), g=ca.vertcat(equations.g, equations.arguments[1])

@@ -13,7 +13,7 @@ Source: Kristensen, Madsen & Jorgensen, Automatica 40 (2004) 225-237; de Jong, A
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -23,6 +23,8 @@ from rotorsim.identification.waveform.linearised import LinearisedRun
 STRENGTHS = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of the signal, in noise of the outputs and root seconds; of
 # nonlinear diagrams, whose filters change from sample to sample, every fourth
 RESPONSE_FREQUENCIES = 60  # at which the largest response to a signal is looked for
+FROZEN = 5  # samples of each run whose transfer vectors are compared
+PARALLEL = 1e-9  # less than one: cosine between transfer vectors that are equal but for rounding
 LEAST_RESPONSE = 1e-12  # of the largest of all places: what has less does not show
 REGULAR = 1e-3  # of the noise, by states that are driven at every sample: what nothing drives has no steady filter
 CHUNK = 64  # samples whose innovations are kept at a time
@@ -47,11 +49,17 @@ class SignalEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """A signal at a place in each run: added (N,) with its standard deviation std, and what the place carries, wire."""
+    """A signal at a place in each run: added (N,) with its standard deviation std, and what all places carry, wires."""
 
+    place: int
     added: list[np.ndarray]
     std: list[np.ndarray]
-    wire: list[np.ndarray]
+    wires: list[np.ndarray]
+
+    @property
+    def wire(self) -> list[np.ndarray]:
+        """What the place itself carries in each run, (N,)."""
+        return [wires[:, self.place] for wires in self.wires]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,17 +98,45 @@ class UnknownInputs:
 
     def _scales(self, F: np.ndarray, G: np.ndarray, H: np.ndarray, D: np.ndarray) -> np.ndarray:
         """Return the amplitudes of a sine whose largest response is the noise, infinite where none shows."""
-        z = np.exp(2j * np.pi * np.geomspace(1 / len(self.runs[0].residual), 0.45, RESPONSE_FREQUENCIES))
-        gains = H @ np.linalg.solve(z[:, None, None] * np.eye(len(F)) - F, G) + D
-        size = np.sqrt((np.abs(gains / self.noise[:, None]) ** 2).sum(axis=1)).max(axis=0)
+        size = np.linalg.norm(self._gains(F, G, H, D), axis=1).max(axis=0)
         shows = size > LEAST_RESPONSE * size.max(initial=0.0)
         return np.where(shows, 1 / np.where(shows, size, 1.0), np.inf)
 
-    def estimates(self) -> list[SignalEstimate]:
-        """Return the best free signal at every place that shows in the outputs, the likeliest first."""
-        places = np.flatnonzero(np.isfinite(self.scales)).tolist()
+    def _gains(self, F: np.ndarray, G: np.ndarray, H: np.ndarray, D: np.ndarray) -> np.ndarray:
+        """Return what sines at the places make in the outputs, in their noise, (frequencies, c, places)."""
+        z = np.exp(2j * np.pi * np.geomspace(1 / len(self.runs[0].residual), 0.45, RESPONSE_FREQUENCIES))
+        answers = H @ np.linalg.solve(z[:, None, None] * np.eye(len(F)) - F, G) + D
+        return np.asarray(answers / self.noise[:, None])
+
+    def classes(self) -> list[list[int]]:
+        """Return the places that show, those together whose signals change all outputs alike.
+
+        So they do where their transfer vectors are parallel at every frequency, along all of the runs: what a signal at
+        one explains, another signal at the other explains as well.
+        """
+        unit = []
+        for run in self.runs:
+            for k in np.unique(np.linspace(0, len(run.F) - 1, FROZEN).astype(int)):
+                gains = self._gains(run.F[k], run.G[k], run.H[k], run.D[k])
+                unit.append(gains / np.maximum(np.linalg.norm(gains, axis=1, keepdims=True), 1e-300))
+        vectors = np.concatenate(unit)
+        found: list[list[int]] = []
+        for place in np.flatnonzero(np.isfinite(self.scales)).tolist():
+            for others in found:
+                aligned = np.abs((vectors[:, :, place].conj() * vectors[:, :, others[0]]).sum(axis=1))
+                if (aligned > 1 - PARALLEL).all():
+                    others.append(place)
+                    break
+            else:
+                found.append([place])
+        return found
+
+    def estimates(self, places: Sequence[int] | None = None) -> list[SignalEstimate]:
+        """Return the best free signal at every place (default: all) that shows in the outputs, the likeliest first."""
+        places = [k for k in (range(len(self.scales)) if places is None else places) if np.isfinite(self.scales[k])]
         strengths = STRENGTHS if all(run.constant for run in self.runs) else STRENGTHS[::4]
-        pairs = [(place, q) for place in places for q in strengths.tolist()]
+        same = self._proportional(places)
+        pairs = [(place, q) for place in same for q in strengths.tolist()]
         sums, log_dets, kept = self._innovations(pairs)
         best: dict[int, SignalEstimate] = {}
         for (place, q), G, log_det in zip(kept, sums, log_dets, strict=True):
@@ -109,7 +145,21 @@ class UnknownInputs:
             found = SignalEstimate(place, misfit, misfit + float(log_det), q, float(self.scales[place]), change)
             if place not in best or found.deviance < best[place].deviance:
                 best[place] = found
-        return sorted(best.values(), key=lambda item: item.deviance)
+        every = (replace(best[k], place=p, scale=float(self.scales[p])) for k in best for p in same[k])
+        return sorted(every, key=lambda item: item.deviance)
+
+    def _proportional(self, places: Sequence[int]) -> dict[int, list[int]]:
+        """Return places by the first of those that act on states and outputs in proportion, as likely as it."""
+        enters = [np.concatenate([run.G, run.D], axis=1).reshape(-1, len(self.scales)) for run in self.runs]
+        columns = np.concatenate(enters)[:, places] * self.scales[places]
+        found: dict[int, list[int]] = {}
+        for k, place in enumerate(places):
+            own = columns[:, k]
+            least = PARALLEL * np.abs(own).max(initial=0.0)
+            others = ((first, columns[:, places.index(first)]) for first in found)
+            like = (first for first, one in others if min(np.abs(own - one).max(), np.abs(own + one).max()) <= least)
+            found.setdefault(next(like, place), []).append(place)
+        return found
 
     def _innovations(
         self, pairs: Sequence[tuple[int, float]]
@@ -145,15 +195,15 @@ class UnknownInputs:
         return np.asarray(np.concatenate([run.residual[:, :, None], run.by_output], axis=2) / self.noise[:, None])
 
     def _augmented(
-        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], k: int
+        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], k: int, left: float = 1.0
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return F and H of x and d at sample k, for each pair."""
+        """Return F and H of x and d at sample k, for each pair; left: the part of d that is left a sample later."""
         n, B = run.F.shape[1], len(pairs)
         place = [place for place, _ in pairs]
         scale = self.scales[place]
         j = 0 if run.constant else k
         F, H = np.zeros((B, n + 1, n + 1)), np.zeros((B, run.H.shape[1], n + 1))
-        F[:, :n, :n], F[:, :n, n], F[:, n, n] = run.F[j], (run.G[j][:, place] * scale).T, 1.0
+        F[:, :n, :n], F[:, :n, n], F[:, n, n] = run.F[j], (run.G[j][:, place] * scale).T, left
         H[:, :, :n], H[:, :, n] = run.H[j] / self.noise[:, None], (run.D[j][:, place] * scale).T / self.noise
         return F, H
 
@@ -164,10 +214,10 @@ class UnknownInputs:
         return Q
 
     def _started(
-        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]]
+        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], left: float = 1.0
     ) -> tuple[_Filter, list[tuple[int, float]]]:
         """Return the steady filters of a run (of its first sample), and the pairs that have one."""
-        F, H = self._augmented(run, pairs, 0)
+        F, H = self._augmented(run, pairs, 0, left)
         Q = self._entering(run, pairs)
         kept, P = [], []
         for b in range(len(pairs)):
@@ -179,16 +229,26 @@ class UnknownInputs:
         return _Filter.of(F[kept], H[kept], np.array(P)), [pairs[b] for b in kept]
 
     def _advanced(
-        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], Q: np.ndarray, before: _Filter, k: int
+        self,
+        run: LinearisedRun,
+        pairs: Sequence[tuple[int, float]],
+        Q: np.ndarray,
+        before: _Filter,
+        k: int,
+        left: float = 1.0,
     ) -> _Filter:
         """Return the filters of the next sample by the Riccati recursion; Q: of `_entering`."""
-        F, H = self._augmented(run, pairs, k)
+        F, H = self._augmented(run, pairs, k, left)
         rest = before.F - before.gain @ before.H
         P = before.F @ before.P @ rest.swapaxes(1, 2) + Q
         return _Filter.of(F, H, (P + P.swapaxes(1, 2)) / 2)
 
     def smoothed(self, items: Sequence[SignalEstimate]) -> list[Smoothed]:
-        """Return the estimated signals of some places, each alone, given all samples of the runs."""
+        """Return the estimated signals of some places, each alone, given all samples of the runs.
+
+        They are forgotten within a run, exp(-t / length): a constant that a state makes up for (an angle that nothing
+        measures) has no steady filter else, and is zero then, with the standard deviation that it may have.
+        """
         pairs = [(item.place, item.strength) for item in items]
         weights = np.array([[1.0, *-item.change] for item in items])
         of_runs = [self._smoothed(run, pairs, weights) for run in self.runs]
@@ -197,12 +257,11 @@ class UnknownInputs:
             added, std, wires = [], [], []
             for run, (states, spread) in zip(self.runs, of_runs, strict=True):
                 signal = states[:, b, -1] * item.scale
-                carried = (run.W[:, item.place] * states[:, b, :-1]).sum(axis=1)
-                own = run.E[:, item.place, item.place] * signal + run.by_wire[:, item.place] @ item.change
+                carried = (run.W @ states[:, b, :-1, None])[:, :, 0] + run.E[:, :, item.place] * signal[:, None]
                 added.append(signal)
                 std.append(np.sqrt(np.maximum(spread[:, b], 0.0)) * item.scale)
-                wires.append(run.wires[:, item.place] + carried + own)
-            found.append(Smoothed(added, std, wires))
+                wires.append(run.wires + carried + run.by_wire @ item.change)
+            found.append(Smoothed(item.place, added, std, wires))
         return found
 
     def _smoothed(
@@ -210,12 +269,13 @@ class UnknownInputs:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the smoothed states x and d (N, B, n + 1) of a run and the variance of d (N, B) for each pair."""
         y = np.einsum("kcm,bm->kbc", self._columns(run), weights)[..., None]
-        here, _ = self._started(run, pairs)
+        left = float(np.exp(-1 / len(run.residual)))
+        here, _ = self._started(run, pairs, left)
         entering = self._entering(run, pairs)
         filters, predicted, innovations = [], [], []
         x = np.zeros((len(pairs), here.F.shape[1], 1))
         for k, row in enumerate(y):
-            here = here if run.constant or not k else self._advanced(run, pairs, entering, here, k)
+            here = here if run.constant or not k else self._advanced(run, pairs, entering, here, k, left)
             difference = row - here.H @ x
             filters.append(here)
             predicted.append(x)

@@ -19,13 +19,14 @@ from rotorsim.diagnosis.evidence.harmonic.scoring import predict
 from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.jobs.threads import one_thread
 from rotorsim.report.comparison.harmonics import Comparison, PredictedRuns, predicted_runs
 from rotorsim.report.comparison.samples import SampleComparison, Trace
 from rotorsim.report.figures.orbits import orbits_figure
+from rotorsim.report.figures.samples import beside_figure, residuals_in_time_figure
 from rotorsim.report.figures.spectra import residuals_figure, spectra_figure
 from rotorsim.report.figures.speed_curves import speed_curves_figure
-from rotorsim.report.figures.traces import traces_figure
 from rotorsim.report.style import BLUE, RED, Look
 
 GIVEN = Look("diagram as given", RED, "s", "--", 8.5)
@@ -39,6 +40,11 @@ ORBITS = "Motion that is synchronous with the shaft, over one turn; the arrow sh
 CURVES = (
     "Amplitude and phase against shaft angle zero over speed, for each set of settings; thin lines: beyond the "
     "hold-out speeds."
+)
+TRACES = "Each signal in the run that the diagram as given explains least, and there its worst stretch."
+RESIDUALS = (
+    "Measured less simulated, and its autocorrelation; that of white noise stays within the band at 95 % of the lags. "
+    "Noise of a recorder may be coloured: the verdict asks what of the residual can be predicted."
 )
 
 
@@ -61,7 +67,7 @@ class Compared(Protocol):
         """Return figures of both diagrams beside hold-out runs, beside fitted ones without any."""
 
     def residuals(self) -> Drawn | None:
-        """Return the figure of residuals in units of independent noise; None where it is not independent."""
+        """Return the figure of residuals of the fitted runs; None where there is nothing to show."""
 
 
 def before_and_after_figure(diagnosis: Diagnosis) -> Figure:
@@ -167,17 +173,18 @@ class OfSamples:
     speeds: Sequence[float] = ()
 
     def figures(self) -> Iterator[Drawn]:
-        """Return signals in time."""
-        caption = "The stretch that the diagram as given explains least."
-        yield Drawn("traces", traces_figure(self.comparison()), caption)
+        """Return signals in time, each in the run that the diagram as given explains least."""
+        runs, of = (self.evidence.held, HELD) if self.evidence.held else (self.evidence.runs, FITTED)
+        yield Drawn("traces", beside_figure(self.beside(runs, f"Signals in time, {of}").worst_runs()), TRACES)
 
-    def residuals(self) -> None:
-        """Return nothing."""
+    def residuals(self) -> Drawn:
+        """Return the residuals of the fitted runs, with their autocorrelation."""
+        drawn = residuals_in_time_figure(self.beside(self.evidence.runs, f"Residuals, {FITTED}"))
+        return Drawn("residuals", drawn, RESIDUALS)
 
-    def comparison(self) -> SampleComparison:
-        """Return both diagrams beside the signals of hold-out runs, of fitted ones without any."""
+    def beside(self, runs: Sequence[SampledRun], title: str) -> SampleComparison:
+        """Return both diagrams beside the signals of some runs."""
         evidence, looks = self.evidence, looks_of(self.found)
-        runs = evidence.held or evidence.runs
         with one_thread():
             documents = zip(looks, _documents(self.found), strict=False)
             simulated = [evidence.simulated(document, runs) for _, document in documents]
@@ -193,7 +200,7 @@ class OfSamples:
             for r, run in enumerate(runs)
             for c, name in enumerate(evidence.channels.outputs)
         )
-        return SampleComparison(looks, traces, HELD if evidence.held else FITTED)
+        return SampleComparison(looks, traces, title)
 
 
 # -- resonances --------------------------------------------------------------------------------------------------------

@@ -10,7 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Spot
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
 from rotorsim.diagram.diagram import Diagram, Node
 from rotorsim.diagram.draw import draw_svg
 from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, figure, legend_below, styled
@@ -19,6 +21,7 @@ SHADES = ((0.5, "#b33c00"), (0.1, "#f08a3c"), (0.0, "#f7c896"))  # probability f
 NEW = BLUE  # frame of blocks that the diagnosis put in
 PORTS = ((RED, "////"), (BLUE, "...."), (GREEN, "xxxx"), (PURPLE, "----"), (ORANGE, "++"))
 OTHERS = 8  # places elsewhere that are listed
+READING = {"": "", "reading": "(reading)", "both": "(reading too)"}  # what is written of a side of a wire
 STEEL, DISC, MAGNET = "#c9d3dc", "#8fa3b5", "#d9c9e6"
 
 
@@ -189,10 +192,37 @@ def _draw_others(axes: Axes, places: Sequence[tuple[Spot, float]], title: str) -
     axes.set_title(title, loc="left")
 
 
-def block_diagram(diagram: Diagram, places: Sequence[tuple[Spot, float]], new: Iterable[str]) -> str:
-    """Return the SVG of a diagram, its blocks framed by the probability that the fault acts there; new ones in blue."""
-    frames: dict[str, str] = {}
-    for spot, probability in sorted(places, key=lambda place: place[1]):
-        frames[spot.block] = next(colour for least, colour in SHADES if probability >= least)
+def block_diagram(
+    diagram: Diagram, places: Sequence[tuple[Spot, float]], new: Iterable[str], signals: Sequence[MissingSignal] = ()
+) -> str:
+    """Return the SVG of a diagram: blocks framed by the probability that the fault acts there, new ones in blue.
+
+    signals: missing in time; then wires are marked, with the class of places and its probability.
+    """
+    wires = {
+        (spot.block, spot.port): (shade(probability), f"{letter} {probability:.2f} {READING[spot.side]}".rstrip())
+        for letter, spots, probability in reversed(place_classes(signals))
+        for spot in spots
+    }
+    frames = {
+        spot.block: shade(probability)
+        for spot, probability in sorted(places, key=lambda place: place[1])
+        if (spot.block, spot.port) not in wires
+    }
     frames |= dict.fromkeys(new, NEW)
-    return draw_svg(diagram, {block: colour for block, colour in frames.items() if block in diagram.nodes})
+    return draw_svg(diagram, {block: colour for block, colour in frames.items() if block in diagram.nodes}, wires)
+
+
+def shade(probability: float) -> str:
+    """Return the colour of a place."""
+    return next(colour for least, colour in SHADES if probability >= least)
+
+
+def place_classes(signals: Sequence[MissingSignal]) -> list[tuple[str, tuple[Spot, ...], float]]:
+    """Return the classes of places of missing signals with their letters (and the number of the signal, of several)."""
+    return [
+        (f"{number + 1 if len(signals) > 1 else ''}{chr(ord('A') + k)}", one.places, one.probability)
+        for number, signal in enumerate(signals)
+        for k, one in enumerate(signal.classes)
+        if one.probability >= CRITERIA.listed
+    ]

@@ -22,6 +22,7 @@ from rotorsim.report.diagnosis.parameters import parameters_figure
 from rotorsim.report.diagnosis.places import NEW, SHADES, block_diagram, places_figure
 from rotorsim.report.diagnosis.provenance import provenance
 from rotorsim.report.diagnosis.rivals import fits_table, rivals_tables
+from rotorsim.report.diagnosis.signals import missing_signals
 from rotorsim.report.diagnosis.words import estimate, percent, plain_words
 
 REPORT = "report.html"
@@ -58,9 +59,10 @@ def _sections(diagnosis: Diagnosis, both: Compared, page: Page, title: str, comm
     yield _head(diagnosis, title)
     yield _where(diagnosis, page)
     yield what_is_missing(diagnosis, data, both.speeds)
+    yield from missing_signals(diagnosis, page)
     yield _before_and_after(diagnosis, both, page)
     residuals = both.residuals()
-    yield fits_table(diagnosis, independent=residuals is not None)
+    yield fits_table(diagnosis, independent=diagnosis.evidence.independent and residuals is not None)
     yield page.figure(residuals)
     yield rivals_tables(diagnosis)
     yield _parameters(diagnosis, data["parameters"]["before"], data["parameters"]["after"], page)
@@ -134,14 +136,15 @@ def _loaded(evidence: Evidence, document: Mapping[str, Any]) -> Diagram | None:
 
 def _diagram(diagnosis: Diagnosis, repaired: Diagram, page: Page) -> str:
     new = [effect.candidate.insertion.name for effect in diagnosis.effects]
-    svg = block_diagram(repaired, diagnosis.places, new)
+    svg = block_diagram(repaired, diagnosis.places, new, diagnosis.signals)
     page.write("diagram.svg", svg)
     frames = {colour: f"probability {least:g} and more" if least else "less probable" for least, colour in SHADES}
     key = "".join(
         f'<span class="key" style="border-color:{colour}"></span>{escape(text)}'
         for colour, text in {**frames, NEW: "put in by the diagnosis"}.items()
     )
-    caption = f"The {looks_of(diagnosis)[-1].label}. " + (f"Frames:{key}" if diagnosis.places or new else "")
+    what = "Frames, and wires with a letter for their class of places" if diagnosis.signals else "Frames"
+    caption = f"The {looks_of(diagnosis)[-1].label}. " + (f"{what}:{key}" if diagnosis.places or new else "")
     return f'<figure class="wide">{svg}<figcaption>{caption}</figcaption></figure>'
 
 

@@ -6,14 +6,17 @@ import json
 import math
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
 from rotorsim import load_recording
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.diagnosis import diagnose
+from rotorsim.diagnosis.files import diagnosis_data, diagnosis_schema
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
+from rotorsim.report.diagnosis.report import save_report
 
 RATE, SAMPLES, FINE = 200, 2000, 20
 NOISE = {"speed": 4e-3, "angle": 2e-3}
@@ -100,6 +103,14 @@ def test_what_a_wire_hides_is_named_located_and_sized(tmp_path, missing, physics
         assert abs(size * fit.theta[j] - value) < max(4 * size * fit.std(j), 0.01 * abs(value))
     j = names.index("friction.gain")
     assert abs(fit.theta[j] - 4.4) < max(4 * fit.std(j), 0.01 * 4.4)
+    [signal] = found.signals
+    assert (signal.physics, signal.place) == (physics, found.places[0][0])
+    data = json.loads(json.dumps(diagnosis_data(found), allow_nan=False))
+    jsonschema.Draft202012Validator(diagnosis_schema()).validate(data)
+    [written] = data["signals"]
+    assert {len(written[name]) for name in ("time", "signal", "std", "over_values", "law")} == {200}
+    names = {file.name for file in save_report(found, tmp_path)}
+    assert {"traces.png", "residuals.png", "missing_signal.png"} <= names
 
 
 @pytest.mark.slow
@@ -107,6 +118,10 @@ def test_nothing_is_found_where_nothing_is_hidden(tmp_path):
     found = diagnose(load(SERVO), recording(tmp_path), workers=1)
     assert found.verdict == "consistent"
     assert not found.effects
+    assert found.signals == ()
+    names = {file.name for file in save_report(found, tmp_path)}
+    assert "residuals.png" in names
+    assert "missing_signal.png" not in names
 
 
 def test_a_place_says_which_side_of_a_signal_is_meant():

@@ -25,6 +25,7 @@ class LowerBounds:
     """Bounds on the misfit for every place where something may act on a fitted linear diagram."""
 
     by_law = False
+    classes = ()
 
     def __init__(self, likelihood: Likelihood, theta: np.ndarray, targets: list[str]) -> None:
         self.likelihood = likelihood

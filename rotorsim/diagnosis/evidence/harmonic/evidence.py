@@ -11,7 +11,8 @@ import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.evidence import Change, Defaults, HeldScore, Unknown
+from rotorsim.diagnosis.evidence.change import Change
+from rotorsim.diagnosis.evidence.evidence import Defaults, HeldScore, Unknown
 from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts
 from rotorsim.diagnosis.evidence.harmonic.bounds import LowerBounds, open_bounds
 from rotorsim.diagnosis.evidence.harmonic.fitting import fit_document, promise_of

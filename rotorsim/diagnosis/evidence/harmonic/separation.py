@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorsim.criteria import CRITERIA
-from rotorsim.diagnosis.evidence.evidence import Change
+from rotorsim.diagnosis.evidence.change import Change, best_of, change_of
 from rotorsim.diagnosis.evidence.fit import FAILURES, Fit
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagram.diagram import Diagram
@@ -30,7 +29,6 @@ from rotorsim.units import format_quantity
 SEPARATION_GAINS = (0.7, 1.5)
 SLOWER, FASTER = (0.1, 0.25, 0.5), 1.25  # times the lowest and the highest speed of the recording
 MOST_GAPS = 6  # between recorded speeds in whose middle a run is tried
-MOST_ALIKE = 16  # runs of one kind that anyone would make
 REPEATED_RUNS = 3  # of the recording that are repeated with another gain
 LARGEST_SIGNAL = (
     2.0  # times the largest signal on record: what exceeds it is not proposed at new gains or higher speeds
@@ -51,20 +49,16 @@ def best_change(first: Fit, second: Fit, record: HarmonicRuns) -> Change | None:
 
     Tried are speeds between, below and above those on record, and runs on record with another gain.
     """
-    found: Change | None = None
+    return best_of(_separations(first, second, record))
+
+
+def _separations(first: Fit, second: Fit, record: HarmonicRuns) -> Iterator[Change | None]:
+    """Yield what each run tells that both diagrams can make."""
     for words, runs in _changes(record.load(first.document), record):
         both = [_predicted(fit, record, runs) for fit in (first, second)]
         for text, a, b in zip(words, *both, strict=True):
-            if a is None or b is None:
-                continue
-            change = _separated(text, a, b)
-            if change is not None and (found is None or _rank(change) > _rank(found)):
-                found = change
-    return found
-
-
-def _rank(change: Change) -> tuple[int, float]:
-    return -(change.runs or MOST_ALIKE + 1), change.separation
+            if a is not None and b is not None:
+                yield _separated(text, a, b)
 
 
 def _separated(words: str, a: _Predicted, b: _Predicted) -> Change | None:
@@ -74,11 +68,7 @@ def _separated(words: str, a: _Predicted, b: _Predicted) -> Change | None:
     d = a.y - b.y
     inside = vectors.T @ d
     rest = max(float(d @ d - inside @ inside), 0.0)
-    separations = [float(np.sqrt(n * rest + (inside**2 / (1 / n + sizes**2)).sum())) for n in range(1, MOST_ALIKE + 1)]
-    enough = next((n for n, separation in enumerate(separations, 1) if separation**2 > CRITERIA.equivalent), 0)
-    if enough or separations[0] > CRITERIA.separation:
-        return Change(words, separations[max(enough, 1) - 1], enough)
-    return None
+    return change_of(words, lambda n: float(np.sqrt(n * rest + (inside**2 / (1 / n + sizes**2)).sum())))
 
 
 # -- what can be changed -----------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ What counts as noise, and what is adequate: `rotorsim.identification.waveform.no
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any
@@ -13,13 +13,17 @@ from typing import Any
 import numpy as np
 
 from rotorsim.criteria import CRITERIA
-from rotorsim.diagnosis.catalogue.insertion import Insertion
+from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.evidence.change import Change
 from rotorsim.diagnosis.evidence.evidence import Defaults, Score, Terms
 from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, reason_of
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagnosis.evidence.waveform.laws import LawBounds
+from rotorsim.diagnosis.evidence.waveform.missing import Linearised, missing_signal
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.diagnosis.evidence.waveform.scoring import held_score, left_out_score
+from rotorsim.diagnosis.evidence.waveform.separation import Hypothesis, best_change, sensors_of
 from rotorsim.diagram.diagram import Diagram, Port
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.left_out import left_out
@@ -40,7 +44,6 @@ from rotorsim.identification.waveform.noise import (
 )
 from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation, Label, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
-from rotorsim.identification.waveform.unknown_input import UnknownInputs
 from rotorsim.units import compatible
 
 FIRST_STEPS = 4  # from each start, before the best is followed
@@ -50,8 +53,7 @@ REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
 WAVEFORM_TERMS = Terms(
     left_out="stretches left out one by one",
     predicted="stretches left out",
-    more_runs="runs at more amplitudes and frequencies of what drives it",
-    another="another input, or a sensor elsewhere",
+    searched="no amplitude of its inputs, further sensor or repeated run",
     turns=False,
 )
 DIVERGES = "the simulation diverges"
@@ -78,8 +80,13 @@ class WaveformEvidence(SampledRuns, Defaults):
     held: tuple[SampledRun, ...]
     unjudged: str = ""
 
-    terms = WAVEFORM_TERMS
     independent = False
+
+    @property
+    def terms(self) -> Terms:
+        """How statements name it; more runs are those with other amplitudes of its inputs."""
+        inputs = " and ".join(self.channels.inputs) or "what drives it"
+        return replace(WAVEFORM_TERMS, more_runs=f"runs with {inputs} at 0.5 and at 2 times the amplitude")
 
     def search(self, document: Mapping[str, Any]) -> OutputErrorSearch:
         """Return the search for the free parameters of a document. Raises RotorsimError."""
@@ -161,18 +168,89 @@ class WaveformEvidence(SampledRuns, Defaults):
 
     def bounds(self, fit: Fit) -> LawBounds | None:
         """Return what the laws of signals promise beside a fit; None where its diagram has no scalar signals."""
-        document = values_in(fit.document, fit.values)
-        diagram, whole = self.load(document), replace(self.search(document), hold="theta")
-        whole = replace(whole, systems=whole.systems[:1]).shortened(SHORT)
+        here = self._linearised(values_in(fit.document, fit.values))
+        if here is None:
+            return None
+        variance, sampled = here.noise**2, here.sampled
+        weight = self.rows / sum(run.size for run in sampled) / len(self.variance)  # as if these samples were all
+        return LawBounds(
+            here.runs, sampled, here.places, here.unknown(), np.sqrt(weight / variance), self.sizes, self.load
+        )
+
+    def _linearised(
+        self, document: Mapping[str, Any], starts: Mapping[Label, float] | None = None
+    ) -> Linearised | None:
+        """Return a document along the beginning of the runs; None where it diverges, or no signal is one number.
+
+        starts: where the runs of a linear diagram begin (default, and else: where they fit best).
+        """
+        diagram, search = self.load(document), self._held(document)
         places = places_of(diagram, self.channels.outputs)
-        evaluation = whole.minimise(whole.first(self.starts))
+        if starts is None:
+            evaluation = search.minimise(search.first(self.starts))
+        else:
+            first = search.first(starts)
+            evaluation = search.evaluate(first, search.substeps(first))
         if not places or not np.isfinite(evaluation.cost):
             return None
-        runs = linearised(diagram, whole, evaluation, places)
-        variance = np.array([self.variance[WHOLE_DIAGRAM, name] for name in whole.systems[0].equations.outputs])
-        weight = self.rows / sum(run.size for run in whole.runs) / len(self.variance)  # as if these samples were all
-        unknown = UnknownInputs(runs, np.sqrt(variance))
-        return LawBounds(runs, whole.runs, places, unknown, np.sqrt(weight / variance), self.sizes, self.load)
+        runs = linearised(diagram, search, evaluation, places)
+        if starts is not None and not all(run.constant for run in runs):
+            return self._linearised(document)
+        variance = [self.variance[WHOLE_DIAGRAM, name] for name in search.systems[0].equations.outputs]
+        return Linearised(diagram, search, evaluation, places, runs, np.sqrt(variance))
+
+    def _held(self, document: Mapping[str, Any]) -> OutputErrorSearch:
+        """Return the search on the beginning of the runs for the starts of the whole diagram alone."""
+        whole = replace(self.search(document), hold="theta")
+        return replace(whole, systems=whole.systems[:1]).shortened(SHORT)
+
+    def missing_signal(
+        self, without: Fit, after: Fit, effect: Insertion | None, spot: Spot, classes: Sequence[PlaceClass]
+    ) -> MissingSignal | None:
+        """Return the signal that a diagram without an effect lacks at a place, as all outputs show it.
+
+        Beside an effect the other parameters are those of the repaired diagram, so that the signal is what its law
+        stands for; without one, or where the diagram diverges so, they are free.
+        """
+        try:
+            if effect is not None:
+                document = values_in(after.document, after.values)
+                search = self._held(document)
+                evaluation = search.minimise(search.first(self.starts))
+                starts = search.starts(evaluation.unknowns)
+                here = self._linearised(values_in(without.document, {**without.values, **after.values}), starts)
+                if here is not None and np.isfinite(evaluation.cost):
+                    repaired = self.load(document), search, evaluation
+                    return missing_signal(here, repaired, effect, spot, classes, self._unit_of(here.diagram))
+            here = self._linearised(values_in(without.document, without.values))
+            if here is None:
+                return None
+            return missing_signal(here, None, effect, spot, classes, self._unit_of(here.diagram))
+        except FAILURES:
+            return None
+
+    def separation(self, first: Fit, second: Fit) -> Change | None:
+        """Return the amplitude, sensor or repeated run that separates two hypotheses most; see `best_change`."""
+        documents = [values_in(fit.document, fit.values) for fit in (first, second)]
+        diagrams = [self.load(document) for document in documents]
+        outputs = self.channels.outputs
+        signals = [*outputs, *sensors_of(diagrams, self.sizes, self.recorded)]
+        pair = []
+        for fit, document, diagram in zip((first, second), documents, diagrams, strict=True):
+            search = self._held(document)
+            evaluation = search.minimise(search.first(self.starts))
+            pair.append(Hypothesis.of(fit, diagram, search, evaluation, signals))
+        of_sample = weights_of(self.variance, self.runs, self.rows)
+        longer = sum(run.size for run in self.runs) / sum(run.size for run in pair[0].whole.runs)  # than what is shown
+        weights = longer * np.array([of_sample[WHOLE_DIAGRAM, name] for name in outputs])
+        largest = np.array([self.sizes.get(name, np.inf) for name in outputs])
+        return best_change((pair[0], pair[1]), self.channels.inputs, signals, weights, largest)
+
+    def _unit_of(self, diagram: Diagram) -> Callable[[str], str | None]:
+        """Return what tells the unit of a signal: as it was recorded, or as its port declares it; None: neither."""
+        declared = {str(port): port.unit for node in diagram.nodes.values() for port in node.outputs.values()}
+        recorded = {name: unit or "1" for name, unit in self.units.items()}
+        return lambda name: recorded.get(name) or declared.get(name) or ("s" if name == "time" else None)
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
         """Return the misfit after FIRST_STEPS steps from the best start, per sample as on all samples."""

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from rotorsim.diagnosis.catalogue.insertion import Insertion, fixed_of, limits_of, sizes_at, starts_of
+from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot, fixed_of, limits_of, sizes_at, starts_of
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.equations import driven_equations
@@ -38,6 +39,12 @@ class Promise:
 
     misfit: float
     start: Mapping[str, float]
+
+
+def spot_of(place: Place) -> Spot:
+    """Return where a signal is added, as a place of a diagnosis."""
+    block, _, port = place.port.rpartition(".")
+    return Spot(block, port, side=place.side)
 
 
 class LawBounds:
@@ -106,6 +113,21 @@ class LawBounds:
             if found[0] < best.misfit:
                 best = Promise(found[0], dict(zip(item.free, found[1].tolist(), strict=True)))
         return best
+
+    @property
+    def classes(self) -> tuple[PlaceClass, ...]:
+        """The classes of places that no data tell apart, with their probabilities, the likeliest first."""
+        factor = float(np.mean((self.roots * self.unknown.noise) ** 2))
+        deviance = {item.place: factor * item.deviance for item in self.estimates}
+        sorted_ones = [
+            sorted((k for k in one if k in deviance), key=deviance.__getitem__) for one in self.unknown.classes()
+        ]
+        classes = sorted((one for one in sorted_ones if one), key=lambda one: deviance[one[0]])
+        weights = np.array([np.exp((deviance[classes[0][0]] - deviance[one[0]]) / 2) for one in classes])
+        return tuple(
+            PlaceClass(tuple(spot_of(self.places[k]) for k in one), float(weight))
+            for one, weight in zip(classes, weights / weights.sum(), strict=True)
+        )
 
     @cached_property
     def _free(self) -> dict[int, float]:

@@ -1,0 +1,166 @@
+"""The missing signal at a place, estimated from all outputs, and what the law that was found adds there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass, SignalRun
+from rotorsim.diagnosis.evidence.waveform.laws import spot_of
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.linearised import LinearisedRun, Place, simulated_signals
+from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.unknown_input import Smoothed, UnknownInputs
+
+BINS = 20  # of equal numbers of samples, and of equal width, whose means are what a map of one signal explains
+OWN = 0.9  # of what another signal explains: a place's own signal that explains as much is drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A fitted diagram along its runs: where signals may be added, and what they change."""
+
+    diagram: Diagram
+    search: OutputErrorSearch
+    evaluation: Evaluation
+    places: Sequence[Place]
+    runs: list[LinearisedRun]
+    noise: np.ndarray
+
+    @property
+    def sampled(self) -> Sequence[SampledRun]:
+        """The runs as they were measured."""
+        return self.search.runs
+
+    def unknown(self, *, known: bool = False) -> UnknownInputs:
+        """Return the hypotheses of a signal at each place; known: the parameters stay as they are."""
+        runs = self.runs
+        if known:
+            runs = [replace(run, by_output=run.by_output[:, :, :0], by_wire=run.by_wire[:, :, :0]) for run in runs]
+        return UnknownInputs(runs, self.noise)
+
+
+def missing_signal(
+    here: Linearised,
+    repaired: tuple[Diagram, OutputErrorSearch, Evaluation] | None,
+    effect: Insertion | None,
+    spot: Spot,
+    classes: Sequence[PlaceClass],
+    unit_of: Callable[[str], str | None],
+) -> MissingSignal | None:
+    """Return the signal at a place, that of an effect if there is one; None where none shows.
+
+    repaired: the diagram with the effect; the parameters of ``here`` are then those that were found beside it.
+    """
+    k = _place(here, spot)
+    unknown = here.unknown(known=repaired is not None)
+    estimates = [] if k is None else unknown.estimates([k])
+    if k is None or not estimates:
+        return None
+    smoothed = _at_samples(unknown.smoothed(estimates[:1])[0], here.runs)
+    laws: list[tuple[np.ndarray, np.ndarray] | None] = [None] * len(here.runs)
+    over, values = here.places[k].port, smoothed.wire
+    if effect is not None and repaired is not None:
+        law = _law(effect, repaired)
+        if law is not None:
+            over, laws = law[0], list(law[1])
+            ports = [place.port for place in here.places]
+            if over in ports:
+                values = [wires[:, ports.index(over)] for wires in smoothed.wires]
+            else:
+                values = [law_over for _, law_over in law[1]]
+    elif effect is None:
+        over, values = _explaining(here, smoothed)
+    runs = [
+        SignalRun(run.id, run.time, added, std, value, *((None, None) if one is None else one))
+        for run, added, std, value, one in zip(here.sampled, smoothed.added, smoothed.std, values, laws, strict=True)
+    ]
+    at = spot_of(here.places[k])
+    physics = "" if effect is None else effect.physics
+    unit, over_unit = unit_of(here.places[k].port), unit_of(over)
+    share = explained_by(np.concatenate(values), np.concatenate(smoothed.added))
+    return MissingSignal(at, unit, over, over_unit, share, tuple(runs), tuple(classes), physics)
+
+
+def _at_samples(smoothed: Smoothed, runs: Sequence[LinearisedRun]) -> Smoothed:
+    """Return a signal at the samples: one that acts through states alone is held from each to the next."""
+    if any(run.D[:, :, smoothed.place].any() for run in runs):
+        return smoothed
+
+    def between(values: np.ndarray) -> np.ndarray:
+        return np.asarray((values + np.concatenate([values[:1], values[:-1]])) / 2)
+
+    return replace(smoothed, added=[*map(between, smoothed.added)], std=[*map(between, smoothed.std)])
+
+
+def _place(here: Linearised, spot: Spot) -> int | None:
+    """Return the place of a spot: its port, or what is wired to an input."""
+    name = str(spot)
+    wired = (str(wire.source) for wire in here.diagram.wires if str(wire.target) == name)
+    for place in (Place(name, spot.side), *(Place(source) for source in wired)):
+        if place in here.places:
+            return here.places.index(place)
+    return None
+
+
+def _law(
+    effect: Insertion, repaired: tuple[Diagram, OutputErrorSearch, Evaluation]
+) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]] | None:
+    """Return the name of what a law reads, and in each run what it adds (N,), and reads (N,); None unless one number.
+
+    A law in a signal adds its output less its input, a force its output.
+    """
+    diagram, search, evaluation = repaired
+    node = diagram.nodes.get(effect.name)
+    if node is None or effect.fault.enters not in ("signal", "force"):
+        return None
+    wires = [wire for wire in diagram.wires if wire.target.block == effect.name]
+    outputs = [port for port in node.outputs.values() if port.shape == ()]
+    scalar = [wire for wire in wires if node.inputs[wire.target.port].shape == ()]
+    if len(outputs) != 1 or not scalar:
+        return None
+    read = scalar[0].source
+    names = [str(outputs[0]), str(read)]
+    signals = simulated_signals(diagram, search, evaluation, names)
+    through = 1.0 if effect.fault.enters == "signal" else 0.0
+    return str(read), [(both[:, 0] - through * both[:, 1], both[:, 1]) for both in signals]
+
+
+def _explaining(here: Linearised, smoothed: Smoothed) -> tuple[str, list[np.ndarray]]:
+    """Return the signal whose map explains most of the missing one: that of the place itself unless another is better.
+
+    Looked at are all signals that are one number, their rates, and time; what adds to nothing explains nothing.
+    """
+    added = np.concatenate(smoothed.added)
+    own = here.places[smoothed.place].port
+    candidates: dict[str, list[np.ndarray]] = {own: smoothed.wire}
+    for k, place in enumerate(here.places):
+        candidates.setdefault(place.port, [wires[:, k] for wires in smoothed.wires])
+    rates = {
+        f"rate of {name}": [np.gradient(value, run.time) for value, run in zip(values, here.sampled, strict=True)]
+        for name, values in candidates.items()
+    }
+    times = {"time": [run.time for run in here.sampled]}
+    shares = {
+        name: explained_by(np.concatenate(values), added) for name, values in {**candidates, **rates, **times}.items()
+    }
+    best = max(shares, key=lambda name: shares[name])
+    chosen = own if shares[own] >= OWN * shares[best] else best
+    return chosen, {**candidates, **rates, **times}[chosen]
+
+
+def explained_by(over: np.ndarray, added: np.ndarray) -> float:
+    """Return the share of the variance of a signal (N,) that a map of another (N,) explains, by means of bins.
+
+    Bins end at quantiles and at equal distances: a law may act where the signal seldom is.
+    """
+    inner = np.linspace(0, 1, BINS + 1)[1:-1]
+    edges = np.sort(np.concatenate([np.quantile(over, inner), over.min() + np.ptp(over) * inner]))
+    which, y = np.digitize(over, edges), added - added.mean()
+    sums, counts = np.bincount(which, y), np.bincount(which)
+    total = float(y @ y)
+    return float((sums**2 / np.maximum(counts, 1)).sum()) / total if total > 0 else 0.0

@@ -1,0 +1,127 @@
+"""The missing signal of a servo that Python steps through: as it is, where it is, and what cannot be simulated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import tanh
+
+import numpy as np
+import pytest
+
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
+from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
+from rotorsim.diagnosis.evidence.waveform.missing import explained_by
+from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
+from rotorsim.model.load import load
+from rotorsim.report.figures.missing_signal import missing_signal_figure
+from tests.diagnosis.evidence.machines import recording
+from tests.diagnosis.evidence.test_any_wire import SERVO
+
+RATE, SAMPLES, FINE, DRY = 200, 1000, 20, 0.4
+NAMES = ("reference", "speed", "angle")
+
+
+def braked(seed: int) -> dict[str, np.ndarray]:
+    """Return a run of the servo with dry friction, by midpoint steps a twentieth of a sample long."""
+    random = np.random.default_rng(seed)
+    reference = np.repeat(random.uniform(-1, 1, SAMPLES // 100), 100)
+    w = a = 0.0
+    h, out = 1 / RATE / FINE, np.empty((SAMPLES, 2))
+    for k, wanted in enumerate(reference.tolist()):
+        out[k] = w, a
+        for _ in range(FINE):
+            middle = w + h / 2 * (12.0 * (wanted - a) - 4.4 * w - DRY * tanh(w / 0.01))
+            rate = 12.0 * (wanted - a - h / 2 * w) - 4.4 * middle - DRY * tanh(middle / 0.01)
+            a, w = a + h * middle, w + h * rate
+    noisy = out + random.normal(size=out.shape) * [4e-3, 2e-3]
+    return dict(zip(NAMES, (reference, *noisy.T), strict=True))
+
+
+@pytest.fixture(scope="module")
+def lacking():
+    """Evidence, the fit of the diagram without dry friction and with it, what was put in, and classes of places."""
+    measured = recording([(braked(1), "identify")], {name: (f"{name}.output", "1") for name in NAMES}, RATE)
+    diagram = load(SERVO)
+    evidence = waveform_evidence(diagram, measured)
+    before = evidence.fit(diagram.document, [])
+    found = Catalogue.of(diagram, {"dry_friction"}, False).candidates(diagram, evidence.recorded)
+    item = next(item for item in found if item.spot.block == "friction" and not item.spot.side)
+    start = dict.fromkeys(item.fault.free, DRY / 2)
+    after = evidence.fit(item.document(values_in(before.document, before.values), start), [[{}]])
+    return evidence, before, after, item, evidence.bounds(before).classes
+
+
+@pytest.fixture(scope="module")
+def signal(lacking):
+    evidence, before, after, item, classes = lacking
+    return evidence.missing_signal(before, after, item, item.spot, classes)
+
+
+def test_the_missing_signal_is_the_friction(signal):
+    assert (str(signal.place), signal.physics, signal.over) == ("friction.output", "dry_friction", "friction.output")
+    assert signal.share > 0.9
+    [run] = signal.runs
+    sliding = np.abs(run.over) > 0.5  # 4.4 times the speed: away from where it turns
+    assert sliding.mean() > 0.3
+    towards = run.added[sliding] * np.sign(run.over[sliding])
+    assert np.median(towards) == pytest.approx(0.4, rel=0.05)
+    assert np.mean(np.abs(towards - 0.4) < 1.96 * run.std[sliding]) > 0.85
+    np.testing.assert_allclose(np.abs(run.law[sliding]), 0.4, rtol=0.05)
+
+
+def test_places_that_no_data_tell_apart_are_one_class(lacking):
+    """What drives the torque and what brakes it act on the speed alike; the reading of the speed does not."""
+    *_, classes = lacking
+    best = classes[0]
+    assert {str(spot) for spot in best.places} >= {"friction.output", "torque.output"}
+    assert not any(spot.side == "reading" for spot in best.places)
+    assert sum(one.probability for one in classes) == pytest.approx(1.0)
+    assert [one.probability for one in classes] == sorted((one.probability for one in classes), reverse=True)
+
+
+def test_without_a_law_it_is_drawn_over_the_signal_that_explains_it(lacking):
+    evidence, before, after, item, classes = lacking
+    found = evidence.missing_signal(before, after, None, item.spot, classes)
+    assert found.physics == ""
+    assert found.runs[0].law is None
+    assert found.share > 0.8
+
+
+def test_a_diagram_that_diverges_has_no_missing_signal(lacking):
+    evidence, before, after, item, _ = lacking
+    wild, gone = (replace(fit, theta=np.full(len(fit.theta), -1e6)) for fit in (before, after))
+    assert evidence.missing_signal(wild, gone, item, item.spot, ()) is None
+
+
+def test_a_place_that_is_no_signal_has_none(lacking):
+    evidence, before, after, item, _ = lacking
+    assert evidence.missing_signal(before, after, None, replace(item.spot, port="nothing"), ()) is None
+
+
+def test_what_is_drawn(signal):
+    made = missing_signal_figure(signal)
+    assert made.get_suptitle() == "Missing signal at friction.output, estimated from all recorded outputs"
+    assert [axes.get_xlabel() for axes in made.axes] == ["time [s]", "time [s]", "friction.output [SI]"]
+    assert [axes.get_ylabel() for axes in made.axes] == ["[SI]"] * 3
+    texts = [text.get_text() for text in made.legends[0].get_texts()]
+    assert texts == ["its 95 % band", "estimated, without a law", "law found: dry friction"]
+    np.testing.assert_allclose(made.axes[0].lines[0].get_ydata(), signal.loudest.added)
+
+
+def test_a_signal_without_a_law_has_none_in_its_figure(signal):
+    runs = tuple(replace(run, law=None, law_over=None) for run in signal.runs)
+    made = missing_signal_figure(MissingSignal(signal.place, "A", "time", "s", 0.5, runs, signal.classes))
+    assert [text.get_text() for text in made.legends[0].get_texts()] == ["its 95 % band", "estimated, without a law"]
+    assert made.axes[2].get_xlabel() == "time [s]"
+    assert made.axes[0].get_ylabel() == "[A]"
+
+
+def test_a_map_explains_what_follows_from_a_signal_and_nothing_else():
+    random = np.random.default_rng(0)
+    x = random.uniform(-1, 1, 4000)
+    assert explained_by(x, np.abs(x)) > 0.99
+    assert explained_by(x, random.normal(size=4000)) < 0.02  # 38 of 4000 by chance
+    seldom = random.normal(size=4000) ** 3
+    assert explained_by(seldom, np.maximum(seldom - 3, 0)) > 0.95  # a stop that is hardly ever reached
+    assert explained_by(np.ones(4000), x) == pytest.approx(0.0, abs=1e-12)
