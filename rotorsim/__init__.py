@@ -36,6 +36,7 @@ _HOME = {
     "identify": "identification.identification",
     "linearise": "linear.linearisation",
     "load": "model.load",
+    "load_orders": "recordings.orders",
     "load_recording": "recordings.loading",
     "load_result": "simulation.files",
     "modes": "linear.eigenmodes",

@@ -12,7 +12,7 @@ def _fault(physics: str, recorded: str, **words: Any) -> Fault:
         physics=physics,
         enters="wire",
         between=("clock", "*"),
-        through={"theta": "angle", "speed": "rate"},
+        through={"theta": "angle", "speed": "rate", "acceleration": "angular_acceleration"},
         recorded=recorded,
         free={"amplitude": (1e-3,)},
         fixed={"frequency": Lines()},
@@ -21,10 +21,10 @@ def _fault(physics: str, recorded: str, **words: Any) -> Fault:
 
 
 class SpeedFluctuation(Block):
-    """Let the angle of a shaft swing about that of steady rotation.
+    """Let the angle of a shaft swing about that of a clock.
 
     angle = theta + amplitude sin(frequency t + phase),   its rate = W + amplitude frequency cos(frequency t + phase)
-    acceleration = -amplitude frequency^2 sin(frequency t + phase)
+    angular_acceleration = W' - amplitude frequency^2 sin(frequency t + phase)
 
     It stands between the clock and everything that turns. Each order k gets sidebands at k W +- frequency. A disc that
     swings by torsion against a drive that turns evenly is the same, but for the pulses of the drive.
@@ -48,21 +48,23 @@ class SpeedFluctuation(Block):
         ),
     )
 
-    theta = In(unit="rad", doc="angle of steady rotation")
-    speed = In(unit="rad/s", doc="steady speed W")
+    theta = In(unit="rad", doc="angle without the swing")
+    speed = In(unit="rad/s", doc="speed W without the swing")
+    acceleration = In(unit="rad/s^2", optional=True, doc="angular acceleration W' without the swing; unwired: zero")
     angle = Out(unit="rad", doc="angle of the shaft")
     rate = Out(unit="rad/s", doc="speed of the shaft")
-    acceleration = Out(unit="rad/s^2", doc="angular acceleration of the shaft")
+    angular_acceleration = Out(unit="rad/s^2", doc="angular acceleration of the shaft")
     amplitude = Param(1e-3, unit="rad", low=0.0, doc="amplitude eps of the swing")
     frequency = Param(2 * pi * 10, unit="rad/s", above=0.0, doc="frequency nu of the swing")
     phase = Param(0.0, unit="rad", doc="phase at t = 0")
 
     def equations(self, p, u, x, t):
         inside = p.frequency * t + p.phase
+        swing = -p.amplitude * p.frequency**2 * sin(inside)
         return Equations(
             outputs={
                 "angle": u.theta + p.amplitude * sin(inside),
                 "rate": u.speed + p.amplitude * p.frequency * cos(inside),
-                "acceleration": -p.amplitude * p.frequency**2 * sin(inside),
+                "angular_acceleration": swing if u.acceleration is None else u.acceleration + swing,
             }
         )

@@ -25,6 +25,7 @@ from rotorsim.errors import Problem, RotorsimError
 
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
+    from rotorsim.recordings.orders import OrderRecording
 
 Found = tuple[dict[str, Any], Sequence[Problem], int, str]  # entry for --json, problems, exit code, what it holds
 
@@ -91,13 +92,15 @@ def _recording(name: str, against: Diagram | None) -> Found:
     against: the diagram whose signals and parameters it names.
     """
     from rotorsim.measure.checks import check_signals
-    from rotorsim.recordings.loading import load_recording
+    from rotorsim.recordings.orders import OrderRecording, load_any
     from rotorsim.report.text.recording import contents, contents_line
     from rotorsim.signals.pickup import check_harmonics
 
     entry: dict[str, Any] = {"recording": name, "valid": False}
     try:
-        recording = load_recording(name)
+        recording = load_any(name)
+        if isinstance(recording, OrderRecording):
+            return _orders(entry, recording, against)
         problems = [*recording.warnings, *check_signals(recording)]
         code = int(any(problem.severity == "error" for problem in problems))
         problems += [] if code else check_harmonics(recording)
@@ -110,3 +113,16 @@ def _recording(name: str, against: Diagram | None) -> Found:
         return entry, error.problems, error.exit_code, ""
     held = contents(recording)
     return entry | held, problems, code, contents_line(held)
+
+
+def _orders(entry: dict[str, Any], recording: OrderRecording, against: Diagram | None) -> Found:
+    """Return the same of a recording of orders over the speed. Raises RotorsimError for what a diagram has not."""
+    from rotorsim.identification.waveform.order_tracking import tracked_orders
+    from rotorsim.report.text.table import counted
+
+    if against is not None:
+        tracked_orders(against, recording, recording.runs, against.free)
+    entry |= {"kind": "orders", "channels": len(recording.channels), "runs": len(recording.runs)}
+    entry["rows"] = sum(len(run.speed) for run in recording.runs)
+    line = ", ".join(counted(entry[f"{one}s"], one) for one in ("channel", "run", "row"))
+    return entry, recording.warnings, 0, f"orders of {line}"

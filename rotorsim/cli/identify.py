@@ -87,14 +87,14 @@ def command(
     from rotorsim.identification.files import identification_data, save_identification
     from rotorsim.identification.identification import identify
     from rotorsim.identification.regression import THESIS_ORDERS
-    from rotorsim.recordings.loading import load_recording
+    from rotorsim.recordings.orders import load_any
 
     check_folder("--out", out)
     keep_diagram(out, chosen.name)
     share = share_of("--precision", precision, "for example --precision '5 %'")
     wanted = THESIS_ORDERS if orders is None else whole_numbers("--orders", orders, "--orders 0,1,2,-1")
     _refuse_unheard(method, orders, reduction, given)
-    loaded, measured = chosen.open(), load_recording(recording)
+    loaded, measured = chosen.open(), load_any(recording)
     identification = identify(
         loaded,
         measured,
@@ -103,7 +103,7 @@ def command(
         orders=wanted,
         reduction=reduction,
         precision=share,
-        hold_out=None if hold_out is None else load_recording(hold_out),
+        hold_out=None if hold_out is None else load_any(hold_out),
     )
     show_problems(identification.warnings)
     if out:

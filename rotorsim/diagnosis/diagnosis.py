@@ -19,6 +19,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.jobs import Jobs
 from rotorsim.jobs.threads import one_thread
 from rotorsim.measure.checks import check_signals
+from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording
 
 __all__ = ["Diagnosis", "diagnose"]
@@ -67,7 +68,10 @@ def diagnose(
     return replace(diagnosis, statement=" ".join([diagnosis.statement, *remarks]))
 
 
-def _checked(recording: Recording) -> list[Problem]:
+def _checked(recording: Recording | OrderRecording) -> list[Problem]:
+    if isinstance(recording, OrderRecording):
+        what, hint = "orders over the speed cannot be diagnosed yet", "'identify' takes them; record samples in time"
+        raise RotorsimError(Problem(what, recording.name, hint=hint))
     problems = [*recording.warnings, *check_signals(recording)]
     if any(problem.severity == "error" for problem in problems):
         raise RotorsimError(*problems, exit_code=1)

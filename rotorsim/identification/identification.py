@@ -14,6 +14,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.advice import Advice, advise
 from rotorsim.identification.estimate import Estimate, Residuals, Search, estimate
 from rotorsim.identification.experiment import open_experiment
+from rotorsim.identification.in_orders import identify_orders
 from rotorsim.identification.in_time import identify_in_time
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.identification.profile import Z90, joint_factor, linear_intervals, profile_intervals
@@ -25,6 +26,7 @@ from rotorsim.identification.waveform.data import is_in_time
 from rotorsim.jobs.threads import one_thread
 from rotorsim.linear.linearisation import refuse_sampled
 from rotorsim.measure.checks import check_signals
+from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording, Run
 from rotorsim.signals.converters import before_converters, stated_steps, through_converters
 from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of
@@ -54,7 +56,7 @@ class HarmonicIdentification(Identification):
 
 def identify(
     diagram: Diagram,
-    recording: Recording,
+    recording: Recording | OrderRecording,
     *,
     method: str = "likelihood",
     given: Sequence[str] = (),
@@ -64,12 +66,13 @@ def identify(
     reduction: str = "exact",
     precision: float = CRITERIA.precision,
     profile: bool = True,
-    hold_out: Recording | None = None,
+    hold_out: Recording | OrderRecording | None = None,
     harmonics: Sequence[RunHarmonics] | None = None,
 ) -> Identification:
     """Estimate the free parameters of a diagram from the runs of a recording.
 
-    Compared are harmonics where a shaft turns, else samples in time (`is_in_time` tells which). method: "likelihood"
+    Compared are harmonics where a shaft turns, else samples in time (`is_in_time` tells which); of a recording of
+    orders, orders of a run-up (`identify_orders`). method: "likelihood"
     (errors in all measured signals, bounds, priors; intervals from the profile of the likelihood; in time: output
     error), or "regression" (the thesis' least squares, eq. (2.64)-(2.66), (3.47), (4.34), (5.18)). given: ports taken
     as measured inputs with their noise, so that what makes them need not be right. precision: half width of the 90 %
@@ -81,6 +84,17 @@ def identify(
     """
     if method not in ESTIMATORS:
         raise RotorsimError(Problem(f"no method '{method}'", hint=f"one of {', '.join(ESTIMATORS)}"))
+    if isinstance(recording, OrderRecording):
+        if isinstance(hold_out, Recording):
+            raise RotorsimError(Problem("orders and samples cannot be compared", hold_out.name))
+        if runs is not None or harmonics is not None:
+            hint = 'mark them by "use" in recording.json'
+            raise RotorsimError(Problem("of orders, runs cannot be chosen here", recording.name, hint=hint))
+        return identify_orders(
+            diagram, recording, method=method, given=given, free=free, precision=precision, hold_out=hold_out
+        )
+    if isinstance(hold_out, OrderRecording):
+        raise RotorsimError(Problem("orders and samples cannot be compared", hold_out.name))
     warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
     if harmonics is None and is_in_time(diagram, recording):
         return identify_in_time(

@@ -13,8 +13,7 @@ from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.identification.advice import Advice
 from rotorsim.identification.advice_in_time import TRIED, advise_in_time
-from rotorsim.identification.profile import joint_factor
-from rotorsim.identification.result import Identification, Identified, sentences
+from rotorsim.identification.result import Identification, Identified, identified, sentences
 from rotorsim.identification.verdict import judge
 from rotorsim.identification.waveform.data import Channels, SampledRun, channels_of, chosen_runs
 from rotorsim.identification.waveform.errors import errors_of
@@ -106,24 +105,7 @@ def identify_in_time(
         for item in wanted
         if item.name not in kept
     ]
-    std = np.sqrt(np.diag(estimate.covariance))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = np.nan_to_num(estimate.covariance / np.outer(std, std))
-    theta, intervals = estimate.theta, estimate.intervals
-    joint = theta[:, None] + joint_factor(correlation) * (intervals - theta[:, None])
-    parameters = {
-        item.name: Identified(
-            item.name,
-            float(theta[j]),
-            float(estimate.std[j]),
-            (float(intervals[j, 0]), float(intervals[j, 1])),
-            (max(float(joint[j, 0]), item.low), min(float(joint[j, 1]), item.high)),
-            item.unit,
-            verdicts[j],
-            bool(estimate.at_bound[j]),
-        )
-        for j, item in enumerate(estimate.free)
-    }
+    parameters, correlation = identified(estimate, verdicts)
     adequate = estimate.goodness >= CRITERIA.not_explained or estimate.excess <= CRITERIA.model_error
     return TimeIdentification(
         method=method,

@@ -14,7 +14,9 @@ from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem
 from rotorsim.identification.advice import Advice
+from rotorsim.identification.profile import joint_factor
 from rotorsim.identification.verdict import Verdict
+from rotorsim.identification.waveform.estimate import TimeEstimate
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,29 @@ class Identification(Shown, ABC):
     def open(self) -> tuple[str, ...]:
         """The parameters that the data do not determine."""
         return tuple(name for name, item in self.parameters.items() if not item.verdict.identifiable)
+
+
+def identified(estimate: TimeEstimate, verdicts: Sequence[Verdict]) -> tuple[dict[str, Identified], np.ndarray]:
+    """Return the parameters of an output-error estimate with verdicts, and their correlation (m, m)."""
+    std = np.sqrt(np.diag(estimate.covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.nan_to_num(estimate.covariance / np.outer(std, std))
+    theta, intervals = estimate.theta, estimate.intervals
+    joint = theta[:, None] + joint_factor(correlation) * (intervals - theta[:, None])
+    parameters = {
+        item.name: Identified(
+            item.name,
+            float(theta[j]),
+            float(estimate.std[j]),
+            (float(intervals[j, 0]), float(intervals[j, 1])),
+            (max(float(joint[j, 0]), item.low), min(float(joint[j, 1]), item.high)),
+            item.unit,
+            verdicts[j],
+            bool(estimate.at_bound[j]),
+        )
+        for j, item in enumerate(estimate.free)
+    }
+    return parameters, correlation
 
 
 def sentences(parameters: Mapping[str, Identified], advice: Sequence[Advice], tried: str) -> list[str]:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,6 +28,7 @@ RECORDING_FORM = Expected(
 RECORDING_KEYS: dict[str, Mapping[str, type]] = {
     "recording": {
         "$schema": str,
+        "kind": str,
         "name": str,
         "source": str,
         "description": str,
@@ -50,8 +51,8 @@ RECORDING_KEYS: dict[str, Mapping[str, type]] = {
         "description": str,
     },
 }
-_REQUIRED = {"recording": ("name", "source", "channels", "runs"), "channel": ("signal", "unit"), "run": ("id", "file")}
-_EXAMPLES = {
+REQUIRED = {"recording": ("name", "source", "channels", "runs"), "channel": ("signal", "unit"), "run": ("id", "file")}
+EXAMPLES = {
     "name": '"name": "test rig"',
     "source": '"source": "measured 2024-05-01 on ..."',
     "channels": '"channels": {"x": {"signal": "rotor.displacement", "axis": "x", "unit": "um"}}',
@@ -86,6 +87,12 @@ class Document:
 
 def read_recording_document(path: str | Path) -> Document:
     """Read and check a recording.json, or the one in a folder. Raises RotorsimError with every mistake."""
+    source, folder = read_source(path)
+    return parse_recording(source, folder)
+
+
+def read_source(path: str | Path) -> tuple[Source, Path]:
+    """Return the text of a recording.json, or of the one in a folder, and the folder. Raises RotorsimError."""
     path = Path(path)
     what = hint = ""
     try:
@@ -102,12 +109,15 @@ def read_recording_document(path: str | Path) -> Document:
         what = f"file cannot be read: {error}"
     if what:
         raise RotorsimError(Problem(what, place=Place(str(path)), hint=hint))
-    return parse_recording(read_document(path, RECORDING_FORM), path.parent)
+    return read_document(path, RECORDING_FORM), path.parent
 
 
 def parse_recording(source: Source, folder: Path, *, files: bool = True) -> Document:
     """Check a document; ``files``: also that the data files exist. Raises RotorsimError with every mistake."""
-    parser = _Parser(source, folder, files)
+    if isinstance(source.data, dict) and source.data.get("kind") == "orders":
+        what, hint = "these are orders over the speed, not samples in time", "'identify' and 'check' take them"
+        raise RotorsimError(Problem(what, place=source.locate(("kind",)), hint=hint))
+    parser = DocumentParser(source, folder, files)
     document = parser.document()
     if document is None or parser.problems:
         raise RotorsimError(*sorted(parser.problems, key=lambda problem: problem.place))
@@ -115,11 +125,15 @@ def parse_recording(source: Source, folder: Path, *, files: bool = True) -> Docu
 
 
 @dataclass
-class _Parser:
+class DocumentParser:
     source: Source
     folder: Path
     files: bool
     problems: list[Problem] = field(default_factory=list)
+
+    keys: ClassVar[Mapping[str, Mapping[str, type]]] = RECORDING_KEYS
+    required: ClassVar[Mapping[str, tuple[str, ...]]] = REQUIRED
+    examples: ClassVar[Mapping[str, str]] = EXAMPLES
 
     def error(self, what: str, path: JsonPath, subject: str = "", hint: str = "", *, key: bool = False) -> None:
         self.problems.append(Problem(what, subject, self.source.locate(path, key=key), hint))
@@ -128,22 +142,23 @@ class _Parser:
         """Return the keys that are known and of the right kind; None where it is no object."""
         if not isinstance(data, dict):
             what = "must be an object {...}" if path else "a recording is a JSON object {...}"
-            self.error(what, path, subject, _EXAMPLES.get(str(path[0]), "") if path else "")
+            self.error(what, path, subject, EXAMPLES.get(str(path[0]), "") if path else "")
             return None
         good: dict[str, Any] = {}
         for key, value in data.items():
-            expected = RECORDING_KEYS[kind].get(key)
+            expected = self.keys[kind].get(key)
             if expected is None:
                 self.error(
-                    f"unknown key '{key}'", (*path, key), subject, near_miss(str(key), RECORDING_KEYS[kind]), key=True
+                    f"unknown key '{key}'", (*path, key), subject, near_miss(str(key), self.keys[kind]), key=True
                 )
             elif not isinstance(value, expected) or (isinstance(value, bool) and expected is not object):
                 self.error(f"'{key}' must be {_WORDS[expected]}", (*path, key), subject)
             else:
                 good[key] = value
-        for key in _REQUIRED[kind]:
+        for key in self.required[kind]:
             if key not in data:
-                self.error(f"key '{key}' is missing", path, subject, _EXAMPLES[key])
+                example = self.examples.get(f"{kind}.{key}", self.examples.get(key, ""))
+                self.error(f"key '{key}' is missing", path, subject, example)
         return good
 
     def choice(self, form: Mapping[str, Any], key: str, known: tuple[str, ...], path: JsonPath, subject: str) -> Any:
@@ -176,9 +191,8 @@ class _Parser:
         form = self.form("recording", self.source.data, ())
         if form is None:
             return None
-        for key in ("channels", "runs"):
-            if key in form and not form[key]:
-                self.error(f"names no {key[:-1]}", (key,), key, _EXAMPLES[key])
+        self.choice(form, "kind", ("samples",), (), "recording")
+        self.not_empty(form)
         channels = self.channels(form.get("channels", {}))
         runs = self.runs(form.get("runs", []), form.get("time"), list(form.get("channels", {})))
         for column in channels:
@@ -188,6 +202,12 @@ class _Parser:
         named = (form.get("name", ""), form.get("source", ""))
         recording = Recording(*named, self.folder, channels, tuple(run for run, _ in runs))
         return Document(recording, tuple(file for _, file in runs))
+
+    def not_empty(self, form: Mapping[str, Any]) -> None:
+        """Note a recording without channels or runs."""
+        for key in ("channels", "runs"):
+            if key in form and not form[key]:
+                self.error(f"names no {key[:-1]}", (key,), key, EXAMPLES[key])
 
     # --- channels -----------------------------------------------------------------------------------
 
@@ -199,11 +219,11 @@ class _Parser:
             if channel is None:
                 continue
             channels[column] = channel
-            if channel.name in names:
-                what = f"measures {channel.name}, and so does '{names[channel.name]}'"
+            if channel.label in names:
+                what = f"measures {channel.label}, and so does '{names[channel.label]}'"
                 hint = "separate them by axis, node or position, or leave one out"
                 self.error(what, ("channels", column), f"channel {column}", hint, key=True)
-            names.setdefault(channel.name, column)
+            names.setdefault(channel.label, column)
         return channels
 
     def channel(self, column: str, entry: Any) -> Channel | None:

@@ -50,6 +50,11 @@ class Channel:
         inside = ",".join(str(part) for part in (place, axis) if part is not None)
         return f"{self.signal}[{inside}]" if inside else self.signal
 
+    @property
+    def label(self) -> str:
+        """What is measured, in words: two channels of a recording differ in it."""
+        return self.name
+
 
 @dataclass(frozen=True, eq=False)
 class Run:

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rotorsim.blocks.excitations.clock import Clock
 from scipy.integrate import quad
 
 from tests.blocks.evaluation import prepare
 
+TABLE = [0.5, 1.0, 2.0, 4.0], [2.0, 10.0, -3.0, 5.0]
 ANGLES = np.linspace(-7.0, 7.0, 57)
 
 
@@ -45,6 +47,33 @@ def test_the_angle_of_a_ramp_is_the_integral_of_its_speed(t, acceleration, start
     assert out["speed"] == pytest.approx(min(start + acceleration * t, limit))
 
 
+@pytest.mark.parametrize(("start", "limit", "rate"), [(60.0, 0.0, -4.0), (60.0, 20.0, -4.0), (10.0, 30.0, 5.0)])
+def test_a_ramp_rises_or_coasts_down_to_its_limit_with_a_constant_acceleration(start, limit, rate):
+    values = {"speed": start, "acceleration": rate, "speed_limit": limit}
+    block = prepare("clock", {}, values, {"profile": "ramp"})
+    end = (limit - start) / rate
+    for t in (0.0, 0.4 * end, 0.99 * end):
+        out = block.evaluate(time=t).outputs
+        assert out["speed"] == pytest.approx(start + rate * t, rel=1e-14)
+        assert out["theta"] == pytest.approx(start * t + rate * t**2 / 2, rel=1e-14)
+        assert out["acceleration"] == rate
+    out = block.evaluate(time=end + 2.0).outputs
+    assert (out["speed"], out["acceleration"]) == (pytest.approx(limit, abs=1e-12), 0.0)
+    assert out["theta"] == pytest.approx((start + limit) / 2 * end + 2.0 * limit, rel=1e-14)
+
+
+def test_a_ramp_that_cannot_reach_its_limit_is_refused():
+    falling = {"speed": 60.0, "acceleration": -4.0, "speed_limit": 80.0}
+    rising = {"speed": 60.0, "acceleration": 4.0, "speed_limit": 20.0}
+    ramp = Clock({"profile": "ramp"})
+    assert ramp.check({**falling, "times": TABLE[0]}) == [
+        "speed_limit is above the speed at which the falling ramp begins; 0 rad/s lets the shaft coast down to rest"
+    ]
+    assert ramp.check({**rising, "times": TABLE[0]}) == ["speed_limit is below the speed at which the ramp begins"]
+    assert ramp.check({**falling, "speed_limit": 0.0, "times": TABLE[0]}) == []
+    assert ramp.check({**rising, "speed_limit": 60.0, "times": TABLE[0]}) == []
+
+
 def test_the_thesis_angle_is_speed_times_time_whose_rate_is_twice_the_ramp():
     block = prepare("clock", {}, {"speed": 0.0, "acceleration": 4.0}, {"profile": "ramp", "angle": "omega_t"})
     angle = [float(block.evaluate(time=t).outputs["theta"]) for t in (2.0 - 1e-4, 2.0 + 1e-4)]
@@ -53,12 +82,41 @@ def test_the_thesis_angle_is_speed_times_time_whose_rate_is_twice_the_ramp():
 
 @pytest.mark.parametrize("t", [0.0, 0.3, 1.0, 1.7, 2.0, 3.5, 6.0])
 def test_a_table_of_speeds_is_integrated_exactly(t):
-    times, speeds = [0.5, 1.0, 2.0, 4.0], [2.0, 10.0, -3.0, 5.0]
+    times, speeds = TABLE
     block = prepare("clock", {}, {"times": times, "speeds": speeds}, {"profile": "table"})
     out = block.evaluate(time=t).outputs
     expected, _ = quad(lambda s: np.interp(s, times, speeds), 0, t, points=[x for x in times if x < t] or None)
     assert out["theta"] == pytest.approx(expected, abs=1e-9)
     assert out["speed"] == pytest.approx(np.interp(t, times, speeds))
+    slope = {0.0: 0.0, 0.3: 0.0, 1.0: -13.0, 1.7: -13.0, 2.0: 4.0, 3.5: 4.0, 6.0: 0.0}  # of what comes next
+    assert out["acceleration"] == pytest.approx(slope[t], rel=1e-14)
+
+
+def test_a_clock_of_constant_speed_does_not_accelerate():
+    assert prepare("clock", {}, {"speed": 3.0}).evaluate(time=2.0).outputs["acceleration"] == 0.0
+
+
+def test_the_moment_of_a_skew_disc_is_what_its_angular_momentum_takes_while_the_speed_changes():
+    """-dH/dt of H = (I_p - I_d) tau theta' n, n = [cos, sin] of the skew axis, by differences of a swinging angle.
+
+    A moment in the planes of x and y is -i times the torque about the axes x and y. The phase is that of the side
+    to which unbalance of the disc's near face would lie, opposite to the tilt of the axis.
+    """
+    inputs = {"theta": (), "speed": (), "acceleration": ()}
+    values = {"polar_inertia": 0.005, "diametral_inertia": 0.002, "skew": 1e-3, "phase": 0.3}
+    swing, nu, W, t, h = 0.05, 40.0, 150.0, 0.0123, 1e-6
+
+    def momentum(at):
+        return 0.003e-3 * (W + swing * nu * np.cos(nu * at)) * np.exp(1j * (W * at + swing * np.sin(nu * at) + 0.3))
+
+    at = {
+        "theta": W * t + swing * np.sin(nu * t),
+        "speed": W + swing * nu * np.cos(nu * t),
+        "acceleration": -swing * nu**2 * np.sin(nu * t),
+    }
+    torque = -(momentum(t + h) - momentum(t - h)) / (2 * h)
+    found = prepare("moment_unbalance", inputs, values).evaluate(at).outputs["moment"]
+    assert complex(*found) == pytest.approx(1j * torque, rel=1e-6)
 
 
 def test_the_harmonics_of_the_crack_force_are_those_of_the_thesis():

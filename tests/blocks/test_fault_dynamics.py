@@ -205,6 +205,18 @@ def test_the_rate_of_a_fluctuating_angle_is_its_derivative() -> None:
     assert at(0.2)["rate"] == pytest.approx(slope, rel=1e-8)
 
 
+def test_a_shaft_that_swings_on_a_ramp_has_the_acceleration_of_both() -> None:
+    values = {"amplitude": 0.02, "frequency": 30.0, "phase": 0.7}
+    block = prepare("speed_fluctuation", {"theta": (), "speed": (), "acceleration": ()}, values)
+
+    def at(t: float) -> Any:
+        ramp = {"theta": 150.0 * t - 3.5 * t**2, "speed": 150.0 - 7.0 * t, "acceleration": -7.0}
+        return block.evaluate(ramp, time=t).outputs
+
+    slope = (at(0.2 + 1e-6)["rate"] - at(0.2 - 1e-6)["rate"]) / 2e-6
+    assert at(0.2)["angular_acceleration"] == pytest.approx(slope, rel=1e-7)
+
+
 # --- limits of the rate -----------------------------------------------------------------------------------------------
 
 

@@ -12,7 +12,7 @@ import pytest
 from rotorsim.diagram.resolve.registry import find
 from tests.blocks.evaluation import Prepared, prepare
 
-SHAPES: dict[str, tuple[int, ...]] = {"theta": (), "speed": ()}
+SHAPES: dict[str, tuple[int, ...]] = {"theta": (), "speed": (), "acceleration": ()}
 PAIRS = ("displacement", "velocity", "tilt", "tilt_velocity", "current")
 SIZES = {"displacement": 3e-5, "velocity": 5e-3, "tilt": 1e-4, "tilt_velocity": 0.1, "current": 0.3, "theta": 9.0}
 
@@ -96,7 +96,14 @@ LAWS: list[tuple[str, dict[str, Any], dict[str, Law]]] = [
     (
         "moment_unbalance",
         {},
-        {"moment": lambda p, u: (p.polar_inertia - p.diametral_inertia) * p.skew * u.speed**2 * e(u.theta + p.phase)},
+        {
+            "moment": lambda p, u: (
+                (p.polar_inertia - p.diametral_inertia)
+                * p.skew
+                * (u.speed**2 - 1j * u.acceleration)
+                * e(u.theta + p.phase)
+            )
+        },
     ),
     ("internal_damping", {}, {"force": lambda p, u: -p.damping * (u.velocity - 1j * u.speed * u.displacement)}),
     (

@@ -384,7 +384,7 @@ def test_check_of_a_folder_without_recording(run) -> None:
 
 def test_the_example_of_the_page_is_a_recording() -> None:
     page = (ROOT / "docs/recordings.md").read_text(encoding="utf-8")
-    [text] = re.findall(r"^```json\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    [text, _] = re.findall(r"^```json\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     assert len(text.splitlines()) <= 16
     found = parse_recording(Source(json.loads(text)), Path(), files=False).recording
     assert [entry.id for entry in found.runs] == ["slow", "soft", "fast"]

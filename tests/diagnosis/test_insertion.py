@@ -210,6 +210,21 @@ def test_what_is_fed_does_not_depend_on_the_order_of_effects(order):
     assert [source for source, target in wires if target == "residual_bow.theta"] == ["speed_fluctuation.angle"]
 
 
+def test_a_fluctuation_passes_on_the_acceleration_of_the_clock_and_its_own():
+    document_ = document("jeffcott")
+    document_["wires"] += [["clock.acceleration", "unbalance.acceleration"]]
+    for given in (document_, document("jeffcott")):
+        wires = put(given, "speed_fluctuation")["wires"]
+        assert ["clock.acceleration", "speed_fluctuation.acceleration"] in wires
+        assert [source for source, target in wires if target == "unbalance.acceleration"] == [
+            "speed_fluctuation.angular_acceleration"
+        ]
+    wires = put(document("jeffcott"), "speed_fluctuation", "unbalance_elsewhere")["wires"]
+    assert [source for source, target in wires if target == "unbalance_elsewhere.acceleration"] == [
+        "speed_fluctuation.angular_acceleration"
+    ]
+
+
 def without(name: str, recorded: list[str], *keys: str) -> dict:
     """Return the document that is refitted without the first of some effects, which were put in one after another."""
     given = document(name)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.block import Block, In
-from rotorsim.diagnosis.catalogue.chains import Chain, Chains
+from rotorsim.diagnosis.catalogue.chains import ANY, Chain, Chains
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Port
 from rotorsim.diagram.resolve.registry import Registry
@@ -181,7 +181,7 @@ class _Finder:
                 return
             source = chain.tap if start == chain.start else self.chains.beside(start, chain.blocks)
             taken = self.chains.targets(source, fault.between[1])
-            if declared.optional and not taken:
+            if declared.optional and not taken and fault.between[1] != ANY:  # which has blocks that are to come
                 continue
             if after and start == chain.start:
                 taken += [wire for wire in self.chains.wires_to(source, chain.next) if wire not in taken]
@@ -225,10 +225,11 @@ class _Finder:
     def _offered(self, name: str, wires: Wires) -> Wires:
         """Return wires of further outputs to optional inputs of that name, of blocks that the new block feeds."""
         fed = dict.fromkeys(target.partition(".")[0] for source, target in wires if source.startswith(f"{name}."))
-        more = [output.name for key, output in self.kind.outputs.items() if key not in self.fault.through.values()]
+        passed = {output: key for key, output in self.fault.through.items()}
+        more = {passed.get(key, key): key for key in self.kind.outputs}
         wired = {(wire.target.block, wire.target.port) for wire in self.diagram.wires}
         return [
-            (f"{name}.{port.name}", str(port))
+            (f"{name}.{more[port.name]}", str(port))
             for block in fed
             for port in self.diagram.nodes[block].inputs.values()
             if _declared(port).optional and port.name in more and (block, port.name) not in wired

@@ -168,7 +168,7 @@ def channels_of(diagram: Diagram, recording: Recording) -> Channels:
     columns: dict[str, str] = {}
     for column, channel in recording.channels.items():
         try:
-            name = _signal_name(model, channel)
+            name = signal_name(model, channel)
         except RotorsimError as error:
             problem = error.problems[0]
             hint = problem.hint or near_miss(channel.signal, model.signals)
@@ -192,7 +192,7 @@ def channels_of(diagram: Diagram, recording: Recording) -> Channels:
     return Channels(tuple(kinds), tuple(outputs), columns, kinds)
 
 
-def _signal_name(model: Model, channel: Channel) -> str:
+def signal_name(model: Model, channel: Channel) -> str:
     """Return the flat name of a channel's signal. Raises RotorsimError where the diagram has no such number."""
     name = _node_name(model, channel)
     size = measured_expression(model, name).numel()

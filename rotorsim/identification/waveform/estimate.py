@@ -134,11 +134,11 @@ class TimeEstimate:
 
     def conditional(self, j: int) -> float:
         """Return the standard deviation of parameter j if all others were known, robust as that beside them is."""
-        white = np.linalg.pinv(self.information, rcond=INVERTED, hermitian=True)[j, j]
-        alone = self.information[j, j]
-        if not (alone > 0 and white > 0):
+        size = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        white = np.linalg.pinv(self.information / np.outer(size, size), rcond=INVERTED, hermitian=True)[j, j]
+        if not (self.information[j, j] > 0 and white > 0):
             return np.inf
-        return float(np.sqrt(self.covariance[j, j] / white / alone))
+        return float(np.sqrt(self.covariance[j, j] / white))
 
 
 def without_starts(information: np.ndarray, m: int) -> np.ndarray:

@@ -177,13 +177,18 @@ def reweighted(search: OutputErrorSearch, start: np.ndarray) -> tuple[OutputErro
 
 def stretches_of(runs: Sequence[SampledRun]) -> tuple[Stretch, ...]:
     """Return the stretches into which runs are divided, as many samples in each of a run."""
-    places = [np.flatnonzero(run.counted) for run in runs]
+    return independent_stretches([run.counted for run in runs])
+
+
+def independent_stretches(counted: Sequence[np.ndarray]) -> tuple[Stretch, ...]:
+    """Return stretches of runs of which some samples or rows count, (N,) each."""
+    places = [np.flatnonzero(own) for own in counted]
     total = sum(map(len, places))
     stretches: list[Stretch] = []
     for r, own in enumerate(places):
         count = max(min(4, len(own) // LEAST_STRETCH), round(STRETCHES * len(own) / total), 1)
         at = np.linspace(0, len(own), count + 1).astype(int)[1:-1]
-        ends = [0, *own[at].tolist(), runs[r].size]
+        ends = [0, *own[at].tolist(), len(counted[r])]
         stretches += [(r, first, last) for first, last in pairwise(ends)]
     return tuple(stretches)
 

@@ -19,6 +19,7 @@ from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.identification.waveform.gaps import bridged, even_time, with_lost_rows
+from rotorsim.recordings.orders import OrderRun
 from rotorsim.recordings.recording import Run
 
 LEAST_PART = 20  # of a part of a run between gaps: fewer say little beside the unknown states that they begin with
@@ -55,7 +56,7 @@ def marked(channels: Channels, runs: Sequence[SampledRun]) -> Channels:
 
 
 def _read(diagram: Diagram, run: Run, channels: Channels) -> tuple[SampledRun, ...]:
-    settings, problems = _settings(diagram, run)
+    settings, problems = settings_of(diagram, run)
     time = np.asarray(run.time)
     if len(time) < 2 or not np.isfinite(time).all() or not (np.diff(time) > 0).all():
         problems.append(Problem("its time does not rise from sample to sample", f"run {run.id}", run.place))
@@ -85,7 +86,7 @@ def _read(diagram: Diagram, run: Run, channels: Channels) -> tuple[SampledRun, .
     return tuple(_in_parts(whole, run, channels, recorded))
 
 
-def _settings(diagram: Diagram, run: Run) -> tuple[dict[str, Any], list[Problem]]:
+def settings_of(diagram: Diagram, run: Run | OrderRun) -> tuple[dict[str, Any], list[Problem]]:
     """Return the settings of a run as numbers, and what is wrong with them."""
     blocks = ((name, node.block.parameters) for name, node in diagram.nodes.items())
     units: Mapping[str, Any] = {

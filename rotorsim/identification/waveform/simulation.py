@@ -103,17 +103,24 @@ RS_EXPORT int64_t rs_run(int exact, int64_t N, int64_t sub, const double *times,
 class Simulation:
     """Driven equations, ready to be simulated over runs.
 
-    name: "" for those of the whole diagram, else the controller that they are of.
+    name: "" for those of the whole diagram, else the controller that they are of. by_start: whether derivatives are
+    by the states at the first sample, too.
     """
 
     equations: DrivenEquations
     name: str = ""
     use_compiler: bool = True
+    by_start: bool = True
 
     @property
     def signals(self) -> list[tuple[str, str]]:
         """What stands for the outputs where there are several simulations: (name, output)."""
         return [(self.name, output) for output in self.equations.outputs]
+
+    @property
+    def columns(self) -> int:
+        """The number of derivatives of an output."""
+        return self.equations.m + (self.equations.n if self.by_start else 0)
 
     @cached_property
     def _library(self) -> tuple[Any, int] | None:
@@ -121,7 +128,7 @@ class Simulation:
         compiler = find_compiler() if self.use_compiler else None
         if compiler is None:
             return None
-        source, size = _source(self.equations)
+        source, size = _source(self.equations, self.columns)
         try:
             run = compile_c(source, compiler, "-O3")[0].rs_run
         except CompilerError as failure:
@@ -141,14 +148,14 @@ class Simulation:
         t0: float = 0.0,
         sensitivities: bool = True,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return y (N, c) and its derivatives (N, c, m + n) by free parameters and start; NaN once it has diverged.
+        """Return y (N, c) and its derivatives (N, c, columns) by free parameters and start; NaN once it has diverged.
 
         p (n_p,), x0 (n,), v (N, 2 sub + 1, n_v): inputs at ends and middles of the ``sub`` steps that follow a sample.
         dt: between samples [s], one for all or (N - 1,). t0: time of the first [s].
         Without sensitivities the derivatives are (N, c, 0).
         """
         eq, N = self.equations, len(v)
-        K = eq.m + eq.n if sensitivities else 0
+        K = self.columns if sensitivities else 0
         state = np.concatenate([x0, np.eye(eq.n, K, eq.m).ravel()])
         v, p = np.ascontiguousarray(v, float), np.ascontiguousarray(p, float)
         steps, times = np.zeros(N), np.full(N, t0)
@@ -189,7 +196,7 @@ def _interpreter(eq: DrivenEquations, N: int, sub: int, K: int) -> tuple[Any, An
         if not K:
             return ca.densify(of)
         jacobian = eq.jacobian(of)
-        by_parameters = ca.horzcat(jacobian[:, eq.n :], ca.SX(of.shape[0], eq.n))
+        by_parameters = ca.horzcat(jacobian[:, eq.n :], ca.SX(of.shape[0], K - eq.m))
         return ca.densify(ca.vertcat(of, ca.vec(S @ jacobian[:, : eq.n].T + by_parameters.T)))
 
     f, h, w = ca.Function("f", [x, t, v, p], [eq.f]), dt / sub, x
@@ -204,8 +211,8 @@ def _interpreter(eq: DrivenEquations, N: int, sub: int, K: int) -> tuple[Any, An
     return step.mapaccum("steps", N, [0], [0]), read.map("reads", "serial", N, [3], [])
 
 
-def _source(eq: DrivenEquations) -> tuple[str, int]:
-    """Return the C source of a simulation, and the size of its memory beside the states."""
+def _source(eq: DrivenEquations, columns: int) -> tuple[str, int]:
+    """Return the C source of a simulation with as many sensitivities, and the size of its memory beside the states."""
     jacobians = {"f": eq.jacobian(eq.f), "g": eq.jacobian(eq.g)}
     expressions = [eq.f, jacobians["f"].nz[:], eq.g, jacobians["g"].nz[:]]
     function = ca.Function("f", list(eq.arguments), [ca.densify(expression) for expression in expressions])
@@ -233,7 +240,7 @@ def _source(eq: DrivenEquations) -> tuple[str, int]:
     work, jac = max(size for _, size in parts), max(len(f_jacobian), len(g_jacobian))
     sizes = {
         "RS_N": eq.n,
-        "RS_K": eq.m + eq.n,
+        "RS_K": columns,
         "RS_C": len(eq.outputs),
         "RS_NV": len(eq.inputs),
         "RS_NC": len(constants),

@@ -48,8 +48,15 @@ def read_columns(
     shown: the file's name in messages. warnings: takes those of the reader, and one for values that are not finite.
     Raises RotorsimError with every mistake: missing columns, text in cells, lengths that differ.
     """
-    wanted = list(dict.fromkeys([*columns, *([] if time_column is None else [time_column])]))
-    file = shown or str(path)
+    found = read_table(path, [*columns, *([] if time_column is None else [time_column])], shown=shown)
+    if warnings is not None:
+        warnings += [_in_file(problem, shown or str(path)) for problem in (*found.warnings, *_not_finite(found))]
+    return found.values
+
+
+def read_table(path: Path, columns: Sequence[str], *, shown: str = "") -> Columns:
+    """Return columns of a data file with the places of their numbers; raises as `read_columns` does."""
+    wanted, file = list(dict.fromkeys(columns)), shown or str(path)
     try:
         reader = _reader_of(path)
         found = _read(reader, path, wanted)
@@ -60,9 +67,7 @@ def read_columns(
             raise RotorsimError(Problem(f"columns differ in length: {text}", hint=hint))
     except RotorsimError as error:
         raise RotorsimError(*(_in_file(problem, file) for problem in error.problems)) from None
-    if warnings is not None:
-        warnings += [_in_file(problem, file) for problem in (*found.warnings, *_not_finite(found))]
-    return found.values
+    return found
 
 
 def _read(reader: Reader, path: Path, wanted: Sequence[str]) -> Columns:

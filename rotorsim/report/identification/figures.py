@@ -10,12 +10,13 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from rotorsim.identification.result import Identification
+from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.figures.run import save_figure
 from rotorsim.report.identification.parameters import correlation_figure, parameters_figure
 
 
-def identification_figures(identification: Identification, recording: Recording) -> dict[str, Figure]:
+def identification_figures(identification: Identification, recording: Recording | OrderRecording) -> dict[str, Figure]:
     """Return the figures of an identification by name, those left out that have nothing to show."""
     made = {
         "parameters": parameters_figure(identification, recording),
@@ -25,7 +26,9 @@ def identification_figures(identification: Identification, recording: Recording)
     return {name: one for name, one in made.items() if one is not None}
 
 
-def save_figures(identification: Identification, recording: Recording, folder: str | Path) -> list[Path]:
+def save_figures(
+    identification: Identification, recording: Recording | OrderRecording, folder: str | Path
+) -> list[Path]:
     """Write the figures of an identification into a folder as PNG; return the files."""
     files = {
         Path(folder) / f"{name}.png": made for name, made in identification_figures(identification, recording).items()

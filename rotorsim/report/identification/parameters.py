@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from rotorsim.identification.result import Identification, Identified
+from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.style import BLUE, GREY, INK, RED, figure, styled
 from rotorsim.report.text.table import parameter_unit
@@ -22,7 +23,7 @@ MINUS = "\u2212"
 WANTED = "#eaf3ec"
 
 
-def heading(identification: Identification, recording: Recording | None) -> str:
+def heading(identification: Identification, recording: Recording | OrderRecording | None) -> str:
     """Return what was identified from what, for titles, and in a second line whether the model explains it."""
     title = identification.diagram.name + (f" identified from {recording.name}" if recording is not None else "")
     if identification.adequate:
@@ -70,7 +71,7 @@ def _relative(item: Identified, start: float) -> list[float]:
 
 
 @styled()
-def parameters_figure(identification: Identification, recording: Recording | None = None) -> Figure:
+def parameters_figure(identification: Identification, recording: Recording | OrderRecording | None = None) -> Figure:
     """Return every parameter's 90 % interval and start value, relative to the identified value, with its number."""
     items, known = list(identification.parameters.values()), {item.name: item.value for item in identification.free}
     starts = [known.get(item.name, math.nan) for item in items]
@@ -137,7 +138,7 @@ def _symlog_ticks(axes: Axes, linear: float, reach: float) -> None:
 
 
 @styled()
-def correlation_figure(identification: Identification, recording: Recording | None = None) -> Figure:
+def correlation_figure(identification: Identification, recording: Recording | OrderRecording | None = None) -> Figure:
     """Return the correlation of the estimates as a matrix with numbers."""
     names, values = list(identification.parameters), np.asarray(identification.correlation)
     m = len(names)
