@@ -83,7 +83,10 @@ def _separating(effect: Effect, rival: Candidate, diagnosis: Diagnosis) -> str:
 
 
 def _declared(first: Fault, second: Fault, turns: bool) -> str:
-    """Return what is declared to separate two faults: by one that names the other, else by any."""
+    """Return what is declared to separate two faults: by one that names the other, else by any; nothing of the same."""
+
+    if first.physics == second.physics:
+        return ""
 
     def said(fault: Fault) -> str:
         return fault.told_apart_by if turns else fault.told_apart_at_rest_by or fault.told_apart_by

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, SignalRun
 from rotorsim.report.comparison.samples import shown_in
-from rotorsim.report.figures.samples import DRAWN_POINTS, stretch
+from rotorsim.report.figures.samples import DRAWN_POINTS, TICKS, stretch
 from rotorsim.report.style import BLUE, GREY, ORANGE, figure, legend_below, styled
 
 Z95 = 1.96  # standard deviations: the band
@@ -22,11 +22,12 @@ def missing_signal_figure(signal: MissingSignal) -> Figure:
     axes = made.subplot_mosaic([["whole", "whole"], ["zoom", "map"]], height_ratios=(1.0, 1.5))
     run = signal.loudest
     factor, unit = _shown(signal.unit, run.added)
-    part = stretch(run.added, about_mean=True)
+    part = stretch(run.added, run.over, about_mean=True)
     _draw_over_time(axes["whole"], signal, run, slice(None), factor)
     axes["whole"].axvspan(run.time[part.start], run.time[part.stop - 1], color="#f3e6d8", zorder=0, lw=0)
     axes["whole"].set_title(f"run {run.run}", loc="left", fontsize=9)
     _draw_over_time(axes["zoom"], signal, run, part, factor)
+    axes["zoom"].locator_params(axis="x", nbins=TICKS)
     axes["zoom"].set_title("where it varies most", loc="left", fontsize=9)
     for name in ("whole", "zoom"):
         axes[name].set(xlabel="time [s]", ylabel=f"[{unit}]", xmargin=0)

@@ -12,9 +12,11 @@ from rotorsim.report.comparison.samples import SampleComparison, Trace
 from rotorsim.report.style import GREY, INK, RED, Look, figure, legend_below, styled
 
 SIMULATED = Look("simulated", RED, line="--")  # of one diagram that has no other name
+TICKS = 5  # of an enlarged stretch, whose times have many digits
 MOST_TRACES = 6  # of a figure
 DRAWN_POINTS = 4000  # of a line: beyond, the smallest and largest of as many stretches
-WINDOW = 0.06  # of a run: the stretch that is enlarged,
+WINDOW = 0.06  # of a run: the stretch that is enlarged, or
+PERIODS = 15  # of the signal if that is less,
 LEAST_WINDOW = 60  # samples of it at least
 LAGS = 150  # of an autocorrelation
 WHITE_95 = 1.96  # over sqrt(N): what 95 % of the autocorrelations of white noise stay within
@@ -30,9 +32,10 @@ def beside_figure(compared: SampleComparison) -> Figure:
     for (whole, zoom), trace in zip(grid, shown, strict=True):
         factor, unit = trace.shown
         part = worst_stretch(trace)
-        whole.set_title(_errors(trace, compared.looks), loc="left", fontsize=9)
+        whole.set_title(_errors(trace, compared.looks), loc="left", fontsize=8.5)
         whole.axvspan(trace.time[part.start], trace.time[part.stop - 1], color="#f3e6d8", zorder=0, lw=0)
         zoom.set_title("worst stretch", loc="left", fontsize=9)
+        zoom.locator_params(axis="x", nbins=TICKS)
         for axes, piece in ((whole, slice(None)), (zoom, part)):
             _line(axes, trace.time[piece], factor * trace.measured[piece], INK, 1.9, "-", "measured")
             for look, y in zip(compared.looks, trace.simulated, strict=True):
@@ -48,12 +51,13 @@ def beside_figure(compared: SampleComparison) -> Figure:
 def _errors(trace: Trace, looks: Sequence[Look]) -> str:
     """Return a signal, its run, and by how much each diagram is wrong."""
     factor, unit = trace.shown
-    single, parts = len(looks) == 1, []
+    parts = []
     for k, look in enumerate(looks):
-        size = f"{factor * trace.rms(k):.3g} {unit}".rstrip()
-        text = f"NRMSE {100 * trace.nrmse(k):.3g} %, rms error {size}" if single else f"{look.label} {size}"
-        parts.append(f"{look.label} diverges" if trace.simulated[k] is None else text)
-    return f"{trace.name}, run {trace.run}: {', '.join(parts)}" + ("" if single else " rms error")
+        size = f"rms error {factor * trace.rms(k):.3g} {unit}".rstrip()
+        label = look.label.replace("diagram", "").strip()
+        text = f"NRMSE {100 * trace.nrmse(k):.3g} %, {size}" if len(looks) == 1 else f"{size} {label}"
+        parts.append(f"{label} diverges" if trace.simulated[k] is None else text)
+    return f"{trace.name}, run {trace.run}: {', '.join(parts)}"
 
 
 @styled()
@@ -93,13 +97,18 @@ def residuals_in_time_figure(compared: SampleComparison) -> Figure:
 
 def worst_stretch(trace: Trace) -> slice:
     """Return the stretch of a run whose residual, of the first diagram, is largest in the mean square."""
-    return stretch(trace.residual())
+    return stretch(trace.residual(), trace.measured)
 
 
-def stretch(values: np.ndarray, *, about_mean: bool = False) -> slice:
-    """Return the stretch of a run where a signal (N,) is largest in the mean square, or varies most about its mean."""
-    values = np.nan_to_num(values)
-    width = min(len(values), max(round(WINDOW * len(values)), LEAST_WINDOW))
+def stretch(values: np.ndarray, signal: np.ndarray, *, about_mean: bool = False) -> slice:
+    """Return the stretch of a run where values (N,) are largest in the mean square, or vary most about their mean.
+
+    signal (N,): whose periods say how long it is.
+    """
+    values, size = np.nan_to_num(values), len(values)
+    above = signal > np.nanmean(signal) if np.isfinite(signal).any() else np.zeros(size, bool)
+    period = 2 * size / max(int(np.count_nonzero(above[1:] != above[:-1])), 1)
+    width = min(size, max(round(min(WINDOW * size, PERIODS * period)), LEAST_WINDOW))
     ones = np.ones(width)
     sums = np.convolve(values**2, ones, "valid")
     if about_mean:

@@ -247,8 +247,11 @@ class WaveformEvidence(SampledRuns, Defaults):
         return best_change((pair[0], pair[1]), self.channels.inputs, signals, weights, largest)
 
     def _unit_of(self, diagram: Diagram) -> Callable[[str], str | None]:
-        """Return what tells the unit of a signal: as it was recorded, or as its port declares it; None: neither."""
-        declared = {str(port): port.unit for node in diagram.nodes.values() for port in node.outputs.values()}
+        """Return what tells the unit of a signal: as recorded, or as its port or one behind it declares; else None."""
+        nodes = diagram.nodes
+        taken = {str(wire.source): nodes[wire.target.block].inputs[wire.target.port].unit for wire in diagram.wires}
+        own = {str(port): port.unit for node in nodes.values() for port in node.outputs.values() if port.unit}
+        declared = {**taken, **own}
         recorded = {name: unit or "1" for name, unit in self.units.items()}
         return lambda name: recorded.get(name) or declared.get(name) or ("s" if name == "time" else None)
 
