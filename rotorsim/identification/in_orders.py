@@ -110,7 +110,7 @@ def identify_orders(
             hint = "is the loop stable? are signs and units right? start from values nearer to the machine's"
             what = f"{SIMULATION_DIVERGES} along the angle that was recorded"
             raise RotorsimError(Problem(what, diagram.name, hint=hint), exit_code=1)
-        estimate = _estimate(search, evaluation, variance)
+        estimate = order_estimate(search, evaluation, variance)
         held = [(recording, recording.select("hold_out"))]
         held += [] if hold_out is None else [(hold_out, hold_out.runs)]
         compared = [_compared(search, evaluation, "identify")]
@@ -177,7 +177,7 @@ def _refuse(
         raise RotorsimError(*problems)
 
 
-def _estimate(search: OrderSearch, evaluation: Evaluation, variance: dict[tuple[str, str], float]) -> TimeEstimate:
+def order_estimate(search: OrderSearch, evaluation: Evaluation, variance: dict[tuple[str, str], float]) -> TimeEstimate:
     """Return the estimate, its covariance by the scatter of stretches of rows.
 
     An adequate model leaves of stretches that are left out what the noise would: a misfit of one a number.
