@@ -1,4 +1,6 @@
-"""A measured run-up of a two-disc rotor kit: python -m benchmarks.identification.rotor_kit FOLDER [--figure FILE].
+"""A measured run-up of a two-disc rotor kit: python -m benchmarks.identification.rotor_kit FOLDER.
+
+With --figure FILE the Bode plot is drawn; --laws tries every law of the catalogue instead (minutes).
 
 FOLDER holds recording.json (docs/runup.md) and the table, one row a turn. Is the "smaller resonance" behind the first
 critical speed a second critical speed, or does the acceleration make one mode ring? Each hypothesis is fitted to the
@@ -8,17 +10,22 @@ same vectors, with slow roll; those that call the motion settled by the same equ
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from benchmarks.images import save_png
 from rotorsim.criteria import CRITERIA
+from rotorsim.diagnosis.catalogue.finder import insertions
+from rotorsim.diagnosis.catalogue.insertion import starts_of
 from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.identification.files import with_values
 from rotorsim.identification.in_orders import order_estimate
 from rotorsim.identification.waveform.estimate import TimeEstimate
 from rotorsim.identification.waveform.order_tracking import (
@@ -176,6 +183,44 @@ def opened(
     return tracked, order_noise(tracked, CRITERIA.resolution)
 
 
+def laws(recording: OrderRecording) -> list[str]:
+    """Return what every law of the catalogue that fits into the diagram leaves, put in beside hypothesis (d)."""
+    diagram = load("rk4_first_mode")
+    before = fitted("", diagram, recording, TWO_PLANES, OrderSearch, PAIRS[2:4])
+    document = with_values(diagram, list(zip(before.estimate.free, before.estimate.theta.tolist(), strict=True)))
+    amplitude = float(np.abs(next(iter(recording.runs[0].vectors.values()))).max()) / LEVER
+    largest = {"displacement": amplitude, "velocity": amplitude * float(recording.runs[0].speed.mean())}
+    found: list[tuple[float, float, str]] = []
+    failed = []
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "diagram.json"
+        file.write_text(json.dumps(document), encoding="utf-8")
+        for item in insertions(load(str(file)), ["probe.output[1]"]):
+            file.write_text(json.dumps(item.document(document)), encoding="utf-8")
+            made = load(str(file))
+            tracked, variance = opened(made, recording, made.free)
+            search = order_search(tracked, variance)
+            ends = []
+            for start in starts_of(item, largest):
+                named = {f"{item.name}.{key}": value for key, value in start.items()}
+                point = search.started(search.first(), named, TWO_PLANES)
+                ends += [] if point is None else [search.minimise(point)]
+            ends = [end for end in ends if np.isfinite(end.cost)]
+            if not ends:
+                failed.append(item.key)
+                continue
+            end, n = min(ends, key=lambda one: one.cost), before.estimate.rows
+            criterion = n * np.log(end.cost / n) + len(end.unknowns) * np.log(n)
+            found.append((float(criterion) - before.criterion, end.cost / n, item.physics))
+    best: dict[str, tuple[float, float]] = {}
+    for more, share, physics in sorted(found, reverse=True):
+        best[physics] = more, share
+    rows = sorted((more, share, physics) for physics, (more, share) in best.items())[:5]
+    lines = [f"{len(found)} laws of {len(best)} physics beside (d), the best:"]
+    lines += [f"   {physics:25} misfit / n {share:6.2f}   BIC {more:6.1f}" for more, share, physics in rows]
+    return [*lines, *(f"   no start: {key}" for key in failed)]
+
+
 def published() -> list[str]:
     """Return what the data of the kit's authors say of its modes."""
     diagram = load("rk4")
@@ -316,8 +361,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--figure", type=Path)
+    parser.add_argument("--laws", action="store_true", help="try every law of the catalogue beside (d) instead")
     given = parser.parse_args(arguments)
     recording = load_orders(given.folder)
+    if given.laws:
+        print("\n".join(laws(recording)))
+        return 0
     lines, found, noise = report(recording)
     print("\n".join(lines))
     if given.figure is not None:

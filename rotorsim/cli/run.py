@@ -93,6 +93,14 @@ def command(
         unheard = {"--solver": solver, "--step": step, "--stop": stop, "--no-compiler": no_compiler}
         hint = "the recorded instants say where it goes, in steps that are short enough"
         refuse_all([Problem(f"{name} does not go with --input", hint=hint) for name, used in unheard.items() if used])
+        from rotorsim.recordings.orders import holds_orders
+
+        if holds_orders(recording):
+            unheard = {"--start": start, "--record": bool(record), "--out": out}
+            hint = "orders are compared row by row: --plot draws them, --json prints the errors"
+            problems = [Problem(f"{name} does not go with orders", hint=hint) for name, used in unheard.items() if used]
+            refuse_all(problems)
+            return _along_orders(chosen, recording, run_id, plot, as_json)
         return _as_recorded(chosen, recording, run_id, start or "estimated", record, out, plot, as_json)
     alone = {"--run": run_id, "--start": start}
     refuse_all([Problem(f"{name} needs --input RECORDING") for name, used in alone.items() if used is not None])
@@ -173,6 +181,39 @@ def _as_recorded(
         "files": files,
     }
     show(as_json, lambda: data, lambda: table(("signal", "NRMSE", "rms error", "unit"), rows))
+    return 0
+
+
+def _along_orders(chosen: Chosen, source: str, run_id: str | None, plot: str | None, as_json: bool) -> int:
+    """Simulate a diagram along a run of orders over the speed; draw it beside what was measured, print the errors."""
+    from rotorsim.identification.in_orders import orders_beside
+    from rotorsim.recordings.orders import load_orders
+
+    loaded, recording = chosen.open(), load_orders(source)
+    found = orders_beside(loaded, recording, run_id)
+    show_problems(recording.warnings)
+    run = found.compared.run
+    note(
+        f"{loaded.name}: along run {run.id}, {len(run.speed)} rows" + (", slow roll fitted" if found.slow_roll else "")
+    )
+    if plot:
+        from rotorsim.report.figures.run import save_figure
+        from rotorsim.report.identification.orders import beside_figure
+
+        save_figure(beside_figure(found, f"{loaded.name} beside run {run.id} of {recording.name}"), plot)
+        note(f"written: {plot}" + (f", of {next(iter(found.rms))} alone" if len(found.rms) > 1 else ""))
+    shown = {name: in_unit(value, found.units[name]) for name, value in found.rms.items()}
+    rows = [(name, percent(found.nrmse.get(name, math.nan)), f"{v:.4g}", unit) for name, (v, unit) in shown.items()]
+    data = {
+        "diagram": loaded.name,
+        "recording": recording.name,
+        "run": run.id,
+        "errors": {name: {"nrmse": found.nrmse.get(name), "rms": value} for name, value in found.rms.items()},
+        "noise": dict(found.noise),
+        "slow_roll": {name: [vector.real, vector.imag] for name, vector in found.slow_roll.items()},
+        "files": [plot] if plot else [],
+    }
+    show(as_json, lambda: data, lambda: table(("order", "NRMSE", "rms error", "unit"), rows))
     return 0
 
 

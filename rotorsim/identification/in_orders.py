@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram, Free
-from rotorsim.errors import Place, Problem, RotorsimError
+from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.identification.result import Identification, identified, sentences
 from rotorsim.identification.verdict import judge
 from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate
@@ -108,15 +108,9 @@ def identify_orders(
         if not search.free:
             what = "what was measured depends on none of the free parameters"
             raise RotorsimError(Problem(what, diagram.name, Place(diagram.file), "measure a signal behind them"))
-        if search.needed(search.first()) > SIMULATION_SUBSTEPS:
-            what = f"has modes too fast for {SIMULATION_SUBSTEPS} steps between samples, {SAMPLES} a turn"
-            hint = "leave out what is far above the speed: a beam by its first modes, as rk4_first_mode is of rk4"
-            raise RotorsimError(Problem(what, diagram.name, hint=hint))
+        refuse_fast(search, search.first())
         evaluation = search.minimise(search.first())
-        if not np.isfinite(evaluation.cost):
-            hint = "is the loop stable? are signs and units right? start from values nearer to the machine's"
-            what = f"{SIMULATION_DIVERGES} along the angle that was recorded"
-            raise RotorsimError(Problem(what, diagram.name, hint=hint), exit_code=1)
+        refuse_diverged(diagram, evaluation)
         variance, search, evaluation = order_judged(search, evaluation, variance)
         estimate = order_estimate(search, evaluation, variance)
         held = [(recording, recording.select("hold_out"))]
@@ -162,6 +156,66 @@ def identify_orders(
         noise=noise,
         units={channel.label: channel.unit for channel in tracked.channels},
     )
+
+
+@dataclass(frozen=True)
+class OrdersBeside:
+    """A diagram as it is beside a run of orders: error of each channel as a share (nrmse) and rms, SI."""
+
+    compared: ComparedOrders
+    nrmse: Mapping[str, float]
+    rms: Mapping[str, float]
+    noise: Mapping[str, float]
+    slow_roll: Mapping[str, complex]
+    units: Mapping[str, str]
+
+
+def orders_beside(diagram: Diagram, recording: OrderRecording, run: str | None = None) -> OrdersBeside:
+    """Simulate a diagram as it is along a run of orders, extract them, and compare; slow roll is fitted along.
+
+    run: its id; default the first. Raises RotorsimError for what the diagram does not have, and where it diverges.
+    """
+    known = {one.id: one for one in recording.runs}
+    if run is not None and run not in known:
+        raise RotorsimError(Problem(f"no run '{run}'", recording.name, hint=near_miss(run, known)))
+    with one_thread():
+        tracked = tracked_orders(diagram, recording, [recording.runs[0] if run is None else known[run]], ())
+        variance = order_noise(tracked, CRITERIA.resolution)
+        search = order_search(tracked, variance)
+        start = search.first()
+        refuse_fast(search, start)
+        evaluation = search.minimise(start) if search.constants else search.evaluate(start, search.substeps(start))
+        refuse_diverged(diagram, evaluation)
+        [compared] = _compared(search, evaluation, "identify")
+    values, labels = evaluation.unknowns, tracked.labels
+    rms = {
+        label: float(np.sqrt(np.nanmean(np.abs(compared.measured[label] - compared.simulated[label]) ** 2)))
+        for label in labels
+    }
+    return OrdersBeside(
+        compared,
+        _errors([compared], labels),
+        rms,
+        {label: float(np.sqrt(variance["", label])) for label in labels},
+        {label: complex(values[2 * c], values[2 * c + 1]) for c, label in enumerate(labels) if search.constants},
+        {channel.label: channel.unit for channel in tracked.channels},
+    )
+
+
+def refuse_fast(search: OrderSearch, unknowns: np.ndarray) -> None:
+    """Raise RotorsimError for modes that would take too many steps."""
+    if search.needed(unknowns) > SIMULATION_SUBSTEPS:
+        what = f"has modes too fast for {SIMULATION_SUBSTEPS} steps between samples, {SAMPLES} a turn"
+        hint = "leave out what is far above the speed: a beam by its first modes, as rk4_first_mode is of rk4"
+        raise RotorsimError(Problem(what, search.systems[0].equations.model.diagram.name, hint=hint))
+
+
+def refuse_diverged(diagram: Diagram, evaluation: Evaluation) -> None:
+    """Raise RotorsimError where a search found nothing finite."""
+    if not np.isfinite(evaluation.cost):
+        hint = "is the loop stable? are signs and units right? start from values nearer to the machine's"
+        what = f"{SIMULATION_DIVERGES} along the angle that was recorded"
+        raise RotorsimError(Problem(what, diagram.name, hint=hint), exit_code=1)
 
 
 def _refuse(

@@ -115,7 +115,10 @@ def read_source(path: str | Path) -> tuple[Source, Path]:
 def parse_recording(source: Source, folder: Path, *, files: bool = True) -> Document:
     """Check a document; ``files``: also that the data files exist. Raises RotorsimError with every mistake."""
     if isinstance(source.data, dict) and source.data.get("kind") == "orders":
-        what, hint = "these are orders over the speed, not samples in time", "'identify' and 'check' take them"
+        what, hint = (
+            "these are orders over the speed, not samples in time",
+            "'identify', 'run --input' and 'check' take them",
+        )
         raise RotorsimError(Problem(what, place=source.locate(("kind",)), hint=hint))
     parser = DocumentParser(source, folder, files)
     document = parser.document()

@@ -26,7 +26,7 @@ LEAST_ROWS = 20  # of a run
 _RPM = math.pi / 30.0
 
 _RUN_KEYS = {key: RECORDING_KEYS["run"][key] for key in ("id", "file", "time", "set", "use", "description")}
-_KEYS: dict[str, Mapping[str, type]] = {
+ORDER_KEYS: dict[str, Mapping[str, type]] = {
     "recording": {
         **{key: value for key, value in RECORDING_KEYS["recording"].items() if key != "time"},
         "amplitude": str,
@@ -206,7 +206,7 @@ def _with_rows(run: OrderRun, table: _Table, channels: Mapping[str, OrderChannel
 
 
 class _OrderParser(DocumentParser):
-    keys: ClassVar[Mapping[str, Mapping[str, type]]] = _KEYS
+    keys: ClassVar[Mapping[str, Mapping[str, type]]] = ORDER_KEYS
     required: ClassVar[Mapping[str, tuple[str, ...]]] = _REQUIRED
     examples: ClassVar[Mapping[str, str]] = _EXAMPLES
 

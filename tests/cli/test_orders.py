@@ -55,6 +55,32 @@ def test_the_figure_is_a_bode_plot_in_recorded_units_and_rpm(case):
     np.testing.assert_allclose(np.exp(-1j * np.radians(lag)), np.exp(1j * np.angle(run.vectors["x 1X"])), rtol=1e-9)
 
 
+def test_run_compares_a_diagram_as_it_is_with_orders(case, run: Run):
+    with undrawn():
+        done = run("run", str(case / "disc.json"), "--input", str(case / "up"), "--plot", "beside.png", "--json")
+    assert done.exit_code == 0, done.output
+    data = json.loads(done.stdout)
+    error = data["errors"]["1X of rotor.displacement[1]"]
+    assert 0.1 < error["nrmse"] < 1.0  # values of the diagram are off by 4 to 40 %
+    assert data["files"] == ["beside.png"]
+    close = ["--set", "rotor.stiffness=28000", "--set", "rotor.viscous_damping=8"]
+    close += ["--set", "unbalance.eccentricity=2 um", "--set", "unbalance.phase=0.6 rad"]
+    data = json.loads(run("run", str(case / "disc.json"), "--input", str(case / "up"), "--json", *close).stdout)
+    name = "1X of rotor.displacement[1]"
+    assert data["errors"][name]["rms"] == pytest.approx(5e-8 * np.sqrt(2), rel=0.15)
+    assert complex(*data["slow_roll"][name]) == pytest.approx(1.5e-6 * np.exp(-2.0j), abs=2e-8)
+
+
+def test_run_refuses_what_orders_do_not_have(case, run: Run):
+    done = run("run", str(case / "disc.json"), "--input", str(case / "up"), "--start", "diagram", "--out", "x.csv")
+    assert done.exit_code == 2
+    assert "--start does not go with orders" in done.stderr
+    assert "--out does not go with orders" in done.stderr
+    done = run("run", str(case / "disc.json"), "--input", str(case / "up"), "--run", "upp")
+    assert done.exit_code == 2
+    assert "no run 'upp'" in done.stderr
+
+
 def test_check_takes_orders_and_compares_them_with_a_diagram(case, run: Run):
     done = run("check", str(case / "disc.json"), str(case / "up"))
     assert done.exit_code == 0
@@ -69,7 +95,7 @@ def test_verbs_that_need_samples_refuse_orders(case, run: Run, verb):
     done = run(verb, str(case / "disc.json"), str(case / "up"))
     assert done.exit_code == 2
     assert "recording.json:2:10: error: these are orders over the speed, not samples in time" in done.stderr
-    assert "hint: 'identify' and 'check' take them" in done.stderr
+    assert "hint: 'identify', 'run --input' and 'check' take them" in done.stderr
 
 
 def test_a_diagnosis_refuses_orders(case):

@@ -18,7 +18,7 @@ TABLE = ROOT.parent / "shared" / "recordings" / "rk4_runup" / "runup_1x.csv"
 def test_the_page_shows_what_the_command_prints(tmp_path, capsys) -> None:
     page = page_text("docs/runup.md")
     [document] = re.findall(r"^```json\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
-    [shown] = re.findall(r"^```text\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    [shown, _] = re.findall(r"^```text\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     (tmp_path / "recording.json").write_text(document)
     shutil.copy(TABLE, tmp_path)
     main([str(tmp_path)])

@@ -52,20 +52,45 @@ def test_a_run_up_gives_parameters_and_slow_roll(diagram, runup, tmp_path):
     assert 0.7 < result.excess < 1.4
 
 
-def test_without_noise_the_simulation_is_what_scipy_integrates(diagram, runup, tmp_path):
-    """1X of both: to the errors of Runge-Kutta steps of a 32nd of a turn, and of a start before the first row."""
-    speed, _, vectors = runup
-    folder = write(tmp_path / "up", speed, vectors, slow_roll="subtracted")
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory):
+    """The diagram with the true parameters."""
     true = copy.deepcopy(ROTOR)
     for name, value in TRUTH.items():
         block, _, key = name.partition(".")
         true["blocks"][block]["parameters"][key] = value
-    (tmp_path / "true.json").write_text(json.dumps(true))
-    recording, known = load_orders(folder), load(str(tmp_path / "true.json"))
-    tracked = tracked_orders(known, recording, recording.runs, known.free)
+    file = tmp_path_factory.mktemp("truth") / "true.json"
+    file.write_text(json.dumps(true))
+    return load(str(file))
+
+
+@pytest.mark.parametrize(
+    ("start", "rate", "turns", "skip", "timed"),
+    [(1250.0, 230.0, 1, 0, False), (1250.0, 230.0, 2, 0, False), (2000.0, -180.0, 2, 1, True)],
+)
+def test_without_noise_the_simulation_is_what_scipy_integrates(truth, tmp_path, start, rate, turns, skip, timed):
+    """1X of both: to the errors of Runge-Kutta steps of a 32nd of a turn, and of a start before the first row."""
+    speed, time, vectors = passage(start, rate, turns, rows=60 // turns, skip=skip)
+    folder = write(tmp_path / "up", speed, vectors, time=time if timed else None, turns=turns, slow_roll="subtracted")
+    recording = load_orders(folder)
+    tracked = tracked_orders(truth, recording, recording.runs, truth.free)
     search = order_search(tracked, {("", label): 1.0 for label in tracked.labels})
     residual = search.evaluate(search.first(), 1).residuals[0][0]
     assert np.abs(residual).max() < 1e-3 * np.abs(vectors).max()
+
+
+def test_an_order_is_twice_the_mean_over_the_turns_of_a_row(truth, runup, tmp_path):
+    """x = 3 cos(2 theta + 0.4) + cos(theta) + 5: 2X is 3 exp(0.4 i) in every row, whatever the others are."""
+    recording = load_orders(write(tmp_path / "up", runup[0][:40], runup[2][:40]))
+    [track] = tracked_orders(truth, recording, recording.runs, truth.free).tracks
+    theta = track.run.values["clock.theta"]
+    x = 3 * np.cos(2 * theta + 0.4) + np.cos(theta) + 5
+    found = track.extracted(x[:, None], [0, 0], [2, 1])
+    np.testing.assert_allclose(found, np.tile([3 * np.exp(0.4j), 1.0], (40, 1)), atol=1e-12)
+    turns = np.diff(theta[track.first]) / (2 * np.pi)
+    np.testing.assert_allclose(turns, 1.0, rtol=1e-12)
+    elapsed = np.diff(track.run.time[track.first])
+    np.testing.assert_allclose(2 * np.pi / elapsed, recording.runs[0].speed[:-1], rtol=1e-6)
 
 
 def test_sensitivities_are_the_differences_of_simulations(diagram, runup, tmp_path):

@@ -119,7 +119,7 @@ def test_orders_are_not_read_as_samples(tmp_path):
         load_recording(folder)
     [problem] = error.value.problems
     assert problem.what == "these are orders over the speed, not samples in time"
-    assert (problem.place.line, problem.hint) == (2, "'identify' and 'check' take them")
+    assert (problem.place.line, problem.hint) == (2, "'identify', 'run --input' and 'check' take them")
 
 
 def test_the_schema_names_the_keys_that_are_read(tmp_path):
@@ -128,7 +128,7 @@ def test_the_schema_names_the_keys_that_are_read(tmp_path):
 
     schema = json.loads((resources.files("rotorsim.recordings") / "orders.schema.json").read_text(encoding="utf-8"))
     jsonschema.Draft202012Validator.check_schema(schema)
-    assert set(schema["properties"]) == set(orders._KEYS["recording"])
-    assert set(schema["$defs"]["channel"]["properties"]) == set(orders._KEYS["channel"])
-    assert set(schema["$defs"]["run"]["properties"]) == set(orders._KEYS["run"])
+    assert set(schema["properties"]) == set(orders.ORDER_KEYS["recording"])
+    assert set(schema["$defs"]["channel"]["properties"]) == set(orders.ORDER_KEYS["channel"])
+    assert set(schema["$defs"]["run"]["properties"]) == set(orders.ORDER_KEYS["run"])
     jsonschema.Draft202012Validator(schema).validate(json.loads((folder / "recording.json").read_text()))

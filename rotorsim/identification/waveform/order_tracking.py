@@ -168,7 +168,8 @@ class OrderSearch(OutputErrorSearch):
         derivatives = np.zeros((*vectors.shape, size))
         if sensitivities:
             by_theta = track.extracted(dy, tracked.places, tracked.orders)
-            derivatives[:, :, : self.m] = np.stack([_parts(by_theta[:, :, j]) for j in range(self.m)], axis=2)
+            for j in range(self.m):
+                derivatives[:, :, j] = _parts(by_theta[:, :, j])
             derivatives[:, :, self.m :] = np.eye(vectors.shape[1], self.constants)
         return vectors + (unknowns[self.m :] if self.constants else 0.0), derivatives
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from rotorsim.identification.in_orders import OrderIdentification
+from rotorsim.identification.in_orders import OrderIdentification, OrdersBeside
 from rotorsim.recordings.orders import OrderRecording
 from rotorsim.report.identification.parameters import heading
 from rotorsim.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, RED, figure, styled
@@ -94,3 +94,12 @@ def order_figures(identification: OrderIdentification, recording: OrderRecording
                 identification.noise[label],
             )
     return made
+
+
+def beside_figure(found: OrdersBeside, title: str) -> Figure:
+    """Return the Bode plot of a diagram as it is beside the first channel of a run."""
+    label, vectors = next(iter(found.compared.measured.items()))
+    speed = found.compared.run.speed
+    simulated = Curve("order-tracked simulation", speed, found.compared.simulated[label])
+    title = f"{label}, {title}"
+    return bode_figure(Curve("measured", speed, vectors), [simulated], title, found.units[label], found.noise[label])
