@@ -24,8 +24,8 @@ class PlaceClass:
 class SignalRun:
     """A missing signal in one run, at instants time (N,) [s]: added (N,), its standard deviation std (N,).
 
-    over (N,): the signal that it is drawn against. law, law_over (N,): what the law that was found adds, and what it
-    reads, as the repaired diagram simulates them; None without a law.
+    over (N,): the signal that it is drawn against. law, law_over (N,): what the law that was found adds in the repaired
+    diagram, and over what it is drawn; None without a law.
     """
 
     run: str

@@ -220,7 +220,8 @@ class WaveformEvidence(SampledRuns, Defaults):
                 starts = search.starts(evaluation.unknowns)
                 here = self._linearised(values_in(without.document, {**without.values, **after.values}), starts)
                 if here is not None and np.isfinite(evaluation.cost):
-                    repaired = self.load(document), search, evaluation
+                    unread = {key: value for key, value in document.items() if key != "measured"}
+                    repaired = self.load(unread), search, evaluation  # signals are those before any reading
                     return missing_signal(here, repaired, effect, spot, classes, self._unit_of(here.diagram))
             here = self._linearised(values_in(without.document, without.values))
             if here is None:
