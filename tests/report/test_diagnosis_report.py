@@ -32,6 +32,7 @@ from rotorsim.report.diagnosis.compared import GIVEN, REPAIRED, OfHarmonics, OfR
 from rotorsim.report.diagnosis.parameters import parameters_figure
 from rotorsim.report.diagnosis.places import NEW, SHADES, block_diagram, place_classes, places_figure
 from rotorsim.report.diagnosis.report import save_report
+from rotorsim.report.diagnosis.rivals import rivals_tables
 from rotorsim.report.diagnosis.words import estimate, flat
 from rotorsim.report.figures.orbits import orbits_figure
 from rotorsim.report.figures.spectra import residuals_figure, spectra_figure
@@ -401,6 +402,16 @@ def test_wires_are_marked_with_the_class_of_places_that_a_missing_signal_may_act
     assert svg.count('stroke-width="3.5"') == 3  # a wire of torque, one of friction, one of angle
     assert SHADES[0][1] not in re.findall(r'stroke="(#[0-9a-f]+)" stroke-width="3.0"', svg)  # no frame
     assert block_diagram(load(SERVO), [(spots[2], 1.0)], []).count('stroke-width="3.5"') == 0
+
+
+def test_rivals_are_compared_with_what_was_tried_beside_them():
+    """FAULT: after the noise was measured anew, the criterion of the one kept stood thousands off its rivals."""
+    found = bowed()
+    effect = found.effects[0]
+    quieter = replace(effect.candidate, fit=replace(effect.candidate.fit, misfit=effect.candidate.fit.misfit / 10))
+    anew = replace(found, effects=(replace(effect, candidate=quieter), *found.effects[1:]))
+    assert rivals_tables(anew) == rivals_tables(found)
+    assert ">+0<" in rivals_tables(anew)
 
 
 # -- in time -----------------------------------------------------------------------------------------------------------
