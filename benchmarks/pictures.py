@@ -26,7 +26,7 @@ from benchmarks.harness import ROOT
 from benchmarks.images import save_png, shrink_png
 from rotorsim.cli.app import rotorsim
 
-__all__ = ["DRAWN", "PICTURES", "write"]
+__all__ = ["DRAWN", "MEASURED", "PICTURES", "write"]
 
 SETTLED = (
     'record jeffcott --set "controller.KD=3.3 A s/m" --speeds "900 rpm:300 rpm:3000 rpm" --settle '
@@ -78,6 +78,9 @@ PICTURES = {
     "diagnosed_parameters.png": Picture(
         (SETTLED, "diagnose jeffcott bench --out diagnosis"), "diagnosis/parameters.png"
     ),
+}
+MEASURED = {  # from data that are not part of this repository, by commands that pages show
+    "rotor_kit.png": "python -m benchmarks.identification.rotor_kit FOLDER --figure rotor_kit.png"
 }
 
 

@@ -14,9 +14,10 @@ from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.identification.result import Identification, identified, sentences
 from rotorsim.identification.verdict import judge
 from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate
-from rotorsim.identification.waveform.noise import independent_stretches
+from rotorsim.identification.waveform.noise import INVERTED, REWEIGHTED, independent_stretches
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel
 from rotorsim.identification.waveform.order_tracking import (
+    SAMPLES,
     OrderSearch,
     TrackedOrders,
     order_noise,
@@ -24,9 +25,11 @@ from rotorsim.identification.waveform.order_tracking import (
     tracked_orders,
     vectors_of,
 )
-from rotorsim.identification.waveform.search import Evaluation
+from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, Evaluation
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.orders import OrderRecording, OrderRun
+
+MOST_CORRELATED = 0.98  # of what is left, from row to row: a hundred rows count as one
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,12 +108,17 @@ def identify_orders(
         if not search.free:
             what = "what was measured depends on none of the free parameters"
             raise RotorsimError(Problem(what, diagram.name, Place(diagram.file), "measure a signal behind them"))
+        if search.needed(search.first()) > SIMULATION_SUBSTEPS:
+            what = f"has modes too fast for {SIMULATION_SUBSTEPS} steps between samples, {SAMPLES} a turn"
+            hint = "leave out what is far above the speed: a beam by its first modes, as rk4_first_mode is of rk4"
+            raise RotorsimError(Problem(what, diagram.name, hint=hint))
         evaluation = search.minimise(search.first())
         if not np.isfinite(evaluation.cost):
             hint = "is the loop stable? are signs and units right? start from values nearer to the machine's"
             what = f"{SIMULATION_DIVERGES} along the angle that was recorded"
             raise RotorsimError(Problem(what, diagram.name, hint=hint), exit_code=1)
-        estimate = _estimate(search, evaluation, variance)
+        variance, search, evaluation = order_judged(search, evaluation, variance)
+        estimate = order_estimate(search, evaluation, variance)
         held = [(recording, recording.select("hold_out"))]
         held += [] if hold_out is None else [(hold_out, hold_out.runs)]
         compared = [_compared(search, evaluation, "identify")]
@@ -177,10 +185,32 @@ def _refuse(
         raise RotorsimError(*problems)
 
 
-def _estimate(search: OrderSearch, evaluation: Evaluation, variance: dict[tuple[str, str], float]) -> TimeEstimate:
+def order_judged(
+    search: OrderSearch, evaluation: Evaluation, variance: dict[tuple[str, str], float]
+) -> tuple[dict[tuple[str, str], float], OrderSearch, Evaluation]:
+    """Return the noise as what a fit leaves shows it, where that is less, and the fit that this weighs.
+
+    Rows that are too far apart for a resonance to be smooth else make noise of it, beside which anything is explained.
+    """
+    tracked = search.tracked
+    assert tracked is not None
+    for _ in range(REWEIGHTED):
+        seen = order_noise(tracked, CRITERIA.resolution, vectors_of(search, evaluation))
+        less = {signal: min(value, seen[signal]) for signal, value in variance.items()}
+        if all(less[signal] > value / CRITERIA.model_error for signal, value in variance.items()):
+            break
+        variance = less
+        search = replace(search, weights={signal: 1 / value for signal, value in variance.items()})
+        evaluation = search.minimise(evaluation.unknowns)
+    return variance, search, evaluation
+
+
+def order_estimate(search: OrderSearch, evaluation: Evaluation, variance: dict[tuple[str, str], float]) -> TimeEstimate:
     """Return the estimate, its covariance by the scatter of stretches of rows.
 
-    An adequate model leaves of stretches that are left out what the noise would: a misfit of one a number.
+    An adequate model leaves of stretches that are left out what the noise would: a misfit of one a number. No variance
+    is less than noise of the residual's size and slowness would give: where a few stretches at resonance say most,
+    their scatter alone is too small as often as not.
     """
     counts = [np.isfinite(measured) for measured in search.measured[0]]
     stretches = independent_stretches([own.any(axis=1) for own in counts])
@@ -198,7 +228,29 @@ def _estimate(search: OrderSearch, evaluation: Evaluation, variance: dict[tuple[
         theta=evaluation.unknowns[: search.m],
         sizes={},
     )
-    return time_estimate(search, evaluation, noise)
+    estimate = time_estimate(search, evaluation, noise)
+    searched = ~search.at_bound(evaluation.unknowns)
+    white = np.zeros(len(searched))
+    information = evaluation.information[np.ix_(searched, searched)]
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = np.linalg.pinv(information / np.outer(size, size), rcond=INVERTED, hermitian=True)
+    white[searched] = max(estimate.excess, 1.0) * _slowness(evaluation) * np.diag(inverse) / size**2
+    robust = np.diag(estimate.robust)
+    wider = np.sqrt(np.maximum(white / np.where(robust > 0, robust, np.inf), 1.0))
+    return replace(estimate, robust=estimate.robust * np.outer(wider, wider))
+
+
+def _slowness(evaluation: Evaluation) -> float:
+    """Return (1 + r) / (1 - r), r the correlation of what is left from row to row: the rows that count as one.
+
+    Of a mean of noise that forgets a share r a row. Source: G. E. P. Box et al., Time Series Analysis (2015), ch. 2.
+    """
+    products = squares = 0.0
+    for residual in evaluation.residuals[0]:
+        products += float(np.nansum(residual[1:] * residual[:-1]))
+        squares += float(np.nansum(residual**2))
+    share = min(max(products / squares, 0.0), MOST_CORRELATED) if squares else 0.0
+    return (1 + share) / (1 - share)
 
 
 def _slow_roll(search: OrderSearch, estimate: TimeEstimate) -> dict[str, SlowRoll]:

@@ -267,6 +267,18 @@ def test_what_makes_no_sense_is_refused(identify):
     assert said(identify) != []
 
 
+def test_a_speed_is_what_a_clock_follows_whatever_its_name():
+    """FAULT: a belt whose parameter is called speed cannot be identified, and a shaft's speed of another name can."""
+    blocks = {"drive": block("constant"), "belt": block("gain", gain="$speed")}
+    wire = ("drive.output", "belt.input")
+    belt = diagram(blocks, wire, parameters={"speed": 0.5}, identify={"speed": {}})
+    assert [item.name for item in load(belt, folder=".").free] == ["speed"]
+    turning = {**BLOCKS, "clock": block("clock", speed="$omega")}
+    shaft = diagram(turning, *WIRES, parameters={"omega": "1500 rpm", "eccentricity": "24 um"}, identify={"omega": {}})
+    [wrong] = [line for line in mistakes(written(shaft)) if "identify" in line]
+    assert "identify.omega: is measured, so that it cannot be free" in wrong
+
+
 json_values = st.recursive(
     st.none()
     | st.booleans()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from benchmarks.flows import diagnosis_flow, engine_flow
-from benchmarks.pictures import DRAWN, PICTURES, main
+from benchmarks.pictures import DRAWN, MEASURED, PICTURES, main
 from tests.docs.pages import ROOT, page_text
 
 IMAGES = ROOT / "docs" / "images"
@@ -14,7 +14,7 @@ LARGEST = 100_000  # bytes
 
 def test_every_picture_is_drawn_by_the_command_and_shown() -> None:
     files = {file.name: file for file in IMAGES.iterdir() if file.is_file()}
-    assert set(files) == {*DRAWN, *PICTURES}
+    assert set(files) == {*DRAWN, *PICTURES, *MEASURED}
     assert [name for name, file in files.items() if file.stat().st_size > LARGEST] == []
     pages = ["README.md", *(f"docs/{file.name}" for file in (ROOT / "docs").glob("*.md"))]
     shown = {name for page in pages for name in re.findall(r"!\[[^]]+\]\((?:docs/)?images/([\w.]+)\)", page_text(page))}
@@ -29,6 +29,7 @@ def test_the_commands_are_those_of_pages() -> None:
     plain = [re.sub(r" (--plot|-o|--noise) \S+( %\")?", "", command) for command in drawn]
     bare = re.sub(r" (--plot|-o|--noise) \S+( %\")?", "", text)
     assert [command for command in plain if f"rotorsim {command}" not in bare] == []
+    assert [command for command in MEASURED.values() if command not in text] == []
 
 
 def test_a_drawing_is_made(tmp_path, capsys) -> None:

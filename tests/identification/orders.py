@@ -37,21 +37,21 @@ CHANNEL = {"signal": "rotor.displacement", "axis": "x", "unit": "um", "amplitude
 
 
 def passage(
-    start: float, rate: float, turns: int, *, rows: int = 90, stiffness: float = 28e3, skip: int = 0
+    start: float, rate: float, turns: int, *, rows: int = 90, skip: int = 0, truth: dict[str, float] = TRUTH
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return speed [rpm], time [s] of the middle and 1X [m] of rows of ``turns`` turns, every 1 + skip-th one.
 
-    The speed [rpm] is start + rate t [rpm/s] and the shaft turned on before for 2.5 s; x is along the stiffness.
+    The speed [rpm] is start + rate t [rpm/s] and the shaft turned on before for 2.5 s; truth: of a disc of 1 kg.
     """
     W0, a, m = start * RPM, rate * RPM, 1.0
-    e, phase, _, c = TRUTH.values()
+    e, phase, k, c = truth.values()
 
     def angle(t: Any) -> Any:
         return W0 * t + a * t**2 / 2
 
     def rhs(t: float, x: np.ndarray) -> list[float]:
         W, b = W0 + a * t, angle(t) + phase
-        return [x[1], e * (W**2 * np.cos(b) + a * np.sin(b)) - c / m * x[1] - stiffness / m * x[0]]
+        return [x[1], e * (W**2 * np.cos(b) + a * np.sin(b)) - c / m * x[1] - k / m * x[0]]
 
     count = turns * rows * (1 + skip)
     ends = (np.sqrt(W0**2 + 2 * a * 2 * np.pi * turns * np.arange(count // turns + 1)) - W0) / a

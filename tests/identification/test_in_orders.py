@@ -2,6 +2,7 @@
 
 import copy
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,11 +84,24 @@ def test_sensitivities_are_the_differences_of_simulations(diagram, runup, tmp_pa
         np.testing.assert_allclose(J[:, :, j], slope, atol=1e-5 * np.abs(slope).max())
 
 
+def test_without_a_compiler_the_numbers_are_the_same(diagram, runup, tmp_path):
+    recording = load_orders(write(tmp_path / "up", runup[0][:20], runup[2][:20]))
+    tracked = tracked_orders(diagram, recording, recording.runs, diagram.free)
+    interpreted = replace(tracked, simulation=replace(tracked.simulation, use_compiler=False))
+    ends = []
+    for one in (tracked, interpreted):
+        search = order_search(one, {("", label): 1.0 for label in one.labels})
+        ends.append(search.evaluate(search.first(), 1))
+    np.testing.assert_allclose(ends[1].residuals[0][0], ends[0].residuals[0][0], rtol=1e-9, atol=1e-18)
+    np.testing.assert_allclose(ends[1].jacobians[0][0], ends[0].jacobians[0][0], rtol=1e-7, atol=1e-18)
+
+
 def test_a_coast_down_in_rows_of_two_turns_with_gaps_peak_to_peak_and_lag(diagram, tmp_path):
     speed, time, vectors = passage(2000.0, -180.0, 2, rows=45, skip=1)
     folder = write(tmp_path / "down", speed, noisy(vectors, SIGMA), time=time, turns=2, words=("peak-peak", "lag"))
     result = identify(diagram, load_orders(folder))
     assert result.adequate
+    assert result.noise["1X of rotor.displacement[1]"] == pytest.approx(SIGMA, rel=0.35)
     for name, share in {"rotor.stiffness": 2e-3, "rotor.viscous_damping": 0.03, "unbalance.eccentricity": 0.02}.items():
         assert result.values[name] == pytest.approx(TRUTH[name], rel=share)
     assert result.values["unbalance.phase"] == pytest.approx(0.6, abs=0.03)
@@ -103,7 +117,7 @@ def test_nothing_is_missed_where_nothing_is_missing(diagram, runup, tmp_path, se
 
 def test_a_second_critical_speed_that_the_diagram_lacks_is_not_explained(diagram, runup, tmp_path):
     speed, _time, vectors = runup
-    _, _, stiff = passage(1250.0, 230.0, 1, stiffness=31e3)
+    _, _, stiff = passage(1250.0, 230.0, 1, truth={**TRUTH, "rotor.stiffness": 31e3})
     result = identify(diagram, load_orders(write(tmp_path / "up", speed, noisy((vectors + stiff) / 2, SIGMA))))
     assert not result.adequate
     assert "does not explain the data" in result.statement
@@ -154,6 +168,15 @@ def test_what_makes_no_sense_of_orders_is_refused(diagram, runup, tmp_path, chan
     recording = load_orders(write(tmp_path / "up", runup[0], runup[2]))
     with pytest.raises(RotorsimError, match=said):
         identify_orders(diagram, recording, **change)
+
+
+def test_modes_too_fast_for_the_steps_are_told(runup, tmp_path):
+    fast = copy.deepcopy(ROTOR)
+    fast["blocks"]["rotor"]["parameters"]["stiffness"] = 28e9
+    (tmp_path / "fast.json").write_text(json.dumps(fast))
+    recording = load_orders(write(tmp_path / "up", runup[0], runup[2]))
+    with pytest.raises(RotorsimError, match="has modes too fast for 64 steps between samples, 32 a turn"):
+        identify(load(str(tmp_path / "fast.json")), recording)
 
 
 def test_a_diagram_without_the_signal_or_a_clock_is_refused(diagram, runup, tmp_path):

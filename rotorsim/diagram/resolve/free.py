@@ -16,7 +16,6 @@ from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Problem, Problems, near_miss
 
-SPEED_NAME = "speed"
 FREE_KEYS = ("low", "high", "prior", "description")
 PRIOR_KEYS = ("mean", "std")
 MOST = 1e100
@@ -64,6 +63,12 @@ class _Reader:
         own = node.block.parameters[key]
         return _Quantity(node.values[key], own.unit or "1", [own], _usual(node, key))
 
+    def is_speed(self, base: str) -> bool:
+        """Return whether a parameter is the speed of a shaft: a recording measures it."""
+        clocks = {name: node for name, node in self.nodes.items() if node.block.category == "clock"}
+        followed = [node.references.get("speed") for node in clocks.values()]
+        return base in followed or base in [f"{name}.speed" for name in clocks]
+
     def one(self, name: str, given: Any) -> list[Free]:
         """Return the entries that a name leaves free."""
         path: JsonPath = ("identify", name)
@@ -75,7 +80,7 @@ class _Reader:
             hint = near_miss(name, [*self.parameters, *blocks], list_all=False)
             self.error("no such parameter", path, hint, key=True)
             return []
-        if base == SPEED_NAME:
+        if self.is_speed(base):
             self.error("is measured, so that it cannot be free", path, key=True)
             return []
         if not isinstance(given, Mapping):

@@ -22,7 +22,13 @@ from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.identification.waveform.data import RATE_PREFIX, SampledRun, signal_name
 from rotorsim.identification.waveform.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.reading import settings_of
-from rotorsim.identification.waveform.search import STABLE_STEP, Evaluation, Label, OutputErrorSearch
+from rotorsim.identification.waveform.search import (
+    SIMULATION_SUBSTEPS,
+    STABLE_STEP,
+    Evaluation,
+    Label,
+    OutputErrorSearch,
+)
 from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
@@ -34,7 +40,6 @@ MOST_LEAD = 400.0  # turns before the first row
 LEAD_SPEEDS = (0.5, 2.0)  # of the first row's, between which the speed stays before it
 SLOPE_ROWS = 10  # from which the acceleration at the first row is taken
 DIFFERENCES = 6  # order of the differences between rows that noise is seen in: of what lasts 8 rows they keep 0.7 %
-MOST_SUBSTEPS = 512  # between samples: a matter of time
 SPEED, ACCELERATION = RATE_PREFIX + ANGLE, RATE_PREFIX + RATE_PREFIX + ANGLE
 
 
@@ -136,13 +141,17 @@ class OrderSearch(OutputErrorSearch):
         return np.array([*(item.value for item in self.free), *([0.0] * self.constants)])
 
     def substeps(self, unknowns: np.ndarray) -> int:
+        """Return as many steps between samples as the fastest mode needs to be stable, SIMULATION_SUBSTEPS at most."""
+        return min(self.needed(unknowns), SIMULATION_SUBSTEPS)
+
+    def needed(self, unknowns: np.ndarray) -> int:
         """Return as many steps between samples as the fastest mode needs to be stable."""
         system, fastest = self.systems[0], 0.0
         for run, p in zip(self.runs, self.p, strict=True):
             A = _system_matrix(system.equations, run, system.equations.parameters(p, unknowns[: self.m]))
             if A.size and np.isfinite(A).all():
                 fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()) * float(np.diff(run.time).max()))
-        return min(max(self.least, int(np.ceil(fastest / STABLE_STEP))), MOST_SUBSTEPS)
+        return max(self.least, int(np.ceil(fastest / STABLE_STEP)))
 
     def simulated(
         self, unknowns: np.ndarray, k: int, r: int, sub: int, sensitivities: bool = True
@@ -215,8 +224,12 @@ def order_search(
     return OrderSearch((some.simulation,), [track.run for track in some.tracks], weights, tracked=some)
 
 
-def order_noise(tracked: TrackedOrders, least: float) -> dict[tuple[str, str], float]:
+def order_noise(
+    tracked: TrackedOrders, least: float, simulated: Sequence[np.ndarray] | None = None
+) -> dict[tuple[str, str], float]:
     """Return the variance of the real parts of each channel, as differences of the sixth order between rows show it.
+
+    simulated: vectors of each run (n, c), taken away before: a resonance is sharp where rows are far apart.
 
     sum |d^6 Y|^2 / (2 C(12, 6) n): white noise gives its variance, smooth motion next to nothing. least: of the mean
     square of what varies. Source: J. von Neumann, Ann. Math. Stat. 12 (1941) 367, of higher order.
@@ -225,9 +238,9 @@ def order_noise(tracked: TrackedOrders, least: float) -> dict[tuple[str, str], f
     variance: dict[tuple[str, str], float] = {}
     for c, label in enumerate(tracked.labels):
         squares, count, moved, rows = 0.0, 0, 0.0, 0
-        for track in tracked.tracks:
+        for r, track in enumerate(tracked.tracks):
             y = track.vectors[:, c]
-            changes = np.diff(y, DIFFERENCES)
+            changes = np.diff(y if simulated is None else y - simulated[r][:, c], DIFFERENCES)
             changes = changes[np.isfinite(changes)]
             squares, count = squares + float((np.abs(changes) ** 2).sum()), count + len(changes)
             there = y[np.isfinite(y)]

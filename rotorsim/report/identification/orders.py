@@ -16,17 +16,18 @@ from rotorsim.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, RED, figure,
 from rotorsim.units import conversion
 
 _RPM = 30 / np.pi
-COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE)
+COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE)
 LEAST_AMPLITUDE = 3.0  # times the noise, below which a phase is none
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Order vectors (n,), complex, SI, over speeds (n,) [rad/s]."""
+    """Order vectors (n,), complex, SI, over speeds (n,) [rad/s]; line: how they are drawn."""
 
     label: str
     speed: np.ndarray
     vectors: np.ndarray
+    line: str = "-"
 
 
 def bode_figure(measured: Curve, simulated: Sequence[Curve], title: str, unit: str, noise: float) -> Figure:
@@ -42,7 +43,10 @@ def bode_figure(measured: Curve, simulated: Sequence[Curve], title: str, unit: s
         looks: list[tuple[Curve, dict[str, Any]]] = [
             (measured, {"color": INK, "marker": ".", "markersize": 4.0, "linewidth": 0.5})
         ]
-        looks += [(one, {"color": COLOURS[k % len(COLOURS)], "linewidth": 1.3}) for k, one in enumerate(simulated)]
+        looks += [
+            (one, {"color": COLOURS[k % len(COLOURS)], "linewidth": 1.3, "linestyle": one.line})
+            for k, one in enumerate(simulated)
+        ]
         before: np.ndarray | None = None
         for curve, look in looks:
             speed, size = curve.speed * _RPM, np.abs(curve.vectors)
