@@ -120,7 +120,7 @@ def signals_of(
 
 
 def _likeliest(classes: Sequence[PlaceClass], places: Sequence[tuple[Spot, float]]) -> Spot | None:
-    """Return the likeliest place of a free signal; of those that the data do not tell apart, where a law explains most.
+    """Return the likeliest place of a free signal; of those that the data do not separate, where a law explains most.
 
     places: of laws, the likeliest first.
     """

@@ -11,7 +11,7 @@ from rotorsim.diagnosis.catalogue.insertion import Spot
 
 @dataclass(frozen=True)
 class PlaceClass:
-    """Places whose signals change all recorded outputs alike, so that no data tell them apart, the likeliest first.
+    """Places whose signals change all recorded outputs alike, so that no data separate them, the likeliest first.
 
     probability: that a free signal acts at one of them, among all classes.
     """
