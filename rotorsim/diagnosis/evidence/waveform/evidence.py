@@ -43,7 +43,13 @@ from rotorsim.identification.waveform.noise import (
     unpredicted,
     weights_of,
 )
-from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation, Label, OutputErrorSearch
+from rotorsim.identification.waveform.search import (
+    MOST_SIMULATIONS,
+    REFIT_EVALUATIONS,
+    Evaluation,
+    Label,
+    OutputErrorSearch,
+)
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.units import compatible
 
@@ -218,7 +224,7 @@ class WaveformEvidence(SampledRuns, Defaults):
             if effect is not None:
                 document = values_in(after.document, after.values)
                 search = self._held(document)
-                evaluation = search.minimise(search.first(self.starts))
+                evaluation = search.minimise(search.first(self.starts), REFIT_EVALUATIONS)
                 starts = search.starts(evaluation.unknowns)
                 here = self._linearised(values_in(without.document, {**without.values, **after.values}), starts)
                 if here is not None and np.isfinite(evaluation.cost):
@@ -241,7 +247,7 @@ class WaveformEvidence(SampledRuns, Defaults):
         pair = []
         for fit, document, diagram in zip((first, second), documents, diagrams, strict=True):
             search = self._held(document)
-            evaluation = search.minimise(search.first(self.starts))
+            evaluation = search.minimise(search.first(self.starts), REFIT_EVALUATIONS)
             pair.append(Hypothesis.of(fit, diagram, search, evaluation, signals))
         of_sample = weights_of(self.variance, self.runs, self.rows)
         longer = sum(run.size for run in self.runs) / sum(run.size for run in pair[0].whole.runs)  # than what is shown
