@@ -18,7 +18,7 @@ from pathlib import Path
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 
-from benchmarks.diagnosis.picture import overlap_picture
+from benchmarks.diagnosis.report import overlap_picture
 from benchmarks.engine.controllers import sensitivity_picture
 from benchmarks.flows import diagnosis_flow, engine_flow
 from benchmarks.fmi.delay import delay_figure

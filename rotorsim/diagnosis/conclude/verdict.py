@@ -120,12 +120,12 @@ def signals_of(
 
 
 def _likeliest(classes: Sequence[PlaceClass], places: Sequence[tuple[Spot, float]]) -> Spot | None:
-    """Return the likeliest place of a free signal; of those that the data do not tell apart, where a law explains most.
+    """Return the likeliest place of a free signal; of those that the data do not separate, where a law explains most.
 
     places: of laws, the likeliest first.
     """
     if not classes:
-        return None
+        return next((spot for spot, _ in places), None)
     least = classes[0].probability * np.exp(-CRITERIA.equivalent / 2)
     alike = [spot for one in classes if one.probability >= least for spot in one.places]
     return next((spot for spot, _ in places if spot in alike), alike[0])

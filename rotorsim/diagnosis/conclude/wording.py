@@ -41,7 +41,8 @@ def next_experiment(diagnosis: Diagnosis) -> str:
     if parts or open_questions:
         return "; ".join([*parts, *([open_questions] if open_questions else [])])
     if verdict == "not_identifiable" and evidence.unjudged:
-        return f"longer runs, driven so that every signal moves by far more than its noise: {evidence.unjudged}"
+        longer = f"longer runs, {evidence.terms.driven} that every signal moves by far more than its noise"
+        return f"{longer}: {evidence.unjudged}"
     if verdict in ("consistent", "not_identifiable") and evidence.alike:
         return f"{MORE_RUNS}: {ONE_SPEED}"
     if verdict == "consistent":

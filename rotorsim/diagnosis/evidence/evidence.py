@@ -27,6 +27,7 @@ class Terms:
     more_runs: str = "runs at more speeds and amplitudes"
     another: str = ""  # what separates hypotheses where nothing is declared; empty: what is searched was
     searched: str = "no other speed or gain"  # separates hypotheses, where no further run was found
+    driven: str = "driven so"  # how runs must be, that every signal moves by more than its noise
     turns: bool = True  # whether the experiments that faults declare are those of a turning shaft
 
 

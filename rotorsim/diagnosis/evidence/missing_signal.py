@@ -11,7 +11,7 @@ from rotorsim.diagnosis.catalogue.insertion import Spot
 
 @dataclass(frozen=True)
 class PlaceClass:
-    """Places whose signals change all recorded outputs alike, so that no data tell them apart, the likeliest first.
+    """Places whose signals change all recorded outputs alike, so that no data separate them, the likeliest first.
 
     probability: that a free signal acts at one of them, among all classes.
     """
@@ -24,8 +24,8 @@ class PlaceClass:
 class SignalRun:
     """A missing signal in one run, at instants time (N,) [s]: added (N,), its standard deviation std (N,).
 
-    over (N,): the signal that it is drawn against. law, law_over (N,): what the law that was found adds, and what it
-    reads, as the repaired diagram simulates them; None without a law.
+    over (N,): the signal that it is drawn against. law, law_over (N,): what the law that was found adds in the repaired
+    diagram, and over what it is drawn; None without a law.
     """
 
     run: str

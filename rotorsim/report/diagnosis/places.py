@@ -42,30 +42,28 @@ class _Shaft:
 
 
 @styled()
-def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], recorded: Iterable[str]) -> Figure:
+def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], recorded: Iterable[str]) -> Figure | None:
     """Return the machine along its shaft with the probability of each place, and other places beside it.
 
-    diagram: as given. recorded: flat names of the measured signals.
+    diagram: as given. recorded: flat names of the measured signals. None without a rotor.
     """
     shaft = _shaft(diagram)
-    here = [(spot, p) for spot, p in places if shaft is not None and spot.block == shaft.block]
+    if shaft is None:
+        return None
+    here = [(spot, p) for spot, p in places if spot.block == shaft.block]
     there = [(spot, p) for spot, p in places if (spot, p) not in here][:OTHERS]
-    left = [*(["bars"] if here else []), *(["machine"] if shaft is not None else [])]
-    right = ["others"] if there or shaft is None else []
-    width, height = (7.0, 1.4 + 0.35 * max(len(there), 2)) if shaft is None else (10.5, 4.4 if here else 3.0)
-    made = figure(width, height, _title(places))
-    widths = (2.6, 1.0) if left and right else (1.0,)
-    heights = (1.0, 1.5)[: max(len(left), 1)]
-    mosaic: list[Any] = [[name, *right] for name in left] or [right]
-    axes = made.subplot_mosaic(mosaic, width_ratios=widths, height_ratios=heights)
-    if shaft is not None:
-        _draw_machine(axes["machine"], diagram, shaft, recorded)
-    if shaft is not None and here:
+    left, right = [*(["bars"] if here else []), "machine"], ["others"] if there else []
+    made = figure(10.5, 4.4 if here else 3.0, _title(places))
+    mosaic: list[Any] = [[name, *right] for name in left]
+    widths = (2.6, 1.0) if right else (1.0,)
+    axes = made.subplot_mosaic(mosaic, width_ratios=widths, height_ratios=(1.0, 1.5)[: len(left)])
+    _draw_machine(axes["machine"], diagram, shaft, recorded)
+    if here:
         axes["bars"].sharex(axes["machine"])
         _draw_bars(axes["bars"], shaft, here)
         legend_below(made, axes["bars"])
     if right:
-        _draw_others(axes["others"], there, "elsewhere in the diagram" if left else "")
+        _draw_others(axes["others"], there)
     return made
 
 
@@ -184,12 +182,12 @@ def _draw_bars(axes: Axes, shaft: _Shaft, places: Sequence[tuple[Spot, float]]) 
     axes.tick_params(labelbottom=False)
 
 
-def _draw_others(axes: Axes, places: Sequence[tuple[Spot, float]], title: str) -> None:
+def _draw_others(axes: Axes, places: Sequence[tuple[Spot, float]]) -> None:
     bars = axes.barh(range(len(places)), [p for _, p in places], color=RED, alpha=0.55, height=0.6)
     axes.bar_label(bars, fmt=" %.2f", fontsize=8)
     axes.set_yticks(range(len(places)), [spot.words for spot, _ in places])
     axes.set(ylim=(max(len(places), 2) - 0.4, -0.6), xlim=(0, 1.15), xlabel="probability")
-    axes.set_title(title, loc="left")
+    axes.set_title("elsewhere in the diagram", loc="left")
 
 
 def block_diagram(

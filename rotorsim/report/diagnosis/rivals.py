@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from rotorsim.diagnosis.conclude.result import Diagnosis, Effect
 from rotorsim.diagnosis.search.trials import Candidate, Round
@@ -48,7 +49,7 @@ def _rivals(diagnosis: Diagnosis, item: Round, number: int, reasons: Mapping[str
     best: dict[str, Candidate] = {}
     for candidate in item.tried:
         best.setdefault(candidate.insertion.physics, candidate)
-    kept = effects[number] if number < len(effects) else None
+    kept = _as_tried(effects[number], item) if number < len(effects) else None
     base = kept.candidate.fit.criterion if kept is not None else item.before.criterion
     rows = []
     for name, candidate in list(best.items())[:RIVALS]:
@@ -72,6 +73,13 @@ def _rivals(diagnosis: Diagnosis, item: Round, number: int, reasons: Mapping[str
     title = f"<h3>Rivals{escape(beside)}: the {len(rows)} nearest of {tried} tried</h3>"
     note = paragraph("" if number else CRITERION, small=True)
     return "\n".join([title, table(header[:last], [row[:last] for row in rows], right=range(2, 6)), note])
+
+
+def _as_tried(effect: Effect, found: Round) -> Effect:
+    """Return an effect as it was fitted in a round, with the same measure of the noise as its rivals there."""
+    key = effect.candidate.insertion.key
+    tried = next((item for item in found.tried if item.insertion.key == key and not item.fit.failure), effect.candidate)
+    return replace(effect, candidate=tried)
 
 
 def _why(candidate: Candidate, kept: Effect | None, given: str, verdict: str) -> str:

@@ -16,8 +16,8 @@ CAPTION = (
 )
 BESIDE = " The other parameters are those of the repaired diagram."
 CLASSES = (
-    "Classes of places where such a signal may act, by its likelihood alone: the places of one class no data tell "
-    "apart, since signals there change all recorded outputs alike."
+    "Classes of places where such a signal may act, by its likelihood alone: the places of one class no data "
+    "separate, since signals there change all recorded outputs alike."
 )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.fft import irfft, next_fast_len, rfft
 
 from rotorsim.report.comparison.samples import SampleComparison, Trace
 from rotorsim.report.style import GREY, INK, RED, Look, figure, legend_below, styled
@@ -126,10 +127,11 @@ def autocorrelation(residuals: Sequence[np.ndarray], lags: int) -> tuple[np.ndar
     mean = float(np.nanmean(np.concatenate(residuals)))
     for residual in residuals:
         there = np.isfinite(residual)
-        e = np.where(there, residual - mean, 0.0)
-        for k in range(min(lags, len(e) - 1) + 1):
-            sums[k] += e[: len(e) - k] @ e[k:]
-            counts[k] += np.count_nonzero(there[: len(e) - k] & there[k:])
+        e, n = np.where(there, residual - mean, 0.0), min(lags + 1, len(residual))
+        size = next_fast_len(len(e) + n, real=True)
+        products = irfft(np.abs(rfft(np.stack([e, there.astype(float)]), size)) ** 2, size)[:, :n]
+        sums[:n] += products[0]
+        counts[:n] += np.round(products[1])
     power = sums[0] / max(counts[0], 1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(counts > 0, sums / counts / power, np.nan), int(counts[0])

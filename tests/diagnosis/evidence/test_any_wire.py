@@ -95,7 +95,7 @@ def test_what_a_wire_hides_is_named_located_and_sized(tmp_path, missing, physics
     assert found.verdict == "missing_physics"
     [effect] = found.effects
     assert effect.physics == physics
-    size = places[str(found.places[0][0])]  # a gain that is known lies between places that no data tell apart
+    size = places[str(found.places[0][0])]  # a gain that is known lies between places that no data separate
     fit = found.after
     names = [item.name for item in fit.free]
     for key, value in values.items():

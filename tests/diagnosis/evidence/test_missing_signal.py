@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
+from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
 from rotorsim.diagnosis.evidence.waveform.missing import explained_by
@@ -22,7 +23,7 @@ RATE, SAMPLES, FINE, DRY = 200, 1000, 20, 0.4
 NAMES = ("reference", "speed", "angle")
 
 
-def braked(seed: int) -> dict[str, np.ndarray]:
+def braked(seed: int, dry: float = DRY) -> dict[str, np.ndarray]:
     """Return a run of the servo with dry friction, by midpoint steps a twentieth of a sample long."""
     random = np.random.default_rng(seed)
     reference = np.repeat(random.uniform(-1, 1, SAMPLES // 100), 100)
@@ -31,8 +32,8 @@ def braked(seed: int) -> dict[str, np.ndarray]:
     for k, wanted in enumerate(reference.tolist()):
         out[k] = w, a
         for _ in range(FINE):
-            middle = w + h / 2 * (12.0 * (wanted - a) - 4.4 * w - DRY * tanh(w / 0.01))
-            rate = 12.0 * (wanted - a - h / 2 * w) - 4.4 * middle - DRY * tanh(middle / 0.01)
+            middle = w + h / 2 * (12.0 * (wanted - a) - 4.4 * w - dry * tanh(w / 0.01))
+            rate = 12.0 * (wanted - a - h / 2 * w) - 4.4 * middle - dry * tanh(middle / 0.01)
             a, w = a + h * middle, w + h * rate
     noisy = out + random.normal(size=out.shape) * [4e-3, 2e-3]
     return dict(zip(NAMES, (reference, *noisy.T), strict=True))
@@ -86,6 +87,25 @@ def test_without_a_law_it_is_drawn_over_the_signal_that_explains_it(lacking):
     assert found.physics == ""
     assert found.runs[0].law is None
     assert found.share > 0.8
+
+
+def test_what_a_sensor_adds_with_time_is_drawn_over_time():
+    """FAULT: the law at a reading was zero: what it reads was looked up where the recording reads what it gives."""
+    runs = [braked(seed, dry=0.0) for seed in (3, 4)]
+    for run in runs:
+        run["speed"] = run["speed"] + 0.02 * np.arange(SAMPLES) / RATE
+    made = recording([(run, "identify") for run in runs], {name: (f"{name}.output", "1") for name in NAMES}, RATE)
+    diagram = load(SERVO)
+    evidence = waveform_evidence(diagram, made)
+    before = evidence.fit(diagram.document, [])
+    found = Catalogue.of(diagram, {"drift"}, False).candidates(diagram, evidence.recorded)
+    item = next(item for item in found if item.spot == Spot("speed", "output", side="reading"))
+    after = evidence.fit(item.document(values_in(before.document, before.values), {"rate": 0.01}), [[{}]])
+    signal = evidence.missing_signal(before, after, item, item.spot, ())
+    assert (signal.place, signal.over, signal.over_unit) == (item.spot, "time", "s")
+    for run in signal.runs:
+        np.testing.assert_allclose(run.law, 0.02 * run.time, atol=0.002)
+        assert np.mean(np.abs(run.added - 0.02 * run.time) < 1.96 * run.std) > 0.85
 
 
 def test_a_diagram_that_diverges_has_no_missing_signal(lacking):

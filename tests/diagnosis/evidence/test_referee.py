@@ -31,7 +31,7 @@ def test_what_does_not_move_judges_nothing(tmp_path):
     found = diagnose(load(SERVO), recording(tmp_path, 400, 400, still=True), physics=("gain_error",), workers=1)
     assert found.verdict == "not_identifiable"
     assert "Whether that is all cannot be judged, though: nothing moves by more than its noise." in found.statement
-    more = "longer runs, driven so that every signal moves by far more than its noise"
+    more = "longer runs, with reference.output so large that every signal moves by far more than its noise"
     assert found.next_experiment == f"{more}: nothing moves by more than its noise"
 
 

@@ -101,7 +101,8 @@ def test_a_sensor_is_named_where_no_amplitude_tells():
     pair = evidence.fit(SERVO, []), evidence.fit({**SERVO, "blocks": split, "wires": wires}, [])
     change = evidence.separation(*pair)
     assert change is not None
-    assert change.words == "run run0 again with controller.output recorded as well"
+    # no noise was added, and 0.1 % is the least that a sensor is taken to have
+    assert change.words == "run run0 again with controller.output recorded as well, with noise of 0.1 % of its rms"
     assert change.runs == 1
     inserted = [load({**SERVO, "blocks": split, "wires": wires})] * 2
     signals = [f"{name}.output" for name in SERVO["blocks"]]

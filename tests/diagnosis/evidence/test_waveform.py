@@ -130,7 +130,7 @@ def test_a_law_outside_the_catalogue_is_mapped_and_not_named():
     assert found.score_after.total == pytest.approx(machines.NOISE, rel=0.1)
     assert "a map of displacement and velocity (drag) explains 99" in found.statement
     assert found.next_experiment.startswith(
-        "runs with drive.output at 0.5 and at 2 times the amplitude, to see the law of the missing signal at "
+        "runs with drive.output at 0.5 and at 2 times the amplitude, to see the law of the missing signal at drive"
     )
 
 

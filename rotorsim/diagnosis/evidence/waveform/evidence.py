@@ -23,9 +23,10 @@ from rotorsim.diagnosis.evidence.waveform.laws import LawBounds
 from rotorsim.diagnosis.evidence.waveform.missing import Linearised, missing_signal
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.diagnosis.evidence.waveform.scoring import held_score, left_out_score
-from rotorsim.diagnosis.evidence.waveform.separation import Hypothesis, best_change, sensors_of
+from rotorsim.diagnosis.evidence.waveform.separation import Hypothesis, SensorNoise, best_change, sensors_of
 from rotorsim.diagram.diagram import Diagram, Port
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.advice_in_time import SMALL_NOISE
 from rotorsim.identification.left_out import left_out
 from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.linearised import linearised, places_of
@@ -42,7 +43,13 @@ from rotorsim.identification.waveform.noise import (
     unpredicted,
     weights_of,
 )
-from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation, Label, OutputErrorSearch
+from rotorsim.identification.waveform.search import (
+    MOST_SIMULATIONS,
+    REFIT_EVALUATIONS,
+    Evaluation,
+    Label,
+    OutputErrorSearch,
+)
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.units import compatible
 
@@ -86,7 +93,8 @@ class WaveformEvidence(SampledRuns, Defaults):
     def terms(self) -> Terms:
         """How statements name it; more runs are those with other amplitudes of its inputs."""
         inputs = " and ".join(self.channels.inputs) or "what drives it"
-        return replace(WAVEFORM_TERMS, more_runs=f"runs with {inputs} at 0.5 and at 2 times the amplitude")
+        more_runs = f"runs with {inputs} at 0.5 and at 2 times the amplitude"
+        return replace(WAVEFORM_TERMS, more_runs=more_runs, driven=f"with {inputs} so large")
 
     def search(self, document: Mapping[str, Any]) -> OutputErrorSearch:
         """Return the search for the free parameters of a document. Raises RotorsimError."""
@@ -216,11 +224,12 @@ class WaveformEvidence(SampledRuns, Defaults):
             if effect is not None:
                 document = values_in(after.document, after.values)
                 search = self._held(document)
-                evaluation = search.minimise(search.first(self.starts))
+                evaluation = search.minimise(search.first(self.starts), REFIT_EVALUATIONS)
                 starts = search.starts(evaluation.unknowns)
                 here = self._linearised(values_in(without.document, {**without.values, **after.values}), starts)
                 if here is not None and np.isfinite(evaluation.cost):
-                    repaired = self.load(document), search, evaluation
+                    unread = {key: value for key, value in document.items() if key != "measured"}
+                    repaired = self.load(unread), search, evaluation  # signals are those before any reading
                     return missing_signal(here, repaired, effect, spot, classes, self._unit_of(here.diagram))
             here = self._linearised(values_in(without.document, without.values))
             if here is None:
@@ -238,13 +247,17 @@ class WaveformEvidence(SampledRuns, Defaults):
         pair = []
         for fit, document, diagram in zip((first, second), documents, diagrams, strict=True):
             search = self._held(document)
-            evaluation = search.minimise(search.first(self.starts))
+            evaluation = search.minimise(search.first(self.starts), REFIT_EVALUATIONS)
             pair.append(Hypothesis.of(fit, diagram, search, evaluation, signals))
         of_sample = weights_of(self.variance, self.runs, self.rows)
         longer = sum(run.size for run in self.runs) / sum(run.size for run in pair[0].whole.runs)  # than what is shown
         weights = longer * np.array([of_sample[WHOLE_DIAGRAM, name] for name in outputs])
         largest = np.array([self.sizes.get(name, np.inf) for name in outputs])
-        return best_change((pair[0], pair[1]), self.channels.inputs, signals, weights, largest)
+        variance = np.array([self.variance[WHOLE_DIAGRAM, name] for name in outputs])
+        spread = [np.nanstd(np.concatenate([run.values[name] for run in self.runs])) for name in outputs]
+        part = max(float(np.median(np.sqrt(variance) / spread)), SMALL_NOISE)
+        noise = SensorNoise(part, float(np.median(weights * variance)) / part**2)
+        return best_change((pair[0], pair[1]), self.channels.inputs, signals, weights, largest, noise)
 
     def _unit_of(self, diagram: Diagram) -> Callable[[str], str | None]:
         """Return what tells the unit of a signal: as recorded, or as its port or one behind it declares; else None."""

@@ -116,7 +116,7 @@ class LawBounds:
 
     @property
     def classes(self) -> tuple[PlaceClass, ...]:
-        """The classes of places that no data tell apart, with their probabilities, the likeliest first."""
+        """The classes of places that no data separate, with their probabilities, the likeliest first."""
         factor = float(np.mean((self.roots * self.unknown.noise) ** 2))
         deviance = {item.place: factor * item.deviance for item in self.estimates}
         sorted_ones = [

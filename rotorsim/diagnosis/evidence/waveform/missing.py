@@ -17,7 +17,7 @@ from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearc
 from rotorsim.identification.waveform.unknown_input import Smoothed, UnknownInputs
 
 BINS = 20  # of equal numbers of samples, and of equal width, whose means are what a map of one signal explains
-OWN = 0.9  # of what another signal explains: a place's own signal that explains as much is drawn
+OWN = 0.9  # of what the best explains: what explains as much and comes before it is drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +44,15 @@ class Linearised:
         return UnknownInputs(runs, self.noise)
 
 
+@dataclass(frozen=True, eq=False)
+class _Law:
+    """What a law reads, by name, and in each run what it adds (N,), and what it reads (N,)."""
+
+    reads: str
+    added: list[np.ndarray]
+    read: list[np.ndarray]
+
+
 def missing_signal(
     here: Linearised,
     repaired: tuple[Diagram, OutputErrorSearch, Evaluation] | None,
@@ -62,22 +71,19 @@ def missing_signal(
     if k is None or not estimates:
         return None
     smoothed = _at_samples(unknown.smoothed(estimates[:1])[0], here.runs)
-    laws: list[tuple[np.ndarray, np.ndarray] | None] = [None] * len(here.runs)
-    over, values = here.places[k].port, smoothed.wire
-    if effect is not None and repaired is not None:
-        law = _law(effect, repaired)
-        if law is not None:
-            over, laws = law[0], list(law[1])
-            ports = [place.port for place in here.places]
-            if over in ports:
-                values = [wires[:, ports.index(over)] for wires in smoothed.wires]
-            else:
-                values = [law_over for _, law_over in law[1]]
-    elif effect is None:
-        over, values = _explaining(here, smoothed)
+    law = None if effect is None or repaired is None else _law(effect, repaired)
+    over, values = _explaining(here, smoothed, law)
     runs = [
-        SignalRun(run.id, run.time, added, std, value, *((None, None) if one is None else one))
-        for run, added, std, value, one in zip(here.sampled, smoothed.added, smoothed.std, values, laws, strict=True)
+        SignalRun(
+            run.id,
+            run.time,
+            smoothed.added[r],
+            smoothed.std[r],
+            values[r],
+            None if law is None else law.added[r],
+            None if law is None else law.read[r] if over == law.reads else values[r],
+        )
+        for r, run in enumerate(here.sampled)
     ]
     at = spot_of(here.places[k])
     physics = "" if effect is None else effect.physics
@@ -107,12 +113,10 @@ def _place(here: Linearised, spot: Spot) -> int | None:
     return None
 
 
-def _law(
-    effect: Insertion, repaired: tuple[Diagram, OutputErrorSearch, Evaluation]
-) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]] | None:
-    """Return the name of what a law reads, and in each run what it adds (N,), and reads (N,); None unless one number.
+def _law(effect: Insertion, repaired: tuple[Diagram, OutputErrorSearch, Evaluation]) -> _Law | None:
+    """Return what a law adds in the repaired diagram: in a signal its output less its input, as a force its output.
 
-    A law in a signal adds its output less its input, a force its output.
+    None unless both are one number.
     """
     diagram, search, evaluation = repaired
     node = diagram.nodes.get(effect.name)
@@ -123,34 +127,34 @@ def _law(
     scalar = [wire for wire in wires if node.inputs[wire.target.port].shape == ()]
     if len(outputs) != 1 or not scalar:
         return None
-    read = scalar[0].source
-    names = [str(outputs[0]), str(read)]
-    signals = simulated_signals(diagram, search, evaluation, names)
+    reads = str(scalar[0].source)
+    signals = simulated_signals(diagram, search, evaluation, [str(outputs[0]), reads])
     through = 1.0 if effect.fault.enters == "signal" else 0.0
-    return str(read), [(both[:, 0] - through * both[:, 1], both[:, 1]) for both in signals]
+    return _Law(reads, [both[:, 0] - through * both[:, 1] for both in signals], [both[:, 1] for both in signals])
 
 
-def _explaining(here: Linearised, smoothed: Smoothed) -> tuple[str, list[np.ndarray]]:
-    """Return the signal whose map explains most of the missing one: that of the place itself unless another is better.
+def _explaining(here: Linearised, smoothed: Smoothed, law: _Law | None) -> tuple[str, list[np.ndarray]]:
+    """Return the signal that the missing one is drawn against: what its law reads, or else what the place carries.
 
-    Looked at are all signals that are one number, their rates, and time; what adds to nothing explains nothing.
+    Unless a map of its rate, of another signal (one number) or its rate, or of time explains more.
     """
     added = np.concatenate(smoothed.added)
-    own = here.places[smoothed.place].port
-    candidates: dict[str, list[np.ndarray]] = {own: smoothed.wire}
+    found: dict[str, list[np.ndarray]] = {}
     for k, place in enumerate(here.places):
-        candidates.setdefault(place.port, [wires[:, k] for wires in smoothed.wires])
-    rates = {
+        found.setdefault(place.port, [wires[:, k] for wires in smoothed.wires])
+    own = here.places[smoothed.place].port if law is None else law.reads
+    if law is not None:
+        found.setdefault(own, law.read)
+    found |= {
         f"rate of {name}": [np.gradient(value, run.time) for value, run in zip(values, here.sampled, strict=True)]
-        for name, values in candidates.items()
+        for name, values in list(found.items())
     }
-    times = {"time": [run.time for run in here.sampled]}
-    shares = {
-        name: explained_by(np.concatenate(values), added) for name, values in {**candidates, **rates, **times}.items()
-    }
+    if law is not None or len(here.runs) > 1:  # any slow signal of a single run is a map of time
+        found["time"] = [run.time for run in here.sampled]
+    shares = {name: explained_by(np.concatenate(values), added) for name, values in found.items()}
     best = max(shares, key=lambda name: shares[name])
-    chosen = own if shares[own] >= OWN * shares[best] else best
-    return chosen, {**candidates, **rates, **times}[chosen]
+    chosen = next(name for name in (own, f"rate of {own}", best) if shares[name] >= OWN * shares[best])
+    return chosen, found[chosen]
 
 
 def explained_by(over: np.ndarray, added: np.ndarray) -> float:

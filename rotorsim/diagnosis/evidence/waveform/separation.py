@@ -68,6 +68,14 @@ class Hypothesis:
         return y[:, :count], known @ self.root, np.concatenate([known[:, :, self.loose], starts], axis=2)
 
 
+@dataclass(frozen=True)
+class SensorNoise:
+    """The noise of a further sensor, as part of the rms of its signal; level: its weight times that mean square."""
+
+    part: float
+    level: float
+
+
 @dataclass(frozen=True, eq=False)
 class Contrast:
     """What each of s signals of a run says of two hypotheses: d^T d (s,), S^T d (s, k), S^T S (s, k, k)."""
@@ -112,18 +120,19 @@ def best_change(
     signals: Sequence[str],
     weights: np.ndarray,
     largest: np.ndarray,
+    noise: SensorNoise,
 ) -> Change | None:
     """Return the further run that separates two hypotheses most; None where none does.
 
     A sensor is named only where it takes fewer runs than any amplitude. signals: the c recorded ones, then those that
-    a sensor might record. weights (c,): of squares; largest (c,) on record.
+    a sensor might record. weights (c,): of squares; largest (c,) on record. noise: of sensors.
     """
     runs = pair[0].whole.runs
     chosen = np.unique(np.linspace(0, len(runs) - 1, MOST_RUNS).round().astype(int)).tolist()
     driven = best_of(change for r in chosen for change in _driven(pair, r, inputs, weights, largest))
     if driven is not None and driven.runs == 1:
         return driven
-    return best_of([driven, *(change for r in chosen for change in _recorded(pair, r, signals, weights))])
+    return best_of([driven, *(change for r in chosen for change in _recorded(pair, r, signals, weights, noise))])
 
 
 def _driven(
@@ -144,23 +153,21 @@ def _driven(
 
 
 def _recorded(
-    pair: tuple[Hypothesis, Hypothesis], r: int, signals: Sequence[str], weights: np.ndarray
+    pair: tuple[Hypothesis, Hypothesis], r: int, signals: Sequence[str], weights: np.ndarray, noise: SensorNoise
 ) -> Iterator[Change | None]:
     """Yield what run r tells once more with one more sensor."""
     c, run = len(weights), pair[0].whole.runs[r]
     found = [told for one in pair if (told := one.predicted(r, run, len(signals))) is not None]
     if len(found) == len(pair):
-        contrast = Contrast.of(found, np.sqrt(np.append(weights, _noise_of_sensors(found[0][0], weights))))
+        contrast = Contrast.of(found, np.sqrt(np.append(weights, _of_sensors(found[0][0][:, c:], noise.level))))
         for k, name in enumerate(signals[c:], c):
-            words = f"run {run.id} again with {name} recorded as well"
+            words = (
+                f"run {run.id} again with {name} recorded as well, with noise of {100 * noise.part:.2g} % of its rms"
+            )
             yield change_of(words, partial(contrast.separation, [*range(c), k]))
 
 
-def _noise_of_sensors(y: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the weights of sensors whose noise is the same part of their signal as that of the recorded ones.
-
-    y (N, s): predicted, of which the first are recorded.
-    """
-    spread, c = y.std(axis=0), len(weights)
-    part = np.median(weights * spread[:c] ** 2)
-    return np.asarray(np.where(spread[c:] > 0, part / np.where(spread[c:] > 0, spread[c:], 1.0) ** 2, 0.0))
+def _of_sensors(y: np.ndarray, level: float) -> np.ndarray:
+    """Return the weights of sensors (s,) of predicted signals y (N, s), whose noise is a part of their spread."""
+    spread = y.std(axis=0)
+    return np.asarray(np.where(spread > 0, level / np.where(spread > 0, spread, 1.0) ** 2, 0.0))
