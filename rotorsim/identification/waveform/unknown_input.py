@@ -22,6 +22,7 @@ from rotorsim.identification.waveform.linearised import LinearisedRun
 
 STRENGTHS = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of the signal, in noise of the outputs and root seconds; of
 # nonlinear diagrams, whose filters change from sample to sample, every fourth
+STRONGEST = 1e9  # that is tried while the strongest so far is the best: what two integrators attenuate is strong
 RESPONSE_FREQUENCIES = 60  # at which the largest response to a signal is looked for
 LEAST_RESPONSE = 1e-12  # of the largest of all places: what has less does not show
 REGULAR = 1e-3  # of the noise, by states that are driven at every sample: what nothing drives has no steady filter
@@ -47,11 +48,11 @@ class SignalEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """A signal at a place in each run: added (N,) with its standard deviation std, and what the place carries, wire."""
+    """A signal at a place in each run: added (N,) with its standard deviation std, and what all places carry (N, P)."""
 
     added: list[np.ndarray]
     std: list[np.ndarray]
-    wire: list[np.ndarray]
+    wires: list[np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,16 +100,19 @@ class UnknownInputs:
     def estimates(self) -> list[SignalEstimate]:
         """Return the best free signal at every place that shows in the outputs, the likeliest first."""
         places = np.flatnonzero(np.isfinite(self.scales)).tolist()
-        strengths = STRENGTHS if all(run.constant for run in self.runs) else STRENGTHS[::4]
-        pairs = [(place, q) for place in places for q in strengths.tolist()]
-        sums, log_dets, kept = self._innovations(pairs)
+        strengths = (STRENGTHS if all(run.constant for run in self.runs) else STRENGTHS[::4]).tolist()
         best: dict[int, SignalEstimate] = {}
-        for (place, q), G, log_det in zip(kept, sums, log_dets, strict=True):
-            change = np.linalg.lstsq(G[1:, 1:], G[1:, 0], rcond=INFORMATION_RANK)[0]
-            misfit = float(G[0, 0] - G[0, 1:] @ change)
-            found = SignalEstimate(place, misfit, misfit + float(log_det), q, float(self.scales[place]), change)
-            if place not in best or found.deviance < best[place].deviance:
-                best[place] = found
+        while places and strengths[-1] <= STRONGEST:
+            sums, log_dets, kept = self._innovations([(place, q) for place in places for q in strengths])
+            for (place, q), G, log_det in zip(kept, sums, log_dets, strict=True):
+                change = np.linalg.lstsq(G[1:, 1:], G[1:, 0], rcond=INFORMATION_RANK)[0]
+                misfit = float(G[0, 0] - G[0, 1:] @ change)
+                found = SignalEstimate(place, misfit, misfit + float(log_det), q, float(self.scales[place]), change)
+                if place not in best or found.deviance < best[place].deviance:
+                    best[place] = found
+            places = [place for place in places if place in best and best[place].strength == strengths[-1]]
+            strengths = [strengths[-1] * strengths[-1] / strengths[-2]]
+            strengths += [strengths[-1] * 10.0]
         return sorted(best.values(), key=lambda item: item.deviance)
 
     def _innovations(
@@ -204,9 +208,9 @@ class UnknownInputs:
                 states[k] = predicted[k] + one.P[0] @ r
                 spread[k] = one.P[0][-1, -1] - one.P[0][-1] @ N @ one.P[0][-1]
             signal = states[:, -1] * item.scale
-            carried = (run.W[:, item.place] * states[:, :-1]).sum(axis=1)
-            own = run.E[:, item.place, item.place] * signal + run.by_wire[:, item.place] @ item.change
+            carried = np.einsum("kpn,kn->kp", np.broadcast_to(run.W, (len(y), *run.W.shape[1:])), states[:, :-1])
+            at_once = run.E[:, :, item.place] * signal[:, None] + run.by_wire @ item.change
             added.append(signal)
             std.append(np.sqrt(np.maximum(spread, 0.0)) * item.scale)
-            wires.append(run.wires[:, item.place] + carried + own)
+            wires.append(run.wires + carried + at_once)
         return Smoothed(added, std, wires)

@@ -172,7 +172,8 @@ class WaveformEvidence(SampledRuns, Defaults):
         variance = np.array([self.variance[WHOLE_DIAGRAM, name] for name in whole.systems[0].equations.outputs])
         weight = self.rows / sum(run.size for run in whole.runs) / len(self.variance)  # as if these samples were all
         unknown = UnknownInputs(runs, np.sqrt(variance))
-        return LawBounds(runs, whole.runs, places, unknown, np.sqrt(weight / variance), self.sizes, self.load)
+        theta = dict(zip((item.name for item in whole.free), evaluation.unknowns.tolist(), strict=False))
+        return LawBounds(runs, whole.runs, places, unknown, theta, np.sqrt(weight / variance), self.sizes, self.load)
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
         """Return the misfit after FIRST_STEPS steps from the best start, per sample as on all samples."""

@@ -2,7 +2,8 @@
 
 About the simulated runs, a law y = law(s; eta) at a place adds d = law(s; eta) - s there, and the outputs answer
 linearly: residual = response(d) + S theta + noise, with s what the place carries (smoothed, where a free signal there
-explains much). eta and theta by Gauss-Newton steps, all with the block's own equations.
+explains much), and likewise the other signal that a law may depend on. eta and theta by Gauss-Newton steps, all with
+the block's own equations.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, STABLE_
 from rotorsim.identification.waveform.simulation import LARGE, Simulation
 from rotorsim.identification.waveform.unknown_input import SignalEstimate, UnknownInputs
 
-WIRE, LAW = "wire", "law"
+WIRE, OTHER, LAW = "wire", "other", "law"
 SMOOTHED_PLACES = 8  # the likeliest, where the signal that the place carries is estimated, too
 STEPS = 3  # Gauss-Newton steps from the best start
 HALVED = (1.0, 0.3)  # of a step, until it helps
@@ -43,7 +44,8 @@ class Promise:
 class LawBounds:
     """Misfits that the laws of signals promise; places (P,), estimates: of free signals there, the likeliest first.
 
-    roots (c,): of the weights of squares. load: document -> diagram. sizes: see `sizes_at`.
+    theta: free parameters of the diagram, {name: SI value}. roots (c,): of the weights of squares. load: document ->
+    diagram. sizes: see `sizes_at`.
     """
 
     by_law = True
@@ -54,12 +56,13 @@ class LawBounds:
         sampled: Sequence[SampledRun],
         places: Sequence[Place],
         unknown: UnknownInputs,
+        theta: Mapping[str, float],
         roots: np.ndarray,
         sizes: Mapping[str, float],
         load: Callable[[Mapping[str, Any]], Diagram],
     ) -> None:
         self.runs, self.sampled, self.places, self.unknown = runs, sampled, places, unknown
-        self.roots, self.sizes, self.load = roots, sizes, load
+        self.theta, self.roots, self.sizes, self.load = theta, roots, sizes, load
         self.rows = sum(run.residual.shape[0] for run in runs) * float(np.sum((roots * unknown.noise) ** 2))
         self._carried: dict[int, list[list[np.ndarray]]] = {}
         self._impulses: dict[int, list[np.ndarray]] = {}
@@ -97,11 +100,15 @@ class LawBounds:
         free = self._free.get(place, np.inf)
         if free > POSSIBLE * max(min(self._free.values(), default=np.inf), self.rows):
             return Promise(free, {})  # no law leaves less than a free signal does there
+        others = [k for k, other in enumerate(self.places) if other.port == item.depends_on][:1]
+        if item.depends_on and not others:
+            return None
         sizes = sizes_at(item, self.sizes)
         law = self._law(item, fixed_of(item, sizes), limits_of(item, sizes))
         given = [np.array([start[key] for key in item.fault.free]) for start in starts_of(item, sizes)]
         best = Promise(np.inf, {})
-        for wires in self._wires(place):
+        for carried in self._wires(place):
+            wires = [wire[:, [place, *others]] for wire in carried]
             found = self._fitted(_Law.of(law, self._sampled_wires(wires)), place, given)
             if found[0] < best.misfit:
                 best = Promise(found[0], dict(zip(item.free, found[1].tolist(), strict=True)))
@@ -167,11 +174,11 @@ class LawBounds:
         return basis, residual - basis @ (basis.T @ residual)
 
     def _wires(self, place: int) -> list[list[np.ndarray]]:
-        """Return what a place carries in each run, (N,): as simulated, and as smoothed where it is likely."""
+        """Return what all places carry in each run, (N, P): as simulated, and with the free signal at a likely one."""
         if place not in self._carried:
-            simulated = [run.wires[:, place] for run in self.runs]
+            simulated = [run.wires for run in self.runs]
             likely = {item.place: item for item in self.estimates[:SMOOTHED_PLACES]}
-            smoothed = [self.unknown.smoothed(likely[place]).wire] if place in likely else []
+            smoothed = [self.unknown.smoothed(likely[place]).wires] if place in likely else []
             self._carried[place] = [simulated, *smoothed]
         return self._carried[place]
 
@@ -195,29 +202,30 @@ class LawBounds:
         if key not in self._laws:
             bounds = {name: dict(zip(("low", "high"), limits.get(name, ()), strict=False)) for name in item.fault.free}
             [(taken, given)] = item.fault.through.items()
+            inputs = {WIRE: taken, **({OTHER: item.fault.argument} if item.depends_on else {})}
+            recorded = {name: {"type": "recorded", "parameters": {"interpolation": "linear"}} for name in inputs}
             diagram = self.load(
                 {
                     "schema_version": 1,
                     "name": item.physics,
-                    "blocks": {
-                        WIRE: {"type": "recorded", "parameters": {"interpolation": "linear"}},
-                        LAW: {"type": item.kind.type_name, "parameters": parameters},
-                    },
-                    "wires": [[f"{WIRE}.output", f"{LAW}.{taken}"]],
+                    "blocks": {**recorded, LAW: {"type": item.kind.type_name, "parameters": parameters}},
+                    "wires": [[f"{name}.output", f"{LAW}.{port}"] for name, port in inputs.items()],
                     "record": [f"{LAW}.{given}"],
                     "identify": {f"{LAW}.{name}": limit for name, limit in bounds.items()},
                 }
             )
-            self._laws[key] = Simulation(
-                driven_equations(diagram, [f"{LAW}.{given}"], [f"{WIRE}.output"], diagram.free)
-            )
+            names = [f"{name}.output" for name in inputs]
+            self._laws[key] = Simulation(driven_equations(diagram, [f"{LAW}.{given}"], names, diagram.free))
         return self._laws[key]
 
     def _sampled_wires(self, wires: Sequence[np.ndarray]) -> list[SampledRun]:
-        """Return runs in which a wire carries signals, (N,)."""
-        kinds = {f"{WIRE}.output": "linear"}
-        pairs = zip(self.sampled, wires, strict=True)
-        return [SampledRun(run.id, {f"{WIRE}.output": s}, kinds, run.time, {}) for run, s in pairs]
+        """Return runs in which a wire, and the other that a law may depend on, carry signals, (N, 1 or 2)."""
+        names = (f"{WIRE}.output", f"{OTHER}.output")
+        kinds = dict.fromkeys(names, "linear")
+        return [
+            SampledRun(run.id, dict(zip(names, both.T, strict=False)), kinds, run.time, {})
+            for run, both in zip(self.sampled, wires, strict=True)
+        ]
 
 
 @dataclass(frozen=True, eq=False)
