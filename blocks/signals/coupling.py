@@ -18,7 +18,7 @@ _LAWS = {
             "quadratic": (Of("other", 0.01, power=-2),),
             "cubic": (Of("other", 0.1, power=-3), Of("other", -0.1, power=-3)),
         },
-        ("quadratic", "cubic"),
+        ("linear", "quadratic", "cubic"),
         "grows with another signal, its square and its cube",
         ("cross_talk", "position_ripple"),
     ),
@@ -48,7 +48,7 @@ class Coupling(Block):
     of an off-centre mass, cogging and force ripple are periodic in an angle (wave_number 1: once a turn) or a position.
     """
 
-    source = "R. Isermann, Fault-Diagnosis Systems (2006), ch. 5; D. Hanselman, Brushless Motors (2012), ch. 9 (cogging)"
+    source = "R. Isermann, Fault-Diagnosis Systems (2006), ch. 5; D. Hanselman, Brushless Motors (2012), ch. 9"
     faults = tuple(
         Fault(
             physics=physics,

@@ -16,9 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
-from rotorsim.identification.waveform.linearised import LinearisedRun
+from rotorsim.identification.waveform.linearised import LinearisedRun, recursion
 
 STRENGTHS = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of the signal, in noise of the outputs and root seconds; of
 # nonlinear diagrams, whose filters change from sample to sample, every fourth
@@ -26,6 +25,7 @@ STRONGEST = 1e9  # that is tried while the strongest so far is the best: what tw
 RESPONSE_FREQUENCIES = 60  # at which the largest response to a signal is looked for
 LEAST_RESPONSE = 1e-12  # of the largest of all places: what has less does not show
 REGULAR = 1e-3  # of the noise, by states that are driven at every sample: what nothing drives has no steady filter
+DOUBLINGS, CONVERGED = 60, 1e-12  # of the samples that a steady filter has seen, until nothing changes (relative)
 CHUNK = 64  # samples whose innovations are kept at a time
 INFORMATION_RANK = 1e-12  # of the information on parameters
 
@@ -77,6 +77,48 @@ class _Filter:
         gain = F @ P @ np.linalg.solve(V, H).swapaxes(1, 2)
         log_det = 2 * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
         return cls(F, H, P, gain, np.linalg.inv(L), log_det)
+
+
+def _steady(F: np.ndarray, H: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return P of P = F (P - P H^T (H P H^T + I)^-1 H P) F^T + Q for B hypotheses, and which have one, (B,).
+
+    By doubling: after k steps it is that of 2^k samples. Source: E. K.-W. Chu et al., Int. J. Control 77 (2004) 767.
+    """
+    A, G, P = F.swapaxes(1, 2), H.swapaxes(1, 2) @ H, Q
+    one, done = np.eye(F.shape[1]), np.zeros(len(F), bool)
+    with np.errstate(all="ignore"):
+        for _ in range(DOUBLINGS):
+            W = np.where(np.isfinite(G).all(axis=(1, 2))[:, None, None], one + G @ P, one)
+            WA, WG = np.linalg.solve(W, A), np.linalg.solve(W, G)
+            more = A.swapaxes(1, 2) @ P @ WA
+            A, G, P = A @ WA, G + A @ WG @ A.swapaxes(1, 2), P + (more + more.swapaxes(1, 2)) / 2
+            done = np.abs(more).max(axis=(1, 2)) <= CONVERGED * np.abs(P).max(axis=(1, 2))
+            if done.all():
+                break
+    found = done & np.isfinite(P).all(axis=(1, 2))
+    V = H @ np.where(found[:, None, None], P, 0.0) @ H.swapaxes(1, 2) + np.eye(H.shape[1])
+    return P, found & (np.linalg.eigvalsh(V).min(axis=1) > 0.5)  # 1 at least, but for rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """The steady or varying filter of one hypothesis along a run: signals (N, c, K) to innovations of unit variance.
+
+    F (N or 1, n, n): of the predicted states, gain (N or 1, n, c), H (N or 1, c, n), root (N or 1, c, c). log_det: sum
+    of the logarithms of their variances. noise (c,): of the outputs.
+    """
+
+    F: np.ndarray
+    gain: np.ndarray
+    H: np.ndarray
+    root: np.ndarray
+    log_det: float
+    noise: np.ndarray
+
+    def innovations(self, y: np.ndarray) -> np.ndarray:
+        """Return the innovations (N, c, K) of signals at the outputs."""
+        y = y / self.noise[:, None]
+        return np.asarray(self.root @ (y - self.H @ recursion(self.F, self.gain, y)[:-1]))
 
 
 class UnknownInputs:
@@ -167,21 +209,32 @@ class UnknownInputs:
     ) -> tuple[_Filter, list[tuple[int, float]]]:
         """Return the steady filters of a run (of its first sample), and the pairs that have one."""
         F, H, Q = self._augmented(run, pairs, 0)
-        kept, P = [], []
-        for b in range(len(pairs)):
-            try:
-                P.append(solve_discrete_are(F[b].T, H[b].T, Q[b], np.eye(H.shape[1])))
-                kept.append(b)
-            except (np.linalg.LinAlgError, ValueError):
-                continue
-        return _Filter.of(F[kept], H[kept], np.array(P)), [pairs[b] for b in kept]
+        P, steady = _steady(F, H, Q)
+        return _Filter.of(F[steady], H[steady], P[steady]), [pairs[b] for b in np.flatnonzero(steady)]
 
     def _advanced(self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], before: _Filter, k: int) -> _Filter:
         """Return the filters of the next sample by the Riccati recursion."""
         F, H, Q = self._augmented(run, pairs, k)
-        rest = before.F - before.gain @ before.H
-        P = before.F @ before.P @ rest.swapaxes(1, 2) + Q
+        rest = before.F - before.gain @ before.H  # in the form of Joseph: a sum of squares stays one
+        P = rest @ before.P @ rest.swapaxes(1, 2) + before.gain @ before.gain.swapaxes(1, 2) + Q
         return _Filter.of(F, H, (P + P.swapaxes(1, 2)) / 2)
+
+    def whitening(self, place: int, strength: float) -> list[Whitening] | None:
+        """Return the filters of a signal of some strength at a place in each run; None where there is none."""
+        found = []
+        for run in self.runs:
+            pair = [(place, strength)]
+            here, kept = self._started(run, pair)
+            if not kept:
+                return None
+            filters = [here]
+            for k in range(1, 1 if run.constant else len(run.residual)):
+                filters.append(self._advanced(run, pair, filters[-1], k))
+            gain, H, root = (np.concatenate([getattr(f, key) for f in filters]) for key in ("gain", "H", "root"))
+            F = np.concatenate([f.F for f in filters]) - gain @ H
+            log_det = sum(float(f.log_det[0]) for f in filters) * (len(run.residual) if run.constant else 1)
+            found.append(Whitening(F, gain, H, root, log_det, self.noise))
+        return found
 
     def smoothed(self, item: SignalEstimate) -> Smoothed:
         """Return the estimated signal at a place, given all samples of the runs."""
