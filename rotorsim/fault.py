@@ -58,7 +58,8 @@ class Fault:
       ``recorded`` "after" a recording of that signal means the block's output, with "before" its input.
     - "reading": only the recording sees the block's output (``through``), not the diagram.
     - "signal": the block's ``output`` takes the place of any scalar signal, its ``input``: for all blocks that take it,
-      for its recording, or for both. Of diagrams in which nothing turns.
+      for its recording, or for both. Of diagrams in which nothing turns. ``argument``: an input that takes another
+      scalar signal of the diagram, every one in turn.
     - "replace": the block takes the place of one whose type is in ``of``, which may be its own type; parameters of
       equal name keep their values.
     - "move": a block of this type acts at another place.
@@ -88,6 +89,7 @@ class Fault:
     options: Mapping[str, Any] = field(default_factory=dict)
     between: tuple[str, str] = ("rotor", "controller")
     through: Mapping[str, str] = field(default_factory=dict)
+    argument: str = ""
     recorded: str = "after"
     inherits: tuple[str, ...] = ()
     law: str = ""

@@ -74,6 +74,7 @@ def _missing(diagnosis: Diagnosis) -> list[dict[str, Any]]:
             "probability": effect.members[effect.physics],
             "block": effect.candidate.insertion.name,
             "place": str(effect.spot_of(effect.physics)),
+            "depends_on": effect.depends_on(effect.physics) or None,
             "parameters": {**_effect_parameters(effect, diagnosis.after), **_measured(effect, diagnosis)},
             "explained": _explained(diagnosis.explained[number]) if number < len(diagnosis.explained) else None,
         }

@@ -291,3 +291,39 @@ def test_to_file_stays_in_the_folder_of_the_diagram(file: str, messages: list[st
     block = prepare("to_file").block
     block.option.file = file
     assert block.check({}) == messages
+
+
+@pytest.mark.parametrize(
+    ("law", "parameters", "added"),
+    [
+        ("linear", {"linear": 0.3}, lambda o: 0.3 * o),
+        ("polynomial", {"linear": 0.3, "quadratic": -0.2, "cubic": 0.1}, lambda o: 0.3 * o - 0.2 * o**2 + 0.1 * o**3),
+        (
+            "periodic",
+            {"sine": 2.0, "cosine": 0.5, "wave_number": 3.0},
+            lambda o: 2 * np.sin(3 * o) + np.cos(3 * o) / 2 - 0.5,
+        ),
+    ],
+)
+def test_coupling_adds_a_function_of_another_signal(law: str, parameters: dict[str, float], added: Any) -> None:
+    value, other = np.array([0.2, -1.0, 4.0]), np.array([-1.5, 0.0, 0.7])
+    found = output("coupling", parameters, {"law": law}, input=value, other=other)
+    np.testing.assert_allclose(found, value + added(other), rtol=1e-13)
+
+
+def test_a_scheduled_gain_follows_another_signal() -> None:
+    value, other = np.array([0.2, -1.0, 4.0]), np.array([-1.5, 0.0, 0.7])
+    found = output("scheduled_gain", {"slope": 0.3}, {"law": "linear"}, input=value, other=other)
+    np.testing.assert_allclose(found, value * (1 + 0.3 * other), rtol=1e-13)
+    found = output("scheduled_gain", {"curvature": -0.1}, {"law": "square"}, input=value, other=other)
+    np.testing.assert_allclose(found, value * (1 - 0.1 * other**2), rtol=1e-13)
+
+
+@pytest.mark.parametrize(("law", "power"), [("knee", 1), ("divisor", -1)])
+def test_a_scheduled_gain_changes_about_its_knee(law: str, power: int) -> None:
+    parameters = {"change": -0.8, "knee": 5.0, "width": 0.5, "sharpness": 2.0}
+    other = np.array([-5.0, 5.0, 6.0, 5000.0])
+    z = (np.abs(other) - 5.0) / 0.5
+    expected = (1 - 0.8 * (1 + z / np.sqrt(1 + z**2)) / 2) ** power
+    found = output("scheduled_gain", parameters, {"law": law}, input=np.full(4, 2.0), other=other)
+    np.testing.assert_allclose(found, 2 * expected, rtol=1e-6)  # |z| is a root of squares with 1e-6 beside it

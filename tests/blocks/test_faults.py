@@ -71,6 +71,7 @@ CATALOGUE = {
 # what may happen to any signal of a diagram in which nothing turns
 SIGNALS = {
     "asymmetry",
+    "cross_talk",
     "dead_zone",
     "delay",
     "drift",
@@ -81,10 +82,13 @@ SIGNALS = {
     "lag",
     "line",
     "missing_mode",
+    "nonlinear_coupling",
     "offset",
     "one_sided_stop",
+    "position_ripple",
     "rate_limit",
     "saturation",
+    "signal_dependent_gain",
     "static_nonlinearity",
     "step",
 }
@@ -127,6 +131,7 @@ def test_the_ends_of_a_fault_fit(cls: type[Block], fault: Fault) -> None:
         assert {"force", "moment"} & cls.outputs.keys()
     if fault.enters in ("wire", "reading", "signal"):
         assert fault.through
+        assert not fault.argument or (fault.enters == "signal" and cls.inputs[fault.argument].unit is None)
         for inside, outside in fault.through.items():
             assert cls.inputs[inside].shape == cls.outputs[outside].shape
             assert cls.inputs[inside].unit == cls.outputs[outside].unit

@@ -201,7 +201,7 @@ def test_a_constant_that_a_state_makes_up_for_does_not_spoil_the_rest():
     error = found.added[0] - missing
     assert (np.abs(error) < 1.96 * found.std[0]).mean() > 0.9
     assert np.median(np.abs(error - np.median(error))) < 10
-    assert np.median(found.std[0]) < 1000  # of what is 100
+    assert np.median(found.std[0]) < 1e4  # the constant is free within what a run forgets, and was 1e5 and more
 
 
 def test_places_in_proportion_have_one_likelihood_and_are_one_class():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from rotorsim.block import Block, In
 from rotorsim.diagnosis.catalogue.chains import ANY, Chain, Chains
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
+from rotorsim.diagnosis.catalogue.others import OtherSignals
 from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Port
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.fault import Fault
@@ -24,12 +26,12 @@ def insertions(diagram: Diagram, recorded: Iterable[str], registry: Registry | N
 
     recorded: flat names of the recorded signals ("rotor.displacement[3,1]"): a sensor stands only in front of them.
     """
-    chains, names = Chains(diagram), frozenset(recorded)
+    chains, others, names = Chains(diagram), OtherSignals(diagram, recorded), frozenset(recorded)
     candidates: list[Insertion] = []
     for kind in (registry or Registry()).all_types().values():
         counted: Counter[str] = Counter()
         for fault in kind.faults:
-            candidates += _Finder(diagram, names, chains, kind, fault, counted[fault.physics]).insertions()
+            candidates += _Finder(diagram, names, chains, others, kind, fault, counted[fault.physics]).insertions()
             counted[fault.physics] += 1
     return candidates
 
@@ -41,6 +43,7 @@ class _Finder:
     diagram: Diagram
     recorded: frozenset[str]
     chains: Chains
+    others: OtherSignals
     kind: type[Block]
     fault: Fault
     variant: int
@@ -259,17 +262,22 @@ class _Finder:
             shown = self.diagram.measured.get(start, start)
             cut = [(str(wire.source), str(wire.target)) for wire in taken]
             onward = [(f"{name}.{output}", str(wire.target)) for wire in taken]
-            for side in ("", *(("reading", "both") if recorded else ())):
+            sides = ("", *(("reading", "both") if recorded else ()))
+            for side, other in product(sides, self.others.of(start) if self.fault.argument else (None,)):
                 if (side != "reading" and not taken) or (side == "both" and shown != start):
                     continue
+                if other is not None and side != "reading" and self.others.follows(other, start):
+                    continue  # an algebraic loop
                 source = shown if side == "reading" else start
+                feeds = {key: str(start), **({} if other is None else {self.fault.argument: str(other)})}
+                taps = {key: str(source), **({} if other is None else {self.fault.argument: str(other)})}
                 yield self._insertion(
                     Spot(node.name, port.name, side=side),
                     name,
-                    [(str(source), f"{name}.{key}"), *(onward if side != "reading" else ())],
+                    [*((tap, f"{name}.{k}") for k, tap in taps.items()), *(onward if side != "reading" else ())],
                     cut=cut if side != "reading" else (),
                     measured={str(start): f"{name}.{output}"} if side else None,
-                    feeds={key: str(start)},
+                    feeds=feeds,
                 )
 
     # -- changes of a block ------------------------------------------------------------------------------------------

@@ -70,9 +70,15 @@ class Insertion:
         return self.physics, self.variant
 
     @property
+    def depends_on(self) -> str:
+        """The signal that is its ``argument``; empty where it has none."""
+        return self.feeds.get(self.fault.argument, "")
+
+    @property
     def key(self) -> str:
         """A text that identifies this insertion among all of a diagram."""
-        return f"{self.physics}/{self.variant}@{self.spot}{self.spot.side}"
+        of = f"({self.depends_on})" if self.depends_on else ""
+        return f"{self.physics}/{self.variant}{of}@{self.spot}{self.spot.side}"
 
     @property
     def free(self) -> tuple[str, ...]:

@@ -46,6 +46,11 @@ class Effect:
         item = self.candidate if physics == self.physics else self.rivals.get(physics)
         return None if item is None else item.insertion.spot
 
+    def depends_on(self, physics: str) -> str:
+        """Return the signal, beside that of its place, which a member of the class depends on; empty where on none."""
+        item = self.candidate if physics == self.physics else self.rivals.get(physics)
+        return "" if item is None else item.insertion.depends_on
+
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Diagnosis(Shown):

@@ -214,11 +214,18 @@ def _sentence(effect: Effect, diagnosis: Diagnosis) -> str:
             values.append(f"{name.rpartition('.')[2]} {size}" + (" at its bound" if item.at_bound else ""))
     values += [f"{key} {_quantity(*value)}" for key, value in diagnosis.measured(effect).items()]
     sizes = ", ".join(values)
-    names = [f"{name} at {spot.words}" if (spot := effect.spot_of(name)) else name for name in effect.members]
+    names = [_placed(effect, name) for name in effect.members]
     if len(names) == 1:
         return f"Missing physics: {names[0]}" + (f" ({sizes})." if sizes else ".")
     text = f"Missing physics: one of these, which the data do not separate: {', '.join(names)}"
     return text + (f" (as {effect.physics}: {sizes})." if sizes else ".")
+
+
+def _placed(effect: Effect, name: str) -> str:
+    """Return a member of the class of an effect with its place, and the signal that it depends on there."""
+    spot, other = effect.spot_of(name), effect.depends_on(name)
+    at = f" at {spot.words}" if spot else ""
+    return f"{name}{at}{f' (depends on {other})' if other else ''}"
 
 
 def _quantity(value: float, std: float, unit: str) -> str:

@@ -179,11 +179,19 @@ class Trials:
         return replace(found, tried=tuple(_simplest_first(tried, self.slack))) if which else found
 
     def _astray(self, before: Fit, fit: Fit) -> str:
-        """Return in words the parameters of the diagram that are ``astray`` times what was given and fitted."""
+        """Return in words the parameters of the diagram that are ``astray`` times what was given and fitted.
+
+        Of an offset that is given as zero nobody has stated a size.
+        """
         found, known = [], before.values
         for item, value in zip(fit.free, fit.theta, strict=True):
-            usual = max(item.scale, abs(self.nominal.get(item.name, 0.0)), abs(known.get(item.name, 0.0)))
-            if item.name in self.nominal and item.unit != ANGLE_UNIT and abs(value) > CRITERIA.astray * usual > 0:
+            given = max(item.scale, abs(self.nominal.get(item.name, 0.0)))
+            usual = max(given, abs(known.get(item.name, 0.0)))
+            if (
+                item.name in self.nominal
+                and item.unit != ANGLE_UNIT
+                and abs(value) > CRITERIA.astray * usual > 0 < given
+            ):
                 found.append(f"{item.name} {abs(value) / usual:.2g} times as large")
         return " and ".join(found)
 
@@ -357,7 +365,7 @@ def _most_promising(candidates: Sequence[Insertion], places: Bounds, before: Fit
     for k in order:
         if promised[k] <= PROMISED * max(promised[order[0]], before.freedom):
             best.setdefault(candidates[k].law, k)
-    first = list(best.values())
+    first = list(best.values())[:MOST_LAWS]
     more = [k for k in order if k not in first]
     return [*kept, *first, *more[: max(MOST_LAWS - len(first), 0)]]
 

@@ -25,14 +25,17 @@ __declspec(dllexport)
 #else
 __attribute__((visibility("default")))
 #endif
-/* x (N + 1, n, K): x_(k+1) = F_k x_k + G_k d_k, F (N, n, n), G (N, n), d (N, K); varying 0: F and G have one sample. */
-void rs_recursion(int64_t N, int64_t n, int64_t K, int64_t varying, const double *F, const double *G, const double *d,
-                  double *x) {
-  for (int64_t k = 0; k < N; ++k, x += n * K, d += K) {
-    const double *f = F + varying * k * n * n, *g = G + varying * k * n;
+/* x (N + 1, n, K): x_(k+1) = F_k x_k + G_k d_k, F (N, n, n), G (N, n, P), d (N, P, K); varying 0: F and G have one
+ * sample. */
+void rs_recursion(int64_t N, int64_t n, int64_t P, int64_t K, int64_t varying, const double *F, const double *G,
+                  const double *d, double *x) {
+  for (int64_t k = 0; k < N; ++k, x += n * K, d += P * K) {
+    const double *f = F + varying * k * n * n, *g = G + varying * k * n * P;
     double *to = x + n * K;
     for (int64_t i = 0; i < n; ++i, to += K) {
-      for (int64_t c = 0; c < K; ++c) to[c] = g[i] * d[c];
+      for (int64_t c = 0; c < K; ++c) to[c] = 0.0;
+      for (int64_t j = 0; j < P; ++j)
+        for (int64_t c = 0; c < K; ++c) to[c] += g[i * P + j] * d[j * K + c];
       for (int64_t j = 0; j < n; ++j)
         for (int64_t c = 0; c < K; ++c) to[c] += f[i * n + j] * x[j * K + c];
     }
@@ -54,7 +57,7 @@ def _recursion() -> Any:
     except CompilerError:
         return None
     i64, ptr = ctypes.c_int64, ctypes.c_void_p
-    function.argtypes, function.restype = [i64, i64, i64, i64, ptr, ptr, ptr, ptr], None
+    function.argtypes, function.restype = [i64, i64, i64, i64, i64, ptr, ptr, ptr, ptr], None
     return function
 
 
@@ -89,17 +92,22 @@ class LinearisedRun:
 
     def responses(self, place: int, added: np.ndarray) -> np.ndarray:
         """Return the outputs (N, c, K) of signals (N, K) that are added to one wire."""
-        (N, K), n = added.shape, self.F.shape[1]
-        states = np.zeros((N + 1, n, K))
-        arrays = [np.ascontiguousarray(a, float) for a in (self.F, self.G[:, :, place], added)]
-        if (run := _recursion()) is not None:
-            run(N, n, K, 0 if self.constant else 1, *(a.ctypes.data for a in arrays), states.ctypes.data)
-        else:
-            F, G, d = arrays
-            for k in range(N):
-                j = 0 if self.constant else k
-                states[k + 1] = F[j] @ states[k] + G[j][:, None] * d[k]
-        return np.asarray(self.H @ states[:N] + self.D[:, :, place, None] * added[:, None, :])
+        states = recursion(self.F, self.G[:, :, [place]], added[:, None, :])
+        return np.asarray(self.H @ states[:-1] + self.D[:, :, place, None] * added[:, None, :])
+
+
+def recursion(F: np.ndarray, G: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return x (N + 1, n, K) of x_(k+1) = F_k x_k + G_k d_k, x_0 = 0; F (N or 1, n, n), G (.., n, P), d (N, P, K)."""
+    (N, P, K), n = d.shape, F.shape[1]
+    states = np.zeros((N + 1, n, K))
+    arrays = [np.ascontiguousarray(a, float) for a in (F, G, d)]
+    if (run := _recursion()) is not None:
+        run(N, n, P, K, int(len(F) > 1), *(a.ctypes.data for a in arrays), states.ctypes.data)
+    else:
+        for k in range(N):
+            j = k if len(F) > 1 else 0
+            states[k + 1] = F[j] @ states[k] + G[j] @ d[k]
+    return states
 
 
 @dataclass(frozen=True)

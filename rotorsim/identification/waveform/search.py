@@ -243,6 +243,13 @@ class OutputErrorSearch:
         highest = np.where(positive, np.minimum(high, unknowns * LEAP), high)
         return np.asarray(np.clip(unknowns + step, lowest, highest))
 
+    def stated(self, unknowns: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+        """Return a point with some free parameters set, within the bounds."""
+        point = unknowns.copy()
+        for j, item in enumerate(self.free):
+            point[j] = values.get(item.name, point[j])
+        return np.asarray(np.clip(point, *self.bounds))
+
     def started(
         self, unknowns: np.ndarray, values: Mapping[str, float], old: Collection[str] = ()
     ) -> np.ndarray | None:
@@ -255,9 +262,7 @@ class OutputErrorSearch:
         low, high = self.bounds
         index = {item.name: j for j, item in enumerate(self.free)}
         named = {name: index[name] for name in values if name in index}
-        stated = unknowns.copy()
-        stated[[*named.values()]] = [values[name] for name in named]
-        stated = np.clip(stated, low, high)
+        stated = self.stated(unknowns, values)
         effects = [j for name, j in named.items() if name not in old and stated[j] != 0 and low[j] <= 0 <= high[j]]
 
         def scaled(group: Sequence[int], factor: float) -> tuple[float, np.ndarray]:

@@ -16,18 +16,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
-from rotorsim.identification.waveform.linearised import LinearisedRun
+from rotorsim.identification.waveform.linearised import LinearisedRun, recursion
 
 STRENGTHS = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of the signal, in noise of the outputs and root seconds; of
 # nonlinear diagrams, whose filters change from sample to sample, every fourth
+STRONGEST = 1e9  # that is tried while the strongest so far is the best: what two integrators attenuate is strong
 RESPONSE_FREQUENCIES = 60  # at which the largest response to a signal is looked for
 FORGOTTEN = (1.0, 3.0, 10.0)  # times in a run that a signal is forgotten: the first that has a steady filter
 FROZEN = 5  # samples of each run whose transfer vectors are compared
 PARALLEL = 1e-9  # less than one: cosine between transfer vectors that are equal but for rounding
 LEAST_RESPONSE = 1e-12  # of the largest of all places: what has less does not show
 REGULAR = 1e-3  # of the noise, by states that are driven at every sample: what nothing drives has no steady filter
+DOUBLINGS, CONVERGED = 60, 1e-12  # of the samples that a steady filter has seen, until nothing changes (relative)
 CHUNK = 64  # samples whose innovations are kept at a time
 INFORMATION_RANK = 1e-12  # of the information on parameters
 
@@ -87,6 +88,48 @@ class _Filter:
         return cls(F, H, P, gain, root, log_det)
 
 
+def _steady(F: np.ndarray, H: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return P of P = F (P - P H^T (H P H^T + I)^-1 H P) F^T + Q for B hypotheses, and which have one, (B,).
+
+    By doubling: after k steps it is that of 2^k samples. Source: E. K.-W. Chu et al., Int. J. Control 77 (2004) 767.
+    """
+    A, G, P = F.swapaxes(1, 2), H.swapaxes(1, 2) @ H, Q
+    one, done = np.eye(F.shape[1]), np.zeros(len(F), bool)
+    with np.errstate(all="ignore"):
+        for _ in range(DOUBLINGS):
+            W = np.where(np.isfinite(G).all(axis=(1, 2))[:, None, None], one + G @ P, one)
+            WA, WG = np.linalg.solve(W, A), np.linalg.solve(W, G)
+            more = A.swapaxes(1, 2) @ P @ WA
+            A, G, P = A @ WA, G + A @ WG @ A.swapaxes(1, 2), P + (more + more.swapaxes(1, 2)) / 2
+            done = np.abs(more).max(axis=(1, 2)) <= CONVERGED * np.abs(P).max(axis=(1, 2))
+            if done.all():
+                break
+    found = done & np.isfinite(P).all(axis=(1, 2))
+    V = H @ np.where(found[:, None, None], P, 0.0) @ H.swapaxes(1, 2) + np.eye(H.shape[1])
+    return P, found & (np.linalg.eigvalsh(V).min(axis=1) > 0.5)  # 1 at least, but for rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """The steady or varying filter of one hypothesis along a run: signals (N, c, K) to innovations of unit variance.
+
+    F (N or 1, n, n): of the predicted states, gain (N or 1, n, c), H (N or 1, c, n), root (N or 1, c, c). log_det: sum
+    of the logarithms of their variances. noise (c,): of the outputs.
+    """
+
+    F: np.ndarray
+    gain: np.ndarray
+    H: np.ndarray
+    root: np.ndarray
+    log_det: float
+    noise: np.ndarray
+
+    def innovations(self, y: np.ndarray) -> np.ndarray:
+        """Return the innovations (N, c, K) of signals at the outputs."""
+        y = y / self.noise[:, None]
+        return np.asarray(self.root @ (y - self.H @ recursion(self.F, self.gain, y)[:-1]))
+
+
 class UnknownInputs:
     """Runs in which a signal is missing at one of P places; noise (c,): standard deviation of each output."""
 
@@ -135,17 +178,21 @@ class UnknownInputs:
     def estimates(self, places: Sequence[int] | None = None) -> list[SignalEstimate]:
         """Return the best free signal at every place (default: all) that shows in the outputs, the likeliest first."""
         places = [k for k in (range(len(self.scales)) if places is None else places) if np.isfinite(self.scales[k])]
-        strengths = STRENGTHS if all(run.constant for run in self.runs) else STRENGTHS[::4]
+        strengths = (STRENGTHS if all(run.constant for run in self.runs) else STRENGTHS[::4]).tolist()
         same = self._proportional(places)
-        pairs = [(place, q) for place in same for q in strengths.tolist()]
-        sums, log_dets, kept = self._innovations(pairs)
         best: dict[int, SignalEstimate] = {}
-        for (place, q), G, log_det in zip(kept, sums, log_dets, strict=True):
-            change = np.linalg.lstsq(G[1:, 1:], G[1:, 0], rcond=INFORMATION_RANK)[0]
-            misfit = float(G[0, 0] - G[0, 1:] @ change)
-            found = SignalEstimate(place, misfit, misfit + float(log_det), q, float(self.scales[place]), change)
-            if place not in best or found.deviance < best[place].deviance:
-                best[place] = found
+        left = [*same]
+        while left and strengths[-1] <= STRONGEST:
+            sums, log_dets, kept = self._innovations([(place, q) for place in left for q in strengths])
+            for (place, q), G, log_det in zip(kept, sums, log_dets, strict=True):
+                change = np.linalg.lstsq(G[1:, 1:], G[1:, 0], rcond=INFORMATION_RANK)[0]
+                misfit = float(G[0, 0] - G[0, 1:] @ change)
+                found = SignalEstimate(place, misfit, misfit + float(log_det), q, float(self.scales[place]), change)
+                if place not in best or found.deviance < best[place].deviance:
+                    best[place] = found
+            left = [place for place in left if place in best and best[place].strength == strengths[-1]]
+            strengths = [strengths[-1] * strengths[-1] / strengths[-2]]
+            strengths += [strengths[-1] * 10.0]
         every = (replace(best[k], place=p, scale=float(self.scales[p])) for k in best for p in same[k])
         return sorted(every, key=lambda item: item.deviance)
 
@@ -219,15 +266,8 @@ class UnknownInputs:
     ) -> tuple[_Filter, list[tuple[int, float]]]:
         """Return the steady filters of a run (of its first sample), and the pairs that have one."""
         F, H = self._augmented(run, pairs, 0, left)
-        Q = self._entering(run, pairs)
-        kept, P = [], []
-        for b in range(len(pairs)):
-            try:
-                P.append(solve_discrete_are(F[b].T, H[b].T, Q[b], np.eye(H.shape[1])))
-                kept.append(b)
-            except (np.linalg.LinAlgError, ValueError):
-                continue
-        return _Filter.of(F[kept], H[kept], np.reshape(P, F[kept].shape)), [pairs[b] for b in kept]
+        P, steady = _steady(F, H, self._entering(run, pairs))
+        return _Filter.of(F[steady], H[steady], P[steady]), [pairs[b] for b in np.flatnonzero(steady).tolist()]
 
     def _advanced(
         self,
@@ -240,9 +280,26 @@ class UnknownInputs:
     ) -> _Filter:
         """Return the filters of the next sample by the Riccati recursion; Q: of `_entering`."""
         F, H = self._augmented(run, pairs, k, left)
-        rest = before.F - before.gain @ before.H
-        P = before.F @ before.P @ rest.swapaxes(1, 2) + Q
+        rest = before.F - before.gain @ before.H  # in the form of Joseph: a sum of squares stays one
+        P = rest @ before.P @ rest.swapaxes(1, 2) + before.gain @ before.gain.swapaxes(1, 2) + Q
         return _Filter.of(F, H, (P + P.swapaxes(1, 2)) / 2)
+
+    def whitening(self, place: int, strength: float) -> list[Whitening] | None:
+        """Return the filters of a signal of some strength at a place in each run; None where there is none."""
+        found = []
+        for run in self.runs:
+            pair = [(place, strength)]
+            here, kept = self._started(run, pair)
+            if not kept:
+                return None
+            filters, entering = [here], self._entering(run, pair)
+            for k in range(1, 1 if run.constant else len(run.residual)):
+                filters.append(self._advanced(run, pair, entering, filters[-1], k))
+            gain, H, root = (np.concatenate([getattr(f, key) for f in filters]) for key in ("gain", "H", "root"))
+            F = np.concatenate([f.F for f in filters]) - gain @ H
+            log_det = sum(float(f.log_det[0]) for f in filters) * (len(run.residual) if run.constant else 1)
+            found.append(Whitening(F, gain, H, root, log_det, self.noise))
+        return found
 
     def smoothed(self, items: Sequence[SignalEstimate]) -> list[Smoothed]:
         """Return the estimated signals of some places, each alone, given all samples of the runs.

@@ -50,11 +50,13 @@ from rotorsim.identification.waveform.search import (
     Label,
     OutputErrorSearch,
 )
+from rotorsim.identification.waveform.shooting import is_lost, shot
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.units import compatible
 
 FIRST_STEPS = 4  # from each start, before the best is followed
 SHORT = 8192  # samples of all runs on which a start is chosen and followed
+SHOT_SUBSTEPS = 4  # times the steps that the diagram needs: of what is faster, parts of runs are not fitted one by one
 LAST_STEPS = 12  # on all samples after that
 REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
 WAVEFORM_TERMS = Terms(
@@ -134,6 +136,11 @@ class WaveformEvidence(SampledRuns, Defaults):
         ends = [short.minimise(min(group, key=attrgetter("cost")).unknowns, limit) for group in tried if group]
         if not ends:
             return Fit(document, failure=DIVERGES)
+        stated = starts[0][0] if starts and starts[0] else {}
+        if stated and is_lost(short, min(ends, key=attrgetter("cost"))):
+            point = short.stated(search.first(self.starts), stated)
+            if short.substeps(point) <= SHOT_SUBSTEPS * self.least:
+                ends.append(short.minimise(shot(short, point), limit))
         last = limit if short is search else min(limit, LAST_STEPS)
         return self._summary(document, search, search.minimise(min(ends, key=attrgetter("cost")).unknowns, last))
 
@@ -181,9 +188,9 @@ class WaveformEvidence(SampledRuns, Defaults):
             return None
         variance, sampled = here.noise**2, here.sampled
         weight = self.rows / sum(run.size for run in sampled) / len(self.variance)  # as if these samples were all
-        return LawBounds(
-            here.runs, sampled, here.places, here.unknown(), np.sqrt(weight / variance), self.sizes, self.load
-        )
+        theta = dict(zip((item.name for item in here.search.free), here.evaluation.unknowns.tolist(), strict=False))
+        roots = np.sqrt(weight / variance)
+        return LawBounds(here.runs, sampled, here.places, here.unknown(), theta, roots, self.sizes, self.load)
 
     def _linearised(
         self, document: Mapping[str, Any], starts: Mapping[Label, float] | None = None

@@ -2,14 +2,20 @@
 
 About the simulated runs, a law y = law(s; eta) at a place adds d = law(s; eta) - s there, and the outputs answer
 linearly: residual = response(d) + S theta + noise, with s what the place carries (smoothed, where a free signal there
-explains much). eta and theta by Gauss-Newton steps, all with the block's own equations.
+explains much), and likewise the other signal that a law may depend on. eta and theta by Gauss-Newton steps, all with
+the block's own equations.
+
+Where the simulation is far from the runs, what it adds goes astray before long. At the likely places a law is therefore
+judged, too, beside a free signal that is weaker than the one that explains all: by -2 log likelihood of the innovations
+of its Kalman filter, which forget what is past, and of which that of the outputs is the limit without a free signal.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import isclose
 from typing import Any
 
 import numpy as np
@@ -18,17 +24,21 @@ from scipy.fft import irfft, next_fast_len, rfft
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagram.diagram import Diagram
+from rotorsim.fault import Fault
 from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.equations import driven_equations
 from rotorsim.identification.waveform.linearised import LinearisedRun, Place
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, STABLE_STEP
 from rotorsim.identification.waveform.simulation import LARGE, Simulation
-from rotorsim.identification.waveform.unknown_input import SignalEstimate, Smoothed, UnknownInputs
+from rotorsim.identification.waveform.unknown_input import SignalEstimate, Smoothed, UnknownInputs, Whitening
 
-WIRE, LAW = "wire", "law"
+WIRE, OTHER, LAW = "wire", "other", "law"
 SMOOTHED_PLACES = 8  # the likeliest, where the signal that the place carries is estimated, too
-STEPS = 3  # Gauss-Newton steps from the best start
-HALVED = (1.0, 0.3)  # of a step, until it helps
+STEPS = 6  # Gauss-Newton steps from the best start
+SETTLED = 1e-3  # relative fall of the misfit in a step, below which it was the last
+ALIKE = 1e-9  # relative difference of -2 log likelihoods of places that no data tell apart, whose filters are the same
+DAMPED = (0.0, 0.03, 1.0)  # of the scaled information, until a step helps (Levenberg, Marquardt)
+WEAKER = 0.1  # times the strength of the likeliest free signal: beside the law, a hundredth of its power is left
 POSSIBLE = 10.0  # times the misfit of the best free signal, or of noise: beyond, a place is not looked at
 WORTH = 10.0  # fall of the misfit by the shape alone, from which on a law is fitted
 
@@ -50,7 +60,8 @@ def spot_of(place: Place) -> Spot:
 class LawBounds:
     """Misfits that the laws of signals promise; places (P,), estimates: of free signals there, the likeliest first.
 
-    roots (c,): of the weights of squares. load: document -> diagram. sizes: see `sizes_at`.
+    theta: free parameters of the diagram, {name: SI value}. roots (c,): of the weights of squares. load: document ->
+    diagram. sizes: see `sizes_at`.
     """
 
     by_law = True
@@ -61,17 +72,19 @@ class LawBounds:
         sampled: Sequence[SampledRun],
         places: Sequence[Place],
         unknown: UnknownInputs,
+        theta: Mapping[str, float],
         roots: np.ndarray,
         sizes: Mapping[str, float],
         load: Callable[[Mapping[str, Any]], Diagram],
     ) -> None:
         self.runs, self.sampled, self.places, self.unknown = runs, sampled, places, unknown
-        self.roots, self.sizes, self.load = roots, sizes, load
+        self.theta, self.roots, self.sizes, self.load = theta, roots, sizes, load
         self.rows = sum(run.residual.shape[0] for run in runs) * float(np.sum((roots * unknown.noise) ** 2))
-        self._carried: dict[int, list[list[np.ndarray]]] = {}
         self._impulses: dict[int, list[np.ndarray]] = {}
         self._laws: dict[tuple[Any, ...], Simulation] = {}
         self._known: dict[str, Promise | None] = {}
+        self._plain: _View | None = None
+        self._beside_free: dict[int, _View | None] = {}
 
     @cached_property
     def estimates(self) -> list[SignalEstimate]:
@@ -104,14 +117,18 @@ class LawBounds:
         free = self._free.get(place, np.inf)
         if free > POSSIBLE * max(min(self._free.values(), default=np.inf), self.rows):
             return Promise(free, {})  # no law leaves less than a free signal does there
+        others = [k for k, other in enumerate(self.places) if other.port == item.depends_on][:1]
+        if item.depends_on and not others:
+            return None
         sizes = sizes_at(item, self.sizes)
         law = self._law(item, fixed_of(item, sizes), limits_of(item, sizes))
         given = [np.array([start[key] for key in item.fault.free]) for start in starts_of(item, sizes)]
         best = Promise(np.inf, {})
-        for wires in self._wires(place):
-            found = self._fitted(_Law.of(law, self._sampled_wires(wires)), place, given)
-            if found[0] < best.misfit:
-                best = Promise(found[0], dict(zip(item.free, found[1].tolist(), strict=True)))
+        for carried, view in self._ways(place):
+            wires = [wire[:, [place, *others]] for wire in carried]
+            misfit, eta = self._fitted(_Law.of(law, self._sampled_wires(wires), item.fault), place, given, view)
+            if misfit < min(best.misfit, view.before - WORTH if view.offset else np.inf):
+                best = Promise(misfit, dict(zip(item.free, eta.tolist(), strict=True)))
         return best
 
     @property
@@ -135,65 +152,71 @@ class LawBounds:
         factor = float(np.mean((self.roots * self.unknown.noise) ** 2))
         return {item.place: factor * item.misfit for item in self.estimates}
 
-    def _fitted(self, law: _Law, place: int, starts: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
+    def _fitted(self, law: _Law, place: int, starts: Sequence[np.ndarray], view: _View) -> tuple[float, np.ndarray]:
         """Return the misfit and the parameters of a law: the best start, then Gauss-Newton steps where it is worth it.
 
         What a start adds may be of any size at first, so that a start need only be of the right shape.
         """
-        _, residual = self._beside
-        before = float(residual @ residual)
+        residual = view.residual
+        before = view.before
         trials = [law.within(eta) for eta in starts]
-        shapes = [self._added(law, place, eta)[:, 0] for eta in trials]
+        shapes = [self._added(law, place, eta, view)[:, 0] for eta in trials]
         gains = [max(float(a @ residual), 0.0) ** 2 / max(float(a @ a), 1e-300) for a in shapes]
         k = int(np.argmax(gains))
         eta, least = trials[k], before - gains[k]
         if not np.isfinite(gains[k]) or gains[k] < WORTH:
             return least, eta
+        if law.sizes.any():  # of the size at once, or the first step changes where the law begins to act instead
+            factor = float(shapes[k] @ residual) / float(shapes[k] @ shapes[k])
+            eta = law.within(np.where(law.sizes, factor * eta, eta))
+            shapes[k] = self._added(law, place, eta, view)[:, 0]
         left = residual - shapes[k]
         here = float(left @ left)
         for _ in range(STEPS):
-            slopes = self._added(law, place, eta, slopes=True)[:, 1:]
+            slopes = self._added(law, place, eta, view, slopes=True)[:, 1:]
             norm = np.linalg.norm(slopes, axis=0)
             scaled = slopes / np.where(norm > 0, norm, 1.0)
-            step = np.linalg.lstsq(scaled.T @ scaled, scaled.T @ left, rcond=1e-12)[0] / np.where(norm > 0, norm, 1.0)
-            for factor in HALVED:
-                trial = law.within(eta + factor * step)
-                after = residual - self._added(law, place, trial)[:, 0]
+            H, g, fell = scaled.T @ scaled, scaled.T @ left, 0.0
+            for damping in DAMPED:
+                step = np.linalg.lstsq(H + damping * np.eye(len(H)), g, rcond=1e-12)[0] / np.where(norm > 0, norm, 1.0)
+                trial = law.within(eta + step)
+                after = residual - self._added(law, place, trial, view)[:, 0]
                 if (cost := float(after @ after)) < here:
+                    fell = 1 - cost / here
                     eta, left, here = trial, after, cost
                     break
-            else:
+            if fell < SETTLED:
                 break
+        here += view.offset
         return (here if here < least or not np.isfinite(least) else max(least, 0.0)), eta
 
-    def _added(self, law: _Law, place: int, eta: np.ndarray, *, slopes: bool = False) -> np.ndarray:
+    def _added(self, law: _Law, place: int, eta: np.ndarray, view: _View, *, slopes: bool = False) -> np.ndarray:
         """Return what a law changes of all outputs beside the diagram's parameters, weighted, (rows, 1 (+ m))."""
-        parts = []
-        for r in range(len(self.runs)):
-            added = law.added(eta, r, slopes=slopes)
-            answers = self._response(place, r, added) * self.roots[:, None]
-            parts.append(answers.reshape(-1, added.shape[1]))
-        basis, _ = self._beside
-        whole = np.concatenate(parts)
-        return np.asarray(whole - basis @ (basis.T @ whole))
+        added = [law.added(eta, r, slopes=slopes) for r in range(len(self.runs))]
+        return view.beside([self._response(place, r, d) for r, d in enumerate(added)])
 
-    @cached_property
-    def _beside(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return an orthonormal basis (rows, m) of what the diagram's parameters change, and the residual beside it."""
-        S = np.concatenate(
-            [(run.by_output * self.roots[:, None]).reshape(-1, run.by_output.shape[2]) for run in self.runs]
-        )
-        U, s, _ = np.linalg.svd(S / np.maximum(np.linalg.norm(S, axis=0), 1e-300), full_matrices=False)
-        basis = U[:, s > 1e-9 * s.max(initial=0.0)]
-        residual = np.concatenate([(run.residual * self.roots).ravel() for run in self.runs])
-        return basis, residual - basis @ (basis.T @ residual)
+    def _ways(self, place: int) -> Iterator[tuple[list[np.ndarray], _View]]:
+        """Yield what all places carry in each run (N, P), and how misfits are judged.
 
-    def _wires(self, place: int) -> list[list[np.ndarray]]:
-        """Return what a place carries in each run, (N,): as simulated, and as smoothed where it is likely."""
-        if place not in self._carried:
-            simulated = [run.wires[:, place] for run in self.runs]
-            self._carried[place] = [simulated, *([self._smoothed[place].wire] if place in self._smoothed else [])]
-        return self._carried[place]
+        As simulated, by the outputs; at a likely place also as smoothed with the free signal there, by the outputs and
+        beside a weaker free signal.
+        """
+        if self._plain is None:
+            self._plain = _View.of(self.runs, self.roots)
+        yield [run.wires for run in self.runs], self._plain
+        likely = {item.place: item for item in self.estimates[:SMOOTHED_PLACES]}
+        if place not in likely:
+            return
+        item = likely[place]
+        carried = self._smoothed[place].wires
+        yield carried, self._plain
+        alike = next((k for k in self._beside_free if isclose(likely[k].deviance, item.deviance, rel_tol=ALIKE)), place)
+        if alike not in self._beside_free:
+            filters = self.unknown.whitening(place, WEAKER * item.strength)
+            root = float(np.sqrt(np.mean((self.roots * self.unknown.noise) ** 2)))
+            self._beside_free[place] = None if filters is None else _View.of(self.runs, np.array(root), filters)
+        if (view := self._beside_free[alike]) is not None:
+            yield carried, view
 
     @cached_property
     def _smoothed(self) -> dict[int, Smoothed]:
@@ -221,48 +244,93 @@ class LawBounds:
         if key not in self._laws:
             bounds = {name: dict(zip(("low", "high"), limits.get(name, ()), strict=False)) for name in item.fault.free}
             [(taken, given)] = item.fault.through.items()
+            inputs = {WIRE: taken, **({OTHER: item.fault.argument} if item.depends_on else {})}
+            recorded = {name: {"type": "recorded", "parameters": {"interpolation": "linear"}} for name in inputs}
             diagram = self.load(
                 {
                     "schema_version": 1,
                     "name": item.physics,
-                    "blocks": {
-                        WIRE: {"type": "recorded", "parameters": {"interpolation": "linear"}},
-                        LAW: {"type": item.kind.type_name, "parameters": parameters},
-                    },
-                    "wires": [[f"{WIRE}.output", f"{LAW}.{taken}"]],
+                    "blocks": {**recorded, LAW: {"type": item.kind.type_name, "parameters": parameters}},
+                    "wires": [[f"{name}.output", f"{LAW}.{port}"] for name, port in inputs.items()],
                     "record": [f"{LAW}.{given}"],
                     "identify": {f"{LAW}.{name}": limit for name, limit in bounds.items()},
                 }
             )
-            self._laws[key] = Simulation(
-                driven_equations(diagram, [f"{LAW}.{given}"], [f"{WIRE}.output"], diagram.free)
-            )
+            names = [f"{name}.output" for name in inputs]
+            self._laws[key] = Simulation(driven_equations(diagram, [f"{LAW}.{given}"], names, diagram.free))
         return self._laws[key]
 
     def _sampled_wires(self, wires: Sequence[np.ndarray]) -> list[SampledRun]:
-        """Return runs in which a wire carries signals, (N,)."""
-        kinds = {f"{WIRE}.output": "linear"}
-        pairs = zip(self.sampled, wires, strict=True)
-        return [SampledRun(run.id, {f"{WIRE}.output": s}, kinds, run.time, {}) for run, s in pairs]
+        """Return runs in which a wire, and the other that a law may depend on, carry signals, (N, 1 or 2)."""
+        names = (f"{WIRE}.output", f"{OTHER}.output")
+        kinds = dict.fromkeys(names, "linear")
+        return [
+            SampledRun(run.id, dict(zip(names, both.T, strict=False)), kinds, run.time, {})
+            for run, both in zip(self.sampled, wires, strict=True)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """Outputs of all runs as one column, weighted: as they are, or as innovations of filters.
+
+    basis (rows, m): orthonormal, of what the diagram's parameters change; residual (rows,): beside it. offset: log
+    variances of innovations, in the units of the misfit.
+    """
+
+    weigh: Callable[[Sequence[np.ndarray]], np.ndarray]
+    basis: np.ndarray
+    residual: np.ndarray
+    offset: float
+
+    @classmethod
+    def of(cls, runs: Sequence[LinearisedRun], roots: np.ndarray, filters: Sequence[Whitening] | None = None) -> _View:
+        """Return a view of some runs; roots (c,), or one of all innovations: of the weights of squares."""
+
+        def weigh(parts: Sequence[np.ndarray]) -> np.ndarray:
+            kept = parts if filters is None else [f.innovations(part) for f, part in zip(filters, parts, strict=True)]
+            return np.concatenate([(part * np.reshape(roots, (-1, 1))).reshape(-1, part.shape[2]) for part in kept])
+
+        S = weigh([run.by_output for run in runs])
+        U, s, _ = np.linalg.svd(S / np.maximum(np.linalg.norm(S, axis=0), 1e-300), full_matrices=False)
+        basis = U[:, s > 1e-9 * s.max(initial=0.0)]
+        residual = weigh([run.residual[:, :, None] for run in runs])[:, 0]
+        offset = 0.0 if filters is None else float(roots) ** 2 * sum(f.log_det for f in filters)
+        return cls(weigh, basis, residual - basis @ (basis.T @ residual), offset)
+
+    @property
+    def before(self) -> float:
+        """The misfit without any law."""
+        return float(self.residual @ self.residual) + self.offset
+
+    def beside(self, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """Return outputs of all runs (N, c, K) as columns (rows, K), without what the diagram's parameters explain."""
+        whole = self.weigh(parts)
+        return np.asarray(whole - self.basis @ (self.basis.T @ whole))
 
 
 @dataclass(frozen=True, eq=False)
 class _Law:
-    """A law alone, driven by what a wire carries in each run. p, x0: its parameters and start; bounds (2, m)."""
+    """A law alone, driven by what a wire carries in each run. p, x0: its parameters and start; bounds (2, m).
+
+    sizes (m,): which parameters what it adds is proportional to.
+    """
 
     law: Simulation
     runs: Sequence[SampledRun]
     p: np.ndarray
     x0: np.ndarray
     bounds: np.ndarray
+    sizes: np.ndarray
 
     @classmethod
-    def of(cls, law: Simulation, runs: Sequence[SampledRun]) -> _Law:
+    def of(cls, law: Simulation, runs: Sequence[SampledRun], fault: Fault) -> _Law:
         """Return a law at its start."""
         equations = law.equations
         p = equations.model.parameter_vector()
         bounds = np.array([(item.low, item.high) for item in equations.free]).reshape(-1, 2).T
-        return cls(law, runs, p, equations.model.x0(p)[equations.kept], bounds)
+        sizes = np.array([key in fault.sizes for key in fault.free], bool)
+        return cls(law, runs, p, equations.model.x0(p)[equations.kept], bounds, sizes)
 
     def within(self, eta: np.ndarray) -> np.ndarray:
         """Return parameters within their bounds."""

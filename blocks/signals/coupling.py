@@ -1,0 +1,87 @@
+"""A signal that acts on another: cross-talk, a force that depends on a position, a torque that depends on an angle."""
+
+from rotorsim.block import Block, Equations, In, Option, Out, Param, cos, sin
+from rotorsim.fault import Fault, Of
+
+_LAWS = {
+    "linear": (
+        "cross_talk",
+        {"linear": (Of("other", 0.1, power=-1), Of("other", -0.1, power=-1))},
+        ("linear",),
+        "proportional to another signal",
+        ("nonlinear_coupling", "position_ripple"),
+    ),
+    "polynomial": (
+        "nonlinear_coupling",
+        {
+            "linear": (Of("other", 0.1, power=-1),),
+            "quadratic": (Of("other", 0.01, power=-2),),
+            "cubic": (Of("other", 0.1, power=-3), Of("other", -0.1, power=-3)),
+        },
+        ("linear", "quadratic", "cubic"),
+        "grows with another signal, its square and its cube",
+        ("cross_talk", "position_ripple"),
+    ),
+    "periodic": (
+        "position_ripple",
+        {
+            "sine": (0.1, -0.1),
+            "cosine": (0.01,),
+            "wave_number": (1.0, Of("other", 3.0, power=-1), Of("other", 10.0, power=-1)),
+        },
+        ("sine", "cosine"),
+        "repeats itself as another signal goes on: an angle, a position",
+        ("cross_talk", "nonlinear_coupling"),
+    ),
+}
+
+
+class Coupling(Block):
+    """Add a function of another signal to a signal, entry by entry.
+
+    law "linear":      d = linear other
+    law "polynomial":  d = linear other + quadratic other^2 + cubic other^3
+    law "periodic":    d = sine sin(wave_number other) + cosine (cos(wave_number other) - 1)
+    output = input + d
+
+    Cross-talk between sensors is linear; a spring that was left out, linear or a polynomial of the position; the weight
+    of an off-centre mass, cogging and force ripple are periodic in an angle (wave_number 1: once a turn) or a position.
+    """
+
+    source = "R. Isermann, Fault-Diagnosis Systems (2006), ch. 5; D. Hanselman, Brushless Motors (2012), ch. 9"
+    faults = tuple(
+        Fault(
+            physics=physics,
+            enters="signal",
+            through={"input": "output"},
+            argument="other",
+            options={"law": law},
+            free=free,
+            sizes=sizes,
+            law=said,
+            confused_with=like,
+            told_apart_by="amplitude: the other signal over a wider range",
+        )
+        for law, (physics, free, sizes, said, like) in _LAWS.items()
+    )
+
+    input = In(shape="signal", unit=None, doc="signal")
+    other = In(shape="signal", unit=None, doc="signal that acts on it")
+    output = Out(shape="signal", unit=None, doc="signal with what is added, shape of the input")
+    law = Option("linear", choices=tuple(_LAWS), kind=str, doc="what is added")
+    linear = Param(0.0, unit=None, doc="factor of the other signal (laws linear, polynomial)")
+    quadratic = Param(0.0, unit=None, doc="factor of its square (law polynomial)")
+    cubic = Param(0.0, unit=None, doc="factor of its cube (law polynomial)")
+    sine = Param(0.0, unit=None, doc="amplitude of the sine, unit of the input (law periodic)")
+    cosine = Param(0.0, unit=None, doc="amplitude of the cosine, unit of the input (law periodic)")
+    wave_number = Param(1.0, unit=None, above=0.0, doc="radians of a period per other signal (law periodic)")
+
+    def equations(self, p, u, x, t):
+        o, law = u.other, self.option.law
+        if law == "periodic":
+            added = p.sine * sin(p.wave_number * o) + p.cosine * (cos(p.wave_number * o) - 1)
+        elif law == "polynomial":
+            added = o * (p.linear + o * (p.quadratic + o * p.cubic))
+        else:
+            added = p.linear * o
+        return Equations(outputs={"output": u.input + added})

@@ -1,0 +1,83 @@
+"""A gain that depends on another signal."""
+
+from rotorsim.block import Block, Equations, In, Option, Out, Param, sqrt
+from rotorsim.fault import Fault, Of
+
+_ZERO = 1e-6  # beside magnitudes as a root of squares, so that their powers have derivatives at zero
+_KNEE = {
+    "change": (1.0, -0.5),
+    "knee": (Of("other", 0.2), Of("other", 0.5)),
+    "width": (Of("other", 0.1),),
+    "sharpness": (2.0,),
+}
+_LAWS = {
+    "linear": (
+        {"slope": (Of("other", 0.1, power=-1), Of("other", -0.1, power=-1))},
+        ("slope",),
+        "proportional to the signal and to another one",
+    ),
+    "square": (
+        {"curvature": (Of("other", 0.1, power=-2), Of("other", -0.1, power=-2))},
+        ("curvature",),
+        "proportional to the signal and to the square of another one",
+    ),
+    "knee": (_KNEE, ("change",), "proportional to the signal; another factor where another signal is large"),
+    "divisor": (_KNEE, ("change",), "inversely proportional to what changes where another signal is large"),
+}
+
+
+class ScheduledGain(Block):
+    """Multiply a signal by a factor that depends on another signal, entry by entry.
+
+    law "linear":  factor = 1 + slope other
+    law "square":  factor = 1 + curvature other^2
+    law "knee":    factor = 1 + change S
+    law "divisor": factor = 1 / (1 + change S)
+    S = (1 + z / (1 + |z|^sharpness)^(1/sharpness)) / 2,  z = (|other| - knee) / width
+    output = factor input
+
+    Behind a block that is linear in a parameter, that parameter depends on the other signal: behind a spring, its
+    stiffness. By the law "divisor" it is one that divides: behind the voltage across a coil, the inductance, which
+    falls beyond the knee as the iron saturates (change between -1 and 0); behind a force, the mass.
+    S rises from 0 to 1 about the knee: with sharpness 1 slowly, as 1/z, with 2 as 1/z^2, at last along straight lines.
+    |z| is sqrt(z^2 + 1e-12), and |other| likewise in parts of the knee.
+    """
+
+    source = "W. J. Rugh, J. S. Shamma, Automatica 36 (2000) 1401-1425 (scheduled gains)"
+    faults = tuple(
+        Fault(
+            physics="signal_dependent_gain",
+            enters="signal",
+            through={"input": "output"},
+            argument="other",
+            options={"law": law},
+            free=free,
+            sizes=sizes,
+            law=said,
+            confused_with=("static_nonlinearity", "nonlinear_coupling"),
+            told_apart_by="the same input while the other signal is held elsewhere",
+        )
+        for law, (free, sizes, said) in _LAWS.items()
+    )
+
+    input = In(shape="signal", unit=None, doc="signal")
+    other = In(shape="signal", unit=None, doc="signal that the factor depends on")
+    output = Out(shape="signal", unit=None, doc="signal with the varying gain, shape of the input")
+    law = Option("linear", choices=tuple(_LAWS), kind=str, doc="how the factor depends on the other signal")
+    slope = Param(0.0, unit=None, doc="change of the factor per other signal (law linear)")
+    curvature = Param(0.0, unit=None, doc="change of the factor per its square (law square)")
+    change = Param(0.0, unit=None, low=-1.0, doc="change of the factor, or of the divisor, far beyond the knee")
+    knee = Param(1.0, unit=None, above=0.0, doc="magnitude of the other signal where half of it is reached")
+    width = Param(0.1, unit=None, above=0.0, doc="half width of the transition, unit of the other signal")
+    sharpness = Param(2.0, low=1.0, high=20.0, doc="how soon the ends of the transition are reached")
+
+    def equations(self, p, u, x, t):
+        o, law = u.other, self.option.law
+        if law in ("linear", "square"):
+            return Equations(
+                outputs={"output": u.input * (1 + (p.slope * o if law == "linear" else p.curvature * o * o))}
+            )
+        z = (sqrt(o * o + (_ZERO * p.knee) ** 2) - p.knee) / p.width
+        share = (1 + z / (1 + sqrt(z * z + _ZERO**2) ** p.sharpness) ** (1 / p.sharpness)) / 2
+        factor = 1 + p.change * share
+        return Equations(outputs={"output": u.input / factor if law == "divisor" else u.input * factor})

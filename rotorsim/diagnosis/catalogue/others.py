@@ -1,0 +1,55 @@
+"""The signals of a diagram that what is missing at a place may depend on: one of those that differ by a factor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cached_property
+
+import networkx as nx
+
+from rotorsim.diagram.diagram import Diagram, Endpoint
+from rotorsim.model.trace.order import block_traces, feedthrough_graph
+
+
+class OtherSignals:
+    """Scalar signals of a diagram that are taken or recorded, and what follows from them at once.
+
+    A gain only changes the size: behind it is the same signal.
+    """
+
+    def __init__(self, diagram: Diagram, recorded: Iterable[str]) -> None:
+        self.diagram, self.recorded = diagram, frozenset(recorded)
+        self._into = {(wire.target.block, wire.target.port): wire.source for wire in diagram.wires}
+
+    @cached_property
+    def _signals(self) -> list[Endpoint]:
+        sources = {wire.source for wire in self.diagram.wires}
+        ports = (port for node in self.diagram.nodes.values() for port in node.outputs.values() if port.shape == ())
+        ends = (Endpoint(port.block, port.name) for port in ports)
+        return [end for end in ends if (end in sources or str(end) in self.recorded) and self._origin(end) == end]
+
+    @cached_property
+    def _at_once(self) -> nx.DiGraph:
+        traces = block_traces(self.diagram)
+        return feedthrough_graph(self.diagram, {name: trace.feedthrough for name, trace in traces.items()})
+
+    def _origin(self, end: Endpoint) -> Endpoint:
+        """Return the signal that gains make another one of."""
+        passed = {end}
+        while self.diagram.nodes[end.block].block.type_name == "gain":
+            before = self._into.get((end.block, "input"))
+            if before is None or before.index or before in passed:
+                break
+            end = before
+            passed.add(end)
+        return end
+
+    def of(self, place: Endpoint) -> list[Endpoint]:
+        """Return the signals that differ from that of a place by more than a factor."""
+        own = self._origin(place)
+        return [end for end in self._signals if end != own]
+
+    def follows(self, end: Endpoint, place: Endpoint) -> bool:
+        """Return whether a signal depends on that of a place at the same instant."""
+        graph, (a, b) = self._at_once, ((place.block, place.port), (end.block, end.port))
+        return a in graph and b in graph and nx.has_path(graph, a, b)
