@@ -7,7 +7,7 @@ from rotorsim.identification.identification import identify
 from rotorsim.model.load import load
 from rotorsim.report.comparison.samples import SampleComparison, Trace
 from rotorsim.report.figures.samples import (
-    SIMULATED,
+    SIMULATED_LOOK,
     autocorrelation,
     beside_figure,
     residuals_in_time_figure,
@@ -79,7 +79,7 @@ def test_the_worst_stretch_and_long_signals():
     trace = Trace("r", "a.output", "V", time, np.sin(time), (np.sin(time) + (np.abs(time - 13) < 0.1),))
     part = worst_stretch(trace)
     assert time[part.start] < 12.9 < 13.1 < time[part.stop - 1]
-    axes = beside_figure(SampleComparison((SIMULATED,), (trace,), "long")).axes[0]
+    axes = beside_figure(SampleComparison((SIMULATED_LOOK,), (trace,), "long")).axes[0]
     assert len(axes.lines[0].get_xdata()) <= 4000
     assert axes.lines[1].get_ydata().max() == pytest.approx((np.sin(time) + (np.abs(time - 13) < 0.1)).max())
 

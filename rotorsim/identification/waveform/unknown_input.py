@@ -23,7 +23,7 @@ STRENGTHS = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of the signal, in noise of the 
 # nonlinear diagrams, whose filters change from sample to sample, every fourth
 STRONGEST = 1e9  # that is tried while the strongest so far is the best: what two integrators attenuate is strong
 RESPONSE_FREQUENCIES = 60  # at which the largest response to a signal is looked for
-FORGOTTEN = (1.0, 3.0, 10.0)  # times in a run that a signal is forgotten: the first that has a steady filter
+TIMES_FORGOTTEN = (1.0, 3.0, 10.0)  # times in a run that a signal is forgotten: the first that has a steady filter
 FROZEN = 5  # samples of each run whose transfer vectors are compared
 PARALLEL = 1e-9  # less than one: cosine between transfer vectors that are equal but for rounding
 LEAST_RESPONSE = 1e-12  # of the largest of all places: what has less does not show
@@ -304,7 +304,7 @@ class UnknownInputs:
     def smoothed(self, items: Sequence[SignalEstimate]) -> list[Smoothed]:
         """Return the estimated signals of some places, each alone, given all samples of the runs.
 
-        They are forgotten within a run (`FORGOTTEN`): a constant that a state makes up for (an angle that nothing
+        They are forgotten within a run (`TIMES_FORGOTTEN`): a constant that a state makes up for (an angle that nothing
         measures) has no steady filter else, and is zero then, with the standard deviation that it may have.
         """
         pairs = [(item.place, item.strength) for item in items]
@@ -328,7 +328,7 @@ class UnknownInputs:
         """Return the smoothed states x and d (N, B, n + 1) of a run and the variance of d (N, B) for each pair."""
         y = np.einsum("kcm,bm->kbc", self._columns(run), weights)[..., None]
         left = np.ones(len(pairs))
-        for times in FORGOTTEN:
+        for times in TIMES_FORGOTTEN:
             left[:] = np.where(left < 1, left, np.exp(-times / len(run.residual)))
             here, kept = self._started(run, pairs, left)
             left[[pair not in kept for pair in pairs]] = 1.0

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from rotorsim.identification.as_recorded import MEASURED_PREFIX, AsRecorded
 from rotorsim.report.comparison.samples import SampleComparison, Trace
-from rotorsim.report.figures.samples import SIMULATED, beside_figure
+from rotorsim.report.figures.samples import SIMULATED_LOOK, beside_figure
 
 
 def as_recorded_figure(found: AsRecorded) -> Figure:
@@ -17,4 +17,4 @@ def as_recorded_figure(found: AsRecorded) -> Figure:
         for name in found.outputs
     )
     title = f"{result.provenance['diagram']} driven as recorded in {result.provenance['recording']}"
-    return beside_figure(SampleComparison((SIMULATED,), traces, title))
+    return beside_figure(SampleComparison((SIMULATED_LOOK,), traces, title))

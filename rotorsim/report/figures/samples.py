@@ -12,7 +12,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from rotorsim.report.comparison.samples import SampleComparison, Trace
 from rotorsim.report.style import GREY, INK, RED, Look, figure, legend_below, styled
 
-SIMULATED = Look("simulated", RED, line="--")  # of one diagram that has no other name
+SIMULATED_LOOK = Look("simulated", RED, line="--")  # of one diagram that has no other name
 TICKS = 5  # of an enlarged stretch, whose times have many digits
 MOST_TRACES = 6  # of a figure
 DRAWN_POINTS = 4000  # of a line: beyond, the smallest and largest of as many stretches

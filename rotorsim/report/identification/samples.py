@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from rotorsim.identification.in_time import TimeIdentification
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.comparison.samples import SampleComparison, Trace
-from rotorsim.report.figures.samples import SIMULATED, beside_figure, residuals_in_time_figure
+from rotorsim.report.figures.samples import SIMULATED_LOOK, beside_figure, residuals_in_time_figure
 from rotorsim.report.identification.parameters import heading
 
 RUNS_OF_USE = {"identify": "fitted runs", "hold_out": "hold-out runs"}
@@ -30,7 +30,7 @@ def sample_figures(identification: TimeIdentification, recording: Recording) -> 
 
     def beside(use: str, what: str) -> SampleComparison | None:
         traces = traces_of(identification, use)
-        return SampleComparison((SIMULATED,), traces, f"{what}, {title}") if traces else None
+        return SampleComparison((SIMULATED_LOOK,), traces, f"{what}, {title}") if traces else None
 
     fitted, held = (beside(use, words.capitalize()) for use, words in RUNS_OF_USE.items())
     residual = beside("identify", "Residuals")

@@ -22,7 +22,7 @@ from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.linearised import with_outputs
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
 
-AMPLITUDES = (2.0, 0.5)  # times that of an input on record, about its mean
+TRIED_AMPLITUDES = (2.0, 0.5)  # times that of an input on record, about its mean
 LARGEST_OUTPUT = 2.5  # times the largest on record: twice is what a linear diagram gives, and a quarter more
 MOST_RUNS = 3  # of the recording that are changed
 LOOSE = 1e3  # standard deviations of the noise by which unknown starts may change the predictions
@@ -140,7 +140,7 @@ def _driven(
 ) -> Iterator[Change | None]:
     """Yield what run r tells once more, and with other amplitudes of its inputs."""
     run, c = pair[0].whole.runs[r], len(weights)
-    for name, factor in [("", 1.0), *product(inputs, AMPLITUDES)]:
+    for name, factor in [("", 1.0), *product(inputs, TRIED_AMPLITUDES)]:
         again, words = run, f"run {run.id} again"
         if name:
             values = run.values[name]
