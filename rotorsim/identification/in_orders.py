@@ -17,7 +17,7 @@ from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimat
 from rotorsim.identification.waveform.noise import INVERTED, REWEIGHTED, independent_stretches
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel
 from rotorsim.identification.waveform.order_tracking import (
-    SAMPLES,
+    SAMPLES_OF_PERIOD,
     OrderSearch,
     TrackedOrders,
     order_noise,
@@ -205,7 +205,7 @@ def orders_beside(diagram: Diagram, recording: OrderRecording, run: str | None =
 def refuse_fast(search: OrderSearch, unknowns: np.ndarray) -> None:
     """Raise RotorsimError for modes that would take too many steps."""
     if search.needed(unknowns) > SIMULATION_SUBSTEPS:
-        what = f"has modes too fast for {SIMULATION_SUBSTEPS} steps between samples, {SAMPLES} a turn"
+        what = f"has modes too fast for {SIMULATION_SUBSTEPS} steps between samples, {SAMPLES_OF_PERIOD} a turn"
         hint = "leave out what is far above the speed: a beam by its first modes, as rk4_first_mode is of rk4"
         raise RotorsimError(Problem(what, search.systems[0].equations.model.diagram.name, hint=hint))
 

@@ -18,11 +18,11 @@ from rotorsim.recordings.readers.columns import read_table
 from rotorsim.recordings.recording import ANGLE, TACHO, USES, Channel, Recording
 from rotorsim.units import conversion
 
-AMPLITUDES = {"0-peak": 1.0, "peak-peak": 0.5, "rms": math.sqrt(2.0)}  # word -> factor to 0-peak
+TO_PEAK = {"0-peak": 1.0, "peak-peak": 0.5, "rms": math.sqrt(2.0)}  # word -> factor to 0-peak
 PHASES = {"lead": 1.0, "lag": -1.0}  # word -> sign of a lead
 SLOW_ROLLS = ("included", "subtracted")
 LARGEST_CHANGE = 0.2  # of the speed in a turn: rows further apart are no successive turns
-LEAST_ROWS = 20  # of a run
+LEAST_ORDER_ROWS = 20  # of a run
 _RPM = math.pi / 30.0
 
 _RUN_KEYS = {key: RECORDING_KEYS["run"][key] for key in ("id", "file", "time", "set", "use", "description")}
@@ -177,8 +177,8 @@ def _with_rows(run: OrderRun, table: _Table, channels: Mapping[str, OrderChannel
             place = replace(read.place(row, column), file=run.file)
             problems.append(Problem(f"row {row + 1}: {what}", f"{subject}, column {column}", place, hint))
 
-    if len(speed) < LEAST_ROWS:
-        what = f"{len(speed)} rows are too few: {LEAST_ROWS} are needed to tell motion from noise"
+    if len(speed) < LEAST_ORDER_ROWS:
+        what = f"{len(speed)} rows are too few: {LEAST_ORDER_ROWS} are needed to tell motion from noise"
         raise RotorsimError(Problem(what, subject, Place(run.file)), exit_code=1)
     refuse(table.speed, "not a speed above zero", ~(np.isfinite(speed) & (speed > 0)), "rpm, without a sign")
     if time is not None:
@@ -215,13 +215,13 @@ class _OrderParser(DocumentParser):
         if form is None:
             return None
         self.choice(form, "kind", ("orders",), (), "recording")
-        amplitude = self.choice(form, "amplitude", tuple(AMPLITUDES), (), "recording")
+        amplitude = self.choice(form, "amplitude", tuple(TO_PEAK), (), "recording")
         phase = self.choice(form, "phase", tuple(PHASES), (), "recording")
         slow_roll = self.choice(form, "slow_roll", SLOW_ROLLS, (), "recording") or SLOW_ROLLS[0]
         self.not_empty(form)
         channels = self.channels(form.get("channels", {}))
         runs: list[tuple[OrderRun, _Table]] = []
-        words = AMPLITUDES.get(amplitude, 1.0), PHASES.get(phase, 1.0)
+        words = TO_PEAK.get(amplitude, 1.0), PHASES.get(phase, 1.0)
         ids: dict[str, int] = {}
         for k, entry in enumerate(form.get("runs", [])):
             run = self.order_run(entry, ("runs", k), f"run {k + 1}", words)

@@ -34,7 +34,7 @@ from rotorsim.model.compiled import compile_diagram
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
 from rotorsim.recordings.recording import ANGLE
 
-SAMPLES = 32  # a period of the highest order: Simpson's rule and a Runge-Kutta step are good to 1e-5 there
+SAMPLES_OF_PERIOD = 32  # a period of the highest order: Simpson's rule and a Runge-Kutta step are good to 1e-5 there
 FORGOTTEN = 1e-4  # of what was before the first row, when it begins
 MOST_LEAD = 400.0  # turns before the first row
 LEAD_SPEEDS = (0.5, 2.0)  # of the first row's, between which the speed stays before it
@@ -202,7 +202,7 @@ def tracked_orders(
     equations = driven_equations(diagram, outputs, [*ports.values()], free, cut=cut)
     simulation = Simulation(equations, by_start=False)
     channels = tuple(recording.channels.values())
-    samples = SAMPLES * max(channel.order for channel in channels)
+    samples = SAMPLES_OF_PERIOD * max(channel.order for channel in channels)
     keys, tracks = [*recording.channels], []
     for run in runs:
         settings, wrong = settings_of(diagram, run)
@@ -321,5 +321,5 @@ def _lead_in(eq: DrivenEquations, run: OrderRun, middles: np.ndarray) -> tuple[n
     decay = -float(np.linalg.eigvals(A).real.max()) if A.size and np.isfinite(A).all() else 0.0
     longest = MOST_LEAD * 2 * pi / speed
     lead = min(log(1 / FORGOTTEN) / decay, longest) if decay > 0 else longest
-    time = np.linspace(-lead, 0.0, max(int(lead * speed / (2 * pi) * SAMPLES), 2) + 1)
+    time = np.linspace(-lead, 0.0, max(int(lead * speed / (2 * pi) * SAMPLES_OF_PERIOD), 2) + 1)
     return time, np.clip(speed + slope * time, LEAD_SPEEDS[0] * speed, LEAD_SPEEDS[1] * speed)

@@ -16,7 +16,7 @@ from rotorsim.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, RED, figure,
 from rotorsim.units import conversion
 
 _RPM = 30 / np.pi
-COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE)
+LINE_COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE)
 LEAST_AMPLITUDE = 3.0  # times the noise, below which a phase is none
 
 
@@ -44,7 +44,7 @@ def bode_figure(measured: Curve, simulated: Sequence[Curve], title: str, unit: s
             (measured, {"color": INK, "marker": ".", "markersize": 4.0, "linewidth": 0.5})
         ]
         looks += [
-            (one, {"color": COLOURS[k % len(COLOURS)], "linewidth": 1.3, "linestyle": one.line})
+            (one, {"color": LINE_COLOURS[k % len(LINE_COLOURS)], "linewidth": 1.3, "linestyle": one.line})
             for k, one in enumerate(simulated)
         ]
         before: np.ndarray | None = None
