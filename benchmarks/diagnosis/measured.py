@@ -143,7 +143,7 @@ def rlc(recordings: Path, out: Path) -> list[Line]:
 
 
 def _simulated(found: Diagnosed, which: str, most: float | None) -> list[Line]:
-    """Return the errors of the hold-out runs after their first samples, of the diagram as given, refitted, or repaired."""
+    """Return the errors of hold-out runs after their first samples, of the diagram as given (refitted), or repaired."""
     before = {name: str(item["value"]) for name, item in found.data["parameters"]["before"].items()}
     diagram = load(found.name, set=before) if which == "given" else load(found.diagram)
     lines = []

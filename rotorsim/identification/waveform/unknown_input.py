@@ -210,7 +210,8 @@ class UnknownInputs:
         """Return the steady filters of a run (of its first sample), and the pairs that have one."""
         F, H, Q = self._augmented(run, pairs, 0)
         P, steady = _steady(F, H, Q)
-        return _Filter.of(F[steady], H[steady], P[steady]), [pairs[b] for b in np.flatnonzero(steady)]
+        kept = [pair for pair, has in zip(pairs, steady, strict=True) if has]
+        return _Filter.of(F[steady], H[steady], P[steady]), kept
 
     def _advanced(self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], before: _Filter, k: int) -> _Filter:
         """Return the filters of the next sample by the Riccati recursion."""
