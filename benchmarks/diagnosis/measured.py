@@ -1,7 +1,7 @@
 """Diagnosis of measured machines beside its targets: python -m benchmarks.diagnosis.measured FOLDER [--only NAME ...].
 
-FOLDER holds the recordings silverbox, emps and tum_amb_rotor (docs/diagnosis_measured.md). Each is diagnosed by the
-command line in a process of its own, two workers.
+FOLDER holds the recordings silverbox, emps, tum_amb_rotor, unbalanced_disc and rlc (docs/diagnosis_measured.md). Each
+is diagnosed by the command line in a process of its own, two workers.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.diagnosis.prediction import predicted
 from benchmarks.harness import Line, Process, at_least, at_most, run_process, within
+from rotorsim.model.load import load
 from rotorsim.recordings.loading import load_recording
 
 COMMAND = [sys.executable, "-m", "rotorsim"]
@@ -112,6 +114,48 @@ def tum_amb_rotor(recordings: Path, out: Path) -> list[Line]:
     ]
 
 
+def unbalanced_disc(recordings: Path, out: Path) -> list[Line]:
+    """Unbalanced disc: the weight of an off-centre mass and dry friction missing; start from 50 samples of part2."""
+    found = Diagnosed("unbalanced_disc", recordings, out)
+    other = [str(item["depends_on"]) for item in found.data["missing"]]
+    named = {name for item in found.data["missing"] for name in item["class"]}
+    return [
+        Line("missing", ", ".join(sorted(named)), "dry_friction", "dry_friction" in named),
+        Line("   depends on", ", ".join(other), "angle.output", "angle.output" in other),
+        *_simulated(found, "given", None),
+        *_simulated(found, "repaired", 0.09),
+    ]
+
+
+def rlc(recordings: Path, out: Path) -> list[Line]:
+    """RLC circuit: an inductance that depends on the current; start from 50 samples of test_nl."""
+    found = Diagnosed("rlc", recordings, out)
+    [item] = found.data["missing"]
+    blocks = {place["block"] for place in found.data["where"]}
+    lines = [
+        Line("missing", item["physics"], "signal_dependent_gain", item["physics"] == "signal_dependent_gain"),
+        Line("   depends on", str(item["depends_on"]), "coil.output", item["depends_on"] == "coil.output"),
+        Line("   at", ", ".join(sorted(blocks)), "voltage, inductance", blocks <= {"voltage", "inductance"}),
+    ]
+    given, repaired = _simulated(found, "given", None), _simulated(found, "repaired", None)
+    ratio = found.data["fit"]["before"]["hold_out"] / found.data["fit"]["after"]["hold_out"]
+    return [*lines, *given, *repaired, at_least("   error of the hold-out run, before / after", ratio, 10.0, "{:.1f}")]
+
+
+def _simulated(found: Diagnosed, which: str, most: float | None) -> list[Line]:
+    """Return the errors of hold-out runs after their first samples, of the diagram as given (refitted), or repaired."""
+    before = {name: str(item["value"]) for name, item in found.data["parameters"]["before"].items()}
+    diagram = load(found.name, set=before) if which == "given" else load(found.diagram)
+    lines = []
+    for (run, signal), error in predicted(diagram, load_recording(found.recording)).items():
+        name = f"   {signal} of {run} after 50 samples, {which}"
+        text = f"{error.rms:.4g} {error.unit} rms"
+        lines.append(
+            Line(name, text) if most is None else at_most(name, error.rms, most, "{:.4f}", f"{error.unit} rms")
+        )
+    return lines
+
+
 def _modes(diagram: str, settings: list[str]) -> np.ndarray:
     """Return the lowest frequencies [Hz] of a diagram; both planes are alike."""
     given = [word for text in settings for word in ("--set", text)]
@@ -127,6 +171,8 @@ SECTIONS: dict[str, Callable[[Path, Path], list[Line]]] = {
     "silverbox": silverbox,
     "emps": emps,
     "tum_amb_rotor": tum_amb_rotor,
+    "unbalanced_disc": unbalanced_disc,
+    "rlc": rlc,
 }
 
 

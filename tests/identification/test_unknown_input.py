@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete
 
 from rotorsim.identification.waveform import linearised as room
@@ -14,6 +15,7 @@ from rotorsim.identification.waveform.linearised import Place, linearised, place
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.identification.waveform.unknown_input import UnknownInputs
+from rotorsim.identification.waveform.unknown_input import _steady as riccati
 from rotorsim.model.load import load
 
 RATE, SAMPLES, NOISE = 200.0, 3000, np.array([2e-3, 2e-3])
@@ -215,3 +217,43 @@ def test_places_in_proportion_have_one_likelihood_and_are_one_class():
     assert sum(map(len, classes)) == len(estimates)
     assert {"coupling.output", "rate.output", "leak.output"} <= next(one for one in classes if "rate.output" in one)
     assert not {"first.output", "second.outputreading"} <= next(one for one in classes if "first.output" in one)
+
+
+def test_steady_filters_are_those_of_the_riccati_equation():
+    """Of SciPy; where two integrators and a free signal leave every eigenvalue at one, too, where SciPy finds none."""
+    random = np.random.default_rng(3)
+    F, H = random.normal(size=(4, 3, 3)) * 0.4, random.normal(size=(4, 2, 3))
+    Q = np.tile(np.diag([1e-3, 1e-2, 4.0]), (4, 1, 1))
+    found, steady = riccati(F, H, Q)
+    assert steady.all()
+    for b in range(4):
+        np.testing.assert_allclose(found[b], solve_discrete_are(F[b].T, H[b].T, Q[b], np.eye(2)), rtol=1e-9)
+    dt = 0.025
+    F = np.array([[[1.0, 0.0, dt], [dt, 1.0, dt**2 / 2], [0.0, 0.0, 1.0]]])
+    H, Q = np.array([[[0.0, 10.0, 0.0]]]), np.diag([1e-14, 1e-14, 1e-4])[None]
+    [P], steady = riccati(F, H, Q)
+    assert steady.all()
+    K = F[0] @ P @ H[0].T / (H[0] @ P @ H[0].T + 1)
+    np.testing.assert_allclose(F[0] @ P @ (F[0] - K @ H[0]).T + Q[0], P, rtol=1e-9, atol=1e-9 * np.abs(P).max())
+
+
+@pytest.mark.parametrize("document", [SERVO, CURVED], ids=["linear", "nonlinear"])
+def test_innovations_of_a_filter_have_the_misfit_and_the_variances_of_its_estimate(document):
+    _, runs = analysed(recorded(6, slow(7), 1), document)
+    unknown = UnknownInputs(runs, NOISE)
+    first = unknown.estimates()[0]
+    [filters] = unknown.whitening(first.place, first.strength)
+    [run] = runs
+    left = filters.innovations((run.residual - run.by_output @ first.change)[:, :, None])
+    assert float((left**2).sum()) == pytest.approx(first.misfit, rel=1e-9)
+    assert first.misfit + filters.log_det == pytest.approx(first.deviance, rel=1e-9)
+
+
+def test_a_free_signal_is_as_strong_as_it_must_be():
+    """A step of the size of all others that is a million times the noise: no strength is the last that is tried."""
+    missing = np.where(np.arange(SAMPLES) > SAMPLES // 2, 2e4, 0.0)
+    places, runs = analysed(recorded(1, missing, 1), steps=0)
+    first = UnknownInputs(runs, NOISE).estimates()[0]
+    assert places[first.place].port in {"rate.output", "coupling.output", "leak.output", "second.output"}
+    assert first.strength > 1e4
+    assert first.misfit < 3 * 2 * SAMPLES

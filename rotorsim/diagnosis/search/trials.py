@@ -25,6 +25,7 @@ MOST_FITS = 90  # in one round; places beyond are screened
 # harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it
 POSSIBLE = 10.0
 MOST_LAWS = 16  # fitted in one round, where what laws promise is known
+DECLARED = 2  # starts of a law that are tried beside one that is known to be near
 AGAIN = 8  # of the best of an earlier round
 PROMISED = 3.0  # times the least misfit that is promised: within, each law is fitted at its best place
 BATCHES = 4  # of jobs, for every process
@@ -118,6 +119,7 @@ class Trials:
         self.known = {item.insertion.key: {name: item.fit.values[name] for name in item.parameters} for item in best}
         self.counts = {"fits": 0, "rounds": 0}
         self.nominal: dict[str, float] = {}
+        self.unsized: frozenset[str] = frozenset()
         self.slack = 0.0
 
     def round(self, before: Fit) -> Round:
@@ -185,13 +187,9 @@ class Trials:
         """
         found, known = [], before.values
         for item, value in zip(fit.free, fit.theta, strict=True):
-            given = max(item.scale, abs(self.nominal.get(item.name, 0.0)))
-            usual = max(given, abs(known.get(item.name, 0.0)))
-            if (
-                item.name in self.nominal
-                and item.unit != ANGLE_UNIT
-                and abs(value) > CRITERIA.astray * usual > 0 < given
-            ):
+            usual = max(item.scale, abs(self.nominal.get(item.name, 0.0)), abs(known.get(item.name, 0.0)))
+            sized = item.name in self.nominal and item.name not in self.unsized and item.unit != ANGLE_UNIT
+            if sized and abs(value) > CRITERIA.astray * usual > 0:
                 found.append(f"{item.name} {abs(value) / usual:.2g} times as large")
         return " and ".join(found)
 
@@ -366,13 +364,15 @@ def _most_promising(candidates: Sequence[Insertion], places: Bounds, before: Fit
         if promised[k] <= PROMISED * max(promised[order[0]], before.freedom):
             best.setdefault(candidates[k].law, k)
     first = list(best.values())[:MOST_LAWS]
-    more = [k for k in order if k not in first]
+    more = [k for k in order if k not in first and promised[k] <= PROMISED * max(promised[order[0]], before.freedom)]
     return [*kept, *first, *more[: max(MOST_LAWS - len(first), 0)]]
 
 
 def _led(groups: list[list[dict[str, float]]], start: dict[str, float]) -> list[list[dict[str, float]]]:
-    """Return the starts with one that is known to be near before all others, all in one group."""
-    return [[start, *(item for group in groups for item in group)]] if start else groups
+    """Return one that is known to be near, the same beside the diagram as given, and DECLARED starts, in one group."""
+    if not start:
+        return groups
+    return [[start, {**groups[-1][0], **start}, *(group[0] for group in groups[:DECLARED])]]
 
 
 def _is_slow(fit: Fit, most: float) -> bool:

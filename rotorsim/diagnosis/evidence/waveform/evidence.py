@@ -138,7 +138,7 @@ class WaveformEvidence(SampledRuns, Defaults):
             return Fit(document, failure=DIVERGES)
         stated = starts[0][0] if starts and starts[0] else {}
         if stated and is_lost(short, min(ends, key=attrgetter("cost"))):
-            point = short.stated(search.first(self.starts), stated)
+            point = short.stated(self._first(search), stated)
             if short.substeps(point) <= SHOT_SUBSTEPS * self.least:
                 ends.append(short.minimise(shot(short, point), limit))
         last = limit if short is search else min(limit, LAST_STEPS)
@@ -160,10 +160,19 @@ class WaveformEvidence(SampledRuns, Defaults):
             return None
         return replace(self, variance=noise.variance, rows=noise.rows, allowed=CRITERIA.model_error * noise.left)
 
+    def _first(self, search: OutputErrorSearch) -> np.ndarray:
+        """Return the unknowns that a diagram states, states at first samples as at first found or as measured.
+
+        Those of a diagram that lacks much may be far from any motion of the repaired one.
+        """
+        known, measured = search.first(self.starts), search.first()
+        costs = [search.evaluate(x, search.substeps(x), sensitivities=False).cost for x in (known, measured)]
+        return measured if costs[1] < costs[0] else known
+
     def _beside(self, fit: Fit) -> tuple[OutputErrorSearch, Evaluation] | None:
         """Return the search and the evaluation of a fit, whose weights follow what it leaves; None if it diverges."""
         search = self.search(values_in(fit.document, fit.values))
-        search, evaluation = reweighted(search, search.first(self.starts))
+        search, evaluation = reweighted(search, self._first(search))
         return (search, evaluation) if np.isfinite(evaluation.cost) else None
 
     def _unpredicted(self, fit: Fit, search: OutputErrorSearch, evaluation: Evaluation) -> Noise:
@@ -178,8 +187,8 @@ class WaveformEvidence(SampledRuns, Defaults):
     def at(self, fit: Fit) -> Fit:
         """Return a fit to the evidence before recalibration as this one judges it, at the same parameters."""
         search = replace(self.search(values_in(fit.document, fit.values)), hold="theta")
-        evaluation = search.minimise(search.first(self.starts))
-        return replace(self._summary(fit.document, search, evaluation), seconds=fit.seconds)
+        evaluation = search.minimise(self._first(search))
+        return replace(self._summary(fit.document, search, evaluation), free=fit.free, seconds=fit.seconds)
 
     def bounds(self, fit: Fit) -> LawBounds | None:
         """Return what the laws of signals promise beside a fit; None where its diagram has no scalar signals."""
@@ -290,14 +299,14 @@ class WaveformEvidence(SampledRuns, Defaults):
             search = replace(self.search(document), hold="theta")
         except FAILURES:
             return None
-        evaluation = search.minimise(search.first(self.starts))
+        evaluation = search.minimise(self._first(search))
         return stacked(search, evaluation, self.stretches)[0] if np.isfinite(evaluation.cost) else None
 
     def _followed(
         self, search: OutputErrorSearch, short: OutputErrorSearch, group: Sequence[Mapping[str, float]]
     ) -> list[Evaluation]:
         """Return where a few steps lead from each start of a group on the beginning of the runs."""
-        first = search.first(self.starts)
+        first = self._first(search)
         points = (short.started(first, start, self.old) for start in group)
         distinct = {point.tobytes(): point for point in points if point is not None}
         ends = [short.minimise(point, FIRST_STEPS) for point in distinct.values()]
@@ -333,7 +342,7 @@ class WaveformEvidence(SampledRuns, Defaults):
             if self.held:
                 return held_score(self.simulation(document, self.held), self.variance, self.units)
             search = self.search(document)
-            return left_out_score(search, search.first(self.starts), self.variance, self.units)
+            return left_out_score(search, self._first(search), self.variance, self.units)
         except FAILURES as error:
             return Score({"": float("nan")}, {}, reason=reason_of(error))
 

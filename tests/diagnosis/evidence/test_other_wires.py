@@ -1,0 +1,178 @@
+"""What depends on another wire in motors and circuits that NumPy simulates: named, located, sized, and nothing else."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorsim import load_recording
+from rotorsim.diagnosis.catalogue.finder import insertions
+from rotorsim.diagnosis.diagnosis import diagnose
+from rotorsim.model.load import load
+from rotorsim.recordings.recording import Recording
+
+SAMPLES, FINE = 1600, 8
+MOTOR = {  # w' = 30 u - 2 w, a' = w: a motor, without the mass on its disc
+    "schema_version": 1,
+    "name": "motor",
+    "blocks": {
+        "voltage": {"type": "recorded", "parameters": {"interpolation": "hold"}},
+        "motor": {"type": "gain", "parameters": {"gain": 25.0}},
+        "friction": {"type": "gain", "parameters": {"gain": 3.0}},
+        "torque": {"type": "sum", "parameters": {"signs": "+-"}},
+        "speed": {"type": "integrator"},
+        "angle": {"type": "integrator"},
+    },
+    "wires": [
+        ["voltage.output", "motor.input"],
+        ["motor.output", "torque.input1"],
+        ["friction.output", "torque.input2"],
+        ["torque.output", "speed.input"],
+        ["speed.output", "friction.input"],
+        ["speed.output", "angle.input"],
+    ],
+    "solver": {"method": "rk4", "step": "1 ms", "stop": "1 s"},
+    "record": ["speed.output", "angle.output"],
+    "identify": {"motor.gain": {"low": 0.0}, "friction.gain": {"low": 0.0}},
+}
+CIRCUIT = {  # L i' = u - R i - v, C v' = i
+    "schema_version": 1,
+    "name": "circuit",
+    "blocks": {
+        "source": {"type": "recorded", "parameters": {"interpolation": "hold"}},
+        "voltage": {"type": "sum", "parameters": {"signs": "+--"}},
+        "inductance": {"type": "gain", "parameters": {"gain": 10.0}},
+        "coil": {"type": "integrator"},
+        "resistor": {"type": "gain", "parameters": {"gain": 1.5}},
+        "capacitance": {"type": "gain", "parameters": {"gain": 10.0}},
+        "capacitor": {"type": "integrator"},
+    },
+    "wires": [
+        ["source.output", "voltage.input1"],
+        ["resistor.output", "voltage.input2"],
+        ["capacitor.output", "voltage.input3"],
+        ["voltage.output", "inductance.input"],
+        ["inductance.output", "coil.input"],
+        ["coil.output", "resistor.input"],
+        ["coil.output", "capacitance.input"],
+        ["capacitance.output", "capacitor.input"],
+    ],
+    "solver": {"method": "rk4", "step": "1 ms", "stop": "1 s"},
+    "record": ["coil.output", "capacitor.output"],
+    "identify": {f"{name}.gain": {"low": 0.0} for name in ("inductance", "resistor", "capacitance")},
+}
+
+
+def simulated(
+    rates: Callable[[np.ndarray, float], np.ndarray], rate: float, size: float, noise: tuple[float, float], seed: int
+) -> np.ndarray:
+    """Return input and both states, with noise, by Runge-Kutta steps of an eighth of a sample."""
+    random = np.random.default_rng(seed)
+    u = np.repeat(random.normal(size=SAMPLES // 10) * size, 10)
+    x, h = np.zeros(2), 1 / rate / FINE
+    out = np.empty((SAMPLES, 3))
+    for k in range(SAMPLES):
+        out[k] = u[k], *x
+        for _ in range(FINE):
+            k1 = rates(x, u[k])
+            k2 = rates(x + h / 2 * k1, u[k])
+            k3 = rates(x + h / 2 * k2, u[k])
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rates(x + h * k3, u[k]))
+    out[:, 1:] += random.normal(size=(SAMPLES, 2)) * noise
+    return out
+
+
+def motor(mass: float) -> Callable[[np.ndarray, float], np.ndarray]:
+    return lambda x, u: np.array([30.0 * u - 2.0 * x[0] - mass * np.sin(x[1]), x[0]])
+
+
+def circuit(drop: float) -> Callable[[np.ndarray, float], np.ndarray]:
+    """A coil whose inductance falls beyond a current of 1.5, to 1 - drop of what it was; 1/L = 12, R = 1, 1/C = 12."""
+
+    def rates(x: np.ndarray, u: float) -> np.ndarray:
+        fallen = 1 - drop * (1 + np.tanh((abs(x[0]) - 1.5) / 0.3)) / 2
+        return np.array([12.0 * (u - x[0] - x[1]) / fallen, 12.0 * x[0]])
+
+    return rates
+
+
+def recording(folder: Path, names: tuple[str, ...], rate: float, runs: list[np.ndarray]) -> Recording:
+    channels = {name: {"signal": f"{name}.output", "unit": "1"} for name in names}
+    listed = []
+    for number, run in enumerate(runs, start=1):
+        np.savez(folder / f"run{number}.npz", **dict(zip(names, run.T, strict=True)))
+        use = "hold_out" if number == len(runs) else "identify"
+        listed.append({"id": f"run{number}", "file": f"run{number}.npz", "sample_rate": f"{rate} Hz", "use": use})
+    (folder / "recording.json").write_text(
+        json.dumps({"name": "other wires", "source": "NumPy", "channels": channels, "runs": listed})
+    )
+    return load_recording(folder)
+
+
+def motors(folder: Path, mass: float) -> Recording:
+    runs = [simulated(motor(mass), 50.0, 1.5, (0.05, 5e-3), seed) for seed in (1, 2, 3)]
+    return recording(folder, ("voltage", "speed", "angle"), 50.0, runs)
+
+
+def circuits(folder: Path, drop: float) -> Recording:
+    runs = [simulated(circuit(drop), 50.0, 3.0, (5e-3, 5e-3), seed) for seed in (1, 2, 3)]
+    return recording(folder, ("source", "coil", "capacitor"), 50.0, runs)
+
+
+@pytest.mark.slow
+def test_a_torque_that_depends_on_the_angle_is_named_with_the_angle(tmp_path):
+    found = diagnose(load(MOTOR), motors(tmp_path, 80.0), workers=1)
+    assert found.verdict == "missing_physics"
+    [effect] = found.effects
+    item = effect.candidate.insertion
+    assert (item.physics, item.depends_on) == ("position_ripple", "angle.output")
+    assert {str(spot) for spot, _ in found.places} <= {"torque.output", "motor.output", "friction.output"}
+    assert "position_ripple at" in found.statement
+    assert "(depends on angle.output)" in found.statement
+    values, factor = found.after.values, {"friction.output": 1.0}.get(str(item.spot), -1.0)
+    assert abs(values[f"{item.name}.wave_number"] - 1.0) < 0.01
+    assert abs(factor * values[f"{item.name}.sine"] - 80.0) < 0.8
+    assert abs(values["motor.gain"] - 30.0) < 0.3
+    assert abs(values["friction.gain"] - 2.0) < 0.1
+
+
+@pytest.mark.slow
+def test_an_inductance_that_depends_on_the_current_is_located_at_the_coil(tmp_path):
+    found = diagnose(load(CIRCUIT), circuits(tmp_path, 0.8), workers=1)
+    assert found.verdict == "missing_physics"
+    [effect] = found.effects
+    item = effect.candidate.insertion
+    assert (item.physics, item.depends_on) == ("signal_dependent_gain", "coil.output")
+    assert {str(spot) for spot, _ in found.places} <= {"voltage.output", "inductance.output"}
+    before, after = found.score_before.total, found.score_after.total
+    assert before > 10 * after
+    values = found.after.values
+    assert abs(values["resistor.gain"] - 1.0) < 0.02
+    assert abs(values["inductance.gain"] - 12.0) < 0.24
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["motor", "circuit"])
+def test_nothing_depends_on_another_wire_where_nothing_does(tmp_path, kind):
+    made, document = (motors, MOTOR) if kind == "motor" else (circuits, CIRCUIT)
+    found = diagnose(load(document), made(tmp_path, 0.0), workers=1)
+    assert found.verdict == "consistent"
+    assert not found.effects
+
+
+def test_what_depends_on_another_wire_is_tried_with_signals_that_differ_by_more_than_a_gain():
+    diagram = load(CIRCUIT)
+    found = [item for item in insertions(diagram, ["coil.output", "capacitor.output"]) if item.depends_on]
+    pairs = {(str(item.spot), item.spot.side, item.depends_on) for item in found}
+    assert ("voltage.output", "", "coil.output") in pairs
+    assert ("coil.output", "reading", "voltage.output") in pairs
+    assert {other for *_, other in pairs} == {"source.output", "voltage.output", "coil.output", "capacitor.output"}
+    assert not {place for place, side, other in pairs if other == "coil.output"} & {"resistor.output", "coil.output"}
+    # the voltage across the coil follows from the capacitor's at once: beside it there would be an algebraic loop
+    assert ("capacitor.output", "", "voltage.output") not in pairs
+    for item in found[::7]:
+        load(item.document(diagram.document, dict.fromkeys(item.fault.free, 1.0)))
