@@ -21,7 +21,7 @@ from rotorsim.identification.regression import THESIS_ORDERS, open_regression
 from rotorsim.identification.result import Identification, Identified, sentences
 from rotorsim.identification.scatter import scatter_of, with_covariance
 from rotorsim.identification.verdict import judge
-from rotorsim.identification.waveform.data import is_in_time
+from rotorsim.identification.waveform.along_angle import is_in_time
 from rotorsim.jobs.threads import one_thread
 from rotorsim.linear.linearisation import refuse_sampled
 from rotorsim.measure.checks import check_signals
@@ -69,7 +69,7 @@ def identify(
 ) -> Identification:
     """Estimate the free parameters of a diagram from the runs of a recording.
 
-    Compared are harmonics where a shaft turns, else samples in time (`is_in_time` tells which). method: "likelihood"
+    Compared are harmonics where a shaft turns at steady speeds, else samples in time (`is_in_time` tells which). method: "likelihood"
     (errors in all measured signals, bounds, priors; intervals from the profile of the likelihood; in time: output
     error), or "regression" (the thesis' least squares, eq. (2.64)-(2.66), (3.47), (4.34), (5.18)). given: ports taken
     as measured inputs with their noise, so that what makes them need not be right. precision: half width of the 90 %

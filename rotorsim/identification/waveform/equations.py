@@ -18,6 +18,7 @@ from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.equations import reached_states, slots_of
 
 RATES = {"acceleration": "velocity", "velocity": "displacement"}  # recorded, but no port: the rate of this one
+TURNING = ("theta", "speed", "acceleration")  # of a shaft: outputs of a clock that its angle tells
 POWERS = tuple((order - j, j) for order in (0, 2, 3, 4, 5) for j in range(order + 1))
 WIDTHS = (0.02, 0.2)  # over which friction changes its sign, of the largest velocity
 
@@ -56,6 +57,12 @@ def driven_parameters(diagram: Diagram) -> dict[str, str]:
         if node.block.category == "input" and "value" in node.values
         for port in node.outputs
     }
+
+
+def clock_ports(diagram: Diagram) -> tuple[str, ...]:
+    """Return the outputs of clocks that the recorded angle of a shaft tells."""
+    clocks = ((name, node) for name, node in diagram.nodes.items() if node.block.category == "clock")
+    return tuple(f"{name}.{port}" for name, node in clocks for port in node.outputs if port in TURNING)
 
 
 def measured_expression(model: Model, name: str) -> Any:
@@ -151,11 +158,11 @@ def driven_equations(
 ) -> DrivenEquations:
     """Return the equations of a diagram between recorded inputs and outputs (flat names).
 
-    inputs: recorded values of input blocks, and entries of ``cut`` (output port -> names of its entries in v), whose
-    consumers see v instead. added: scalar output ports whose consumers see their value plus a signal of its own, which
+    inputs: recorded values of input blocks, what clocks give, and entries of ``cut`` (output port -> names of its
+    entries in v), whose consumers see v instead. added: scalar output ports whose consumers see their value plus a signal of its own, which
     follow the inputs in v. Raises RotorsimError for diagrams with sampled blocks and unknown signals.
     """
-    cut = cut or {}
+    cut = {**{port: [port] for port in clock_ports(diagram) if port in inputs}, **(cut or {})}
     model = compile_diagram(diagram, inject=[*([force.port] if force else []), *added], replace=list(cut))
     linear.refuse_sampled(model, "a comparison in time")
     trace = model.trace

@@ -17,6 +17,7 @@ from rotorsim.block import In
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.waveform.angles import with_best_angles
 from rotorsim.identification.waveform.data import Channels, SampledRun, mean_of
 from rotorsim.identification.waveform.equations import ForceMap, driven_equations
 from rotorsim.identification.waveform.noise import (
@@ -146,7 +147,7 @@ def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[
     search = OutputErrorSearch(systems, runs, {})
     scale = variance_scale(search)
     search = replace(search, weights={signal: 1 / value for signal, value in scale.items()})
-    start = search.first()
+    start = with_best_angles(search, search.first())
     if len(systems) > 1:
         whole = {signal: weight for signal, weight in search.weights.items() if signal[0] == WHOLE_DIAGRAM}
         evaluation = replace(search, weights={**search.weights, **dict.fromkeys(whole, 0.0)}).minimise(start)

@@ -54,6 +54,9 @@ WAVEFORM_TERMS = Terms(
     another="another input, or a sensor elsewhere",
     turns=False,
 )
+TURNING_TERMS = Terms(
+    left_out="stretches left out one by one", predicted="stretches left out", more_runs="runs through other speeds"
+)
 DIVERGES = "the simulation diverges"
 
 
@@ -65,6 +68,7 @@ class WaveformEvidence(SampledRuns, Defaults):
     samples. stretches: into which the runs are divided. allowed (B,): what an adequate model may leave of each when it
     is left out. by_force: whether noise is what a diagram with a flexible force leaves. least: steps between samples.
     starts: states at the first samples. old: names of the parameters that were free at first. held: hold-out runs.
+    turns: whether a shaft turns, driven by its recorded angle.
     """
 
     variance: Variance
@@ -77,9 +81,14 @@ class WaveformEvidence(SampledRuns, Defaults):
     old: frozenset[str]
     held: tuple[SampledRun, ...]
     unjudged: str = ""
+    turns: bool = False
 
-    terms = WAVEFORM_TERMS
     independent = False
+
+    @property
+    def terms(self) -> Terms:
+        """How statements name it."""
+        return TURNING_TERMS if self.turns else WAVEFORM_TERMS
 
     def search(self, document: Mapping[str, Any]) -> OutputErrorSearch:
         """Return the search for the free parameters of a document. Raises RotorsimError."""

@@ -11,6 +11,7 @@ from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
+from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded
 from rotorsim.identification.waveform.data import channels_of, chosen_runs
 from rotorsim.identification.waveform.noise_model import noise_model
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
@@ -39,6 +40,9 @@ def waveform_evidence(
 
     Raises RotorsimError with all that does not fit, and where the diagram diverges when it is driven as recorded.
     """
+    turns = turns_as_recorded(diagram, recording)
+    recording = along_angle(diagram, recording)
+    hold_out = None if hold_out is None else along_angle(diagram, hold_out)
     channels = channels_of(diagram, recording)
     runs = read_runs(diagram, chosen_runs(recording), channels)
     channels = marked(channels, runs)
@@ -61,4 +65,5 @@ def waveform_evidence(
         sizes=noise.sizes,
         old=frozenset(item.name for item in diagram.free),
         held=read_runs(diagram, held, channels),
+        turns=turns,
     )
