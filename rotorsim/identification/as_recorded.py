@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError, near_miss
-from rotorsim.identification.waveform.along_angle import along_angle
+from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
 from rotorsim.identification.waveform.data import RATE_PREFIX, Channels, SampledRun, channels_of
 from rotorsim.identification.waveform.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.errors import Errors, errors_of
@@ -65,6 +65,9 @@ def simulate_as_recorded(
     if start not in RUN_STARTS:
         raise RotorsimError(Problem(f"no start '{start}'", hint=f"one of {', '.join(RUN_STARTS)}"))
     chosen = _run(recording, run)
+    given = diagram
+    if turns_as_recorded(diagram, recording):
+        diagram = with_reaction(diagram)
     recording = along_angle(diagram, recording, [chosen])
     channels = channels_of(diagram, recording)
     parts = read_runs(diagram, [_run(recording, chosen.id)], channels)
@@ -98,7 +101,7 @@ def simulate_as_recorded(
         Errors(channels.outputs, errors.squares[:size], errors.totals[:size], errors.samples[:size]),
         {state: float(x) for (_, state, r), x in search.starts(evaluation.unknowns).items() if r == 0},
         evaluation.sub,
-        (*recording.warnings, *notes_of(parts)),
+        (*recording.warnings, *diagram.warnings[len(given.warnings) :], *notes_of(parts)),
     )
 
 

@@ -16,7 +16,7 @@ from rotorsim.identification.advice_in_time import TRIED, advise_in_time
 from rotorsim.identification.profile import joint_factor
 from rotorsim.identification.result import Identification, Identified, sentences
 from rotorsim.identification.verdict import judge
-from rotorsim.identification.waveform.along_angle import along_angle
+from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
 from rotorsim.identification.waveform.data import Channels, SampledRun, channels_of, chosen_runs
 from rotorsim.identification.waveform.errors import errors_of
 from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate
@@ -79,6 +79,10 @@ def identify_in_time(
     wanted = diagram.free if free is None else tuple(free)
     _refuse(diagram, method, given, wanted)
     names = None if runs is None else {run.id for run in runs}
+    as_given = diagram
+    if turns_as_recorded(diagram, recording):
+        diagram = with_reaction(diagram)
+        warnings = [*warnings, *diagram.warnings[len(as_given.warnings) :]]
     recording = along_angle(diagram, recording)
     hold_out = None if hold_out is None else along_angle(diagram, hold_out)
     channels = channels_of(diagram, recording)

@@ -194,7 +194,7 @@ def _from_pulses(run: Run, pulses: np.ndarray, doubt: float, stamp: float) -> Sh
     jitter = float(np.sqrt(residual @ residual / max(n - curve.degree() - 1, 1)))
     theta = curve(inside)
     # no low polynomial follows the speed: trust every pulse; the saw teeth of sampled ones are not followed
-    if is_correlated(residual) and n > 8 and jitter > np.hypot(CORRELATED, 2 * each):
+    if _is_correlated(residual) and n > 8 and jitter > np.hypot(CORRELATED, 2 * each):
         theta = CubicSpline(u, turns, bc_type="natural")(inside)
         jitter = max(float(np.sqrt(np.mean(np.diff(residual, 2) ** 2) / 6)), each)
     if run.speed is not None and run.speed < 0:
@@ -218,7 +218,7 @@ def best_polynomial(u: np.ndarray, turns: np.ndarray, least: float) -> Chebyshev
     return curves[int(np.argmin([n * np.log(value) + (k + 2) * np.log(n) for k, value in enumerate(variances)]))]
 
 
-def is_correlated(residual: np.ndarray) -> bool:
+def _is_correlated(residual: np.ndarray) -> bool:
     """Return whether residuals of pulses (n,) are correlated from one to the next: two standard deviations."""
     return float(residual[1:] @ residual[:-1]) > 2 / np.sqrt(len(residual)) * float(residual @ residual)
 

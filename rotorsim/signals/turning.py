@@ -7,21 +7,21 @@ from dataclasses import dataclass
 from math import tau
 
 import numpy as np
-from scipy.interpolate import make_smoothing_spline
+from scipy.interpolate import make_lsq_spline
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.recording import ANGLE, Recording, Run
 from rotorsim.signals.shaft_angle import (
     TEETH,
     best_polynomial,
-    is_correlated,
     pulses_of,
     run_up_in_words,
     shaft_angle,
 )
 
 MARKS = 4  # in a turn, between which a recorded angle is smoothed for its derivatives
-LEAST_PULSES = 9  # for a spline: fewer do not tell jitter from a change of speed
+LEAST_PULSES = 9  # for derivatives: fewer do not tell jitter from a change of speed
+DEGREE = 5  # of a spline: its acceleration is as smooth as a cubic spline
 NO_ANGLE = 'give "tacho": times of a once-per-turn pulse, or a channel of clock.theta'
 
 _Curve = Callable[[np.ndarray, int], np.ndarray]  # of times (n,) [s] and the order of the derivative
@@ -51,12 +51,12 @@ def is_run_up(recording: Recording, run: Run) -> bool:
 def turning(recording: Recording, run: Run) -> Turning:
     """Return how the shaft turns through a run: a recorded angle as it is, else a smooth curve through the pulses.
 
-    The curve is the polynomial that leaves least by the Bayesian information criterion, or where that does not follow
-    them the cubic smoothing spline whose penalty generalised cross-validation chooses: once per turn the angle is
-    known but for jitter. Its derivatives are the speed and the acceleration, of a recorded angle by its passages of
-    every quarter of a turn. Beyond the pulses a polynomial holds for one turn, a spline not at all.
+    The curve is the polynomial, or the quintic spline of 2, 4, 8, ... parts by least squares, that leaves least by the
+    Bayesian information criterion: once per turn the angle is known but for jitter. Its derivatives are the speed and
+    the acceleration, of a recorded angle by its passages of every quarter of a turn. Beyond the pulses a polynomial
+    holds for one turn, a spline not at all.
     Raises RotorsimError where nothing tells the angle of the shaft.
-    Source: G. Wahba, Spline Models for Observational Data (1990), sec. 4.4.
+    Source: G. Schwarz, Ann. Stat. 6 (1978) 461-464.
     """
     angle = shaft_angle(recording, run)
     if not angle.phase_known:
@@ -92,9 +92,23 @@ def _through(times: np.ndarray, turned: np.ndarray, doubt: float) -> tuple[_Curv
     n, centre, half = len(times), (times[-1] + times[0]) / 2, (times[-1] - times[0]) / 2
     u = (times - centre) / half
     each = float(np.max(np.diff(turned) / np.diff(times))) * doubt
-    polynomial = best_polynomial(u, turned, max((1e-9 * tau) ** 2, TEETH * each**2))
-    residual = turned - polynomial(u)
-    if n < LEAST_PULSES or not is_correlated(residual) or float(np.mean(residual**2)) <= TEETH * each**2:
+    least = max((1e-9 * tau) ** 2, TEETH * each**2)
+    polynomial = best_polynomial(u, turned, least)
+
+    def criterion(curve: Callable[[np.ndarray], np.ndarray], coefficients: int) -> float:
+        variance = max(float(np.mean((turned - curve(u)) ** 2)), least)
+        return n * float(np.log(variance)) + coefficients * float(np.log(n))
+
+    best, spline, parts = criterion(polynomial, polynomial.degree() + 1), None, 2
+    while parts + DEGREE <= n // 2:
+        knots = np.concatenate([np.full(DEGREE, -1.0), np.linspace(-1, 1, parts + 1), np.full(DEGREE, 1.0)])
+        try:
+            trial = make_lsq_spline(u, turned, knots, DEGREE)
+        except ValueError:  # a part without pulses: the speed is near zero there
+            break
+        if (value := criterion(trial, parts + DEGREE)) < best:
+            best, spline = value, trial
+        parts *= 2
+    if spline is None:
         return lambda t, order: polynomial.deriv(order)((t - centre) / half) / half**order, tau
-    spline = make_smoothing_spline(u, turned)
     return lambda t, order: np.asarray(spline((t - centre) / half, order)) / half**order, 0.0

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.diagram import Diagram, Endpoint, Wire
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.equations import clock_ports
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
@@ -30,6 +30,29 @@ def changes_speed(recording: Recording) -> bool:
 def is_in_time(diagram: Diagram, recording: Recording) -> bool:
     """Return whether a recording is compared sample by sample: no shaft turns, or one that changes its speed does."""
     return not turns_as_recorded(diagram, recording) or changes_speed(recording)
+
+
+def with_reaction(diagram: Diagram) -> Diagram:
+    """Return a diagram whose unbalances feel the angular acceleration of the shaft that its clock turns.
+
+    Wired are inputs "acceleration" that a block may go without and whose "theta" is the clock's; warnings say so.
+    """
+    taken = {(wire.target.block, wire.target.port) for wire in diagram.wires} | diagram.cut
+    added = []
+    for wire in diagram.wires:
+        clock, block = diagram.nodes[wire.source.block], diagram.nodes[wire.target.block]
+        turned = clock.block.category == "clock" and wire.source.port == wire.target.port == "theta"
+        if turned and {"acceleration"} <= clock.outputs.keys() & block.inputs.keys():
+            ends = Endpoint(clock.name, "acceleration"), Endpoint(block.name, "acceleration")
+            if (block.name, "acceleration") not in taken and ends[1] not in (end for _, end in added):
+                added.append(ends)
+    if not added:
+        return diagram
+    document = {**diagram.document, "wires": [*diagram.document["wires"], *([str(a), str(b)] for a, b in added)]}
+    what = f"{' and '.join(str(b) for _, b in added)} is wired to {added[0][0]}: the speed changes in these runs"
+    note = Problem(what, diagram.name, severity="warning")
+    wires = (*diagram.wires, *(Wire(a, b) for a, b in added))
+    return replace(diagram, wires=wires, document=document, warnings=(*diagram.warnings, note))
 
 
 def along_angle(diagram: Diagram, recording: Recording, runs: Sequence[Run] | None = None) -> Recording:

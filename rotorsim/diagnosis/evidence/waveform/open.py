@@ -11,7 +11,7 @@ from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
-from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded
+from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
 from rotorsim.identification.waveform.data import channels_of, chosen_runs
 from rotorsim.identification.waveform.noise_model import noise_model
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
@@ -26,9 +26,13 @@ def open_waveforms(
     warnings: Sequence[Problem],
 ) -> Opened:
     """Return the samples of a recording as evidence, and the fit of the diagram as given."""
+    given = diagram
+    if turns_as_recorded(diagram, recording):
+        diagram = with_reaction(diagram)
     evidence = waveform_evidence(diagram, recording, hold_out, trust_blocks=catalogue.trust)
     base, refined = base_fit(diagram, evidence)
     notes = notes_of([*evidence.runs, *evidence.held])
+    notes += diagram.warnings[len(given.warnings) :]
     notes += [Problem(note, severity="warning") for note in refined]
     return Opened(evidence, base, base, evidence, catalogue, held_out=bool(evidence.held), warnings=[*warnings, *notes])
 
