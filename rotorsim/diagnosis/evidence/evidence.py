@@ -152,6 +152,10 @@ class Evidence(Protocol):
         """Whether all runs have one speed and the same settings, which almost anything explains."""
 
     @property
+    def costly(self) -> bool:
+        """Whether fits take so long that only laws that promise most are fitted."""
+
+    @property
     def unjudged(self) -> str:
         """Why structure of the residual would not show, so that nothing is `consistent`; empty: it would."""
 
@@ -226,6 +230,7 @@ class Defaults:
 
     terms = Terms()
     independent = True
+    costly = False
     unjudged = ""
 
     @property

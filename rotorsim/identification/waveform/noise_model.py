@@ -52,7 +52,7 @@ class NoiseModel:
     variance: mean square of every output. rows: independent samples. stretches: into which the runs are divided.
     allowed (B,): what an adequate model may leave of each when it is left out. by_force: whether noise is what a
     diagram with a flexible force leaves; else what no black box predicts. unjudged: see `Noise`. least: steps between
-    samples. starts: states at the first samples. theta (m,): parameters of the diagram that leave least. sizes: largest
+    samples. starts: states at the first samples. theta (m,): parameters of the diagram that leave least; near: by name. sizes: largest
     magnitude of every signal, recorded or simulated.
     """
 
@@ -65,6 +65,7 @@ class NoiseModel:
     least: int
     starts: Mapping[Label, float]
     theta: np.ndarray
+    near: Mapping[str, float]
     sizes: Mapping[str, float]
 
 
@@ -105,6 +106,7 @@ def noise_model(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]
         least=base.least,
         starts=flexible.starts(residual.unknowns),
         theta=evaluation.unknowns[: base.m],
+        near=dict(zip((item.name for item in base.free), evaluation.unknowns.tolist(), strict=False)),
         sizes=sizes,
     )
 

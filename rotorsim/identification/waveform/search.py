@@ -25,6 +25,7 @@ SEARCH_COST_TOLERANCE = (
 )
 SIMULATION_SUBSTEPS = 64  # between samples: a matter of time
 LEAP = 4.0  # factor by which a positive parameter may change in a step
+TURN = 1.0  # rad by which an angle may change in a step: what a tangent of it tells ends there
 STABLE_STEP = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8  # of the scaled information: nearly none, none, no step
 AMPLITUDES = tuple(10.0**-k for k in range(0, 25, 2))  # of what is stated, of an effect that is made smaller
@@ -241,7 +242,13 @@ class OutputErrorSearch:
         (low, high), positive = self.bounds, self.bounds[0] > 0
         lowest = np.where(positive, np.maximum(low, unknowns / LEAP), low)
         highest = np.where(positive, np.minimum(high, unknowns * LEAP), high)
+        lowest[self.angles], highest[self.angles] = unknowns[self.angles] - TURN, unknowns[self.angles] + TURN
         return np.asarray(np.clip(unknowns + step, lowest, highest))
+
+    @cached_property
+    def angles(self) -> np.ndarray:
+        """Which unknowns are angles without bounds, (k,)."""
+        return np.array([j for j, one in enumerate(self.free) if one.unit == "rad" and np.isinf(one.high - one.low)], int)
 
     def started(
         self, unknowns: np.ndarray, values: Mapping[str, float], old: Collection[str] = ()

@@ -14,6 +14,7 @@ from rotorsim.errors import Problem
 from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
 from rotorsim.identification.waveform.data import channels_of, chosen_runs
 from rotorsim.identification.waveform.noise_model import noise_model
+from rotorsim.identification.waveform.parts import parts_of
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
 from rotorsim.recordings.recording import Recording
 
@@ -52,6 +53,7 @@ def waveform_evidence(
     channels = marked(channels, runs)
     held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
     noise = noise_model(diagram, channels, runs)
+    parts, part_starts = parts_of(diagram, channels, runs, noise) if turns else ((), {})
     return WaveformEvidence(
         channels=channels,
         folder=str(Path(diagram.file).parent) if diagram.file else None,
@@ -70,4 +72,7 @@ def waveform_evidence(
         old=frozenset(item.name for item in diagram.free),
         held=read_runs(diagram, held, channels),
         turns=turns,
+        parts=parts,
+        part_starts=part_starts,
+        near=noise.near,
     )
