@@ -74,7 +74,8 @@ def simulate_as_recorded(
     channels = marked(channels, parts)
     further = _further(compile_diagram(diagram), channels, [*map(str, diagram.record), *record])
     parts = tuple(_with_more(part, further) for part in parts)
-    equations = driven_equations(diagram, [*channels.outputs, *further], channels.inputs, ())
+    outputs = [*channels.outputs, *further]
+    equations = driven_equations(diagram, outputs, channels.inputs, (), fastest=channels.fastest)
     with one_thread():
         search = OutputErrorSearch(
             (Simulation(equations),), parts, {}, hold="theta" if start == RUN_STARTS[0] else "starts"

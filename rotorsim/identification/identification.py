@@ -69,11 +69,11 @@ def identify(
 ) -> Identification:
     """Estimate the free parameters of a diagram from the runs of a recording.
 
-    Compared are harmonics where a shaft turns at steady speeds, else samples in time (`is_in_time` tells which). method: "likelihood"
-    (errors in all measured signals, bounds, priors; intervals from the profile of the likelihood; in time: output
-    error), or "regression" (the thesis' least squares, eq. (2.64)-(2.66), (3.47), (4.34), (5.18)). given: ports taken
-    as measured inputs with their noise, so that what makes them need not be right. precision: half width of the 90 %
-    interval, as part of the value, that counts as identified. hold_out: further runs that are only scored. orders,
+    Compared are harmonics where a shaft turns at steady speeds, else samples in time (`is_in_time` tells which).
+    method: "likelihood" (errors in all measured signals, bounds, priors; intervals from the profile of the likelihood;
+    in time: output error), or "regression" (the thesis' least squares, eq. (2.64)-(2.66), (3.47), (4.34), (5.18)).
+    given: ports taken as measured inputs with their noise, so that what makes them need not be right. precision: half
+    width of the 90 % interval, as part of the value, that counts as identified. hold_out: further runs that are only scored. orders,
     reduction: of the regression.
 
     Raises RotorsimError for recordings with errors, channels or settings that the diagram does not have, runs

@@ -160,7 +160,7 @@ def _refuse(diagram: Diagram, method: str, given: Sequence[str], wanted: Sequenc
     """Raise RotorsimError for what makes no sense in time."""
     problems = []
     if method != "likelihood":
-        what = f"method '{method}' is of harmonics of a shaft that turns at steady speeds, and none does here"
+        what = f"method '{method}' is of harmonics at steady speeds, and nothing turns so here"
         problems.append(Problem(what, diagram.name, hint="--method likelihood: in time it is output error"))
     if given:
         what = f"{', '.join(given)} cannot be taken as measured in time"

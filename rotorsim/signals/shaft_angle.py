@@ -220,7 +220,7 @@ def best_polynomial(u: np.ndarray, turns: np.ndarray, least: float) -> Chebyshev
 
 def _is_correlated(residual: np.ndarray) -> bool:
     """Return whether residuals of pulses (n,) are correlated from one to the next: two standard deviations."""
-    return float(residual[1:] @ residual[:-1]) > 2 / np.sqrt(len(residual)) * float(residual @ residual)
+    return float(residual[1:] @ residual[:-1]) > float(2 / np.sqrt(len(residual)) * (residual @ residual))
 
 
 def _shared(residual: np.ndarray, jitter: float, each: float) -> float:

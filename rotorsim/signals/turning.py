@@ -10,14 +10,8 @@ import numpy as np
 from scipy.interpolate import make_lsq_spline
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.recordings.recording import ANGLE, Recording, Run
-from rotorsim.signals.shaft_angle import (
-    TEETH,
-    best_polynomial,
-    pulses_of,
-    run_up_in_words,
-    shaft_angle,
-)
+from rotorsim.recordings.recording import Recording, Run
+from rotorsim.signals.shaft_angle import TEETH, best_polynomial, pulses_of, run_up_in_words, shaft_angle
 
 MARKS = 4  # in a turn, between which a recorded angle is smoothed for its derivatives
 LEAST_PULSES = 9  # for derivatives: fewer do not tell jitter from a change of speed
@@ -90,7 +84,7 @@ def _through(times: np.ndarray, turned: np.ndarray, doubt: float) -> tuple[_Curv
     doubt: standard deviation of the times [s].
     """
     n, centre, half = len(times), (times[-1] + times[0]) / 2, (times[-1] - times[0]) / 2
-    u = (times - centre) / half
+    u = np.clip((times - centre) / half, -1.0, 1.0)  # rounding
     each = float(np.max(np.diff(turned) / np.diff(times))) * doubt
     least = max((1e-9 * tau) ** 2, TEETH * each**2)
     polynomial = best_polynomial(u, turned, least)

@@ -14,9 +14,7 @@ from rotorsim.report.figures.as_recorded import as_recorded_figure
 from rotorsim.simulation.run import simulate
 from tests.identification.in_time import OSCILLATOR, TRUTH, even, measured, motion, recording, run_of
 
-REACTION = (
-    "warning: jeffcott: unbalance.acceleration is wired to clock.acceleration: the speed changes in these runs"
-)
+REACTION = "warning: jeffcott: unbalance.acceleration is wired to clock.acceleration: the speed changes in these runs"
 RIGHT = load(OSCILLATOR, set=TRUTH)
 
 

@@ -247,7 +247,7 @@ def refused(diagram, made, **options) -> str:
 def test_what_belongs_to_a_turning_shaft_is_refused_all_at_once(diagram):
     made = recording(measured("run0", 1, even(300)))
     assert refused(diagram, made, method="regression", given=["force.output"], free=()) == (
-        "error: oscillator: method 'regression' is of harmonics of a shaft that turns at steady speeds, and none does here\n\n"
+        "error: oscillator: method 'regression' is of harmonics at steady speeds, and nothing turns so here\n\n"
         "hint: --method likelihood: in time it is output error\n"
         "error: oscillator: force.output cannot be taken as measured in time\n\n"
         "hint: put a block 'recorded' in the place of what makes it, and let the channel name that block\n"

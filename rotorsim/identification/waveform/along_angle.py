@@ -17,7 +17,7 @@ UNITS = {"theta": "rad", "speed": "rad/s", "acceleration": "rad/s^2"}  # of what
 
 
 def turns_as_recorded(diagram: Diagram, recording: Recording) -> bool:
-    """Return whether a shaft turns: one does where its angle or pulses were recorded, or where a wire begins at a clock."""
+    """Return whether a shaft turns: where its angle or pulses were recorded, or a wire begins at a clock."""
     measured = {channel.signal for channel in recording.channels.values()} & {ANGLE, TACHO}
     return bool(measured or diagram.turns or any(run.tacho is not None for run in recording.runs))
 
@@ -38,7 +38,7 @@ def with_reaction(diagram: Diagram) -> Diagram:
     Wired are inputs "acceleration" that a block may go without and whose "theta" is the clock's; warnings say so.
     """
     taken = {(wire.target.block, wire.target.port) for wire in diagram.wires} | diagram.cut
-    added = []
+    added: list[tuple[Endpoint, Endpoint]] = []
     for wire in diagram.wires:
         clock, block = diagram.nodes[wire.source.block], diagram.nodes[wire.target.block]
         turned = clock.block.category == "clock" and wire.source.port == wire.target.port == "theta"
@@ -66,7 +66,7 @@ def along_angle(diagram: Diagram, recording: Recording, runs: Sequence[Run] | No
     clocks = [name for name, node in diagram.nodes.items() if node.block.category == "clock"]
     problems: list[Problem] = []
     if len(clocks) != 1:
-        what = f"has {len(clocks) or 'no'} clock{'s' * (len(clocks) != 1)}: which one turns as recorded is not known"
+        what = f"has {len(clocks) or 'no'} clock{'s' * (len(clocks) > 1)}: which one turns as recorded is not known"
         problems.append(Problem(what, diagram.name, hint="one block 'clock' gives the angle of the shaft"))
     ports = [port for port in clock_ports(diagram) if port.partition(".")[0] in clocks[:1]]
     given = {port: Channel(port, port, None, None, None, UNITS[port.rpartition(".")[2]]) for port in ports}

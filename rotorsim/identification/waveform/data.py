@@ -21,6 +21,7 @@ from rotorsim.recordings.recording import Channel, Recording, Run
 from rotorsim.units import compatible
 
 RATE_PREFIX = "rate of "
+STABLE_STEP = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
 SMOOTH = "smooth"  # kind of an input that goes between samples on a cubic spline
 SENSOR_DISTANCE = 1e-3  # m, between a sensor and the node that stands for it
 
@@ -30,7 +31,7 @@ class Channels:
     """Recorded signals by flat name: inputs drive the diagram, outputs are what it predicts.
 
     columns: name -> column of the data. kinds: of each input, how it goes on between samples. gappy: outputs of which
-    samples are missing in some run.
+    samples are missing in some run. fastest: see `DrivenEquations`.
     """
 
     inputs: tuple[str, ...]
@@ -38,6 +39,7 @@ class Channels:
     columns: Mapping[str, str]
     kinds: Mapping[str, str]
     gappy: frozenset[str] = frozenset()
+    fastest: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -201,7 +201,8 @@ def _with_states(
     diagram: Diagram, search: OutputErrorSearch, evaluation: Evaluation, outputs: Sequence[str]
 ) -> tuple[OutputErrorSearch, np.ndarray]:
     """Return a search whose outputs are these signals, then the states; and its unknowns, those of a fit."""
-    equations = driven_equations(diagram, outputs, search.systems[0].equations.inputs, diagram.free)
+    given = search.systems[0].equations
+    equations = driven_equations(diagram, outputs, given.inputs, diagram.free, fastest=given.fastest)
     states = replace(
         equations, outputs=(*outputs, *equations.state_names), g=ca.vertcat(equations.g, equations.arguments[1])
     )

@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from rotorsim.diagram.diagram import Free
-from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
 from rotorsim.identification.waveform.simulation import Simulation
 
 MOST_SIMULATIONS = 60  # what data determine takes up to 25
@@ -26,7 +26,6 @@ SEARCH_COST_TOLERANCE = (
 SIMULATION_SUBSTEPS = 64  # between samples: a matter of time
 LEAP = 4.0  # factor by which a positive parameter may change in a step
 TURN = 1.0  # rad by which an angle may change in a step: what a tangent of it tells ends there
-STABLE_STEP = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8  # of the scaled information: nearly none, none, no step
 AMPLITUDES = tuple(10.0**-k for k in range(0, 25, 2))  # of what is stated, of an effect that is made smaller
 NEARBY = (100.0, 30.0, 10.0, 3.0, 0.3, 0.1)  # of that which is small enough: sizes within a step of AMPLITUDES
@@ -248,7 +247,9 @@ class OutputErrorSearch:
     @cached_property
     def angles(self) -> np.ndarray:
         """Which unknowns are angles without bounds, (k,)."""
-        return np.array([j for j, one in enumerate(self.free) if one.unit == "rad" and np.isinf(one.high - one.low)], int)
+        return np.array(
+            [j for j, one in enumerate(self.free) if one.unit == "rad" and np.isinf(one.high - one.low)], int
+        )
 
     def started(
         self, unknowns: np.ndarray, values: Mapping[str, float], old: Collection[str] = ()

@@ -70,9 +70,8 @@ class WaveformEvidence(SampledRuns, Defaults):
     samples. stretches: into which the runs are divided. allowed (B,): what an adequate model may leave of each when it
     is left out. by_force: whether noise is what a diagram with a flexible force leaves. least: steps between samples.
     starts: states at the first samples. old: names of the parameters that were free at first. held: hold-out runs.
-    turns: whether a shaft turns, driven by its recorded angle; parts: of its runs, at all speeds, on which starts are
-    chosen and followed, and their states at first samples (part_starts). near: parameters of the diagram that leave
-    least.
+    parts: of long runs, at all speeds, on which starts are chosen and followed; part_starts: their states at first
+    samples. near: parameters of the diagram that leave least.
     """
 
     variance: Variance
@@ -85,22 +84,12 @@ class WaveformEvidence(SampledRuns, Defaults):
     old: frozenset[str]
     held: tuple[SampledRun, ...]
     unjudged: str = ""
-    turns: bool = False
     parts: tuple[SampledRun, ...] = ()
     part_starts: Mapping[Label, float] = field(default_factory=dict)
     near: Mapping[str, float] = field(default_factory=dict)
 
+    terms = WAVEFORM_TERMS
     independent = False
-
-    @property
-    def costly(self) -> bool:
-        """Whether only laws that promise most are fitted: of a shaft that turns, all runs are simulated to the end."""
-        return self.turns
-
-    @property
-    def terms(self) -> Terms:
-        """How statements name it."""
-        return TURNING_TERMS if self.turns else WAVEFORM_TERMS
 
     def search(self, document: Mapping[str, Any]) -> OutputErrorSearch:
         """Return the search for the free parameters of a document. Raises RotorsimError."""
@@ -194,8 +183,6 @@ class WaveformEvidence(SampledRuns, Defaults):
 
     def bounds(self, fit: Fit) -> LawBounds | None:
         """Return what the laws of signals promise beside a fit; None where its diagram has no scalar signals."""
-        if self.turns:
-            return None
         document = values_in(fit.document, fit.values)
         diagram, whole = self.load(document), replace(self.search(document), hold="theta")
         whole = replace(whole, systems=whole.systems[:1]).shortened(SHORT)
@@ -334,6 +321,17 @@ class WaveformEvidence(SampledRuns, Defaults):
             }
             text += [f"{block} has the units of a machine: {' and '.join(stands.values())}."] if stands else []
         return text
+
+
+@dataclass(frozen=True, eq=False)
+class TurningEvidence(WaveformEvidence):
+    """Runs of a shaft that turns, driven by its recorded angle: long ones, so that only promising laws are fitted."""
+
+    terms = TURNING_TERMS
+    costly = True
+
+    def bounds(self, fit: Fit) -> None:
+        """Return None: nothing is known of places but by the sensitivities of each law."""
 
 
 def _neighbours(diagram: Diagram, name: str) -> list[tuple[Port, str]]:

@@ -17,10 +17,10 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
 from rotorsim.identification.waveform.equations import driven_equations
 from rotorsim.identification.waveform.linearised import LinearisedRun, Place
-from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, STABLE_STEP
+from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS
 from rotorsim.identification.waveform.simulation import LARGE, Simulation
 from rotorsim.identification.waveform.unknown_input import SignalEstimate, UnknownInputs
 

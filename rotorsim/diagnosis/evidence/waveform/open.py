@@ -8,7 +8,7 @@ from pathlib import Path
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.evidence.base_fit import base_fit
 from rotorsim.diagnosis.evidence.opened import Opened
-from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
+from rotorsim.diagnosis.evidence.waveform.evidence import TurningEvidence, WaveformEvidence
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
 from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
@@ -54,7 +54,7 @@ def waveform_evidence(
     held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
     noise = noise_model(diagram, channels, runs)
     parts, part_starts = parts_of(diagram, channels, runs, noise) if turns else ((), {})
-    return WaveformEvidence(
+    return (TurningEvidence if turns else WaveformEvidence)(
         channels=channels,
         folder=str(Path(diagram.file).parent) if diagram.file else None,
         trust_blocks=trust_blocks,
@@ -71,7 +71,6 @@ def waveform_evidence(
         sizes=noise.sizes,
         old=frozenset(item.name for item in diagram.free),
         held=read_runs(diagram, held, channels),
-        turns=turns,
         parts=parts,
         part_starts=part_starts,
         near=noise.near,
