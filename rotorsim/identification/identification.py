@@ -73,8 +73,8 @@ def identify(
     method: "likelihood" (errors in all measured signals, bounds, priors; intervals from the profile of the likelihood;
     in time: output error), or "regression" (the thesis' least squares, eq. (2.64)-(2.66), (3.47), (4.34), (5.18)).
     given: ports taken as measured inputs with their noise, so that what makes them need not be right. precision: half
-    width of the 90 % interval, as part of the value, that counts as identified. hold_out: further runs that are only scored. orders,
-    reduction: of the regression.
+    width of the 90 % interval, as part of the value, that counts as identified. hold_out: further runs that are only
+    scored. orders, reduction: of the regression.
 
     Raises RotorsimError for recordings with errors, channels or settings that the diagram does not have, runs
     without phase reference, diagrams that are not linear in their states.
