@@ -108,7 +108,9 @@ def _sensors(estimate: TimeEstimate, noise: NoiseModel, channels: Channels) -> I
     floor = errors.floor({name: noise.variance[WHOLE_DIAGRAM, name] for name in errors.outputs})
     share = max(float(np.median([*floor.values()])), SMALL_NOISE)
     try:
-        equations = driven_equations(diagram, [*whole.outputs, *names], whole.inputs, diagram.free)
+        equations = driven_equations(
+            diagram, [*whole.outputs, *names], whole.inputs, diagram.free, fastest=whole.fastest
+        )
     except RotorsimError:
         return
     short = estimate.search.shortened(SENSOR_SAMPLES)

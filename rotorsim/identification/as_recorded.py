@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError, near_miss
-from rotorsim.identification.waveform.data import RATE_PREFIX, Channels, SampledRun, channels_of, is_in_time
+from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
+from rotorsim.identification.waveform.data import RATE_PREFIX, Channels, SampledRun, channels_of
 from rotorsim.identification.waveform.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.errors import Errors, errors_of
 from rotorsim.identification.waveform.noise import variance_scale
@@ -21,8 +21,7 @@ from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.jobs.threads import one_thread
 from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
-from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
-from rotorsim.signals.shaft_angle import shaft_angle
+from rotorsim.recordings.recording import Recording, Run
 from rotorsim.simulation.result import Result
 
 RUN_STARTS = ("estimated", "diagram")
@@ -66,16 +65,17 @@ def simulate_as_recorded(
     if start not in RUN_STARTS:
         raise RotorsimError(Problem(f"no start '{start}'", hint=f"one of {', '.join(RUN_STARTS)}"))
     chosen = _run(recording, run)
-    turning = None if is_in_time(diagram, recording) else _turning(diagram, recording, chosen)
-    channels = channels_of(diagram, recording if turning is None else _without_angle(recording))
-    parts = read_runs(diagram, [chosen], channels)
+    given = diagram
+    if turns_as_recorded(diagram, recording):
+        diagram = with_reaction(diagram)
+    recording = along_angle(diagram, recording, [chosen])
+    channels = channels_of(diagram, recording)
+    parts = read_runs(diagram, [_run(recording, chosen.id)], channels)
     channels = marked(channels, parts)
-    further = _further(compile_diagram(diagram), channels, turning, [*map(str, diagram.record), *record])
-    parts = tuple(_with_more(part, further, turning) for part in parts)
-    given = [*channels.inputs, *([] if turning is None else turning.names)]
-    equations = driven_equations(
-        diagram, [*channels.outputs, *further], given, (), cut={} if turning is None else turning.cut
-    )
+    further = _further(compile_diagram(diagram), channels, [*map(str, diagram.record), *record])
+    parts = tuple(_with_more(part, further) for part in parts)
+    outputs = [*channels.outputs, *further]
+    equations = driven_equations(diagram, outputs, channels.inputs, (), fastest=channels.fastest)
     with one_thread():
         search = OutputErrorSearch(
             (Simulation(equations),), parts, {}, hold="theta" if start == RUN_STARTS[0] else "starts"
@@ -102,7 +102,7 @@ def simulate_as_recorded(
         Errors(channels.outputs, errors.squares[:size], errors.totals[:size], errors.samples[:size]),
         {state: float(x) for (_, state, r), x in search.starts(evaluation.unknowns).items() if r == 0},
         evaluation.sub,
-        (*recording.warnings, *notes_of(parts)),
+        (*recording.warnings, *diagram.warnings[len(given.warnings) :], *notes_of(parts)),
     )
 
 
@@ -121,52 +121,11 @@ def _run(recording: Recording, name: str | None) -> Run:
     return recording.runs[0] if name is None else known[name]
 
 
-# -- a shaft that turns ------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class _Turning:
-    """The angle theta (n,) [rad] of a shaft at instants time (n,) [s], which takes the place of a clock."""
-
-    clock: str
-    time: np.ndarray
-    theta: np.ndarray
-
-    names = (ANGLE, RATE_PREFIX + ANGLE)
-
-    @property
-    def cut(self) -> dict[str, list[str]]:
-        """The ports of the clock and what they give instead."""
-        return {f"{self.clock}.theta": [ANGLE], f"{self.clock}.speed": [RATE_PREFIX + ANGLE]}
-
-
-def _turning(diagram: Diagram, recording: Recording, run: Run) -> _Turning:
-    """Return how the shaft turned. Raises RotorsimError where nothing tells its angle, or the diagram has no clock."""
-    clocks = [name for name, node in diagram.nodes.items() if node.block.category == "clock"]
-    problems = []
-    if len(clocks) != 1:
-        what = f"has {len(clocks) or 'no'} clock{'s' * (len(clocks) != 1)}: which one turns as recorded is not known"
-        problems.append(Problem(what, diagram.name, hint="one block 'clock' gives the angle of the shaft"))
-    angle = shaft_angle(recording, run)
-    if not angle.phase_known:
-        hint = 'give "tacho": times of a once-per-turn pulse, or a channel of clock.theta'
-        problems.append(Problem("its shaft angle was not recorded", f"run {run.id}", run.place, hint))
-    if problems:
-        raise RotorsimError(*problems)
-    return _Turning(clocks[0], np.asarray(run.time), angle.theta)
-
-
-def _without_angle(recording: Recording) -> Recording:
-    """Return a recording without the channels of the angle."""
-    kept = {column: channel for column, channel in recording.channels.items() if channel.signal not in (ANGLE, TACHO)}
-    return replace(recording, channels=kept)
-
-
 # -- signals -----------------------------------------------------------------------------------------------------------
 
 
-def _further(model: Model, channels: Channels, turning: _Turning | None, names: Sequence[str]) -> list[str]:
-    """Return the flat names of signals to be recorded that nobody measured, those of a clock left out.
+def _further(model: Model, channels: Channels, names: Sequence[str]) -> list[str]:
+    """Return the flat names of signals to be recorded that nobody measured.
 
     Raises RotorsimError for signals that the diagram does not have.
     """
@@ -179,17 +138,13 @@ def _further(model: Model, channels: Channels, turning: _Turning | None, names: 
             problems += error.problems
     if problems:
         raise RotorsimError(*problems)
-    clock = "" if turning is None else f"{turning.clock}."
     known = {*channels.outputs, *channels.inputs}
-    return [name for name in dict.fromkeys(wanted) if name not in known and not (clock and name.startswith(clock))]
+    return [name for name in dict.fromkeys(wanted) if name not in known]
 
 
-def _with_more(part: SampledRun, names: Sequence[str], turning: _Turning | None) -> SampledRun:
-    """Return a run with room for signals that were not measured, and with the angle of its shaft."""
-    more = {name: np.full(part.size, np.nan) for name in names}
-    if turning is not None:
-        more[ANGLE] = CubicSpline(turning.time, turning.theta)(part.time)
-    return replace(part, values={**part.values, **more})
+def _with_more(part: SampledRun, names: Sequence[str]) -> SampledRun:
+    """Return a run with room for signals that were not measured."""
+    return replace(part, values={**part.values, **{name: np.full(part.size, np.nan) for name in names}})
 
 
 def _result(

@@ -22,7 +22,7 @@ from rotorsim.identification.regression import THESIS_ORDERS, open_regression
 from rotorsim.identification.result import Identification, Identified, sentences
 from rotorsim.identification.scatter import scatter_of, with_covariance
 from rotorsim.identification.verdict import judge
-from rotorsim.identification.waveform.data import is_in_time
+from rotorsim.identification.waveform.along_angle import is_in_time
 from rotorsim.jobs.threads import one_thread
 from rotorsim.linear.linearisation import refuse_sampled
 from rotorsim.measure.checks import check_signals
@@ -71,13 +71,12 @@ def identify(
 ) -> Identification:
     """Estimate the free parameters of a diagram from the runs of a recording.
 
-    Compared are harmonics where a shaft turns, else samples in time (`is_in_time` tells which); of a recording of
-    orders, orders of a run-up (`identify_orders`). method: "likelihood"
-    (errors in all measured signals, bounds, priors; intervals from the profile of the likelihood; in time: output
-    error), or "regression" (the thesis' least squares, eq. (2.64)-(2.66), (3.47), (4.34), (5.18)). given: ports taken
-    as measured inputs with their noise, so that what makes them need not be right. precision: half width of the 90 %
-    interval, as part of the value, that counts as identified. hold_out: further runs that are only scored. orders,
-    reduction: of the regression.
+    Compared are harmonics where a shaft turns at steady speeds, else samples in time (`is_in_time` tells which); of a
+    recording of orders, orders of a run-up (`identify_orders`). method: "likelihood" (errors in all measured signals,
+    bounds, priors; intervals from the profile of the likelihood; in time: output error), or "regression" (the thesis'
+    least squares, eq. (2.64)-(2.66), (3.47), (4.34), (5.18)). given: ports taken as measured inputs with their noise,
+    so that what makes them need not be right. precision: half width of the 90 % interval, as part of the value, that
+    counts as identified. hold_out: further runs that are only scored. orders, reduction: of the regression.
 
     Raises RotorsimError for recordings with errors, channels or settings that the diagram does not have, runs
     without phase reference, diagrams that are not linear in their states.

@@ -280,6 +280,7 @@ def order_estimate(search: OrderSearch, evaluation: Evaluation, variance: dict[t
         least=search.least,
         starts={},
         theta=evaluation.unknowns[: search.m],
+        near={},
         sizes={},
     )
     estimate = time_estimate(search, evaluation, noise)

@@ -15,6 +15,7 @@ from rotorsim.identification.advice import Advice
 from rotorsim.identification.advice_in_time import TRIED, advise_in_time
 from rotorsim.identification.result import Identification, Identified, identified, sentences
 from rotorsim.identification.verdict import judge
+from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
 from rotorsim.identification.waveform.data import Channels, SampledRun, channels_of, chosen_runs
 from rotorsim.identification.waveform.errors import errors_of
 from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate
@@ -76,8 +77,16 @@ def identify_in_time(
     """
     wanted = diagram.free if free is None else tuple(free)
     _refuse(diagram, method, given, wanted)
+    names = None if runs is None else {run.id for run in runs}
+    as_given = diagram
+    if turns_as_recorded(diagram, recording):
+        diagram = with_reaction(diagram)
+        warnings = [*warnings, *diagram.warnings[len(as_given.warnings) :]]
+    recording = along_angle(diagram, recording)
+    hold_out = None if hold_out is None else along_angle(diagram, hold_out)
     channels = channels_of(diagram, recording)
-    sampled = read_runs(diagram, chosen_runs(recording) if runs is None else runs, channels)
+    chosen = chosen_runs(recording) if names is None else [run for run in recording.runs if run.id in names]
+    sampled = read_runs(diagram, chosen, channels)
     held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
     held_out = read_runs(diagram, held, channels)
     channels = marked(channels, sampled)
@@ -133,7 +142,7 @@ def _refuse(diagram: Diagram, method: str, given: Sequence[str], wanted: Sequenc
     """Raise RotorsimError for what makes no sense in time."""
     problems = []
     if method != "likelihood":
-        what = f"method '{method}' is of harmonics of a turning shaft, and nothing turns here"
+        what = f"method '{method}' is of harmonics at steady speeds, and nothing turns so here"
         problems.append(Problem(what, diagram.name, hint="--method likelihood: in time it is output error"))
     if given:
         what = f"{', '.join(given)} cannot be taken as measured in time"

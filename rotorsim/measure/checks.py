@@ -222,7 +222,7 @@ class _RunCheck:
             return  # said elsewhere
         said = run_up_in_words(run.time, angle.theta) if np.all(np.diff(run.time) > 0) else ""
         if said:
-            hint = "spectrum, identify, diagnose and locate refuse it: they need runs at steady speeds"
+            hint = "identify, diagnose and run compare it in time; spectrum and locate need runs at steady speeds"
             yield self.problem("run_up", said, hint, stated=True)
         elif len(turning.speeds) >= 4:
             mean, centred = float(turning.speeds.mean()), turning.times - turning.times.mean()

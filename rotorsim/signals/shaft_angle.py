@@ -79,17 +79,10 @@ def shaft_angle(recording: Recording, run: Run) -> ShaftAngle:
     if len(run.time) < 2:
         count = "1 sample" if len(run.time) == 1 else f"{len(run.time)} samples"
         raise RotorsimError(Problem(f"empty run: {count}", subject, run.place), exit_code=1)
-    channel, voltage = recording.column(ANGLE), recording.column(TACHO)
+    channel = recording.column(ANGLE)
     if channel is not None and channel in run.values:
         return _from_channel(run, run.values[channel], f"{subject}: column {channel}")
-    pulses = np.zeros(0)
-    doubt, stamp = 0.0, 0.0  # s: of each pulse, and of all alike
-    if run.tacho is not None:
-        resolution = pulse_resolution(recording, run)
-        pulses, doubt, stamp = run.tacho, UNIFORM * resolution, STAMPED * resolution
-    elif voltage is not None and voltage in run.values:
-        pulses, doubts = pulse_edges(run.time, run.values[voltage])
-        doubt = float(np.sqrt(np.mean(doubts**2))) if len(doubts) else 0.0
+    pulses, doubt, stamp = pulses_of(recording, run)
     if len(pulses) >= 2:
         return _from_pulses(run, pulses, doubt, stamp)
     if run.speed is None:
@@ -99,6 +92,18 @@ def shaft_angle(recording: Recording, run: Run) -> ShaftAngle:
     theta = run.speed * (run.time - (float(pulses[0]) if known else 0.0))
     smooth = min(STATED * float(np.ptp(theta)) / 2, MOST_TURNED)
     return ShaftAngle(theta, run.speed, 0.0, 0.0, "speed", known, int(known), abs(run.speed) * doubt, smooth, stamp)
+
+
+def pulses_of(recording: Recording, run: Run) -> tuple[np.ndarray, float, float]:
+    """Return the pulses of a run (k,) [s], the std of each and of the time by which all are late [s]; none: (0,)."""
+    voltage = recording.column(TACHO)
+    if run.tacho is not None:
+        resolution = pulse_resolution(recording, run)
+        return run.tacho, UNIFORM * resolution, STAMPED * resolution
+    if voltage is not None and voltage in run.values:
+        pulses, doubts = pulse_edges(run.time, run.values[voltage])
+        return pulses, float(np.sqrt(np.mean(doubts**2))) if len(doubts) else 0.0, 0.0
+    return np.zeros(0), 0.0, 0.0
 
 
 def pulse_resolution(recording: Recording, run: Run) -> float:
@@ -184,16 +189,12 @@ def _from_pulses(run: Run, pulses: np.ndarray, doubt: float, stamp: float) -> Sh
     u, inside = (pulses - centre) / half, (run.time - centre) / half
     each = tau * (n - 1) / (pulses[-1] - pulses[0]) * doubt  # rad: residual of sampling alone
     least = max((1e-9 * tau) ** 2, TEETH * each**2)  # below, pulses share saw teeth: a drift is not told from them
-    most = min(MOST_COEFFICIENTS, max(2, (n + 1) // 2 if n < 10 else n // 3))
-    curves = [Chebyshev.fit(u, turns, degree, domain=[-1, 1]) for degree in range(1, most)]
-    variances = [max(float(np.mean((turns - curve(u)) ** 2)), least) for curve in curves]
-    best = int(np.argmin([n * np.log(variance) + (k + 2) * np.log(n) for k, variance in enumerate(variances)]))
-    residual = turns - curves[best](u)
-    jitter = float(np.sqrt(residual @ residual / max(n - best - 2, 1)))
-    follows = float(residual[1:] @ residual[:-1]) > 2 / np.sqrt(n) * float(residual @ residual)
-    theta = curves[best](inside)
+    curve = best_polynomial(u, turns, least)
+    residual = turns - curve(u)
+    jitter = float(np.sqrt(residual @ residual / max(n - curve.degree() - 1, 1)))
+    theta = curve(inside)
     # no low polynomial follows the speed: trust every pulse; the saw teeth of sampled ones are not followed
-    if follows and n > 8 and jitter > np.hypot(CORRELATED, 2 * each):
+    if _is_correlated(residual) and n > 8 and jitter > np.hypot(CORRELATED, 2 * each):
         theta = CubicSpline(u, turns, bc_type="natural")(inside)
         jitter = max(float(np.sqrt(np.mean(np.diff(residual, 2) ** 2) / 6)), each)
     if run.speed is not None and run.speed < 0:
@@ -203,6 +204,23 @@ def _from_pulses(run: Run, pulses: np.ndarray, doubt: float, stamp: float) -> Sh
     shared = _shared(residual, jitter, each) if doubt else 0.0
     smooth = float(np.hypot(each, SLOPE * jitter / np.sqrt(n)))
     return ShaftAngle(theta, speed, float(rates[1] - rates[0]), jitter, "tacho", True, n, shared, smooth, stamp)
+
+
+def best_polynomial(u: np.ndarray, turns: np.ndarray, least: float) -> Chebyshev:
+    """Return the polynomial of angles (n,) [rad] at u (n,) within [-1, 1] that leaves least by the BIC.
+
+    least: variance of the residual [rad^2] below which nothing is gained.
+    """
+    n = len(u)
+    most = min(MOST_COEFFICIENTS, max(2, (n + 1) // 2 if n < 10 else n // 3))
+    curves = [Chebyshev.fit(u, turns, degree, domain=[-1, 1]) for degree in range(1, most)]
+    variances = [max(float(np.mean((turns - curve(u)) ** 2)), least) for curve in curves]
+    return curves[int(np.argmin([n * np.log(value) + (k + 2) * np.log(n) for k, value in enumerate(variances)]))]
+
+
+def _is_correlated(residual: np.ndarray) -> bool:
+    """Return whether residuals of pulses (n,) are correlated from one to the next: two standard deviations."""
+    return float(residual[1:] @ residual[:-1]) > float(2 / np.sqrt(len(residual)) * (residual @ residual))
 
 
 def _shared(residual: np.ndarray, jitter: float, each: float) -> float:

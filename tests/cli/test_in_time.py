@@ -60,7 +60,7 @@ def test_identify_refuses_what_belongs_to_a_shaft(run: Run, bench: str):
     result = run("identify", "oscillator.json", bench, "--method", "regression")
     assert result.exit_code == 2
     assert result.stderr == (
-        "error: oscillator: method 'regression' is of harmonics of a turning shaft, and nothing turns here\n\n"
+        "error: oscillator: method 'regression' is of harmonics at steady speeds, and nothing turns so here\n\n"
         "hint: --method likelihood: in time it is output error\n"
     )
 

@@ -14,6 +14,7 @@ from rotorsim.report.figures.as_recorded import as_recorded_figure
 from rotorsim.simulation.run import simulate
 from tests.identification.in_time import OSCILLATOR, TRUTH, even, measured, motion, recording, run_of
 
+REACTION = "warning: jeffcott: unbalance.acceleration is wired to clock.acceleration: the speed changes in these runs"
 RIGHT = load(OSCILLATOR, set=TRUTH)
 
 
@@ -50,7 +51,9 @@ def test_settings_of_the_run_apply():
 def test_the_angle_of_a_shaft_takes_the_place_of_its_clock():
     """A run-up of the same rotor, whose clock turns by itself, is what was measured."""
     names = ["rotor.displacement", "clock.theta"]
-    truth = simulate(load("jeffcott_runup"), stop=1.0, step=1e-4, record=names)
+    document = load("jeffcott_runup").document
+    wires = [*document["wires"], ["clock.acceleration", "unbalance.acceleration"]]
+    truth = simulate(load({**document, "wires": wires}), stop=1.0, step=1e-4, record=names)
     part = slice(None, None, 2)
     time, values = truth.time[part], {"x": truth["rotor.displacement"][part, 0], "a": truth["clock.theta"][part]}
     channels = {
@@ -63,6 +66,7 @@ def test_the_angle_of_a_shaft_takes_the_place_of_its_clock():
     assert found.errors.nrmse["rotor.displacement[1]"] < 3e-4
     assert list(found.errors.nrmse) == ["rotor.displacement[1]"]
     assert "controller.current[2]" in found.result.signals
+    assert [str(warning) for warning in found.warnings] == [REACTION]
 
 
 def test_the_figure_shows_measured_beside_simulated_with_the_worst_stretch():

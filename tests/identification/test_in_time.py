@@ -12,7 +12,7 @@ from scipy.stats import binom
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.files import identification_data, save_identification
 from rotorsim.identification.identification import identify
-from rotorsim.identification.waveform.data import is_in_time
+from rotorsim.identification.waveform.along_angle import is_in_time
 from rotorsim.model.load import load
 from rotorsim.recordings.loading import load_recording
 from tests.identification.in_time import OSCILLATOR, TRUTH, even, measured, motion, pushes, recording, run_of
@@ -247,7 +247,7 @@ def refused(diagram, made, **options) -> str:
 def test_what_belongs_to_a_turning_shaft_is_refused_all_at_once(diagram):
     made = recording(measured("run0", 1, even(300)))
     assert refused(diagram, made, method="regression", given=["force.output"], free=()) == (
-        "error: oscillator: method 'regression' is of harmonics of a turning shaft, and nothing turns here\n\n"
+        "error: oscillator: method 'regression' is of harmonics at steady speeds, and nothing turns so here\n\n"
         "hint: --method likelihood: in time it is output error\n"
         "error: oscillator: force.output cannot be taken as measured in time\n\n"
         "hint: put a block 'recorded' in the place of what makes it, and let the channel name that block\n"

@@ -359,7 +359,9 @@ def test_a_run_up_from_standstill_lacks_no_pulse():
     run = with_pulses(pulses, None)
     assert found(run) == ["warning: run1: run-up from 48.11 to 4811 rpm"]
     (problem,) = check_signals(recording(run))
-    assert problem.hint == "spectrum, identify, diagnose and locate refuse it: they need runs at steady speeds"
+    assert (
+        problem.hint == "identify, diagnose and run compare it in time; spectrum and locate need runs at steady speeds"
+    )
     for lost in (1, 20):
         (text,) = found(with_pulses(np.delete(pulses, lost), None))
         assert text.startswith("error: run1: tacho: 1 missing, the first after ")

@@ -148,6 +148,10 @@ class Evidence(Protocol):
         """Whether all runs have one speed and the same settings, which almost anything explains."""
 
     @property
+    def costly(self) -> bool:
+        """Whether fits take so long that only laws that promise most are fitted."""
+
+    @property
     def unjudged(self) -> str:
         """Why structure of the residual would not show, so that nothing is `consistent`; empty: it would."""
 
@@ -230,6 +234,7 @@ class Defaults:
     """What evidence answers that has nothing of its own to say."""
 
     independent = True
+    costly = False
     unjudged = ""
 
     @property

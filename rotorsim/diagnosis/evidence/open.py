@@ -11,7 +11,7 @@ from rotorsim.diagnosis.evidence.resonance.open import is_by_resonances, open_re
 from rotorsim.diagnosis.evidence.waveform.open import open_waveforms
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
-from rotorsim.identification.waveform.data import is_in_time
+from rotorsim.identification.waveform.along_angle import is_in_time, turns_as_recorded
 from rotorsim.recordings.recording import Recording
 
 __all__ = ["Opened", "open_evidence"]
@@ -28,12 +28,15 @@ def open_evidence(
 ) -> Opened:
     """Return a recording as evidence, and the diagram as given fitted to it.
 
-    Harmonics where the shaft turns, else samples in time; resonances where no simulation follows the modes in time.
+    Harmonics where the shaft turns at steady speeds, else samples in time; resonances where no simulation follows the
+    modes in time.
     warnings: earlier ones, of which those that do not matter are dropped.
     Raises RotorsimError for recordings that do not fit the diagram.
     """
     if not is_in_time(diagram, recording):
         return open_harmonics(diagram, recording, hold_out, catalogue, warnings)
+    if turns_as_recorded(diagram, recording):
+        return open_waveforms(diagram, recording, hold_out, catalogue, warnings)
     warnings = [problem for problem in warnings if problem.code not in TURNING]
     opener = open_resonances if is_by_resonances(diagram, recording) else open_waveforms
     return opener(diagram, recording, hold_out, catalogue, warnings)

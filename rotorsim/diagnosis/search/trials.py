@@ -142,7 +142,7 @@ class Trials:
             if not before.nonlinear:  # else it costs too much to begin once more from values as given
                 groups.append([{**self.nominal, **away, **start} for start in here])
             jobs.append((item.document(document, {**fixed, **starts[0]}, limits_of(item, sizes)), groups))
-        if len(jobs) > MOST_FITS or any(item.fault.enters == "signal" for item in found):
+        if len(jobs) > MOST_FITS or self.evidence.costly or any(item.fault.enters == "signal" for item in found):
             places = self.evidence.bounds(before)
             kept = self._screened(before, found, jobs, places)
             classes = () if places is None else places.classes
@@ -212,8 +212,11 @@ class Trials:
 
         A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
         """
+        if self.evidence.costly:
+            return _most_promising(candidates, self._promises(jobs), before)
         if places is not None and places.by_law:
-            return _most_promising(candidates, places, before)
+            with one_thread():
+                return _most_promising(candidates, [places.bound(item) for item in candidates], before)
         if is_adequate(before):
             return self._promising(candidates, jobs, before.misfit - HINT * MOST_FITS)
         if places is None:
@@ -352,10 +355,8 @@ class Trials:
         return (*kept, Candidate(entered[-1], fit))
 
 
-def _most_promising(candidates: Sequence[Insertion], places: Bounds, before: Fit) -> list[int]:
+def _most_promising(candidates: Sequence[Insertion], bounds: Sequence[float | None], before: Fit) -> list[int]:
     """Return the insertions of which nothing is known, and those that promise most: each law first."""
-    with one_thread():
-        bounds = [places.bound(item) for item in candidates]
     kept = [k for k, bound in enumerate(bounds) if bound is None]
     promised = {k: bound for k, bound in enumerate(bounds) if bound is not None and bound < before.misfit}
     order = sorted(promised, key=lambda k: promised[k])

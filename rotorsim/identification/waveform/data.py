@@ -14,13 +14,15 @@ from scipy.signal import resample
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError, near_miss
-from rotorsim.identification.waveform.equations import driven_parameters, measured_expression
+from rotorsim.identification.waveform.equations import clock_ports, driven_parameters, measured_expression
 from rotorsim.identification.waveform.gaps import EVEN_SAMPLES
 from rotorsim.model.compiled import Model, compile_diagram
-from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
+from rotorsim.recordings.recording import Channel, Recording, Run
 from rotorsim.units import compatible
 
 RATE_PREFIX = "rate of "
+STABLE_STEP = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
+SMOOTH = "smooth"  # kind of an input that goes between samples on a cubic spline
 SENSOR_DISTANCE = 1e-3  # m, between a sensor and the node that stands for it
 
 
@@ -29,7 +31,7 @@ class Channels:
     """Recorded signals by flat name: inputs drive the diagram, outputs are what it predicts.
 
     columns: name -> column of the data. kinds: of each input, how it goes on between samples. gappy: outputs of which
-    samples are missing in some run.
+    samples are missing in some run. fastest: see `DrivenEquations`.
     """
 
     inputs: tuple[str, ...]
@@ -37,6 +39,7 @@ class Channels:
     columns: Mapping[str, str]
     kinds: Mapping[str, str]
     gappy: frozenset[str] = frozenset()
+    fastest: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +114,7 @@ class SampledRun:
 
     def _input(self, name: str, parts: int) -> np.ndarray:
         kind = self.kinds.get(name, "")
-        if kind in ("hold", "linear") or (kind and self.steps is None):
+        if kind in ("hold", "linear") or (kind not in ("", SMOOTH) and self.steps is None):
             return between_samples(self.values[name], kind, parts)
         spline = CubicSpline(self.time - self.start, self.values[name.removeprefix(RATE_PREFIX)])
         steps = np.append(np.diff(self.time), 0.0)
@@ -150,18 +153,9 @@ def between_samples(values: np.ndarray, kind: str, parts: int) -> np.ndarray:
     return np.lib.stride_tricks.sliding_window_view(fine[: parts * n + 1], parts + 1)[::parts].copy()
 
 
-def is_in_time(diagram: Diagram, recording: Recording) -> bool:
-    """Return whether a recording is compared sample by sample: no shaft turns in it or in the diagram.
-
-    One does where the recording has its angle or its pulses, or where a wire begins at a clock.
-    """
-    measured = {channel.signal for channel in recording.channels.values()} & {ANGLE, TACHO}
-    return not (measured or diagram.turns or any(run.tacho is not None for run in recording.runs))
-
-
 def channels_of(diagram: Diagram, recording: Recording) -> Channels:
     """Return what a recording gives to a diagram and what it measures of it. Raises RotorsimError with all mistakes."""
-    model, driven = compile_diagram(diagram), driven_parameters(diagram)
+    model, driven, turning = compile_diagram(diagram), driven_parameters(diagram), clock_ports(diagram)
     problems: list[Problem] = []
     kinds: dict[str, str] = {}
     outputs: list[str] = []
@@ -177,6 +171,8 @@ def channels_of(diagram: Diagram, recording: Recording) -> Channels:
         if name in columns:
             what, hint = f"'{name}' is measured by two channels", "leave one of them out"
             problems.append(Problem(what, f"channel {column}", channel.place, hint))
+        elif channel.signal in turning:
+            kinds[name] = SMOOTH
         elif channel.signal in driven:
             option = diagram.nodes[channel.signal.rpartition(".")[0]].block.option
             kinds[name] = str(getattr(option, "interpolation", "linear"))

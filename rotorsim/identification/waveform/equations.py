@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -12,12 +13,14 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.waveform.slow_modes import reduced
 from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.equations import reached_states, slots_of
 
 RATES = {"acceleration": "velocity", "velocity": "displacement"}  # recorded, but no port: the rate of this one
+TURNING = ("theta", "speed", "acceleration")  # of a shaft: outputs of a clock that its angle tells
 POWERS = tuple((order - j, j) for order in (0, 2, 3, 4, 5) for j in range(order + 1))
 WIDTHS = (0.02, 0.2)  # over which friction changes its sign, of the largest velocity
 
@@ -58,6 +61,12 @@ def driven_parameters(diagram: Diagram) -> dict[str, str]:
     }
 
 
+def clock_ports(diagram: Diagram) -> tuple[str, ...]:
+    """Return the outputs of clocks that the recorded angle of a shaft tells."""
+    clocks = ((name, node) for name, node in diagram.nodes.items() if node.block.category == "clock")
+    return tuple(f"{name}.{port}" for name, node in clocks for port in node.outputs if port in TURNING)
+
+
 def measured_expression(model: Model, name: str) -> Any:
     """Return a recorded signal as an expression: a port, or the rate of one (the acceleration of a block).
 
@@ -83,7 +92,8 @@ class DrivenEquations:
 
     kept (n,): of the states of the model, with names. inputs: flat names of what v holds. p: parameters of the model,
     then the coefficients of a `ForceMap`; slots: the entries of p that each of the m parameters sets. arguments: t, x,
-    v, p. f (n,), g (c,).
+    v, p. f (n,), g (c,). fastest: frequency [rad/s] of modes beyond which only their flexibility stays
+    (`rotorsim.identification.waveform.slow_modes`); None: all stay.
     """
 
     model: Model
@@ -96,6 +106,7 @@ class DrivenEquations:
     arguments: tuple[Any, Any, Any, Any]
     f: Any
     g: Any
+    fastest: float | None = None
 
     @property
     def n(self) -> int:
@@ -148,14 +159,16 @@ def driven_equations(
     cut: Mapping[str, Sequence[str]] | None = None,
     force: ForceMap | None = None,
     added: Sequence[str] = (),
+    fastest: float | None = None,
 ) -> DrivenEquations:
     """Return the equations of a diagram between recorded inputs and outputs (flat names).
 
-    inputs: recorded values of input blocks, and entries of ``cut`` (output port -> names of its entries in v), whose
-    consumers see v instead. added: scalar output ports whose consumers see their value plus a signal of its own, which
-    follow the inputs in v. Raises RotorsimError for diagrams with sampled blocks and unknown signals.
+    inputs: recorded values of input blocks, what clocks give, and entries of ``cut`` (output port -> names of its
+    entries in v), whose consumers see v instead. added: scalar output ports whose consumers see their value plus a
+    signal of its own, which follow the inputs in v. fastest: see `DrivenEquations`.
+    Raises RotorsimError for diagrams with sampled blocks and unknown signals.
     """
-    cut = cut or {}
+    cut = {**{port: [port] for port in clock_ports(diagram) if port in inputs}, **(cut or {})}
     model = compile_diagram(diagram, inject=[*([force.port] if force else []), *added], replace=list(cut))
     linear.refuse_sampled(model, "a comparison in time")
     trace = model.trace
@@ -189,4 +202,21 @@ def driven_equations(
     slots = [slots_of(model, item) for item in known] + [[model.n_p + k] for k in range(coefficients.numel())]
     names = tuple(linear.state_names(model)[k] for k in keep)
     arguments = trace.t, x, v, ca.vertcat(trace.p, coefficients)
-    return DrivenEquations(model, tuple(outputs), tuple(inputs), known, kept, names, slots, arguments, f, g)
+    if fastest is not None:
+        p0 = np.concatenate([model.parameter_vector(), np.zeros(coefficients.numel())])
+        less = reduced(arguments, f, g, p0, _rates(diagram, inputs, v), fastest)
+        if less is not None:
+            arguments, f, g = (trace.t, less.x, v, arguments[3]), less.f, less.g
+            kept, names = kept[less.kept], tuple(names[k] for k in less.kept)
+    return DrivenEquations(model, tuple(outputs), tuple(inputs), known, kept, names, slots, arguments, f, g, fastest)
+
+
+def _rates(diagram: Diagram, inputs: Sequence[str], v: Any) -> Any:
+    """Return the time derivatives of what drives a diagram: of the angle and the speed of a shaft, else zero."""
+    rates = ca.SX.zeros(v.numel())
+    for port in clock_ports(diagram):
+        block, _, name = port.rpartition(".")
+        follows = f"{block}.{dict(pairwise(TURNING)).get(name)}"
+        if port in inputs and follows in inputs:
+            rates[inputs.index(port)] = v[inputs.index(follows)]
+    return rates

@@ -212,7 +212,8 @@ def with_outputs(
 
     outputs: flat names. Raises RotorsimError for signals that the diagram does not have.
     """
-    equations = driven_equations(diagram, outputs, search.systems[0].equations.inputs, diagram.free)
+    given = search.systems[0].equations
+    equations = driven_equations(diagram, outputs, given.inputs, diagram.free, fastest=given.fastest)
     states = replace(
         equations, outputs=(*outputs, *equations.state_names), g=ca.vertcat(equations.g, equations.arguments[1])
     )

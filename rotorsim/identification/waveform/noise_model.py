@@ -32,7 +32,7 @@ from rotorsim.identification.waveform.noise import (
     weights_of,
 )
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, Evaluation, Label, OutputErrorSearch
-from rotorsim.identification.waveform.shooting import is_lost, shot
+from rotorsim.identification.waveform.shooting import is_lost, shot, with_best_angles
 from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.linear import linearisation as linear
@@ -51,8 +51,8 @@ class NoiseModel:
     variance: mean square of every output. rows: independent samples. stretches: into which the runs are divided.
     allowed (B,): what an adequate model may leave of each when it is left out. by_force: whether noise is what a
     diagram with a flexible force leaves; else what no black box predicts. unjudged: see `Noise`. least: steps between
-    samples. starts: states at the first samples. theta (m,): parameters of the diagram that leave least. sizes: largest
-    magnitude of every signal, recorded or simulated.
+    samples. starts: states at the first samples. theta (m,): parameters of the diagram that leave least; near: by name.
+    sizes: largest magnitude of every signal, recorded or simulated.
     """
 
     variance: Variance
@@ -64,6 +64,7 @@ class NoiseModel:
     least: int
     starts: Mapping[Label, float]
     theta: np.ndarray
+    near: Mapping[str, float]
     sizes: Mapping[str, float]
 
 
@@ -104,6 +105,7 @@ def noise_model(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]
         least=base.least,
         starts=flexible.starts(residual.unknowns),
         theta=evaluation.unknowns[: base.m],
+        near=dict(zip((item.name for item in base.free), evaluation.unknowns.tolist(), strict=False)),
         sizes=sizes,
     )
 
@@ -146,7 +148,7 @@ def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[
     search = OutputErrorSearch(systems, runs, {})
     scale = variance_scale(search)
     search = replace(search, weights={signal: 1 / value for signal, value in scale.items()})
-    start = search.first()
+    start = with_best_angles(search, search.first())
     if len(systems) > 1:
         whole = {signal: weight for signal, weight in search.weights.items() if signal[0] == WHOLE_DIAGRAM}
         evaluation = replace(search, weights={**search.weights, **dict.fromkeys(whole, 0.0)}).minimise(start)
@@ -187,7 +189,7 @@ def _sizes(diagram: Diagram, channels: Channels, base: OutputErrorSearch, evalua
     """Return the largest magnitude of every signal of the diagram, simulated, and of every recorded one."""
     signals = base.systems[0].equations.model.signals
     names = [name for port, signal in signals.items() for name in linear.entry_names(port, signal.shape)][:SIGNALS]
-    equations = driven_equations(diagram, names, channels.inputs, diagram.free)
+    equations = driven_equations(diagram, names, channels.inputs, diagram.free, fastest=channels.fastest)
     search = replace(base, systems=(Simulation(equations),))
     unknowns = search.first(base.starts(evaluation.unknowns))
     unknowns[: search.m] = evaluation.unknowns[: search.m]

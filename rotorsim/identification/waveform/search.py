@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from rotorsim.diagram.diagram import Free
-from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
 from rotorsim.identification.waveform.simulation import Simulation
 
 MOST_SIMULATIONS = 60  # what data determine takes up to 25
@@ -25,7 +25,7 @@ SEARCH_COST_TOLERANCE = (
 )
 SIMULATION_SUBSTEPS = 64  # between samples: a matter of time
 LEAP = 4.0  # factor by which a positive parameter may change in a step
-STABLE_STEP = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
+TURN = 1.0  # rad by which an angle may change in a step: what a tangent of it tells ends there
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8  # of the scaled information: nearly none, none, no step
 AMPLITUDES = tuple(10.0**-k for k in range(0, 25, 2))  # of what is stated, of an effect that is made smaller
 NEARBY = (100.0, 30.0, 10.0, 3.0, 0.3, 0.1)  # of that which is small enough: sizes within a step of AMPLITUDES
@@ -241,6 +241,7 @@ class OutputErrorSearch:
         (low, high), positive = self.bounds, self.bounds[0] > 0
         lowest = np.where(positive, np.maximum(low, unknowns / LEAP), low)
         highest = np.where(positive, np.minimum(high, unknowns * LEAP), high)
+        lowest[self.angles], highest[self.angles] = unknowns[self.angles] - TURN, unknowns[self.angles] + TURN
         return np.asarray(np.clip(unknowns + step, lowest, highest))
 
     def stated(self, unknowns: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
@@ -249,6 +250,13 @@ class OutputErrorSearch:
         for j, item in enumerate(self.free):
             point[j] = values.get(item.name, point[j])
         return np.asarray(np.clip(point, *self.bounds))
+
+    @cached_property
+    def angles(self) -> np.ndarray:
+        """Which unknowns are angles without bounds, (k,)."""
+        return np.array(
+            [j for j, one in enumerate(self.free) if one.unit == "rad" and np.isinf(one.high - one.low)], int
+        )
 
     def started(
         self, unknowns: np.ndarray, values: Mapping[str, float], old: Collection[str] = ()

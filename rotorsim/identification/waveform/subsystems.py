@@ -35,7 +35,10 @@ def subsystems_of(diagram: Diagram, channels: Channels, *, force: ForceMap | Non
     """
     systems = [
         Simulation(
-            driven_equations(diagram, channels.outputs, channels.inputs, diagram.free, force=force), WHOLE_DIAGRAM
+            driven_equations(
+                diagram, channels.outputs, channels.inputs, diagram.free, force=force, fastest=channels.fastest
+            ),
+            WHOLE_DIAGRAM,
         )
     ]
     controllers = {

@@ -12,7 +12,7 @@ from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.waveform import noise
-from rotorsim.identification.waveform.data import is_in_time
+from rotorsim.identification.waveform.along_angle import is_in_time
 from rotorsim.identification.waveform.predictability import Predictability
 from rotorsim.model.load import load
 from tests.diagnosis.evidence.test_any_wire import SERVO, recording

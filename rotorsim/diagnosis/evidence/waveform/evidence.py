@@ -6,7 +6,7 @@ What counts as noise, and what is adequate: `rotorsim.identification.waveform.no
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Any
 
@@ -58,12 +58,17 @@ FIRST_STEPS = 4  # from each start, before the best is followed
 SHORT = 8192  # samples of all runs on which a start is chosen and followed
 SHOT_SUBSTEPS = 4  # times the steps that the diagram needs: of what is faster, parts of runs are not fitted one by one
 LAST_STEPS = 12  # on all samples after that
+FEW_STEPS = 3  # on all samples, of runs that are long, until it is known which fits are worth more
+FOLLOWED, MOST_STARTS = 3, 9  # starts of a law that are followed and tried, on parts of such runs
 REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
 WAVEFORM_TERMS = Terms(
     left_out="stretches left out one by one",
     predicted="stretches left out",
     searched="no amplitude of its inputs, further sensor or repeated run",
     turns=False,
+)
+TURNING_TERMS = Terms(
+    left_out="stretches left out one by one", predicted="stretches left out", more_runs="runs through other speeds"
 )
 DIVERGES = "the simulation diverges"
 
@@ -76,6 +81,8 @@ class WaveformEvidence(SampledRuns, Defaults):
     samples. stretches: into which the runs are divided. allowed (B,): what an adequate model may leave of each when it
     is left out. by_force: whether noise is what a diagram with a flexible force leaves. least: steps between samples.
     starts: states at the first samples. old: names of the parameters that were free at first. held: hold-out runs.
+    parts: of long runs, at all speeds, on which starts are chosen and followed; part_starts: their states at first
+    samples. near: parameters of the diagram that leave least.
     """
 
     variance: Variance
@@ -88,6 +95,9 @@ class WaveformEvidence(SampledRuns, Defaults):
     old: frozenset[str]
     held: tuple[SampledRun, ...]
     unjudged: str = ""
+    parts: tuple[SampledRun, ...] = ()
+    part_starts: Mapping[Label, float] = field(default_factory=dict)
+    near: Mapping[str, float] = field(default_factory=dict)
 
     independent = False
 
@@ -131,18 +141,30 @@ class WaveformEvidence(SampledRuns, Defaults):
         """Follow the best of each group on the beginning of the runs, then the best of these on all samples."""
         limit = MOST_SIMULATIONS if most is None else REFINED_EVALUATIONS * most
         search = self.search(document)
-        short = search.shortened(SHORT)
-        tried = [self._followed(search, short, group) for group in starts or [[{}]]]
+        short, first = self._short(search)
+        tried = [self._followed(short, first, group) for group in starts or [[{}, self.near]]]
         ends = [short.minimise(min(group, key=attrgetter("cost")).unknowns, limit) for group in tried if group]
         if not ends:
             return Fit(document, failure=DIVERGES)
         stated = starts[0][0] if starts and starts[0] else {}
-        if stated and is_lost(short, min(ends, key=attrgetter("cost"))):
-            point = short.stated(self._first(search), stated)
+        if stated and not self.parts and is_lost(short, min(ends, key=attrgetter("cost"))):
+            point = short.stated(first, stated)
             if short.substeps(point) <= SHOT_SUBSTEPS * self.least:
                 ends.append(short.minimise(shot(short, point), limit))
+        start = min(ends, key=attrgetter("cost")).unknowns
         last = limit if short is search else min(limit, LAST_STEPS)
-        return self._summary(document, search, search.minimise(min(ends, key=attrgetter("cost")).unknowns, last))
+        if self.parts:
+            start = np.concatenate([start[: search.m], search.first(self.starts)[search.m :]])
+            last = LAST_STEPS if most is None else FEW_STEPS
+        return self._summary(document, search, search.minimise(start, last))
+
+    def _short(self, search: OutputErrorSearch) -> tuple[OutputErrorSearch, np.ndarray]:
+        """Return a search on less of the runs, and its unknowns as the diagram states them."""
+        if not self.parts:
+            return search.shortened(SHORT), self._first(search)
+        weights = weights_of(self.variance, self.parts, self.rows)
+        short = replace(search, runs=self.parts, weights=weights)
+        return short, short.first(self.part_starts)
 
     def recalibrated(self, fit: Fit) -> WaveformEvidence | None:
         """Return the evidence whose noise is what is not predictable beside a fit; None where it is much the same."""
@@ -286,12 +308,30 @@ class WaveformEvidence(SampledRuns, Defaults):
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
         """Return the misfit after FIRST_STEPS steps from the best start, per sample as on all samples."""
+        group = starts[0] if starts else []
         try:
-            search = self.search(document)
-            tried = self._followed(search, search.shortened(SHORT), starts[0] if starts else [])
+            short, first = self._short(self.search(document))
+            if self.parts:
+                return self._by_tangent(short, first, group)
+            tried = self._followed(short, first, group)
         except FAILURES:
             return np.inf
         return min((evaluation.cost for evaluation in tried), default=np.inf)
+
+    def _by_tangent(self, short: OutputErrorSearch, first: np.ndarray, group: Sequence[Mapping[str, float]]) -> float:
+        """Return the misfit that the sensitivities at the best start promise: c - g^T H^-1 g."""
+        some = group[:: -(-len(group) // FOLLOWED) or 1]
+        points = [point for start in some if (point := short.started(first, start, self.old)) is not None]
+        if not points:
+            return np.inf
+        sub = short.substeps(first)
+        costs = [short.evaluate(point, sub, sensitivities=False).cost for point in points]
+        here = short.evaluate(points[int(np.argmin(costs))], sub)
+        if not np.isfinite(here.cost):
+            return np.inf
+        scale = np.sqrt(np.where(np.diag(here.information) > 0, np.diag(here.information), 1.0))
+        g = here.gradient / scale
+        return here.cost - float(g @ np.linalg.lstsq(here.information / np.outer(scale, scale), g, rcond=1e-12)[0])
 
     def residual(self, document: Mapping[str, Any]) -> np.ndarray | None:
         """Return the weighted residual of a diagram as it is, starts of runs at their best; None where it diverges."""
@@ -303,13 +343,16 @@ class WaveformEvidence(SampledRuns, Defaults):
         return stacked(search, evaluation, self.stretches)[0] if np.isfinite(evaluation.cost) else None
 
     def _followed(
-        self, search: OutputErrorSearch, short: OutputErrorSearch, group: Sequence[Mapping[str, float]]
+        self, short: OutputErrorSearch, first: np.ndarray, group: Sequence[Mapping[str, float]]
     ) -> list[Evaluation]:
-        """Return where a few steps lead from each start of a group on the beginning of the runs."""
-        first = self._first(search)
-        points = (short.started(first, start, self.old) for start in group)
-        distinct = {point.tobytes(): point for point in points if point is not None}
-        ends = [short.minimise(point, FIRST_STEPS) for point in distinct.values()]
+        """Return where a few steps lead from each start of a group; of many on parts of runs, from the best."""
+        some = group[:: -(-len(group) // MOST_STARTS) or 1] if self.parts else group
+        points = (short.started(first, start, self.old) for start in some)
+        distinct = [*{point.tobytes(): point for point in points if point is not None}.values()]
+        if self.parts and len(distinct) > FOLLOWED:
+            costs = [short.evaluate(point, short.substeps(point), sensitivities=False).cost for point in distinct]
+            distinct = [distinct[k] for k in np.argsort(costs)[:FOLLOWED]]
+        ends = [short.minimise(point, FIRST_STEPS) for point in distinct]
         return [evaluation for evaluation in ends if np.isfinite(evaluation.cost)]
 
     def _summary(self, document: Mapping[str, Any], search: OutputErrorSearch, evaluation: Evaluation) -> Fit:
@@ -388,6 +431,17 @@ class WaveformEvidence(SampledRuns, Defaults):
             }
             text += [f"{block} has the units of a machine: {' and '.join(stands.values())}."] if stands else []
         return text
+
+
+@dataclass(frozen=True, eq=False)
+class TurningEvidence(WaveformEvidence):
+    """Runs of a shaft that turns, driven by its recorded angle: long ones, so that only promising laws are fitted."""
+
+    terms = TURNING_TERMS
+    costly = True
+
+    def bounds(self, fit: Fit) -> None:
+        """Return None: nothing is known of places but by the sensitivities of each law."""
 
 
 def _neighbours(diagram: Diagram, name: str) -> list[tuple[Port, str]]:

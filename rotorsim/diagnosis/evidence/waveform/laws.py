@@ -25,10 +25,10 @@ from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot, fixed_of, li
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.fault import Fault
-from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
 from rotorsim.identification.waveform.equations import driven_equations
 from rotorsim.identification.waveform.linearised import LinearisedRun, Place
-from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, STABLE_STEP
+from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS
 from rotorsim.identification.waveform.simulation import LARGE, Simulation
 from rotorsim.identification.waveform.unknown_input import SignalEstimate, Smoothed, UnknownInputs, Whitening
 

@@ -8,11 +8,13 @@ from pathlib import Path
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.evidence.base_fit import base_fit
 from rotorsim.diagnosis.evidence.opened import Opened
-from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
+from rotorsim.diagnosis.evidence.waveform.evidence import TurningEvidence, WaveformEvidence
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
+from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
 from rotorsim.identification.waveform.data import channels_of, chosen_runs
 from rotorsim.identification.waveform.noise_model import noise_model
+from rotorsim.identification.waveform.parts import parts_of
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
 from rotorsim.recordings.recording import Recording
 
@@ -25,9 +27,13 @@ def open_waveforms(
     warnings: Sequence[Problem],
 ) -> Opened:
     """Return the samples of a recording as evidence, and the fit of the diagram as given."""
+    given = diagram
+    if turns_as_recorded(diagram, recording):
+        diagram = with_reaction(diagram)
     evidence = waveform_evidence(diagram, recording, hold_out, trust_blocks=catalogue.trust)
     base, refined = base_fit(diagram, evidence)
     notes = notes_of([*evidence.runs, *evidence.held])
+    notes += diagram.warnings[len(given.warnings) :]
     notes += [Problem(note, severity="warning") for note in refined]
     return Opened(evidence, base, base, evidence, catalogue, held_out=bool(evidence.held), warnings=[*warnings, *notes])
 
@@ -39,12 +45,16 @@ def waveform_evidence(
 
     Raises RotorsimError with all that does not fit, and where the diagram diverges when it is driven as recorded.
     """
+    turns = turns_as_recorded(diagram, recording)
+    recording = along_angle(diagram, recording)
+    hold_out = None if hold_out is None else along_angle(diagram, hold_out)
     channels = channels_of(diagram, recording)
     runs = read_runs(diagram, chosen_runs(recording), channels)
     channels = marked(channels, runs)
     held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
     noise = noise_model(diagram, channels, runs)
-    return WaveformEvidence(
+    parts, part_starts = parts_of(diagram, channels, runs, noise) if turns else ((), {})
+    return (TurningEvidence if turns else WaveformEvidence)(
         channels=channels,
         folder=str(Path(diagram.file).parent) if diagram.file else None,
         trust_blocks=trust_blocks,
@@ -61,4 +71,7 @@ def waveform_evidence(
         sizes=noise.sizes,
         old=frozenset(item.name for item in diagram.free),
         held=read_runs(diagram, held, channels),
+        parts=parts,
+        part_starts=part_starts,
+        near=noise.near,
     )

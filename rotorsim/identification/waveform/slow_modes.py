@@ -1,0 +1,93 @@
+"""Modes of a structure that are too fast to be simulated between samples follow their forces at once.
+
+q'' = a(t, q, q', ...) has modes of K = -da/dq. Of those slower than a limit q and q' stay states; of the others, with
+right and left vectors R, L and eigenvalues W^2, the flexibility stays: R q_f, q_f = W^-2 L a, good to (w / W)^2 of what
+it adds at a frequency w. The states are displacements and velocities at as many places, and keep their names.
+
+Source: R. R. Craig, A. J. Kurdila, Fundamentals of Structural Dynamics (2006), sec. 11.4 (mode acceleration);
+J. O'Callahan et al., Proc. IMAC 7 (1989) 29-37 (SEREP).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import qr, schur
+
+from rotorsim.model.matrix_function import MatrixFunction
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """Equations of fewer states: x (r,), those of the others that it holds (r,), f (r,), g (c,)."""
+
+    x: Any
+    kept: np.ndarray
+    f: Any
+    g: Any
+
+
+def reduced(
+    arguments: tuple[Any, Any, Any, Any], f: Any, g: Any, p0: np.ndarray, rates: Any, limit: float
+) -> Reduced | None:
+    """Return equations without modes faster than a limit [rad/s], None where there are none.
+
+    arguments: t, x (n,), v, p. f (n,), g (c,): expressions of these. p0: values at which the modes are those of K.
+    rates: dv/dt, zero where it is not known.
+    """
+    t, x, v, p = arguments
+    places = _pairs(f, x)
+    if not places:
+        return None
+    n, q, rate = x.numel(), [k for k, _ in places], [j for _, j in places]
+    matrix = MatrixFunction([t, x, v, p], ca.jacobian(f[rate], x[q]))
+    K = -matrix(0.0, np.zeros(n), np.zeros(v.numel()), p0)[0]
+    _, first, count = schur(K, sort=lambda re, im: np.hypot(re, im) < limit**2)
+    _, second, rest = schur(K, sort=lambda re, im: np.hypot(re, im) >= limit**2)
+    if count + rest != len(q) or not rest:
+        return None
+    right = first[:, :count], second[:, :rest]
+    left = np.linalg.inv(np.hstack(right))
+    masters = np.sort(qr(right[0].T, pivoting=True)[2][:count])
+    shape = right[0] @ np.linalg.inv(right[0][masters])  # of all places by those that stay
+    onto = right[0][masters] @ left[:count]
+    flexible = right[1] @ np.linalg.inv(left[count:] @ K @ right[1])
+    others = [k for k in range(n) if k not in {*q, *rate}]
+    kept = np.array(sorted([*others, *(q[k] for k in masters), *(rate[k] for k in masters)]))
+    z = ca.SX.sym("x", len(kept))
+    where = {int(k): i for i, k in enumerate(kept)}
+    eta, eta_rate = (ca.vertcat(*[z[where[own[k]]] for k in masters]) for own in (q, rate))
+    whole = ca.SX(x)
+    for k in others:
+        whole[k] = z[where[k]]
+    whole[q], whole[rate] = ca.SX(shape) @ eta, ca.SX(shape) @ eta_rate
+    pushed = ca.SX(left[count:]) @ ca.substitute(f[rate], x, whole)
+    shown = ca.SX(whole)
+    shown[q] = whole[q] + ca.SX(flexible) @ pushed
+    moved = ca.substitute(f, x, shown)
+    out = ca.SX.zeros(len(kept))
+    for k in others:
+        out[where[k]] = moved[k]
+    accelerations = ca.SX(onto) @ moved[rate]
+    for i, k in enumerate(masters):
+        out[where[q[k]]], out[where[rate[k]]] = eta_rate[i], accelerations[i]
+    pushed_rate = ca.jtimes(pushed, z, out) + ca.jtimes(pushed, v, rates) + ca.jtimes(pushed, t, ca.SX(1))
+    shown[rate] = whole[rate] + ca.SX(flexible) @ pushed_rate
+    return Reduced(z, kept, out, ca.substitute(g, x, shown))
+
+
+def _pairs(f: Any, x: Any) -> list[tuple[int, int]]:
+    """Return pairs of states of which the second is the rate of the first, and has a rate that is no state."""
+    jacobian = ca.sparsify(ca.jacobian(f, x))
+    found = []
+    for k in range(x.numel()):
+        row = jacobian[k, :]
+        if row.nnz() == 1:
+            [j] = row.sparsity().get_triplet()[1]
+            if (f[k] - x[j]).is_zero():
+                found.append((k, j))
+    integrated = {k for k, _ in found}
+    return [(k, j) for k, j in found if j not in integrated]
