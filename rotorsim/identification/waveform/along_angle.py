@@ -13,7 +13,7 @@ from rotorsim.identification.waveform.equations import clock_ports
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.signals.turning import is_run_up, turning
 
-UNITS = {"theta": "rad", "speed": "rad/s", "acceleration": "rad/s^2"}  # of what a clock gives and an angle tells
+ANGLE_UNITS = {"theta": "rad", "speed": "rad/s", "acceleration": "rad/s^2"}  # of what a clock gives and an angle tells
 
 
 def turns_as_recorded(diagram: Diagram, recording: Recording) -> bool:
@@ -69,7 +69,7 @@ def along_angle(diagram: Diagram, recording: Recording, runs: Sequence[Run] | No
         what = f"has {len(clocks) or 'no'} clock{'s' * (len(clocks) > 1)}: which one turns as recorded is not known"
         problems.append(Problem(what, diagram.name, hint="one block 'clock' gives the angle of the shaft"))
     ports = [port for port in clock_ports(diagram) if port.partition(".")[0] in clocks[:1]]
-    given = {port: Channel(port, port, None, None, None, UNITS[port.rpartition(".")[2]]) for port in ports}
+    given = {port: Channel(port, port, None, None, None, ANGLE_UNITS[port.rpartition(".")[2]]) for port in ports}
     kept = {
         column: channel
         for column, channel in recording.channels.items()

@@ -22,7 +22,7 @@ from rotorsim.units import compatible
 
 RATE_PREFIX = "rate of "
 STABLE_STEP = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
-SMOOTH = "smooth"  # kind of an input that goes between samples on a cubic spline
+SMOOTH_KIND = "smooth"  # kind of an input that goes between samples on a cubic spline
 SENSOR_DISTANCE = 1e-3  # m, between a sensor and the node that stands for it
 
 
@@ -114,7 +114,7 @@ class SampledRun:
 
     def _input(self, name: str, parts: int) -> np.ndarray:
         kind = self.kinds.get(name, "")
-        if kind in ("hold", "linear") or (kind not in ("", SMOOTH) and self.steps is None):
+        if kind in ("hold", "linear") or (kind not in ("", SMOOTH_KIND) and self.steps is None):
             return between_samples(self.values[name], kind, parts)
         spline = CubicSpline(self.time - self.start, self.values[name.removeprefix(RATE_PREFIX)])
         steps = np.append(np.diff(self.time), 0.0)
@@ -172,7 +172,7 @@ def channels_of(diagram: Diagram, recording: Recording) -> Channels:
             what, hint = f"'{name}' is measured by two channels", "leave one of them out"
             problems.append(Problem(what, f"channel {column}", channel.place, hint))
         elif channel.signal in turning:
-            kinds[name] = SMOOTH
+            kinds[name] = SMOOTH_KIND
         elif channel.signal in driven:
             option = diagram.nodes[channel.signal.rpartition(".")[0]].block.option
             kinds[name] = str(getattr(option, "interpolation", "linear"))

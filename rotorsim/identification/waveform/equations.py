@@ -20,7 +20,7 @@ from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.equations import reached_states, slots_of
 
 RATES = {"acceleration": "velocity", "velocity": "displacement"}  # recorded, but no port: the rate of this one
-TURNING = ("theta", "speed", "acceleration")  # of a shaft: outputs of a clock that its angle tells
+OF_THE_ANGLE = ("theta", "speed", "acceleration")  # of a shaft: outputs of a clock that its angle tells
 POWERS = tuple((order - j, j) for order in (0, 2, 3, 4, 5) for j in range(order + 1))
 WIDTHS = (0.02, 0.2)  # over which friction changes its sign, of the largest velocity
 
@@ -64,7 +64,7 @@ def driven_parameters(diagram: Diagram) -> dict[str, str]:
 def clock_ports(diagram: Diagram) -> tuple[str, ...]:
     """Return the outputs of clocks that the recorded angle of a shaft tells."""
     clocks = ((name, node) for name, node in diagram.nodes.items() if node.block.category == "clock")
-    return tuple(f"{name}.{port}" for name, node in clocks for port in node.outputs if port in TURNING)
+    return tuple(f"{name}.{port}" for name, node in clocks for port in node.outputs if port in OF_THE_ANGLE)
 
 
 def measured_expression(model: Model, name: str) -> Any:
@@ -216,7 +216,7 @@ def _rates(diagram: Diagram, inputs: Sequence[str], v: Any) -> Any:
     rates = ca.SX.zeros(v.numel())
     for port in clock_ports(diagram):
         block, _, name = port.rpartition(".")
-        follows = f"{block}.{dict(pairwise(TURNING)).get(name)}"
+        follows = f"{block}.{dict(pairwise(OF_THE_ANGLE)).get(name)}"
         if port in inputs and follows in inputs:
             rates[inputs.index(port)] = v[inputs.index(follows)]
     return rates

@@ -14,8 +14,8 @@ from rotorsim.identification.waveform.search import Label, OutputErrorSearch
 from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.identification.waveform.subsystems import subsystems_of
 
-SAMPLES = 16384  # of all parts together
-PARTS = 5  # of each run
+PART_SAMPLES = 16384  # of all parts together
+PARTS_OF_RUN = 5  # of each run
 
 
 def parts_of(
@@ -23,7 +23,7 @@ def parts_of(
 ) -> tuple[tuple[SampledRun, ...], dict[Label, float]]:
     """Return parts of runs that are evenly apart, and the states at their first samples; none of short runs."""
     total = sum(run.size for run in runs)
-    if total <= SAMPLES:
+    if total <= PART_SAMPLES:
         return (), {}
     systems = subsystems_of(diagram, channels)
     search = OutputErrorSearch(systems, runs, dict.fromkeys(noise.variance, 1.0), noise.least)
@@ -34,9 +34,9 @@ def parts_of(
     parts: list[SampledRun] = []
     starts: dict[Label, float] = {}
     for r, run in enumerate(runs):
-        size = run.size * SAMPLES // total // PARTS
+        size = run.size * PART_SAMPLES // total // PARTS_OF_RUN
         x = [states.simulated(unknowns, k, r, sub, sensitivities=False)[0] for k in range(len(systems))]
-        for first in np.linspace(0, run.size - size, PARTS).astype(int).tolist():
+        for first in np.linspace(0, run.size - size, PARTS_OF_RUN).astype(int).tolist():
             for system, own in zip(systems, x, strict=True):
                 names = system.equations.state_names
                 starts |= {(system.name, name, len(parts)): float(own[first, j]) for j, name in enumerate(names)}

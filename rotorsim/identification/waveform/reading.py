@@ -17,7 +17,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.waveform.data import SMOOTH, STABLE_STEP, Channels, SampledRun
+from rotorsim.identification.waveform.data import SMOOTH_KIND, STABLE_STEP, Channels, SampledRun
 from rotorsim.identification.waveform.gaps import bridged, even_time, with_lost_rows
 from rotorsim.recordings.orders import OrderRun
 from rotorsim.recordings.recording import Run
@@ -55,7 +55,7 @@ def marked(channels: Channels, runs: Sequence[SampledRun]) -> Channels:
     there = {name: [np.isfinite(run.values[name]) for run in runs] for name in channels.outputs}
     measured = tuple(name for name, known in there.items() if any(some.any() for some in known))
     gaps = (name for name in measured if not all(some.all() for some in there[name]))
-    turns = SMOOTH in channels.kinds.values()
+    turns = SMOOTH_KIND in channels.kinds.values()
     longest = max((float(np.diff(run.time).max()) for run in runs), default=np.inf)
     return replace(channels, outputs=measured, gappy=frozenset(gaps), fastest=STABLE_STEP / longest if turns else None)
 

@@ -20,12 +20,12 @@ from rotorsim.identification.waveform.noise import variance_scale
 from rotorsim.identification.waveform.search import Evaluation, Label, OutputErrorSearch
 
 SHOT_SAMPLES = 8192  # of all runs, that are shot over
-PARTS = (64, 16, 4, 1)  # of all these samples
+SHOT_PARTS = (64, 16, 4, 1)  # of all these samples
 LEAST_SHOT = 20  # samples of a part, and as many as LEAST_PER_STATE times its states
 LEAST_PER_STATE = 4
 SHOTS = 15  # evaluations with parts of a length
 PARTS_OF_TURN = 4  # of a turn: the best is within 45 deg, where the effect has still 71 % of its projection
-PASSES = 2  # through all angles, for the best of one depends on the others
+ANGLE_PASSES = 2  # through all angles, for the best of one depends on the others
 
 
 def is_lost(search: OutputErrorSearch, evaluation: Evaluation) -> bool:
@@ -46,7 +46,7 @@ def with_best_angles(search: OutputErrorSearch, start: np.ndarray) -> np.ndarray
     Angles that are bounded stay as they are.
     """
     best, least, sub = start, np.inf, search.substeps(start)
-    for _ in range(PASSES if len(search.angles) > 1 else 1):
+    for _ in range(ANGLE_PASSES if len(search.angles) > 1 else 1):
         for j in search.angles:
             first = best[j]
             for part in range(int(np.isfinite(least)), PARTS_OF_TURN):
@@ -61,7 +61,7 @@ def shot(search: OutputErrorSearch, start: np.ndarray) -> np.ndarray:
     """Return unknowns near which output error ends in the minimum that short parts of the runs lead to."""
     short = search.shortened(SHOT_SAMPLES)
     theta, known = start[: search.m], dict[tuple[Label, int], float]()
-    for count in PARTS:
+    for count in SHOT_PARTS:
         runs, places = _parts(short, count)
         parted = replace(short, runs=runs)
         unknowns = parted.first()
