@@ -11,6 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
+from math import pi, tau
 
 import numpy as np
 
@@ -25,7 +26,6 @@ SEARCH_COST_TOLERANCE = (
 )
 SIMULATION_SUBSTEPS = 64  # between samples: a matter of time
 LEAP = 4.0  # factor by which a positive parameter may change in a step
-ANGLE_STEP = 1.0  # rad by which an angle may change in a step: what a tangent of it tells ends there
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8  # of the scaled information: nearly none, none, no step
 AMPLITUDES = tuple(10.0**-k for k in range(0, 25, 2))  # of what is stated, of an effect that is made smaller
 NEARBY = (100.0, 30.0, 10.0, 3.0, 0.3, 0.1)  # of that which is small enough: sizes within a step of AMPLITUDES
@@ -241,11 +241,10 @@ class OutputErrorSearch:
         (low, high), positive = self.bounds, self.bounds[0] > 0
         lowest = np.where(positive, np.maximum(low, unknowns / LEAP), low)
         highest = np.where(positive, np.minimum(high, unknowns * LEAP), high)
-        lowest[self.angles], highest[self.angles] = (
-            unknowns[self.angles] - ANGLE_STEP,
-            unknowns[self.angles] + ANGLE_STEP,
-        )
-        return np.asarray(np.clip(unknowns + step, lowest, highest))
+        moved = np.clip(unknowns + step, lowest, highest)
+        far = self.angles[np.abs(moved[self.angles]) > pi]
+        moved[far] = (moved[far] + pi) % tau - pi  # after many turns an angle has no digits left
+        return np.asarray(moved)
 
     def stated(self, unknowns: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
         """Return a point with some free parameters set, within the bounds."""

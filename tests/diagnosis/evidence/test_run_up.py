@@ -24,9 +24,3 @@ def test_a_bow_is_found_with_its_size_and_angle():
     assert [effect.candidate.insertion.physics for effect in found.effects] == ["residual_bow"]
     assert found.after.values["residual_bow.amplitude"] == pytest.approx(1.6e-6, rel=0.02)
     assert found.after.values["residual_bow.phase"] % (2 * np.pi) == pytest.approx(1.2, abs=0.02)
-
-
-def test_a_stiffness_of_one_direction_is_found():
-    found = diagnose(load("jeffcott"), runs_of(Machine(stiffness_y=5e4), 7, 1.5), physics=PHYSICS, workers=1)
-    assert found.verdict == "missing_physics"
-    assert [effect.candidate.insertion.physics for effect in found.effects] == ["anisotropic_support"]
