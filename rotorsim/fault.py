@@ -59,7 +59,8 @@ class Fault:
     - "reading": only the recording sees the block's output (``through``), not the diagram.
     - "signal": the block's ``output`` takes the place of any scalar signal, its ``input``: for all blocks that take it,
       for its recording, or for both. Of diagrams in which nothing turns. ``argument``: an input that takes another
-      scalar signal of the diagram, every one in turn.
+      scalar signal of the diagram, every one in turn. ``own``: the physics that is the same law of one signal, at which
+      it is tried instead where the other signal, behind gains, enters the same sum.
     - "replace": the block takes the place of one whose type is in ``of``, which may be its own type; parameters of
       equal name keep their values.
     - "move": a block of this type acts at another place.
@@ -90,6 +91,7 @@ class Fault:
     between: tuple[str, str] = ("rotor", "controller")
     through: Mapping[str, str] = field(default_factory=dict)
     argument: str = ""
+    own: str = ""
     recorded: str = "after"
     inherits: tuple[str, ...] = ()
     law: str = ""

@@ -55,6 +55,7 @@ class Coupling(Block):
             enters="signal",
             through={"input": "output"},
             argument="other",
+            own={"linear": "gain_error", "polynomial": "static_nonlinearity"}.get(law, ""),
             options={"law": law},
             free=free,
             sizes=sizes,

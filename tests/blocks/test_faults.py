@@ -132,6 +132,7 @@ def test_the_ends_of_a_fault_fit(cls: type[Block], fault: Fault) -> None:
     if fault.enters in ("wire", "reading", "signal"):
         assert fault.through
         assert not fault.argument or (fault.enters == "signal" and cls.inputs[fault.argument].unit is None)
+        assert not fault.own or (fault.argument and fault.own in SIGNALS)
         for inside, outside in fault.through.items():
             assert cls.inputs[inside].shape == cls.outputs[outside].shape
             assert cls.inputs[inside].unit == cls.outputs[outside].unit
@@ -344,6 +345,8 @@ def test_a_law_of_a_signal_runs_wherever_it_is_offered_and_changes_what_is_recor
         assert sides == {("plant.output", "")}
     else:
         wires = {(f"{block}.output", "") for block in LOOP["blocks"]}
+        if physics in ("cross_talk", "nonlinear_coupling"):  # beside the sum, they are laws of what enters it
+            wires = {("controller.output", ""), ("plant.output", "")}
         assert sides == wires | {("sensor.output", "reading"), ("sensor.output", "both")}
     largest = {name: float(np.abs(values).max()) for name, values in given.signals.items()} | {LONGEST: 1.0}
     for item in offered:

@@ -237,7 +237,7 @@ def test_steady_filters_are_those_of_the_riccati_equation():
     np.testing.assert_allclose(F[0] @ P @ (F[0] - K @ H[0]).T + Q[0], P, rtol=1e-9, atol=1e-9 * np.abs(P).max())
 
 
-@pytest.mark.parametrize("document", [SERVO, CURVED], ids=["linear", "nonlinear"])
+@pytest.mark.parametrize("document", [SERVO, pytest.param(CURVED, marks=pytest.mark.slow)], ids=["linear", "nonlinear"])
 def test_innovations_of_a_filter_have_the_misfit_and_the_variances_of_its_estimate(document):
     _, runs = analysed(recorded(6, slow(7), 1), document)
     unknown = UnknownInputs(runs, NOISE)

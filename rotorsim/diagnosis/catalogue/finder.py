@@ -268,6 +268,8 @@ class _Finder:
                     continue
                 if other is not None and side != "reading" and self.others.follows(other, start):
                     continue  # an algebraic loop
+                if other is not None and side == "" and self.fault.own and self.others.meets(other, start):
+                    continue
                 source = shown if side == "reading" else start
                 feeds = {key: str(start), **({} if other is None else {self.fault.argument: str(other)})}
                 taps = {key: str(source), **({} if other is None else {self.fault.argument: str(other)})}

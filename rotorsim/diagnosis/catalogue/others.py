@@ -53,3 +53,10 @@ class OtherSignals:
         """Return whether a signal depends on that of a place at the same instant."""
         graph, (a, b) = self._at_once, ((place.block, place.port), (end.block, end.port))
         return a in graph and b in graph and nx.has_path(graph, a, b)
+
+    def meets(self, end: Endpoint, place: Endpoint) -> bool:
+        """Return whether a signal, behind gains, enters a sum that gives, or takes, that of a place."""
+        taking = {wire.target.block for wire in self.diagram.wires if wire.source == place}
+        sums = {name for name in {place.block, *taking} if self.diagram.nodes[name].block.type_name == "sum"}
+        entering = (wire.source for wire in self.diagram.wires if wire.target.block in sums)
+        return any(self._origin(source) == end for source in entering)
