@@ -123,7 +123,7 @@ def test_places_that_allow_ten_times_the_least_are_not_looked_at():
     bounds = {"near": 1000.0, "far": 9990.0, "beyond": 10010.0}
     places = SimpleNamespace(by_law=False, bound=lambda item: bounds.get(item.spot))
     found = [SimpleNamespace(law=("rub", 0), spot=spot) for spot in ("beyond", "far", "near", "unknown")]
-    trials = Trials(SimpleNamespace(bounds=lambda before: places), Catalogue(), Jobs(1))
+    trials = Trials(SimpleNamespace(bounds=lambda before: places, costly=False), Catalogue(), Jobs(1))
     kept = trials._screened(left(50.0), found, [], places)
     assert sorted(kept) == [1, 2, 3]
 
