@@ -18,6 +18,7 @@ from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagnosis.evidence.harmonic.scoring import predict
 from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
+from rotorsim.diagnosis.evidence.waveform.turning import TurningEvidence
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.jobs.threads import one_thread
@@ -226,6 +227,7 @@ class OfResonances:
 _BY_EVIDENCE: Mapping[type[Any], Callable[[Diagnosis, Any, Any], Compared]] = {
     HarmonicEvidence: OfHarmonics,
     WaveformEvidence: OfSamples,
+    TurningEvidence: OfSamples,
     ResonanceEvidence: OfResonances,
 }
 

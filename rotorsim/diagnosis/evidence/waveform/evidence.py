@@ -24,7 +24,8 @@ from rotorsim.diagnosis.evidence.waveform.missing import Linearised, missing_sig
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.diagnosis.evidence.waveform.scoring import held_score, left_out_score
 from rotorsim.diagnosis.evidence.waveform.separation import Hypothesis, SensorNoise, best_change, sensors_of
-from rotorsim.diagram.diagram import Diagram, Port
+from rotorsim.diagnosis.evidence.waveform.units import stand_ins
+from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.advice_in_time import SMALL_NOISE
 from rotorsim.identification.left_out import left_out
@@ -52,7 +53,6 @@ from rotorsim.identification.waveform.search import (
 )
 from rotorsim.identification.waveform.shooting import is_lost, shot
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
-from rotorsim.units import compatible
 
 FIRST_STEPS = 4  # from each start, before the best is followed
 SHORT = 8192  # samples of all runs on which a start is chosen and followed
@@ -66,9 +66,6 @@ WAVEFORM_TERMS = Terms(
     predicted="stretches left out",
     searched="no amplitude of its inputs, further sensor or repeated run",
     turns=False,
-)
-TURNING_TERMS = Terms(
-    left_out="stretches left out one by one", predicted="stretches left out", more_runs="runs through other speeds"
 )
 DIVERGES = "the simulation diverges"
 
@@ -422,33 +419,4 @@ class WaveformEvidence(SampledRuns, Defaults):
         if share:
             text.append(f"What the repaired diagram leaves is not noise: {100 * share:.2g} % of it can be predicted.")
         units = {name.partition("[")[0]: self.recording.channels[c].unit for name, c in self.channels.columns.items()}
-        diagram = self.load(after.document)
-        for block in inserted:
-            stands = {
-                port.unit: f"{port.unit} stands for the {units[signal]} of {signal}"
-                for port, signal in _neighbours(diagram, block)
-                if port.unit and signal in units and compatible(units[signal], port.unit) not in ("same", "scaled")
-            }
-            text += [f"{block} has the units of a machine: {' and '.join(stands.values())}."] if stands else []
-        return text
-
-
-@dataclass(frozen=True, eq=False)
-class TurningEvidence(WaveformEvidence):
-    """Runs of a shaft that turns, driven by its recorded angle: long ones, so that only promising laws are fitted."""
-
-    terms = TURNING_TERMS
-    costly = True
-
-    def bounds(self, fit: Fit) -> None:
-        """Return None: nothing is known of places but by the sensitivities of each law."""
-
-
-def _neighbours(diagram: Diagram, name: str) -> list[tuple[Port, str]]:
-    """Return each port of a block with the signals that it takes, or that act where its output acts."""
-    nodes, wires = diagram.nodes, diagram.wires
-    taken = [(nodes[name].inputs[wire.target.port], wire.source) for wire in wires if wire.target.block == name]
-    own = [wire for wire in wires if wire.source.block == name]
-    beside = [(wire, other.source) for wire in own for other in wires if other.target == wire.target]
-    acting = [(nodes[name].outputs[wire.source.port], end) for wire, end in beside if end.block != name]
-    return [(port, f"{end.block}.{end.port}") for port, end in taken + acting]
+        return [*text, *stand_ins(self.load(after.document), inserted, units)]

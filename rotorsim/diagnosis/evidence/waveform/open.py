@@ -8,7 +8,8 @@ from pathlib import Path
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.evidence.base_fit import base_fit
 from rotorsim.diagnosis.evidence.opened import Opened
-from rotorsim.diagnosis.evidence.waveform.evidence import TurningEvidence, WaveformEvidence
+from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
+from rotorsim.diagnosis.evidence.waveform.turning import TurningEvidence
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
 from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
