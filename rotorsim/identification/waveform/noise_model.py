@@ -32,7 +32,7 @@ from rotorsim.identification.waveform.noise import (
     weights_of,
 )
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, Evaluation, Label, OutputErrorSearch
-from rotorsim.identification.waveform.shooting import is_lost, shot, with_best_angles
+from rotorsim.identification.waveform.shooting import angle_starts, is_lost, shot
 from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.linear import linearisation as linear
@@ -40,6 +40,7 @@ from rotorsim.linear import linearisation as linear
 SIMULATION_DIVERGES = "its simulation diverges"
 ACCURACY = 3e-4  # of the scale of a signal, of the steps between samples
 ACCURATE_SUBSTEPS = 16  # between samples, to be as accurate
+ANGLE_STEPS = 6  # from each start of free angles, before the best is followed
 MOST_PORTS = 4  # where a flexible force is tried
 SIGNALS = 200  # whose size is evaluated
 
@@ -148,7 +149,8 @@ def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[
     search = OutputErrorSearch(systems, runs, {})
     scale = variance_scale(search)
     search = replace(search, weights={signal: 1 / value for signal, value in scale.items()})
-    start = with_best_angles(search, search.first())
+    starts = angle_starts(search, search.first())
+    start = starts[0]
     if len(systems) > 1:
         whole = {signal: weight for signal, weight in search.weights.items() if signal[0] == WHOLE_DIAGRAM}
         evaluation = replace(search, weights={**search.weights, **dict.fromkeys(whole, 0.0)}).minimise(start)
@@ -156,6 +158,11 @@ def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[
         if np.isfinite(evaluation.cost):
             weights = {signal: 1 / value for signal, value in residual_variance(search, evaluation).items()}
             search = replace(search, weights={**weights, **whole})
+    if len(starts) > 1:
+        turned = [start.copy() for _ in starts]
+        for point, other in zip(turned, starts, strict=True):
+            point[search.angles] = other[search.angles]
+        start = min((search.minimise(point, ANGLE_STEPS) for point in turned), key=attrgetter("cost")).unknowns
     evaluation = search.minimise(start)
     if is_lost(search, evaluation):
         evaluation = min(evaluation, search.minimise(shot(search, start)), key=attrgetter("cost"))

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise, product
 from math import tau
+from operator import itemgetter
 
 import numpy as np
 
@@ -24,6 +25,7 @@ SHOT_PARTS = (64, 16, 4, 1)  # of all these samples
 LEAST_SHOT = 20  # samples of a part, and as many as LEAST_PER_STATE times its states
 LEAST_PER_STATE = 4
 SHOTS = 15  # evaluations with parts of a length
+ANGLE_STARTS = 6  # of which each is followed for a few steps
 PARTS_OF_TURN = 6  # the best is within 30 deg, where the effect has still 87 % of its projection
 
 
@@ -39,22 +41,22 @@ def is_lost(search: OutputErrorSearch, evaluation: Evaluation) -> bool:
     )
 
 
-def with_best_angles(search: OutputErrorSearch, start: np.ndarray) -> np.ndarray:
-    """Return a start whose free angles are turned to where a simulation leaves least: pairs of them together.
+def angle_starts(search: OutputErrorSearch, start: np.ndarray) -> list[np.ndarray]:
+    """Return starts whose free angles are turned to where simulations leave least, the best first: pairs together.
 
-    Angles that are bounded stay as they are.
+    As many as `ANGLE_STARTS`, since magnitudes that are off turn the best angle. Angles that are bounded stay as they
+    are; without others the start is the only one.
     """
-    best, least, sub = start, np.inf, search.substeps(start)
-    pairs = [search.angles[k : k + 2] for k in range(0, len(search.angles), 2)]
-    for pair in pairs:
-        first = best[pair]
+    found, sub = [start], search.substeps(start)
+    for pair in (search.angles[k : k + 2] for k in range(0, len(search.angles), 2)):
+        first, trials = found[0][pair], []
         for parts in product(range(PARTS_OF_TURN), repeat=len(pair)):
-            trial = best.copy()
+            trial = found[0].copy()
             if any(parts):
                 trial[pair] = (first + np.array(parts) * tau / PARTS_OF_TURN + tau / 2) % tau - tau / 2
-            if (cost := search.evaluate(trial, sub, sensitivities=False).cost) < least:
-                best, least = trial, cost
-    return best
+            trials.append((search.evaluate(trial, sub, sensitivities=False).cost, trial))
+        found = [trial for _, trial in sorted(trials, key=itemgetter(0))[:ANGLE_STARTS]]
+    return found
 
 
 def shot(search: OutputErrorSearch, start: np.ndarray) -> np.ndarray:

@@ -18,7 +18,6 @@ from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagnosis.evidence.harmonic.scoring import predict
 from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
-from rotorsim.diagnosis.evidence.waveform.turning import TurningEvidence
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.jobs.threads import one_thread
@@ -227,11 +226,11 @@ class OfResonances:
 _BY_EVIDENCE: Mapping[type[Any], Callable[[Diagnosis, Any, Any], Compared]] = {
     HarmonicEvidence: OfHarmonics,
     WaveformEvidence: OfSamples,
-    TurningEvidence: OfSamples,
     ResonanceEvidence: OfResonances,
 }
 
 
 def compared(diagnosis: Diagnosis) -> Compared:
     """Return the comparison that the evidence of a diagnosis allows."""
-    return _BY_EVIDENCE[type(diagnosis.evidence)](diagnosis, diagnosis.evidence, diagnosis.given)
+    of = next(_BY_EVIDENCE[kind] for kind in type(diagnosis.evidence).__mro__ if kind in _BY_EVIDENCE)
+    return of(diagnosis, diagnosis.evidence, diagnosis.given)
