@@ -1,14 +1,12 @@
 """A gain that depends on another signal."""
 
-from rotorsim.block import Block, Equations, In, Option, Out, Param, sqrt
+from rotorsim.block import Block, Equations, In, Option, Out, Param, absolute, tanh
 from rotorsim.fault import Fault, Of
 
-_ZERO = 1e-6  # beside magnitudes as a root of squares, so that their powers have derivatives at zero
 _KNEE = {
     "change": (1.0, -0.5),
     "knee": (Of("other", 0.2), Of("other", 0.5)),
     "width": (Of("other", 0.1),),
-    "sharpness": (2.0,),
 }
 _LAWS = {
     "linear": (
@@ -33,14 +31,12 @@ class ScheduledGain(Block):
     law "square":  factor = 1 + curvature other^2
     law "knee":    factor = 1 + change S
     law "divisor": factor = 1 / (1 + change S)
-    S = (1 + z / (1 + |z|^sharpness)^(1/sharpness)) / 2,  z = (|other| - knee) / width
+    S = (1 + tanh((|other| - knee) / width)) / 2
     output = factor input
 
     Behind a block that is linear in a parameter, that parameter depends on the other signal: behind a spring, its
     stiffness. By the law "divisor" it is one that divides: behind the voltage across a coil, the inductance, which
     falls beyond the knee as the iron saturates (change between -1 and 0); behind a force, the mass.
-    S rises from 0 to 1 about the knee: with sharpness 1 slowly, as 1/z, with 2 as 1/z^2, at last along straight lines.
-    |z| is sqrt(z^2 + 1e-12), and |other| likewise in parts of the knee.
     """
 
     source = "W. J. Rugh, J. S. Shamma, Automatica 36 (2000) 1401-1425 (scheduled gains)"
@@ -69,7 +65,6 @@ class ScheduledGain(Block):
     change = Param(0.0, unit=None, low=-1.0, doc="change of the factor, or of the divisor, far beyond the knee")
     knee = Param(1.0, unit=None, above=0.0, doc="magnitude of the other signal where half of it is reached")
     width = Param(0.1, unit=None, above=0.0, doc="half width of the transition, unit of the other signal")
-    sharpness = Param(2.0, low=1.0, high=20.0, doc="how soon the ends of the transition are reached")
 
     def equations(self, p, u, x, t):
         o, law = u.other, self.option.law
@@ -77,7 +72,5 @@ class ScheduledGain(Block):
             return Equations(
                 outputs={"output": u.input * (1 + (p.slope * o if law == "linear" else p.curvature * o * o))}
             )
-        z = (sqrt(o * o + (_ZERO * p.knee) ** 2) - p.knee) / p.width
-        share = (1 + z / (1 + sqrt(z * z + _ZERO**2) ** p.sharpness) ** (1 / p.sharpness)) / 2
-        factor = 1 + p.change * share
+        factor = 1 + p.change * (1 + tanh((absolute(o) - p.knee) / p.width)) / 2
         return Equations(outputs={"output": u.input / factor if law == "divisor" else u.input * factor})
