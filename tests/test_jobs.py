@@ -325,6 +325,7 @@ def test_a_script_that_does_not_guard_its_start_is_told_so(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_local_processes(tmp_path, monkeypatch):
     """Order, failures, a job that kills its process, jobs within a job, BLAS threads, and nothing left behind."""
     monkeypatch.setenv("OMP_NUM_THREADS", "8")

@@ -3,11 +3,7 @@
 from rotorsim.block import Block, Equations, In, Option, Out, Param, absolute, tanh
 from rotorsim.fault import Fault, Of
 
-_KNEE = {
-    "change": (1.0, -0.5),
-    "knee": (Of("other", 0.2), Of("other", 0.5)),
-    "width": (Of("other", 0.1),),
-}
+_KNEE = {"change": (1.0, -0.5), "knee": (Of("other", 0.2), Of("other", 0.5)), "width": (Of("other", 0.1),)}
 _LAWS = {
     "linear": (
         {"slope": (Of("other", 0.1, power=-1), Of("other", -0.1, power=-1))},

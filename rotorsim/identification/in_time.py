@@ -15,12 +15,19 @@ from rotorsim.identification.advice import Advice
 from rotorsim.identification.advice_in_time import TRIED, advise_in_time
 from rotorsim.identification.result import Identification, Identified, identified, sentences
 from rotorsim.identification.verdict import judge
-from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
+from rotorsim.identification.waveform.along_angle import (
+    along_angle,
+    lateness,
+    turned_later,
+    turns_as_recorded,
+    with_reaction,
+)
 from rotorsim.identification.waveform.data import Channels, SampledRun, channels_of, chosen_runs
 from rotorsim.identification.waveform.errors import errors_of
-from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate
+from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate, with_late_pulses
+from rotorsim.identification.waveform.late_pulses import on_time
 from rotorsim.identification.waveform.noise import weights_of
-from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel, noise_model
+from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
@@ -79,9 +86,11 @@ def identify_in_time(
     _refuse(diagram, method, given, wanted)
     names = None if runs is None else {run.id for run in runs}
     as_given = diagram
-    if turns_as_recorded(diagram, recording):
+    turns = turns_as_recorded(diagram, recording)
+    if turns:
         diagram = with_reaction(diagram)
         warnings = [*warnings, *diagram.warnings[len(as_given.warnings) :]]
+    late = lateness(recording)
     recording = along_angle(diagram, recording)
     hold_out = None if hold_out is None else along_angle(diagram, hold_out)
     channels = channels_of(diagram, recording)
@@ -92,7 +101,12 @@ def identify_in_time(
     channels = marked(channels, sampled)
     diagram = replace(diagram, free=wanted)
     with one_thread():
-        noise, estimate = _estimated(diagram, channels, sampled)
+        timed = on_time(diagram, channels, sampled, late)
+        sampled, noise = timed.runs, timed.noise
+        held_out = tuple(turned_later(run, diagram, timed.shift) for run in held_out)
+        estimate = _estimated(diagram, channels, sampled, noise)
+        if timed.std:
+            estimate = with_late_pulses(estimate, [turned_later(run, diagram, timed.std) for run in sampled])
         verdicts = judge(estimate, estimate.intervals, precision=precision)
         left = [item.name for item, one in zip(estimate.free, verdicts, strict=True) if not one.identifiable]
         advice = advise_in_time(estimate, noise, channels, left, precision) if left else []
@@ -100,7 +114,7 @@ def identify_in_time(
     variance = {name: noise.variance[WHOLE_DIAGRAM, name] for name in channels.outputs}
     errors = errors_of(estimate.search, [(estimate.evaluation, [slice(None)] * len(sampled))])
     fit = {"identify": errors.nrmse if errors else {}}
-    notes = [*(one for one in warnings if one.code not in TURNING), *notes_of([*sampled, *held_out])]
+    notes = [*(one for one in warnings if turns or one.code not in TURNING), *notes_of([*sampled, *held_out])]
     if scored is not None:
         search, evaluation = scored
         held_errors = errors_of(search, [(evaluation, [slice(None)] * len(held_out))])
@@ -155,15 +169,14 @@ def _refuse(diagram: Diagram, method: str, given: Sequence[str], wanted: Sequenc
         raise RotorsimError(*problems)
 
 
-def _estimated(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]) -> tuple[NoiseModel, TimeEstimate]:
-    """Return what counts as noise, and the estimate from where that was found."""
-    noise = noise_model(diagram, channels, runs)
+def _estimated(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], noise: NoiseModel) -> TimeEstimate:
+    """Return the estimate from where the noise was found."""
     weights = weights_of(noise.variance, runs, noise.rows)
     search = OutputErrorSearch(subsystems_of(diagram, channels), runs, weights, noise.least)
     _refuse_unseen(search, diagram)
     start = search.first(noise.starts)
     start[: search.m] = noise.theta
-    return noise, time_estimate(search, search.minimise(start), noise)
+    return time_estimate(search, search.minimise(start), noise)
 
 
 def _refuse_unseen(search: OutputErrorSearch, diagram: Diagram) -> None:

@@ -170,6 +170,7 @@ def test_two_processes_give_what_they_give_in_python(
             assert fast[name] == pytest.approx(found[name], rel=1e-12, abs=1e-15), name
 
 
+@pytest.mark.slow
 def test_processes_that_outlast_every_look_are_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loops: list[int]
 ) -> None:

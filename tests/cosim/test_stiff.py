@@ -59,7 +59,9 @@ def test_a_step_too_large_for_a_fast_pole_is_not_finished(folder: Path) -> None:
     assert run(folder, 0.55e-3, 0.1).status == "finished"
 
 
-@pytest.mark.parametrize("solver", ["radau", "bdf", "lsoda", "dop853"])
+@pytest.mark.parametrize(
+    "solver", ["radau", *(pytest.param(name, marks=pytest.mark.slow) for name in ("bdf", "lsoda", "dop853"))]
+)
 def test_other_methods_take_the_fast_pole(folder: Path, solver: str) -> None:
     found = run(folder, 1e-3, 4e-3, solver)
     assert (found.status, found.message) == ("finished", "")

@@ -63,6 +63,7 @@ def test_what_some_channels_show_is_picked_up(channels, hertz):
     assert find_pickups(base, source) == pytest.approx([hertz], abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hertz", [50.0, pytest.param(41.7, marks=pytest.mark.slow)])
 def test_what_the_loop_shows_as_a_force_is_no_pickup(hertz):
     base, source = prepared(shaken(hertz))
@@ -102,6 +103,7 @@ def test_a_pickup_is_said_with_its_size_and_the_orders_that_it_hides():
     ]
 
 
+@pytest.mark.slow
 def test_an_offset_that_drifts_is_its_sensors():
     """20 nm over a run in x, and any offset beside: 45 nm^2 of variance in the mean, of which noise makes 0.002."""
     random = np.random.default_rng(9)

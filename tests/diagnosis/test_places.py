@@ -88,6 +88,7 @@ def bound_at(fit: Fit, source: HarmonicEvidence, base: Fit, item: Insertion) -> 
     return open_bounds(replace(base, theta=theta), source).bound(item)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [*LAWS[:1], *(pytest.param(law, marks=pytest.mark.slow) for law in LAWS[1:])])
 @pytest.mark.parametrize("node", [2, *(pytest.param(node, marks=pytest.mark.slow) for node in (3, 4, 5))])
 def test_no_law_explains_more_than_a_free_force_at_its_place(law, node):

@@ -82,6 +82,7 @@ def diagram(bias: float = 1.0) -> Diagram:
     return changed("jeffcott", change)
 
 
+@pytest.mark.slow
 def test_the_diagram_is_fitted_by_harmonic_balance():
     experiment = open_experiment(diagram(), recording())
     assert isinstance(experiment.motion, NonlinearMotion)

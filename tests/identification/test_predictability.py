@@ -23,7 +23,9 @@ def coloured(seed: int, pole: float) -> list[np.ndarray]:
     return [np.sqrt(1 - pole**2) * lfilter([1], [1, -pole], white, axis=0)[500:] for white in whites]
 
 
-@pytest.mark.parametrize("pole", [0.0, 0.7, 0.97])
+@pytest.mark.parametrize(
+    "pole", [pytest.param(0.0, marks=pytest.mark.slow), 0.7, pytest.param(0.97, marks=pytest.mark.slow)]
+)
 def test_noise_of_any_colour_is_not_structured(pole):
     """At 1 % of false alarms two of sixty are to be expected at most (probability of three: 2 %)."""
     alarms = [predictability(coloured(seed, pole), inputs(seed + 100), POLES).structure for seed in range(20)]

@@ -247,6 +247,7 @@ def no_crack() -> tuple[Recording, Identification]:
     return recording, identify(load("jeffcott", without=["crack"]), recording)
 
 
+@pytest.mark.slow
 def test_a_missing_crack_is_seen():
     _, found = no_crack()
     assert not found.adequate

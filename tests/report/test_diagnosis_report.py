@@ -157,6 +157,7 @@ def test_what_a_user_wrote_is_text() -> None:
     assert "rotorsim diagnose jeffcott <b>there</b> --hold-out 'a b'" in page.text
 
 
+@pytest.mark.slow
 def test_numbers_are_those_of_the_diagnosis() -> None:
     page, files, _ = _reported("bowed", drawn=False)
     found = bowed()

@@ -26,6 +26,7 @@ def found():
     return identify(load(OSCILLATOR), made), made
 
 
+@pytest.mark.slow
 def test_an_identification_in_time_has_its_figures(found, tmp_path):
     names = [file.stem for file in save_figures(*found, tmp_path)]
     assert names == ["parameters", "correlation", "simulated", "hold_out", "residual"]

@@ -12,6 +12,7 @@ from tests.signals.test_asynchronous import NOISE, NU, RATIO, SPEEDS, made
 FAINT = 0.0007 * np.array([1.0, 1.0j])  # with noise of 0.01: each of 2000 samples has 1/200 of its variance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("orders", "nu", "follows", "draws"),
     [

@@ -11,12 +11,11 @@ from rotorsim.diagnosis.evidence.resonance.open import is_by_resonances, open_re
 from rotorsim.diagnosis.evidence.waveform.open import open_waveforms
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
+from rotorsim.identification.in_time import TURNING
 from rotorsim.identification.waveform.along_angle import is_in_time, turns_as_recorded
 from rotorsim.recordings.recording import Recording
 
 __all__ = ["Opened", "open_evidence"]
-
-TURNING = ("missing_channel", "no_phase_reference")  # codes of findings that matter only of a shaft that turns
 
 
 def open_evidence(

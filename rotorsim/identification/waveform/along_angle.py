@@ -9,8 +9,10 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Endpoint, Wire
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.equations import clock_ports
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
+from rotorsim.signals.shaft_angle import pulses_of
 from rotorsim.signals.turning import is_run_up, turning
 
 ANGLE_UNITS = {"theta": "rad", "speed": "rad/s", "acceleration": "rad/s^2"}  # of what a clock gives and an angle tells
@@ -87,3 +89,19 @@ def along_angle(diagram: Diagram, recording: Recording, runs: Sequence[Run] | No
     if problems:
         raise RotorsimError(*problems)
     return replace(recording, channels={**kept, **given}, runs=tuple(turned))
+
+
+def lateness(recording: Recording) -> float:
+    """Return the standard deviation of the time by which all pulses of a recording are late [s]: sampled ones are."""
+    return max((pulses_of(recording, run)[2] for run in recording.runs), default=0.0)
+
+
+def turned_later(run: SampledRun, diagram: Diagram, late: float) -> SampledRun:
+    """Return a run whose shaft is where it is a time [s] later: theta + late W, W + late W'."""
+    values = dict(run.values)
+    for port in clock_ports(diagram):
+        clock, _, name = port.rpartition(".")
+        rate = {"theta": f"{clock}.speed", "speed": f"{clock}.acceleration"}.get(name, "")
+        if port in values and rate in values:
+            values[port] = run.values[port] + late * run.values[rate]
+    return replace(run, values=values)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.stats import t as student
 
 from rotorsim.diagram.diagram import Free
 from rotorsim.identification.left_out import left_out
+from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.noise import (
     INVERTED,
     Stretch,
@@ -174,3 +176,19 @@ def time_estimate(search: OutputErrorSearch, evaluation: Evaluation, noise: Nois
         noise.rows,
         goodness_left_out(loo, noise.allowed),
     )
+
+
+def with_late_pulses(estimate: TimeEstimate, later: Sequence[SampledRun]) -> TimeEstimate:
+    """Return the estimate with the uncertainty of an angle that all runs have in common.
+
+    later: the runs with an angle one standard deviation off. The estimate goes by u = -H^-1 (g' - g) with it, g the
+    gradient, H the information; u u^T is added to the covariance.
+    """
+    evaluation, search = estimate.evaluation, replace(estimate.search, runs=later)
+    searched = ~search.at_bound(evaluation.unknowns)
+    g = (search.evaluate(evaluation.unknowns, evaluation.sub).gradient - evaluation.gradient)[searched]
+    H = evaluation.information[np.ix_(searched, searched)]
+    scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
+    change = np.zeros(len(evaluation.unknowns))
+    change[searched] = -np.linalg.lstsq(H / np.outer(scale, scale), g / scale, rcond=INVERTED)[0] / scale
+    return replace(estimate, robust=estimate.robust + np.outer(change, change))

@@ -75,6 +75,7 @@ def test_the_cubic_spring_of_a_duffing_oscillator_is_named_and_measured(noise, p
     assert found.score_after.total == pytest.approx(noise, rel=0.1, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_repaired_diagram_moves_as_the_machine(tmp_path):
     found = diagnosed(machines.CUBIC, machines.NOISE)
     files = save_diagnosis(found, tmp_path)

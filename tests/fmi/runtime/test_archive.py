@@ -171,6 +171,7 @@ def test_files_are_read_and_unpacked(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "a" / "b").read_bytes() == b"1234"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", pytest.param("3.0", marks=pytest.mark.slow)])
 def test_damaged_at_random(tmp_path: Path, version: str) -> None:
     """No traceback, nothing outside, nothing left behind; many more by benchmarks/fmi/fuzz.py."""

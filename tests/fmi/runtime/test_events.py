@@ -44,7 +44,7 @@ def bounces(count: int, height: float = 1.0) -> np.ndarray:
     return np.asarray(first + np.concatenate([[0.0], np.cumsum(2 * first * E ** np.arange(1, count))]))
 
 
-@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize("apart", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_bouncing_ball(fmu: Path, apart: bool) -> None:
     """RK4 is exact on parabolas. A bounce seen d too late is g d too fast, and makes later flights 2 E^k d longer.
 

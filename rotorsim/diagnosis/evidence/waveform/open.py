@@ -12,9 +12,15 @@ from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.diagnosis.evidence.waveform.turning import TurningEvidence
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
-from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
+from rotorsim.identification.waveform.along_angle import (
+    along_angle,
+    lateness,
+    turned_later,
+    turns_as_recorded,
+    with_reaction,
+)
 from rotorsim.identification.waveform.data import channels_of, chosen_runs
-from rotorsim.identification.waveform.noise_model import noise_model
+from rotorsim.identification.waveform.late_pulses import on_time
 from rotorsim.identification.waveform.parts import parts_of
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
 from rotorsim.recordings.recording import Recording
@@ -46,14 +52,16 @@ def waveform_evidence(
 
     Raises RotorsimError with all that does not fit, and where the diagram diverges when it is driven as recorded.
     """
-    turns = turns_as_recorded(diagram, recording)
+    turns, late = turns_as_recorded(diagram, recording), lateness(recording)
     recording = along_angle(diagram, recording)
     hold_out = None if hold_out is None else along_angle(diagram, hold_out)
     channels = channels_of(diagram, recording)
     runs = read_runs(diagram, chosen_runs(recording), channels)
     channels = marked(channels, runs)
     held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
-    noise = noise_model(diagram, channels, runs)
+    timed = on_time(diagram, channels, runs, late)
+    runs, noise = timed.runs, timed.noise
+    held_out = [turned_later(run, diagram, timed.shift) for run in read_runs(diagram, held, channels)]
     parts, part_starts = parts_of(diagram, channels, runs, noise) if turns else ((), {})
     return (TurningEvidence if turns else WaveformEvidence)(
         channels=channels,
@@ -71,7 +79,7 @@ def waveform_evidence(
         starts=noise.starts,
         sizes=noise.sizes,
         old=frozenset(item.name for item in diagram.free),
-        held=read_runs(diagram, held, channels),
+        held=tuple(held_out),
         parts=parts,
         part_starts=part_starts,
         near=noise.near,
