@@ -62,6 +62,11 @@ class Jobs:
         if problems:
             raise RotorsimError(*problems)
 
+    @property
+    def processes(self) -> int:
+        """How many processes there are at least: 1 where it is this one, or nothing is known of a cluster."""
+        return self.pool.size if self.pool else self.workers or 1 if self.scheduler else _processes(self)
+
 
 @dataclass(frozen=True)
 class Failure:

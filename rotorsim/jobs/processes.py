@@ -48,6 +48,11 @@ class Pool:
             self._end(at_once=True)
             raise
 
+    @property
+    def size(self) -> int:
+        """The number of processes."""
+        return len(self._workers)
+
     def __enter__(self) -> Pool:
         return self
 

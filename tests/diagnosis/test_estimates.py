@@ -12,7 +12,7 @@ from rotorsim.diagnosis.conclude.wording import _sentence
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.waveform import evidence as waveform
 from rotorsim.diagnosis.files import _parameters
-from rotorsim.diagnosis.search.trials import Candidate
+from rotorsim.diagnosis.search.candidates import Candidate
 from rotorsim.diagram.diagram import Free
 from rotorsim.identification.waveform.noise_model import allowed_misfits
 from rotorsim.report.diagnosis.words import estimate, own_parameters

@@ -12,7 +12,8 @@ from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, s
 from rotorsim.diagnosis.conclude.result import Effect
 from rotorsim.diagnosis.conclude.verdict import conventions
 from rotorsim.diagnosis.evidence.fit import Fit
-from rotorsim.diagnosis.search.trials import Candidate, Trials
+from rotorsim.diagnosis.search.candidates import Candidate
+from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.diagram.diff import diff
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.diagram.resolve.resolution import shipped_diagrams

@@ -8,10 +8,12 @@ import pytest
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.conclude.verdict import effect_of, rejected_of, unfinished, verdict_of
-from rotorsim.diagnosis.evidence.evidence import Terms
+from rotorsim.diagnosis.evidence.evidence import Promise, Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
+from rotorsim.diagnosis.search.candidates import Candidate, Round
+from rotorsim.diagnosis.search.promises import at_rival_places, likely_of
 from rotorsim.diagnosis.search.selection import _completed, _level, _reconsidered, _selected, _simplified, least_gain
-from rotorsim.diagnosis.search.trials import Candidate, Round, Trials
+from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.diagram.diagram import Free
 from rotorsim.jobs.jobs import Jobs
 from tests.diagnosis.test_verdicts import ROWS, left, named, selection
@@ -23,7 +25,12 @@ def candidate(
     free = tuple(Free(f"{physics}{k}", "", 0, 1.0, "", 0.0, np.inf) for k in range(extra))
     fit = Fit({}, free, misfit=misfit, rows=ROWS - nuisances, equations=ROWS, goodness=0.5)
     insertion = SimpleNamespace(
-        physics=physics, variant=0, spot="rotor.force", key=physics, free=(), fault=SimpleNamespace(confused_with=alike)
+        physics=physics,
+        law=(physics, 0),
+        spot="rotor.force",
+        key=physics,
+        free=(),
+        fault=SimpleNamespace(confused_with=alike),
     )
     return SimpleNamespace(fit=fit, insertion=insertion, physical=True, unphysical="", parameters=(), final=True)
 
@@ -37,7 +44,7 @@ def chosen(*tried: SimpleNamespace) -> list[str]:
         counts={},
         nominal={},
         slack=0.0,
-        completed=lambda found, physics: found,
+        completed=lambda found, physics, law: found,
     )
     return [item.insertion.physics for item in _selected(trials, base).chosen]
 
@@ -93,7 +100,7 @@ def test_meshes_may_be_wrong_by_a_tenth_of_the_equations():
             counts={},
             nominal={},
             slack=0.0,
-            completed=lambda found, physics: found,
+            completed=lambda found, physics, law: found,
         )
         assert [item.insertion.physics for item in _selected(trials, base).chosen] == found
         assert trials.slack == pytest.approx(98.0)
@@ -113,7 +120,7 @@ def test_another_effect_must_explain_nine_tenths_of_what_is_left(second, chosen)
         counts={},
         nominal={},
         slack=0.0,
-        completed=lambda found, physics: found,
+        completed=lambda found, physics, law: found,
         refitted=lambda *_: (),
     )
     assert [item.insertion.physics for item in _selected(trials, base).chosen] == chosen
@@ -121,10 +128,13 @@ def test_another_effect_must_explain_nine_tenths_of_what_is_left(second, chosen)
 
 def test_places_that_allow_ten_times_the_least_are_not_looked_at():
     bounds = {"near": 1000.0, "far": 9990.0, "beyond": 10010.0}
-    places = SimpleNamespace(by_law=False, bound=lambda item: bounds.get(item.spot))
+    places = SimpleNamespace(
+        by_law=False,
+        promises=lambda items: [Promise(bounds[item.spot]) if item.spot in bounds else None for item in items],
+    )
     found = [SimpleNamespace(law=("rub", 0), spot=spot) for spot in ("beyond", "far", "near", "unknown")]
     trials = Trials(SimpleNamespace(bounds=lambda before: places, costly=False), Catalogue(), Jobs(1))
-    kept = trials._screened(left(50.0), found, [], places)
+    kept, _ = trials._screened(left(50.0), found, [], places)
     assert sorted(kept) == [1, 2, 3]
 
 
@@ -165,7 +175,7 @@ def test_known_look_alikes_are_fitted_to_the_end_and_may_take_the_place():
     ended = candidate("control_delay", 1000.0, 1)
     asked = []
 
-    def completed(given: Round, physics: set[str]) -> Round:
+    def completed(given: Round, physics: set[str], law: tuple[str, int]) -> Round:
         asked.append(physics)
         return Round(before, (ended, found, bow))
 
@@ -285,3 +295,32 @@ def test_a_class_is_judged_as_the_effect_stood_in_its_round():
     effect = effect_of(stale, Round(before, (in_round, rival)), 0.0)
     assert effect.members == {"rub": 1.0}
     assert effect.candidate.fit is in_round.fit
+
+
+def placed(law: str, spot: str) -> SimpleNamespace:
+    return SimpleNamespace(law=(law, 0), spot=spot, key=f"{law}@{spot}")
+
+
+def test_another_measure_of_the_noise_looks_again_at_what_promised_within_ten_times_the_least():
+    found = [placed("lag", spot) for spot in ("best", "within", "beyond", "unknown")]
+    promises = [Promise(2e4), Promise(1.9e5), Promise(2.1e5), None]
+    assert likely_of(found, promises, left(1e6)) == {"lag@best", "lag@within", "lag@unknown"}
+
+
+def test_a_law_that_is_chosen_is_fitted_at_three_more_places_that_promise_half_as_much():
+    """So that places that data cannot tell apart are named together, though each law was fitted at its best place."""
+    found = [placed("lag", spot) for spot in "abcdef"] + [placed("delay", "a")]
+    promises = [*(Promise(value) for value in (2.0e4, 2.1e4, 3.9e4, 3.0e4, 2.2e4, 4.1e4)), Promise(9e4)]
+    assert at_rival_places(found, promises, left(1e6), kept=[0, 6]) == [1, 4, 3]
+
+
+def test_a_law_is_fitted_where_rivals_promise_as_much(monkeypatch):
+    insertion = SimpleNamespace(physics="lag", law=("lag", 0), free=(), fault=SimpleNamespace(sizes=()))
+    other = SimpleNamespace(physics="delay", law=("delay", 0), free=(), fault=SimpleNamespace(sizes=()))
+    best = SimpleNamespace(insertion=insertion, fit=left(100.0), final=True, physical=True)
+    trials = Trials(SimpleNamespace(), Catalogue(), Jobs(1))
+    monkeypatch.setattr(trials, "_fit", lambda jobs, most: [left(101.0)] * len(jobs))
+    before = Round(left(1e6), (best,), elsewhere=((insertion, ({}, [])), (other, ({}, []))))
+    after = trials.completed(before, set(), ("lag", 0))
+    assert [item.fit.misfit for item in after.tried] == [left(100.0).misfit, left(101.0).misfit]
+    assert [item for item, _ in after.elsewhere] == [other]

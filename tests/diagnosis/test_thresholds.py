@@ -17,7 +17,7 @@ from rotorsim.diagnosis.evidence.harmonic.pickups import find_pickups
 from rotorsim.diagnosis.evidence.harmonic.residual import taken_at
 from rotorsim.diagnosis.evidence.harmonic.scoring import standardised
 from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
-from rotorsim.diagnosis.search.trials import Round
+from rotorsim.diagnosis.search.candidates import Round
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Place, Problem
 from rotorsim.identification.waveform.search import OutputErrorSearch

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -105,7 +104,7 @@ class Insertion:
 
         limits: (low, high) of its free parameters, where they are narrower than what the block allows.
         """
-        new = copy.deepcopy(dict(document))
+        new = {**document, "blocks": dict(document["blocks"]), "identify": dict(document.get("identify", {}))}
         kept: dict[str, Any] = {}
         if self.fault.enters in ("replace", "move"):
             block = new["blocks"][self.name]
@@ -113,7 +112,7 @@ class Insertion:
             kept = {key: value for key, value in block.get("parameters", {}).items() if key in known}
             if block["type"] != self.kind.type_name:
                 followed = {v[1:] for v in kept.values() if isinstance(v, str) and v.startswith("$")}
-                for name in followed & set(new.get("identify", {})):  # other bounds may hold for the new type
+                for name in followed & set(new["identify"]):  # other bounds may hold for the new type
                     new["identify"][name] = {k: v for k, v in new["identify"][name].items() if k not in ("low", "high")}
         parameters = {**kept, **self.values, **(start or {})}
         new["blocks"][self.name] = {"type": self.kind.type_name, "parameters": parameters}
@@ -126,7 +125,7 @@ class Insertion:
         ends = limits or {}
         bounds = {key: dict(zip(("low", "high"), ends.get(key, ()), strict=False)) for key in self.fault.free}
         free = {f"{self.name}.{key}": given for key, given in bounds.items()}
-        new["identify"] = {**new.get("identify", {}), **free}
+        new["identify"] |= free
         return new
 
 

@@ -15,8 +15,8 @@ from rotorsim.diagnosis.evidence.evidence import Evidence, Score
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
 from rotorsim.diagnosis.evidence.opened import Converter
+from rotorsim.diagnosis.search.candidates import Candidate
 from rotorsim.diagnosis.search.selection import Selection
-from rotorsim.diagnosis.search.trials import Candidate
 from rotorsim.errors import Problem
 from rotorsim.identification.profile import Z90
 from rotorsim.recordings.recording import Recording

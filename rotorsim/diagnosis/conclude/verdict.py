@@ -15,8 +15,8 @@ from rotorsim.diagnosis.evidence.evidence import Evidence, Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_noise
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagnosis.evidence.opened import Converter
+from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.diagnosis.search.selection import Selection, least_gain, probabilities
-from rotorsim.diagnosis.search.trials import Candidate, Round
 from rotorsim.errors import Problem
 
 REJECTED = 12  # hypotheses that are listed

@@ -10,7 +10,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, estimates
 from rotorsim.diagnosis.conclude.shares import Explained
 from rotorsim.diagnosis.evidence.fit import is_noise
-from rotorsim.diagnosis.search.trials import Candidate, Round
+from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.fault import Fault
 from rotorsim.units import format_quantity
 

@@ -79,6 +79,17 @@ class Unknown:
     words: Sequence[str] = ()
 
 
+@dataclass(frozen=True, eq=False)
+class Promise:
+    """The misfit that a fault may leave, and from where its parameters are to start, {free parameter: SI value}.
+
+    start: empty where nothing is known of it, so that it begins as declared.
+    """
+
+    misfit: float
+    start: Mapping[str, float] = field(default_factory=dict)
+
+
 class Bounds(Protocol):
     """What can be known of the misfit beside a fault before it is put in.
 
@@ -93,11 +104,8 @@ class Bounds(Protocol):
     def classes(self) -> Sequence[PlaceClass]:
         """The classes of places of which a free signal explains the same; none where that was not asked."""
 
-    def bound(self, item: Insertion) -> float | None:
-        """Return the least misfit that an insertion can leave, None where nothing is known of it."""
-
-    def start(self, item: Insertion) -> Mapping[str, float]:
-        """Return from where its parameters are to start, {free parameter: SI value}; empty: as declared."""
+    def promises(self, items: Sequence[Insertion]) -> list[Promise | None]:
+        """Return the least misfit that each insertion can leave, None where nothing is known of it."""
 
 
 class Validation(Protocol):

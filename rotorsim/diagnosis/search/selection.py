@@ -14,7 +14,8 @@ from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_noise
-from rotorsim.diagnosis.search.trials import Candidate, Round, Trials
+from rotorsim.diagnosis.search.candidates import Candidate, Round
+from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs, local_workers
 
@@ -126,7 +127,7 @@ def _completed(
     """
     rounds = list(rounds)
     for k, item in enumerate(chosen):
-        rounds[k] = trials.completed(rounds[k], _alike(item, rounds[k]))
+        rounds[k] = trials.completed(rounds[k], _alike(item, rounds[k]), item.insertion.law)
     best = rounds[len(chosen) - 1].best
     if best is not None and best.fit.criterion < chosen[-1].fit.criterion - trials.slack:
         chosen = (*chosen[:-1], best)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,13 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence
+from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence, Promise
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Fit, fit_from_plain, fit_to_plain, is_adequate
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
+from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
+from rotorsim.diagnosis.search.promises import at_rival_places, likely_of, misfit_of, most_promising
+from rotorsim.diagram.resolve.registry import is_built_in
 from rotorsim.identification.coordinates import ANGLE_UNIT
-from rotorsim.identification.profile import Z90
 from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
 from rotorsim.jobs.threads import one_thread
 
@@ -24,10 +26,8 @@ MOST_FITS = 90  # in one round; places beyond are screened
 # times the least misfit that any place allows: places that allow no less are not looked at. The bound is that of free
 # harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it
 POSSIBLE = 10.0
-MOST_LAWS = 16  # fitted in one round, where what laws promise is known
 DECLARED = 2  # starts of a law that are tried beside one that is known to be near
 AGAIN = 8  # of the best of an earlier round
-PROMISED = 3.0  # times the least misfit that is promised: within, each law is fitted at its best place
 BATCHES = 4  # of jobs, for every process
 FIRST_EVALUATIONS, SECOND_EVALUATIONS = 5, 15  # of a nonlinear diagram, before it is judged whether it is worth more
 LAST_EVALUATIONS = 3  # where the data are explained already, and only rivals are looked for
@@ -39,73 +39,6 @@ STARTED = 0.1  # share of what the best explains: of nonlinear laws below, SECON
 RESTART = 0.1  # of its scale: how far off a bound a parameter of the diagram begins again
 RIVAL_MISFIT = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
 
-_Job = tuple[dict[str, Any], list[list[dict[str, float]]]]  # a document with an insertion, groups of starts
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """An insertion and the refitted diagram with it.
-
-    astray: parameters of the diagram that have left all reason. final: whether the fit was carried to the end.
-    """
-
-    insertion: Insertion
-    fit: Fit
-    astray: str = ""
-    final: bool = True
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """The names of the parameters of the fault in the diagram."""
-        return tuple(name for name in self.insertion.free if name in self.fit.values)
-
-    @property
-    def ended(self) -> tuple[str, ...]:
-        """The parameters of the fault that ended at a bound."""
-        ended = {item.name for item, end in zip(self.fit.free, self.fit.at_bound, strict=True) if end}
-        return tuple(name for name in self.parameters if name in ended)
-
-    @property
-    def physical(self) -> bool:
-        """Whether this can be: see `unphysical`."""
-        return not self.unphysical
-
-    @property
-    def unphysical(self) -> str:
-        """Why this cannot be, empty where it can.
-
-        A parameter of the fault ended at a bound; none of its sizes differs significantly from zero (their 90 %
-        intervals hold it, were the rest of its law known); or it needs a parameter of the diagram far beyond all
-        reason, as one that cancels the effect is.
-        """
-        fit = self.fit
-        if fit.failure:
-            return ""
-        if self.ended:
-            return f"its {', '.join(name.rpartition('.')[2] for name in self.ended)} ended at a physical bound"
-        names = [item.name for item in fit.free]
-        sizes = [name for name in self.parameters if name.rpartition(".")[2] in self.insertion.fault.sizes]
-        std = fit.alone if len(fit.alone) else np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-        significant = (abs(fit.theta[j]) > Z90 * std[j] for j in map(names.index, sizes))
-        if sizes and not any(significant):
-            keys = " and ".join(name.rpartition(".")[2] for name in sizes)
-            return f"its {keys} is not significantly different from zero"
-        return f"needs {self.astray}" if self.astray else ""
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """One round of the selection: what was tried on top of ``before``, the best first; classes: of free signals."""
-
-    before: Fit
-    tried: tuple[Candidate, ...]
-    classes: tuple[PlaceClass, ...] = ()
-
-    @property
-    def best(self) -> Candidate | None:
-        """The best candidate that is physical."""
-        return next((item for item in self.tried if not item.fit.failure and item.physical), None)
-
 
 class Trials:
     """Insertions into fitted diagrams, each refitted; ``slack``: of the misfit, what says nothing.
@@ -116,6 +49,7 @@ class Trials:
     def __init__(self, evidence: Evidence, catalogue: Catalogue, jobs: Jobs, earlier: Round | None = None) -> None:
         self.evidence, self.catalogue, self.jobs = evidence, catalogue, jobs
         best = [] if earlier is None else [item for item in earlier.tried if not item.fit.failure][:AGAIN]
+        self.likely = None if earlier is None else earlier.likely
         self.known = {item.insertion.key: {name: item.fit.values[name] for name in item.parameters} for item in best}
         self.counts = {"fits": 0, "rounds": 0}
         self.nominal: dict[str, float] = {}
@@ -134,6 +68,8 @@ class Trials:
         jobs = []
         away = self._off_bounds(before)
         classes: Sequence[PlaceClass] = ()
+        elsewhere: list[tuple[Insertion, Job]] = []
+        likely: frozenset[str] | None = None
         for item in found:
             sizes = sizes_at(item, largest)
             starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
@@ -144,12 +80,18 @@ class Trials:
             jobs.append((item.document(document, {**fixed, **starts[0]}, limits_of(item, sizes)), groups))
         if len(jobs) > MOST_FITS or self.evidence.costly or any(item.fault.enters == "signal" for item in found):
             places = self.evidence.bounds(before)
-            kept = self._screened(before, found, jobs, places)
             classes = () if places is None else places.classes
+            kept, promises = self._screened(before, found, jobs, places)
             kept += [k for k, item in enumerate(found) if item.key in self.known and k not in kept]
-            led = {k: {} if places is None else dict(places.start(found[k])) for k in kept}
-            jobs = [(jobs[k][0], _led(jobs[k][1], self.known.get(found[k].key) or led[k])) for k in kept]
-            found = [found[k] for k in kept]
+            near = at_rival_places(found, promises, before, kept)
+            starts_at = {k: {} if (one := promises[k]) is None else dict(one.start) for k in (*kept, *near)}
+            jobs = [
+                (job[0], _led(job[1], self.known.get(found[k].key) or starts_at.get(k, {})))
+                for k, job in enumerate(jobs)
+            ]
+            elsewhere = [(found[k], jobs[k]) for k in near]
+            likely = likely_of(found, promises, before)
+            jobs, found = [jobs[k] for k in kept], [found[k] for k in kept]
         self.counts["fits"] += len(found)
         fits = self._fit(jobs, FIRST_EVALUATIONS, linear_only=True)
         later = [k for k, fit in enumerate(fits) if fit.failure == DEFERRED]
@@ -162,23 +104,30 @@ class Trials:
             Candidate(item, fit, self._astray(before, fit), bool(fit.failure) or not fit.nonlinear or k in ended)
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
         ]
-        return Round(before, tuple(_simplest_first(tried, self.slack)), tuple(classes))
+        return Round(before, tuple(simplest_first(tried, self.slack)), tuple(classes), tuple(elsewhere), likely)
 
-    def completed(self, found: Round, physics: Collection[str]) -> Round:
-        """Return a round with these physics carried to the end, each law at its best place."""
+    def completed(self, found: Round, physics: Collection[str], law: tuple[str, int] | None = None) -> Round:
+        """Return a round with these physics carried to the end, each law at its best place, and one at its rivals'."""
         tried = list(found.tried)
+        elsewhere = [pair for pair in found.elsewhere if pair[0].law == law]
         best: dict[tuple[str, int], int] = {}
         for k in sorted(range(len(tried)), key=lambda k: tried[k].fit.misfit):
             item = tried[k]
             if item.insertion.physics in physics and not item.fit.failure:
                 best.setdefault(item.insertion.law, k)
         which = [k for k in best.values() if not tried[k].final]
-        jobs: list[_Job] = [(values_in(tried[k].fit.document, tried[k].fit.values), [[{}]]) for k in which]
-        for k, fit in zip(which, self._fit(jobs, None), strict=True):
+        if not which and not elsewhere:
+            return found
+        jobs: list[Job] = [(values_in(tried[k].fit.document, tried[k].fit.values), [[{}]]) for k in which]
+        fits = self._fit([*jobs, *(job for _, job in elsewhere)], None)
+        for k, fit in zip(which, fits, strict=False):
             better = not fit.failure and fit.misfit <= tried[k].fit.misfit
             fit = fit if better else tried[k].fit
             tried[k] = Candidate(tried[k].insertion, fit, self._astray(found.before, fit))
-        return replace(found, tried=tuple(_simplest_first(tried, self.slack))) if which else found
+        for (insertion, _), fit in zip(elsewhere, fits[len(which) :], strict=True):
+            tried.append(Candidate(insertion, fit, self._astray(found.before, fit)))
+        left = tuple(pair for pair in found.elsewhere if pair not in elsewhere)
+        return replace(found, tried=tuple(simplest_first(tried, self.slack)), elsewhere=left)
 
     def _astray(self, before: Fit, fit: Fit) -> str:
         """Return in words the parameters of the diagram that are ``astray`` times what was given and fitted.
@@ -206,23 +155,53 @@ class Trials:
         return found
 
     def _screened(
-        self, before: Fit, candidates: Sequence[Insertion], jobs: Sequence[_Job], places: Bounds | None
+        self, before: Fit, candidates: Sequence[Insertion], jobs: Sequence[Job], places: Bounds | None
+    ) -> tuple[list[int], Sequence[Promise | None]]:
+        """Return which insertions are fitted, and what each promises where that is known of laws."""
+        if places is not None and places.by_law and not self.evidence.costly:
+            likely = [k for k, item in enumerate(candidates) if self.likely is None or item.key in self.likely]
+            promises: list[Promise | None] = [Promise(np.inf)] * len(candidates)
+            for k, one in zip(likely, self._promised([candidates[k] for k in likely], places), strict=True):
+                promises[k] = one
+            self.likely = None
+            return most_promising(candidates, [misfit_of(one) for one in promises], before), promises
+        return self._at_likely_places(before, candidates, jobs, places), [None] * len(candidates)
+
+    def _promised(self, candidates: Sequence[Insertion], places: Bounds) -> list[Promise | None]:
+        """Return what laws promise, shared out over all workers, all places of a law together.
+
+        Blocks of the user are not known there.
+        """
+        of_law: dict[tuple[str, int], list[int]] = {}
+        for k, item in enumerate(candidates):
+            of_law.setdefault(item.law if is_built_in(item.kind) else ("", 0), []).append(k)
+        here = of_law.pop(("", 0), [])
+        batches: list[list[int]] = [[] for _ in range(self.jobs.processes)]
+        for which in sorted(of_law.values(), key=len, reverse=True):
+            min(batches, key=len).extend(which)
+        arguments = [([candidates[k] for k in batch], places) for batch in (*batches, here)]
+        given = [*run_jobs(_promised_batch, arguments[:-1], jobs=self.jobs), _promised_batch(arguments[-1])]
+        found: list[Promise | None] = [None] * len(candidates)
+        for batch, promises in zip((*batches, here), given, strict=True):
+            for k, one in zip(batch, promises, strict=True):
+                found[k] = None if one is None else Promise(*one)
+        return found
+
+    def _at_likely_places(
+        self, before: Fit, candidates: Sequence[Insertion], jobs: Sequence[Job], places: Bounds | None
     ) -> list[int]:
         """Return which insertions are fitted where places are many: each law at its best place, then the best places.
 
         A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
         """
         if self.evidence.costly:
-            return _most_promising(candidates, self._promises(jobs), before)
-        if places is not None and places.by_law:
-            with one_thread():
-                return _most_promising(candidates, [places.bound(item) for item in candidates], before)
+            return most_promising(candidates, self._promises(jobs), before)
         if is_adequate(before):
             return self._promising(candidates, jobs, before.misfit - HINT * MOST_FITS)
         if places is None:
             return self._promising(candidates, jobs)
         with one_thread():
-            bounds = [places.bound(item) for item in candidates]
+            bounds = [misfit_of(one) for one in places.promises(candidates)]
         known = sorted({bound for bound in bounds if bound is not None})
         if not known:
             return self._promising(candidates, jobs)
@@ -240,7 +219,7 @@ class Trials:
             kept += here
         return kept
 
-    def _promising(self, candidates: Sequence[Insertion], jobs: Sequence[_Job], most: float = np.inf) -> list[int]:
+    def _promising(self, candidates: Sequence[Insertion], jobs: Sequence[Job], most: float = np.inf) -> list[int]:
         """Return the best place of each law, and the next best below ``most``, by what one step promises."""
         promises = np.array(self._promises(jobs))
         order = np.argsort(promises, kind="stable")
@@ -258,19 +237,17 @@ class Trials:
             seen.add(law)
         return [*first, *second[: max(MOST_FITS - len(first), MOST_FITS // 3)]]
 
-    def _promises(self, jobs: Sequence[_Job]) -> list[float]:
+    def _promises(self, jobs: Sequence[Job]) -> list[float]:
         return [np.inf if isinstance(item, Failure) else item for item in self._spread(_promise_batch, jobs, ())]
 
-    def _fit(self, jobs: Sequence[_Job], most: int | None, *, linear_only: bool = False) -> list[Fit]:
+    def _fit(self, jobs: Sequence[Job], most: int | None, *, linear_only: bool = False) -> list[Fit]:
         fits = self._spread(_fit_batch, jobs, (most, linear_only))
         return [
             Fit(document, failure=plain.text) if isinstance(plain, Failure) else fit_from_plain(document, plain)
             for (document, _), plain in zip(jobs, fits, strict=True)
         ]
 
-    def _spread(
-        self, function: Callable[[Any], list[Any]], jobs: Sequence[_Job], options: tuple[Any, ...]
-    ) -> list[Any]:
+    def _spread(self, function: Callable[[Any], list[Any]], jobs: Sequence[Job], options: tuple[Any, ...]) -> list[Any]:
         """Return what a function gives for every job, in batches over all workers; `Failure` where a batch is lost."""
         if not jobs:
             return []
@@ -285,16 +262,16 @@ class Trials:
         return out
 
     def _refined(
-        self, before: Fit, jobs: Sequence[_Job], fits: list[Fit], laws: Sequence[tuple[str, int]]
+        self, before: Fit, jobs: Sequence[Job], fits: list[Fit], laws: Sequence[tuple[str, int]]
     ) -> tuple[list[Fit], set[int]]:
         """Return the fits, and which of them were carried to the end: those that promise most.
 
         laws: physics and variant of each. Where one of all explains the data, only those near it matter any more.
         """
         if not any(is_adequate(fit) for fit in fits):
-            order = [k for k in _by_misfit(fits) if fits[k].nonlinear]
+            order = [k for k in _bymisfit_of(fits) if fits[k].nonlinear]
             self._again(jobs, fits, order[:SECOND_STAGE_FITS], SECOND_EVALUATIONS)
-        order = _by_misfit(fits)
+        order = _bymisfit_of(fits)
         if is_adequate(before):  # only what is not noise matters
             order = [k for k in order if before.misfit - fits[k].misfit > HINT * len(fits[k].free)][:SECOND_STAGE_FITS]
         elif any(is_adequate(fit) for fit in fits):
@@ -306,16 +283,16 @@ class Trials:
                     best_of.setdefault(laws[k], k)
                 self._again(jobs, fits, [k for k in best_of.values() if _is_slow(fits[k], slow)], SECOND_EVALUATIONS)
             order = [
-                k for k in _by_misfit(fits) if fits[k].misfit < RIVAL_MISFIT * least and not _is_slow(fits[k], slow)
+                k for k in _bymisfit_of(fits) if fits[k].misfit < RIVAL_MISFIT * least and not _is_slow(fits[k], slow)
             ]
         else:
             order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < PROMISING * before.misfit]
         self._again(jobs, fits, order, None)
         return fits, set(order)
 
-    def _again(self, jobs: Sequence[_Job], fits: list[Fit], which: Sequence[int], most: int | None) -> None:
+    def _again(self, jobs: Sequence[Job], fits: list[Fit], which: Sequence[int], most: int | None) -> None:
         """Carry some fits on from where they are, in place."""
-        continued: list[_Job] = []
+        continued: list[Job] = []
         for k in which:
             away = {} if fits[k].nonlinear else self._off_bounds(fits[k])
             continued.append((values_in(jobs[k][0], fits[k].values), [[{}], *([[away]] if away else [])]))
@@ -355,20 +332,6 @@ class Trials:
         return (*kept, Candidate(entered[-1], fit))
 
 
-def _most_promising(candidates: Sequence[Insertion], bounds: Sequence[float | None], before: Fit) -> list[int]:
-    """Return the insertions of which nothing is known, and those that promise most: each law first."""
-    kept = [k for k, bound in enumerate(bounds) if bound is None]
-    promised = {k: bound for k, bound in enumerate(bounds) if bound is not None and bound < before.misfit}
-    order = sorted(promised, key=lambda k: promised[k])
-    best: dict[tuple[str, int], int] = {}
-    for k in order:
-        if promised[k] <= PROMISED * max(promised[order[0]], before.freedom):
-            best.setdefault(candidates[k].law, k)
-    first = list(best.values())[:MOST_LAWS]
-    more = [k for k in order if k not in first and promised[k] <= PROMISED * max(promised[order[0]], before.freedom)]
-    return [*kept, *first, *more[: max(MOST_LAWS - len(first), 0)]]
-
-
 def _led(groups: list[list[dict[str, float]]], start: dict[str, float]) -> list[list[dict[str, float]]]:
     """Return one that is known to be near, the same beside the diagram as given, and DECLARED starts, in one group."""
     if not start:
@@ -381,26 +344,23 @@ def _is_slow(fit: Fit, most: float) -> bool:
     return fit.nonlinear and fit.misfit > most
 
 
-def _by_misfit(fits: Sequence[Fit]) -> list[int]:
+def _bymisfit_of(fits: Sequence[Fit]) -> list[int]:
     return sorted((k for k, fit in enumerate(fits) if not fit.failure), key=lambda k: fits[k].misfit)
 
 
-def _simplest_first(tried: list[Candidate], slack: float) -> list[Candidate]:
-    """Return candidates by their criterion; of those that it does not tell from the best, the simplest first."""
-    tried = sorted(tried, key=lambda item: (bool(item.fit.failure), item.fit.criterion))
-    least = next((item.fit.criterion for item in tried if not item.fit.failure and item.physical), np.inf)
-    near = [item for item in tried if not item.fit.failure and item.physical and item.fit.criterion <= least + slack]
-    near.sort(key=lambda item: (len(item.fit.free), item.fit.criterion))
-    return [*near, *(item for item in tried if item not in near)]
-
-
-def _promise_batch(argument: tuple[list[_Job], Evidence]) -> list[float]:
+def _promise_batch(argument: tuple[list[Job], Evidence]) -> list[float]:
     batch, evidence = argument
     with one_thread():
         return [evidence.promise(document, starts) for document, starts in batch]
 
 
-def _fit_batch(argument: tuple[list[_Job], Evidence, int | None, bool]) -> list[dict[str, Any]]:
+def _promised_batch(argument: tuple[list[Insertion], Bounds]) -> list[tuple[float, dict[str, float]] | None]:
+    items, places = argument
+    with one_thread():
+        return [None if one is None else (one.misfit, dict(one.start)) for one in places.promises(items)]
+
+
+def _fit_batch(argument: tuple[list[Job], Evidence, int | None, bool]) -> list[dict[str, Any]]:
     batch, evidence, most, linear_only = argument
     with one_thread():
         return [

@@ -104,6 +104,11 @@ class Registry:
                 self.problems.warning(what, subject, place)
 
 
+def is_built_in(block_type: type[Block]) -> bool:
+    """Return whether a block type comes with rotorsim, so that every process knows it."""
+    return block_type.__module__ in _built_in().values()
+
+
 @cache
 def _built_in() -> dict[str, str]:
     """Return type name -> module of the block files in the folders of all categories."""

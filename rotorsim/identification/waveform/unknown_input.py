@@ -179,7 +179,9 @@ class UnknownInputs:
         """Return the best free signal at every place (default: all) that shows in the outputs, the likeliest first."""
         places = [k for k in (range(len(self.scales)) if places is None else places) if np.isfinite(self.scales[k])]
         strengths = (STRENGTHS if all(run.constant for run in self.runs) else STRENGTHS[::4]).tolist()
-        same = self._proportional(places)
+        same: dict[int, list[int]] = {}
+        for place, (first, _) in zip(places, self.proportional(places), strict=True):
+            same.setdefault(first, []).append(place)
         best: dict[int, SignalEstimate] = {}
         left = [*same]
         while left and strengths[-1] <= STRONGEST:
@@ -196,17 +198,27 @@ class UnknownInputs:
         every = (replace(best[k], place=p, scale=float(self.scales[p])) for k in best for p in same[k])
         return sorted(every, key=lambda item: item.deviance)
 
-    def _proportional(self, places: Sequence[int]) -> dict[int, list[int]]:
-        """Return places by the first of those that act on states and outputs in proportion, as likely as it."""
+    def proportional(self, places: Sequence[int]) -> list[tuple[int, float]]:
+        """Return of each place the first that acts on states and outputs in proportion, and the factor of its signals.
+
+        Signals that are larger by the factor than those at the first change the outputs as much; both are as likely.
+        """
         enters = [np.concatenate([run.G, run.D], axis=1).reshape(-1, len(self.scales)) for run in self.runs]
-        columns = np.concatenate(enters)[:, places] * self.scales[places]
-        found: dict[int, list[int]] = {}
-        for k, place in enumerate(places):
-            own = columns[:, k]
-            least = PARALLEL * np.abs(own).max(initial=0.0)
-            others = ((first, columns[:, places.index(first)]) for first in found)
-            like = (first for first, one in others if min(np.abs(own - one).max(), np.abs(own + one).max()) <= least)
-            found.setdefault(next(like, place), []).append(place)
+        columns = np.concatenate(enters)[:, places]
+        sizes = np.linalg.norm(columns, axis=0)
+        unit = columns / np.where(sizes > 0, sizes, 1.0)
+        found: list[tuple[int, float]] = []
+        firsts: list[int] = []
+        for k in range(len(places)):
+            signs = np.sign(unit[:, firsts].T @ unit[:, k])
+            off = np.abs(unit[:, firsts] * signs - unit[:, [k]]).max(axis=0, initial=0.0)
+            near = off <= PARALLEL * np.abs(unit[:, k]).max(initial=0.0)
+            if sizes[k] > 0 and near.any():
+                n = int(np.argmax(near))
+                found.append((places[firsts[n]], float(signs[n] * sizes[firsts[n]] / sizes[k])))
+            else:
+                firsts.append(k)
+                found.append((places[k], 1.0))
         return found
 
     def _innovations(

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from rotorsim.diagnosis.conclude.result import Diagnosis, Effect
-from rotorsim.diagnosis.search.trials import Candidate, Round
+from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.errors import escape
 from rotorsim.report.diagnosis.compared import looks_of
 from rotorsim.report.diagnosis.page import paragraph, table

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorsim.diagnosis.conclude.result import estimates
 from rotorsim.diagnosis.evidence.fit import Fit
-from rotorsim.diagnosis.search.trials import Candidate
+from rotorsim.diagnosis.search.candidates import Candidate
 from rotorsim.diagram.resolve.registry import all_types
 from rotorsim.units import format_quantity
 

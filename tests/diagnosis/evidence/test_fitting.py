@@ -14,11 +14,13 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.conclude.verdict import effect_of
+from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Fit, fit_from_plain, fit_to_plain
 from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
 from rotorsim.diagnosis.evidence.harmonic.fitting import _alone
+from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.diagnosis.search.selection import least_gain
-from rotorsim.diagnosis.search.trials import SECOND_EVALUATIONS, Candidate, Round, Trials
+from rotorsim.diagnosis.search.trials import SECOND_EVALUATIONS, Trials
 from rotorsim.diagram.diagram import Free
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.identification.coordinates import Coordinates
@@ -233,9 +235,9 @@ def test_every_law_is_fitted_at_its_best_place_however_many_places_there_are(mon
     items = [("second_crack", 2, 4e3), ("rub", 4, 5e4), ("rub", 3, 9e7), ("runout", 1, 4.9e4), ("runout", 2, 4e7)]
     items += [("seal", node, 6e4 + node) for node in range(100)]
     found = [SimpleNamespace(physics=p, law=(p, 0), node=node, left=left) for p, node, left in items]
-    places = SimpleNamespace(by_law=False, bound=lambda item: item.left)
+    places = SimpleNamespace(by_law=False, promises=lambda items: [Promise(item.left) for item in items])
     trials = Trials(SimpleNamespace(costly=False), Catalogue(), Jobs())
-    kept = trials._screened(Fit({}, misfit=1e8, rows=9, equations=9), found, [({}, [])] * len(found), places)
+    kept, _ = trials._screened(Fit({}, misfit=1e8, rows=9, equations=9), found, [({}, [])] * len(found), places)
     told = {(found[k].physics, found[k].node) for k in kept}
     assert told == {("second_crack", 2), ("rub", 4), ("runout", 1), ("seal", 0)}
     assert len(kept) == len(told)

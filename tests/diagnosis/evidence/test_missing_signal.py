@@ -145,3 +145,21 @@ def test_a_map_explains_what_follows_from_a_signal_and_nothing_else():
     seldom = random.normal(size=4000) ** 3
     assert explained_by(seldom, np.maximum(seldom - 3, 0)) > 0.95  # a stop that is hardly ever reached
     assert explained_by(np.ones(4000), x) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_what_only_adds_promises_the_same_where_places_act_in_proportion(lacking):
+    """A function of the reference, added to the brake's force or, negative, to the sum behind it."""
+    evidence, before, *_ = lacking
+    found = Catalogue.of(evidence.load(before.document), {"cross_talk"}, False)
+    items = found.candidates(evidence.load(before.document), evidence.recorded)
+    pairs = [item for item in items if item.depends_on and not item.spot.side]
+    alike = {}
+    for item, promise in zip(pairs, evidence.bounds(before).promises(pairs), strict=True):
+        alike.setdefault((item.depends_on, promise.misfit), []).append((item, promise))
+    shared = [group for group in alike.values() if len(group) > 1]
+    assert shared
+    for group in shared:
+        for item, promise in group:
+            [alone] = evidence.bounds(before).promises([item])
+            assert promise.misfit == pytest.approx(alone.misfit, rel=1e-6)
+            assert list(promise.start.values()) == pytest.approx(list(alone.start.values()), rel=1e-4)

@@ -6,13 +6,14 @@ diagram's own parameters, the misfit is the least that any fault candidate can r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import numpy as np
 
 from rotorsim.block import In
 from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import FAILURES, Fit
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagram.diagram import Diagram
@@ -40,9 +41,9 @@ class LowerBounds:
         key = self.entries(item)
         return None if key is None else self._bound(key)
 
-    def start(self, item: Insertion) -> Mapping[str, float]:
-        """Return nothing: a place says nothing of the parameters of a law."""
-        return {}
+    def promises(self, items: Sequence[Insertion]) -> list[Promise | None]:
+        """Return the bounds of insertions; a place says nothing of the parameters of a law."""
+        return [None if (bound := self.bound(item)) is None else Promise(bound) for item in items]
 
     def least(self, item: Insertion) -> list[tuple[float, float]] | None:
         """Return of each run the least misfit that an insertion can leave, and the equations that are left then."""

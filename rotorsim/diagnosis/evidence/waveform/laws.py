@@ -22,17 +22,16 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot, fixed_of, limits_of, sizes_at, starts_of
+from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
+from rotorsim.diagnosis.evidence.waveform.driven_law import LAW, OTHER, WIRE, DrivenLaw, View
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.fault import Fault
-from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
+from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.equations import driven_equations
 from rotorsim.identification.waveform.linearised import LinearisedRun, Place
-from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS
-from rotorsim.identification.waveform.simulation import LARGE, Simulation
-from rotorsim.identification.waveform.unknown_input import SignalEstimate, Smoothed, UnknownInputs, Whitening
+from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.identification.waveform.unknown_input import SignalEstimate, Smoothed, UnknownInputs
 
-WIRE, OTHER, LAW = "wire", "other", "law"
 SMOOTHED_PLACES = 8  # the likeliest, where the signal that the place carries is estimated, too
 STEPS = 6  # Gauss-Newton steps from the best start
 SETTLED = 1e-3  # relative fall of the misfit in a step, below which it was the last
@@ -41,14 +40,7 @@ DAMPED = (0.0, 0.03, 1.0)  # of the scaled information, until a step helps (Leve
 WEAKER = 0.1  # times the strength of the likeliest free signal: beside the law, a hundredth of its power is left
 POSSIBLE = 10.0  # times the misfit of the best free signal, or of noise: beyond, a place is not looked at
 WORTH = 10.0  # fall of the misfit by the shape alone, from which on a law is fitted
-
-
-@dataclass(frozen=True, eq=False)
-class Promise:
-    """What a law would leave, and from where its parameters are to start, {free parameter: SI value}."""
-
-    misfit: float
-    start: Mapping[str, float]
+PAIRS = 12  # of place and other signal at which a nonlinear law is fitted: the best by its shape as it starts
 
 
 def spot_of(place: Place) -> Spot:
@@ -80,55 +72,72 @@ class LawBounds:
         self.runs, self.sampled, self.places, self.unknown = runs, sampled, places, unknown
         self.theta, self.roots, self.sizes, self.load = theta, roots, sizes, load
         self.rows = sum(run.residual.shape[0] for run in runs) * float(np.sum((roots * unknown.noise) ** 2))
-        self._impulses: dict[int, list[np.ndarray]] = {}
-        self._laws: dict[tuple[Any, ...], Simulation] = {}
-        self._known: dict[str, Promise | None] = {}
-        self._plain: _View | None = None
-        self._beside_free: dict[int, _View | None] = {}
+        self._transfers: dict[int, np.ndarray] = {}
+        self._laws: dict[tuple[Any, ...], DrivenLaw] = {}
+        self._plain: View | None = None
+        self._beside_free: dict[int, View | None] = {}
 
     @cached_property
     def estimates(self) -> list[SignalEstimate]:
         """Free signals at all places that show, the likeliest first."""
         return self.unknown.estimates()
 
-    def bound(self, item: Insertion) -> float | None:
-        """Return the misfit that a law promises, None where it is no law of a signal."""
-        promise = self.promise(item)
-        return None if promise is None else promise.misfit
+    def promises(self, items: Sequence[Insertion]) -> list[Promise | None]:
+        """Return what laws promise at their places, None of what is no law of a signal there.
 
-    def start(self, item: Insertion) -> Mapping[str, float]:
-        """Return from where a law is to start, {free parameter: SI value}; nothing where nothing is known."""
-        promise = self.promise(item)
-        return {} if promise is None else promise.start
+        What only adds a function of another signal does the same, but for a factor, at places that act in proportion.
+        """
+        found: dict[str, Promise] = {}
+        alike: dict[tuple[Any, ...], list[_Placed]] = {}
+        of_law: dict[tuple[str, int], list[_Placed]] = {}
+        for item in (one for one in map(self._placed, items) if one is not None):
+            alike.setdefault(item.like, []).append(item)
+        for first, *_ in alike.values():
+            of_law.setdefault(first.item.law, []).append(first)
+        for group in of_law.values():
+            found |= self._of_law(group)
+        for first, *others in alike.values():
+            for one in others:
+                found[one.item.key] = one.scaled(found[first.item.key], one.factor / first.factor)
+        return [found.get(item.key) for item in items]
 
-    def promise(self, item: Insertion) -> Promise | None:
-        """Return what a law promises at its place, None where it is no law of a signal."""
-        if item.fault.enters != "signal":
-            return None
-        if item.key not in self._known:
-            self._known[item.key] = self._promise(item)
-        return self._known[item.key]
+    def _of_law(self, group: Sequence[_Placed]) -> dict[str, Promise]:
+        """Return what one law promises at places; of many pairs with another signal, the PAIRS best are fitted."""
+        nonlinear = group[0].item.depends_on and not group[0].law.sizes.all()
+        if not nonlinear or len(group) <= PAIRS:
+            return {one.item.key: self._promise(one, STEPS) for one in group}
+        shapes = {one.item.key: self._promise(one, 0) for one in group}
+        best = sorted(group, key=lambda one: shapes[one.item.key].misfit)[:PAIRS]
+        return shapes | {one.item.key: self._promise(one, STEPS) for one in best}
 
-    def _promise(self, item: Insertion) -> Promise | None:
+    def _placed(self, item: Insertion) -> _Placed | None:
+        """Return a law at its place; None where it is no law of a signal, or there is no such place or other signal."""
         here = Place(f"{item.spot.block}.{item.spot.port}", item.spot.side)
-        if here not in self.places:
+        others = [k for k, other in enumerate(self.places) if other.port == item.depends_on][:1]
+        if item.fault.enters != "signal" or here not in self.places or (item.depends_on and not others):
             return None
-        place = self.places.index(here)
+        sizes, place = sizes_at(item, self.sizes), self.places.index(here)
+        law = self._law(item, fixed_of(item, sizes), limits_of(item, sizes))
+        starts = [np.array([start[key] for key in item.fault.free]) for start in starts_of(item, sizes)]
+        first, factor = self._proportional[place] if item.depends_on and law.adds else (place, 1.0)
+        return _Placed(item, law, (place, *others), starts, (item.law, item.depends_on, first), factor)
+
+    @cached_property
+    def _proportional(self) -> list[tuple[int, float]]:
+        """Of each place the first that acts in proportion to it, and the factor of signals there that do the same."""
+        return self.unknown.proportional(range(len(self.places)))
+
+    def _promise(self, one: _Placed, steps: int) -> Promise:
+        """Return what a law promises at its place after some steps."""
+        place = one.wires[0]
         free = self._free.get(place, np.inf)
         if free > POSSIBLE * max(min(self._free.values(), default=np.inf), self.rows):
             return Promise(free, {})  # no law leaves less than a free signal does there
-        others = [k for k, other in enumerate(self.places) if other.port == item.depends_on][:1]
-        if item.depends_on and not others:
-            return None
-        sizes = sizes_at(item, self.sizes)
-        law = self._law(item, fixed_of(item, sizes), limits_of(item, sizes))
-        given = [np.array([start[key] for key in item.fault.free]) for start in starts_of(item, sizes)]
         best = Promise(np.inf, {})
         for carried, view in self._ways(place):
-            wires = [wire[:, [place, *others]] for wire in carried]
-            misfit, eta = self._fitted(_Law.of(law, self._sampled_wires(wires), item.fault), place, given, view)
+            misfit, eta = self._fitted(one, [wire[:, one.wires] for wire in carried], view, steps)
             if misfit < min(best.misfit, view.before - WORTH if view.offset else np.inf):
-                best = Promise(misfit, dict(zip(item.free, eta.tolist(), strict=True)))
+                best = Promise(misfit, dict(zip(one.item.free, eta.tolist(), strict=True)))
         return best
 
     @property
@@ -152,15 +161,20 @@ class LawBounds:
         factor = float(np.mean((self.roots * self.unknown.noise) ** 2))
         return {item.place: factor * item.misfit for item in self.estimates}
 
-    def _fitted(self, law: _Law, place: int, starts: Sequence[np.ndarray], view: _View) -> tuple[float, np.ndarray]:
+    def _fitted(self, one: _Placed, wires: Sequence[np.ndarray], view: View, steps: int) -> tuple[float, np.ndarray]:
         """Return the misfit and the parameters of a law: the best start, then Gauss-Newton steps where it is worth it.
 
         What a start adds may be of any size at first, so that a start need only be of the right shape.
         """
-        residual = view.residual
-        before = view.before
-        trials = [law.within(eta) for eta in starts]
-        shapes = [self._added(law, place, eta, view)[:, 0] for eta in trials]
+
+        def added(eta: np.ndarray, *, slopes: bool = False) -> np.ndarray:
+            """Return what the law changes beside the diagram's parameters, weighted, (rows, 1 (+ m))."""
+            signals = law.added(eta, self.sampled, wires, slopes=slopes)
+            return view.beside(self._responses(one.wires[0], signals))
+
+        law, residual, before = one.law, view.residual, view.before
+        trials = [law.within(eta) for eta in one.starts]
+        shapes = [added(eta)[:, 0] for eta in trials]
         gains = [max(float(a @ residual), 0.0) ** 2 / max(float(a @ a), 1e-300) for a in shapes]
         k = int(np.argmax(gains))
         eta, least = trials[k], before - gains[k]
@@ -169,20 +183,24 @@ class LawBounds:
         if law.sizes.any():  # of the size at once, or the first step changes where the law begins to act instead
             factor = float(shapes[k] @ residual) / float(shapes[k] @ shapes[k])
             eta = law.within(np.where(law.sizes, factor * eta, eta))
-            shapes[k] = self._added(law, place, eta, view)[:, 0]
+            shapes[k] = added(eta)[:, 0] if steps else factor * shapes[k]
         left = residual - shapes[k]
         here = float(left @ left)
-        for _ in range(STEPS):
-            slopes = self._added(law, place, eta, view, slopes=True)[:, 1:]
+        for _ in range(steps):
+            slopes = added(eta, slopes=True)[:, 1:]
             norm = np.linalg.norm(slopes, axis=0)
             scaled = slopes / np.where(norm > 0, norm, 1.0)
             H, g, fell = scaled.T @ scaled, scaled.T @ left, 0.0
+            promised = float(g @ np.linalg.lstsq(H, g, rcond=1e-12)[0])
+            if promised < SETTLED * here:
+                break
             for damping in DAMPED:
                 step = np.linalg.lstsq(H + damping * np.eye(len(H)), g, rcond=1e-12)[0] / np.where(norm > 0, norm, 1.0)
                 trial = law.within(eta + step)
-                after = residual - self._added(law, place, trial, view)[:, 0]
+                after = residual - added(trial)[:, 0]
                 if (cost := float(after @ after)) < here:
-                    fell = 1 - cost / here
+                    linear = isclose(here - cost, promised, rel_tol=SETTLED)
+                    fell = 0.0 if linear else 1 - cost / here
                     eta, left, here = trial, after, cost
                     break
             if fell < SETTLED:
@@ -190,22 +208,17 @@ class LawBounds:
         here += view.offset
         return (here if here < least or not np.isfinite(least) else max(least, 0.0)), eta
 
-    def _added(self, law: _Law, place: int, eta: np.ndarray, view: _View, *, slopes: bool = False) -> np.ndarray:
-        """Return what a law changes of all outputs beside the diagram's parameters, weighted, (rows, 1 (+ m))."""
-        added = [law.added(eta, r, slopes=slopes) for r in range(len(self.runs))]
-        return view.beside([self._response(place, r, d) for r, d in enumerate(added)])
-
-    def _ways(self, place: int) -> Iterator[tuple[list[np.ndarray], _View]]:
+    def _ways(self, place: int) -> Iterator[tuple[list[np.ndarray], View]]:
         """Yield what all places carry in each run (N, P), and how misfits are judged.
 
-        As simulated, by the outputs; at a likely place also as smoothed with the free signal there, by the outputs and
+        As simulated, by the outputs; at a likely place as smoothed with the free signal there, by the outputs, and
         beside a weaker free signal.
         """
         if self._plain is None:
-            self._plain = _View.of(self.runs, self.roots)
-        yield [run.wires for run in self.runs], self._plain
+            self._plain = View.of(self.runs, self.roots)
         likely = {item.place: item for item in self.estimates[:SMOOTHED_PLACES]}
         if place not in likely:
+            yield [run.wires for run in self.runs], self._plain
             return
         item = likely[place]
         carried = self._smoothed[place].wires
@@ -214,7 +227,7 @@ class LawBounds:
         if alike not in self._beside_free:
             filters = self.unknown.whitening(place, WEAKER * item.strength)
             root = float(np.sqrt(np.mean((self.roots * self.unknown.noise) ** 2)))
-            self._beside_free[place] = None if filters is None else _View.of(self.runs, np.array(root), filters)
+            self._beside_free[place] = None if filters is None else View.of(self.runs, np.array(root), filters)
         if (view := self._beside_free[alike]) is not None:
             yield carried, view
 
@@ -224,20 +237,20 @@ class LawBounds:
         likely = self.estimates[:SMOOTHED_PLACES]
         return {item.place: one for item, one in zip(likely, self.unknown.smoothed(likely), strict=True)}
 
-    def _response(self, place: int, r: int, added: np.ndarray) -> np.ndarray:
-        """Return what signals (N, K) that are added at a place change of the outputs of a run, (N, c, K)."""
-        run, N = self.runs[r], len(added)
-        if not run.constant:
-            return run.responses(place, added)
-        if place not in self._impulses:
-            self._impulses[place] = [one.responses(place, np.eye(len(one.residual), 1))[:, :, 0] for one in self.runs]
+    def _responses(self, place: int, added: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Return what signals (N, K) that are added at a place in each run change of its outputs, (N, c, K)."""
+        sizes = {len(one) for one in added}
+        if len(sizes) > 1 or not all(run.constant for run in self.runs):
+            return [run.responses(place, one) for run, one in zip(self.runs, added, strict=True)]
+        [N] = sizes
         size = next_fast_len(2 * N, real=True)
-        product = rfft(self._impulses[place][r], size, axis=0)[:, :, None] * rfft(added, size, axis=0)[:, None]
-        return np.asarray(irfft(product, size, axis=0)[:N])
+        if place not in self._transfers:
+            impulses = np.stack([run.responses(place, np.eye(N, 1))[:, :, 0] for run in self.runs])
+            self._transfers[place] = rfft(impulses, size, axis=1)[..., None]
+        product = self._transfers[place] * rfft(np.stack(added), size, axis=1)[:, :, None]
+        return list(irfft(product, size, axis=1)[:, :N])
 
-    def _law(
-        self, item: Insertion, fixed: Mapping[str, float], limits: Mapping[str, tuple[float, float]]
-    ) -> Simulation:
+    def _law(self, item: Insertion, fixed: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> DrivenLaw:
         """Return a law alone, driven by a wire, with its parameters free."""
         parameters = {**item.values, **fixed}
         key = (item.kind, tuple(sorted((k, str(v)) for k, v in parameters.items())), tuple(sorted(limits.items())))
@@ -257,96 +270,26 @@ class LawBounds:
                 }
             )
             names = [f"{name}.output" for name in inputs]
-            self._laws[key] = Simulation(driven_equations(diagram, [f"{LAW}.{given}"], names, diagram.free))
+            equations = driven_equations(diagram, [f"{LAW}.{given}"], names, diagram.free)
+            self._laws[key] = DrivenLaw(Simulation(equations), item.fault)
         return self._laws[key]
 
-    def _sampled_wires(self, wires: Sequence[np.ndarray]) -> list[SampledRun]:
-        """Return runs in which a wire, and the other that a law may depend on, carry signals, (N, 1 or 2)."""
-        names = (f"{WIRE}.output", f"{OTHER}.output")
-        kinds = dict.fromkeys(names, "linear")
-        return [
-            SampledRun(run.id, dict(zip(names, both.T, strict=False)), kinds, run.time, {})
-            for run, both in zip(self.sampled, wires, strict=True)
-        ]
-
 
 @dataclass(frozen=True, eq=False)
-class _View:
-    """Outputs of all runs as one column, weighted: as they are, or as innovations of filters.
+class _Placed:
+    """A law at its place: wires, the place and that of the other signal that it may depend on; starts, each (m,).
 
-    basis (rows, m): orthonormal, of what the diagram's parameters change; residual (rows,): beside it. offset: log
-    variances of innovations, in the units of the misfit.
+    like: the same for laws that promise the same, but for factors of what they add.
     """
 
-    weigh: Callable[[Sequence[np.ndarray]], np.ndarray]
-    basis: np.ndarray
-    residual: np.ndarray
-    offset: float
+    item: Insertion
+    law: DrivenLaw
+    wires: tuple[int, ...]
+    starts: Sequence[np.ndarray]
+    like: tuple[Any, ...]
+    factor: float
 
-    @classmethod
-    def of(cls, runs: Sequence[LinearisedRun], roots: np.ndarray, filters: Sequence[Whitening] | None = None) -> _View:
-        """Return a view of some runs; roots (c,), or one of all innovations: of the weights of squares."""
-
-        def weigh(parts: Sequence[np.ndarray]) -> np.ndarray:
-            kept = parts if filters is None else [f.innovations(part) for f, part in zip(filters, parts, strict=True)]
-            return np.concatenate([(part * np.reshape(roots, (-1, 1))).reshape(-1, part.shape[2]) for part in kept])
-
-        S = weigh([run.by_output for run in runs])
-        U, s, _ = np.linalg.svd(S / np.maximum(np.linalg.norm(S, axis=0), 1e-300), full_matrices=False)
-        basis = U[:, s > 1e-9 * s.max(initial=0.0)]
-        residual = weigh([run.residual[:, :, None] for run in runs])[:, 0]
-        offset = 0.0 if filters is None else float(roots) ** 2 * sum(f.log_det for f in filters)
-        return cls(weigh, basis, residual - basis @ (basis.T @ residual), offset)
-
-    @property
-    def before(self) -> float:
-        """The misfit without any law."""
-        return float(self.residual @ self.residual) + self.offset
-
-    def beside(self, parts: Sequence[np.ndarray]) -> np.ndarray:
-        """Return outputs of all runs (N, c, K) as columns (rows, K), without what the diagram's parameters explain."""
-        whole = self.weigh(parts)
-        return np.asarray(whole - self.basis @ (self.basis.T @ whole))
-
-
-@dataclass(frozen=True, eq=False)
-class _Law:
-    """A law alone, driven by what a wire carries in each run. p, x0: its parameters and start; bounds (2, m).
-
-    sizes (m,): which parameters what it adds is proportional to.
-    """
-
-    law: Simulation
-    runs: Sequence[SampledRun]
-    p: np.ndarray
-    x0: np.ndarray
-    bounds: np.ndarray
-    sizes: np.ndarray
-
-    @classmethod
-    def of(cls, law: Simulation, runs: Sequence[SampledRun], fault: Fault) -> _Law:
-        """Return a law at its start."""
-        equations = law.equations
-        p = equations.model.parameter_vector()
-        bounds = np.array([(item.low, item.high) for item in equations.free]).reshape(-1, 2).T
-        sizes = np.array([key in fault.sizes for key in fault.free], bool)
-        return cls(law, runs, p, equations.model.x0(p)[equations.kept], bounds, sizes)
-
-    def within(self, eta: np.ndarray) -> np.ndarray:
-        """Return parameters within their bounds."""
-        return np.asarray(np.clip(eta, *self.bounds))
-
-    def added(self, eta: np.ndarray, r: int, *, slopes: bool) -> np.ndarray:
-        """Return what the law adds to its wire in a run (N, 1), with derivatives (N, 1 + m); zero if it diverges."""
-        run, equations = self.runs[r], self.law.equations
-        p = equations.parameters(self.p, eta)
-        A = equations.matrices[0](run.start, self.x0, run.inputs(equations.inputs, 1)[0, 0], p)[0]
-        fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) * run.dt
-        sub = min(2 ** max(int(np.ceil(np.log2(max(fastest / STABLE_STEP, 1.0)))), 0), SIMULATION_SUBSTEPS)
-        steps = run.dt if run.steps is None else run.steps
-        y, by = self.law.simulate(
-            p, self.x0, run.inputs(equations.inputs, sub), steps, t0=run.start, sensitivities=slopes
-        )
-        added = y - run.values[f"{WIRE}.output"][:, None]
-        whole = np.concatenate([added, by[:, 0, : equations.m]], axis=1) if slopes else added
-        return whole if (np.abs(whole) < LARGE).all() else np.zeros_like(whole)
+    def scaled(self, promise: Promise, factor: float) -> Promise:
+        """Return what is promised where the law adds as much, but for a factor."""
+        keys = zip(self.item.free, promise.start.values(), self.law.sizes, strict=False)
+        return Promise(promise.misfit, {key: value * factor if size else value for key, value, size in keys})

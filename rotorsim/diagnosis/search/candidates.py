@@ -1,0 +1,96 @@
+"""Fault candidates as they were fitted, and the rounds of the selection that tried them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rotorsim.diagnosis.catalogue.insertion import Insertion
+from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
+from rotorsim.identification.profile import Z90
+
+Job = tuple[dict[str, Any], list[list[dict[str, float]]]]  # a document with an insertion, groups of starts
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An insertion and the refitted diagram with it.
+
+    astray: parameters of the diagram that have left all reason. final: whether the fit was carried to the end.
+    """
+
+    insertion: Insertion
+    fit: Fit
+    astray: str = ""
+    final: bool = True
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The names of the parameters of the fault in the diagram."""
+        return tuple(name for name in self.insertion.free if name in self.fit.values)
+
+    @property
+    def ended(self) -> tuple[str, ...]:
+        """The parameters of the fault that ended at a bound."""
+        ended = {item.name for item, end in zip(self.fit.free, self.fit.at_bound, strict=True) if end}
+        return tuple(name for name in self.parameters if name in ended)
+
+    @property
+    def physical(self) -> bool:
+        """Whether this can be: see `unphysical`."""
+        return not self.unphysical
+
+    @property
+    def unphysical(self) -> str:
+        """Why this cannot be, empty where it can.
+
+        A parameter of the fault ended at a bound; none of its sizes differs significantly from zero (their 90 %
+        intervals hold it, were the rest of its law known); or it needs a parameter of the diagram far beyond all
+        reason, as one that cancels the effect is.
+        """
+        fit = self.fit
+        if fit.failure:
+            return ""
+        if self.ended:
+            return f"its {', '.join(name.rpartition('.')[2] for name in self.ended)} ended at a physical bound"
+        names = [item.name for item in fit.free]
+        sizes = [name for name in self.parameters if name.rpartition(".")[2] in self.insertion.fault.sizes]
+        std = fit.alone if len(fit.alone) else np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+        significant = (abs(fit.theta[j]) > Z90 * std[j] for j in map(names.index, sizes))
+        if sizes and not any(significant):
+            keys = " and ".join(name.rpartition(".")[2] for name in sizes)
+            return f"its {keys} is not significantly different from zero"
+        return f"needs {self.astray}" if self.astray else ""
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One round of the selection: what was tried on top of ``before``, the best first; classes: of free signals.
+
+    elsewhere: what was not tried, and promises nearly as much as the same law does at its best place. likely: the keys
+    of what another measure of the noise may make the most promising, None where promises are not known.
+    """
+
+    before: Fit
+    tried: tuple[Candidate, ...]
+    classes: tuple[PlaceClass, ...] = ()
+    elsewhere: tuple[tuple[Insertion, Job], ...] = ()
+    likely: frozenset[str] | None = None
+
+    @property
+    def best(self) -> Candidate | None:
+        """The best candidate that is physical."""
+        return next((item for item in self.tried if not item.fit.failure and item.physical), None)
+
+
+def simplest_first(tried: Sequence[Candidate], slack: float) -> list[Candidate]:
+    """Return candidates by their criterion; of those that it does not tell from the best, the simplest first."""
+    tried = sorted(tried, key=lambda item: (bool(item.fit.failure), item.fit.criterion))
+    least = next((item.fit.criterion for item in tried if not item.fit.failure and item.physical), np.inf)
+    near = [item for item in tried if not item.fit.failure and item.physical and item.fit.criterion <= least + slack]
+    near.sort(key=lambda item: (len(item.fit.free), item.fit.criterion))
+    return [*near, *(item for item in tried if item not in near)]
