@@ -91,6 +91,11 @@ class LawBounds:
         """Free signals at all places that show, the likeliest first."""
         return self.unknown.estimates()
 
+    @property
+    def deviance(self) -> float:
+        """-2 log likelihood of the likeliest free signal; infinite where none shows."""
+        return min((item.deviance for item in self.estimates), default=np.inf)
+
     def bound(self, item: Insertion) -> float | None:
         """Return the misfit that a law promises, None where it is no law of a signal."""
         promise = self.promise(item)
