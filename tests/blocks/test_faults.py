@@ -78,6 +78,7 @@ SIGNALS = {
     "dry_friction",
     "gain_drift",
     "gain_error",
+    "hysteresis",
     "integrator_leak",
     "lag",
     "line",
@@ -85,6 +86,7 @@ SIGNALS = {
     "nonlinear_coupling",
     "offset",
     "one_sided_stop",
+    "play",
     "position_ripple",
     "rate_limit",
     "saturation",
@@ -116,7 +118,8 @@ def test_the_names_of_a_fault_are_declared(cls: type[Block], fault: Fault) -> No
     assert fault.free.keys() | fault.fixed.keys() <= cls.parameters.keys()
     assert not fault.free.keys() & fault.fixed.keys()
     assert {name.rpartition(".")[2] for name in fault.inherits} <= cls.parameters.keys() | cls.options.keys()
-    assert set(fault.most) | set(fault.sizes) <= fault.free.keys()
+    assert set(fault.most) | set(fault.sizes) | set(fault.simpler) <= fault.free.keys()
+    assert {other for _, other in fault.simpler.values()} <= SIGNALS - {fault.physics}
     assert fault.options.keys() <= cls.options.keys()
     for name, value in fault.options.items():
         option = cls.options[name]

@@ -77,9 +77,23 @@ def test_play_in_a_diagram_keeps_what_it_has() -> None:
     }
     found = simulate(load(document))
     u, w = found["drive.output"], found["play.output"]
-    fastest = np.abs(np.diff(u)).max() / 5e-4
-    assert np.abs(w - play_operator(u, 0.5)).max() < 1.5e-3 * fastest
-    assert w.max() == pytest.approx(0.75, abs=1e-3 * fastest)
+    acceleration = np.abs(np.diff(u, 2)).max() / 5e-4**2
+    assert np.abs(w - play_operator(u, 0.5)).max() < 1.1 * 1e-3**2 * acceleration  # the square of the time constant
+    assert w.max() == pytest.approx(0.75, abs=1e-5)
+
+
+def test_hysteresis_is_a_share_of_play() -> None:
+    for share in (0.3, -0.6):
+        values = {"width": 0.5, "share": share}
+        for u, value in ((1.0, 0.2), (0.4, 0.2), (-0.3, 0.2)):
+            held, out = (
+                prepare("play", {"input": ()}, values, {"law": law}).evaluate(
+                    {"input": u}, {"value": np.asarray(value)}
+                )
+                for law in ("play", "hysteresis")
+            )
+            assert held.outputs["output"] == pytest.approx(min(max(value, u - 0.25), u + 0.25))
+            assert out.outputs["output"] == pytest.approx(u + share * (held.outputs["output"] - u))
 
 
 # --- hysteresis -------------------------------------------------------------------------------------------------------

@@ -52,7 +52,7 @@ def test_what_is_left_is_noise_or_not_worth_a_name(times, goodness, adequate):
 
 def test_a_parameter_at_its_bound_makes_a_law_unphysical_but_not_one_of_the_diagram():
     found = law({"bow.amplitude": (0.0, 0.1), "damping": (1.0, 0.1)})
-    insertion = SimpleNamespace(free=("bow.amplitude",), fault=SimpleNamespace(sizes=()))
+    insertion = SimpleNamespace(free=("bow.amplitude",), fault=SimpleNamespace(sizes=(), simpler={}))
     item = Candidate(insertion, replace(found, at_bound=np.array([True, False])))
     assert not item.physical
     assert replace(item, fit=replace(found, at_bound=np.array([False, True]))).physical
