@@ -80,6 +80,7 @@ SIGNALS = {
     "gain_error",
     "hysteresis",
     "integrator_leak",
+    "integrator_limit",
     "lag",
     "line",
     "missing_mode",
@@ -125,7 +126,7 @@ def test_the_names_of_a_fault_are_declared(cls: type[Block], fault: Fault) -> No
         option = cls.options[name]
         assert option.choices is None or value in option.choices
     for start in [start for starts in fault.free.values() for start in starts] + list(fault.fixed.values()):
-        assert not isinstance(start, Of) or start.input in cls.inputs
+        assert not isinstance(start, Of) or start.input in {**cls.inputs, **cls.outputs}
 
 
 @every_fault
@@ -344,7 +345,7 @@ def test_a_law_of_a_signal_runs_wherever_it_is_offered_and_changes_what_is_recor
     base = given["sensor.output"]
     offered = [item for item in insertions(diagram, ["sensor.output"]) if item.physics == physics]
     sides = {(str(item.spot), item.spot.side) for item in offered}
-    if physics == "integrator_leak":
+    if physics in ("integrator_leak", "integrator_limit"):
         assert sides == {("plant.output", "")}
     else:
         wires = {(f"{block}.output", "") for block in LOOP["blocks"]}

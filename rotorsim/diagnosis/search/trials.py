@@ -377,7 +377,7 @@ def _led(groups: list[list[dict[str, float]]], start: dict[str, float]) -> list[
     """Return one that is known to be near, the same beside the diagram as given, and DECLARED starts, in one group."""
     if not start:
         return groups
-    return [[start, {**groups[-1][0], **start}, *(group[0] for group in groups[:DECLARED])]]
+    return [[start, {**groups[-1][0], **start}, *({**start, **group[0]} for group in groups[:DECLARED])]]
 
 
 def _is_slow(fit: Fit, most: float) -> bool:

@@ -72,17 +72,96 @@ def simulated(seed: int, *, gap: float = 0.0, slider: float = 0.0) -> dict[str, 
     return {"drive": drive, **noisy}
 
 
-def recording(folder: Path, **missing: float) -> Recording:
-    channels = {name: {"signal": f"{name}.output", "unit": "1"} for name in ("drive", "speed", "position")}
-    runs = []
-    for seed in (1, 2, 3):
-        np.savez(folder / f"run{seed}.npz", **simulated(seed, **missing))
-        use = "hold_out" if seed == 3 else "identify"
-        runs.append({"id": f"run{seed}", "file": f"run{seed}.npz", "sample_rate": f"{RATE} Hz", "use": use})
+def written(folder: Path, rate: float, runs: list[dict[str, np.ndarray]]) -> Recording:
+    """Return runs as a recording, the last one held out."""
+    channels = {name: {"signal": f"{name}.output", "unit": "1"} for name in runs[0]}
+    listed = []
+    for number, run in enumerate(runs, 1):
+        np.savez(folder / f"run{number}.npz", **run)
+        use = "hold_out" if number == len(runs) else "identify"
+        listed.append({"id": f"run{number}", "file": f"run{number}.npz", "sample_rate": f"{rate} Hz", "use": use})
     (folder / "recording.json").write_text(
-        json.dumps({"name": "oscillator", "source": "NumPy", "channels": channels, "runs": runs})
+        json.dumps({"name": "memory", "source": "NumPy", "channels": channels, "runs": listed})
     )
     return load_recording(folder)
+
+
+def recording(folder: Path, **missing: float) -> Recording:
+    return written(folder, RATE, [simulated(seed, **missing) for seed in (1, 2, 3)])
+
+
+CONTROL = {  # y' = 2 u - y,  u = 1.5 e + 4 z,  z' = e = r - y, which overflows
+    "schema_version": 1,
+    "name": "control",
+    "blocks": {
+        "reference": {"type": "recorded", "parameters": {"interpolation": "hold"}},
+        "error": {"type": "sum", "parameters": {"signs": "+-"}},
+        "proportional": {"type": "gain", "parameters": {"gain": 1.5}},
+        "integral": {"type": "integrator"},
+        "share": {"type": "gain", "parameters": {"gain": 4.0}},
+        "control": {"type": "sum", "parameters": {"signs": "++"}},
+        "actuator": {"type": "gain", "parameters": {"gain": 1.5}},
+        "loss": {"type": "gain", "parameters": {"gain": 1.5}},
+        "rate": {"type": "sum", "parameters": {"signs": "+-"}},
+        "level": {"type": "integrator"},
+    },
+    "wires": [
+        ["reference.output", "error.input1"],
+        ["level.output", "error.input2"],
+        ["error.output", "proportional.input"],
+        ["error.output", "integral.input"],
+        ["integral.output", "share.input"],
+        ["proportional.output", "control.input1"],
+        ["share.output", "control.input2"],
+        ["control.output", "actuator.input"],
+        ["actuator.output", "rate.input1"],
+        ["loss.output", "rate.input2"],
+        ["rate.output", "level.input"],
+        ["level.output", "loss.input"],
+    ],
+    "solver": {"method": "rk4", "step": "1 ms", "stop": "1 s"},
+    "record": ["control.output", "level.output"],
+    "identify": {"actuator.gain": {"low": 0.0}, "loss.gain": {"low": 0.0}},
+}
+
+
+def controlled(seed: int, limit: float) -> dict[str, np.ndarray]:
+    """Return a run of 800 samples of the control by midpoint steps; its integral stays within the limits."""
+    random = np.random.default_rng(seed)
+    reference = np.repeat(random.uniform(-1, 1, 8) * 4, 100)
+    y = z = 0.0
+    out, h = np.empty((800, 2)), 1 / 50 / FINE
+
+    def rate(r: float, y: float, z: float) -> float:
+        return 2.0 * (1.5 * (r - y) + 4.0 * z) - y
+
+    for k, r in enumerate(reference.tolist()):
+        out[k] = 1.5 * (r - y) + 4.0 * z, y
+        for _ in range(FINE):
+            middle = y + h / 2 * rate(r, y, z)
+            z_middle = min(max(z + h / 2 * (r - y), -limit), limit)
+            y, z = y + h * rate(r, middle, z_middle), min(max(z + h * (r - middle), -limit), limit)
+    noisy = out + random.normal(size=out.shape) * (5e-3, 2e-3)
+    return {"reference": reference, "control": noisy[:, 0], "level": noisy[:, 1]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [0.4, math.inf])
+def test_an_integral_that_overflows_is_found_and_no_other(tmp_path, limit):
+    runs = [controlled(seed, limit) for seed in (1, 2, 3)]
+    found = diagnose(load(CONTROL), written(tmp_path, 50, runs), workers=1)
+    if math.isinf(limit):
+        assert found.verdict == "consistent"
+        assert not found.effects
+        return
+    assert found.verdict == "missing_physics"
+    [effect] = found.effects
+    assert effect.physics == "integrator_limit"
+    assert {str(spot) for spot, _ in found.places} == {"integral.output"}
+    values = found.after.values
+    assert math.isclose(values["integral.upper"], 0.4, rel_tol=0.02)
+    assert math.isclose(values["integral.lower"], -0.4, rel_tol=0.02)
+    assert math.isclose(values["actuator.gain"], 2.0, rel_tol=0.02)
 
 
 def sizes(found: Diagnosis) -> dict[str, float]:

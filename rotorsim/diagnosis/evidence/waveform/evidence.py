@@ -220,20 +220,20 @@ class WaveformEvidence(SampledRuns, Defaults):
         Beside parameters as fitted or as stated: of these, where a free signal explains more. A fit without what is
         missing may have gone anywhere.
         """
-        values = [fit.values] if is_adequate(fit) else [fit.values, {**fit.values, **self.stated}]
-        found = [here for own in values if (here := self._bounds(values_in(fit.document, own))) is not None]
+        document = values_in(fit.document, fit.values)
+        points = ({},) if is_adequate(fit) else ({}, self.stated)
+        found = [here for moved in points if (here := self._bounds(values_in(document, moved), moved)) is not None]
         return min(found, key=attrgetter("deviance"), default=None)
 
-    def _bounds(self, document: Mapping[str, Any]) -> LawBounds | None:
-        """Return what the laws of signals promise beside a document as it is."""
+    def _bounds(self, document: Mapping[str, Any], moved: Mapping[str, float]) -> LawBounds | None:
+        """Return what the laws of signals promise beside a document as it is; moved: what is not as fitted."""
         here = self._linearised(document)
         if here is None:
             return None
         variance, sampled = here.noise**2, here.sampled
         weight = self.rows / sum(run.size for run in sampled) / len(self.variance)  # as if these samples were all
-        theta = dict(zip((item.name for item in here.search.free), here.evaluation.unknowns.tolist(), strict=False))
         roots = np.sqrt(weight / variance)
-        return LawBounds(here.runs, sampled, here.places, here.unknown(), theta, roots, self.largest(), self.load)
+        return LawBounds(here.runs, sampled, here.places, here.unknown(), moved, roots, self.largest(), self.load)
 
     def _linearised(
         self, document: Mapping[str, Any], starts: Mapping[Label, float] | None = None

@@ -60,8 +60,8 @@ def spot_of(place: Place) -> Spot:
 class LawBounds:
     """Misfits that the laws of signals promise; places (P,), estimates: of free signals there, the likeliest first.
 
-    theta: free parameters of the diagram, {name: SI value}. roots (c,): of the weights of squares. load: document ->
-    diagram. sizes: see `sizes_at`.
+    moved: free parameters of the diagram that are not as fitted, {name: SI value}. roots (c,): of the weights of
+    squares. load: document -> diagram. sizes: see `sizes_at`.
     """
 
     by_law = True
@@ -72,13 +72,13 @@ class LawBounds:
         sampled: Sequence[SampledRun],
         places: Sequence[Place],
         unknown: UnknownInputs,
-        theta: Mapping[str, float],
+        moved: Mapping[str, float],
         roots: np.ndarray,
         sizes: Mapping[str, float],
         load: Callable[[Mapping[str, Any]], Diagram],
     ) -> None:
         self.runs, self.sampled, self.places, self.unknown = runs, sampled, places, unknown
-        self.theta, self.roots, self.sizes, self.load = theta, roots, sizes, load
+        self.moved, self.roots, self.sizes, self.load = moved, roots, sizes, load
         self.rows = sum(run.residual.shape[0] for run in runs) * float(np.sum((roots * unknown.noise) ** 2))
         self._impulses: dict[int, list[np.ndarray]] = {}
         self._laws: dict[tuple[Any, ...], Simulation] = {}
@@ -104,7 +104,7 @@ class LawBounds:
     def start(self, item: Insertion) -> Mapping[str, float]:
         """Return from where a law is to start, {free parameter: SI value}; nothing where nothing is known."""
         promise = self.promise(item)
-        return {} if promise is None else promise.start
+        return {} if promise is None or not promise.start else {**self.moved, **promise.start}
 
     def promise(self, item: Insertion) -> Promise | None:
         """Return what a law promises at its place, None where it is no law of a signal."""
