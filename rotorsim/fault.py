@@ -33,6 +33,13 @@ class Longest:
 
 
 @dataclass(frozen=True)
+class Sampled:
+    """A time that follows the data: ``factor`` times the step between samples in time, the longest of all runs."""
+
+    factor: float
+
+
+@dataclass(frozen=True)
 class Lines:
     """A value that follows the data: the frequency [rad/s] of lines that do not follow the shaft."""
 
@@ -65,13 +72,15 @@ class Fault:
       equal name keep their values.
     - "move": a block of this type acts at another place.
 
-    options: of the block where it enters. free: parameter -> starts (SI numbers, `Of` or `Longest`), all of them tried;
-    bounds are those of the parameter; what is not free keeps its default. fixed: parameters that are set once, to a
-    number or by `Of`, and not fitted, or by `Lines`: it is tried only where the recording has lines that call for it.
-    By `Steps`: the block is a converter, a "reading", which is put in where readings show its steps; harmonics are
-    compared with what goes into it.
+    options: of the block where it enters. free: parameter -> starts (SI numbers, `Of`, `Longest` or `Sampled`), all of
+    them tried; bounds are those of the parameter; what is not free keeps its default. fixed: parameters that are set
+    once, to a number or by `Of` or `Sampled`, and not fitted, or by `Lines`: it is tried only where the recording has
+    lines that call for it. By `Steps`: the block is a converter, a "reading", which is put in where readings show its
+    steps; harmonics are compared with what goes into it.
     most: what the magnitude of a free parameter can be at most, beside the bounds of the parameter. sizes: parameters
     that the effect is proportional to: where the data tell none of them from zero, there is no effect.
+    simpler: parameter -> the value at which this is another physics, and which: where the data do not tell them apart,
+    the other one is meant.
     inherits: parameters and options that take the value that the block at the place has under the same name;
     "crack.sag" takes that of the one block of type crack, if there is one. law: in words, what the effect does with
     speed, order and amplitude.
@@ -82,10 +91,11 @@ class Fault:
 
     physics: str
     enters: str
-    free: Mapping[str, tuple[float | Of | Longest, ...]] = field(default_factory=dict)
-    fixed: Mapping[str, float | Of | Longest | Lines | Steps] = field(default_factory=dict)
+    free: Mapping[str, tuple[float | Of | Longest | Sampled, ...]] = field(default_factory=dict)
+    fixed: Mapping[str, float | Of | Longest | Sampled | Lines | Steps] = field(default_factory=dict)
     most: Mapping[str, Of | Longest] = field(default_factory=dict)
     sizes: tuple[str, ...] = ()
+    simpler: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     of: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     between: tuple[str, str] = ("rotor", "controller")

@@ -1,7 +1,7 @@
 """Rate limiter."""
 
 from rotorsim.block import Block, Equations, In, Out, Param, State, maximum, minimum
-from rotorsim.fault import Fault, Of
+from rotorsim.fault import Fault, Of, Sampled
 
 
 class RateLimiter(Block):
@@ -19,6 +19,7 @@ class RateLimiter(Block):
             enters="signal",
             through={"input": "output"},
             free={"rising": (Of("input", 20.0), Of("input", 2.0)), "falling": (Of("input", -20.0), Of("input", -2.0))},
+            fixed={"time_constant": Sampled(0.5)},
             law="straight flanks; nothing while the signal is slow",
             confused_with=("saturation", "lag"),
             told_apart_by="frequency at small amplitude: below the rate nothing is left",

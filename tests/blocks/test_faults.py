@@ -78,13 +78,16 @@ SIGNALS = {
     "dry_friction",
     "gain_drift",
     "gain_error",
+    "hysteresis",
     "integrator_leak",
+    "integrator_limit",
     "lag",
     "line",
     "missing_mode",
     "nonlinear_coupling",
     "offset",
     "one_sided_stop",
+    "play",
     "position_ripple",
     "rate_limit",
     "saturation",
@@ -116,13 +119,14 @@ def test_the_names_of_a_fault_are_declared(cls: type[Block], fault: Fault) -> No
     assert fault.free.keys() | fault.fixed.keys() <= cls.parameters.keys()
     assert not fault.free.keys() & fault.fixed.keys()
     assert {name.rpartition(".")[2] for name in fault.inherits} <= cls.parameters.keys() | cls.options.keys()
-    assert set(fault.most) | set(fault.sizes) <= fault.free.keys()
+    assert set(fault.most) | set(fault.sizes) | set(fault.simpler) <= fault.free.keys()
+    assert {other for _, other in fault.simpler.values()} <= SIGNALS - {fault.physics}
     assert fault.options.keys() <= cls.options.keys()
     for name, value in fault.options.items():
         option = cls.options[name]
         assert option.choices is None or value in option.choices
     for start in [start for starts in fault.free.values() for start in starts] + list(fault.fixed.values()):
-        assert not isinstance(start, Of) or start.input in cls.inputs
+        assert not isinstance(start, Of) or start.input in {**cls.inputs, **cls.outputs}
 
 
 @every_fault
@@ -341,7 +345,7 @@ def test_a_law_of_a_signal_runs_wherever_it_is_offered_and_changes_what_is_recor
     base = given["sensor.output"]
     offered = [item for item in insertions(diagram, ["sensor.output"]) if item.physics == physics]
     sides = {(str(item.spot), item.spot.side) for item in offered}
-    if physics == "integrator_leak":
+    if physics in ("integrator_leak", "integrator_limit"):
         assert sides == {("plant.output", "")}
     else:
         wires = {(f"{block}.output", "") for block in LOOP["blocks"]}

@@ -77,9 +77,42 @@ def test_play_in_a_diagram_keeps_what_it_has() -> None:
     }
     found = simulate(load(document))
     u, w = found["drive.output"], found["play.output"]
-    fastest = np.abs(np.diff(u)).max() / 5e-4
-    assert np.abs(w - play_operator(u, 0.5)).max() < 1.5e-3 * fastest
-    assert w.max() == pytest.approx(0.75, abs=1e-3 * fastest)
+    acceleration = np.abs(np.diff(u, 2)).max() / 5e-4**2
+    assert np.abs(w - play_operator(u, 0.5)).max() < 1.1 * 1e-3**2 * acceleration  # the square of the time constant
+    assert w.max() == pytest.approx(0.75, abs=1e-5)
+
+
+def test_hysteresis_is_a_share_of_play() -> None:
+    for share in (0.3, -0.6):
+        values = {"width": 0.5, "share": share}
+        for u, value in ((1.0, 0.2), (0.4, 0.2), (-0.3, 0.2)):
+            held, out = (
+                prepare("play", {"input": ()}, values, {"law": law}).evaluate(
+                    {"input": u}, {"value": np.asarray(value)}
+                )
+                for law in ("play", "hysteresis")
+            )
+            assert held.outputs["output"] == pytest.approx(min(max(value, u - 0.25), u + 0.25))
+            assert out.outputs["output"] == pytest.approx(u + share * (held.outputs["output"] - u))
+
+
+# --- integrator with limits -------------------------------------------------------------------------------------------
+
+
+def test_a_limited_integrator_stops_and_leaves_its_limit_at_once() -> None:
+    """Input 2 up to t = 1, then -1: 2 t up to the limit 0.8, and 0.8 - (t - 1 - d) after it; d <= 2 time constants."""
+    T = 2e-3
+    values = {"lower": -0.3, "upper": 0.8, "time_constant": T}
+    prepared = prepare("limited_integrator", {"input": ()}, values)
+    times = np.linspace(0, 3, 601)
+    value = followed(prepared, {"input": lambda t: 2.0 if t < 1 else -1.0}, "value", times, 0.5e-3)
+    out = np.array(
+        [prepared.evaluate({"input": 0.0}, states={"value": np.asarray(v)}).outputs["output"] for v in value]
+    )
+    expected = np.clip(np.where(times < 1, np.minimum(2 * times, 0.8), 0.8 - (times - 1)), -0.3, 0.8)
+    assert np.abs(out - expected).max() <= 2 * T
+    assert out.max() == 0.8
+    assert out.min() == -0.3
 
 
 # --- hysteresis -------------------------------------------------------------------------------------------------------

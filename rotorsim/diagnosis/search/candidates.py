@@ -49,8 +49,8 @@ class Candidate:
         """Why this cannot be, empty where it can.
 
         A parameter of the fault ended at a bound; none of its sizes differs significantly from zero (their 90 %
-        intervals hold it, were the rest of its law known); or it needs a parameter of the diagram far beyond all
-        reason, as one that cancels the effect is.
+        intervals hold it, were the rest of its law known); it is a simpler law in the same sense; or it needs a
+        parameter of the diagram far beyond all reason, as one that cancels the effect is.
         """
         fit = self.fit
         if fit.failure:
@@ -64,6 +64,10 @@ class Candidate:
         if sizes and not any(significant):
             keys = " and ".join(name.rpartition(".")[2] for name in sizes)
             return f"its {keys} is not significantly different from zero"
+        for name in self.parameters:
+            value, other = self.insertion.fault.simpler.get(name.rpartition(".")[2], (np.nan, ""))
+            if abs(fit.values[name] - value) <= Z90 * std[names.index(name)]:
+                return f"its {name.rpartition('.')[2]} is not significantly different from {value:g}: {other}"
         return f"needs {self.astray}" if self.astray else ""
 
 

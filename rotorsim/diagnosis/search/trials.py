@@ -50,7 +50,7 @@ class Trials:
         self.evidence, self.catalogue, self.jobs = evidence, catalogue, jobs
         best = [] if earlier is None else [item for item in earlier.tried if not item.fit.failure][:AGAIN]
         self.likely = None if earlier is None else earlier.likely
-        self.known = {item.insertion.key: {name: item.fit.values[name] for name in item.parameters} for item in best}
+        self.known = {item.insertion.key: item.fit.values for item in best}
         self.counts = {"fits": 0, "rounds": 0}
         self.nominal: dict[str, float] = {}
         self.unsized: frozenset[str] = frozenset()
@@ -336,7 +336,7 @@ def _led(groups: list[list[dict[str, float]]], start: dict[str, float]) -> list[
     """Return one that is known to be near, the same beside the diagram as given, and DECLARED starts, in one group."""
     if not start:
         return groups
-    return [[start, {**groups[-1][0], **start}, *(group[0] for group in groups[:DECLARED])]]
+    return [[start, {**groups[-1][0], **start}, *({**start, **group[0]} for group in groups[:DECLARED])]]
 
 
 def _is_slow(fit: Fit, most: float) -> bool:

@@ -210,8 +210,10 @@ class OutputErrorSearch:
         """Return the evaluation where the cost is least, as found from a start within the bounds."""
         here = self.evaluate(start, self.substeps(start))
         damping, calm, used = FIRST_DAMPING, 0, 1
+        known = np.zeros(len(start))  # information on starts, the most so far: where none is left they stay
         while np.isfinite(here.cost) and used < most and calm < 2:
-            step = self._step(here, damping)
+            known[self.m :] = np.maximum(known, np.diag(here.information))[self.m :]
+            step = self._step(here, damping, known)
             after = self.evaluate(self._moved(here.unknowns, step), here.sub, sensitivities=False)
             if after.cost < here.cost:
                 calm = calm + 1 if after.cost > here.cost * (1 - SEARCH_COST_TOLERANCE) else 0
@@ -223,13 +225,16 @@ class OutputErrorSearch:
             used += 1
         return here
 
-    def _step(self, here: Evaluation, damping: float) -> np.ndarray:
-        """Return the step -(J^T J + damping D)^-1 J^T r, D = diag(J^T J), of what is not held."""
+    def _step(self, here: Evaluation, damping: float, known: np.ndarray) -> np.ndarray:
+        """Return the step -(J^T J + damping D)^-1 J^T r, D = diag(J^T J), ``known`` at least, of what is not held.
+
+        Source of the latter: J. J. More, Lecture Notes in Mathematics 630 (1978) 105-116, section 6.
+        """
         outwards = np.where(here.unknowns <= self.bounds[0], 1, -1) * here.gradient > 0
         held = self.at_bound(here.unknowns) & outwards
         held[: self.m] |= self.hold == "theta"
         held[self.m :] |= self.hold == "starts"
-        scale = np.sqrt(np.diag(here.information))
+        scale = np.sqrt(np.maximum(np.diag(here.information), known))
         scale = np.where(scale > 0, scale, 1.0)
         H = here.information / np.outer(scale, scale) + damping * np.eye(len(scale))
         H[held], H[:, held], H[held, held] = 0.0, 0.0, 1.0

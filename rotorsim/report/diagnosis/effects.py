@@ -8,7 +8,7 @@ from typing import Any
 from rotorsim.diagnosis.conclude.result import Diagnosis, Effect
 from rotorsim.errors import escape
 from rotorsim.report.diagnosis.page import paragraph, table
-from rotorsim.report.diagnosis.words import estimate, flat, own_parameters, percent, plain_words, quantity
+from rotorsim.report.diagnosis.words import estimate, flat, own_parameters, percent, place_words, plain_words, quantity
 from rotorsim.report.text.table import rpm
 
 CONSISTENT = "No fault candidate of the catalogue explains more than noise would"
@@ -60,6 +60,7 @@ def _effect(diagnosis: Diagnosis, data: Mapping[str, Any], effect: Effect, numbe
         parts.append(table(["parameter", "value", "90 % interval"], rows))
     facts = {
         "law": fault.law,
+        "depends on": insertion.depends_on,
         "block": f"{insertion.name} ({insertion.kind.type_name})",
         "source": fault.source,
         "explains": _share(data["missing"], number),
@@ -73,7 +74,7 @@ def _effect(diagnosis: Diagnosis, data: Mapping[str, Any], effect: Effect, numbe
             [
                 plain_words(name),
                 f"{probability:.2f}",
-                spot.words if (spot := effect.spot_of(name)) else "",
+                place_words(own[name][0].insertion) if name in own else "",
                 own_parameters(*own[name]) if name in own else "",
             ]
             for name, probability in effect.members.items()

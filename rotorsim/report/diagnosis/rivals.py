@@ -10,7 +10,7 @@ from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.errors import escape
 from rotorsim.report.diagnosis.compared import looks_of
 from rotorsim.report.diagnosis.page import paragraph, table
-from rotorsim.report.diagnosis.words import plain_words
+from rotorsim.report.diagnosis.words import place_words, plain_words
 
 MISFIT = "Misfit: sum of squares of the residual, in standard deviations of the noise. Degrees of freedom: equations "
 MISFIT += "less unknowns."
@@ -61,7 +61,7 @@ def _rivals(diagnosis: Diagnosis, item: Round, number: int, reasons: Mapping[str
             f"{fit.criterion - base:+.4g}",
         )
         cells = [""] * 4 if fit.failure else numbers
-        rows.append([plain_words(name), candidate.insertion.spot.words, *cells, why or fit.failure])
+        rows.append([plain_words(name), place_words(candidate.insertion), *cells, why or fit.failure])
     if not rows:
         return ""
     others = [plain_words(effect.physics) for k, effect in enumerate(effects) if k != number]

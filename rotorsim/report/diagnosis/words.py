@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.conclude.result import estimates
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.search.candidates import Candidate
@@ -53,6 +54,12 @@ def own_parameters(candidate: Candidate, fit: Fit) -> str:
     known = estimates(fit)
     own = {name.rpartition(".")[2]: known[name] for name in candidate.insertion.free if name in known}
     return ", ".join(f"{name} {quantity(item.value, item.unit)}" for name, item in own.items())
+
+
+def place_words(insertion: Insertion) -> str:
+    """Return where a fault acts in words, with the other signal that it depends on."""
+    other = f", depends on {insertion.depends_on}" if insertion.depends_on else ""
+    return f"{insertion.spot.words}{other}"
 
 
 def flat(data: Mapping[str, Any], prefix: str = "", *, speeds: Sequence[float] = ()) -> list[tuple[str, str]]:

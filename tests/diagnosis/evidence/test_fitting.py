@@ -105,10 +105,12 @@ def test_a_nonlinear_law_that_began_too_far_away_is_carried_on():
     assert refined(4500.0, [explains, far], [1.0]) == [(1, None)]  # no rival: so much was to explain
 
 
-def candidate(theta: float, std: float, *, at_bound: bool = False, astray: str = "", sizes=("growth",)) -> Candidate:
+def candidate(
+    theta: float, std: float, *, at_bound: bool = False, astray: str = "", sizes=("growth",), simpler=None
+) -> Candidate:
     free = (Free("bow.growth", "bow.growth", 0, 1e-6, "m", 0.0, 1.0),)
     fit = Fit({}, free, np.array([theta]), np.array([[std**2]]), np.array([at_bound]), 1.0, 9, 9)
-    insertion = SimpleNamespace(free=("bow.growth",), fault=SimpleNamespace(sizes=sizes))
+    insertion = SimpleNamespace(free=("bow.growth",), fault=SimpleNamespace(sizes=sizes, simpler=simpler or {}))
     return Candidate(insertion, fit, astray)
 
 
@@ -120,6 +122,9 @@ def test_what_cannot_be_is_no_explanation():
     assert candidate(1.7, 1.0).physical
     assert candidate(1.0, np.inf).unphysical == "its growth is not significantly different from zero"
     assert candidate(1.0, 9.0, sizes=()).physical  # a contact may be as stiff as it likes
+    said = "its growth is not significantly different from 3: bend"
+    assert candidate(4.6, 1.0, simpler={"growth": (3.0, "bend")}).unphysical == said
+    assert candidate(4.7, 1.0, simpler={"growth": (3.0, "bend")}).physical
     assert candidate(5.0, 1.0, at_bound=True).unphysical == "its growth ended at a physical bound"
     assert candidate(5.0, 1.0, astray="e 1e+04 times as large").unphysical == "needs e 1e+04 times as large"
 
@@ -257,7 +262,7 @@ def test_a_size_is_told_from_zero_though_only_its_rate_is_known():
     # offset and rate are correlated by half: of the rate 3 / 4 of the information are left beside the offset
     assert _alone(found)[1] == pytest.approx(0.3 / np.sqrt(0.75), rel=1e-9)
     fit = Fit({}, free, theta, np.diag([1.0, np.inf, np.inf]), at_bound, 1.0, 9, 9, alone=_alone(found))
-    insertion = SimpleNamespace(free=names[1:], fault=SimpleNamespace(sizes=("growth",)))
+    insertion = SimpleNamespace(free=names[1:], fault=SimpleNamespace(sizes=("growth",), simpler={}))
     assert Candidate(insertion, fit).physical
     assert (
         Candidate(insertion, replace(fit, alone=fit.alone * 11)).unphysical

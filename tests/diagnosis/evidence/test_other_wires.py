@@ -1,4 +1,4 @@
-"""What depends on another wire in motors that NumPy simulates: named, located, sized, and nothing else."""
+"""What depends on another wire in motors and circuits that NumPy simulates: named, located, sized, and nothing else."""
 
 from __future__ import annotations
 
@@ -90,6 +90,16 @@ def motor(mass: float) -> Callable[[np.ndarray, float], np.ndarray]:
     return lambda x, u: np.array([30.0 * u - 2.0 * x[0] - mass * np.sin(x[1]), x[0]])
 
 
+def circuit(drop: float) -> Callable[[np.ndarray, float], np.ndarray]:
+    """A coil whose inductance falls beyond a current of 1.5, to 1 - drop of what it was; 1/L = 12, R = 1, 1/C = 12."""
+
+    def rates(x: np.ndarray, u: float) -> np.ndarray:
+        fallen = 1 - drop * (1 + np.tanh((abs(x[0]) - 1.5) / 0.3)) / 2
+        return np.array([12.0 * (u - x[0] - x[1]) / fallen, 12.0 * x[0]])
+
+    return rates
+
+
 def recording(folder: Path, names: tuple[str, ...], rate: float, runs: list[np.ndarray]) -> Recording:
     channels = {name: {"signal": f"{name}.output", "unit": "1"} for name in names}
     listed = []
@@ -106,6 +116,11 @@ def recording(folder: Path, names: tuple[str, ...], rate: float, runs: list[np.n
 def motors(folder: Path, mass: float) -> Recording:
     runs = [simulated(motor(mass), 50.0, 1.5, (0.05, 5e-3), seed) for seed in (1, 2, 3)]
     return recording(folder, ("voltage", "speed", "angle"), 50.0, runs)
+
+
+def circuits(folder: Path, drop: float) -> Recording:
+    runs = [simulated(circuit(drop), 50.0, 3.0, (5e-3, 5e-3), seed) for seed in (1, 2, 3)]
+    return recording(folder, ("source", "coil", "capacitor"), 50.0, runs)
 
 
 @pytest.mark.slow
@@ -126,8 +141,25 @@ def test_a_torque_that_depends_on_the_angle_is_named_with_the_angle(tmp_path):
 
 
 @pytest.mark.slow
-def test_nothing_depends_on_another_wire_where_nothing_does(tmp_path):
-    found = diagnose(load(MOTOR), motors(tmp_path, 0.0), workers=1)
+def test_an_inductance_that_depends_on_the_current_is_located_at_the_coil(tmp_path):
+    found = diagnose(load(CIRCUIT), circuits(tmp_path, 0.8), workers=1)
+    assert found.verdict == "missing_physics"
+    [effect] = found.effects
+    item = effect.candidate.insertion
+    assert (item.physics, item.depends_on) == ("signal_dependent_gain", "coil.output")
+    assert {str(spot) for spot, _ in found.places} <= {"voltage.output", "inductance.output"}
+    before, after = found.score_before.total, found.score_after.total
+    assert before > 10 * after
+    values = found.after.values
+    assert abs(values["resistor.gain"] - 1.0) < 0.02
+    assert abs(values["inductance.gain"] - 12.0) < 0.24
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["motor", "circuit"])
+def test_nothing_depends_on_another_wire_where_nothing_does(tmp_path, kind):
+    made, document = (motors, MOTOR) if kind == "motor" else (circuits, CIRCUIT)
+    found = diagnose(load(document), made(tmp_path, 0.0), workers=1)
     assert found.verdict == "consistent"
     assert not found.effects
 

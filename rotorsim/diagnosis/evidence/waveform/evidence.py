@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from rotorsim.criteria import CRITERIA
-from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
+from rotorsim.diagnosis.catalogue.insertion import LONGEST, SAMPLED, Insertion, Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.change import Change
 from rotorsim.diagnosis.evidence.evidence import Defaults, Score, Terms
-from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, reason_of
+from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, is_adequate, reason_of
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagnosis.evidence.waveform.laws import LawBounds
 from rotorsim.diagnosis.evidence.waveform.missing import Linearised, missing_signal
@@ -79,7 +79,7 @@ class WaveformEvidence(SampledRuns, Defaults):
     is left out. by_force: whether noise is what a diagram with a flexible force leaves. least: steps between samples.
     starts: states at the first samples. old: names of the parameters that were free at first. held: hold-out runs.
     parts: of long runs, at all speeds, on which starts are chosen and followed; part_starts: their states at first
-    samples. near: parameters of the diagram that leave least.
+    samples. near, stated: parameters of the diagram that leave least, and as it was given.
     """
 
     variance: Variance
@@ -95,6 +95,7 @@ class WaveformEvidence(SampledRuns, Defaults):
     parts: tuple[SampledRun, ...] = ()
     part_starts: Mapping[Label, float] = field(default_factory=dict)
     near: Mapping[str, float] = field(default_factory=dict)
+    stated: Mapping[str, float] = field(default_factory=dict)
 
     independent = False
 
@@ -104,6 +105,12 @@ class WaveformEvidence(SampledRuns, Defaults):
         inputs = " and ".join(self.channels.inputs) or "what drives it"
         more_runs = f"runs with {inputs} at 0.5 and at 2 times the amplitude"
         return replace(WAVEFORM_TERMS, more_runs=more_runs, driven=f"with {inputs} so large")
+
+    def largest(self) -> Mapping[str, float]:
+        """Return the largest magnitude of signals by flat name, the length of the longest run, and its longest step."""
+        length = max(float(np.ptp(run.time)) for run in self.runs)
+        step = max(run.dt if run.steps is None else float(run.steps.max()) for run in self.runs)
+        return {**self.sizes, LONGEST: length, SAMPLED: step}
 
     def search(self, document: Mapping[str, Any]) -> OutputErrorSearch:
         """Return the search for the free parameters of a document. Raises RotorsimError."""
@@ -184,9 +191,7 @@ class WaveformEvidence(SampledRuns, Defaults):
 
         Those of a diagram that lacks much may be far from any motion of the repaired one.
         """
-        known, measured = search.first(self.starts), search.first()
-        costs = [search.evaluate(x, search.substeps(x), sensitivities=False).cost for x in (known, measured)]
-        return measured if costs[1] < costs[0] else known
+        return _cheaper(search, search.first(self.starts), search.first())
 
     def _beside(self, fit: Fit) -> tuple[OutputErrorSearch, Evaluation] | None:
         """Return the search and the evaluation of a fit, whose weights follow what it leaves; None if it diverges."""
@@ -210,15 +215,25 @@ class WaveformEvidence(SampledRuns, Defaults):
         return replace(self._summary(fit.document, search, evaluation), free=fit.free, seconds=fit.seconds)
 
     def bounds(self, fit: Fit) -> LawBounds | None:
-        """Return what the laws of signals promise beside a fit; None where its diagram has no scalar signals."""
-        here = self._linearised(values_in(fit.document, fit.values))
+        """Return what the laws of signals promise beside a fit; None where its diagram has no scalar signals.
+
+        Beside parameters as fitted or as stated: of these, where a free signal explains more. A fit without what is
+        missing may have gone anywhere.
+        """
+        document = values_in(fit.document, fit.values)
+        points = ({},) if is_adequate(fit) else ({}, self.stated)
+        found = [here for moved in points if (here := self._bounds(values_in(document, moved), moved)) is not None]
+        return min(found, key=attrgetter("deviance"), default=None)
+
+    def _bounds(self, document: Mapping[str, Any], moved: Mapping[str, float]) -> LawBounds | None:
+        """Return what the laws of signals promise beside a document as it is; moved: what is not as fitted."""
+        here = self._linearised(document)
         if here is None:
             return None
         variance, sampled = here.noise**2, here.sampled
         weight = self.rows / sum(run.size for run in sampled) / len(self.variance)  # as if these samples were all
-        theta = dict(zip((item.name for item in here.search.free), here.evaluation.unknowns.tolist(), strict=False))
         roots = np.sqrt(weight / variance)
-        return LawBounds(here.runs, sampled, here.places, here.unknown(), theta, roots, self.sizes, self.load)
+        return LawBounds(here.runs, sampled, here.places, here.unknown(), moved, roots, self.largest(), self.load)
 
     def _linearised(
         self, document: Mapping[str, Any], starts: Mapping[Label, float] | None = None
@@ -230,7 +245,7 @@ class WaveformEvidence(SampledRuns, Defaults):
         diagram, search = self.load(document), self._held(document)
         places = places_of(diagram, self.channels.outputs)
         if starts is None:
-            evaluation = search.minimise(search.first(self.starts))
+            evaluation = search.minimise(self._first(search))
         else:
             first = search.first(starts)
             evaluation = search.evaluate(first, search.substeps(first))
@@ -259,7 +274,7 @@ class WaveformEvidence(SampledRuns, Defaults):
             if effect is not None:
                 document = values_in(after.document, after.values)
                 search = self._held(document)
-                evaluation = search.minimise(search.first(self.starts), REFIT_EVALUATIONS)
+                evaluation = search.minimise(self._first(search), REFIT_EVALUATIONS)
                 starts = search.starts(evaluation.unknowns)
                 here = self._linearised(values_in(without.document, {**without.values, **after.values}), starts)
                 if here is not None and np.isfinite(evaluation.cost):
@@ -282,7 +297,7 @@ class WaveformEvidence(SampledRuns, Defaults):
         pair = []
         for fit, document, diagram in zip((first, second), documents, diagrams, strict=True):
             search = self._held(document)
-            evaluation = search.minimise(search.first(self.starts), REFIT_EVALUATIONS)
+            evaluation = search.minimise(self._first(search), REFIT_EVALUATIONS)
             pair.append(Hypothesis.of(fit, diagram, search, evaluation, signals))
         of_sample = weights_of(self.variance, self.runs, self.rows)
         longer = sum(run.size for run in self.runs) / sum(run.size for run in pair[0].whole.runs)  # than what is shown
@@ -344,8 +359,11 @@ class WaveformEvidence(SampledRuns, Defaults):
     ) -> list[Evaluation]:
         """Return where a few steps lead from each start of a group; of many on parts of runs, from the best."""
         some = group[:: -(-len(group) // MOST_STARTS) or 1] if self.parts else group
-        points = (short.started(first, start, self.old) for start in some)
-        distinct = [*{point.tobytes(): point for point in points if point is not None}.values()]
+        points = [point for start in some if (point := short.started(first, start, self.old)) is not None]
+        if not self.parts:  # states at first samples as measured, where that is better
+            measured = short.first()[short.m :]
+            points = [_cheaper(short, point, np.concatenate([point[: short.m], measured])) for point in points]
+        distinct = [*{point.tobytes(): point for point in points}.values()]
         if self.parts and len(distinct) > FOLLOWED:
             costs = [short.evaluate(point, short.substeps(point), sensitivities=False).cost for point in distinct]
             distinct = [distinct[k] for k in np.argsort(costs)[:FOLLOWED]]
@@ -420,3 +438,9 @@ class WaveformEvidence(SampledRuns, Defaults):
             text.append(f"What the repaired diagram leaves is not noise: {100 * share:.2g} % of it can be predicted.")
         units = {name.partition("[")[0]: self.recording.channels[c].unit for name, c in self.channels.columns.items()}
         return [*text, *stand_ins(self.load(after.document), inserted, units)]
+
+
+def _cheaper(search: OutputErrorSearch, point: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return that of two points which costs less, the first of equal ones."""
+    costs = [search.evaluate(x, search.substeps(x), sensitivities=False).cost for x in (point, other)]
+    return other if costs[1] < costs[0] else point

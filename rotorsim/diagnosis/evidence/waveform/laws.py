@@ -13,7 +13,7 @@ of its Kalman filter, which forget what is past, and of which that of the output
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isclose
 from typing import Any
@@ -52,8 +52,8 @@ def spot_of(place: Place) -> Spot:
 class LawBounds:
     """Misfits that the laws of signals promise; places (P,), estimates: of free signals there, the likeliest first.
 
-    theta: free parameters of the diagram, {name: SI value}. roots (c,): of the weights of squares. load: document ->
-    diagram. sizes: see `sizes_at`.
+    moved: free parameters of the diagram that are not as fitted, {name: SI value}. roots (c,): of the weights of
+    squares. load: document -> diagram. sizes: see `sizes_at`.
     """
 
     by_law = True
@@ -64,13 +64,13 @@ class LawBounds:
         sampled: Sequence[SampledRun],
         places: Sequence[Place],
         unknown: UnknownInputs,
-        theta: Mapping[str, float],
+        moved: Mapping[str, float],
         roots: np.ndarray,
         sizes: Mapping[str, float],
         load: Callable[[Mapping[str, Any]], Diagram],
     ) -> None:
         self.runs, self.sampled, self.places, self.unknown = runs, sampled, places, unknown
-        self.theta, self.roots, self.sizes, self.load = theta, roots, sizes, load
+        self.moved, self.roots, self.sizes, self.load = moved, roots, sizes, load
         self.rows = sum(run.residual.shape[0] for run in runs) * float(np.sum((roots * unknown.noise) ** 2))
         self._transfers: dict[int, np.ndarray] = {}
         self._laws: dict[tuple[Any, ...], DrivenLaw] = {}
@@ -81,6 +81,11 @@ class LawBounds:
     def estimates(self) -> list[SignalEstimate]:
         """Free signals at all places that show, the likeliest first."""
         return self.unknown.estimates()
+
+    @property
+    def deviance(self) -> float:
+        """-2 log likelihood of the likeliest free signal; infinite where none shows."""
+        return min((item.deviance for item in self.estimates), default=np.inf)
 
     def promises(self, items: Sequence[Insertion]) -> list[Promise | None]:
         """Return what laws promise at their places, None of what is no law of a signal there.
@@ -99,7 +104,8 @@ class LawBounds:
         for first, *others in alike.values():
             for one in others:
                 found[one.item.key] = one.scaled(found[first.item.key], one.factor / first.factor)
-        return [found.get(item.key) for item in items]
+        moved = {key: replace(one, start={**self.moved, **one.start}) for key, one in found.items() if one.start}
+        return [{**found, **moved}.get(item.key) for item in items]
 
     def _of_law(self, group: Sequence[_Placed]) -> dict[str, Promise]:
         """Return what one law promises at places; of many pairs with another signal, the PAIRS best are fitted."""

@@ -83,4 +83,5 @@ def waveform_evidence(
         parts=parts,
         part_starts=part_starts,
         near=noise.near,
+        stated={item.name: item.value for item in diagram.free},
     )
