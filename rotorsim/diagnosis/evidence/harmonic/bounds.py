@@ -26,6 +26,7 @@ class LowerBounds:
 
     by_law = False
     classes = ()
+    carried: Mapping[str, float] = {}
 
     def __init__(self, likelihood: Likelihood, theta: np.ndarray, targets: list[str]) -> None:
         self.likelihood = likelihood
