@@ -48,7 +48,7 @@ class Criteria:
     equivalent: float = 10.0
     most_effects: int = 3
     # share of the unexplained misfit that one more effect must explain: details of the first law are many and small,
-    # so that none of them is most of the remainder. Less is enough where those before explain no ``cause``, and all do
+    # so that none of them is most of the remainder
     worth: float = 0.9
     # share of the misfit that a cause must explain to be named: between laws that imitate others and right laws with
     # details, `python -m benchmarks.concealed shares` (docs/diagnosis.md)

@@ -106,20 +106,12 @@ def test_meshes_may_be_wrong_by_a_tenth_of_the_equations():
         assert trials.slack == pytest.approx(98.0)
 
 
-@pytest.mark.parametrize(
-    ("left", "second", "chosen"),
-    [
-        (1.9e4, 1.7e3, ["rub", "clearance"]),
-        (1.9e4, 2.1e3, ["rub"]),  # a cause explains 98 %: the rest are details, unless most of them is one effect
-        (1e5, 1.9e4, ["rub", "clearance"]),  # no cause alone, but one with another
-        (1e5, 2.1e4, ["rub"]),
-    ],
-)
-def test_another_effect_must_explain_nine_tenths_of_what_is_left_or_make_a_cause(left, second, chosen):
+@pytest.mark.parametrize(("second", "chosen"), [(9.1e3, ["rub", "clearance"]), (11.9e3, ["rub"])])
+def test_another_effect_must_explain_nine_tenths_of_what_is_left(second, chosen):
     base = Fit({}, misfit=1e6, rows=ROWS, equations=ROWS)
-    first = candidate("rub", ROWS + left, 1)
+    first = candidate("rub", 1e5, 1)
     later = candidate("clearance", ROWS + second, 2)
-    rounds = {1e6: Round(base, (first,)), ROWS + left: Round(first.fit, (later,))}
+    rounds = {1e6: Round(base, (first,)), 1e5: Round(first.fit, (later,))}
     for item in (first, later):
         item.fit = replace(item.fit, rows=ROWS, goodness=0.0)
     trials = SimpleNamespace(

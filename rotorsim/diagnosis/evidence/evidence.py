@@ -104,6 +104,10 @@ class Bounds(Protocol):
     def classes(self) -> Sequence[PlaceClass]:
         """The classes of places of which a free signal explains the same; none where that was not asked."""
 
+    @property
+    def carried(self) -> Mapping[str, float]:
+        """The largest magnitude of signals as measured outputs show them, by flat name; none where nothing is known."""
+
     def promises(self, items: Sequence[Insertion]) -> list[Promise | None]:
         """Return the least misfit that each insertion can leave, None where nothing is known of it."""
 

@@ -107,7 +107,7 @@ def _selected(trials: Trials, base: Fit) -> Selection:
             break
         grown.sort(key=lambda pair: pair[0][-1].fit.criterion)
         best, after = grown[0]
-        if not (is_adequate(best[-1].fit) or _is_worth(best[-1].fit, chosen[-1].fit, base)):
+        if not is_adequate(best[-1].fit) and _share(best[-1].fit, chosen[-1].fit) < CRITERIA.worth:
             break
         beam, chosen = [path for path, _ in grown], best
         rounds = [*rounds, after]
@@ -232,14 +232,6 @@ def least_gain(item: Candidate, base: Fit, level: float) -> float:
 def _share(after: Fit, before: Fit) -> float:
     """Return the share of the misfit beyond noise before that is explained after."""
     return 1 - (after.misfit - after.freedom) / max(before.misfit - before.freedom, 1.0)
-
-
-def _is_worth(after: Fit, before: Fit, base: Fit) -> bool:
-    """Return whether one more effect is worth a name: it explains most of the rest, or makes a cause of what was none.
-
-    Where the effects so far explain as much as a cause does, the rest are details of their laws.
-    """
-    return _share(after, before) >= CRITERIA.worth or _share(before, base) < CRITERIA.cause <= _share(after, base)
 
 
 def _noticed(tried: Sequence[Candidate], base: Fit, level: float, slack: float) -> list[Candidate]:

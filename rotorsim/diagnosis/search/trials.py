@@ -65,6 +65,9 @@ class Trials:
             if (LINES in largest or not item.from_lines) and not item.from_steps
         ]
         self.counts["rounds"] += 1
+        many = len(found) > MOST_FITS or self.evidence.costly or any(item.fault.enters == "signal" for item in found)
+        places = self.evidence.bounds(before) if many else None
+        largest = {**largest, **({} if places is None else places.carried)}
         jobs = []
         away = self._off_bounds(before)
         classes: Sequence[PlaceClass] = ()
@@ -78,8 +81,7 @@ class Trials:
             if not before.nonlinear:  # else it costs too much to begin once more from values as given
                 groups.append([{**self.nominal, **away, **start} for start in here])
             jobs.append((item.document(document, {**fixed, **starts[0]}, limits_of(item, sizes)), groups))
-        if len(jobs) > MOST_FITS or self.evidence.costly or any(item.fault.enters == "signal" for item in found):
-            places = self.evidence.bounds(before)
+        if many:
             classes = () if places is None else places.classes
             kept, promises = self._screened(before, found, jobs, places)
             kept += [k for k, item in enumerate(found) if item.key in self.known and k not in kept]

@@ -6,7 +6,7 @@ diagram's own parameters, the misfit is the least that any fault candidate can r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class LowerBounds:
 
     by_law = False
     classes = ()
+    carried: Mapping[str, float] = {}
 
     def __init__(self, likelihood: Likelihood, theta: np.ndarray, targets: list[str]) -> None:
         self.likelihood = likelihood

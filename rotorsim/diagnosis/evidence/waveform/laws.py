@@ -70,7 +70,7 @@ class LawBounds:
         load: Callable[[Mapping[str, Any]], Diagram],
     ) -> None:
         self.runs, self.sampled, self.places, self.unknown = runs, sampled, places, unknown
-        self.moved, self.roots, self.sizes, self.load = moved, roots, sizes, load
+        self.moved, self.roots, self.given, self.load = moved, roots, sizes, load
         self.rows = sum(run.residual.shape[0] for run in runs) * float(np.sum((roots * unknown.noise) ** 2))
         self._transfers: dict[int, np.ndarray] = {}
         self._laws: dict[tuple[Any, ...], DrivenLaw] = {}
@@ -81,6 +81,18 @@ class LawBounds:
     def estimates(self) -> list[SignalEstimate]:
         """Free signals at all places that show, the likeliest first."""
         return self.unknown.estimates()
+
+    @cached_property
+    def carried(self) -> Mapping[str, float]:
+        """The largest magnitude of what each place carries, smoothed with the likeliest free signal, by flat name."""
+        smoothed = [self._smoothed[item.place].wires for item in self.estimates[:1]]
+        wires = np.concatenate([*smoothed, [run.wires for run in self.runs]][0])
+        return {place.port: float(size) for place, size in zip(self.places, np.abs(wires).max(axis=0), strict=True)}
+
+    @cached_property
+    def sizes(self) -> Mapping[str, float]:
+        """The largest magnitude of signals, and what `sizes_at` takes beside them."""
+        return {**self.given, **self.carried}
 
     @property
     def deviance(self) -> float:
