@@ -42,8 +42,10 @@ from rotorsim.identification.waveform.noise import (
     robust_covariance,
     stacked,
     unpredicted,
+    variance_scale,
     weights_of,
 )
+from rotorsim.identification.waveform.noise_model import refined
 from rotorsim.identification.waveform.search import (
     MOST_SIMULATIONS,
     REFIT_EVALUATIONS,
@@ -171,20 +173,27 @@ class WaveformEvidence(SampledRuns, Defaults):
         return short, short.first(self.part_starts)
 
     def recalibrated(self, fit: Fit) -> WaveformEvidence | None:
-        """Return the evidence whose noise is what is not predictable beside a fit; None where it is much the same."""
+        """Return the evidence whose noise is what is not predictable beside a fit; None where it is much the same.
+
+        Its steps are those that the fit needs.
+        """
         if self.by_force and fit.misfit >= CRITERIA.surpassed * fit.freedom:
             return None
         beside = self._beside(fit)
         if beside is None:
             return None
+        if not self.parts:  # what was missing may be faster than the rest
+            beside = refined(*beside, variance_scale(beside[0]))
         if self.by_force:
-            noise = left_over(*beside, self.stretches)
-            return replace(self, variance=noise.variance, rows=noise.rows, allowed=CRITERIA.no_worse**2 * noise.left)
-        noise = self._unpredicted(fit, *beside)
-        ratio = [value / self.variance[signal] for signal, value in noise.variance.items()]
-        if min(ratio) >= 1 / CRITERIA.slight and max(ratio) <= CRITERIA.slight:
-            return None
-        return replace(self, variance=noise.variance, rows=noise.rows, allowed=CRITERIA.model_error * noise.left)
+            noise, most = left_over(*beside, self.stretches), CRITERIA.no_worse**2
+        else:
+            noise, most = self._unpredicted(fit, *beside), CRITERIA.model_error
+            ratio = [value / self.variance[signal] for signal, value in noise.variance.items()]
+            alike = min(ratio) >= 1 / CRITERIA.slight and max(ratio) <= CRITERIA.slight
+            if alike and beside[0].least == self.least:
+                return None
+        least = beside[0].least
+        return replace(self, variance=noise.variance, rows=noise.rows, allowed=most * noise.left, least=least)
 
     def _first(self, search: OutputErrorSearch) -> np.ndarray:
         """Return the unknowns that a diagram states, states at first samples as at first found or as measured.
