@@ -95,11 +95,15 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One round of the selection: what was tried on top of ``before``, the best first; classes: of free signals."""
+    """One round of the selection: what was tried on top of ``before``, the best first; classes: of free signals.
+
+    ways: physics and places that were looked at, with those of which too little was promised to try them.
+    """
 
     before: Fit
     tried: tuple[Candidate, ...]
     classes: tuple[PlaceClass, ...] = ()
+    ways: int = 0
 
     @property
     def best(self) -> Candidate | None:
@@ -131,6 +135,7 @@ class Trials:
             if (LINES in largest or not item.from_lines) and not item.from_steps
         ]
         self.counts["rounds"] += 1
+        ways = len({(item.physics, item.spot) for item in found})
         jobs = []
         away = self._off_bounds(before)
         classes: Sequence[PlaceClass] = ()
@@ -162,7 +167,7 @@ class Trials:
             Candidate(item, fit, self._astray(before, fit), bool(fit.failure) or not fit.nonlinear or k in ended)
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
         ]
-        return Round(before, tuple(_simplest_first(tried, self.slack)), tuple(classes))
+        return Round(before, tuple(_simplest_first(tried, self.slack)), tuple(classes), ways)
 
     def completed(self, found: Round, physics: Collection[str]) -> Round:
         """Return a round with these physics carried to the end, each law at its best place."""
@@ -213,7 +218,10 @@ class Trials:
         A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
         """
         if self.evidence.costly:
-            return _most_promising(candidates, self._promises(jobs), before)
+            [beside, *promises] = self._promises([(values_in(before.document, before.values), [[{}]]), *jobs])
+            least = HINT * len(before.free) if is_adequate(before) else 0.0  # below, it is noise
+            gains = (beside - promise if beside - promise > least else 0.0 for promise in promises)
+            return _most_promising(candidates, [before.misfit - gain for gain in gains], before)
         if places is not None and places.by_law:
             with one_thread():
                 return _most_promising(candidates, [places.bound(item) for item in candidates], before)

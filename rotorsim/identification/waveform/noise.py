@@ -223,8 +223,12 @@ def stacked(
 
 def block_misfit(search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]) -> np.ndarray:
     """Return the weighted sum of squares of each stretch, (B,)."""
-    residual, _, sizes = stacked(search, evaluation, stretches)
-    return np.array([part @ part for part in np.split(residual, np.cumsum(sizes)[:-1])])
+    energies = []
+    for r, first, last in stretches:
+        residuals = [np.nan_to_num(own[r][first:last]) for own in evaluation.residuals]
+        weighted = [search.root(k, r)[first:last] * own for k, own in enumerate(residuals)]
+        energies.append(sum(float(np.vdot(own, own)) for own in weighted))
+    return np.array(energies)
 
 
 def misfits_left_out(search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]) -> np.ndarray:
@@ -249,8 +253,9 @@ def robust_covariance(
     about. prior (q,): information of priors within H, each one more measured value in the sum. Source: K.-Y. Liang,
     S. L. Zeger, Biometrika 73 (1986) 13-22.
     """
-    starts, count = np.cumsum([0, *sizes[:-1]]), len(sizes)
-    g = np.add.reduceat(J[:, searched] * residual[:, None], starts, axis=0)
+    ends, count = np.cumsum(sizes)[:-1], len(sizes)
+    parts = zip(np.split(J, ends), np.split(residual, ends), strict=True)
+    g = np.stack([(own.T @ r)[searched] for own, r in parts])
     scores = g.T @ g * (count / max(count - 1, 1))
     scores += np.diag(np.zeros(len(scores)) if prior is None else prior[searched])
     H = information[np.ix_(searched, searched)]
