@@ -25,7 +25,7 @@ from rotorsim.identification.waveform.along_angle import (
 from rotorsim.identification.waveform.data import Channels, SampledRun, channels_of, chosen_runs
 from rotorsim.identification.waveform.errors import errors_of
 from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate, with_late_pulses
-from rotorsim.identification.waveform.late_pulses import on_time
+from rotorsim.identification.waveform.late_pulses import hummed, on_time
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
@@ -104,6 +104,7 @@ def identify_in_time(
         timed = on_time(diagram, channels, sampled, late)
         sampled, noise = timed.runs, timed.noise
         held_out = tuple(turned_later(run, diagram, timed.shift) for run in held_out)
+        held_out = hummed(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
         estimate = _estimated(diagram, channels, sampled, noise)
         if timed.std:
             estimate = with_late_pulses(estimate, [turned_later(run, diagram, timed.std) for run in sampled])

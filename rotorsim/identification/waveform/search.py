@@ -190,8 +190,9 @@ class OutputErrorSearch:
         jacobians: list[list[np.ndarray]] = [[] for _ in self.systems]
         for k, r in product(range(len(self.systems)), range(len(self.runs))):
             y, dy = self.simulated(unknowns, k, r, sub, sensitivities)
-            residuals[k].append(self.measured[k][r] - y)
-            jacobians[k].append(-dy)
+            known = np.isfinite(self.measured[k][r])
+            residuals[k].append(self.runs[r].beside_lines(self.measured[k][r] - y, known))
+            jacobians[k].append(self.runs[r].beside_lines(-dy, known))
             if not (np.isfinite(y).all() and np.isfinite(dy).all()):
                 return Evaluation(unknowns, sub)
             root = self.root(k, r)

@@ -21,6 +21,7 @@ from rotorsim.identification.waveform.search import WORSE, Evaluation, OutputErr
 
 TRIED = 9  # starts of a law, evenly among those that are declared
 SMALLER, REDUCTIONS = 1e-2, 12  # factor by which an effect is made smaller until the simulation stands it
+ABSENT = 1e-9  # relative difference of the misfits of diagrams without an effect, whatever its other parameters are
 SIGNIFICANT = 1e-9  # of d^T d: what is left of it beside J, of which anything can be told
 
 
@@ -66,15 +67,20 @@ class FirstOrder:
 
     @cached_property
     def _sizes(self) -> list[int]:
-        """Those with which the effect vanishes: the one whose zero leaves least, or all; none if it never does."""
+        """Those with which the effect vanishes: as few as leave what all at zero leave; none if it never does."""
         if not self.starts:
             return []
         stated = self.search.stated(self.first, self.starts[0])
         low, high = self.search.bounds
-        able = [j for j in self._named if stated[j] != 0 and low[j] <= 0 <= high[j]]
-        groups = [*([j] for j in able), *([able] if len(able) > 1 else [])]
-        costs = [self._cost(self._times(stated, group, 0.0)) for group in groups]
-        return groups[int(np.argmin(costs))] if costs and np.isfinite(min(costs)) else []
+        found = [j for j in self._named if stated[j] != 0 and low[j] <= 0 <= high[j]]
+        absent = self._cost(self._times(stated, found, 0.0)) if found else np.inf
+        if not np.isfinite(absent):
+            return []
+        for j in found:
+            less = [k for k in found if k != j]
+            if less and abs(self._cost(self._times(stated, less, 0.0)) - absent) <= ABSENT * absent:
+                found = less
+        return found
 
     @cached_property
     def _absent(self) -> Evaluation:
