@@ -17,6 +17,7 @@ from rotorsim.identification.waveform.along_angle import (
     lateness,
     turned_later,
     turns_as_recorded,
+    unused_channels,
     with_reaction,
 )
 from rotorsim.identification.waveform.data import channels_of, chosen_runs
@@ -40,7 +41,7 @@ def open_waveforms(
     evidence = waveform_evidence(diagram, recording, hold_out, trust_blocks=catalogue.trust)
     base, refined = base_fit(diagram, evidence)
     notes = notes_of([*evidence.runs, *evidence.held])
-    notes += diagram.warnings[len(given.warnings) :]
+    notes += [*unused_channels(diagram, recording), *diagram.warnings[len(given.warnings) :]]
     notes += [Problem(note, severity="warning") for note in refined]
     return Opened(evidence, base, base, evidence, catalogue, held_out=bool(evidence.held), warnings=[*warnings, *notes])
 
