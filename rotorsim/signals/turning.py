@@ -40,8 +40,8 @@ class Turning:
 class Curve:
     """An angle over time, sign sum_k a_k b_k(u), u = (t - centre) / half; by least squares, a (q,).
 
-    basis: u, order of the derivative -> (n, q). root (q, q): R R^T is the covariance of a, as the pulses scatter. Not in
-    it is the bias of the least number of parts that the pulses allow.
+    basis: u, order of the derivative -> (n, q). root (q, q): R R^T is the covariance of a, as the pulses scatter; the
+    bias of the least number of parts that the pulses allow is not in it.
     reach: how far beyond the pulses it holds [rad].
     """
 
