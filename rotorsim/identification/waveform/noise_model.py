@@ -208,7 +208,7 @@ def _sizes(diagram: Diagram, channels: Channels, base: OutputErrorSearch, evalua
     signals = base.systems[0].equations.model.signals
     names = [name for port, signal in signals.items() for name in linear.entry_names(port, signal.shape)][:SIGNALS]
     equations = driven_equations(diagram, names, channels.inputs, diagram.free, fastest=channels.fastest)
-    search = replace(base, systems=(Simulation(equations),))
+    search = replace(base, systems=(Simulation(equations, sensitive=False),))
     unknowns = search.first(base.starts(evaluation.unknowns))
     unknowns[: search.m] = evaluation.unknowns[: search.m]
     runs = [run.values for run in base.runs]
