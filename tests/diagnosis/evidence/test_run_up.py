@@ -11,7 +11,7 @@ from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.diagnosis.evidence.base_fit import with_uncertain
 from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
 from rotorsim.model.load import load
-from tests.identification.run_up import RATE, Machine, runs_of
+from tests.identification.run_up import RATE, Machine, Ring, runs_of
 
 PHYSICS = ("residual_bow", "anisotropic_support", "seal_cross_coupling")
 
@@ -54,3 +54,13 @@ def test_a_bow_is_found_with_its_size_and_angle():
     assert [effect.candidate.insertion.physics for effect in found.effects] == ["residual_bow"]
     assert found.after.values["residual_bow.amplitude"] == pytest.approx(1.6e-6, rel=0.02)
     assert found.after.values["residual_bow.phase"] % (2 * np.pi) == pytest.approx(1.2, abs=0.02)
+
+
+def test_a_rub_is_told_from_a_spring_that_hardens():
+    """FAULT: its residual was counted as noise, the ring started with no gap, and a cubic spring was named."""
+    ring, laws = Ring(), ("rub", "clearance", "cubic_stiffness")
+    found = diagnose(load("jeffcott"), runs_of(Machine(), 8, 1.5, ring), physics=laws, workers=1)
+    assert found.verdict == "missing_physics"
+    assert [effect.candidate.insertion.physics for effect in found.effects] == ["rub"]
+    for name, truth in vars(ring).items():
+        assert found.after.values[f"rub.{name}"] == pytest.approx(truth, rel=0.05)
