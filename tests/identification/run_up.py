@@ -136,6 +136,49 @@ def motion(machine: Machine, gains: Mapping[str, float], angle: Angle, t: np.nda
     return np.concatenate([state[:, :2], current], axis=1)
 
 
+@dataclass(frozen=True)
+class Ring:
+    """A stator ring that the rotor rubs on: gap [m], stiffness [N/m], friction; the surface moves forwards."""
+
+    gap: float = 9e-6
+    stiffness: float = 3e5
+    friction: float = 0.1
+
+
+def rubbing(machine: Machine, ring: Ring, gains: Mapping[str, float], angle: Angle, t: np.ndarray) -> np.ndarray:
+    """Return displacement and current [x, y, ix, iy] (n, 4) by Runge-Kutta steps of half a sample, from rest."""
+    KP, KI, KD = gains.values()
+    k, h = STIFFNESS - machine.force_displacement_factor, (t[1] - t[0]) / 2
+    ki, m = machine.force_current_factor, MASS
+    theta, speed, acceleration = angle(t[0] + h / 2 * np.arange(4 * len(t) + 1))
+    a = theta + machine.crack_phase
+    opening = 0.5 + 2 / np.pi * sum((-1) ** j / (2 * j + 1) * np.cos((2 * j + 1) * a) for j in range(5))
+    f = 0.5 * opening * machine.crack_stiffness * SAG * (1 + np.exp(2j * a))
+    turned = np.exp(1j * (theta + machine.unbalance_phase))
+    force = (f + m * machine.eccentricity * (speed**2 - 1j * acceleration) * turned).tolist()
+    gap, stiff, turn = ring.gap, ring.stiffness, 1 + 1j * ring.friction
+
+    def rates(q: complex, v: complex, z: complex, f: complex) -> tuple[complex, complex, complex]:
+        rho = abs(q)
+        pressed = stiff * (rho - gap) * turn * q / rho if rho > gap else 0.0
+        return v, (f - pressed - (k + ki * KP) * q - (machine.viscous_damping + ki * KD) * v - ki * KI * z) / m, q
+
+    mean = np.mean(force[: len(force) // 20])
+    x = (0j, 0j, complex(mean / (ki * KI)))
+    rows = []
+    for n in range(2 * len(t)):
+        if n % 2 == 0:
+            rows.append((x[0], KP * x[0] + KD * x[1] + KI * x[2]))
+        start, middle, end = force[2 * n : 2 * n + 3]
+        k1 = rates(*x, start)
+        k2 = rates(*(s + h / 2 * d for s, d in zip(x, k1, strict=True)), middle)
+        k3 = rates(*(s + h / 2 * d for s, d in zip(x, k2, strict=True)), middle)
+        k4 = rates(*(s + h * d for s, d in zip(x, k3, strict=True)), end)
+        x = tuple(s + h / 6 * (a + 2 * b + 2 * c + d) for s, a, b, c, d in zip(x, k1, k2, k3, k4, strict=True))
+    q, i = np.array(rows).T
+    return np.stack([q.real, q.imag, i.real, i.imag], axis=1)
+
+
 def pulses(angle: Angle, t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return when the angle passes whole turns, with jitter, to 0.1 us."""
     theta = angle(t)[0]
@@ -148,12 +191,19 @@ def pulses(angle: Angle, t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def recorded(
-    name: str, machine: Machine, angle: Angle, duration: float, seed: int, gains: Mapping[str, float] = GAINS
+    name: str,
+    machine: Machine,
+    angle: Angle,
+    duration: float,
+    seed: int,
+    gains: Mapping[str, float] = GAINS,
+    ring: Ring | None = None,
 ) -> Run:
     """Return a run with white noise, slow noise, and pick-up of 50 Hz."""
     rng, n = np.random.default_rng(seed), round(duration * RATE)
     t = np.arange(n) / RATE
-    clean = dict(zip(NOISE, motion(machine, gains, angle, t).T, strict=True))
+    moved = motion(machine, gains, angle, t) if ring is None else rubbing(machine, ring, gains, angle, t)
+    clean = dict(zip(NOISE, moved.T, strict=True))
     values = {}
     for column, signal in clean.items():
         pole = np.exp(-tau * 5 / RATE)
@@ -169,10 +219,15 @@ def recording(*runs: Run) -> Recording:
     return Recording("rig", "simulated", Path(), CHANNELS, runs)
 
 
-def runs_of(machine: Machine, seed: int = 1, duration: float = 5.0) -> Recording:
+def runs_of(machine: Machine, seed: int = 1, duration: float = 5.0, ring: Ring | None = None) -> Recording:
     """Return a run-up, a coast-down, and a run-up with other gains."""
+    up, down, other = (
+        ramp(500, 5600, duration, 0.5),
+        ramp(5600, 600, 0.8 * duration, 0.3),
+        ramp(550, 4800, 0.7 * duration),
+    )
     return recording(
-        recorded("up", machine, ramp(500, 5600, duration, 0.5), duration, 10 * seed),
-        recorded("down", machine, ramp(5600, 600, 0.8 * duration, 0.3), 0.8 * duration, 10 * seed + 1),
-        recorded("other", machine, ramp(550, 4800, 0.7 * duration), 0.7 * duration, 10 * seed + 2, OTHER),
+        recorded("up", machine, up, duration, 10 * seed, ring=ring),
+        recorded("down", machine, down, 0.8 * duration, 10 * seed + 1, ring=ring),
+        recorded("other", machine, other, 0.7 * duration, 10 * seed + 2, OTHER, ring),
     )

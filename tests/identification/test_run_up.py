@@ -11,10 +11,23 @@ import pytest
 from rotorsim.errors import Place, RotorsimError
 from rotorsim.identification.as_recorded import simulate_as_recorded
 from rotorsim.identification.identification import identify
-from rotorsim.identification.waveform.along_angle import along_angle, is_in_time, turned_later, with_reaction
-from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.along_angle import (
+    along_angle,
+    is_in_time,
+    misturned,
+    turned_later,
+    unused_channels,
+    with_reaction,
+)
+from rotorsim.identification.waveform.data import SampledRun, channels_of
 from rotorsim.identification.waveform.equations import driven_equations
+from rotorsim.identification.waveform.estimate import time_estimate, with_late_pulses, with_misturned
+from rotorsim.identification.waveform.noise import weights_of
+from rotorsim.identification.waveform.noise_model import noise_model
+from rotorsim.identification.waveform.reading import read_runs
+from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.shooting import angle_starts
+from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Channel, Recording, Run
 from rotorsim.signals.turning import turning
@@ -123,6 +136,65 @@ def test_sampled_pulses_are_late_alike(stamped):
         one = found.parameters[name]
         assert abs(one.value - truth) < 3 * one.std, name
         assert one.unit != "rad" or abs(one.value - truth) < np.radians(0.5), name
+
+
+@pytest.mark.parametrize(("angle", "most"), [(ramp(600, 3000, 3.0), 1.4), (BENT, 2.0)])
+def test_an_angle_is_as_uncertain_as_its_pulses_make_it(angle, most):
+    """Squares of errors over their variance, at 20 instants of 40 draws: one on average.
+
+    Where the number of parts is the least that the pulses allow, its bias is as much again at most.
+    """
+    squares = []
+    for seed in range(40):
+        made, run = pulsed(angle, 3.0, seed + 1)
+        curve = turning(made, run).curve
+        at = np.linspace(*run.tacho[[0, -1]], 22)[1:-1]
+        off = curve(at) - angle(at)[0]
+        off -= tau * np.round(off.mean() / tau)
+        squares.append(off**2 / (curve.errors(at) ** 2).sum(axis=1))
+    assert 0.8 < np.mean(squares) < most
+
+
+def test_errors_of_an_angle_are_those_of_its_speed_and_acceleration():
+    made, run = pulsed(BENT, 3.0)
+    own = along_angle(load("jeffcott"), made).runs[0]
+    known = np.isfinite(own.values["clock.theta"])
+    sampled = SampledRun("up", own.values, {}, run.time, {}).part(np.flatnonzero(known))
+    off = list(misturned(load("jeffcott"), made, sampled))
+    curve = turning(made, run).curve
+    assert len(off) == len(curve.a)
+    for other in off[:: len(off) // 3]:
+        theta, speed = (other.values[name] - sampled.values[name] for name in ("clock.theta", "clock.speed"))
+        assert 0 < np.abs(theta).max() < 3 * JITTER * 600
+        np.testing.assert_allclose(np.gradient(theta, 1e-3)[2:-2], speed[2:-2], atol=2e-2 * np.abs(speed).max())
+
+
+@pytest.mark.slow
+def test_an_angle_that_is_off_throughout_counts_as_late_pulses_do():
+    diagram, made = with_reaction(load("jeffcott")), recording(recorded("up", Machine(), ramp(600, 5000, 1.5), 1.5, 3))
+    made = along_angle(diagram, made)
+    channels = channels_of(diagram, made)
+    runs = read_runs(diagram, made.runs, channels)
+    noise = noise_model(diagram, channels, runs)
+    weights = weights_of(noise.variance, runs, noise.rows)
+    search = OutputErrorSearch(subsystems_of(diagram, channels), runs, weights, noise.least)
+    start = search.first(noise.starts)
+    start[: search.m] = noise.theta
+    found = time_estimate(search, search.minimise(start), noise)
+    later = [turned_later(run, diagram, 1e-6) for run in runs]
+    added = [one.robust - found.robust for one in (with_late_pulses(found, later), with_misturned(found, [later]))]
+    scale = np.sqrt(np.diag(added[0])[: search.m])
+    np.testing.assert_allclose(np.sqrt(np.diag(added[1])[: search.m]), scale, rtol=0.02)
+
+
+def test_a_measured_speed_beside_the_angle_is_said_not_to_be_used():
+    [run] = runs_of(Machine(), 1, 1.0).runs[:1]
+    made = recording(run)
+    assert unused_channels(load("jeffcott"), made) == []
+    channels = {**made.channels, "n": Channel("n", "clock.speed", None, None, None, "rad/s")}
+    [said] = unused_channels(load("jeffcott"), replace(made, channels=channels))
+    assert said.what == "is not used: the speed of the shaft is taken from its angle"
+    assert said.subject == "channel n"
 
 
 def test_a_shaft_is_later_by_its_speed():

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.waveform.data import RATE_PREFIX, SampledRun, between_samples, channels_of
 from rotorsim.identification.waveform.equations import DrivenEquations, ForceMap, driven_equations
-from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.identification.waveform.simulation import Simulation, _source
 from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.model.load import load
 from tests.diagnosis.evidence.machines import OSCILLATOR, POSITIONER, carriage_recording
@@ -47,6 +47,16 @@ def parameters(equations: DrivenEquations, theta: np.ndarray) -> np.ndarray:
 
 def theta_of(equations: DrivenEquations) -> np.ndarray:
     return np.array([item.value for item in equations.free])
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_without_derivatives_the_outputs_are_the_same_and_the_code_is_less(equations, compiled):
+    p, v = parameters(equations, theta_of(equations)), inputs(50, 1)
+    plain = Simulation(equations, use_compiler=compiled, sensitive=False)
+    y, dy = plain.simulate(p, START, v, DT)
+    np.testing.assert_array_equal(y, Simulation(equations, use_compiler=compiled).simulate(p, START, v, DT)[0])
+    assert dy.shape == (50, 2, 0)
+    assert ["jac[0] = " in _source(equations, count)[0] for count in (0, 6)] == [False, True]
 
 
 def test_the_error_falls_with_the_fourth_power_of_the_step(equations):

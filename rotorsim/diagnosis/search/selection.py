@@ -88,7 +88,7 @@ def _selected(trials: Trials, base: Fit) -> Selection:
     trials.unsized = frozenset(item.name for item in base.free if not (item.scale or item.value))
     trials.slack = slack = CRITERIA.mesh_error * base.rows if trials.evidence.refines_meshes(base.document) else 0.0
     first = trials.round(base)
-    level = _level(first.tried)
+    level = _level(first)
     worth = _noticed(first.tried, base, level, slack) if is_adequate(base) else first.tried
     beam: list[tuple[Candidate, ...]] = [(item,) for item in _distinct(worth, base)[:BEAM_WIDTH]]
     if not beam:
@@ -214,10 +214,10 @@ def _reconsidered(
     return chosen, rounds
 
 
-def _level(tried: Sequence[Candidate]) -> float:
-    """Return the probability of a false alarm that one of these candidates may take up."""
-    ways = {(item.insertion.physics, item.insertion.spot) for item in tried if not item.fit.failure}
-    return CRITERIA.false_alarm / max(len(ways), 1)
+def _level(found: Round) -> float:
+    """Return the probability of a false alarm that one of the candidates of a round may take up."""
+    ways = {(item.insertion.physics, item.insertion.spot) for item in found.tried if not item.fit.failure}
+    return CRITERIA.false_alarm / max(len(ways), found.ways, 1)
 
 
 def least_gain(item: Candidate, base: Fit, level: float) -> float:

@@ -65,6 +65,7 @@ class Trials:
             if (LINES in largest or not item.from_lines) and not item.from_steps
         ]
         self.counts["rounds"] += 1
+        ways = len({(item.physics, item.spot) for item in found})
         many = len(found) > MOST_FITS or self.evidence.costly or any(item.fault.enters == "signal" for item in found)
         places = self.evidence.bounds(before) if many else None
         largest = {**largest, **({} if places is None else places.carried)}
@@ -106,7 +107,8 @@ class Trials:
             Candidate(item, fit, self._astray(before, fit), bool(fit.failure) or not fit.nonlinear or k in ended)
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
         ]
-        return Round(before, tuple(simplest_first(tried, self.slack)), tuple(classes), tuple(elsewhere), likely)
+        ordered = tuple(simplest_first(tried, self.slack))
+        return Round(before, ordered, tuple(classes), ways, tuple(elsewhere), likely)
 
     def completed(self, found: Round, physics: Collection[str], law: tuple[str, int] | None = None) -> Round:
         """Return a round with these physics carried to the end, each law at its best place, and one at its rivals'."""
@@ -197,7 +199,10 @@ class Trials:
         A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
         """
         if self.evidence.costly:
-            return most_promising(candidates, self._promises(jobs), before)
+            [beside, *promises] = self._promises([(values_in(before.document, before.values), [[{}]]), *jobs])
+            least = HINT * len(before.free) if is_adequate(before) else 0.0  # below, it is noise
+            gains = (beside - promise if beside - promise > least else 0.0 for promise in promises)
+            return most_promising(candidates, [before.misfit - gain for gain in gains], before)
         if is_adequate(before):
             return self._promising(candidates, jobs, before.misfit - HINT * MOST_FITS)
         if places is None:

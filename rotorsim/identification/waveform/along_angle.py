@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -89,6 +89,34 @@ def along_angle(diagram: Diagram, recording: Recording, runs: Sequence[Run] | No
     if problems:
         raise RotorsimError(*problems)
     return replace(recording, channels={**kept, **given}, runs=tuple(turned))
+
+
+def unused_channels(diagram: Diagram, recording: Recording) -> list[Problem]:
+    """Return warnings about measured speeds and accelerations of a shaft, for which those of its angle are taken."""
+    if not turns_as_recorded(diagram, recording):
+        return []
+    ports = {port for port in clock_ports(diagram) if not port.endswith(".theta")}
+    what = "is not used: the speed of the shaft is taken from its angle"
+    return [
+        Problem(what, f"channel {column}", channel.place, "leave the channel out, or the angle", "warning", "unused")
+        for column, channel in recording.channels.items()
+        if channel.signal in ports
+    ]
+
+
+def misturned(diagram: Diagram, recording: Recording, run: SampledRun) -> Iterator[SampledRun]:
+    """Yield a run whose angle is off by one standard deviation of what its pulses leave open, direction by direction.
+
+    Neighbouring pulses share what they leave open; none where the angle itself was recorded.
+    """
+    whole = next((own for own in recording.runs if run.id == own.id or run.id.startswith(f"{own.id} from ")), None)
+    curve = None if whole is None else turning(recording, whole).curve
+    if curve is None:
+        return
+    off = {unit: curve.errors(run.time, k) for k, unit in enumerate(ANGLE_UNITS)}
+    ports = [(port, off[port.rpartition(".")[2]]) for port in clock_ports(diagram) if port in run.values]
+    for k in range(curve.root.shape[1]):
+        yield replace(run, values={**run.values, **{port: run.values[port] + error[:, k] for port, error in ports}})
 
 
 def lateness(recording: Recording) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import tau
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from rotorsim.units import compatible
 RATE_PREFIX = "rate of "
 STABLE_STEP = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
 SMOOTH_KIND = "smooth"  # kind of an input that goes between samples on a cubic spline
+LINE_PERIODS = 20.0  # of hum in a run: in fewer, it is not told from motion that passes
 SENSOR_DISTANCE = 1e-3  # m, between a sensor and the node that stands for it
 
 
@@ -46,7 +48,7 @@ class Channels:
 class SampledRun:
     """Samples of one run: values {flat name: (N,)}, SI, at instants time (N,) [s]; NaN where an output is missing.
 
-    notes: what of the recording is not used, or was filled in.
+    notes: what of the recording is not used, or was filled in. lines: frequencies [Hz] of hum, free in each output.
     """
 
     id: str
@@ -55,11 +57,12 @@ class SampledRun:
     time: np.ndarray
     settings: Mapping[str, Any]
     notes: tuple[Problem, ...] = ()
+    lines: tuple[float, ...] = ()
     _inputs: dict[tuple[tuple[str, ...], int], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without what can be computed again."""
-        return SampledRun, (self.id, self.values, self.kinds, self.time, self.settings, self.notes)
+        return SampledRun, (self.id, self.values, self.kinds, self.time, self.settings, self.notes, self.lines)
 
     def first(self, count: int) -> SampledRun:
         """Return the run up to a number of samples."""
@@ -96,6 +99,29 @@ class SampledRun:
         """Whether any output was measured at a sample, (N,)."""
         outputs = [array for name, array in self.values.items() if name not in self.kinds]
         return np.asarray(np.isfinite(outputs).any(axis=0)) if outputs else np.zeros(self.size, bool)
+
+    @cached_property
+    def line_basis(self) -> np.ndarray | None:
+        """Orthonormal sines and cosines of the lines, (N, 2 L); None without any that a run so short tells."""
+        told = [line for line in self.lines if line * self.dt * self.size >= LINE_PERIODS]
+        if not told:
+            return None
+        angle = tau * np.outer(self.time - self.start, told)
+        return np.asarray(np.linalg.qr(np.concatenate([np.cos(angle), np.sin(angle)], axis=1))[0])
+
+    def beside_lines(self, y: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """Return signals (N, c, ...) less their lines, by least squares on the samples that are known (N, c)."""
+        if (basis := self.line_basis) is None:
+            return y
+        flat = y.reshape(self.size, y.shape[1], -1)
+        if known.all():
+            columns = flat.reshape(self.size, -1)
+            return np.asarray(columns - basis @ (basis.T @ columns)).reshape(y.shape)
+        out = flat.copy()
+        for c, there in enumerate(known.T):
+            own = np.linalg.lstsq(basis[there], flat[there, c], rcond=None)[0]
+            out[:, c] -= basis @ own
+        return out.reshape(y.shape)
 
     def measured(self, names: Sequence[str]) -> np.ndarray:
         """Return samples of signals, (N, c)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -192,3 +192,37 @@ def with_late_pulses(estimate: TimeEstimate, later: Sequence[SampledRun]) -> Tim
     change = np.zeros(len(evaluation.unknowns))
     change[searched] = -np.linalg.lstsq(H / np.outer(scale, scale), g / scale, rcond=INVERTED)[0] / scale
     return replace(estimate, robust=estimate.robust + np.outer(change, change))
+
+
+def with_misturned(estimate: TimeEstimate, misturned: Sequence[Iterable[SampledRun]]) -> TimeEstimate:
+    """Return the estimate with the uncertainty of the angle that pulses leave open between them.
+
+    misturned: of each run, the run with an angle that is off by an error of one standard deviation, one after another:
+    they are independent. Each changes the simulated outputs by d and the estimate by u = -H^-1 J^T W d, and u u^T is
+    added to the covariance: the scatter of stretches shows nothing of an error that a whole run shares.
+    """
+    evaluation, search = estimate.evaluation, estimate.search
+    searched = ~search.at_bound(evaluation.unknowns)
+    H = evaluation.information[np.ix_(searched, searched)]
+    scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
+    slopes: list[np.ndarray] = []
+    for r, others in enumerate(misturned):
+        known, own = np.isfinite(search.measured[0][r]), search.columns(0, r)
+        y, _ = search.simulated(evaluation.unknowns, 0, r, evaluation.sub, sensitivities=False)
+        weighted = search.root(0, r)[:, :, None] ** 2 * evaluation.jacobians[0][r]
+        for other in others:
+            runs = [other if k == r else run for k, run in enumerate(search.runs)]
+            off, _ = replace(search, runs=runs).simulated(
+                evaluation.unknowns, 0, r, evaluation.sub, sensitivities=False
+            )
+            g = np.zeros(len(evaluation.unknowns))
+            g[own] = np.tensordot(weighted, search.runs[r].beside_lines(y - off, known), axes=([0, 1], [0, 1]))
+            slopes.append(g[searched])
+    if not slopes:
+        return estimate
+    change = np.zeros((len(evaluation.unknowns), len(slopes)))
+    change[searched] = np.linalg.lstsq(H / np.outer(scale, scale), np.array(slopes).T / scale[:, None], rcond=INVERTED)[
+        0
+    ]
+    change[searched] /= scale[:, None]
+    return replace(estimate, robust=estimate.robust + change @ change.T)

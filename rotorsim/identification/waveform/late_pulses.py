@@ -19,6 +19,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.along_angle import turned_later
 from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.identification.waveform.equations import clock_ports
+from rotorsim.identification.waveform.hum import with_hum
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import NoiseModel, noise_model
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
@@ -30,7 +31,10 @@ LARGEST = 2.0  # standard deviations: a period before and after the sample is 2.
 
 @dataclass(frozen=True, eq=False)
 class OnTime:
-    """Runs whose angle is right by the time that pulses were late (shift, std: [s]), and what is noise in them."""
+    """Runs whose angle is right by the time that pulses were late (shift, std: [s]), and what is noise in them.
+
+    Hum is fitted beside them, where the shaft turns.
+    """
 
     runs: tuple[SampledRun, ...]
     noise: NoiseModel
@@ -44,6 +48,9 @@ def on_time(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], la
     Raises RotorsimError where the diagram diverges when it is driven as recorded.
     """
     noise, shift, std = noise_model(diagram, channels, runs), 0.0, 0.0
+    if {*clock_ports(diagram)} & {*channels.inputs}:
+        runs = hummed(diagram, channels, runs, noise)
+        noise = noise_model(diagram, channels, runs, noise) if any(run.lines for run in runs) else noise
     if not late or not _shows(diagram, channels, runs, noise, late):
         return OnTime(tuple(runs), noise)
     for _ in range(LATE_PASSES):
@@ -57,7 +64,22 @@ def on_time(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], la
         step, std = _step(search, evaluation, [turned_later(run, diagram, late) for run in turned], shift, late)
         shift = float(np.clip(shift + step, -LARGEST * late, LARGEST * late))
     turned = [turned_later(run, diagram, shift) for run in runs]
-    return OnTime(tuple(turned), noise_model(diagram, channels, turned), shift, std)
+    return OnTime(tuple(turned), noise_model(diagram, channels, turned, noise), shift, std)
+
+
+def hummed(
+    diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], noise: NoiseModel, *, known: bool = True
+) -> tuple[SampledRun, ...]:
+    """Return runs with the lines of the mains in them; known: whether they are those of the noise, with its starts."""
+    [whole, *_] = subsystems_of(diagram, channels)
+    weights = {signal: 1 / value for signal, value in noise.variance.items()}
+    search = OutputErrorSearch((whole,), runs, weights, noise.least, hold="theta")
+    start = search.first(noise.starts if known else None)
+    start[: search.m] = noise.theta
+    evaluation = (
+        search.evaluate(start, search.substeps(start), sensitivities=False) if known else search.minimise(start)
+    )
+    return with_hum(search, evaluation) if np.isfinite(evaluation.cost) else tuple(runs)
 
 
 def _shows(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], noise: NoiseModel, late: float) -> bool:

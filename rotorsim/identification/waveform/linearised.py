@@ -200,13 +200,18 @@ def simulated_signals(
     diagram: Diagram, search: OutputErrorSearch, evaluation: Evaluation, names: Sequence[str]
 ) -> list[np.ndarray]:
     """Return signals (flat names) in each run of a fitted diagram, as simulated, (N, s)."""
-    whole, unknowns = with_outputs(diagram, search, evaluation, names)
+    whole, unknowns = with_outputs(diagram, search, evaluation, names, sensitive=False)
     runs = range(len(search.runs))
     return [whole.simulated(unknowns, 0, r, evaluation.sub, sensitivities=False)[0][:, : len(names)] for r in runs]
 
 
 def with_outputs(
-    diagram: Diagram, search: OutputErrorSearch, evaluation: Evaluation, outputs: Sequence[str]
+    diagram: Diagram,
+    search: OutputErrorSearch,
+    evaluation: Evaluation,
+    outputs: Sequence[str],
+    *,
+    sensitive: bool = True,
 ) -> tuple[OutputErrorSearch, np.ndarray]:
     """Return a search whose outputs are these signals, then the states; and its unknowns, those of a fit.
 
@@ -217,7 +222,7 @@ def with_outputs(
     states = replace(
         equations, outputs=(*outputs, *equations.state_names), g=ca.vertcat(equations.g, equations.arguments[1])
     )
-    whole = replace(search, systems=(Simulation(states),))
+    whole = replace(search, systems=(Simulation(states, sensitive=sensitive),))
     unknowns = whole.first(search.starts(evaluation.unknowns))
     unknowns[: search.m] = evaluation.unknowns[: search.m]
     return whole, unknowns

@@ -69,12 +69,14 @@ class NoiseModel:
     sizes: Mapping[str, float]
 
 
-def noise_model(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun]) -> NoiseModel:
-    """Return what counts as noise in some runs.
+def noise_model(
+    diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], near: NoiseModel | None = None
+) -> NoiseModel:
+    """Return what counts as noise in some runs; near: of the same runs a little otherwise, where the fit begins.
 
     Raises RotorsimError where the diagram diverges when it is driven as recorded.
     """
-    base, evaluation = _base(subsystems_of(diagram, channels), runs)
+    base, evaluation = _base(subsystems_of(diagram, channels), runs, near)
     if not np.isfinite(evaluation.cost) and base.substeps(evaluation.unknowns) >= SIMULATION_SUBSTEPS:
         what = f"has modes too fast for {SIMULATION_SUBSTEPS} steps between samples"
         hint = "correct its stiffness or mass, or leave it out: a lag that is faster than the recording shows is a gain"
@@ -141,7 +143,9 @@ def _noise_share(search: OutputErrorSearch, evaluation: Evaluation) -> float:
     return float(max((white[failed] / square[failed]).min(initial=1.0), CRITERIA.resolution))
 
 
-def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[OutputErrorSearch, Evaluation]:
+def _base(
+    systems: tuple[Simulation, ...], runs: Sequence[SampledRun], near: NoiseModel | None
+) -> tuple[OutputErrorSearch, Evaluation]:
     """Return the fit of the diagram as it is, at steps that are short enough.
 
     Controllers with their measured inputs come first; what they leave is their noise, whatever the whole leaves.
@@ -149,6 +153,13 @@ def _base(systems: tuple[Simulation, ...], runs: Sequence[SampledRun]) -> tuple[
     search = OutputErrorSearch(systems, runs, {})
     scale = variance_scale(search)
     search = replace(search, weights={signal: 1 / value for signal, value in scale.items()})
+    if near is not None:
+        search = replace(
+            search, weights={signal: 1 / value for signal, value in near.variance.items()}, least=near.least
+        )
+        start = search.first(near.starts)
+        start[: search.m] = near.theta
+        return search, search.minimise(start)
     starts = angle_starts(search, search.first())
     start = starts[0]
     if len(systems) > 1:
@@ -197,7 +208,7 @@ def _sizes(diagram: Diagram, channels: Channels, base: OutputErrorSearch, evalua
     signals = base.systems[0].equations.model.signals
     names = [name for port, signal in signals.items() for name in linear.entry_names(port, signal.shape)][:SIGNALS]
     equations = driven_equations(diagram, names, channels.inputs, diagram.free, fastest=channels.fastest)
-    search = replace(base, systems=(Simulation(equations),))
+    search = replace(base, systems=(Simulation(equations, sensitive=False),))
     unknowns = search.first(base.starts(evaluation.unknowns))
     unknowns[: search.m] = evaluation.unknowns[: search.m]
     runs = [run.values for run in base.runs]

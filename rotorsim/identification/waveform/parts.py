@@ -47,4 +47,5 @@ def parts_of(
 def _of_states(system: Simulation) -> Simulation:
     """Return a simulation whose outputs are its states."""
     equations = system.equations
-    return replace(system, equations=replace(equations, outputs=equations.state_names, g=equations.arguments[1]))
+    states = replace(equations, outputs=equations.state_names, g=equations.arguments[1])
+    return replace(system, equations=states, sensitive=False)

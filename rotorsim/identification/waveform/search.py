@@ -152,15 +152,20 @@ class OutputErrorSearch:
 
     def substeps(self, unknowns: np.ndarray) -> int:
         """Return as many steps between samples as the fastest mode at a point needs to be stable."""
-        fastest = 0.0
-        for (k, system), (r, run) in product(enumerate(self.systems), enumerate(self.runs)):
-            eq, own = system.equations, unknowns[self.columns(k, r)]
-            p, v = eq.parameters(self.p[r], own[: eq.m]), run.inputs(eq.inputs, 1)[0, 0]
-            longest = run.dt if run.steps is None else float(run.steps.max())
-            for x in (np.zeros(eq.n), own[eq.m :]):
-                A = eq.matrices[0](run.start, x, v, p)[0]
-                if A.size and np.isfinite(A).all():
-                    fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()) * longest)
+        fastest, longest = 0.0, np.array([run.dt if run.steps is None else float(run.steps.max()) for run in self.runs])
+        time = np.array([run.start for run in self.runs])
+        for k, system in enumerate(self.systems):
+            eq = system.equations
+            own = [unknowns[self.columns(k, r)] for r in range(len(self.runs))]
+            p = np.stack([eq.parameters(given, part[: eq.m]) for given, part in zip(self.p, own, strict=True)], axis=1)
+            v = np.stack([run.inputs(eq.inputs, 1)[0, 0] for run in self.runs], axis=1)
+            x = np.stack([part[eq.m :] for part in own], axis=1)
+            for at in (np.zeros_like(x), x):
+                A = eq.matrices[0](time[None], at, v, p)
+                good = np.isfinite(A).all(axis=(1, 2))
+                if A.size and good.any():
+                    speed = np.abs(np.linalg.eigvals(A[good])).max(axis=1)
+                    fastest = max(fastest, float((speed * np.broadcast_to(longest, len(A))[good]).max()))
         sub = self.least
         while sub < fastest / STABLE_STEP and sub < SIMULATION_SUBSTEPS:
             sub *= 2
@@ -185,8 +190,9 @@ class OutputErrorSearch:
         jacobians: list[list[np.ndarray]] = [[] for _ in self.systems]
         for k, r in product(range(len(self.systems)), range(len(self.runs))):
             y, dy = self.simulated(unknowns, k, r, sub, sensitivities)
-            residuals[k].append(self.measured[k][r] - y)
-            jacobians[k].append(-dy)
+            known = np.isfinite(self.measured[k][r])
+            residuals[k].append(self.runs[r].beside_lines(self.measured[k][r] - y, known))
+            jacobians[k].append(self.runs[r].beside_lines(-dy, known))
             if not (np.isfinite(y).all() and np.isfinite(dy).all()):
                 return Evaluation(unknowns, sub)
             root = self.root(k, r)

@@ -23,6 +23,7 @@ from rotorsim.model.emit.writer import Writer, array_leaf
 from rotorsim.model.runge_kutta import RK4
 
 LARGE = 1e100  # a state beyond has diverged
+LONG = 1_000_000  # characters: of a shaft of finite elements -O3 takes five times as long, for code 15 % faster
 DENORMAL_SENSITIVITY = 1e-200  # a sensitivity below is zero: denormal numbers are slow
 
 _RUNTIME = r"""
@@ -104,13 +105,15 @@ class Simulation:
     """Driven equations, ready to be simulated over runs.
 
     name: "" for those of the whole diagram, else the controller that they are of. by_start: whether derivatives are
-    by the states at the first sample, too.
+    by the states at the first sample, too. sensitive: whether there are derivatives: of many
+    outputs they are most of the code.
     """
 
     equations: DrivenEquations
     name: str = ""
     use_compiler: bool = True
     by_start: bool = True
+    sensitive: bool = True
 
     @property
     def signals(self) -> list[tuple[str, str]]:
@@ -120,6 +123,8 @@ class Simulation:
     @property
     def columns(self) -> int:
         """The number of derivatives of an output."""
+        if not self.sensitive:
+            return 0
         return self.equations.m + (self.equations.n if self.by_start else 0)
 
     @cached_property
@@ -130,7 +135,7 @@ class Simulation:
             return None
         source, size = _source(self.equations, self.columns)
         try:
-            run = compile_c(source, compiler, "-O3")[0].rs_run
+            run = compile_c(source, compiler, "-O3" if len(source) < LONG else "-O1")[0].rs_run
         except CompilerError as failure:
             failure.warn("the fit runs on CasADi's virtual machine: the same numbers, several times slower")
             return None
@@ -213,7 +218,10 @@ def _interpreter(eq: DrivenEquations, N: int, sub: int, K: int) -> tuple[Any, An
 
 def _source(eq: DrivenEquations, columns: int) -> tuple[str, int]:
     """Return the C source of a simulation with as many sensitivities, and the size of its memory beside the states."""
-    jacobians = {"f": eq.jacobian(eq.f), "g": eq.jacobian(eq.g)}
+    width = eq.n + eq.m
+    jacobians = {
+        key: eq.jacobian(of) if columns else ca.SX(of.shape[0], width) for key, of in (("f", eq.f), ("g", eq.g))
+    }
     expressions = [eq.f, jacobians["f"].nz[:], eq.g, jacobians["g"].nz[:]]
     function = ca.Function("f", list(eq.arguments), [ca.densify(expression) for expression in expressions])
     program = Program()

@@ -5,9 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
+from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.diagnosis import diagnose
+from rotorsim.diagnosis.evidence.base_fit import with_uncertain
+from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
 from rotorsim.model.load import load
-from tests.identification.run_up import RATE, Machine, runs_of
+from tests.identification.run_up import RATE, Machine, Ring, runs_of
 
 PHYSICS = ("residual_bow", "anisotropic_support", "seal_cross_coupling")
 
@@ -28,9 +32,35 @@ def test_pulses_on_samples_are_no_missing_physics():
     assert found.verdict == "consistent"
 
 
+def test_first_order_sensitivities_promise_what_a_linear_law_then_explains():
+    """A bow is linear in what it adds, whatever its size and angle: the fit leaves what the first step promises."""
+    diagram = load("jeffcott")
+    evidence = waveform_evidence(diagram, runs_of(Machine(bow=1.6e-6), 6, 1.5))
+    base = evidence.fit(with_uncertain(diagram), [])
+    [bow] = Catalogue.of(diagram, ["residual_bow"], False).candidates(diagram, evidence.recorded)
+    document = bow.document(values_in(base.document, base.values), {"amplitude": 1e-5, "phase": 2.0})
+    starts = [[dict(zip(bow.free, (size, 2.0), strict=True))] for size in (1e-5, 1e-3)]
+    here = evidence.promise(values_in(base.document, base.values), [[{}]])
+    promised = evidence.promise(document, starts)
+    found = evidence.fit(document, starts)
+    assert here > 20 * found.misfit
+    assert promised == pytest.approx(found.misfit, rel=0.5)
+    assert found.values["residual_bow.amplitude"] == pytest.approx(1.6e-6, rel=0.02)
+
+
 def test_a_bow_is_found_with_its_size_and_angle():
     found = diagnose(load("jeffcott"), runs_of(Machine(bow=1.6e-6), 6, 1.5), physics=PHYSICS, workers=1)
     assert found.verdict == "missing_physics"
     assert [effect.candidate.insertion.physics for effect in found.effects] == ["residual_bow"]
     assert found.after.values["residual_bow.amplitude"] == pytest.approx(1.6e-6, rel=0.02)
     assert found.after.values["residual_bow.phase"] % (2 * np.pi) == pytest.approx(1.2, abs=0.02)
+
+
+def test_a_rub_is_told_from_a_spring_that_hardens():
+    """FAULT: its residual was counted as noise, the ring started with no gap, and a cubic spring was named."""
+    ring, laws = Ring(), ("rub", "clearance", "cubic_stiffness")
+    found = diagnose(load("jeffcott"), runs_of(Machine(), 8, 1.5, ring), physics=laws, workers=1)
+    assert found.verdict == "missing_physics"
+    assert [effect.candidate.insertion.physics for effect in found.effects] == ["rub"]
+    for name, truth in vars(ring).items():
+        assert found.after.values[f"rub.{name}"] == pytest.approx(truth, rel=0.05)

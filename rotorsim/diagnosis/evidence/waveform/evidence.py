@@ -19,6 +19,7 @@ from rotorsim.diagnosis.evidence.change import Change
 from rotorsim.diagnosis.evidence.evidence import Defaults, Score, Terms
 from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, is_adequate, reason_of
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
+from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder
 from rotorsim.diagnosis.evidence.waveform.laws import LawBounds
 from rotorsim.diagnosis.evidence.waveform.missing import Linearised, missing_signal
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
@@ -35,7 +36,6 @@ from rotorsim.identification.waveform.noise import (
     Noise,
     Stretch,
     Variance,
-    block_misfit,
     goodness_left_out,
     left_over,
     reweighted,
@@ -61,7 +61,7 @@ SHORT = 8192  # samples of all runs on which a start is chosen and followed
 SHOT_SUBSTEPS = 4  # times the steps that the diagram needs: of what is faster, parts of runs are not fitted one by one
 LAST_STEPS = 12  # on all samples after that
 FEW_STEPS = 3  # on all samples, of runs that are long, until it is known which fits are worth more
-FOLLOWED, MOST_STARTS = 3, 9  # starts of a law that are followed and tried, on parts of such runs
+FOLLOWED = 3  # starts of a law on parts of such runs: those that promise most
 REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
 WAVEFORM_TERMS = Terms(
     left_out="stretches left out one by one",
@@ -148,7 +148,9 @@ class WaveformEvidence(SampledRuns, Defaults):
         limit = MOST_SIMULATIONS if most is None else REFINED_EVALUATIONS * most
         search = self.search(document)
         short, first = self._short(search)
-        tried = [self._followed(short, first, group) for group in starts or [[{}, self.near]]]
+        groups = starts or [[{}, self.near]]
+        groups = [[start for group in groups for start in group]] if self.parts else groups
+        tried = [self._followed(short, first, group) for group in groups]
         ends = [short.minimise(min(group, key=attrgetter("cost")).unknowns, limit) for group in tried if group]
         if not ends:
             return Fit(document, failure=DIVERGES)
@@ -329,30 +331,21 @@ class WaveformEvidence(SampledRuns, Defaults):
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
         """Return the misfit after FIRST_STEPS steps from the best start, per sample as on all samples."""
-        group = starts[0] if starts else []
         try:
             short, first = self._short(self.search(document))
             if self.parts:
-                return self._by_tangent(short, first, group)
-            tried = self._followed(short, first, group)
+                return self._first_order(short, first, [start for group in starts for start in group])[0].promise
+            tried = self._followed(short, first, starts[0] if starts else [])
         except FAILURES:
             return np.inf
         return min((evaluation.cost for evaluation in tried), default=np.inf)
 
-    def _by_tangent(self, short: OutputErrorSearch, first: np.ndarray, group: Sequence[Mapping[str, float]]) -> float:
-        """Return the misfit that the sensitivities at the best start promise: c - g^T H^-1 g."""
-        some = group[:: -(-len(group) // FOLLOWED) or 1]
-        points = [point for start in some if (point := short.started(first, start, self.old)) is not None]
-        if not points:
-            return np.inf
-        sub = short.substeps(first)
-        costs = [short.evaluate(point, sub, sensitivities=False).cost for point in points]
-        here = short.evaluate(points[int(np.argmin(costs))], sub)
-        if not np.isfinite(here.cost):
-            return np.inf
-        scale = np.sqrt(np.where(np.diag(here.information) > 0, np.diag(here.information), 1.0))
-        g = here.gradient / scale
-        return here.cost - float(g @ np.linalg.lstsq(here.information / np.outer(scale, scale), g, rcond=1e-12)[0])
+    def _first_order(
+        self, short: OutputErrorSearch, first: np.ndarray, starts: Sequence[Mapping[str, float]]
+    ) -> tuple[FirstOrder, list[Mapping[str, float]]]:
+        """Return what the starts of an effect promise by first-order sensitivities, and those of the diagram, too."""
+        own = [start for start in starts if not self.old & start.keys()]
+        return FirstOrder(short, first, own, self.old), [start for start in starts if self.old & start.keys()]
 
     def residual(self, document: Mapping[str, Any]) -> np.ndarray | None:
         """Return the weighted residual of a diagram as it is, starts of runs at their best; None where it diverges."""
@@ -366,16 +359,20 @@ class WaveformEvidence(SampledRuns, Defaults):
     def _followed(
         self, short: OutputErrorSearch, first: np.ndarray, group: Sequence[Mapping[str, float]]
     ) -> list[Evaluation]:
-        """Return where a few steps lead from each start of a group; of many on parts of runs, from the best."""
-        some = group[:: -(-len(group) // MOST_STARTS) or 1] if self.parts else group
-        points = [point for start in some if (point := short.started(first, start, self.old)) is not None]
-        if not self.parts:  # states at first samples as measured, where that is better
-            measured = short.first()[short.m :]
+        """Return where a few steps lead from each start of a group; on parts of runs from those that promise most.
+
+        There also from the first of those that name parameters of the diagram, with the best values of the effect.
+        """
+        if self.parts:
+            promised, others = self._first_order(short, first, group)
+            points = [start.point for start in promised.ranked[:FOLLOWED]]
+            best = points[0] if points else first
+            points += [short.stated(best, {k: v for k, v in start.items() if k in self.old}) for start in others[:1]]
+        else:
+            points = [point for start in group if (point := short.started(first, start, self.old)) is not None]
+            measured = short.first()[short.m :]  # states at first samples, where that is better
             points = [_cheaper(short, point, np.concatenate([point[: short.m], measured])) for point in points]
         distinct = [*{point.tobytes(): point for point in points}.values()]
-        if self.parts and len(distinct) > FOLLOWED:
-            costs = [short.evaluate(point, short.substeps(point), sensitivities=False).cost for point in distinct]
-            distinct = [distinct[k] for k in np.argsort(costs)[:FOLLOWED]]
         ends = [short.minimise(point, FIRST_STEPS) for point in distinct]
         return [evaluation for evaluation in ends if np.isfinite(evaluation.cost)]
 
@@ -387,7 +384,7 @@ class WaveformEvidence(SampledRuns, Defaults):
         residual, J, sizes = stacked(search, evaluation, self.stretches)
         at_bound = search.at_bound(evaluation.unknowns)
         loo = left_out(residual, J[:, :m][:, ~at_bound[:m]], sizes)
-        energies = block_misfit(search, evaluation, self.stretches)
+        energies = np.array([part @ part for part in np.split(residual, np.cumsum(sizes)[:-1])])
         covariance = robust_covariance(evaluation.information, residual, J, sizes, ~at_bound, self.rows)
         return Fit(
             document=document,

@@ -17,10 +17,11 @@ from rotorsim.identification.waveform.along_angle import (
     lateness,
     turned_later,
     turns_as_recorded,
+    unused_channels,
     with_reaction,
 )
 from rotorsim.identification.waveform.data import channels_of, chosen_runs
-from rotorsim.identification.waveform.late_pulses import on_time
+from rotorsim.identification.waveform.late_pulses import hummed, on_time
 from rotorsim.identification.waveform.parts import parts_of
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
 from rotorsim.recordings.recording import Recording
@@ -40,7 +41,7 @@ def open_waveforms(
     evidence = waveform_evidence(diagram, recording, hold_out, trust_blocks=catalogue.trust)
     base, refined = base_fit(diagram, evidence)
     notes = notes_of([*evidence.runs, *evidence.held])
-    notes += diagram.warnings[len(given.warnings) :]
+    notes += [*unused_channels(diagram, recording), *diagram.warnings[len(given.warnings) :]]
     notes += [Problem(note, severity="warning") for note in refined]
     return Opened(evidence, base, base, evidence, catalogue, held_out=bool(evidence.held), warnings=[*warnings, *notes])
 
@@ -61,7 +62,8 @@ def waveform_evidence(
     held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
     timed = on_time(diagram, channels, runs, late)
     runs, noise = timed.runs, timed.noise
-    held_out = [turned_later(run, diagram, timed.shift) for run in read_runs(diagram, held, channels)]
+    held_out = tuple(turned_later(run, diagram, timed.shift) for run in read_runs(diagram, held, channels))
+    held_out = hummed(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
     parts, part_starts = parts_of(diagram, channels, runs, noise) if turns else ((), {})
     return (TurningEvidence if turns else WaveformEvidence)(
         channels=channels,
@@ -79,7 +81,7 @@ def waveform_evidence(
         starts=noise.starts,
         sizes=noise.sizes,
         old=frozenset(item.name for item in diagram.free),
-        held=tuple(held_out),
+        held=held_out,
         parts=parts,
         part_starts=part_starts,
         near=noise.near,
