@@ -112,8 +112,7 @@ class Judged(waveform.WaveformEvidence):
 
 
 @pytest.mark.parametrize(
-    ("now", "steps", "replaced"),
-    [(0.83, 1, True), (0.84, 1, False), (1.19, 1, False), (1.21, 1, True), (1.0, 2, True)],
+    ("now", "steps", "replaced"), [(0.83, 1, True), (0.84, 1, False), (1.19, 1, False), (1.21, 1, True), (1.0, 2, True)]
 )
 def test_noise_is_measured_again_where_a_fit_leaves_another_by_a_fifth(monkeypatch, now, steps, replaced):
     """What an adequate model may leave: a twentieth more than what is not predictable beside the fit.
