@@ -107,7 +107,7 @@ def _selected(trials: Trials, base: Fit) -> Selection:
             break
         grown.sort(key=lambda pair: pair[0][-1].fit.criterion)
         best, after = grown[0]
-        if not is_adequate(best[-1].fit) and _share(best[-1].fit, chosen[-1].fit) < CRITERIA.worth:
+        if not _leaves_noise(best[-1].fit) and _share(best[-1].fit, chosen[-1].fit) < CRITERIA.worth:
             break
         beam, chosen = [path for path, _ in grown], best
         rounds = [*rounds, after]
@@ -232,6 +232,12 @@ def least_gain(item: Candidate, base: Fit, level: float) -> float:
 def _share(after: Fit, before: Fit) -> float:
     """Return the share of the misfit beyond noise before that is explained after."""
     return 1 - (after.misfit - after.freedom) / max(before.misfit - before.freedom, 1.0)
+
+
+def _leaves_noise(fit: Fit) -> bool:
+    """Return whether a fit is adequate and its misfit that of noise: the former may tolerate details (stretches)."""
+    small = fit.misfit <= CRITERIA.model_error * fit.freedom
+    return is_adequate(fit) and (small or float(chi2.sf(fit.misfit, fit.freedom)) >= CRITERIA.not_explained)
 
 
 def _noticed(tried: Sequence[Candidate], base: Fit, level: float, slack: float) -> list[Candidate]:
