@@ -19,7 +19,7 @@ import numpy as np
 
 from rotorsim.identification.waveform.search import WORSE, Evaluation, OutputErrorSearch
 
-TRIED = 9  # starts of a law, evenly among those that are declared
+FIRST_ORDER_STARTS = 9  # starts of a law, evenly among those that are declared
 SMALLER, REDUCTIONS = 1e-2, 12  # factor by which an effect is made smaller until the simulation stands it
 ABSENT = 1e-9  # relative difference of the misfits of diagrams without an effect, whatever its other parameters are
 SIGNIFICANT = 1e-9  # of d^T d: what is left of it beside J, of which anything can be told
@@ -45,7 +45,7 @@ class FirstOrder:
     @cached_property
     def ranked(self) -> list[Start]:
         """Starts of which the simulation stands the effect, those that take up most first."""
-        some = self.starts[:: -(-len(self.starts) // TRIED) or 1]
+        some = self.starts[:: -(-len(self.starts) // FIRST_ORDER_STARTS) or 1]
         points = [self.search.stated(self.first, start) for start in some]
         distinct = [*{point.tobytes(): point for point in points}.values()]
         found = (self._scaled(point) for point in distinct) if len(self._sizes) else map(self._as_stated, distinct)
