@@ -93,13 +93,16 @@ class LinearMotion:
         return np.asarray(np.abs(f[2:] - f[:2]).max(axis=0) <= least)
 
     def linear(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return Y (R, K+1, c) and dY (R, K+1, c, m); None where the equations are not linear about this motion."""
+        """Return Y (R, K+1, c) and dY (R, K+1, c, m); None where equations are not linear about it, or it is not one."""
         equations, times = self.equations, self.times
         with np.errstate(all="ignore"):
             f0, A = self._values(equations.f, theta, times)[..., 0], self._jacobian(theta)
             if not (np.isfinite(f0).all() and np.isfinite(A).all()):
                 return None
-            gain = self._resolvent(A)
+            try:
+                gain = self._resolvent(A)
+            except np.linalg.LinAlgError:  # a constant state, or one at an order, that nothing determines
+                return None
             x = np.fft.irfft((gain @ _harmonics(f0, H)[..., None])[..., 0] * COUNT, COUNT, axis=1)
             if not self._is_linear(theta, f0, A, x):
                 return None
