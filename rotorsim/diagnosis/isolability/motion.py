@@ -93,7 +93,7 @@ class LinearMotion:
         return np.asarray(np.abs(f[2:] - f[:2]).max(axis=0) <= least)
 
     def linear(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return Y (R, K+1, c) and dY (R, K+1, c, m); None where equations are not linear about it, or it is not one."""
+        """Return Y (R, K+1, c) and dY (R, K+1, c, m); None where equations are not linear there, or singular."""
         equations, times = self.equations, self.times
         with np.errstate(all="ignore"):
             f0, A = self._values(equations.f, theta, times)[..., 0], self._jacobian(theta)

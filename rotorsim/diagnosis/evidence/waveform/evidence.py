@@ -6,98 +6,44 @@ What counts as noise, and what is adequate: `rotorsim.identification.waveform.no
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
 from rotorsim.criteria import CRITERIA
-from rotorsim.diagnosis.catalogue.insertion import LONGEST, SAMPLED, Insertion, Spot
+from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.change import Change
 from rotorsim.diagnosis.evidence.evidence import Defaults, Score, Terms
-from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, is_adequate, reason_of
+from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, is_adequate, reason_of
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
-from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder
+from rotorsim.diagnosis.evidence.waveform.fits import WaveformFits
 from rotorsim.diagnosis.evidence.waveform.laws import LawBounds
 from rotorsim.diagnosis.evidence.waveform.missing import Linearised, missing_signal
-from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.diagnosis.evidence.waveform.scoring import held_score, left_out_score
 from rotorsim.diagnosis.evidence.waveform.separation import Hypothesis, SensorNoise, best_change, sensors_of
 from rotorsim.diagnosis.evidence.waveform.units import stand_ins
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.advice_in_time import SMALL_NOISE
-from rotorsim.identification.left_out import left_out
-from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.linearised import linearised, places_of
-from rotorsim.identification.waveform.noise import (
-    Noise,
-    Stretch,
-    Variance,
-    goodness_left_out,
-    left_over,
-    reweighted,
-    robust_covariance,
-    stacked,
-    unpredicted,
-    variance_scale,
-    weights_of,
-)
+from rotorsim.identification.waveform.noise import Noise, left_over, reweighted, unpredicted, variance_scale, weights_of
 from rotorsim.identification.waveform.noise_model import refined
-from rotorsim.identification.waveform.search import (
-    MOST_SIMULATIONS,
-    REFIT_EVALUATIONS,
-    Evaluation,
-    Label,
-    OutputErrorSearch,
-)
-from rotorsim.identification.waveform.shooting import is_lost, shot
-from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
+from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, Label, OutputErrorSearch
+from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 
-FIRST_STEPS = 4  # from each start, before the best is followed
-SHORT = 8192  # samples of all runs on which a start is chosen and followed
-SHOT_SUBSTEPS = 4  # times the steps that the diagram needs: of what is faster, parts of runs are not fitted one by one
-LAST_STEPS = 12  # on all samples after that
-FEW_STEPS = 3  # on all samples, of runs that are long, until it is known which fits are worth more
-FOLLOWED = 3  # starts of a law on parts of such runs: those that promise most
-REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
 WAVEFORM_TERMS = Terms(
     left_out="stretches left out one by one",
     predicted="stretches left out",
     searched="no amplitude of its inputs, further sensor or repeated run",
     turns=False,
 )
-DIVERGES = "the simulation diverges"
 
 
 @dataclass(frozen=True, eq=False)
-class WaveformEvidence(SampledRuns, Defaults):
-    """Runs in time, driven by their recorded inputs.
-
-    sizes: largest magnitude of every signal, recorded or simulated. variance: what counts as noise. rows: independent
-    samples. stretches: into which the runs are divided. allowed (B,): what an adequate model may leave of each when it
-    is left out. by_force: whether noise is what a diagram with a flexible force leaves. least: steps between samples.
-    starts: states at the first samples. old: names of the parameters that were free at first. held: hold-out runs.
-    parts: of long runs, at all speeds, on which starts are chosen and followed; part_starts: their states at first
-    samples. near, stated: parameters of the diagram that leave least, and as it was given.
-    """
-
-    variance: Variance
-    rows: int
-    stretches: tuple[Stretch, ...]
-    allowed: np.ndarray
-    by_force: bool
-    least: int
-    starts: Mapping[Label, float]
-    old: frozenset[str]
-    held: tuple[SampledRun, ...]
-    unjudged: str = ""
-    parts: tuple[SampledRun, ...] = ()
-    part_starts: Mapping[Label, float] = field(default_factory=dict)
-    near: Mapping[str, float] = field(default_factory=dict)
-    stated: Mapping[str, float] = field(default_factory=dict)
+class WaveformEvidence(WaveformFits, Defaults):
+    """Runs in time as evidence."""
 
     independent = False
 
@@ -107,72 +53,6 @@ class WaveformEvidence(SampledRuns, Defaults):
         inputs = " and ".join(self.channels.inputs) or "what drives it"
         more_runs = f"runs with {inputs} at 0.5 and at 2 times the amplitude"
         return replace(WAVEFORM_TERMS, more_runs=more_runs, driven=f"with {inputs} so large")
-
-    def largest(self) -> Mapping[str, float]:
-        """Return the largest magnitude of signals by flat name, the length of the longest run, and its longest step."""
-        length = max(float(np.ptp(run.time)) for run in self.runs)
-        step = max(run.dt if run.steps is None else float(run.steps.max()) for run in self.runs)
-        return {**self.sizes, LONGEST: length, SAMPLED: step}
-
-    def search(self, document: Mapping[str, Any]) -> OutputErrorSearch:
-        """Return the search for the free parameters of a document. Raises RotorsimError."""
-        diagram = self.load(document)
-        systems = subsystems_of(diagram, self.channels)
-        if [signal for system in systems for signal in system.signals] != list(self.variance):
-            what = "its controllers can no longer be told from the rest by what was measured"
-            raise RotorsimError(Problem(what, diagram.name))
-        return OutputErrorSearch(systems, self.runs, weights_of(self.variance, self.runs, self.rows), self.least)
-
-    def simulation(self, document: Mapping[str, Any], runs: Sequence[SampledRun]) -> OutputErrorSearch:
-        """Return a document as it is beside some runs, of which only the starts are searched. Raises RotorsimError."""
-        systems = subsystems_of(self.load(document), self.channels)[:1]
-        weights = {signal: 1 / value for signal, value in self.variance.items()}
-        return OutputErrorSearch(systems, runs, weights, self.least, hold="theta")
-
-    def simulated(self, document: Mapping[str, Any], runs: Sequence[SampledRun]) -> list[np.ndarray] | None:
-        """Return the outputs of a document as it is in every run, (N, c), from the best starts; None if it diverges."""
-        try:
-            search = self.simulation(document, runs)
-            evaluation = search.minimise(search.first())
-        except (*FAILURES, KeyError):
-            return None
-        if not np.isfinite(evaluation.cost):
-            return None
-        outputs = search.systems[0].equations.outputs
-        order = [outputs.index(name) for name in self.channels.outputs]
-        pairs = zip(search.measured[0], evaluation.residuals[0], strict=True)
-        return [(measured - residual)[:, order] for measured, residual in pairs]
-
-    def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None) -> Fit:
-        """Follow the best of each group on the beginning of the runs, then the best of these on all samples."""
-        limit = MOST_SIMULATIONS if most is None else REFINED_EVALUATIONS * most
-        search = self.search(document)
-        short, first = self._short(search)
-        groups = starts or [[{}, self.near]]
-        groups = [[start for group in groups for start in group]] if self.parts else groups
-        tried = [self._followed(short, first, group) for group in groups]
-        ends = [short.minimise(min(group, key=attrgetter("cost")).unknowns, limit) for group in tried if group]
-        if not ends:
-            return Fit(document, failure=DIVERGES)
-        stated = starts[0][0] if starts and starts[0] else {}
-        if stated and not self.parts and is_lost(short, min(ends, key=attrgetter("cost"))):
-            point = short.stated(first, stated)
-            if short.substeps(point) <= SHOT_SUBSTEPS * self.least:
-                ends.append(short.minimise(shot(short, point), limit))
-        start = min(ends, key=attrgetter("cost")).unknowns
-        last = limit if short is search else min(limit, LAST_STEPS)
-        if self.parts:
-            start = np.concatenate([start[: search.m], search.first(self.starts)[search.m :]])
-            last = LAST_STEPS if most is None else FEW_STEPS
-        return self._summary(document, search, search.minimise(start, last))
-
-    def _short(self, search: OutputErrorSearch) -> tuple[OutputErrorSearch, np.ndarray]:
-        """Return a search on less of the runs, and its unknowns as the diagram states them."""
-        if not self.parts:
-            return search.shortened(SHORT), self._first(search)
-        weights = weights_of(self.variance, self.parts, self.rows)
-        short = replace(search, runs=self.parts, weights=weights)
-        return short, short.first(self.part_starts)
 
     def recalibrated(self, fit: Fit) -> WaveformEvidence | None:
         """Return the evidence whose noise is what is not predictable beside a fit; None where it is much the same.
@@ -196,13 +76,6 @@ class WaveformEvidence(SampledRuns, Defaults):
                 return None
         least = beside[0].least
         return replace(self, variance=noise.variance, rows=noise.rows, allowed=most * noise.left, least=least)
-
-    def _first(self, search: OutputErrorSearch) -> np.ndarray:
-        """Return the unknowns that a diagram states, states at first samples as at first found or as measured.
-
-        Those of a diagram that lacks much may be far from any motion of the repaired one.
-        """
-        return _cheaper(search, search.first(self.starts), search.first())
 
     def _beside(self, fit: Fit) -> tuple[OutputErrorSearch, Evaluation] | None:
         """Return the search and the evaluation of a fit, whose weights follow what it leaves; None if it diverges."""
@@ -268,11 +141,6 @@ class WaveformEvidence(SampledRuns, Defaults):
         variance = [self.variance[WHOLE_DIAGRAM, name] for name in search.systems[0].equations.outputs]
         return Linearised(diagram, search, evaluation, places, runs, np.sqrt(variance))
 
-    def _held(self, document: Mapping[str, Any]) -> OutputErrorSearch:
-        """Return the search on the beginning of the runs for the starts of the whole diagram alone."""
-        whole = replace(self.search(document), hold="theta")
-        return replace(whole, systems=whole.systems[:1]).shortened(SHORT)
-
     def missing_signal(
         self, without: Fit, after: Fit, effect: Insertion | None, spot: Spot, classes: Sequence[PlaceClass]
     ) -> MissingSignal | None:
@@ -329,76 +197,6 @@ class WaveformEvidence(SampledRuns, Defaults):
         recorded = {name: unit or "1" for name, unit in self.units.items()}
         return lambda name: recorded.get(name) or declared.get(name) or ("s" if name == "time" else None)
 
-    def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
-        """Return the misfit after FIRST_STEPS steps from the best start, per sample as on all samples."""
-        try:
-            short, first = self._short(self.search(document))
-            if self.parts:
-                return self._first_order(short, first, [start for group in starts for start in group])[0].promise
-            tried = self._followed(short, first, starts[0] if starts else [])
-        except FAILURES:
-            return np.inf
-        return min((evaluation.cost for evaluation in tried), default=np.inf)
-
-    def _first_order(
-        self, short: OutputErrorSearch, first: np.ndarray, starts: Sequence[Mapping[str, float]]
-    ) -> tuple[FirstOrder, list[Mapping[str, float]]]:
-        """Return what the starts of an effect promise by first-order sensitivities, and those of the diagram, too."""
-        own = [start for start in starts if not self.old & start.keys()]
-        return FirstOrder(short, first, own, self.old), [start for start in starts if self.old & start.keys()]
-
-    def residual(self, document: Mapping[str, Any]) -> np.ndarray | None:
-        """Return the weighted residual of a diagram as it is, starts of runs at their best; None where it diverges."""
-        try:
-            search = replace(self.search(document), hold="theta")
-        except FAILURES:
-            return None
-        evaluation = search.minimise(self._first(search))
-        return stacked(search, evaluation, self.stretches)[0] if np.isfinite(evaluation.cost) else None
-
-    def _followed(
-        self, short: OutputErrorSearch, first: np.ndarray, group: Sequence[Mapping[str, float]]
-    ) -> list[Evaluation]:
-        """Return where a few steps lead from each start of a group; on parts of runs from those that promise most.
-
-        There also from the first of those that name parameters of the diagram, with the best values of the effect.
-        """
-        if self.parts:
-            promised, others = self._first_order(short, first, group)
-            points = [start.point for start in promised.ranked[:FOLLOWED]]
-            best = points[0] if points else first
-            points += [short.stated(best, {k: v for k, v in start.items() if k in self.old}) for start in others[:1]]
-        else:
-            points = [point for start in group if (point := short.started(first, start, self.old)) is not None]
-            measured = short.first()[short.m :]  # states at first samples, where that is better
-            points = [_cheaper(short, point, np.concatenate([point[: short.m], measured])) for point in points]
-        distinct = [*{point.tobytes(): point for point in points}.values()]
-        ends = [short.minimise(point, FIRST_STEPS) for point in distinct]
-        return [evaluation for evaluation in ends if np.isfinite(evaluation.cost)]
-
-    def _summary(self, document: Mapping[str, Any], search: OutputErrorSearch, evaluation: Evaluation) -> Fit:
-        """Return a fit from the end of a search."""
-        if not np.isfinite(evaluation.cost):
-            return Fit(document, failure=DIVERGES)
-        m, count = search.m, len(search.free)
-        residual, J, sizes = stacked(search, evaluation, self.stretches)
-        at_bound = search.at_bound(evaluation.unknowns)
-        loo = left_out(residual, J[:, :m][:, ~at_bound[:m]], sizes)
-        energies = np.array([part @ part for part in np.split(residual, np.cumsum(sizes)[:-1])])
-        covariance = robust_covariance(evaluation.information, residual, J, sizes, ~at_bound, self.rows)
-        return Fit(
-            document=document,
-            free=search.free,
-            theta=evaluation.unknowns[:count],
-            covariance=covariance[:count, :count],
-            at_bound=at_bound[:count],
-            misfit=float(energies.sum()),
-            rows=self.rows,
-            run_misfit=energies,
-            left_out=loo,
-            goodness=goodness_left_out(loo, self.allowed),
-        )
-
     def score(self, fit: Fit) -> Score:
         """Return the errors of a fit on hold-out runs, or on stretches left out one by one."""
         document = values_in(fit.document, fit.values)
@@ -444,9 +242,3 @@ class WaveformEvidence(SampledRuns, Defaults):
             text.append(f"What the repaired diagram leaves is not noise: {100 * share:.2g} % of it can be predicted.")
         units = {name.partition("[")[0]: self.recording.channels[c].unit for name, c in self.channels.columns.items()}
         return [*text, *stand_ins(self.load(after.document), inserted, units)]
-
-
-def _cheaper(search: OutputErrorSearch, point: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return that of two points which costs less, the first of equal ones."""
-    costs = [search.evaluate(x, search.substeps(x), sensitivities=False).cost for x in (point, other)]
-    return other if costs[1] < costs[0] else point
