@@ -21,12 +21,12 @@ def most_promising(candidates: Sequence[Insertion], bounds: Sequence[float | Non
     kept = [k for k, bound in enumerate(bounds) if bound is None]
     promised = {k: bound for k, bound in enumerate(bounds) if bound is not None and bound < before.misfit}
     order = sorted(promised, key=lambda k: promised[k])
+    order = [k for k in order if promised[k] <= PROMISED * max(promised[order[0]], before.freedom)]
     best: dict[tuple[str, int], int] = {}
     for k in order:
-        if promised[k] <= PROMISED * max(promised[order[0]], before.freedom):
-            best.setdefault(candidates[k].law, k)
+        best.setdefault(candidates[k].law, k)
     first = list(best.values())[:MOST_LAWS]
-    more = [k for k in order if k not in first and promised[k] <= PROMISED * max(promised[order[0]], before.freedom)]
+    more = [k for k in order if k not in first]
     return [*kept, *first, *more[: max(LEAST_FITS - len(first), 0)]]
 
 
@@ -38,7 +38,7 @@ def at_rival_places(
     known = {k: one.misfit for k, one in enumerate(promises) if one is not None and one.misfit < before.misfit}
     for k in sorted(known, key=lambda k: known[k]):
         of_law.setdefault(candidates[k].law, []).append(k)
-    near = []
+    near: list[int] = []
     for which in of_law.values():
         most = NEAR_PROMISE * max(known[which[0]], before.freedom)
         near += [k for k in which if k not in kept and known[k] <= most][:RIVAL_PLACES]
