@@ -34,9 +34,13 @@ class Longest:
 
 @dataclass(frozen=True)
 class Sampled:
-    """A time that follows the data: ``factor`` times the step between samples in time, the longest of all runs."""
+    """A time that follows the data: ``factor`` times the step between samples in time, the longest of all runs.
+
+    power: of the step; -1 for a frequency.
+    """
 
     factor: float
+    power: int = 1
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,7 @@ class Fault:
     enters: str
     free: Mapping[str, tuple[float | Of | Longest | Sampled, ...]] = field(default_factory=dict)
     fixed: Mapping[str, float | Of | Longest | Sampled | Lines | Steps] = field(default_factory=dict)
-    most: Mapping[str, Of | Longest] = field(default_factory=dict)
+    most: Mapping[str, Of | Longest | Sampled] = field(default_factory=dict)
     sizes: tuple[str, ...] = ()
     simpler: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     of: tuple[str, ...] = ()

@@ -3,7 +3,7 @@
 from rotorsim.blocks.common import pade
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Sampled
 
 
 class Delay(Block):
@@ -32,7 +32,7 @@ class Delay(Block):
             physics="delay",
             enters="signal",
             through={"input": "output"},
-            free={"delay": (1e-3, 1e-2, 0.1)},
+            free={"delay": (Sampled(1.0), Sampled(10.0), Sampled(100.0))},
             options={"order": 3},
             law="phase that falls in proportion to the frequency; no change of magnitude",
             confused_with=("lag", "missing_mode"),

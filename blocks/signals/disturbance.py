@@ -1,7 +1,7 @@
 """A signal that is added to another: offset, drift, step, sine."""
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, cos, sin, tanh
-from rotorsim.fault import Fault, Longest, Of
+from rotorsim.fault import Fault, Longest, Of, Sampled
 
 _LAWS = {
     "offset": ({"offset": (Of("input", 0.01), Of("input", -0.01))}, {}, "a constant in all runs", ("drift", "step")),
@@ -18,7 +18,11 @@ _LAWS = {
         ("offset", "drift"),
     ),
     "line": (
-        {"sine": (Of("input", 0.1),), "cosine": (Of("input", 0.01),), "frequency": (10.0, 60.0, 300.0)},
+        {
+            "sine": (Of("input", 0.1),),
+            "cosine": (Of("input", 0.01),),
+            "frequency": tuple(Sampled(part, power=-1) for part in (0.01, 0.06, 0.3)),
+        },
         {},
         "one frequency, whatever the inputs do",
         ("missing_mode",),

@@ -1,7 +1,7 @@
 """First-order lag."""
 
 from rotorsim.block import Block, Equations, In, Out, Param, State
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Sampled
 
 
 class Lag(Block):
@@ -17,7 +17,7 @@ class Lag(Block):
             physics="lag",
             enters="signal",
             through={"input": "output"},
-            free={"time_constant": (1e-3, 1e-2, 0.1)},
+            free={"time_constant": (Sampled(1.0), Sampled(10.0), Sampled(100.0))},
             law="attenuation and phase lag above the corner frequency",
             confused_with=("delay", "missing_mode"),
             told_apart_by="high frequencies: a lag attenuates them, a delay does not",

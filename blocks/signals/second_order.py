@@ -1,7 +1,9 @@
 """Second-order low-pass: a mode in the way of a signal."""
 
+from math import pi
+
 from rotorsim.block import Block, Equations, In, Out, Param, State
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Sampled
 
 
 class SecondOrder(Block):
@@ -16,7 +18,8 @@ class SecondOrder(Block):
             physics="missing_mode",
             enters="signal",
             through={"input": "output"},
-            free={"frequency": (30.0, 150.0, 750.0), "damping_ratio": (0.1,)},
+            free={"frequency": tuple(Sampled(part, power=-1) for part in (0.03, 0.15, 0.75)), "damping_ratio": (0.1,)},
+            most={"frequency": Sampled(pi, power=-1)},  # of Nyquist
             law="resonance at its frequency, nothing far below it",
             confused_with=("delay", "lag"),
             told_apart_by="excitation at the resonance",

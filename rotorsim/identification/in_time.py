@@ -18,16 +18,17 @@ from rotorsim.identification.verdict import judge
 from rotorsim.identification.waveform.along_angle import (
     along_angle,
     lateness,
-    misturned,
     turned_later,
     turns_as_recorded,
     unused_channels,
+    with_angle_off,
     with_reaction,
 )
 from rotorsim.identification.waveform.data import Channels, SampledRun, channels_of, chosen_runs
 from rotorsim.identification.waveform.errors import errors_of
-from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate, with_late_pulses, with_misturned
-from rotorsim.identification.waveform.late_pulses import hummed, on_time
+from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate, with_angle_errors, with_late_pulses
+from rotorsim.identification.waveform.hum import with_mains_hum
+from rotorsim.identification.waveform.late_pulses import on_time
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
@@ -107,12 +108,12 @@ def identify_in_time(
         timed = on_time(diagram, channels, sampled, late)
         sampled, noise = timed.runs, timed.noise
         held_out = tuple(turned_later(run, diagram, timed.shift) for run in held_out)
-        held_out = hummed(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
+        held_out = with_mains_hum(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
         estimate = _estimated(diagram, channels, sampled, noise)
         if timed.std:
             estimate = with_late_pulses(estimate, [turned_later(run, diagram, timed.std) for run in sampled])
         if turns:
-            estimate = with_misturned(estimate, [misturned(diagram, as_turned, run) for run in sampled])
+            estimate = with_angle_errors(estimate, [with_angle_off(diagram, as_turned, run) for run in sampled])
         verdicts = judge(estimate, estimate.intervals, precision=precision)
         left = [item.name for item, one in zip(estimate.free, verdicts, strict=True) if not one.identifiable]
         advice = advise_in_time(estimate, noise, channels, left, precision) if left else []

@@ -82,9 +82,8 @@ def turning(recording: Recording, run: Run) -> Turning:
 
     The curve is the polynomial, or the quintic spline of 2, 4, 8, ... parts by least squares, that leaves least by the
     Bayesian information criterion: once per turn the angle is known but for jitter, which is of time, so that slow
-    pulses weigh more. Its derivatives are the speed and
-    the acceleration, of a recorded angle by its passages of every quarter of a turn. Beyond the pulses a polynomial
-    holds for one turn, a spline not at all.
+    pulses weigh more. Its derivatives are the speed and the acceleration, of a recorded angle by its passages of every
+    quarter of a turn. Beyond the pulses a polynomial holds for one turn, a spline not at all.
     Raises RotorsimError where nothing tells the angle of the shaft.
     Source: G. Schwarz, Ann. Stat. 6 (1978) 461-464.
     """

@@ -16,7 +16,7 @@ from rotorsim.diagnosis.catalogue.insertion import LONGEST, fixed_of, sizes_at, 
 from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.registry import all_types
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
-from rotorsim.fault import Fault, Lines, Longest, Of, Steps
+from rotorsim.fault import Fault, Lines, Longest, Of, Sampled, Steps
 from rotorsim.model.load import load
 from rotorsim.simulation.run import simulate
 
@@ -154,7 +154,7 @@ def test_starts_are_small_not_zero_and_within_bounds(cls: type[Block], fault: Fa
         assert declared.shape == (), "a free parameter is one number"
         assert starts
         for start in starts:
-            if isinstance(start, (Of, Longest)):
+            if isinstance(start, (Of, Longest, Sampled)):
                 assert start.factor != 0
                 continue
             assert start != 0 or declared.unit == "rad", name

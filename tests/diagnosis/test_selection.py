@@ -85,7 +85,7 @@ def test_a_false_alarm_has_the_probability_of_one_percent_whatever_is_tried():
     one, two = candidate("rub", 990.0, 1), candidate("clearance", 990.0, 2)
     level = _level(Round(Fit({}), (one, two)))
     assert level == pytest.approx(0.005)
-    assert _level(Round(Fit({}), (one, two), ways=50)) == pytest.approx(0.0002)  # looked at, but not tried
+    assert _level(Round(Fit({}), (one, two), hypotheses=50)) == pytest.approx(0.0002)  # looked at, but not tried
     base = Fit({}, misfit=1000.0, rows=ROWS - 20, equations=ROWS)
     assert least_gain(one, base, level) == pytest.approx(7.879, abs=1e-3)
     assert least_gain(two, base, level) == pytest.approx(10.597, abs=1e-3)

@@ -14,14 +14,14 @@ from rotorsim.identification.identification import identify
 from rotorsim.identification.waveform.along_angle import (
     along_angle,
     is_in_time,
-    misturned,
     turned_later,
     unused_channels,
+    with_angle_off,
     with_reaction,
 )
 from rotorsim.identification.waveform.data import SampledRun, channels_of
 from rotorsim.identification.waveform.equations import driven_equations
-from rotorsim.identification.waveform.estimate import time_estimate, with_late_pulses, with_misturned
+from rotorsim.identification.waveform.estimate import time_estimate, with_angle_errors, with_late_pulses
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import noise_model
 from rotorsim.identification.waveform.reading import read_runs
@@ -160,7 +160,7 @@ def test_errors_of_an_angle_are_those_of_its_speed_and_acceleration():
     own = along_angle(load("jeffcott"), made).runs[0]
     known = np.isfinite(own.values["clock.theta"])
     sampled = SampledRun("up", own.values, {}, run.time, {}).part(np.flatnonzero(known))
-    off = list(misturned(load("jeffcott"), made, sampled))
+    off = list(with_angle_off(load("jeffcott"), made, sampled))
     curve = turning(made, run).curve
     assert len(off) == len(curve.a)
     for other in off[:: len(off) // 3]:
@@ -182,7 +182,7 @@ def test_an_angle_that_is_off_throughout_counts_as_late_pulses_do():
     start[: search.m] = noise.theta
     found = time_estimate(search, search.minimise(start), noise)
     later = [turned_later(run, diagram, 1e-6) for run in runs]
-    added = [one.robust - found.robust for one in (with_late_pulses(found, later), with_misturned(found, [later]))]
+    added = [one.robust - found.robust for one in (with_late_pulses(found, later), with_angle_errors(found, [later]))]
     scale = np.sqrt(np.diag(added[0])[: search.m])
     np.testing.assert_allclose(np.sqrt(np.diag(added[1])[: search.m]), scale, rtol=0.02)
 

@@ -169,7 +169,9 @@ def limits_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, t
     """Return (low, high) of the free parameters that the data bound more narrowly than the block does."""
     limits = {}
     for key, item in insertion.fault.most.items():
-        known = largest.get(LONGEST if isinstance(item, Longest) else item.input)
+        known = largest.get(
+            SAMPLED if isinstance(item, Sampled) else LONGEST if isinstance(item, Longest) else item.input
+        )
         if key not in insertion.fault.free or not known:
             continue
         declared = insertion.kind.parameters[key]
@@ -194,7 +196,7 @@ def _number(item: float | Of | Longest | Sampled | Lines, largest: Mapping[str, 
     if isinstance(item, Longest):
         return item.factor * largest.get(LONGEST, 1.0)
     if isinstance(item, Sampled):
-        return item.factor * largest.get(SAMPLED, 1e-3)
+        return item.factor * largest.get(SAMPLED, 1e-3) ** item.power
     if not isinstance(item, Of):
         return float(item)
     size = largest.get(item.input, 1.0)

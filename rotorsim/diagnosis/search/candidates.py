@@ -75,7 +75,7 @@ class Candidate:
 class Round:
     """One round of the selection: what was tried on top of ``before``, the best first; classes: of free signals.
 
-    ways: physics and places that were looked at, with those of which too little was promised to try them.
+    hypotheses: how many, physics and places, were looked at, with those of which too little was promised to try them.
     elsewhere: what was not tried, and promises nearly as much as the same law does at its best place. likely: the keys
     of what another measure of the noise may make the most promising, None where promises are not known.
     """
@@ -83,7 +83,7 @@ class Round:
     before: Fit
     tried: tuple[Candidate, ...]
     classes: tuple[PlaceClass, ...] = ()
-    ways: int = 0
+    hypotheses: int = 0
     elsewhere: tuple[tuple[Insertion, Job], ...] = ()
     likely: frozenset[str] | None = None
 

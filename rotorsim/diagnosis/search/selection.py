@@ -216,8 +216,8 @@ def _reconsidered(
 
 def _level(found: Round) -> float:
     """Return the probability of a false alarm that one of the candidates of a round may take up."""
-    ways = {(item.insertion.physics, item.insertion.spot) for item in found.tried if not item.fit.failure}
-    return CRITERIA.false_alarm / max(len(ways), found.ways, 1)
+    tried = {(item.insertion.physics, item.insertion.spot) for item in found.tried if not item.fit.failure}
+    return CRITERIA.false_alarm / max(len(tried), found.hypotheses, 1)
 
 
 def least_gain(item: Candidate, base: Fit, level: float) -> float:

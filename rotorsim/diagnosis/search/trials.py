@@ -65,7 +65,7 @@ class Trials:
             if (LINES in largest or not item.from_lines) and not item.from_steps
         ]
         self.counts["rounds"] += 1
-        ways = len({(item.physics, item.spot) for item in found})
+        hypotheses = len({(item.physics, item.spot) for item in found})
         many = len(found) > MOST_FITS or self.evidence.costly or any(item.fault.enters == "signal" for item in found)
         places = self.evidence.bounds(before) if many else None
         largest = {**largest, **({} if places is None else places.carried)}
@@ -108,7 +108,7 @@ class Trials:
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
         ]
         ordered = tuple(simplest_first(tried, self.slack))
-        return Round(before, ordered, tuple(classes), ways, tuple(elsewhere), likely)
+        return Round(before, ordered, tuple(classes), hypotheses, tuple(elsewhere), likely)
 
     def completed(self, found: Round, physics: Collection[str], law: tuple[str, int] | None = None) -> Round:
         """Return a round with these physics carried to the end, each law at its best place, and one at its rivals'."""

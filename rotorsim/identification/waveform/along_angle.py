@@ -104,7 +104,7 @@ def unused_channels(diagram: Diagram, recording: Recording) -> list[Problem]:
     ]
 
 
-def misturned(diagram: Diagram, recording: Recording, run: SampledRun) -> Iterator[SampledRun]:
+def with_angle_off(diagram: Diagram, recording: Recording, run: SampledRun) -> Iterator[SampledRun]:
     """Yield a run whose angle is off by one standard deviation of what its pulses leave open, direction by direction.
 
     Neighbouring pulses share what they leave open; none where the angle itself was recorded.

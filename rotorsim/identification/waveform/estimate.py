@@ -21,7 +21,7 @@ from rotorsim.identification.waveform.noise import (
     stacked,
 )
 from rotorsim.identification.waveform.noise_model import NoiseModel
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch, solved
 
 PART = 0.01  # of a direction that the data say nothing about: who takes part by more is not determined
 
@@ -130,8 +130,7 @@ class TimeEstimate:
         searched[j] = True
         covariance = robust_of(self.search, self.evaluation, self.stretches, self.rows, searched)
         H, g = self.evaluation.information[np.ix_(searched, searched)], self.evaluation.gradient[searched]
-        scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
-        step = -np.linalg.lstsq(H / np.outer(scale, scale), g / scale, rcond=INVERTED)[0] / scale
+        step = solved(H, -g, INVERTED)
         return float(covariance[j, j]), abs(float(step[int(searched[:j].sum())]))
 
     def conditional(self, j: int) -> float:
@@ -181,48 +180,42 @@ def time_estimate(search: OutputErrorSearch, evaluation: Evaluation, noise: Nois
 def with_late_pulses(estimate: TimeEstimate, later: Sequence[SampledRun]) -> TimeEstimate:
     """Return the estimate with the uncertainty of an angle that all runs have in common.
 
-    later: the runs with an angle one standard deviation off. The estimate goes by u = -H^-1 (g' - g) with it, g the
-    gradient, H the information; u u^T is added to the covariance.
+    later: the runs with an angle one standard deviation off, which changes the gradient.
     """
     evaluation, search = estimate.evaluation, replace(estimate.search, runs=later)
-    searched = ~search.at_bound(evaluation.unknowns)
-    g = (search.evaluate(evaluation.unknowns, evaluation.sub).gradient - evaluation.gradient)[searched]
-    H = evaluation.information[np.ix_(searched, searched)]
-    scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
-    change = np.zeros(len(evaluation.unknowns))
-    change[searched] = -np.linalg.lstsq(H / np.outer(scale, scale), g / scale, rcond=INVERTED)[0] / scale
-    return replace(estimate, robust=estimate.robust + np.outer(change, change))
+    return _uncertain(estimate, [search.evaluate(evaluation.unknowns, evaluation.sub).gradient - evaluation.gradient])
 
 
-def with_misturned(estimate: TimeEstimate, misturned: Sequence[Iterable[SampledRun]]) -> TimeEstimate:
+def with_angle_errors(estimate: TimeEstimate, off: Sequence[Iterable[SampledRun]]) -> TimeEstimate:
     """Return the estimate with the uncertainty of the angle that pulses leave open between them.
 
-    misturned: of each run, the run with an angle that is off by an error of one standard deviation, one after another:
-    they are independent. Each changes the simulated outputs by d and the estimate by u = -H^-1 J^T W d, and u u^T is
-    added to the covariance: the scatter of stretches shows nothing of an error that a whole run shares.
+    off: of each run, the run with an angle that is off by an error of one standard deviation, one after another: they
+    are independent. Each changes the simulated outputs by d and the gradient by J^T W d.
     """
     evaluation, search = estimate.evaluation, estimate.search
-    searched = ~search.at_bound(evaluation.unknowns)
-    H = evaluation.information[np.ix_(searched, searched)]
-    scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
     slopes: list[np.ndarray] = []
-    for r, others in enumerate(misturned):
+    for r, others in enumerate(off):
         known, own = np.isfinite(search.measured[0][r]), search.columns(0, r)
         y, _ = search.simulated(evaluation.unknowns, 0, r, evaluation.sub, sensitivities=False)
         weighted = search.root(0, r)[:, :, None] ** 2 * evaluation.jacobians[0][r]
         for other in others:
-            runs = [other if k == r else run for k, run in enumerate(search.runs)]
-            off, _ = replace(search, runs=runs).simulated(
-                evaluation.unknowns, 0, r, evaluation.sub, sensitivities=False
-            )
+            there = replace(search, runs=[other if k == r else run for k, run in enumerate(search.runs)])
+            changed, _ = there.simulated(evaluation.unknowns, 0, r, evaluation.sub, sensitivities=False)
             g = np.zeros(len(evaluation.unknowns))
-            g[own] = np.tensordot(weighted, search.runs[r].beside_lines(y - off, known), axes=([0, 1], [0, 1]))
-            slopes.append(g[searched])
-    if not slopes:
-        return estimate
-    change = np.zeros((len(evaluation.unknowns), len(slopes)))
-    change[searched] = np.linalg.lstsq(H / np.outer(scale, scale), np.array(slopes).T / scale[:, None], rcond=INVERTED)[
-        0
-    ]
-    change[searched] /= scale[:, None]
-    return replace(estimate, robust=estimate.robust + change @ change.T)
+            g[own] = np.tensordot(weighted, search.runs[r].beside_lines(y - changed, known), axes=([0, 1], [0, 1]))
+            slopes.append(g)
+    return _uncertain(estimate, slopes) if slopes else estimate
+
+
+def _uncertain(estimate: TimeEstimate, changes: Sequence[np.ndarray]) -> TimeEstimate:
+    """Return the estimate with the covariance of independent errors, of one standard deviation each.
+
+    changes: of the gradient, g (q,), by each. The estimate goes by u = -H^-1 g with it, and u u^T is added to the
+    covariance: the scatter of stretches shows nothing of an error that a whole run shares.
+    """
+    evaluation = estimate.evaluation
+    searched = ~estimate.search.at_bound(evaluation.unknowns)
+    u = np.zeros((len(evaluation.unknowns), len(changes)))
+    H = evaluation.information[np.ix_(searched, searched)]
+    u[searched] = solved(H, np.stack(changes, axis=1)[searched], INVERTED)
+    return replace(estimate, robust=estimate.robust + u @ u.T)

@@ -15,9 +15,12 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 from scipy.optimize import minimize_scalar
 
+from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
-from rotorsim.identification.waveform.data import LINE_PERIODS, SampledRun
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.data import LINE_PERIODS, Channels, SampledRun
+from rotorsim.identification.waveform.noise_model import NoiseModel
+from rotorsim.identification.waveform.search import OutputErrorSearch
+from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.signals.pickup import GRID_DRIFT, MAINS
 
 HUM_MULTIPLES = (1, 2, 3, 4, 5, 6)  # rectifiers make those of two and six
@@ -27,10 +30,23 @@ LEAST_POWER = 20.0  # times the power there, mean of all channels: noise makes a
 HIGHEST_HUM = 0.45  # of the sample rate
 
 
-def with_hum(search: OutputErrorSearch, evaluation: Evaluation) -> tuple[SampledRun, ...]:
-    """Return the runs of a search with the lines of the mains that its residual shows, and a note on them."""
-    pairs = zip(search.runs, evaluation.residuals[0], strict=True)
-    return tuple(_with_lines(run, np.nan_to_num(left), search.systems[0].equations.outputs) for run, left in pairs)
+def with_mains_hum(
+    diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], noise: NoiseModel, *, known: bool = True
+) -> tuple[SampledRun, ...]:
+    """Return runs with the lines of the mains that their residual shows, and a note on them.
+
+    known: whether the runs are those of the noise, with its starts.
+    """
+    [whole, *_] = subsystems_of(diagram, channels)
+    weights = {signal: 1 / value for signal, value in noise.variance.items()}
+    search = OutputErrorSearch((whole,), runs, weights, noise.least, hold="theta")
+    start = search.first(noise.starts if known else None)
+    start[: search.m] = noise.theta
+    here = search.evaluate(start, search.substeps(start), sensitivities=False) if known else search.minimise(start)
+    if not np.isfinite(here.cost):
+        return tuple(runs)
+    pairs = zip(runs, here.residuals[0], strict=True)
+    return tuple(_with_lines(run, np.nan_to_num(left), whole.equations.outputs) for run, left in pairs)
 
 
 def _with_lines(run: SampledRun, residual: np.ndarray, names: Sequence[str]) -> SampledRun:
@@ -42,15 +58,15 @@ def _with_lines(run: SampledRun, residual: np.ndarray, names: Sequence[str]) -> 
             found.append(line)
     if not found:
         return run
-    hummed = replace(run, lines=tuple(found))
-    basis = hummed.line_basis
+    with_lines = replace(run, lines=tuple(found))
+    basis = with_lines.line_basis
     assert basis is not None
     amplitude = np.sqrt(2 * ((basis.T @ residual) ** 2).sum(axis=0) / run.size)
     largest = int(np.argmax(amplitude / np.sqrt((residual**2).mean(axis=0) + 1e-300)))
     what = f"mains hum of {' and '.join(f'{line:.2f}' for line in found)} Hz is fitted beside the motion"
     what += f": {amplitude[largest]:.2g} in {names[largest]} (SI, 0-peak)"
     note = Problem(what, f"run {run.id}", severity="warning", code="mains_hum")
-    return replace(hummed, notes=(*run.notes, note))
+    return replace(with_lines, notes=(*run.notes, note))
 
 
 def _lines(residual: np.ndarray, dt: float) -> Iterator[float]:

@@ -19,10 +19,10 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.along_angle import turned_later
 from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.identification.waveform.equations import clock_ports
-from rotorsim.identification.waveform.hum import with_hum
+from rotorsim.identification.waveform.hum import with_mains_hum
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import NoiseModel, noise_model
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch, solved
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 
 LATE_PASSES = 2  # Gauss-Newton steps: what is left is of second order in an angle of a few degrees
@@ -49,7 +49,7 @@ def on_time(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], la
     """
     noise, shift, std = noise_model(diagram, channels, runs), 0.0, 0.0
     if {*clock_ports(diagram)} & {*channels.inputs}:
-        runs = hummed(diagram, channels, runs, noise)
+        runs = with_mains_hum(diagram, channels, runs, noise)
         noise = noise_model(diagram, channels, runs, noise) if any(run.lines for run in runs) else noise
     if not late or not _shows(diagram, channels, runs, noise, late):
         return OnTime(tuple(runs), noise)
@@ -65,21 +65,6 @@ def on_time(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], la
         shift = float(np.clip(shift + step, -LARGEST * late, LARGEST * late))
     turned = [turned_later(run, diagram, shift) for run in runs]
     return OnTime(tuple(turned), noise_model(diagram, channels, turned, noise), shift, std)
-
-
-def hummed(
-    diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], noise: NoiseModel, *, known: bool = True
-) -> tuple[SampledRun, ...]:
-    """Return runs with the lines of the mains in them; known: whether they are those of the noise, with its starts."""
-    [whole, *_] = subsystems_of(diagram, channels)
-    weights = {signal: 1 / value for signal, value in noise.variance.items()}
-    search = OutputErrorSearch((whole,), runs, weights, noise.least, hold="theta")
-    start = search.first(noise.starts if known else None)
-    start[: search.m] = noise.theta
-    evaluation = (
-        search.evaluate(start, search.substeps(start), sensitivities=False) if known else search.minimise(start)
-    )
-    return with_hum(search, evaluation) if np.isfinite(evaluation.cost) else tuple(runs)
 
 
 def _shows(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], noise: NoiseModel, late: float) -> bool:
@@ -103,8 +88,7 @@ def _step(
     searched = ~search.at_bound(evaluation.unknowns)
     h, g = (other.gradient - evaluation.gradient)[searched] / late, evaluation.gradient[searched]
     H = evaluation.information[np.ix_(searched, searched)]
-    scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
-    solved = np.linalg.lstsq(H / np.outer(scale, scale), h / scale, rcond=1e-12)[0] / scale
-    curvature = max(float(D @ D - h @ solved), 0.0) + 1 / late**2
-    slope = float(D @ r - solved @ g) + shift / late**2
+    moved = solved(H, h)
+    curvature = max(float(D @ D - h @ moved), 0.0) + 1 / late**2
+    slope = float(D @ r - moved @ g) + shift / late**2
     return -slope / curvature, float(curvature**-0.5)

@@ -54,6 +54,13 @@ class Evaluation:
     information: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
+def solved(H: np.ndarray, b: np.ndarray, rcond: float = 1e-12) -> np.ndarray:
+    """Return H^-1 b of what information H (q, q), scaled to unit diagonal, determines; b (q,) or (q, k)."""
+    scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
+    scaled = np.linalg.lstsq(H / np.outer(scale, scale), (b.T / scale).T, rcond=rcond)[0]
+    return np.asarray((scaled.T / scale).T)
+
+
 @dataclass(frozen=True, eq=False)
 class OutputErrorSearch:
     """Subsystems of a diagram beside R runs.

@@ -105,8 +105,7 @@ class Simulation:
     """Driven equations, ready to be simulated over runs.
 
     name: "" for those of the whole diagram, else the controller that they are of. by_start: whether derivatives are
-    by the states at the first sample, too. sensitive: whether there are derivatives: of many
-    outputs they are most of the code.
+    by the states at the first sample, too. sensitive: whether there are any: of many outputs they are most of the code.
     """
 
     equations: DrivenEquations

@@ -12,6 +12,7 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
+from rotorsim.diagnosis.evidence.waveform.laws import LawBounds
 from rotorsim.diagnosis.evidence.waveform.missing import explained_by
 from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
 from rotorsim.model.load import load
@@ -163,3 +164,33 @@ def test_what_only_adds_promises_the_same_where_places_act_in_proportion(lacking
             [alone] = evidence.bounds(before).promises([item])
             assert promise.misfit == pytest.approx(alone.misfit, rel=1e-6)
             assert list(promise.start.values()) == pytest.approx(list(alone.start.values()), rel=1e-4)
+
+
+def test_of_a_law_that_linear_theory_fails_at_nothing_is_known(lacking, monkeypatch):
+    """FAULT: one singular matrix in one law ended a diagnosis; now it is fitted without a promise."""
+    evidence, before, *_ = lacking
+    diagram = evidence.load(before.document)
+    items = [
+        item
+        for item in Catalogue.of(diagram, {"dry_friction", "saturation"}, False).candidates(diagram, evidence.recorded)
+        if item.spot.block == "friction"
+    ]
+    bounds, whole = evidence.bounds(before), LawBounds._promise
+
+    def failing(self, one, steps):
+        if one.item.physics == "saturation":
+            raise np.linalg.LinAlgError("singular")
+        return whole(self, one, steps)
+
+    monkeypatch.setattr(LawBounds, "_promise", failing)
+    known = {item.physics: promise is not None for item, promise in zip(items, bounds.promises(items), strict=True)}
+    assert known == {"dry_friction": True, "saturation": False}
+
+
+def test_sensitivities_that_overflow_are_a_failure_and_no_warning(lacking):
+    evidence, before, *_ = lacking
+    search = evidence.search(before.document)
+    here = search.evaluate(search.first(evidence.starts), 1)
+    huge = [[1e200 * part for part in parts] for parts in here.jacobians]
+    found = evidence._summary(before.document, search, replace(here, jacobians=huge))
+    assert found.failure == "the sensitivities of the simulation diverge"

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rotorsim.identification.waveform.search import WORSE, Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.search import WORSE, Evaluation, OutputErrorSearch, solved
 
 FIRST_ORDER_STARTS = 9  # starts of a law, evenly among those that are declared
 SMALLER, REDUCTIONS = 1e-2, 12  # factor by which an effect is made smaller until the simulation stands it
@@ -127,9 +127,9 @@ class FirstOrder:
                 own = self.search.columns(k, r)[: J.shape[2]]
                 cross[own] += np.tensordot(J, weight * d, axes=([0, 1], [0, 1]))
         free = np.setdiff1d(np.arange(len(stated)), self._named)
-        solved = _solved(without.information[np.ix_(free, free)], np.stack([cross[free], without.gradient[free]], 1))
-        curvature = square - float(cross[free] @ solved[:, 0])
-        slope = inner - float(cross[free] @ solved[:, 1])
+        both = solved(without.information[np.ix_(free, free)], np.stack([cross[free], without.gradient[free]], 1))
+        curvature = square - float(cross[free] @ both[:, 0])
+        slope = inner - float(cross[free] @ both[:, 1])
         if curvature <= SIGNIFICANT * square:
             return Start(point, 0.0)
         best = self._times(stated, self._sizes, -factor * slope / curvature)
@@ -142,11 +142,4 @@ def promised(here: Evaluation) -> float:
     """Return the misfit that the sensitivities at a point promise: c - g^T H^-1 g."""
     if not np.isfinite(here.cost):
         return np.inf
-    return max(here.cost - float(here.gradient @ _solved(here.information, here.gradient[:, None])[:, 0]), 0.0)
-
-
-def _solved(H: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return H^-1 b, of what is determined."""
-    scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
-    solved = np.linalg.lstsq(H / np.outer(scale, scale), right / scale[:, None], rcond=1e-12)[0]
-    return np.asarray(solved / scale[:, None])
+    return max(here.cost - float(here.gradient @ solved(here.information, here.gradient)), 0.0)

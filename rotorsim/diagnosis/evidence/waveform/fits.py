@@ -35,7 +35,7 @@ LAST_STEPS = 12  # on all samples after that
 FEW_STEPS = 3  # on all samples, of runs that are long, until it is known which fits are worth more
 FOLLOWED = 3  # starts of a law on parts of such runs: those that promise most
 REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
-DIVERGES = "the simulation diverges"
+DIVERGES, SENSITIVITIES_DIVERGE = "the simulation diverges", "the sensitivities of the simulation diverge"
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,9 +197,12 @@ class WaveformFits(SampledRuns):
         m, count = search.m, len(search.free)
         residual, J, sizes = stacked(search, evaluation, self.stretches)
         at_bound = search.at_bound(evaluation.unknowns)
+        with np.errstate(over="ignore", invalid="ignore"):
+            covariance = robust_covariance(evaluation.information, residual, J, sizes, ~at_bound, self.rows)
+        if not np.isfinite(covariance).all():
+            return Fit(document, failure=SENSITIVITIES_DIVERGE)
         loo = left_out(residual, J[:, :m][:, ~at_bound[:m]], sizes)
         energies = np.array([part @ part for part in np.split(residual, np.cumsum(sizes)[:-1])])
-        covariance = robust_covariance(evaluation.information, residual, J, sizes, ~at_bound, self.rows)
         return Fit(
             document=document,
             free=search.free,

@@ -13,6 +13,7 @@ of its Kalman filter, which forget what is past, and of which that of the output
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isclose
@@ -23,6 +24,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagnosis.evidence.evidence import Promise
+from rotorsim.diagnosis.evidence.fit import FAILURES
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.evidence.waveform.driven_law import LAW, OTHER, WIRE, DrivenLaw, View
 from rotorsim.diagram.diagram import Diagram
@@ -114,7 +116,7 @@ class LawBounds:
         for group in of_law.values():
             found |= self._of_law(group)
         for first, *others in alike.values():
-            for one in others:
+            for one in others if first.item.key in found else ():
                 found[one.item.key] = one.scaled(found[first.item.key], one.factor / first.factor)
         moved = {key: replace(one, start={**self.moved, **one.start}) for key, one in found.items() if one.start}
         return [{**found, **moved}.get(item.key) for item in items]
@@ -123,10 +125,18 @@ class LawBounds:
         """Return what one law promises at places; of many pairs with another signal, the PAIRS best are fitted."""
         nonlinear = group[0].item.depends_on and not group[0].law.sizes.all()
         if not nonlinear or len(group) <= PAIRS:
-            return {one.item.key: self._promise(one, STEPS) for one in group}
-        shapes = {one.item.key: self._promise(one, 0) for one in group}
-        best = sorted(group, key=lambda one: shapes[one.item.key].misfit)[:PAIRS]
-        return shapes | {one.item.key: self._promise(one, STEPS) for one in best}
+            return self._promises(group, STEPS)
+        shapes = self._promises(group, 0)
+        best = sorted((one for one in group if one.item.key in shapes), key=lambda one: shapes[one.item.key].misfit)
+        return shapes | self._promises(best[:PAIRS], STEPS)
+
+    def _promises(self, group: Sequence[_Placed], steps: int) -> dict[str, Promise]:
+        """Return what laws promise after some steps; without those that linear theory fails at, which are fitted."""
+        found = {}
+        for one in group:
+            with suppress(*FAILURES):
+                found[one.item.key] = self._promise(one, steps)
+        return found
 
     def _placed(self, item: Insertion) -> _Placed | None:
         """Return a law at its place; None where it is no law of a signal, or there is no such place or other signal."""

@@ -21,7 +21,8 @@ from rotorsim.identification.waveform.along_angle import (
     with_reaction,
 )
 from rotorsim.identification.waveform.data import channels_of, chosen_runs
-from rotorsim.identification.waveform.late_pulses import hummed, on_time
+from rotorsim.identification.waveform.hum import with_mains_hum
+from rotorsim.identification.waveform.late_pulses import on_time
 from rotorsim.identification.waveform.parts import parts_of
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
 from rotorsim.recordings.recording import Recording
@@ -63,7 +64,7 @@ def waveform_evidence(
     timed = on_time(diagram, channels, runs, late)
     runs, noise = timed.runs, timed.noise
     held_out = tuple(turned_later(run, diagram, timed.shift) for run in read_runs(diagram, held, channels))
-    held_out = hummed(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
+    held_out = with_mains_hum(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
     parts, part_starts = parts_of(diagram, channels, runs, noise) if turns else ((), {})
     return (TurningEvidence if turns else WaveformEvidence)(
         channels=channels,
