@@ -17,19 +17,25 @@ class Of:
     """A start that follows the data: ``factor`` times the largest magnitude of an input of the block at its place.
 
     least: that of the run in which it is smallest, else of the one in which it is largest. power: of the magnitude.
+    per: a time that follows the data, by which it is divided where the parameter is a rate.
     """
 
     input: str
     factor: float
     least: bool = False
     power: int = 1
+    per: Longest | Sampled | None = None
 
 
 @dataclass(frozen=True)
 class Longest:
-    """A time that follows the data: ``factor`` times the length of the longest run."""
+    """A time that follows the data: ``factor`` times the length of the longest run.
+
+    power: of the length; -1 for a rate.
+    """
 
     factor: float
+    power: int = 1
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,10 @@ from rotorsim.fault import Fault, Longest, Of, Sampled
 _LAWS = {
     "offset": ({"offset": (Of("input", 0.01), Of("input", -0.01))}, {}, "a constant in all runs", ("drift", "step")),
     "drift": (
-        {"offset": (Of("input", 1e-3),), "rate": (Of("input", 0.01), Of("input", -0.01))},
+        {
+            "offset": (Of("input", 1e-3),),
+            "rate": (Of("input", 0.1, per=Longest(1.0)), Of("input", -0.1, per=Longest(1.0))),
+        },
         {},
         "grows with time from the start of every run",
         ("offset", "gain_drift"),

@@ -1,7 +1,7 @@
 """A gain that drifts."""
 
 from rotorsim.block import Block, Equations, In, Out, Param
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Longest
 
 
 class GainDrift(Block):
@@ -16,7 +16,7 @@ class GainDrift(Block):
             physics="gain_drift",
             enters="signal",
             through={"input": "output"},
-            free={"rate": (0.01, -0.01)},
+            free={"rate": (Longest(0.1, power=-1), Longest(-0.1, power=-1))},
             sizes=("rate",),
             law="proportional to the signal, and to the time since the start of every run",
             confused_with=("gain_error", "drift"),

@@ -1,7 +1,7 @@
 """Integrator with a leak."""
 
 from rotorsim.block import Block, Equations, In, Out, Param, State
-from rotorsim.fault import Fault
+from rotorsim.fault import Fault, Longest
 
 
 class LeakyIntegrator(Block):
@@ -16,7 +16,7 @@ class LeakyIntegrator(Block):
             physics="integrator_leak",
             enters="replace",
             of=("integrator",),
-            free={"leak": (0.01, 0.1, 1.0)},
+            free={"leak": tuple(Longest(part, power=-1) for part in (0.1, 1.0, 10.0))},
             sizes=("leak",),
             law="forgets within 1 / leak: low frequencies only",
             confused_with=("lag", "gain_error"),

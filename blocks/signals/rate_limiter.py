@@ -18,7 +18,10 @@ class RateLimiter(Block):
             physics="rate_limit",
             enters="signal",
             through={"input": "output"},
-            free={"rising": (Of("input", 20.0), Of("input", 2.0)), "falling": (Of("input", -20.0), Of("input", -2.0))},
+            free={
+                "rising": tuple(Of("input", part, per=Sampled(1.0)) for part in (0.1, 0.01)),
+                "falling": tuple(Of("input", -part, per=Sampled(1.0)) for part in (0.1, 0.01)),
+            },
             fixed={"time_constant": Sampled(0.5)},
             law="straight flanks; nothing while the signal is slow",
             confused_with=("saturation", "lag"),

@@ -194,7 +194,7 @@ def _number(item: float | Of | Longest | Sampled | Lines, largest: Mapping[str, 
     if isinstance(item, Lines):
         return largest[LINES]
     if isinstance(item, Longest):
-        return item.factor * largest.get(LONGEST, 1.0)
+        return item.factor * largest.get(LONGEST, 1.0) ** item.power
     if isinstance(item, Sampled):
         return item.factor * largest.get(SAMPLED, 1e-3) ** item.power
     if not isinstance(item, Of):
@@ -202,4 +202,4 @@ def _number(item: float | Of | Longest | Sampled | Lines, largest: Mapping[str, 
     size = largest.get(item.input, 1.0)
     size = largest.get(f"{LEAST} {item.input}", size) if item.least else size
     size = size or 1.0  # what stands still has no size
-    return item.factor * size**item.power
+    return item.factor * size**item.power / (1.0 if item.per is None else _number(item.per, largest))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from math import tanh
 
@@ -12,7 +13,7 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
-from rotorsim.diagnosis.evidence.waveform.laws import LawBounds
+from rotorsim.diagnosis.evidence.waveform.laws import SETTLED, STEPS, LawBounds
 from rotorsim.diagnosis.evidence.waveform.missing import explained_by
 from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
 from rotorsim.model.load import load
@@ -194,3 +195,28 @@ def test_sensitivities_that_overflow_are_a_failure_and_no_warning(lacking):
     huge = [[1e200 * part for part in parts] for parts in here.jacobians]
     found = evidence._summary(before.document, search, replace(here, jacobians=huge))
     assert found.failure == "the sensitivities of the simulation diverge"
+
+
+@pytest.mark.parametrize(("slow", "size"), [(5000.0, 1.0), (1.0, 1e-6)])
+def test_promises_do_not_depend_on_units(lacking, slow, size):
+    """FAULT: beside samples seconds apart, a mode began below what its block allows, and the diagnosis ended.
+
+    A sample every 25 s, of the servo in rad and rad per 5000 s; and everything a million times smaller.
+    """
+    document = deepcopy(SERVO)
+    document["blocks"]["controller"]["parameters"]["gain"] /= slow**2
+    document["blocks"]["friction"]["parameters"]["gain"] /= slow
+    run = {name: size * values for name, values in braked(1).items()}
+    run["speed"] = run["speed"] / slow
+    made = recording([(run, "identify")], {name: (f"{name}.output", "1") for name in NAMES}, RATE / slow)
+    evidence = waveform_evidence(load(document), made)
+    before = evidence.fit(load(document).document, [])
+    physics = {"lag", "missing_mode", "delay", "play", "rate_limit", "line", "drift", "cross_talk"}
+    found = []
+    for here, fit in (lacking[:2], (evidence, before)):
+        diagram = here.load(fit.document)
+        items = Catalogue.of(diagram, physics, False).candidates(diagram, here.recorded)
+        assert {item.physics for item in items} == physics
+        promises = zip(items, here.bounds(fit).promises(items), strict=True)
+        found.append({item.key: promise.misfit for item, promise in promises if promise is not None})
+    assert found[1] == pytest.approx(found[0], rel=STEPS * SETTLED)

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isclose
+from math import floor, isclose, log10
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,13 @@ WEAKER = 0.1  # times the strength of the likeliest free signal: beside the law,
 POSSIBLE = 10.0  # times the misfit of the best free signal, or of noise: beyond, a place is not looked at
 WORTH = 10.0  # fall of the misfit by the shape alone, from which on a law is fitted
 PAIRS = 12  # of place and other signal at which a nonlinear law is fitted: the best by its shape as it starts
+
+
+def _scales(item: Insertion, start: Mapping[str, float]) -> dict[str, float]:
+    """Return powers of ten below where parameters start that have an open bound: its distance follows their values."""
+    opened = {key: item.kind.parameters[key].above for key in item.fault.free}
+    above = {key: (low, start[key] - low) for key, low in opened.items() if low is not None and start[key] > low}
+    return {key: low + 10.0 ** floor(log10(size)) for key, (low, size) in above.items()}
 
 
 def spot_of(place: Place) -> Spot:
@@ -145,8 +152,9 @@ class LawBounds:
         if item.fault.enters != "signal" or here not in self.places or (item.depends_on and not others):
             return None
         sizes, place = sizes_at(item, self.sizes), self.places.index(here)
-        law = self._law(item, fixed_of(item, sizes), limits_of(item, sizes))
-        starts = [np.array([start[key] for key in item.fault.free]) for start in starts_of(item, sizes)]
+        given = starts_of(item, sizes)
+        law = self._law(item, {**_scales(item, given[0]), **fixed_of(item, sizes)}, limits_of(item, sizes))
+        starts = [np.array([start[key] for key in item.fault.free]) for start in given]
         first, factor = self._proportional[place] if item.depends_on and law.adds else (place, 1.0)
         return _Placed(item, law, (place, *others), starts, (item.law, item.depends_on, first), factor)
 
@@ -278,9 +286,11 @@ class LawBounds:
         product = self._transfers[place] * rfft(np.stack(added), size, axis=1)[:, :, None]
         return list(irfft(product, size, axis=1)[:, :N])
 
-    def _law(self, item: Insertion, fixed: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> DrivenLaw:
-        """Return a law alone, driven by a wire, with its parameters free."""
-        parameters = {**item.values, **fixed}
+    def _law(
+        self, item: Insertion, values: Mapping[str, float], limits: Mapping[str, tuple[float, float]]
+    ) -> DrivenLaw:
+        """Return a law alone, driven by a wire, with its parameters free; values: of some parameters."""
+        parameters = {**item.values, **values}
         key = (item.kind, tuple(sorted((k, str(v)) for k, v in parameters.items())), tuple(sorted(limits.items())))
         if key not in self._laws:
             bounds = {name: dict(zip(("low", "high"), limits.get(name, ()), strict=False)) for name in item.fault.free}
