@@ -186,11 +186,18 @@ class Evidence(Protocol):
         """Return the largest magnitude of every recorded signal by flat name, for starts and bounds."""
 
     def fit(
-        self, document: Mapping[str, Any], starts: Starts, *, most: int | None = None, linear_only: bool = False
+        self,
+        document: Mapping[str, Any],
+        starts: Starts,
+        *,
+        most: int | None = None,
+        linear_only: bool = False,
+        beyond: float = np.inf,
     ) -> Fit:
         """Return the best fit of a diagram from groups of starts; most: a limit of evaluations.
 
-        What a start does not name begins as written. linear_only: the failure of a nonlinear one is DEFERRED.
+        What a start does not name begins as written. linear_only: the failure of a nonlinear one is DEFERRED. beyond: a
+        misfit; what leaves more after the first steps need not be followed.
         """
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:

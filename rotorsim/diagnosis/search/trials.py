@@ -37,6 +37,7 @@ PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
 HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
 STARTED = 0.1  # share of what the best explains: of nonlinear laws below, SECOND_EVALUATIONS are the last
 RESTART = 0.1  # of its scale: how far off a bound a parameter of the diagram begins again
+MOST_PROMISING = 4  # fits that come before the others
 RIVAL_MISFIT = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
 
 
@@ -74,6 +75,7 @@ class Trials:
         classes: Sequence[PlaceClass] = ()
         elsewhere: list[tuple[Insertion, Job]] = []
         likely: frozenset[str] | None = None
+        promised: list[float] = []
         for item in found:
             sizes = sizes_at(item, largest)
             starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
@@ -95,8 +97,9 @@ class Trials:
             elsewhere = [(found[k], jobs[k]) for k in near]
             likely = likely_of(found, promises, before)
             jobs, found = [jobs[k] for k in kept], [found[k] for k in kept]
+            promised = [np.inf if (one := promises[k]) is None else one.misfit for k in kept]
         self.counts["fits"] += len(found)
-        fits = self._fit(jobs, FIRST_EVALUATIONS, linear_only=True)
+        fits = self._begun(jobs, promised)
         later = [k for k, fit in enumerate(fits) if fit.failure == DEFERRED]
         explained = is_adequate(before) or any(is_adequate(fit) for fit in fits)
         more = self._fit([jobs[k] for k in later], LAST_EVALUATIONS if explained else FIRST_EVALUATIONS)
@@ -114,16 +117,17 @@ class Trials:
         """Return a round with these physics carried to the end, each law at its best place, and one at its rivals'."""
         tried = list(found.tried)
         elsewhere = [pair for pair in found.elsewhere if pair[0].law == law]
-        best: dict[tuple[str, int], int] = {}
+        of_law: dict[tuple[str, int], int] = {}
         for k in sorted(range(len(tried)), key=lambda k: tried[k].fit.misfit):
             item = tried[k]
             if item.insertion.physics in physics and not item.fit.failure:
-                best.setdefault(item.insertion.law, k)
-        which = [k for k in best.values() if not tried[k].final]
+                of_law.setdefault(item.insertion.law, k)
+        which = [k for k in of_law.values() if not tried[k].final]
         if not which and not elsewhere:
             return found
         jobs: list[Job] = [(values_in(tried[k].fit.document, tried[k].fit.values), [[{}]]) for k in which]
-        fits = self._fit([*jobs, *(job for _, job in elsewhere)], None)
+        beyond = _no_rival([item.fit for item in tried])
+        fits = self._fit([*jobs, *(job for _, job in elsewhere)], None, beyond=beyond)
         for k, fit in zip(which, fits, strict=False):
             better = not fit.failure and fit.misfit <= tried[k].fit.misfit
             fit = fit if better else tried[k].fit
@@ -247,8 +251,24 @@ class Trials:
     def _promises(self, jobs: Sequence[Job]) -> list[float]:
         return [np.inf if isinstance(item, Failure) else item for item in self._spread(_promise_batch, jobs, ())]
 
-    def _fit(self, jobs: Sequence[Job], most: int | None, *, linear_only: bool = False) -> list[Fit]:
-        fits = self._spread(_fit_batch, jobs, (most, linear_only))
+    def _begun(self, jobs: Sequence[Job], promised: Sequence[float]) -> list[Fit]:
+        """Return first fits; where one of the most promising explains the data, no others that never will are followed.
+
+        promised: misfits, where something is known of them.
+        """
+        known = [k for k, misfit in enumerate(promised) if misfit < np.inf]
+        order = sorted(known, key=lambda k: promised[k])[:MOST_PROMISING]
+        first = self._fit([jobs[k] for k in order], FIRST_EVALUATIONS, linear_only=True)
+        fits = dict(zip(order, first, strict=True))
+        others = [k for k in range(len(jobs)) if k not in fits]
+        rest = self._fit([jobs[k] for k in others], FIRST_EVALUATIONS, linear_only=True, beyond=_no_rival(first))
+        fits |= dict(zip(others, rest, strict=True))
+        return [fits[k] for k in range(len(jobs))]
+
+    def _fit(
+        self, jobs: Sequence[Job], most: int | None, *, linear_only: bool = False, beyond: float = np.inf
+    ) -> list[Fit]:
+        fits = self._spread(_fit_batch, jobs, (most, linear_only, beyond))
         return [
             Fit(document, failure=plain.text) if isinstance(plain, Failure) else fit_from_plain(document, plain)
             for (document, _), plain in zip(jobs, fits, strict=True)
@@ -346,6 +366,11 @@ def _led(groups: list[list[dict[str, float]]], start: dict[str, float]) -> list[
     return [[start, {**groups[-1][0], **start}, *({**start, **group[0]} for group in groups[:DECLARED])]]
 
 
+def _no_rival(fits: Sequence[Fit]) -> float:
+    """Return the misfit beyond which nothing is a rival of the best of some fits; infinite if none is adequate."""
+    return RIVAL_MISFIT * min((fit.misfit for fit in fits if is_adequate(fit)), default=np.inf)
+
+
 def _is_slow(fit: Fit, most: float) -> bool:
     """Return whether the fit of a nonlinear law has not got below a misfit: it may have begun too far away."""
     return fit.nonlinear and fit.misfit > most
@@ -367,10 +392,10 @@ def _promised_batch(argument: tuple[list[Insertion], Bounds]) -> list[tuple[floa
         return [None if one is None else (one.misfit, dict(one.start)) for one in places.promises(items)]
 
 
-def _fit_batch(argument: tuple[list[Job], Evidence, int | None, bool]) -> list[dict[str, Any]]:
-    batch, evidence, most, linear_only = argument
+def _fit_batch(argument: tuple[list[Job], Evidence, int | None, bool, float]) -> list[dict[str, Any]]:
+    batch, evidence, most, linear_only, beyond = argument
     with one_thread():
         return [
-            fit_to_plain(evidence.fit(document, starts, most=most, linear_only=linear_only))
+            fit_to_plain(evidence.fit(document, starts, most=most, linear_only=linear_only, beyond=beyond))
             for document, starts in batch
         ]

@@ -1,11 +1,10 @@
 """The unknown signal at a place that would explain what a diagram leaves, by Kalman filter and smoother.
 
-x_(k+1) = F_k x_k + G_k d_k + 0,   d_(k+1) = d_k + w_k,   e_k = H_k x_k + D_k d_k + S_k theta + v_k
+x_(k+1) = F_k x_k + G_k d_k + 0,   d_(k+1) = d_k + w_k,  w ~ N(0, q^2 dt),   e_k = H_k x_k + D_k d_k + S_k theta + v_k
 
-e: residual of the run; d: the unknown signal, a random walk, w ~ N(0, q^2 dt / T), T the longest dt, whose strength q
-is that of greatest likelihood; theta: changes of the free parameters, without a prior (the augmented filter of de
-Jong); v: noise of known variance. The likelihood of the innovations says how well a free signal at that place explains
-all outputs of all runs.
+e: residual of the run; d: the unknown signal, a random walk whose strength q is that of greatest likelihood; theta:
+changes of the free parameters, without a prior (the augmented filter of de Jong); v: noise of known variance. The
+likelihood of the innovations says how well a free signal at that place explains all outputs of all runs.
 
 Source: Kristensen, Madsen & Jorgensen, Automatica 40 (2004) 225-237; de Jong, Ann. Stat. 19 (1991) 1073-1083; Durbin
 & Koopman, Time Series Analysis by State Space Methods (2012), 4.4 (smoothing) and 5.7 (augmented filter).
@@ -20,7 +19,7 @@ import numpy as np
 
 from rotorsim.identification.waveform.linearised import LinearisedRun, recursion
 
-STRENGTHS = 10.0 ** np.arange(-3.0, 3.5, 0.5)  # of the signal, in noise of the outputs and root samples; of
+STRENGTHS = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of the signal, in noise of the outputs and root seconds; of
 # nonlinear diagrams, whose filters change from sample to sample, every fourth
 STRONGEST = 1e9  # that is tried while the strongest so far is the best: what two integrators attenuate is strong
 RESPONSE_FREQUENCIES = 60  # at which the largest response to a signal is looked for
@@ -271,7 +270,7 @@ class UnknownInputs:
     def _entering(self, run: LinearisedRun, pairs: Sequence[tuple[int, float]]) -> np.ndarray:
         """Return the variance of what enters x and d at every sample, (B, n + 1, n + 1)."""
         Q = np.tile(np.diag([*self.regular, 0.0]), (len(pairs), 1, 1))
-        Q[:, -1, -1] = np.array([q for _, q in pairs]) ** 2 * run.dt / max(one.dt for one in self.runs)
+        Q[:, -1, -1] = np.array([q for _, q in pairs]) ** 2 * run.dt
         return Q
 
     def _started(

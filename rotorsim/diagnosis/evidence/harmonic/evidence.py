@@ -43,9 +43,15 @@ class HarmonicEvidence(HarmonicRuns, Defaults):
         return tuple(replace(self, recording=recording, harmonics=runs, held=()) for recording, runs in self.held)
 
     def fit(
-        self, document: Mapping[str, Any], starts: Starts, *, most: int | None = None, linear_only: bool = False
+        self,
+        document: Mapping[str, Any],
+        starts: Starts,
+        *,
+        most: int | None = None,
+        linear_only: bool = False,
+        beyond: float = np.inf,
     ) -> Fit:
-        """Return the best fit of a diagram; see `fit_document`."""
+        """Return the best fit of a diagram; see `fit_document`. beyond is not heeded."""
         return fit_document(document, self, starts, most=most, linear_only=linear_only)
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:

@@ -66,7 +66,7 @@ class ResonanceEvidence(SampledRuns, Defaults):
             out[self.without] = 0.0
         return out.ravel()
 
-    def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None) -> Fit:
+    def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None, beyond: float) -> Fit:
         free, residual = self._problem(document)
         low, high = _bounds(free)
         theta = _best_start(free, starts, residual)

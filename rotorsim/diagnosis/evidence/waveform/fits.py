@@ -100,7 +100,7 @@ class WaveformFits(SampledRuns):
         pairs = zip(search.measured[0], evaluation.residuals[0], strict=True)
         return [(measured - residual)[:, order] for measured, residual in pairs]
 
-    def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None) -> Fit:
+    def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None, beyond: float) -> Fit:
         """Follow the best of each group on the beginning of the runs, then the best of these on all samples."""
         limit = MOST_SIMULATIONS if most is None else REFINED_EVALUATIONS * most
         search = self.search(document)
@@ -108,9 +108,14 @@ class WaveformFits(SampledRuns):
         groups = starts or [[{}, self.near]]
         groups = [[start for group in groups for start in group]] if self.parts else groups
         tried = [self._followed(short, first, group) for group in groups]
-        ends = [short.minimise(min(group, key=attrgetter("cost")).unknowns, limit) for group in tried if group]
-        if not ends:
+        begun = [min(group, key=attrgetter("cost")) for group in tried if group]
+        if not begun:
             return Fit(document, failure=DIVERGES)
+        longer = sum(run.size for run in search.runs) / sum(run.size for run in short.runs)
+        if not self.parts and longer * min(one.cost for one in begun) > beyond:
+            point = min(begun, key=attrgetter("cost")).unknowns
+            return self._summary(document, search, search.evaluate(point, search.substeps(point)))
+        ends = [short.minimise(one.unknowns, limit) for one in begun]
         stated = starts[0][0] if starts and starts[0] else {}
         if stated and not self.parts and is_lost(short, min(ends, key=attrgetter("cost"))):
             point = short.stated(first, stated)
