@@ -206,8 +206,8 @@ def test_a_look_alike_is_carried_on_from_where_it_is_at_its_best_place():
     jobs = []
 
     class Carried(Trials):
-        def _fit(self, given, most, *, linear_only=False, beyond=np.inf):
-            jobs.append((len(given), most))
+        def _fit(self, given, effort):
+            jobs.append((len(given), effort.most))
             return [better]
 
     found = Carried(None, Catalogue(), Jobs(1)).completed(Round(Fit({}), (far, near)), {"rub"})
@@ -223,8 +223,8 @@ def test_what_can_be_no_rival_of_the_most_promising_is_not_followed():
     asked = []
 
     class Counted(Trials):
-        def _fit(self, given, most, *, linear_only=False, beyond=np.inf):
-            asked.append((list(given), beyond))
+        def _fit(self, given, effort):
+            asked.append((list(given), effort.beyond))
             return [Fit({}, misfit=job, rows=ROWS, equations=ROWS, goodness=float(job <= 1.1 * ROWS)) for job in given]
 
     jobs = [9e5, 1e3, 8e5, 2e4, 7e5, 6e5]
@@ -237,23 +237,6 @@ def test_what_can_be_no_rival_of_the_most_promising_is_not_followed():
     asked.clear()
     Counted(None, Catalogue(), Jobs(1))._begun(jobs, [])
     assert asked == [([], np.inf), (jobs, np.inf)]
-
-
-@pytest.mark.parametrize(("left_by_first", "looked_at"), [(9.6e5, [1e6]), (9.4e5, [1e6, 9.4e5])])
-def test_beside_what_explains_hardly_anything_no_second_effect_is_looked_for(left_by_first, looked_at):
-    base = Fit({}, misfit=1e6, rows=ROWS, equations=ROWS)
-    first, seen = candidate("rub", left_by_first, 1), []
-    first.fit = replace(first.fit, rows=ROWS, goodness=0.0)
-
-    def tried(before):
-        seen.append(before.misfit)
-        return Round(before, (first,) if before is base else ())
-
-    trials = SimpleNamespace(
-        round=tried, evidence=SimpleNamespace(refines_meshes=lambda document: False), counts={}, nominal={}, slack=0.0
-    )
-    _selected(trials, base)
-    assert seen == looked_at
 
 
 def test_what_was_not_fitted_to_the_end_is_not_rejected():
@@ -365,7 +348,7 @@ def test_a_law_is_fitted_where_rivals_promise_as_much(monkeypatch):
     other = SimpleNamespace(physics="delay", law=("delay", 0), free=(), fault=SimpleNamespace(sizes=()))
     best = SimpleNamespace(insertion=insertion, fit=left(100.0), final=True, physical=True)
     trials = Trials(SimpleNamespace(), Catalogue(), Jobs(1))
-    monkeypatch.setattr(trials, "_fit", lambda jobs, most, beyond: [left(101.0)] * len(jobs))
+    monkeypatch.setattr(trials, "_fit", lambda jobs, effort: [left(101.0)] * len(jobs))
     before = Round(left(1e6), (best,), elsewhere=((insertion, ({}, [])), (other, ({}, []))))
     after = trials.completed(before, set(), ("lag", 0))
     assert [item.fit.misfit for item in after.tried] == [left(100.0).misfit, left(101.0).misfit]

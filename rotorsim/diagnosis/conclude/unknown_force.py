@@ -10,7 +10,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence
-from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.fit import Effort, Fit
 
 FORCE_TERMS = ("cubic", "damping_growth", "drag", "friction", "quadratic", "cross", "cross_cubic", "quintic")
 MOST_TERMS = 4
@@ -65,7 +65,7 @@ def _mapped(base: Fit, document: Mapping[str, Any], evidence: Evidence, spot: Sp
             new["blocks"][FORCE_MAP] = block
             new["wires"] = [*new["wires"], *wires]
             new["identify"] = {**new.get("identify", {}), **{f"{FORCE_MAP}.{t}": {} for t in terms}}
-            fit = evidence.fit(new, [[{}]], most=12)
+            fit = evidence.fit(new, [[{}]], Effort(most=12))
             if not fit.failure:
                 fits[terms] = fit
         terms = min(fits, key=lambda terms: fits[terms].misfit, default=())

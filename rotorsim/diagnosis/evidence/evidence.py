@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.evidence.change import Change
-from rotorsim.diagnosis.evidence.fit import Fit, Starts
+from rotorsim.diagnosis.evidence.fit import TO_THE_END, Effort, Fit, Starts
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.recordings.recording import Recording
@@ -185,20 +185,8 @@ class Evidence(Protocol):
     def largest(self) -> Mapping[str, float]:
         """Return the largest magnitude of every recorded signal by flat name, for starts and bounds."""
 
-    def fit(
-        self,
-        document: Mapping[str, Any],
-        starts: Starts,
-        *,
-        most: int | None = None,
-        linear_only: bool = False,
-        beyond: float = np.inf,
-    ) -> Fit:
-        """Return the best fit of a diagram from groups of starts; most: a limit of evaluations.
-
-        What a start does not name begins as written. linear_only: the failure of a nonlinear one is DEFERRED. beyond: a
-        misfit; what leaves more after the first steps need not be followed.
-        """
+    def fit(self, document: Mapping[str, Any], starts: Starts, effort: Effort = TO_THE_END) -> Fit:
+        """Return the best fit of a diagram from groups of starts; what a start does not name begins as written."""
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
         """Return the misfit that a few steps from the best start promise."""

@@ -32,6 +32,22 @@ def _empty() -> np.ndarray:
     return np.zeros(0)
 
 
+@dataclass(frozen=True)
+class Effort:
+    """How far a fit is carried. Evidence that fits at less than another's cost may do more.
+
+    most: a limit of evaluations. linear_only: the failure of a diagram that is nonlinear is DEFERRED. beyond: a misfit;
+    what leaves more after the first steps is not followed.
+    """
+
+    most: int | None = None
+    linear_only: bool = False
+    beyond: float = np.inf
+
+
+TO_THE_END = Effort()
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A diagram at its most likely parameters.

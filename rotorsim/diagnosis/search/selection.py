@@ -20,8 +20,6 @@ from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs, local_workers
 
 BEAM_WIDTH = 2  # hypotheses that the next round starts from
-FIRST_SHARE = 0.05  # of the misfit, that the first of several effects explains at least: with less, two cannot be told
-# from any other two that cancel
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +95,7 @@ def _selected(trials: Trials, base: Fit) -> Selection:
         return Selection(base, (), (first,), base, level, trials.counts, slack, first)
     chosen: tuple[Candidate, ...] = beam[0]
     rounds = [first]
-    many = CRITERIA.most_effects if _share(chosen[-1].fit, base) >= FIRST_SHARE else 1
-    while not is_adequate(chosen[-1].fit) and len(chosen) < many:
+    while not is_adequate(chosen[-1].fit) and len(chosen) < CRITERIA.most_effects:
         grown: list[tuple[tuple[Candidate, ...], Round]] = []
         for path in beam:
             after = trials.round(path[-1].fit)

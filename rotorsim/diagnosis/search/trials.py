@@ -13,7 +13,7 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence, Promise
-from rotorsim.diagnosis.evidence.fit import DEFERRED, Fit, fit_from_plain, fit_to_plain, is_adequate
+from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, fit_from_plain, fit_to_plain, is_adequate
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
 from rotorsim.diagnosis.search.promises import at_rival_places, likely_of, misfit_of, most_promising
@@ -102,7 +102,7 @@ class Trials:
         fits = self._begun(jobs, promised)
         later = [k for k, fit in enumerate(fits) if fit.failure == DEFERRED]
         explained = is_adequate(before) or any(is_adequate(fit) for fit in fits)
-        more = self._fit([jobs[k] for k in later], LAST_EVALUATIONS if explained else FIRST_EVALUATIONS)
+        more = self._fit([jobs[k] for k in later], Effort(LAST_EVALUATIONS if explained else FIRST_EVALUATIONS))
         for k, fit in zip(later, more, strict=True):
             fits[k] = fit
         fits, ended = self._refined(before, jobs, fits, [item.law for item in found])
@@ -126,8 +126,8 @@ class Trials:
         if not which and not elsewhere:
             return found
         jobs: list[Job] = [(values_in(tried[k].fit.document, tried[k].fit.values), [[{}]]) for k in which]
-        beyond = _no_rival([item.fit for item in tried])
-        fits = self._fit([*jobs, *(job for _, job in elsewhere)], None, beyond=beyond)
+        effort = Effort(beyond=_no_rival([item.fit for item in tried]))
+        fits = self._fit([*jobs, *(job for _, job in elsewhere)], effort)
         for k, fit in zip(which, fits, strict=False):
             better = not fit.failure and fit.misfit <= tried[k].fit.misfit
             fit = fit if better else tried[k].fit
@@ -258,17 +258,16 @@ class Trials:
         """
         known = [k for k, misfit in enumerate(promised) if misfit < np.inf]
         order = sorted(known, key=lambda k: promised[k])[:MOST_PROMISING]
-        first = self._fit([jobs[k] for k in order], FIRST_EVALUATIONS, linear_only=True)
+        first = self._fit([jobs[k] for k in order], Effort(FIRST_EVALUATIONS, linear_only=True))
         fits = dict(zip(order, first, strict=True))
         others = [k for k in range(len(jobs)) if k not in fits]
-        rest = self._fit([jobs[k] for k in others], FIRST_EVALUATIONS, linear_only=True, beyond=_no_rival(first))
+        effort = Effort(FIRST_EVALUATIONS, linear_only=True, beyond=_no_rival(first))
+        rest = self._fit([jobs[k] for k in others], effort)
         fits |= dict(zip(others, rest, strict=True))
         return [fits[k] for k in range(len(jobs))]
 
-    def _fit(
-        self, jobs: Sequence[Job], most: int | None, *, linear_only: bool = False, beyond: float = np.inf
-    ) -> list[Fit]:
-        fits = self._spread(_fit_batch, jobs, (most, linear_only, beyond))
+    def _fit(self, jobs: Sequence[Job], effort: Effort) -> list[Fit]:
+        fits = self._spread(_fit_batch, jobs, (effort,))
         return [
             Fit(document, failure=plain.text) if isinstance(plain, Failure) else fit_from_plain(document, plain)
             for (document, _), plain in zip(jobs, fits, strict=True)
@@ -323,7 +322,7 @@ class Trials:
         for k in which:
             away = {} if fits[k].nonlinear else self._off_bounds(fits[k])
             continued.append((values_in(jobs[k][0], fits[k].values), [[{}], *([[away]] if away else [])]))
-        for k, fit in zip(which, self._fit(continued, most), strict=True):
+        for k, fit in zip(which, self._fit(continued, Effort(most)), strict=True):
             if not fit.failure and fit.misfit <= fits[k].misfit:
                 fits[k] = replace(fit, seconds=fit.seconds + fits[k].seconds)
 
@@ -392,10 +391,7 @@ def _promised_batch(argument: tuple[list[Insertion], Bounds]) -> list[tuple[floa
         return [None if one is None else (one.misfit, dict(one.start)) for one in places.promises(items)]
 
 
-def _fit_batch(argument: tuple[list[Job], Evidence, int | None, bool, float]) -> list[dict[str, Any]]:
-    batch, evidence, most, linear_only, beyond = argument
+def _fit_batch(argument: tuple[list[Job], Evidence, Effort]) -> list[dict[str, Any]]:
+    batch, evidence, effort = argument
     with one_thread():
-        return [
-            fit_to_plain(evidence.fit(document, starts, most=most, linear_only=linear_only, beyond=beyond))
-            for document, starts in batch
-        ]
+        return [fit_to_plain(evidence.fit(document, starts, effort)) for document, starts in batch]

@@ -177,14 +177,7 @@ def _base(
     evaluation = search.minimise(start)
     if is_lost(search, evaluation):
         evaluation = min(evaluation, search.minimise(shot(search, start)), key=attrgetter("cost"))
-    sub = search.substeps(evaluation.unknowns)
-    as_given = replace(search, hold="theta")
-    given = as_given.minimise(start) if sub > search.substeps(start) else evaluation
-    if given is evaluation or not np.isfinite(given.cost):
-        return refined(search, evaluation, scale)
-    # without what is missing, parameters went to where a mode is as fast as the steps allow: their steps say nothing
-    search = replace(search, least=refined(as_given, given, scale)[0].least)
-    return search, search.evaluate(evaluation.unknowns, max(sub, search.least))
+    return refined(search, evaluation, scale)
 
 
 def refined(

@@ -15,7 +15,7 @@ from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.conclude.verdict import effect_of
 from rotorsim.diagnosis.evidence.evidence import Promise
-from rotorsim.diagnosis.evidence.fit import Fit, fit_from_plain, fit_to_plain
+from rotorsim.diagnosis.evidence.fit import Effort, Fit, fit_from_plain, fit_to_plain
 from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
 from rotorsim.diagnosis.evidence.harmonic.fitting import _alone
 from rotorsim.diagnosis.search.candidates import Candidate, Round
@@ -90,8 +90,8 @@ def test_a_nonlinear_law_that_began_too_far_away_is_carried_on():
     def refined(before: float, fits: list[Fit], reached: list[float]) -> list[tuple[int, int | None]]:
         trials, asked, ends = Trials(None, Catalogue(), Jobs()), [], iter(reached)
 
-        def fit(jobs: list, most: int | None) -> list[Fit]:
-            asked.append((len(jobs), most))
+        def fit(jobs: list, effort: Effort) -> list[Fit]:
+            asked.append((len(jobs), effort.most))
             return [left(next(ends)) for _ in jobs]
 
         trials._fit = fit

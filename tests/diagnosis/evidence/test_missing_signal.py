@@ -12,6 +12,7 @@ import pytest
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.evidence.fit import Effort
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
 from rotorsim.diagnosis.evidence.waveform.laws import SETTLED, STEPS, LawBounds
 from rotorsim.diagnosis.evidence.waveform.missing import explained_by
@@ -228,7 +229,7 @@ def test_slow_and_small_machines_are_promised_the_same_laws(lacking, slow, size)
 def test_what_leaves_more_than_a_rival_may_after_the_first_steps_is_not_followed(lacking):
     evidence, before, after, item, _ = lacking
     document = item.document(values_in(before.document, before.values), dict.fromkeys(item.fault.free, 1e-3))
-    whole, same = evidence.fit(document, [[{}]]), evidence.fit(document, [[{}]], beyond=1.2 * after.misfit)
+    whole, same = evidence.fit(document, [[{}]]), evidence.fit(document, [[{}]], Effort(beyond=1.2 * after.misfit))
     assert same.misfit == whole.misfit == pytest.approx(after.misfit, rel=1e-3)
-    ended = evidence.fit(document, [[{}]], beyond=0.5 * after.misfit)
+    ended = evidence.fit(document, [[{}]], Effort(beyond=0.5 * after.misfit))
     assert 0.5 * after.misfit < ended.misfit < before.misfit

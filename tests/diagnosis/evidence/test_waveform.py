@@ -13,6 +13,7 @@ from rotorsim.cli.app import rotorsim
 from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
+from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
 from rotorsim.diagnosis.files import diagnosis_data, diagnosis_schema, save_diagnosis
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.waveform.data import channels_of
@@ -310,3 +311,39 @@ def test_emps(tmp_path):
         assert after[name]["std"] < 0.12 * abs(value)
     ports = [found["fit"][key]["ports"]["carriage.displacement"] for key in ("before", "after")]
     assert ports[0] > 3 * ports[1]
+
+
+def test_a_time_constant_that_goes_to_zero_is_no_noise():
+    """FAULT: where steps were not refined there, the noise was taken for 13 times its variance, and hid faults."""
+    random = np.random.default_rng(3)
+    wanted = np.repeat(random.uniform(-1, 1, 50), 20)
+    speed = np.zeros(len(wanted))
+    for k, u in enumerate(wanted[:-1]):  # exact from sample to sample: the input is held
+        speed[k + 1] = u / 2 + (speed[k] - u / 2) * np.exp(-2.0 * 0.01)
+    values = {"u": wanted, "y": speed + 1e-3 * random.normal(size=len(speed))}
+    made = machines.recording([(values, "identify")], {"u": ("drive.output", "1"), "y": ("speed.output", "1")}, 100.0)
+    document = {
+        "schema_version": 1,
+        "name": "drive",
+        "blocks": {
+            "drive": {"type": "recorded", "parameters": {"interpolation": "hold"}},
+            "amplifier": {"type": "lag", "parameters": {"time_constant": "20 ms"}},
+            "sum": {"type": "sum", "parameters": {"signs": "+-"}},
+            "speed": {"type": "integrator"},
+            "damper": {"type": "gain", "parameters": {"gain": 2.0}},
+        },
+        "wires": [
+            ["drive.output", "amplifier.input"],
+            ["amplifier.output", "sum.input1"],
+            ["damper.output", "sum.input2"],
+            ["sum.output", "speed.input"],
+            ["speed.output", "damper.input"],
+        ],
+        "solver": {"method": "rk4", "step": "1 ms", "stop": "1 s"},
+        "record": ["speed.output"],
+        "identify": {"amplifier.time_constant": {}, "damper.gain": {"low": 0.0}},
+    }
+    evidence = waveform_evidence(load(document), made)
+    assert evidence.near["amplifier.time_constant"] < 1e-3  # the machine has none
+    [variance] = evidence.variance.values()
+    assert variance == pytest.approx(1e-6, rel=3 * np.sqrt(2 / len(speed)))

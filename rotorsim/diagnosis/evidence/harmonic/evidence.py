@@ -13,7 +13,7 @@ from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.change import Change
 from rotorsim.diagnosis.evidence.evidence import Defaults, HeldScore, Unknown
-from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts
+from rotorsim.diagnosis.evidence.fit import FAILURES, TO_THE_END, Effort, Fit, Starts
 from rotorsim.diagnosis.evidence.harmonic.bounds import LowerBounds, open_bounds
 from rotorsim.diagnosis.evidence.harmonic.fitting import fit_document, promise_of
 from rotorsim.diagnosis.evidence.harmonic.force import unknown_force
@@ -42,17 +42,9 @@ class HarmonicEvidence(HarmonicRuns, Defaults):
         """The hold-out runs, recording by recording."""
         return tuple(replace(self, recording=recording, harmonics=runs, held=()) for recording, runs in self.held)
 
-    def fit(
-        self,
-        document: Mapping[str, Any],
-        starts: Starts,
-        *,
-        most: int | None = None,
-        linear_only: bool = False,
-        beyond: float = np.inf,
-    ) -> Fit:
-        """Return the best fit of a diagram; see `fit_document`. beyond is not heeded."""
-        return fit_document(document, self, starts, most=most, linear_only=linear_only)
+    def fit(self, document: Mapping[str, Any], starts: Starts, effort: Effort = TO_THE_END) -> Fit:
+        """Return the best fit of a diagram; see `fit_document`."""
+        return fit_document(document, self, starts, most=effort.most, linear_only=effort.linear_only)
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
         """Return the misfit that one step from the best start promises; see `promise_of`."""

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Defaults, Score, Terms
-from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts
+from rotorsim.diagnosis.evidence.fit import FAILURES, Effort, Fit, Starts
 from rotorsim.diagnosis.evidence.resonance.drive import driven_at
 from rotorsim.diagnosis.evidence.resonance.modes import Modes
 from rotorsim.diagnosis.evidence.resonance.resonances import Resonance
@@ -66,11 +66,11 @@ class ResonanceEvidence(SampledRuns, Defaults):
             out[self.without] = 0.0
         return out.ravel()
 
-    def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None, beyond: float) -> Fit:
+    def _fit(self, document: Mapping[str, Any], starts: Starts, effort: Effort) -> Fit:
         free, residual = self._problem(document)
         low, high = _bounds(free)
         theta = _best_start(free, starts, residual)
-        if len(free) and (most is None or most > 1):
+        if len(free) and (effort.most is None or effort.most > 1):
             scale = np.maximum(np.abs(theta), 1e-12)
             solution = least_squares(
                 lambda q: residual(q * scale),
@@ -78,7 +78,7 @@ class ResonanceEvidence(SampledRuns, Defaults):
                 bounds=(low / scale, high / scale),
                 x_scale="jac",
                 diff_step=DIFFERENCE_STEP,
-                max_nfev=MOST_SOLUTIONS if most is None else most,
+                max_nfev=MOST_SOLUTIONS if effort.most is None else effort.most,
             )
             theta = solution.x * scale
         r, J = residual(theta), _jacobian(residual, theta, low, high)

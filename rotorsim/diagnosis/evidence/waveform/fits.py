@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import LONGEST, SAMPLED
-from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts
+from rotorsim.diagnosis.evidence.fit import FAILURES, Effort, Fit, Starts
 from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.errors import Problem, RotorsimError
@@ -100,9 +100,9 @@ class WaveformFits(SampledRuns):
         pairs = zip(search.measured[0], evaluation.residuals[0], strict=True)
         return [(measured - residual)[:, order] for measured, residual in pairs]
 
-    def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None, beyond: float) -> Fit:
+    def _fit(self, document: Mapping[str, Any], starts: Starts, effort: Effort) -> Fit:
         """Follow the best of each group on the beginning of the runs, then the best of these on all samples."""
-        limit = MOST_SIMULATIONS if most is None else REFINED_EVALUATIONS * most
+        limit = MOST_SIMULATIONS if effort.most is None else REFINED_EVALUATIONS * effort.most
         search = self.search(document)
         short, first = self._short(search)
         groups = starts or [[{}, self.near]]
@@ -112,7 +112,7 @@ class WaveformFits(SampledRuns):
         if not begun:
             return Fit(document, failure=DIVERGES)
         longer = sum(run.size for run in search.runs) / sum(run.size for run in short.runs)
-        if not self.parts and longer * min(one.cost for one in begun) > beyond:
+        if not self.parts and longer * min(one.cost for one in begun) > effort.beyond:
             point = min(begun, key=attrgetter("cost")).unknowns
             return self._summary(document, search, search.evaluate(point, search.substeps(point)))
         ends = [short.minimise(one.unknowns, limit) for one in begun]
@@ -125,7 +125,7 @@ class WaveformFits(SampledRuns):
         last = limit if short is search else min(limit, LAST_STEPS)
         if self.parts:
             start = np.concatenate([start[: search.m], search.first(self.starts)[search.m :]])
-            last = LAST_STEPS if most is None else FEW_STEPS
+            last = LAST_STEPS if effort.most is None else FEW_STEPS
         return self._summary(document, search, search.minimise(start, last))
 
     def _short(self, search: OutputErrorSearch) -> tuple[OutputErrorSearch, np.ndarray]:

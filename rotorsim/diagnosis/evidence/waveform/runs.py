@@ -9,9 +9,7 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
-import numpy as np
-
-from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, Starts, reason_of
+from rotorsim.diagnosis.evidence.fit import FAILURES, TO_THE_END, Effort, Fit, Starts, reason_of
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.model.load import load
@@ -45,27 +43,18 @@ class SampledRuns(ABC):
         """The flat names of the recorded signals."""
         return [*self.channels.inputs, *self.channels.outputs]
 
-    def fit(
-        self,
-        document: Mapping[str, Any],
-        starts: Starts,
-        *,
-        most: int | None = None,
-        linear_only: bool = False,
-        beyond: float = np.inf,
-    ) -> Fit:
+    def fit(self, document: Mapping[str, Any], starts: Starts, effort: Effort = TO_THE_END) -> Fit:
         """Return the best fit of a diagram from the best of each group of starts {free parameter: SI value}.
 
-        What a start does not name begins as written. most: a limit of evaluations. linear_only is not heeded: a
-        nonlinear diagram costs no more. beyond: a misfit; what leaves more after the first steps is not followed.
+        What a start does not name begins as written. A nonlinear diagram costs no more, and is fitted, too.
         """
         began = process_time()
         try:
-            fit = self._fit(document, starts, most, beyond)
+            fit = self._fit(document, starts, effort)
         except FAILURES as error:
             fit = Fit(document, failure=reason_of(error))
         return replace(fit, seconds=process_time() - began)
 
     @abstractmethod
-    def _fit(self, document: Mapping[str, Any], starts: Starts, most: int | None, beyond: float) -> Fit:
+    def _fit(self, document: Mapping[str, Any], starts: Starts, effort: Effort) -> Fit:
         """Return the best fit of a diagram. Raises one of FAILURES where it cannot be compared with the runs."""
