@@ -11,7 +11,7 @@ from rotorsim.diagnosis.conclude.verdict import effect_of, rejected_of, unfinish
 from rotorsim.diagnosis.evidence.evidence import Promise, Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.search.candidates import Candidate, Round
-from rotorsim.diagnosis.search.promises import at_rival_places, likely_of
+from rotorsim.diagnosis.search.promises import at_rival_places, likely_of, no_rivals
 from rotorsim.diagnosis.search.selection import _completed, _level, _reconsidered, _selected, _simplified, least_gain
 from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.diagram.diagram import Free
@@ -334,6 +334,14 @@ def test_another_measure_of_the_noise_looks_again_at_what_promised_within_ten_ti
     found = [placed("lag", spot) for spot in ("best", "within", "beyond", "unknown")]
     promises = [Promise(2e4), Promise(1.9e5), Promise(2.1e5), None]
     assert likely_of(found, promises, left(1e6)) == {"lag@best", "lag@within", "lag@unknown"}
+
+
+def test_what_ten_times_the_best_fit_does_not_reach_is_not_looked_at_with_another_noise():
+    """Unless its fit was stopped early: it may have begun far away."""
+    tried = [candidate(name, misfit, 1) for name, misfit in {"delay": 50.0, "lag": 499.0, "offset": 501.0}.items()]
+    stopped = candidate("play", 501.0, 1)
+    stopped.final = False
+    assert no_rivals([*tried, stopped]) == {"offset"}
 
 
 def test_a_law_that_is_chosen_is_fitted_at_three_more_places_that_promise_half_as_much():

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.search.candidates import Candidate
 
 MOST_LAWS = 16  # fitted in one round, each at its best place, where what laws promise is known
 LEAST_FITS = 8  # in such a round, at the next best places where so many laws do not promise enough
 RIVAL_PLACES = 3  # of a law that is chosen, with a promise within
 NEAR_PROMISE = 2.0  # times that at its best place, as linear theory may err
-UNLIKELY = 10.0  # times the least promise in an earlier round: beyond, a law is not looked at with another noise
+UNLIKELY = 10.0  # times the least promise, or fit, of a round: beyond, a law is not looked at with another noise
 PROMISED = 3.0  # times the least misfit that is promised: within, each law is fitted at its best place
 
 
@@ -54,3 +55,13 @@ def likely_of(candidates: Sequence[Insertion], promises: Sequence[Promise | None
     least = max(min((one.misfit for one in promises if one is not None), default=0.0), before.freedom)
     pairs = zip(candidates, promises, strict=True)
     return frozenset(item.key for item, one in pairs if one is None or one.misfit <= UNLIKELY * least)
+
+
+def no_rivals(tried: Sequence[Candidate]) -> frozenset[str]:
+    """Return the keys of what was carried to the end and leaves too much to be a rival with another noise.
+
+    Noise is what the best leaves at each frequency; what leaves no more leaves as little by any weights.
+    """
+    ended = [item for item in tried if item.final and not item.fit.failure]
+    least = min((item.fit.misfit for item in tried if not item.fit.failure), default=0.0)
+    return frozenset(item.insertion.key for item in ended if item.fit.misfit > UNLIKELY * least)

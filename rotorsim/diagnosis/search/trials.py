@@ -16,7 +16,7 @@ from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence, Promise
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, fit_from_plain, fit_to_plain, is_adequate
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
-from rotorsim.diagnosis.search.promises import at_rival_places, likely_of, misfit_of, most_promising
+from rotorsim.diagnosis.search.promises import at_rival_places, likely_of, misfit_of, most_promising, no_rivals
 from rotorsim.diagram.resolve.registry import is_built_in
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
@@ -49,8 +49,9 @@ class Trials:
 
     def __init__(self, evidence: Evidence, catalogue: Catalogue, jobs: Jobs, earlier: Round | None = None) -> None:
         self.evidence, self.catalogue, self.jobs = evidence, catalogue, jobs
-        best = [] if earlier is None else [item for item in earlier.tried if not item.fit.failure][:AGAIN]
         self.likely = None if earlier is None else earlier.likely
+        tried = () if earlier is None else (item for item in earlier.tried if not item.fit.failure)
+        best = [item for item in tried if self.likely is None or item.insertion.key in self.likely][:AGAIN]
         self.known = {item.insertion.key: item.fit.values for item in best}
         self.counts = {"fits": 0, "rounds": 0}
         self.nominal: dict[str, float] = {}
@@ -110,6 +111,7 @@ class Trials:
             Candidate(item, fit, self._astray(before, fit), bool(fit.failure) or not fit.nonlinear or k in ended)
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
         ]
+        likely = None if likely is None else likely - no_rivals(tried)
         ordered = tuple(simplest_first(tried, self.slack))
         return Round(before, ordered, tuple(classes), hypotheses, tuple(elsewhere), likely)
 
