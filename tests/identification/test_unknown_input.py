@@ -9,13 +9,13 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete
 
-from rotorsim.identification.waveform import linearised as room
 from rotorsim.identification.waveform.data import Channels, SampledRun
-from rotorsim.identification.waveform.linearised import Place, linearised, places_of
+from rotorsim.identification.waveform.linearised import LinearisedRun, Place, linearised, places_of
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.identification.waveform.unknown_input import UnknownInputs
 from rotorsim.identification.waveform.unknown_input import _steady as riccati
+from rotorsim.linear import sampled
 from rotorsim.model.load import load
 
 RATE, SAMPLES, NOISE = 200.0, 3000, np.array([2e-3, 2e-3])
@@ -166,7 +166,7 @@ def test_the_recursion_in_c_is_that_in_numpy(monkeypatch):
     places, [run] = analysed(recorded(5, np.zeros(SAMPLES), 0), CURVED)
     signal = np.random.default_rng(1).normal(size=(SAMPLES, 3))
     in_c = run.responses(places.index(Place("rate.output")), signal)
-    monkeypatch.setattr(room, "_recursion", lambda: None)
+    monkeypatch.setattr(sampled, "_recursion", lambda: None)
     np.testing.assert_allclose(run.responses(places.index(Place("rate.output")), signal), in_c, rtol=1e-12, atol=1e-15)
 
 
@@ -188,7 +188,7 @@ def test_a_constant_that_a_state_makes_up_for_does_not_spoil_the_rest():
     for j, d in enumerate(missing):
         y[j] = C @ x + D[:, 0] * d
         x = F @ x + G[:, 0] * d
-    run = room.LinearisedRun(
+    run = LinearisedRun(
         *(M[None] for M in (F, G, C, D)),
         W=np.zeros((1, 1, 4)),
         E=np.zeros((1, 1, 1)),
@@ -217,6 +217,23 @@ def test_places_in_proportion_have_one_likelihood_and_are_one_class():
     assert sum(map(len, classes)) == len(estimates)
     assert {"coupling.output", "rate.output", "leak.output"} <= next(one for one in classes if "rate.output" in one)
     assert not {"first.output", "second.outputreading"} <= next(one for one in classes if "first.output" in one)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-6])
+def test_what_nothing_observes_has_no_steady_filter_in_any_unit(unit):
+    """FAULT: a constant added to a servo's speed, where it is read and taken, moves nothing once the speed is its
+    opposite; after 40 doublings rounding decided that some of its filters were steady, which ones hung on the unit."""
+    F = np.array([[0.97516, -0.0592532, -1.2e-4 * unit], [4.93777e-3, 0.999851, 2.4e-5 * unit], [0.0, 0.0, 1.0]])
+    constant = np.array([-0.98 * unit / 202.0, 0.0, 1.0])  # is not read, and stays
+    F[:2, 2] = ((np.eye(3) - F) @ constant)[:2] + F[:2, 2]
+    H = np.array([[202.0 / unit, 0.0, 0.98], [0.0, 400.0 / unit, 0.0]])
+    assert H @ constant == pytest.approx([0, 0], abs=1e-12)
+    assert F @ constant == pytest.approx(constant)
+    filters = [np.diag([1e-14 * unit**2, 4e-16 * unit**2, q]) for q in 10.0 ** np.arange(-7, 4)]
+    for left, steady in ((1.0, False), (0.999, True)):
+        F[2, 2] = left
+        count = len(filters)
+        assert (riccati(np.tile(F, (count, 1, 1)), np.tile(H, (count, 1, 1)), np.stack(filters))[1] == steady).all()
 
 
 def test_steady_filters_are_those_of_the_riccati_equation():

@@ -22,6 +22,7 @@ from rotorsim.settled.equations import reached_states, slots_of
 RATES = {"acceleration": "velocity", "velocity": "displacement"}  # recorded, but no port: the rate of this one
 OF_THE_ANGLE = ("theta", "speed", "acceleration")  # of a shaft: outputs of a clock that its angle tells
 POWERS = tuple((order - j, j) for order in (0, 2, 3, 4, 5) for j in range(order + 1))
+_SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_TWICE, ca.OP_ASSIGN)
 WIDTHS = (0.02, 0.2)  # over which friction changes its sign, of the largest velocity
 
 
@@ -49,6 +50,32 @@ class ForceMap:
         a, b = q / self.sizes[0], v / self.sizes[1]
         terms = [a**i * b**j for i, j in POWERS] + [ca.tanh(b / width) for width in WIDTHS]
         return sum((c[k] * term for k, term in enumerate(terms)), ca.SX(0))
+
+
+def is_affine(of: Any, by: Any, time: Any) -> bool:
+    """Return whether an expression is affine in symbols, as it is written, and does not change with time.
+
+    What has no slope but steps (a sign) is not; a derivative would not tell.
+    """
+    names = ca.vertcat(by, time)
+    others = [symbol for symbol in ca.symvar(of) if not ca.depends_on(symbol, names)]
+    function = ca.Function("f", [names, ca.vertcat(*others)], [of])
+    moves = [False] * function.sz_w()
+    for k in range(function.n_instructions()):
+        op, given, to = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if op == ca.OP_OUTPUT:
+            continue
+        if op in (ca.OP_INPUT, ca.OP_CONST):
+            moves[to[0]] = op == ca.OP_INPUT and given[0] == 0
+            if moves[to[0]] and given[1] >= by.numel():
+                return False
+            continue
+        held = [moves[place] for place in given]
+        kept = op in _SUMS or (op == ca.OP_MUL and not all(held)) or (op == ca.OP_DIV and not held[-1])
+        if any(held) and not kept:
+            return False
+        moves[to[0]] = any(held)
+    return True
 
 
 def driven_parameters(diagram: Diagram) -> dict[str, str]:
@@ -135,6 +162,22 @@ class DrivenEquations:
         """The Jacobians of f and g by x, (1, n, n) and (1, c, n), as functions of t, x, v, p."""
         given, x = self.arguments, self.arguments[1]
         return MatrixFunction(given, ca.jacobian(self.f, x)), MatrixFunction(given, ca.jacobian(self.g, x))
+
+    @cached_property
+    def linear(self) -> MatrixFunction | None:
+        """The matrix L of [f; g] = L [x; v; 1], then its derivatives by each of the m parameters, of p alone.
+
+        (1, n + c, (n + n_v + 1) (1 + m)); None where f or g is not linear in x and v, or changes with time.
+        """
+        t, x, v, p = self.arguments
+        of, by = ca.vertcat(self.f, self.g), ca.vertcat(x, v)
+        if not is_affine(of, by, t):
+            return None
+        L = ca.horzcat(ca.jacobian(of, by), ca.substitute(of, by, ca.SX.zeros(by.numel())))
+        if ca.depends_on(L, by):
+            return None
+        slopes = [sum((ca.jacobian(ca.vec(L), p[slot]) for slot in own), ca.SX(L.numel(), 1)) for own in self.slots]
+        return MatrixFunction([p], ca.horzcat(L, *(ca.reshape(one, *L.shape) for one in slopes)))
 
     def jacobian(self, of: Any) -> Any:
         """Return the sparse Jacobian of an expression (k,) by x, then by the m parameters, (k, n + m)."""

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -15,50 +12,10 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.simulation import Simulation
-from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
+from rotorsim.linear.sampled import held, recursion
 from rotorsim.model.matrix_function import MatrixFunction
 
-_C = """
-#include <stdint.h>
-#if defined(_WIN32)
-__declspec(dllexport)
-#else
-__attribute__((visibility("default")))
-#endif
-/* x (N + 1, n, K): x_(k+1) = F_k x_k + G_k d_k, F (N, n, n), G (N, n, P), d (N, P, K); varying 0: F and G have one
- * sample. */
-void rs_recursion(int64_t N, int64_t n, int64_t P, int64_t K, int64_t varying, const double *F, const double *G,
-                  const double *d, double *x) {
-  for (int64_t k = 0; k < N; ++k, x += n * K, d += P * K) {
-    const double *f = F + varying * k * n * n, *g = G + varying * k * n * P;
-    double *to = x + n * K;
-    for (int64_t i = 0; i < n; ++i, to += K) {
-      for (int64_t c = 0; c < K; ++c) to[c] = 0.0;
-      for (int64_t j = 0; j < P; ++j)
-        for (int64_t c = 0; c < K; ++c) to[c] += g[i * P + j] * d[j * K + c];
-      for (int64_t j = 0; j < n; ++j)
-        for (int64_t c = 0; c < K; ++c) to[c] += f[i * n + j] * x[j * K + c];
-    }
-  }
-}
-"""
-
-TERMS = 18  # of the series of phi at a norm of 1: the next is 1/19! = 8e-18
 CONSTANT = 1e-9  # relative: Jacobians that change less along all runs are those of a linear diagram
-
-
-@cache
-def _recursion() -> Any:
-    """Return the recursion of the states in C, which takes a hundredth of the time of a loop here; None without."""
-    if (compiler := find_compiler()) is None:
-        return None
-    try:
-        function = compile_c(_C, compiler, "-O3")[0].rs_recursion
-    except CompilerError:
-        return None
-    i64, ptr = ctypes.c_int64, ctypes.c_void_p
-    function.argtypes, function.restype = [i64, i64, i64, i64, i64, ptr, ptr, ptr, ptr], None
-    return function
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,20 +51,6 @@ class LinearisedRun:
         """Return the outputs (N, c, K) of signals (N, K) that are added to one wire."""
         states = recursion(self.F, self.G[:, :, [place]], added[:, None, :])
         return np.asarray(self.H @ states[:-1] + self.D[:, :, place, None] * added[:, None, :])
-
-
-def recursion(F: np.ndarray, G: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Return x (N + 1, n, K) of x_(k+1) = F_k x_k + G_k d_k, x_0 = 0; F (N or 1, n, n), G (.., n, P), d (N, P, K)."""
-    (N, P, K), n = d.shape, F.shape[1]
-    states = np.zeros((N + 1, n, K))
-    arrays = [np.ascontiguousarray(a, float) for a in (F, G, d)]
-    if (run := _recursion()) is not None:
-        run(N, n, P, K, int(len(F) > 1), *(a.ctypes.data for a in arrays), states.ctypes.data)
-    else:
-        for k in range(N):
-            j = k if len(F) > 1 else 0
-            states[k + 1] = F[j] @ states[k] + G[j] @ d[k]
-    return states
 
 
 @dataclass(frozen=True)
@@ -173,7 +116,7 @@ def linearised(
         lost = ~np.isfinite(residual)
         if run.steps is not None or lost.any():
             A, B, C, D = (np.broadcast_to(M, (run.size, *M.shape[1:])).copy() for M in (A, B, C, D))
-        F, G = _sampled(A, B, np.full(1, run.dt) if run.steps is None else np.append(run.steps, run.dt))
+        F, G = held(A, B, np.full(1, run.dt) if run.steps is None else np.append(run.steps, run.dt))
         G, D = (np.concatenate([M, np.zeros_like(M[:, :, :1])], axis=2)[:, :, column] for M in (G, D))
         H, through, by_output = C[:, :c].copy(), D[:, :c] + reading, by[:, :c, :m].copy()
         if lost.any():
@@ -252,22 +195,3 @@ class _Matrices:
         at = [np.nan_to_num(f(times[None], x.T, v.T, p[:, None]), posinf=0.0, neginf=0.0) for f in self.functions]
         changes = (np.abs(one - one[0]).max(initial=0.0) > CONSTANT * np.abs(one[0]).max(initial=0.0) for one in at)
         return at if any(changes) else [one[:1] for one in at]
-
-
-def _sampled(A: np.ndarray, B: np.ndarray, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return F = exp(A dt) and G = int exp(A s) ds B for inputs that are held over a step.
-
-    With M = A dt / 2^s: phi = sum M^k / (k + 1)!, exp M = 1 + M phi, and phi(2 M) = (1 + exp M) phi / 2, s times.
-    SciPy's expm, the same to rounding, takes the matrices of all samples one by one.
-    Source: Al-Mohy & Higham, SIAM J. Sci. Comput. 33 (2011) 488, 2; Van Loan, IEEE Trans. Autom. Control 23 (1978) 395.
-    """
-    M, one = A * dt[:, None, None], np.eye(A.shape[1])
-    doublings = max(int(np.ceil(np.log2(max(np.abs(M).sum(axis=2).max(initial=0.0), 1e-300)))), 0)
-    M = M / 2.0**doublings
-    phi = np.broadcast_to(one, M.shape)
-    for k in range(TERMS, 1, -1):
-        phi = one + M @ phi / k
-    F = one + M @ phi
-    for _ in range(doublings):
-        phi, F = (phi + F @ phi) / 2, F @ F
-    return F, phi @ B * dt[:, None, None]

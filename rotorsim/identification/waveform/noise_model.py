@@ -191,14 +191,19 @@ def refined(
 
 
 def _is_fine(search: OutputErrorSearch, evaluation: Evaluation, scale: Mapping[tuple[str, str], float]) -> bool:
-    """Return whether half the step would change what is simulated by less than ACCURACY."""
-    fine = search.evaluate(evaluation.unknowns, 2 * evaluation.sub, sensitivities=False)
-    if not (np.isfinite(evaluation.cost) and np.isfinite(fine.cost)):
+    """Return whether half the step, or none, would change what is simulated by less than ACCURACY.
+
+    A linear diagram is simulated without steps, but not what a law of a fault makes of it.
+    """
+    stepped, point = replace(search, stepped=True), evaluation.unknowns
+    coarse = stepped.evaluate(point, stepped.substeps(point), sensitivities=False)
+    fine = search.evaluate(point, 2 * coarse.sub, sensitivities=False)
+    if not (np.isfinite(coarse.cost) and np.isfinite(fine.cost)):
         return not np.isfinite(fine.cost)
     changed = [
         np.sqrt(mean_of((b - a) ** 2)) / np.sqrt([scale[signal] for signal in system.signals])
-        for system, coarse, finer in zip(search.systems, evaluation.residuals, fine.residuals, strict=True)
-        for a, b in zip(coarse, finer, strict=True)
+        for system, some, more in zip(search.systems, coarse.residuals, fine.residuals, strict=True)
+        for a, b in zip(some, more, strict=True)
     ]
     return bool(np.concatenate(changed).max() <= ACCURACY)
 

@@ -66,7 +66,8 @@ class OutputErrorSearch:
     """Subsystems of a diagram beside R runs.
 
     weights: of the squares of residuals by (subsystem, output). least: steps between samples, at least. hold: "theta"
-    or "starts" are not searched. unused: samples of each run that count nothing.
+    or "starts" are not searched. unused: samples of each run that count nothing. stepped: whether linear subsystems are
+    simulated in steps, too.
     """
 
     systems: tuple[Simulation, ...]
@@ -75,6 +76,7 @@ class OutputErrorSearch:
     least: int = 1
     hold: str = ""
     unused: Sequence[slice] = ()
+    stepped: bool = False
 
     @property
     def free(self) -> tuple[Free, ...]:
@@ -163,6 +165,8 @@ class OutputErrorSearch:
         time = np.array([run.start for run in self.runs])
         for k, system in enumerate(self.systems):
             eq = system.equations
+            if all(self.is_exact(k, r) for r in range(len(self.runs))):
+                continue
             own = [unknowns[self.columns(k, r)] for r in range(len(self.runs))]
             p = np.stack([eq.parameters(given, part[: eq.m]) for given, part in zip(self.p, own, strict=True)], axis=1)
             v = np.stack([run.inputs(eq.inputs, 1)[0, 0] for run in self.runs], axis=1)
@@ -178,13 +182,22 @@ class OutputErrorSearch:
             sub *= 2
         return sub
 
+    def is_exact(self, k: int, r: int) -> bool:
+        """Return whether a subsystem is linear and driven by what is held or straight between the samples of a run."""
+        eq, run = self.systems[k].equations, self.runs[r]
+        return not self.stepped and run.steps is None and run.is_straight(eq.inputs) and eq.linear is not None
+
     def simulated(
         self, unknowns: np.ndarray, k: int, r: int, sub: int, sensitivities: bool = True
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the outputs of a subsystem in a run (N, c), and their derivatives by parameters and start."""
         system, run, own = self.systems[k], self.runs[r], unknowns[self.columns(k, r)]
         eq = system.equations
-        p, v = eq.parameters(self.p[r], own[: eq.m]), run.inputs(eq.inputs, sub)
+        p = eq.parameters(self.p[r], own[: eq.m])
+        if self.is_exact(k, r):
+            v = run.inputs(eq.inputs, 1)[:, ::2]
+            return system.exact(p, own[eq.m :], v, run.dt, sensitivities=sensitivities)
+        v = run.inputs(eq.inputs, sub)
         steps = run.dt if run.steps is None else run.steps
         return system.simulate(p, own[eq.m :], v, steps, t0=run.start, sensitivities=sensitivities)
 

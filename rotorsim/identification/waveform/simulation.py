@@ -16,15 +16,14 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.identification.waveform.equations import DrivenEquations
+from rotorsim.linear.sampled import LARGE, SMALL, Tangent, response, straight
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.model.emit.writer import Writer, array_leaf
 from rotorsim.model.runge_kutta import RK4
 
-LARGE = 1e100  # a state beyond has diverged
 LONG = 1_000_000  # characters: of a shaft of finite elements -O3 takes five times as long, for code 15 % faster
-DENORMAL_SENSITIVITY = 1e-200  # a sensitivity below is zero: denormal numbers are slow
 
 _RUNTIME = r"""
 /* out += (sparse value) S, whose last rows are the unit vectors of the parameters; RS_K columns. */
@@ -114,6 +113,10 @@ class Simulation:
     by_start: bool = True
     sensitive: bool = True
 
+    @cached_property
+    def _known(self) -> dict[tuple[Any, ...], tuple[np.ndarray, np.ndarray]]:
+        return {}
+
     @property
     def signals(self) -> list[tuple[str, str]]:
         """What stands for the outputs where there are several simulations: (name, output)."""
@@ -174,6 +177,32 @@ class Simulation:
         done = run(int(sensitivities), N, v.shape[1] // 2, *arrays)
         y[done:], dy[done:] = np.nan, np.nan
         return y, dy
+
+    def exact(
+        self, p: np.ndarray, x0: np.ndarray, v: np.ndarray, dt: float, *, sensitivities: bool = True
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return what `simulate` does for linear equations, exactly, whose inputs are held or straight between samples.
+
+        v (N, 2, n_v): inputs at a sample and at the end of the step that follows.
+        """
+        columns = self.columns if sensitivities else 0
+        FE, CD = self._matrices(p, dt, self.equations.m if columns else 0)
+        u = np.concatenate([v, np.ones((len(v), 2, 1))], axis=2).reshape(len(v), -1)
+        return response(FE, CD, x0, u, columns, use_compiler=self.use_compiler)
+
+    def _matrices(self, p: np.ndarray, dt: float, m: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the matrices of `response` with m derivatives; those of the run before, where they are the same."""
+        key = (p.tobytes(), dt, m)
+        if key not in self._known:
+            n, linear = self.equations.n, self.equations.linear
+            if linear is None:
+                raise ValueError("the equations are not linear")
+            L = linear(p)[0].reshape(n + len(self.equations.outputs), 1 + self.equations.m, -1).swapaxes(0, 1)[: 1 + m]
+            A, B = (Tangent(part[0], part[1:]) for part in (L[:, :n, :n], L[:, :n, n:]))
+            parts = [np.concatenate([part.value[None], part.slopes]) for part in straight(A, B, dt)]
+            self._known.clear()
+            self._known[key] = np.concatenate(parts, axis=2), L[:, n:]
+        return self._known[key]
 
     def _interpreted(
         self, p: np.ndarray, state: np.ndarray, v: np.ndarray, times: np.ndarray, dt: np.ndarray
@@ -256,7 +285,7 @@ def _source(eq: DrivenEquations, columns: int) -> tuple[str, int]:
         "RS_F_COUNT": len(f_jacobian),
         "RS_G_COUNT": len(g_jacobian),
         "RS_LARGE": LARGE,
-        "RS_SMALL": DENORMAL_SENSITIVITY,
+        "RS_SMALL": SMALL,
     }
     head = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
     head += [f"#define {name} {value}" for name, value in sizes.items()]

@@ -17,18 +17,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorsim.identification.waveform.linearised import LinearisedRun, recursion
+from rotorsim.identification.waveform.linearised import LinearisedRun
+from rotorsim.linear.sampled import recursion
 
 STRENGTHS = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of the signal, in noise of the outputs and root seconds; of
 # nonlinear diagrams, whose filters change from sample to sample, every fourth
 STRONGEST = 1e9  # that is tried while the strongest so far is the best: what two integrators attenuate is strong
 RESPONSE_FREQUENCIES = 60  # at which the largest response to a signal is looked for
-TIMES_FORGOTTEN = (1.0, 3.0, 10.0)  # times in a run that a signal is forgotten: the first that has a steady filter
+TIMES_FORGOTTEN = (1.0, 3.0, 10.0)  # times in a run that a signal is forgotten, where it has no steady filter else
 FROZEN = 5  # samples of each run whose transfer vectors are compared
 PARALLEL = 1e-9  # less than one: cosine between transfer vectors that are equal but for rounding
 LEAST_RESPONSE = 1e-12  # of the largest of all places: what has less does not show
 REGULAR = 1e-3  # of the noise, by states that are driven at every sample: what nothing drives has no steady filter
-DOUBLINGS, CONVERGED = 60, 1e-12  # of the samples that a steady filter has seen, until nothing changes (relative)
+DOUBLINGS = 30  # of the samples that a steady filter has seen: 1e9. From 40 on rounding decides where there is none
+CONVERGED = 1e-12  # relative change from which on there is one
 CHUNK = 64  # samples whose innovations are kept at a time
 INFORMATION_RANK = 1e-12  # of the information on parameters
 
@@ -230,7 +232,9 @@ class UnknownInputs:
         kept = list(pairs)
         for run in self.runs:
             columns = self._columns(run)
-            steady, here = self._started(run, kept)
+            left = self._left(run, kept, (0.0, *TIMES_FORGOTTEN))
+            steady, here = self._started(run, kept, left)
+            left = left[[pair in here for pair in kept]]
             if len(here) < len(kept):  # without a steady filter in one run: none in all
                 chosen = [kept.index(pair) for pair in here]
                 total, log_dets = (np.asarray(part)[chosen] if np.ndim(part) else part for part in (total, log_dets))
@@ -240,7 +244,7 @@ class UnknownInputs:
             parts: list[np.ndarray] = []
             for k, y in enumerate(columns):
                 if not run.constant and k:
-                    steady = self._advanced(run, kept, entering, steady, k)
+                    steady = self._advanced(run, kept, entering, steady, k, left)
                 difference = y - steady.H @ x
                 parts.append(steady.root @ difference)
                 x = steady.F @ x + steady.gain @ difference
@@ -281,6 +285,21 @@ class UnknownInputs:
         P, steady = _steady(F, H, self._entering(run, pairs))
         return _Filter.of(F[steady], H[steady], P[steady]), [pairs[b] for b in np.flatnonzero(steady).tolist()]
 
+    def _left(self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], times: Sequence[float]) -> np.ndarray:
+        """Return the part of d that is left a sample later, (B,): the first that has a steady filter, else all.
+
+        times: in the run that d is forgotten.
+        """
+        left, open_ones = np.ones(len(pairs)), [*range(len(pairs))]
+        for forgotten in times:
+            part = float(np.exp(-forgotten / len(run.residual)))
+            _, kept = self._started(run, [pairs[k] for k in open_ones], part)
+            left[[k for k in open_ones if pairs[k] in kept]] = part
+            open_ones = [k for k in open_ones if pairs[k] not in kept]
+            if not open_ones:
+                break
+        return left
+
     def _advanced(
         self,
         run: LinearisedRun,
@@ -301,12 +320,13 @@ class UnknownInputs:
         found = []
         for run in self.runs:
             pair = [(place, strength)]
-            here, kept = self._started(run, pair)
+            left = self._left(run, pair, (0.0, *TIMES_FORGOTTEN))
+            here, kept = self._started(run, pair, left)
             if not kept:
                 return None
             filters, entering = [here], self._entering(run, pair)
             for k in range(1, 1 if run.constant else len(run.residual)):
-                filters.append(self._advanced(run, pair, entering, filters[-1], k))
+                filters.append(self._advanced(run, pair, entering, filters[-1], k, left))
             gain, H, root = (np.concatenate([getattr(f, key) for f in filters]) for key in ("gain", "H", "root"))
             F = np.concatenate([f.F for f in filters]) - gain @ H
             log_det = sum(float(f.log_det[0]) for f in filters) * (len(run.residual) if run.constant else 1)
@@ -317,7 +337,7 @@ class UnknownInputs:
         """Return the estimated signals of some places, each alone, given all samples of the runs.
 
         They are forgotten within a run (`TIMES_FORGOTTEN`): a constant that a state makes up for (an angle that nothing
-        measures) has no steady filter else, and is zero then, with the standard deviation that it may have.
+        measures) is zero then, with the standard deviation that it may have.
         """
         pairs = [(item.place, item.strength) for item in items]
         weights = np.array([[1.0, *-item.change] for item in items])
@@ -339,15 +359,8 @@ class UnknownInputs:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the smoothed states x and d (N, B, n + 1) of a run and the variance of d (N, B) for each pair."""
         y = np.einsum("kcm,bm->kbc", self._columns(run), weights)[..., None]
-        left = np.ones(len(pairs))
-        for times in TIMES_FORGOTTEN:
-            left[:] = np.where(left < 1, left, np.exp(-times / len(run.residual)))
-            here, kept = self._started(run, pairs, left)
-            left[[pair not in kept for pair in pairs]] = 1.0
-            if len(kept) == len(pairs):
-                break
-        else:
-            here, _ = self._started(run, pairs, left)  # as in `estimates`
+        left = self._left(run, pairs, TIMES_FORGOTTEN)
+        here, _ = self._started(run, pairs, left)
         entering = self._entering(run, pairs)
         filters, predicted, innovations = [], [], []
         x = np.zeros((len(pairs), here.F.shape[1], 1))

@@ -13,8 +13,9 @@ from rotorsim.fault import Fault
 from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
 from rotorsim.identification.waveform.linearised import LinearisedRun
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS
-from rotorsim.identification.waveform.simulation import LARGE, Simulation
+from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.identification.waveform.unknown_input import Whitening
+from rotorsim.linear.sampled import LARGE
 
 WIRE, OTHER, LAW = "wire", "other", "law"
 INDEPENDENT = 1e-9  # relative: singular values of what the diagram's parameters change that are none
@@ -114,6 +115,10 @@ class DrivenLaw:
         equations = self.law.equations
         names = equations.inputs
         driven = SampledRun(run.id, dict(zip(names, wire.T, strict=True)), dict.fromkeys(names, "linear"), run.time, {})
+        if run.steps is None and equations.linear is not None:
+            p = equations.parameters(self.p, eta)
+            exact = self.law.exact(p, self.start, driven.inputs(names, 1)[:, ::2], run.dt, sensitivities=slopes)
+            return self._change(*exact, wire, slopes)
         A = equations.matrices[0](run.start, self.start, wire[0], equations.parameters(self.p, eta))[0]
         fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) * run.dt
         sub = min(2 ** max(int(np.ceil(np.log2(max(fastest / STABLE_STEP, 1.0)))), 0), SIMULATION_SUBSTEPS)
@@ -123,6 +128,9 @@ class DrivenLaw:
         equations = self.law.equations
         p = equations.parameters(self.p, eta)
         y, by = self.law.simulate(p, self.start, v, np.diff(times), t0=float(times[0]), sensitivities=slopes)
-        added = y - v[:, 0, :1]
-        whole = np.concatenate([added, by[:, 0, : equations.m]], axis=1) if slopes else added
+        return self._change(y, by, v[:, 0], slopes)
+
+    def _change(self, y: np.ndarray, by: np.ndarray, wires: np.ndarray, slopes: bool) -> np.ndarray:
+        added = y - wires[:, :1]
+        whole = np.concatenate([added, by[:, 0, : self.law.equations.m]], axis=1) if slopes else added
         return whole if (np.abs(whole) < LARGE).all() else np.zeros_like(whole)

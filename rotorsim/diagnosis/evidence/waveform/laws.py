@@ -166,7 +166,7 @@ class LawBounds:
     def _promise(self, one: _Placed, steps: int) -> Promise:
         """Return what a law promises at its place after some steps."""
         place = one.wires[0]
-        free = self._free.get(place, np.inf)
+        free = self._free.get(place, 0.0 if np.isfinite(self.unknown.scales[place]) else np.inf)
         if free > POSSIBLE * max(min(self._free.values(), default=np.inf), self.rows):
             return Promise(free, {})  # no law leaves less than a free signal does there
         best = Promise(np.inf, {})
@@ -193,7 +193,7 @@ class LawBounds:
 
     @cached_property
     def _free(self) -> dict[int, float]:
-        """The misfit of a free signal at each place, in the units of a fit."""
+        """The misfit of a free signal at each place, in the units of a fit; of those that have a steady filter."""
         factor = float(np.mean((self.roots * self.unknown.noise) ** 2))
         return {item.place: factor * item.misfit for item in self.estimates}
 

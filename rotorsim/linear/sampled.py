@@ -1,0 +1,224 @@
+"""Linear equations x' = A x + B v from sample to sample, exactly, and the recursion of what follows.
+
+With M = A h: phi_1 = int_0^1 exp((1 - s) M) ds, phi_2 = int_0^1 exp((1 - s) M) s ds, exp M = 1 + M phi_1,
+phi_1 = 1 + M phi_2, and for twice the step phi_1(2 M) = (1 + exp M) phi_1 / 2, phi_2(2 M) = (exp M phi_2 + phi_1 +
+phi_2) / 4. SciPy's expm, the same to rounding, takes matrices one by one and gives neither phi nor derivatives.
+
+Source: Al-Mohy & Higham, SIAM J. Sci. Comput. 33 (2011) 488, 2; Van Loan, IEEE Trans. Autom. Control 23 (1978) 395;
+Skaflestad & Wright, Appl. Numer. Math. 59 (2009) 783 (doubling).
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
+
+TERMS = 18  # of the series of phi_2 at a norm of 1: the next is 1/20! = 4e-19
+
+_C = """
+#include <stdint.h>
+#if defined(_WIN32)
+__declspec(dllexport)
+#else
+__attribute__((visibility("default")))
+#endif
+/* x (N + 1, n, K): x_(k+1) = F_k x_k + G_k d_k, F (N, n, n), G (N, n, P), d (N, P, K); varying 0: F and G have one
+ * sample. */
+void rs_recursion(int64_t N, int64_t n, int64_t P, int64_t K, int64_t varying, const double *F, const double *G,
+                  const double *d, double *x) {
+  for (int64_t k = 0; k < N; ++k, x += n * K, d += P * K) {
+    const double *f = F + varying * k * n * n, *g = G + varying * k * n * P;
+    double *to = x + n * K;
+    for (int64_t i = 0; i < n; ++i, to += K) {
+      for (int64_t c = 0; c < K; ++c) to[c] = 0.0;
+      for (int64_t j = 0; j < P; ++j)
+        for (int64_t c = 0; c < K; ++c) to[c] += g[i * P + j] * d[j * K + c];
+      for (int64_t j = 0; j < n; ++j)
+        for (int64_t c = 0; c < K; ++c) to[c] += f[i * n + j] * x[j * K + c];
+    }
+  }
+}
+"""
+
+_RESPONSE = """
+#include <math.h>
+#include <stdint.h>
+#if defined(_WIN32)
+__declspec(dllexport)
+#else
+__attribute__((visibility("default")))
+#endif
+/* x_(k+1) = F x_k + E [v_k; 1; w_k; 1], y_k = C x_k + D [v_k; 1], and their derivatives S (n, K), dy (N, c, K) by m
+ * parameters, of which those of [F E] and [C D] are given, and by states at first. u (N, U) is [v; 1; w; 1].
+ * FE (n + U, n), by_FE (n + U, n, M), CD (c, n + U / 2), by_CD (n + U / 2, c, M). Returns the number of samples before
+ * it diverged. */
+int64_t rs_response(int64_t N, const double *FE, const double *by_FE, const double *CD, const double *by_CD,
+                    const double *u, double *x, double *S, double *y, double *dy) {
+  for (int64_t k = 0; k < N; ++k, u += RS_U, y += RS_C, dy += RS_C * RS_K) {
+    double z[RS_N + RS_U], next[RS_N], after[RS_N * RS_K + 1], large = 0.0;
+    for (int i = 0; i < RS_N; ++i) large += fabs(z[i] = x[i]);
+    if (!(large < RS_LARGE)) return k;
+    for (int i = 0; i < RS_U; ++i) z[RS_N + i] = u[i];
+    for (int c = 0; c < RS_C; ++c) {
+      y[c] = 0.0;
+      for (int i = 0; i < RS_N + RS_U / 2; ++i) y[c] += CD[c * (RS_N + RS_U / 2) + i] * z[i];
+      double *restrict to = dy + c * RS_K;
+      for (int j = 0; j < RS_K; ++j) to[j] = 0.0;
+      for (int i = 0; i < RS_N; ++i)
+        for (int j = 0; j < RS_K; ++j) to[j] += CD[c * (RS_N + RS_U / 2) + i] * S[i * RS_K + j];
+      for (int i = 0; i < RS_N + RS_U / 2; ++i)
+        for (int j = 0; j < RS_M; ++j) to[j] += by_CD[(i * RS_C + c) * RS_M + j] * z[i];
+    }
+    for (int i = 0; i < RS_N; ++i) {
+      double *restrict to = after + i * RS_K;
+      for (int j = 0; j < RS_K; ++j) to[j] = 0.0;
+      for (int l = 0; l < RS_N; ++l)
+        for (int j = 0; j < RS_K; ++j) to[j] += FE[l * RS_N + i] * S[l * RS_K + j];
+      for (int l = 0; l < RS_N + RS_U; ++l)
+        for (int j = 0; j < RS_M; ++j) to[j] += by_FE[(l * RS_N + i) * RS_M + j] * z[l];
+      next[i] = 0.0;
+    }
+    for (int l = 0; l < RS_N + RS_U; ++l)
+      for (int i = 0; i < RS_N; ++i) next[i] += FE[l * RS_N + i] * z[l];
+    for (int i = 0; i < RS_N; ++i) x[i] = next[i];
+    for (int j = 0; j < RS_N * RS_K; ++j) S[j] = fabs(after[j]) < RS_SMALL ? 0.0 : after[j]; /* long forgotten */
+  }
+  return N;
+}
+"""
+LARGE = 1e100  # a state beyond has diverged
+SMALL = 1e-200  # a derivative below is zero: denormal numbers are slow
+
+
+@cache
+def _recursion() -> Any:
+    """Return the recursion of the states in C, which takes a hundredth of the time of a loop here; None without."""
+    if (compiler := find_compiler()) is None:
+        return None
+    try:
+        function = compile_c(_C, compiler, "-O3")[0].rs_recursion
+    except CompilerError:
+        return None
+    i64, ptr = ctypes.c_int64, ctypes.c_void_p
+    function.argtypes, function.restype = [i64, i64, i64, i64, i64, ptr, ptr, ptr, ptr], None
+    return function
+
+
+def recursion(F: np.ndarray, G: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return x (N + 1, n, K) of x_(k+1) = F_k x_k + G_k d_k, x_0 = 0; F (N or 1, n, n), G (.., n, P), d (N, P, K)."""
+    (N, P, K), n = d.shape, F.shape[1]
+    states = np.zeros((N + 1, n, K))
+    arrays = [np.ascontiguousarray(a, float) for a in (F, G, d)]
+    if (run := _recursion()) is not None:
+        run(N, n, P, K, int(len(F) > 1), *(a.ctypes.data for a in arrays), states.ctypes.data)
+    else:
+        for k in range(N):
+            j = k if len(F) > 1 else 0
+            states[k + 1] = F[j] @ states[k] + G[j] @ d[k]
+    return states
+
+
+@cache
+def _response(n: int, U: int, c: int, m: int, K: int) -> Any:
+    """Return the response in C for some sizes; None without a compiler."""
+    if (compiler := find_compiler()) is None:
+        return None
+    sizes = {"N": n, "U": U, "C": c, "M": m, "K": K, "LARGE": LARGE, "SMALL": SMALL}
+    head = "".join(f"#define RS_{name} {value}\n" for name, value in sizes.items())
+    try:
+        function = compile_c(head + _RESPONSE, compiler, "-O3")[0].rs_response
+    except CompilerError:
+        return None
+    i64, ptr = ctypes.c_int64, ctypes.c_void_p
+    function.argtypes, function.restype = [i64, *[ptr] * 9], i64
+    return function
+
+
+def response(
+    FE: np.ndarray, CD: np.ndarray, x0: np.ndarray, u: np.ndarray, K: int, *, use_compiler: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return y (N, c) of x_(k+1) = F x_k + E u_k, y_k = C x_k + D u_k and derivatives (N, c, K); NaN once it diverged.
+
+    FE (1 + m, n, n + U): [F E] and its derivatives by m parameters; CD (1 + m, c, n + U / 2): of the first half of u.
+    u (N, U). K: m, or m + n with those by the states at first x0 (n,), or 0 with m = 0.
+    """
+    (N, U), n, c, m = u.shape, len(x0), CD.shape[1], len(FE) - 1
+    x, S = np.array(x0, float), np.eye(n, K, m)
+    y, dy = np.full((N, c), np.nan), np.full((N, c, K), np.nan)
+    columns, slopes = FE[0].T, np.moveaxis(FE[1:], 0, 2).swapaxes(0, 1)
+    reads, by = CD[0], np.moveaxis(CD[1:], 0, 2).swapaxes(0, 1)
+    if (run := _response(n, U, c, m, K) if use_compiler else None) is not None:
+        given = [np.ascontiguousarray(a, float) for a in (columns, slopes, reads, by, u)]
+        done = run(N, *(a.ctypes.data for a in (*given, x, S, y, dy)))
+        y[done:], dy[done:] = np.nan, np.nan
+        return y, dy
+    for k in range(N):
+        if not np.abs(x).sum() < LARGE:
+            break
+        z, more = np.concatenate([x, u[k]]), np.zeros((n, K))
+        seen = z[: n + U // 2]
+        y[k], dy[k] = reads @ seen, reads[:, :n] @ S
+        dy[k, :, :m] += np.tensordot(seen, by, 1)
+        more[:, :m] = np.tensordot(z, slopes, 1)
+        x, S = z @ columns, FE[0, :, :n] @ S + more
+    return y, dy
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """Matrices (.., n, k) and their derivatives by m parameters, (m, .., n, k); m may be 0."""
+
+    value: np.ndarray
+    slopes: np.ndarray
+
+    def __matmul__(self, other: Tangent) -> Tangent:
+        return Tangent(self.value @ other.value, self.slopes @ other.value + self.value @ other.slopes)
+
+    def __add__(self, other: Tangent) -> Tangent:
+        return Tangent(self.value + other.value, self.slopes + other.slopes)
+
+    def times(self, factor: float | np.ndarray) -> Tangent:
+        """Return a multiple."""
+        return Tangent(self.value * factor, self.slopes * factor)
+
+    def plus_one(self) -> Tangent:
+        """Return it plus the unit matrix."""
+        return Tangent(self.value + np.eye(self.value.shape[-1]), self.slopes)
+
+
+def phi_functions(M: Tangent) -> tuple[Tangent, Tangent, Tangent]:
+    """Return exp M, phi_1 and phi_2 of matrices (.., n, n), with their derivatives."""
+    norm = float(np.abs(M.value).sum(axis=-1).max(initial=0.0))
+    doublings = max(int(np.ceil(np.log2(max(norm, 1e-300)))), 0) if np.isfinite(norm) else 0
+    M = M.times(0.5**doublings)
+    series = Tangent(np.broadcast_to(np.eye(M.value.shape[-1]), M.value.shape), np.zeros_like(M.slopes))
+    for k in range(TERMS, 2, -1):
+        series = (M @ series).times(1 / k).plus_one()
+    two = series.times(0.5)
+    one = (M @ two).plus_one()
+    F = (M @ one).plus_one()
+    for _ in range(doublings):
+        two = (F @ two + one + two).times(0.25)
+        one = (F @ one + one).times(0.5)
+        F = F @ F
+    return F, one, two
+
+
+def held(A: np.ndarray, B: np.ndarray, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return F = exp(A dt) and G = int exp(A s) ds B (N, n, ..) for inputs that are held over steps dt (N,)."""
+    M = A * dt[:, None, None]
+    F, one, _ = phi_functions(Tangent(M, np.zeros((0, *M.shape))))
+    return F.value, one.value @ B * dt[:, None, None]
+
+
+def straight(A: Tangent, B: Tangent, dt: float) -> tuple[Tangent, Tangent, Tangent]:
+    """Return F, G and H of x_(k+1) = F x_k + G v_k + H w_k where inputs go straight from v to w within a step."""
+    F, one, two = phi_functions(A.times(dt))
+    H = (two @ B).times(dt)
+    return F, (one @ B).times(dt) + H.times(-1.0), H

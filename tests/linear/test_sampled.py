@@ -1,0 +1,158 @@
+"""Linear equations from sample to sample: SciPy's exponentials, its integration, derivatives, and what is linear."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm, expm_frechet
+
+from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.equations import DrivenEquations, driven_equations, is_affine
+from rotorsim.identification.waveform.search import OutputErrorSearch
+from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.linear import sampled
+from rotorsim.linear.sampled import Tangent, held, phi_functions
+from rotorsim.model.load import load
+from tests.diagnosis.evidence.machines import OSCILLATOR
+
+DT, SAMPLES = 0.02, 200
+THETA = np.array([2.0, 3.0, 900.0])  # mass, damping, stiffness
+START = np.array([0.02, -0.3])
+
+
+def equations_of(extra: dict | None = None) -> DrivenEquations:
+    document = {**OSCILLATOR, "blocks": {**OSCILLATOR["blocks"], **(extra or {})}}
+    wires = [["oscillator.velocity", f"{name}.velocity"] for name in extra or {}]
+    wires += [[f"{name}.force", "oscillator.force"] for name in extra or {}]
+    diagram = load({**document, "wires": [*OSCILLATOR["wires"], *wires]})
+    return driven_equations(diagram, ["oscillator.displacement", "oscillator.velocity"], ["drive.output"], diagram.free)
+
+
+def force(samples: int = SAMPLES) -> np.ndarray:
+    return 10 * np.cumsum(np.random.default_rng(3).normal(size=samples))
+
+
+def run_of(kind: str, values: np.ndarray, time: np.ndarray | None = None) -> SampledRun:
+    time = DT * np.arange(len(values)) if time is None else time
+    measured = dict.fromkeys(("oscillator.displacement", "oscillator.velocity"), np.zeros(len(values)))
+    return SampledRun("run", {"drive.output": values, **measured}, {"drive.output": kind}, time, {})
+
+
+def search_of(kind: str, **options: object) -> OutputErrorSearch:
+    simulation = Simulation(equations_of(), **options)
+    return OutputErrorSearch((simulation,), [run_of(kind, force())], dict.fromkeys(simulation.signals, 1.0))
+
+
+def phi_by_integral(M: np.ndarray, power: int) -> np.ndarray:
+    s, w = np.polynomial.legendre.leggauss(40)
+    return sum(0.5 * wk * ((1 + sk) / 2) ** power * expm((1 - sk) / 2 * M) for sk, wk in zip(s, w, strict=True))
+
+
+@given(st.integers(1, 6), st.floats(1e-3, 30.0), st.integers(0, 1000))
+@settings(max_examples=30, deadline=None)
+def test_exponential_and_phi_functions_with_derivatives_are_those_of_scipy(n, size, seed):
+    random = np.random.default_rng(seed)
+    M, dM = random.normal(size=(n, n)), random.normal(size=(2, n, n))
+    M *= size / np.linalg.norm(M)
+    F, one, two = phi_functions(Tangent(M, dM))
+    scale = max(np.linalg.norm(expm(M)), 1.0)
+    assert np.abs(F.value - expm(M)).max() < 1e-11 * scale
+    assert np.abs(one.value - phi_by_integral(M, 0)).max() < 1e-11 * scale
+    assert np.abs(two.value - phi_by_integral(M, 1)).max() < 1e-11 * scale
+    for direction, slope in zip(dM, F.slopes, strict=True):
+        expected = expm_frechet(M, direction, compute_expm=False)
+        assert np.abs(slope - expected).max() < 1e-10 * np.linalg.norm(expected)
+
+
+def test_a_mode_far_faster_than_the_samples_is_exact():
+    A, B = np.array([[[-1e7, 0.0], [1.0, -1.0]]]), np.array([[1e7], [0.0]])
+    F, G = held(A, B, np.array([0.1]))
+    rounding = 0.1 * 1e7 * np.finfo(float).eps  # as often as the step is doubled from where the fast mode is slow
+    assert F[0] == pytest.approx(expm(0.1 * A[0]), abs=rounding)
+    assert G[0, :, 0] == pytest.approx([1.0, 1 - np.exp(-0.1)], rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["hold", "linear"])
+@pytest.mark.parametrize("use_compiler", [True, False])
+def test_a_linear_diagram_is_simulated_as_it_is_integrated(kind, use_compiler):
+    search, u = search_of(kind, use_compiler=use_compiler), force()
+    assert search.is_exact(0, 0)
+    y, _ = search.simulated(np.concatenate([THETA, START]), 0, 0, 1)
+    x, expected = START, [START]
+    for k in range(SAMPLES - 1):
+
+        def rates(t, x, k=k):
+            f = u[k] + (u[k + 1] - u[k]) * t / DT if kind == "linear" else u[k]
+            return x[1], (f - THETA[1] * x[1] - THETA[2] * x[0]) / THETA[0]
+
+        x = solve_ivp(rates, (0, DT), x, rtol=1e-11, atol=1e-13, method="DOP853").y[:, -1]
+        expected.append(x)
+    assert np.abs(y - expected).max(axis=0) == pytest.approx([0, 0], abs=1e-9 * np.abs(expected).max())
+
+
+def test_steps_converge_to_it_with_the_fourth_order():
+    search, point = search_of("linear"), np.concatenate([THETA, START])
+    exact = search.simulated(point, 0, 0, 1)
+    stepped = OutputErrorSearch(search.systems, search.runs, search.weights, stepped=True)
+    for k in (0, 1):  # outputs, and their derivatives
+        errors = [np.abs(stepped.simulated(point, 0, 0, sub)[k] - exact[k]).max() for sub in (4, 8, 16)]
+        assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.3)
+        assert np.log2(errors[1] / errors[2]) == pytest.approx(4, abs=0.3)
+
+
+@pytest.mark.parametrize("use_compiler", [True, False])
+def test_derivatives_by_parameters_and_start(use_compiler):
+    search, point = search_of("linear", use_compiler=use_compiler), np.concatenate([THETA, START])
+    _, derivatives = search.simulated(point, 0, 0, 1)
+    assert derivatives.shape == (SAMPLES, 2, 5)
+    for j in range(5):
+        step = np.zeros(5)
+        step[j] = 1e-6 * max(abs(point[j]), 1.0)
+        ends = [search.simulated(point + sign * step, 0, 0, 1, sensitivities=False)[0] for sign in (1, -1)]
+        expected = (ends[0] - ends[1]) / (2 * step[j])
+        assert np.abs(derivatives[:, :, j] - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+def test_without_a_compiler_the_numbers_are_the_same(monkeypatch):
+    point, found = np.concatenate([THETA, START]), search_of("hold").simulated(np.concatenate([THETA, START]), 0, 0, 1)
+    monkeypatch.setattr(sampled, "_response", lambda *_: None)
+    for a, b in zip(found, search_of("hold").simulated(point, 0, 0, 1), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-13 * np.abs(b).max())
+
+
+@pytest.mark.parametrize("use_compiler", [True, False])
+def test_what_diverges_is_no_number_from_there_on(use_compiler):
+    search = search_of("hold", use_compiler=use_compiler)
+    y, derivatives = search.simulated(np.array([2.0, -3000.0, 900.0, 0.02, -0.3]), 0, 0, 1)
+    gone = np.isnan(y).any(axis=1)
+    assert gone[-1]
+    assert not gone[0]
+    assert (gone == np.isnan(derivatives).any(axis=(1, 2))).all()
+
+
+def test_a_linear_diagram_needs_no_steps_for_its_fast_modes():
+    search, stiff = search_of("hold"), np.array([2.0, 3.0, 9e8, 0.0, 0.0])
+    assert search.substeps(stiff) == 1
+    assert OutputErrorSearch(search.systems, search.runs, search.weights, stepped=True).substeps(stiff) == 64
+
+
+def test_uneven_samples_and_curved_inputs_are_simulated_in_steps():
+    simulation, time = Simulation(equations_of()), DT * np.arange(SAMPLES)
+    time[70:] += 5 * DT
+    runs = [run_of("hold", force()), run_of("band_limited", force()), run_of("hold", force(), time)]
+    search = OutputErrorSearch((simulation,), runs, dict.fromkeys(simulation.signals, 1.0))
+    assert [search.is_exact(0, r) for r in range(3)] == [True, False, False]
+
+
+def test_dry_friction_is_not_linear_though_its_slope_is_zero():
+    x, v, t, p = (ca.SX.sym(name) for name in "xvtp")
+    by = ca.vertcat(x, v)
+    for affine in (p * x + ca.sin(p) * v + p**2, (x + 2 * v - 3) / p, -(x * p) * 2, p + 0 * x):
+        assert is_affine(affine, by, t)
+    for other in (ca.sign(x), x * v, x**2, p / x, ca.if_else(x > 0, 1.0, 2.0), x + t, ca.fabs(v), ca.sin(t) * x):
+        assert not is_affine(other, by, t)
+    friction = {"friction": {"type": "coulomb_friction", "parameters": {"friction": 1.0}}}
+    assert equations_of().linear is not None
+    assert equations_of(friction).linear is None
