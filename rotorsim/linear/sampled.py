@@ -192,6 +192,7 @@ class Tangent:
         return Tangent(self.value + np.eye(self.value.shape[-1]), self.slopes)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def phi_functions(M: Tangent) -> tuple[Tangent, Tangent, Tangent]:
     """Return exp M, phi_1 and phi_2 of matrices (.., n, n), with their derivatives."""
     norm = float(np.abs(M.value).sum(axis=-1).max(initial=0.0))

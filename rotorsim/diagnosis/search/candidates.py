@@ -13,6 +13,8 @@ from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.identification.profile import Z90
 
+SAME = 0.01  # of -2 log likelihood: says nothing
+
 Job = tuple[dict[str, Any], list[list[dict[str, float]]]]  # a document with an insertion, groups of starts
 
 
@@ -94,9 +96,13 @@ class Round:
 
 
 def simplest_first(tried: Sequence[Candidate], slack: float) -> list[Candidate]:
-    """Return candidates by their criterion; of those that it does not tell from the best, the simplest first."""
+    """Return candidates by their criterion; of those that it does not tell from the best, the simplest first.
+
+    A signal that is wrong where it is taken is simpler than one whose reading is wrong as well.
+    """
     tried = sorted(tried, key=lambda item: (bool(item.fit.failure), item.fit.criterion))
     least = next((item.fit.criterion for item in tried if not item.fit.failure and item.physical), np.inf)
-    near = [item for item in tried if not item.fit.failure and item.physical and item.fit.criterion <= least + slack]
-    near.sort(key=lambda item: (len(item.fit.free), item.fit.criterion))
+    most = least + max(slack, SAME)
+    near = [item for item in tried if not item.fit.failure and item.physical and item.fit.criterion <= most]
+    near.sort(key=lambda item: (len(item.fit.free), bool(item.insertion.spot.side), item.fit.criterion))
     return [*near, *(item for item in tried if item not in near)]

@@ -11,14 +11,18 @@ from rotorsim.diagnosis.search.candidates import Candidate
 
 MOST_LAWS = 16  # fitted in one round, each at its best place, where what laws promise is known
 LEAST_FITS = 8  # in such a round, at the next best places where so many laws do not promise enough
-RIVAL_PLACES = 3  # of a law that is chosen, with a promise within
+MOST_PROMISING = 4  # laws that are fitted at rival places at once, and fits that come before the others
+RIVAL_PLACES = 3  # of a law, with a promise within
 NEAR_PROMISE = 2.0  # times that at its best place, as linear theory may err
 UNLIKELY = 10.0  # times the least promise, or fit, of a round: beyond, a law is not looked at with another noise
 PROMISED = 3.0  # times the least misfit that is promised: within, each law is fitted at its best place
 
 
 def most_promising(candidates: Sequence[Insertion], bounds: Sequence[float | None], before: Fit) -> list[int]:
-    """Return the insertions of which nothing is known, and those that promise most: each law first."""
+    """Return the insertions of which nothing is known, and those that promise most: each law first.
+
+    Those that promise most of all at their rival places, too.
+    """
     kept = [k for k, bound in enumerate(bounds) if bound is None]
     promised = {k: bound for k, bound in enumerate(bounds) if bound is not None and bound < before.misfit}
     order = sorted(promised, key=lambda k: promised[k])
@@ -27,6 +31,10 @@ def most_promising(candidates: Sequence[Insertion], bounds: Sequence[float | Non
     for k in order:
         best.setdefault(candidates[k].law, k)
     first = list(best.values())[:MOST_LAWS]
+    for k in first[:MOST_PROMISING]:
+        of_law = [n for n in order if candidates[n].law == candidates[k].law and n != k]
+        most = NEAR_PROMISE * max(promised[k], before.freedom)
+        first += [n for n in of_law if promised[n] <= most][:RIVAL_PLACES]
     more = [k for k in order if k not in first]
     return [*kept, *first, *more[: max(LEAST_FITS - len(first), 0)]]
 

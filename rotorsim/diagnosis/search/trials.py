@@ -16,7 +16,14 @@ from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence, Promise
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, fit_from_plain, fit_to_plain, is_adequate
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
-from rotorsim.diagnosis.search.promises import at_rival_places, likely_of, misfit_of, most_promising, no_rivals
+from rotorsim.diagnosis.search.promises import (
+    MOST_PROMISING,
+    at_rival_places,
+    likely_of,
+    misfit_of,
+    most_promising,
+    no_rivals,
+)
 from rotorsim.diagram.resolve.registry import is_built_in
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
@@ -37,7 +44,6 @@ PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
 HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
 STARTED = 0.1  # share of what the best explains: of nonlinear laws below, SECOND_EVALUATIONS are the last
 RESTART = 0.1  # of its scale: how far off a bound a parameter of the diagram begins again
-MOST_PROMISING = 4  # fits that come before the others
 RIVAL_MISFIT = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
 
 

@@ -56,8 +56,11 @@ class View:
 
     def beside(self, parts: Sequence[np.ndarray]) -> np.ndarray:
         """Return outputs of all runs (N, c, K) as columns (rows, K), without what the diagram's parameters explain."""
-        whole = self.weigh(parts)
-        return np.asarray(whole - self.basis @ (self.basis.T @ whole))
+        return self.without_parameters(self.weigh(parts))
+
+    def without_parameters(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns (rows, K) without what the diagram's parameters explain."""
+        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
 
 @dataclass(frozen=True, eq=False)

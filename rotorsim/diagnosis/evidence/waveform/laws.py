@@ -81,7 +81,7 @@ class LawBounds:
         self.runs, self.sampled, self.places, self.unknown = runs, sampled, places, unknown
         self.moved, self.roots, self.given, self.load = moved, roots, sizes, load
         self.rows = sum(run.residual.shape[0] for run in runs) * float(np.sum((roots * unknown.noise) ** 2))
-        self._transfers: dict[int, np.ndarray] = {}
+        self._transfers: dict[tuple[View, int], np.ndarray] = {}
         self._laws: dict[tuple[Any, ...], DrivenLaw] = {}
         self._plain: View | None = None
         self._beside_free: dict[int, View | None] = {}
@@ -205,8 +205,7 @@ class LawBounds:
 
         def added(eta: np.ndarray, *, slopes: bool = False) -> np.ndarray:
             """Return what the law changes beside the diagram's parameters, weighted, (rows, 1 (+ m))."""
-            signals = law.added(eta, self.sampled, wires, slopes=slopes)
-            return view.beside(self._responses(one.wires[0], signals))
+            return self._beside(view, one.wires[0], law.added(eta, self.sampled, wires, slopes=slopes))
 
         law, residual, before = one.law, view.residual, view.before
         trials = [law.within(eta) for eta in one.starts]
@@ -273,18 +272,18 @@ class LawBounds:
         likely = self.estimates[:SMOOTHED_PLACES]
         return {item.place: one for item, one in zip(likely, self.unknown.smoothed(likely), strict=True)}
 
-    def _responses(self, place: int, added: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Return what signals (N, K) that are added at a place in each run change of its outputs, (N, c, K)."""
+    def _beside(self, view: View, place: int, added: Sequence[np.ndarray]) -> np.ndarray:
+        """Return what signals (N, K) that are added at a place in each run change in a view, (rows, K)."""
         sizes = {len(one) for one in added}
         if len(sizes) > 1 or not all(run.constant for run in self.runs):
-            return [run.responses(place, one) for run, one in zip(self.runs, added, strict=True)]
+            return view.beside([run.responses(place, one) for run, one in zip(self.runs, added, strict=True)])
         [N] = sizes
         size = next_fast_len(2 * N, real=True)
-        if place not in self._transfers:
-            impulses = np.stack([run.responses(place, np.eye(N, 1))[:, :, 0] for run in self.runs])
-            self._transfers[place] = rfft(impulses, size, axis=1)[..., None]
-        product = self._transfers[place] * rfft(np.stack(added), size, axis=1)[:, :, None]
-        return list(irfft(product, size, axis=1)[:, :N])
+        if (view, place) not in self._transfers:  # of linear diagrams: responses, filtered, to an impulse
+            impulses = view.weigh([run.responses(place, np.eye(N, 1)) for run in self.runs])
+            self._transfers[view, place] = rfft(impulses.reshape(len(added), N, -1, 1), size, axis=1)
+        product = self._transfers[view, place] * rfft(np.stack(added), size, axis=1)[:, :, None]
+        return view.without_parameters(irfft(product, size, axis=1)[:, :N].reshape(-1, product.shape[-1]))
 
     def _law(
         self, item: Insertion, values: Mapping[str, float], limits: Mapping[str, tuple[float, float]]
