@@ -81,6 +81,13 @@ def test_of_more_than_four_explanations_none_is_named():
         assert verdict_of(named(50.0, 1.0), (effect,)) == verdict
 
 
+def test_several_effects_of_which_one_may_be_anything_are_a_law_in_no_catalogue():
+    """FAULT: the force of eddy currents was three effects, one of which eleven laws explained as well."""
+    effects = [SimpleNamespace(members=dict.fromkeys("abcde"[:count], 1 / count)) for count in (1, 4, 5)]
+    assert verdict_of(named(50.0, 1.0), effects[:2]) == "missing_physics"
+    assert verdict_of(named(50.0, 1.0), effects) == "outside_catalogue"
+
+
 def test_a_false_alarm_has_the_probability_of_one_percent_whatever_is_tried():
     """Of two candidates each 0.5 %: chi-squared of one unknown 7.879, of two 10.597."""
     one, two = candidate("rub", 990.0, 1), candidate("clearance", 990.0, 2)
