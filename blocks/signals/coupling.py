@@ -1,6 +1,6 @@
 """A signal that acts on another: cross-talk, a force that depends on a position, a torque that depends on an angle."""
 
-from rotorsim.block import Block, Equations, In, Option, Out, Param, cos, sin
+from rotorsim.block import Block, Equations, In, Option, Out, Param, cos, maximum, sin
 from rotorsim.fault import Fault, Of
 
 _LAWS = {
@@ -33,7 +33,16 @@ _LAWS = {
         "repeats itself as another signal goes on: an angle, a position",
         ("cross_talk", "nonlinear_coupling"),
     ),
+    "stop": (
+        "one_sided_stop",
+        {"gap": (Of("other", 0.3), Of("other", 0.7)), "slope": (Of("other", -0.1, power=-1),)},
+        ("slope",),
+        "nothing until another signal reaches a gap; one side only",
+        ("nonlinear_coupling", "asymmetry"),
+    ),
 }
+_SIDES = {"stop": ({"side": 1.0}, {"side": -1.0})}
+_OWN = {"linear": "gain_error", "polynomial": "static_nonlinearity", "stop": "one_sided_stop"}
 
 
 class Coupling(Block):
@@ -42,28 +51,35 @@ class Coupling(Block):
     law "linear":      d = linear other
     law "polynomial":  d = linear other + quadratic other^2 + cubic other^3
     law "periodic":    d = sine sin(wave_number other) + cosine (cos(wave_number other) - 1)
+    law "stop":        d = slope max(side other - gap, 0)
     output = input + d
 
     Cross-talk between sensors is linear; a spring that was left out, linear or a polynomial of the position; the weight
-    of an off-centre mass, cogging and force ripple are periodic in an angle (wave_number 1: once a turn) or a position.
+    of an off-centre mass, cogging and force ripple are periodic in an angle (wave_number 1: once a turn) or a position;
+    a buffer or an end stop pushes back (slope times side below zero) once a position reaches it.
     """
 
-    source = "R. Isermann, Fault-Diagnosis Systems (2006), ch. 5; D. Hanselman, Brushless Motors (2012), ch. 9"
+    source = (
+        "R. Isermann, Fault-Diagnosis Systems (2006), ch. 5; D. Hanselman, Brushless Motors (2012), ch. 9; "
+        "S. W. Shaw & P. J. Holmes, J. Sound Vib. 90 (1983) 129-155 (stop)"
+    )
     faults = tuple(
         Fault(
             physics=physics,
             enters="signal",
             through={"input": "output"},
             argument="other",
-            own={"linear": "gain_error", "polynomial": "static_nonlinearity"}.get(law, ""),
+            own=_OWN.get(law, ""),
             options={"law": law},
             free=free,
+            fixed=fixed,
             sizes=sizes,
             law=said,
             confused_with=like,
             told_apart_by="amplitude: the other signal over a wider range",
         )
         for law, (physics, free, sizes, said, like) in _LAWS.items()
+        for fixed in _SIDES.get(law, ({},))
     )
 
     input = In(shape="signal", unit=None, doc="signal")
@@ -75,6 +91,9 @@ class Coupling(Block):
     cubic = Param(0.0, unit=None, doc="factor of its cube (law polynomial)")
     sine = Param(0.0, unit=None, doc="amplitude of the sine, unit of the input (law periodic)")
     cosine = Param(0.0, unit=None, doc="amplitude of the cosine, unit of the input (law periodic)")
+    slope = Param(0.0, unit=None, doc="of what is added beyond the gap, per other signal (law stop)")
+    gap = Param(0.0, unit=None, doc="from which it is, unit of the other signal (law stop)")
+    side = Param(1.0, unit=None, doc="1: where the other signal is large, -1: where it is small (law stop)")
     wave_number = Param(1.0, unit=None, above=0.0, doc="radians of a period per other signal (law periodic)")
 
     def equations(self, p, u, x, t):
@@ -83,6 +102,9 @@ class Coupling(Block):
             added = p.sine * sin(p.wave_number * o) + p.cosine * (cos(p.wave_number * o) - 1)
         elif law == "polynomial":
             added = o * (p.linear + o * (p.quadratic + o * p.cubic))
+        elif law == "stop":
+            beyond = p.side * o - p.gap
+            return Equations(outputs={"output": u.input + p.slope * maximum(beyond, 0.0)}, events={"stop": beyond})
         else:
             added = p.linear * o
         return Equations(outputs={"output": u.input + added})

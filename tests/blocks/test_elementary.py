@@ -303,6 +303,8 @@ def test_to_file_stays_in_the_folder_of_the_diagram(file: str, messages: list[st
             {"sine": 2.0, "cosine": 0.5, "wave_number": 3.0},
             lambda o: 2 * np.sin(3 * o) + np.cos(3 * o) / 2 - 0.5,
         ),
+        ("stop", {"slope": -2.0, "gap": 0.5}, lambda o: np.array([0.0, 0.0, -0.4])),
+        ("stop", {"slope": 2.0, "gap": 0.5, "side": -1.0}, lambda o: np.array([2.0, 0.0, 0.0])),
     ],
 )
 def test_coupling_adds_a_function_of_another_signal(law: str, parameters: dict[str, float], added: Any) -> None:

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.conclude.verdict import effect_of
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.harmonic import drifts, pickups, stability
@@ -134,8 +135,8 @@ def test_places_are_listed_from_one_percent_on(more, places):
     """Odds of 99 to 1 are a criterion of 2 ln 99 = 9.19."""
     before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
     here, there = candidate("rub", 900.0, 1), candidate("rub", 900.0 + more, 1)
-    there.insertion.spot = "rotor.elsewhere"
-    assert {spot for spot, _ in effect_of(here, Round(before, (here, there)), 0.0).places} == places
+    there.insertion.spot = Spot("rotor", "elsewhere")
+    assert {str(spot) for spot, _ in effect_of(here, Round(before, (here, there)), 0.0).places} == places
 
 
 # --- lines that channels pick up --------------------------------------------------------------------------------------

@@ -17,6 +17,9 @@ SAMPLED = "step between samples"  # among the largest magnitudes of signals: the
 LINES = "lines"  # among the largest magnitudes of signals: the frequency of asynchronous lines
 
 
+Law = tuple[str, int, bool]  # see `Insertion.law`
+
+
 @dataclass(frozen=True)
 class Spot:
     """A place in a diagram: a port of a block, and the node (from 1) where it has nodes.
@@ -65,9 +68,9 @@ class Insertion:
         return self.fault.physics
 
     @property
-    def law(self) -> tuple[str, int]:
-        """Physics and variant: what it does, wherever it acts."""
-        return self.physics, self.variant
+    def law(self) -> Law:
+        """Physics, variant, and whether it follows another signal: what it does, wherever it acts."""
+        return self.physics, self.variant, bool(self.depends_on)
 
     @property
     def depends_on(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rotorsim.diagnosis.catalogue.insertion import Insertion
+from rotorsim.diagnosis.catalogue.insertion import Insertion, Law
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.search.candidates import Candidate
@@ -27,7 +27,7 @@ def most_promising(candidates: Sequence[Insertion], bounds: Sequence[float | Non
     promised = {k: bound for k, bound in enumerate(bounds) if bound is not None and bound < before.misfit}
     order = sorted(promised, key=lambda k: promised[k])
     order = [k for k in order if promised[k] <= PROMISED * max(promised[order[0]], before.freedom)]
-    best: dict[tuple[str, int], int] = {}
+    best: dict[Law, int] = {}
     for k in order:
         best.setdefault(candidates[k].law, k)
     first = list(best.values())[:MOST_LAWS]
@@ -43,7 +43,7 @@ def at_rival_places(
     candidates: Sequence[Insertion], promises: Sequence[Promise | None], before: Fit, kept: Sequence[int]
 ) -> list[int]:
     """Return the insertions that are not kept and promise nearly as much as the same law at its best place."""
-    of_law: dict[tuple[str, int], list[int]] = {}
+    of_law: dict[Law, list[int]] = {}
     known = {k: one.misfit for k, one in enumerate(promises) if one is not None and one.misfit < before.misfit}
     for k in sorted(known, key=lambda k: known[k]):
         of_law.setdefault(candidates[k].law, []).append(k)

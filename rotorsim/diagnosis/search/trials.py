@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
-from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, fixed_of, limits_of, sizes_at, starts_of
+from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, Law, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence, Promise
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, fit_from_plain, fit_to_plain, is_adequate
@@ -121,11 +121,11 @@ class Trials:
         ordered = tuple(simplest_first(tried, self.slack))
         return Round(before, ordered, tuple(classes), hypotheses, tuple(elsewhere), likely)
 
-    def completed(self, found: Round, physics: Collection[str], law: tuple[str, int] | None = None) -> Round:
+    def completed(self, found: Round, physics: Collection[str], law: Law | None = None) -> Round:
         """Return a round with these physics carried to the end, each law at its best place, and one at its rivals'."""
         tried = list(found.tried)
         elsewhere = [pair for pair in found.elsewhere if pair[0].law == law]
-        of_law: dict[tuple[str, int], int] = {}
+        of_law: dict[Law, int] = {}
         for k in sorted(range(len(tried)), key=lambda k: tried[k].fit.misfit):
             item = tried[k]
             if item.insertion.physics in physics and not item.fit.failure:
@@ -188,10 +188,10 @@ class Trials:
 
         Blocks of the user are not known there.
         """
-        of_law: dict[tuple[str, int], list[int]] = {}
+        of_law: dict[Law, list[int]] = {}
         for k, item in enumerate(candidates):
-            of_law.setdefault(item.law if is_built_in(item.kind) else ("", 0), []).append(k)
-        here = of_law.pop(("", 0), [])
+            of_law.setdefault(item.law if is_built_in(item.kind) else ("", 0, False), []).append(k)
+        here = of_law.pop(("", 0, False), [])
         batches: list[list[int]] = [[] for _ in range(self.jobs.processes)]
         for which in sorted(of_law.values(), key=len, reverse=True):
             min(batches, key=len).extend(which)
@@ -225,7 +225,7 @@ class Trials:
         if not known:
             return self._promising(candidates, jobs)
         kept = [k for k, bound in enumerate(bounds) if bound is None]
-        best: dict[tuple[str, int], int] = {}
+        best: dict[Law, int] = {}
         for k in sorted((k for k in range(len(candidates)) if bounds[k] is not None), key=lambda k: bounds[k] or 0.0):
             best.setdefault(candidates[k].law, k)
         kept += best.values()
@@ -242,7 +242,7 @@ class Trials:
         """Return the best place of each law, and the next best below ``most``, by what one step promises."""
         promises = np.array(self._promises(jobs))
         order = np.argsort(promises, kind="stable")
-        seen: set[tuple[str, int]] = set()
+        seen: set[Law] = set()
         first: list[int] = []
         second: list[int] = []
         for k in order.tolist():
@@ -296,7 +296,7 @@ class Trials:
         return out
 
     def _refined(
-        self, before: Fit, jobs: Sequence[Job], fits: list[Fit], laws: Sequence[tuple[str, int]]
+        self, before: Fit, jobs: Sequence[Job], fits: list[Fit], laws: Sequence[Law]
     ) -> tuple[list[Fit], set[int]]:
         """Return the fits, and which of them were carried to the end: those that promise most.
 
@@ -312,7 +312,7 @@ class Trials:
             least = fits[order[0]].misfit
             slow = before.misfit - STARTED * (before.misfit - least)
             if before.misfit < RIVAL_MISFIT * least:
-                best_of: dict[tuple[str, int], int] = {}  # of the places of each law
+                best_of: dict[Law, int] = {}  # of the places of each law
                 for k in order:
                     best_of.setdefault(laws[k], k)
                 self._again(jobs, fits, [k for k in best_of.values() if _is_slow(fits[k], slow)], SECOND_EVALUATIONS)

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
-from rotorsim.diagnosis.catalogue.insertion import Insertion, fixed_of, starts_of
+from rotorsim.diagnosis.catalogue.insertion import Insertion, Law, fixed_of, starts_of
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.opened import Opened
@@ -102,12 +102,12 @@ def _screened(base: Fit, evidence: ResonanceEvidence, catalogue: Catalogue) -> t
     Each is put at a few places where discs are; what counts is the misfit that one step from its start promises.
     """
     document, largest = values_in(base.document, base.values), evidence.largest()
-    by_law: dict[tuple[str, int], list[Insertion]] = {}
+    by_law: dict[Law, list[Insertion]] = {}
     for item in catalogue.candidates(evidence.load(document), evidence.recorded):
         if not item.from_lines and not item.from_steps:
             by_law.setdefault(item.law, []).append(item)
     least: dict[str, float] = {}
-    for (name, _), items in by_law.items():
+    for (name, *_), items in by_law.items():
         for item in _few(items, document):
             starts = starts_of(item, largest)
             here = [dict(zip(item.free, start.values(), strict=True)) for start in starts]

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot, fixed_of, limits_of, sizes_at, starts_of
+from rotorsim.diagnosis.catalogue.insertion import Insertion, Law, Spot, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import FAILURES
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
@@ -115,7 +115,7 @@ class LawBounds:
         """
         found: dict[str, Promise] = {}
         alike: dict[tuple[Any, ...], list[_Placed]] = {}
-        of_law: dict[tuple[str, int], list[_Placed]] = {}
+        of_law: dict[Law, list[_Placed]] = {}
         for item in (one for one in map(self._placed, items) if one is not None):
             alike.setdefault(item.like, []).append(item)
         for first, *_ in alike.values():
