@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from math import isclose
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Law
 from rotorsim.diagnosis.evidence.evidence import Promise
@@ -11,18 +12,18 @@ from rotorsim.diagnosis.search.candidates import Candidate
 
 MOST_LAWS = 16  # fitted in one round, each at its best place, where what laws promise is known
 LEAST_FITS = 8  # in such a round, at the next best places where so many laws do not promise enough
-MOST_PROMISING = 4  # laws that are fitted at rival places at once, and fits that come before the others
-RIVAL_PLACES = 3  # of a law, with a promise within
+MOST_PROMISING = 4  # fits that come before the others
+BEST_LAWS = 2  # by their fits, which are tried at other places before one is chosen
+OTHER_PLACES = 4  # of each of these, of promises that differ by more than
+DISTINCT = 1e-3  # relative: what promises the same does the same
+RIVAL_PLACES = 3  # of a law that is chosen, with a promise within
 NEAR_PROMISE = 2.0  # times that at its best place, as linear theory may err
 UNLIKELY = 10.0  # times the least promise, or fit, of a round: beyond, a law is not looked at with another noise
 PROMISED = 3.0  # times the least misfit that is promised: within, each law is fitted at its best place
 
 
 def most_promising(candidates: Sequence[Insertion], bounds: Sequence[float | None], before: Fit) -> list[int]:
-    """Return the insertions of which nothing is known, and those that promise most: each law first.
-
-    Those that promise most of all at their rival places, too.
-    """
+    """Return the insertions of which nothing is known, and those that promise most: each law first."""
     kept = [k for k, bound in enumerate(bounds) if bound is None]
     promised = {k: bound for k, bound in enumerate(bounds) if bound is not None and bound < before.misfit}
     order = sorted(promised, key=lambda k: promised[k])
@@ -31,10 +32,6 @@ def most_promising(candidates: Sequence[Insertion], bounds: Sequence[float | Non
     for k in order:
         best.setdefault(candidates[k].law, k)
     first = list(best.values())[:MOST_LAWS]
-    for k in first[:MOST_PROMISING]:
-        of_law = [n for n in order if candidates[n].law == candidates[k].law and n != k]
-        most = NEAR_PROMISE * max(promised[k], before.freedom)
-        first += [n for n in of_law if promised[n] <= most][:RIVAL_PLACES]
     more = [k for k in order if k not in first]
     return [*kept, *first, *more[: max(LEAST_FITS - len(first), 0)]]
 
@@ -52,6 +49,28 @@ def at_rival_places(
         most = NEAR_PROMISE * max(known[which[0]], before.freedom)
         near += [k for k in which if k not in kept and known[k] <= most][:RIVAL_PLACES]
     return near
+
+
+def at_other_places(
+    candidates: Sequence[Insertion], promises: Sequence[Promise | None], before: Fit, fits: Mapping[int, Fit]
+) -> list[int]:
+    """Return the insertions of the best laws by their fits {candidate: fit} at the places that promise most else.
+
+    Where the diagram is far from the runs, promises tell laws apart better than places.
+    """
+    known = {k: one.misfit for k, one in enumerate(promises) if one is not None and one.misfit < before.misfit}
+    better = [k for k in fits if k in known and not fits[k].failure and fits[k].misfit < before.misfit]
+    laws = list(dict.fromkeys(candidates[k].law for k in sorted(better, key=lambda k: fits[k].misfit)))[:BEST_LAWS]
+    others: list[int] = []
+    for law in laws:
+        seen = [known[k] for k in fits if k in known and candidates[k].law == law]
+        chosen: list[int] = []
+        for k in sorted((k for k in known if candidates[k].law == law and k not in fits), key=lambda k: known[k]):
+            if len(chosen) < OTHER_PLACES and not any(isclose(known[k], one, rel_tol=DISTINCT) for one in seen):
+                chosen.append(k)
+                seen.append(known[k])
+        others += chosen
+    return others
 
 
 def misfit_of(promise: Promise | None) -> float | None:

@@ -18,6 +18,7 @@ from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
 from rotorsim.diagnosis.search.promises import (
     MOST_PROMISING,
+    at_other_places,
     at_rival_places,
     likely_of,
     misfit_of,
@@ -82,7 +83,6 @@ class Trials:
         classes: Sequence[PlaceClass] = ()
         elsewhere: list[tuple[Insertion, Job]] = []
         likely: frozenset[str] | None = None
-        promised: list[float] = []
         for item in found:
             sizes = sizes_at(item, largest)
             starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
@@ -95,18 +95,23 @@ class Trials:
             classes = () if places is None else places.classes
             kept, promises = self._screened(before, found, jobs, places)
             kept += [k for k, item in enumerate(found) if item.key in self.known and k not in kept]
-            near = at_rival_places(found, promises, before, kept)
-            starts_at = {k: {} if (one := promises[k]) is None else dict(one.start) for k in (*kept, *near)}
+            known = [{} if one is None else dict(one.start) for one in promises]
             jobs = [
-                (job[0], _led(job[1], self.known.get(found[k].key) or starts_at.get(k, {})))
-                for k, job in enumerate(jobs)
+                (start, _led(groups, self.known.get(item.key) or near))
+                for item, (start, groups), near in zip(found, jobs, known, strict=True)
             ]
-            elsewhere = [(found[k], jobs[k]) for k in near]
             likely = likely_of(found, promises, before)
-            jobs, found = [jobs[k] for k in kept], [found[k] for k in kept]
             promised = [np.inf if (one := promises[k]) is None else one.misfit for k in kept]
+            begun = dict(zip(kept, self._begun([jobs[k] for k in kept], promised), strict=True))
+            others = at_other_places(found, promises, before, begun)
+            effort = Effort(FIRST_EVALUATIONS, linear_only=True)
+            begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
+            fits = [*begun.values()]
+            elsewhere = [(found[k], jobs[k]) for k in at_rival_places(found, promises, before, [*begun])]
+            jobs, found = [jobs[k] for k in begun], [found[k] for k in begun]
+        else:
+            fits = self._begun(jobs, ())
         self.counts["fits"] += len(found)
-        fits = self._begun(jobs, promised)
         later = [k for k, fit in enumerate(fits) if fit.failure == DEFERRED]
         explained = is_adequate(before) or any(is_adequate(fit) for fit in fits)
         more = self._fit([jobs[k] for k in later], Effort(LAST_EVALUATIONS if explained else FIRST_EVALUATIONS))
