@@ -12,7 +12,7 @@ from rotorsim.diagnosis.conclude.verdict import effect_of, rejected_of, unfinish
 from rotorsim.diagnosis.evidence.evidence import Promise, Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.search.candidates import Candidate, Round, simplest_first
-from rotorsim.diagnosis.search.promises import at_other_places, at_rival_places, likely_of, no_rivals
+from rotorsim.diagnosis.search.promises import at_other_places, at_rival_places, likely_of, still_likely
 from rotorsim.diagnosis.search.selection import _completed, _level, _reconsidered, _selected, _simplified, least_gain
 from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.diagram.diagram import Free
@@ -344,12 +344,16 @@ def test_another_measure_of_the_noise_looks_again_at_what_promised_within_ten_ti
     assert likely_of(found, promises, left(1e6)) == {"lag@best", "lag@within", "lag@unknown"}
 
 
-def test_what_ten_times_the_best_fit_does_not_reach_is_not_looked_at_with_another_noise():
-    """Unless its fit was stopped early: it may have begun far away."""
+def test_with_another_noise_fits_say_more_than_promises():
+    """What leaves ten times the best is not looked at, unless its fit was stopped early: it may have begun far away.
+
+    FAULT: a delay that promised little and was fitted best was forgotten with another noise.
+    """
     tried = [candidate(name, misfit, 1) for name, misfit in {"delay": 50.0, "lag": 499.0, "offset": 501.0}.items()]
     stopped = candidate("play", 501.0, 1)
     stopped.final = False
-    assert no_rivals([*tried, stopped]) == {"offset"}
+    promised = frozenset({"lag", "offset", "play", "drift"})
+    assert still_likely(promised, [*tried, stopped]) == {"delay", "lag", "play", "drift"}
 
 
 def test_the_two_best_laws_are_fitted_at_four_other_places_before_one_is_chosen():

@@ -84,11 +84,14 @@ def likely_of(candidates: Sequence[Insertion], promises: Sequence[Promise | None
     return frozenset(item.key for item, one in pairs if one is None or one.misfit <= UNLIKELY * least)
 
 
-def no_rivals(tried: Sequence[Candidate]) -> frozenset[str]:
-    """Return the keys of what was carried to the end and leaves too much to be a rival with another noise.
+def still_likely(likely: frozenset[str], tried: Sequence[Candidate]) -> frozenset[str]:
+    """Return the keys of what promised much and of what was fitted well, without what can be no rival.
 
-    Noise is what the best leaves at each frequency; what leaves no more leaves as little by any weights.
+    That was carried to the end and leaves too much. Noise is what the best leaves at each frequency; what leaves no
+    more leaves as little by any weights.
     """
-    ended = [item for item in tried if item.final and not item.fit.failure]
-    least = min((item.fit.misfit for item in tried if not item.fit.failure), default=0.0)
-    return frozenset(item.insertion.key for item in ended if item.fit.misfit > UNLIKELY * least)
+    fitted = [item for item in tried if not item.fit.failure]
+    least = min((item.fit.misfit for item in fitted), default=0.0)
+    near = {item.insertion.key for item in fitted if item.fit.misfit <= UNLIKELY * least}
+    far = {item.insertion.key for item in fitted if item.final and item.insertion.key not in near}
+    return frozenset((likely | near) - far)

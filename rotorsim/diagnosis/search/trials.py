@@ -23,7 +23,7 @@ from rotorsim.diagnosis.search.promises import (
     likely_of,
     misfit_of,
     most_promising,
-    no_rivals,
+    still_likely,
 )
 from rotorsim.diagram.resolve.registry import is_built_in
 from rotorsim.identification.coordinates import ANGLE_UNIT
@@ -122,7 +122,7 @@ class Trials:
             Candidate(item, fit, self._astray(before, fit), bool(fit.failure) or not fit.nonlinear or k in ended)
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
         ]
-        likely = None if likely is None else likely - no_rivals(tried)
+        likely = None if likely is None else still_likely(likely, tried)
         ordered = tuple(simplest_first(tried, self.slack))
         return Round(before, ordered, tuple(classes), hypotheses, tuple(elsewhere), likely)
 
