@@ -5,7 +5,7 @@ phi_1 = 1 + M phi_2, and for twice the step phi_1(2 M) = (1 + exp M) phi_1 / 2, 
 phi_2) / 4. SciPy's expm, the same to rounding, takes matrices one by one and gives neither phi nor derivatives.
 
 Source: Al-Mohy & Higham, SIAM J. Sci. Comput. 33 (2011) 488, 2; Van Loan, IEEE Trans. Autom. Control 23 (1978) 395;
-Skaflestad & Wright, Appl. Numer. Math. 59 (2009) 783 (doubling).
+Skaflestad & Wright, Appl. Numer. Math. 59 (2009) 783 (doubling); Parlett & Reinsch, Numer. Math. 13 (1969) 293.
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg import matrix_balance
 
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 
 TERMS = 18  # of the series of phi_2 at a norm of 1: the next is 1/20! = 4e-19
+MOST_DOUBLINGS = 30  # of a step: each may double the rounding of slow modes beside fast ones, 2^30 eps = 2.4e-7
 
 _C = """
 #include <stdint.h>
@@ -193,12 +195,23 @@ class Tangent:
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def phi_functions(M: Tangent) -> tuple[Tangent, Tangent, Tangent]:
-    """Return exp M, phi_1 and phi_2 of matrices (.., n, n), with their derivatives."""
+def phi_functions(M: Tangent, most: float = np.inf) -> tuple[Tangent, Tangent, Tangent]:
+    """Return exp M, phi_1 and phi_2 of matrices (.., n, n), with their derivatives.
+
+    M is balanced first, since states have units of any size. NaN where so many doublings are not enough.
+    """
+    n = M.value.shape[-1]
+    size = np.abs(M.value).reshape(-1, n, n).max(axis=0, initial=0.0)
+    scale = matrix_balance(size, permute=False, separate=True)[1][0] if n and np.isfinite(size).all() else np.ones(n)
+    unscaled = scale[:, None] / scale
+    M = M.times(1 / unscaled)
     norm = float(np.abs(M.value).sum(axis=-1).max(initial=0.0))
     doublings = max(int(np.ceil(np.log2(max(norm, 1e-300)))), 0) if np.isfinite(norm) else 0
+    if doublings > most:
+        nothing = M.times(np.nan)
+        return nothing, nothing, nothing
     M = M.times(0.5**doublings)
-    series = Tangent(np.broadcast_to(np.eye(M.value.shape[-1]), M.value.shape), np.zeros_like(M.slopes))
+    series = Tangent(np.broadcast_to(np.eye(n), M.value.shape), np.zeros_like(M.slopes))
     for k in range(TERMS, 2, -1):
         series = (M @ series).times(1 / k).plus_one()
     two = series.times(0.5)
@@ -208,18 +221,21 @@ def phi_functions(M: Tangent) -> tuple[Tangent, Tangent, Tangent]:
         two = (F @ two + one + two).times(0.25)
         one = (F @ one + one).times(0.5)
         F = F @ F
-    return F, one, two
+    return F.times(unscaled), one.times(unscaled), two.times(unscaled)
 
 
-def held(A: np.ndarray, B: np.ndarray, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def zero_order_hold(A: np.ndarray, B: np.ndarray, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return F = exp(A dt) and G = int exp(A s) ds B (N, n, ..) for inputs that are held over steps dt (N,)."""
     M = A * dt[:, None, None]
     F, one, _ = phi_functions(Tangent(M, np.zeros((0, *M.shape))))
     return F.value, one.value @ B * dt[:, None, None]
 
 
-def straight(A: Tangent, B: Tangent, dt: float) -> tuple[Tangent, Tangent, Tangent]:
-    """Return F, G and H of x_(k+1) = F x_k + G v_k + H w_k where inputs go straight from v to w within a step."""
-    F, one, two = phi_functions(A.times(dt))
+def first_order_hold(A: Tangent, B: Tangent, dt: float) -> tuple[Tangent, Tangent, Tangent]:
+    """Return F, G and H of x_(k+1) = F x_k + G v_k + H w_k where inputs go straight from v to w within a step.
+
+    NaN where A dt is larger than 2^MOST_DOUBLINGS.
+    """
+    F, one, two = phi_functions(A.times(dt), MOST_DOUBLINGS)
     H = (two @ B).times(dt)
     return F, (one @ B).times(dt) + H.times(-1.0), H

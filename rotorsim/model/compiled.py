@@ -15,6 +15,7 @@ from rotorsim.diagram.resolve.values import ValueProblem, bounds_problem, numeri
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.model.emit.emit import Kernel, build_kernel, emit_c
 from rotorsim.model.emit.toolchain import Compiler, CompilerError, compile_c, compiler_error, find_compiler
+from rotorsim.model.linearity import is_affine
 from rotorsim.model.trace.diagram import Signal, Trace, flat_indices, trace_diagram
 
 
@@ -171,6 +172,8 @@ class Model:
     @cached_property
     def linear(self) -> bool:
         """Whether dx/dt is linear in x with constant coefficients (its Jacobian has neither x nor t)."""
+        if not is_affine(self.closed(self.trace.xdot), self.trace.x):
+            return False
         return not ca.depends_on(self.jacobian_expression, ca.vertcat(self.trace.x, self.trace.t))
 
     def closed(self, expression: Any) -> Any:

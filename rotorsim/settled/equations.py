@@ -13,6 +13,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Free
 from rotorsim.linear.state_space import reached
 from rotorsim.model.compiled import Model
+from rotorsim.model.linearity import is_affine
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.slow_states import means_of
 
@@ -30,6 +31,8 @@ def is_linear(model: Model, outputs: Sequence[str]) -> bool:
 def _is_affine(model: Model, f: Any, g: Any) -> bool:
     trace = model.trace
     varying = ca.vertcat(trace.x, trace.t, trace.v)
+    if not is_affine(ca.vertcat(f, g), ca.vertcat(trace.x, trace.v)):
+        return False
     return not any(ca.depends_on(ca.jacobian(of, by), varying) for of in (f, g) for by in (trace.x, trace.v))
 
 

@@ -78,9 +78,9 @@ def verdict_of(
     """Return one of VERDICTS.
 
     alike: all runs have one speed and the same settings, which anything explains, or too few samples to judge.
-    disproved: with the effects the diagram does not predict hold-out runs. Several effects of which one may be nearly
-    anything describe a law that is in no catalogue. converters: readings show steps that the
+    disproved: with the effects the diagram does not predict hold-out runs. converters: readings show steps that the
     diagram lacks. faint: the residual of the diagram is so small that only a named cause makes it physics.
+    Several effects of which one may be nearly anything describe a law that is in no catalogue.
     """
     named = bool(effects) and not disproved and selection.explains
     if not named and (faint or (not effects and is_noise(selection.base))):
@@ -89,7 +89,7 @@ def verdict_of(
         return "not_identifiable" if alike else "consistent"
     if not named:
         return "outside_catalogue"
-    if any(len(effect.members) > CRITERIA.most_equivalent for effect in effects):  # beside others: anything would do
+    if any(len(effect.members) > CRITERIA.most_equivalent for effect in effects):
         return "not_identifiable" if len(effects) == 1 else "outside_catalogue"
     return "missing_physics"
 

@@ -7,7 +7,7 @@ from math import isclose
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Law
 from rotorsim.diagnosis.evidence.evidence import Promise
-from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.search.candidates import Candidate
 
 MOST_LAWS = 16  # fitted in one round, each at its best place, where what laws promise is known
@@ -56,8 +56,10 @@ def at_other_places(
 ) -> list[int]:
     """Return the insertions of the best laws by their fits {candidate: fit} at the places that promise most else.
 
-    Where the diagram is far from the runs, promises tell laws apart better than places.
+    Where the diagram is far from the runs, promises tell laws apart better than places; none where it explains them.
     """
+    if is_adequate(before):
+        return []
     known = {k: one.misfit for k, one in enumerate(promises) if one is not None and one.misfit < before.misfit}
     better = [k for k in fits if k in known and not fits[k].failure and fits[k].misfit < before.misfit]
     laws = list(dict.fromkeys(candidates[k].law for k in sorted(better, key=lambda k: fits[k].misfit)))[:BEST_LAWS]

@@ -23,7 +23,7 @@ from rotorsim.units import compatible
 
 RATE_PREFIX = "rate of "
 STABLE_STEP = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
-STRAIGHT_KINDS = ("hold", "linear")  # of inputs, between samples
+PIECEWISE_LINEAR = ("hold", "linear")  # of inputs, between samples
 SMOOTH_KIND = "smooth"  # kind of an input that goes between samples on a cubic spline
 LINE_PERIODS = 20.0  # of hum in a run: in fewer, it is not told from motion that passes
 SENSOR_DISTANCE = 1e-3  # m, between a sensor and the node that stands for it
@@ -128,9 +128,9 @@ class SampledRun:
         """Return samples of signals, (N, c)."""
         return np.stack([self.values[name] for name in names], axis=1)
 
-    def is_straight(self, names: Sequence[str]) -> bool:
+    def is_piecewise_linear(self, names: Sequence[str]) -> bool:
         """Return whether signals are held or go straight between samples."""
-        return all(self.kinds.get(name) in STRAIGHT_KINDS for name in names)
+        return all(self.kinds.get(name) in PIECEWISE_LINEAR for name in names)
 
     def inputs(self, names: tuple[str, ...], sub: int) -> np.ndarray:
         """Return signals at ends and middles of the ``sub`` steps after each sample, (N, 2 sub + 1, n_v).
@@ -145,7 +145,7 @@ class SampledRun:
 
     def _input(self, name: str, parts: int) -> np.ndarray:
         kind = self.kinds.get(name, "")
-        if kind in STRAIGHT_KINDS or (kind not in ("", SMOOTH_KIND) and self.steps is None):
+        if kind in PIECEWISE_LINEAR or (kind not in ("", SMOOTH_KIND) and self.steps is None):
             return between_samples(self.values[name], kind, parts)
         spline = CubicSpline(self.time - self.start, self.values[name.removeprefix(RATE_PREFIX)])
         steps = np.append(np.diff(self.time), 0.0)

@@ -16,13 +16,13 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.slow_modes import reduced
 from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.model.linearity import is_affine
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.equations import reached_states, slots_of
 
 RATES = {"acceleration": "velocity", "velocity": "displacement"}  # recorded, but no port: the rate of this one
 OF_THE_ANGLE = ("theta", "speed", "acceleration")  # of a shaft: outputs of a clock that its angle tells
 POWERS = tuple((order - j, j) for order in (0, 2, 3, 4, 5) for j in range(order + 1))
-_SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_TWICE, ca.OP_ASSIGN)
 WIDTHS = (0.02, 0.2)  # over which friction changes its sign, of the largest velocity
 
 
@@ -50,32 +50,6 @@ class ForceMap:
         a, b = q / self.sizes[0], v / self.sizes[1]
         terms = [a**i * b**j for i, j in POWERS] + [ca.tanh(b / width) for width in WIDTHS]
         return sum((c[k] * term for k, term in enumerate(terms)), ca.SX(0))
-
-
-def is_affine(of: Any, by: Any, time: Any) -> bool:
-    """Return whether an expression is affine in symbols, as it is written, and does not change with time.
-
-    What has no slope but steps (a sign) is not; a derivative would not tell.
-    """
-    names = ca.vertcat(by, time)
-    others = [symbol for symbol in ca.symvar(of) if not ca.depends_on(symbol, names)]
-    function = ca.Function("f", [names, ca.vertcat(*others)], [of])
-    moves = [False] * function.sz_w()
-    for k in range(function.n_instructions()):
-        op, given, to = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-        if op == ca.OP_OUTPUT:
-            continue
-        if op in (ca.OP_INPUT, ca.OP_CONST):
-            moves[to[0]] = op == ca.OP_INPUT and given[0] == 0
-            if moves[to[0]] and given[1] >= by.numel():
-                return False
-            continue
-        held = [moves[place] for place in given]
-        kept = op in _SUMS or (op == ca.OP_MUL and not all(held)) or (op == ca.OP_DIV and not held[-1])
-        if any(held) and not kept:
-            return False
-        moves[to[0]] = any(held)
-    return True
 
 
 def driven_parameters(diagram: Diagram) -> dict[str, str]:
@@ -171,10 +145,10 @@ class DrivenEquations:
         """
         t, x, v, p = self.arguments
         of, by = ca.vertcat(self.f, self.g), ca.vertcat(x, v)
-        if not is_affine(of, by, t):
+        if not is_affine(of, by):
             return None
         L = ca.horzcat(ca.jacobian(of, by), ca.substitute(of, by, ca.SX.zeros(by.numel())))
-        if ca.depends_on(L, by):
+        if ca.depends_on(L, ca.vertcat(by, t)):
             return None
         slopes = [sum((ca.jacobian(ca.vec(L), p[slot]) for slot in own), ca.SX(L.numel(), 1)) for own in self.slots]
         return MatrixFunction([p], ca.horzcat(L, *(ca.reshape(one, *L.shape) for one in slopes)))

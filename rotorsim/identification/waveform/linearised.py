@@ -12,7 +12,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.simulation import Simulation
-from rotorsim.linear.sampled import held, recursion
+from rotorsim.linear.sampled import recursion, zero_order_hold
 from rotorsim.model.matrix_function import MatrixFunction
 
 CONSTANT = 1e-9  # relative: Jacobians that change less along all runs are those of a linear diagram
@@ -116,7 +116,7 @@ def linearised(
         lost = ~np.isfinite(residual)
         if run.steps is not None or lost.any():
             A, B, C, D = (np.broadcast_to(M, (run.size, *M.shape[1:])).copy() for M in (A, B, C, D))
-        F, G = held(A, B, np.full(1, run.dt) if run.steps is None else np.append(run.steps, run.dt))
+        F, G = zero_order_hold(A, B, np.full(1, run.dt) if run.steps is None else np.append(run.steps, run.dt))
         G, D = (np.concatenate([M, np.zeros_like(M[:, :, :1])], axis=2)[:, :, column] for M in (G, D))
         H, through, by_output = C[:, :c].copy(), D[:, :c] + reading, by[:, :c, :m].copy()
         if lost.any():

@@ -185,7 +185,7 @@ class OutputErrorSearch:
     def is_exact(self, k: int, r: int) -> bool:
         """Return whether a subsystem is linear and driven by what is held or straight between the samples of a run."""
         eq, run = self.systems[k].equations, self.runs[r]
-        return not self.stepped and run.steps is None and run.is_straight(eq.inputs) and eq.linear is not None
+        return not self.stepped and run.steps is None and run.is_piecewise_linear(eq.inputs) and eq.linear is not None
 
     def simulated(
         self, unknowns: np.ndarray, k: int, r: int, sub: int, sensitivities: bool = True

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.identification.waveform.equations import DrivenEquations
-from rotorsim.linear.sampled import LARGE, SMALL, Tangent, response, straight
+from rotorsim.linear.sampled import LARGE, SMALL, Tangent, first_order_hold, response
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
@@ -199,7 +199,7 @@ class Simulation:
                 raise ValueError("the equations are not linear")
             L = linear(p)[0].reshape(n + len(self.equations.outputs), 1 + self.equations.m, -1).swapaxes(0, 1)[: 1 + m]
             A, B = (Tangent(part[0], part[1:]) for part in (L[:, :n, :n], L[:, :n, n:]))
-            parts = [np.concatenate([part.value[None], part.slopes]) for part in straight(A, B, dt)]
+            parts = [np.concatenate([part.value[None], part.slopes]) for part in first_order_hold(A, B, dt)]
             self._known.clear()
             self._known[key] = np.concatenate(parts, axis=2), L[:, n:]
         return self._known[key]

@@ -134,6 +134,7 @@ class DrivenLaw:
         return self._change(y, by, v[:, 0], slopes)
 
     def _change(self, y: np.ndarray, by: np.ndarray, wires: np.ndarray, slopes: bool) -> np.ndarray:
+        """Return what an output y changes of its wire, with derivatives where there are slopes."""
         added = y - wires[:, :1]
         whole = np.concatenate([added, by[:, 0, : self.law.equations.m]], axis=1) if slopes else added
         return whole if (np.abs(whole) < LARGE).all() else np.zeros_like(whole)
