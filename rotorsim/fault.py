@@ -89,8 +89,9 @@ class Fault:
     steps; harmonics are compared with what goes into it.
     most: what the magnitude of a free parameter can be at most, beside the bounds of the parameter. sizes: parameters
     that the effect is proportional to: where the data tell none of them from zero, there is no effect.
-    simpler: parameter -> the value at which this is another physics, and which: where the data do not tell them apart,
-    the other one is meant.
+    simpler: parameter -> the value (or infinity) at which this is another physics, and which: where the data do not
+    tell them apart, the other one is meant.
+    finer: options of a finer approximation of the law, which takes its place where the data show the difference.
     inherits: parameters and options that take the value that the block at the place has under the same name;
     "crack.sag" takes that of the one block of type crack, if there is one. law: in words, what the effect does with
     speed, order and amplitude.
@@ -108,6 +109,7 @@ class Fault:
     simpler: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     of: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
+    finer: Mapping[str, Any] = field(default_factory=dict)
     between: tuple[str, str] = ("rotor", "controller")
     through: Mapping[str, str] = field(default_factory=dict)
     argument: str = ""

@@ -34,6 +34,7 @@ class Delay(Block):
             through={"input": "output"},
             free={"delay": (Sampled(1.0), Sampled(10.0), Sampled(100.0))},
             options={"order": 3},
+            finer={"order": 8},
             law="phase that falls in proportion to the frequency; no change of magnitude",
             confused_with=("lag", "missing_mode"),
             told_apart_by="high frequencies: a lag attenuates them, a delay does not",

@@ -52,6 +52,7 @@ class Disturbance(Block):
             options={"law": law},
             free=free,
             fixed=fixed,
+            simpler={"rate": (0.0, "offset")} if law == "drift" else {},
             law=said,
             confused_with=like,
             told_apart_by="the same inputs again, another length of the run",

@@ -1,6 +1,6 @@
 """Second-order low-pass: a mode in the way of a signal."""
 
-from math import pi
+from math import inf, pi
 
 from rotorsim.block import Block, Equations, In, Out, Param, State
 from rotorsim.fault import Fault, Sampled
@@ -20,6 +20,7 @@ class SecondOrder(Block):
             through={"input": "output"},
             free={"frequency": tuple(Sampled(part, power=-1) for part in (0.03, 0.15, 0.75)), "damping_ratio": (0.1,)},
             most={"frequency": Sampled(pi, power=-1)},  # of Nyquist
+            simpler={"frequency": (inf, "lag")},
             law="resonance at its frequency, nothing far below it",
             confused_with=("delay", "lag"),
             told_apart_by="excitation at the resonance",

@@ -121,7 +121,7 @@ def test_the_names_of_a_fault_are_declared(cls: type[Block], fault: Fault) -> No
     assert {name.rpartition(".")[2] for name in fault.inherits} <= cls.parameters.keys() | cls.options.keys()
     assert set(fault.most) | set(fault.sizes) | set(fault.simpler) <= fault.free.keys()
     assert {other for _, other in fault.simpler.values()} <= SIGNALS - {fault.physics}
-    assert fault.options.keys() <= cls.options.keys()
+    assert fault.options.keys() | fault.finer.keys() <= cls.options.keys()
     for name, value in fault.options.items():
         option = cls.options[name]
         assert option.choices is None or value in option.choices
@@ -349,8 +349,8 @@ def test_a_law_of_a_signal_runs_wherever_it_is_offered_and_changes_what_is_recor
         assert sides == {("plant.output", "")}
     else:
         wires = {(f"{block}.output", "") for block in LOOP["blocks"]}
-        if physics in ("cross_talk", "nonlinear_coupling"):  # beside the sum, they are laws of what enters it
-            wires = {("controller.output", ""), ("plant.output", "")}
+        if physics in ("cross_talk", "nonlinear_coupling"):  # at the sum, they are laws of what enters it
+            wires = {("plant.output", "")}  # and behind a gain, but not where that is recorded
         assert sides == wires | {("sensor.output", "reading"), ("sensor.output", "both")}
     largest = {name: float(np.abs(values).max()) for name, values in given.signals.items()} | {LONGEST: 1.0}
     for item in offered:

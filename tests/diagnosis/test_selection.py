@@ -11,8 +11,15 @@ from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.conclude.verdict import effect_of, rejected_of, unfinished, verdict_of
 from rotorsim.diagnosis.evidence.evidence import Promise, Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate, Round, simplest_first
-from rotorsim.diagnosis.search.promises import at_other_places, at_rival_places, likely_of, still_likely
+from rotorsim.diagnosis.search.promises import (
+    at_likely_places,
+    at_other_places,
+    at_rival_places,
+    likely_of,
+    still_likely,
+)
 from rotorsim.diagnosis.search.selection import _completed, _level, _reconsidered, _selected, _simplified, least_gain
 from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.diagram.diagram import Free
@@ -31,7 +38,7 @@ def candidate(
         spot=Spot("rotor", "force"),
         key=physics,
         free=(),
-        fault=SimpleNamespace(confused_with=alike),
+        fault=SimpleNamespace(confused_with=alike, simpler={}),
     )
     return SimpleNamespace(fit=fit, insertion=insertion, physical=True, unphysical="", parameters=(), final=True)
 
@@ -366,6 +373,35 @@ def test_the_two_best_laws_are_fitted_at_four_other_places_before_one_is_chosen(
     kept = at_other_places(found, promises, left(1e4), fits)
     assert [found[k].key for k in kept] == ["dead_zone@a", "dead_zone@b", "dead_zone@c", "dead_zone@d", "lag@there"]
     assert at_other_places(found, promises, left(1e4), {0: Fit({}, failure="diverges")}) == []
+
+
+def test_far_from_the_runs_every_law_is_fitted_at_the_places_where_a_free_signal_explains_them():
+    """FAULT: a delay of 48 s in a pump promised nothing beside outlets that were fitted without it; a free signal
+    there explained everything, and at no other place."""
+    found = [placed(law, spot) for law in ("play", "delay") for spot in ("pump", "balance", "level")]
+    promises = [Promise(value) for value in (9e5, 8e5, 2e3, 9e5, 9e5 + 1, 1e3)]
+    pump = PlaceClass((found[0].spot, found[1].spot), 0.99)
+    level = PlaceClass((found[2].spot,), 0.99 * np.exp(-5.1))
+    assert [found[k].key for k in at_likely_places(found, promises, (pump, level), {2: left(1e3)})] == [
+        "play@balance",
+        "delay@pump",
+    ]
+    near = replace(level, probability=0.99 * np.exp(-4.9))
+    assert [found[k].key for k in at_likely_places(found, promises, (pump, near), {2: left(1e3)})] == ["delay@level"]
+    assert at_likely_places(found, promises, (pump, level), {2: left(1.0)}) == []  # explained
+    assert at_likely_places(found, promises, (), {2: left(1e3)}) == []  # promises are sure
+
+
+def test_what_holds_a_law_as_a_special_case_is_no_rival_unless_it_explains_more():
+    """Odds of e^4 = 55 to 1 against one more parameter would list a mode beside every lag."""
+    before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
+    found, wider = candidate("lag", 980.0, 1), candidate("missing_mode", 980.0, 2)
+    assert set(effect_of(found, Round(before, (found, wider)), 0.0).members) == {"lag", "missing_mode"}
+    wider.insertion.fault.simpler = {"frequency": (np.inf, "lag")}
+    assert set(effect_of(found, Round(before, (found, wider)), 0.0).members) == {"lag"}
+    better = candidate("missing_mode", 970.0, 2)
+    better.insertion.fault.simpler = wider.insertion.fault.simpler
+    assert set(effect_of(better, Round(before, (better, found)), 0.0).members) == {"lag", "missing_mode"}
 
 
 def test_of_fits_that_nothing_tells_apart_the_one_whose_reading_is_right_comes_first():

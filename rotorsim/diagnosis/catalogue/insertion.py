@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -87,6 +87,18 @@ class Insertion:
     def free(self) -> tuple[str, ...]:
         """The names under which its parameters are free."""
         return tuple(f"{self.name}.{key}" for key in self.fault.free)
+
+    @property
+    def finer(self) -> Insertion:
+        """The same with a finer approximation of its law, if it has one."""
+        return replace(self, values={**self.values, **self.fault.finer})
+
+    def approximated(self, document: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a document that has this insertion in it, with its approximation of the law."""
+        block = document["blocks"][self.name]
+        kept = {key: value for key, value in self.values.items() if key in self.fault.finer}
+        changed = {**block, "parameters": {**block.get("parameters", {}), **kept}}
+        return {**document, "blocks": {**document["blocks"], self.name: changed}}
 
     @property
     def from_lines(self) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import networkx as nx
 
-from rotorsim.diagram.diagram import Diagram, Endpoint
+from rotorsim.diagram.diagram import Diagram, Endpoint, Wire
 from rotorsim.model.trace.order import block_traces, feedthrough_graph
 
 
@@ -36,9 +36,8 @@ class OtherSignals:
     def _origin(self, end: Endpoint) -> Endpoint:
         """Return the signal that gains make another one of."""
         passed = {end}
-        while self.diagram.nodes[end.block].block.type_name == "gain":
-            before = self._into.get((end.block, "input"))
-            if before is None or before.index or before in passed:
+        while (before := self._before(end)) is not None:
+            if before.index or before in passed:
                 break
             end = before
             passed.add(end)
@@ -55,8 +54,33 @@ class OtherSignals:
         return a in graph and b in graph and nx.has_path(graph, a, b)
 
     def meets(self, end: Endpoint, place: Endpoint) -> bool:
-        """Return whether a signal, behind gains, enters a sum that gives, or takes, that of a place."""
-        taking = {wire.target.block for wire in self.diagram.wires if wire.source == place}
-        sums = {name for name in {place.block, *taking} if self.diagram.nodes[name].block.type_name == "sum"}
+        """Return whether a signal, behind gains, enters a sum that gives, or takes, that of a place.
+
+        Gains between sum and place are passed where nothing else takes or records what is between them.
+        """
+        giving, taking = [place], [place]
+        while (before := self._before(giving[-1])) is not None and self._passed_on(before):
+            giving.append(before)
+        while (after := self._after(taking[-1])) is not None and self._passed_on(after):
+            taking.append(after)
+        ends = {wire.target.block for one in taking for wire in self._takers(one)}
+        sums = {name for name in {giving[-1].block, *ends} if self.diagram.nodes[name].block.type_name == "sum"}
         entering = (wire.source for wire in self.diagram.wires if wire.target.block in sums)
         return any(self._origin(source) == end for source in entering)
+
+    def _before(self, end: Endpoint) -> Endpoint | None:
+        """Return the signal that a gain makes this one of."""
+        is_gain = self.diagram.nodes[end.block].block.type_name == "gain"
+        return self._into.get((end.block, "input")) if is_gain else None
+
+    def _after(self, end: Endpoint) -> Endpoint | None:
+        """Return what the only gain that takes a signal makes of it."""
+        blocks = [self.diagram.nodes[wire.target.block] for wire in self._takers(end)]
+        return Endpoint(blocks[0].name, "output") if [one.block.type_name for one in blocks] == ["gain"] else None
+
+    def _passed_on(self, end: Endpoint) -> bool:
+        """Return whether a signal is one number that goes to one block and nowhere else."""
+        return not end.index and len(self._takers(end)) == 1 and str(end) not in self.recorded
+
+    def _takers(self, end: Endpoint) -> list[Wire]:
+        return [wire for wire in self.diagram.wires if wire.source == end]

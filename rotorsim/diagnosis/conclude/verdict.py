@@ -31,7 +31,8 @@ def effects_of(selection: Selection) -> tuple[Effect, ...]:
 def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
     """Return an effect with the physics and places that explain the data as well; slack: see `Selection`.
 
-    It is compared as it was in that round: its rivals stood beside the same others.
+    It is compared as it was in that round: its rivals stood beside the same others. What holds its law as a special
+    case, and explains no more than further parameters cost, is no rival.
     """
     candidate = _as_tried(candidate, found)
     own = candidate.insertion.physics
@@ -39,6 +40,9 @@ def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
     possible = [item for item in found.tried if not item.fit.failure and item.physical]
     best: dict[str, float] = {}
     for item in possible:
+        wider = own in (other for _, other in item.insertion.fault.simpler.values())
+        if wider and item.fit.criterion >= candidate.fit.criterion:
+            continue
         more = max(item.fit.criterion - candidate.fit.criterion - slack, 0.0) / scale
         best[item.insertion.physics] = min(best.get(item.insertion.physics, np.inf), more)
     best[own] = 0.0

@@ -101,6 +101,10 @@ class Bounds(Protocol):
         """Whether bounds are those of laws, not of places."""
 
     @property
+    def sure(self) -> bool:
+        """Whether promises of laws are nearly what their fits leave, so that a diagram is linear."""
+
+    @property
     def classes(self) -> Sequence[PlaceClass]:
         """The classes of places of which a free signal explains the same; none where that was not asked."""
 

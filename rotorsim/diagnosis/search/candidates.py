@@ -51,7 +51,7 @@ class Candidate:
         """Why this cannot be, empty where it can.
 
         A parameter of the fault ended at a bound; none of its sizes differs significantly from zero (their 90 %
-        intervals hold it, were the rest of its law known); it is a simpler law in the same sense; or it needs a
+        intervals hold it, were the rest of its law known); its 90 % interval holds a simpler law; or it needs a
         parameter of the diagram far beyond all reason, as one that cancels the effect is.
         """
         fit = self.fit
@@ -67,9 +67,12 @@ class Candidate:
             keys = " and ".join(name.rpartition(".")[2] for name in sizes)
             return f"its {keys} is not significantly different from zero"
         for name in self.parameters:
-            value, other = self.insertion.fault.simpler.get(name.rpartition(".")[2], (np.nan, ""))
-            if abs(fit.values[name] - value) <= Z90 * std[names.index(name)]:
-                return f"its {name.rpartition('.')[2]} is not significantly different from {value:g}: {other}"
+            key, j = name.rpartition(".")[2], names.index(name)
+            value, other = self.insertion.fault.simpler.get(key, (np.nan, ""))
+            found, half = fit.values[name], Z90 * float(np.sqrt(max(fit.covariance[j, j], 0.0)))
+            off = abs(found) if np.isinf(value) else abs(found - value)  # 1/found is off 0 by half / found^2
+            if half >= off:
+                return f"its {key} is not significantly different from {value:g}: {other}"
         return f"needs {self.astray}" if self.astray else ""
 
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import isclose
 
+import numpy as np
+
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Law
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate
 
 MOST_LAWS = 16  # fitted in one round, each at its best place, where what laws promise is known
@@ -49,6 +53,30 @@ def at_rival_places(
         most = NEAR_PROMISE * max(known[which[0]], before.freedom)
         near += [k for k in which if k not in kept and known[k] <= most][:RIVAL_PLACES]
     return near
+
+
+def at_likely_places(
+    candidates: Sequence[Insertion],
+    promises: Sequence[Promise | None],
+    classes: Sequence[PlaceClass],
+    fits: Mapping[int, Fit],
+) -> list[int]:
+    """Return the insertion that promises most of every law without a fit at the likeliest places of free signals.
+
+    classes: the likeliest first; empty where promises are sure. Where a nonlinear diagram is far from the runs,
+    they tell where something is missing, and not what; none where a fit explains the runs.
+    """
+    if not classes or any(is_adequate(fit) for fit in fits.values()):
+        return []
+    least = classes[0].probability * np.exp(-CRITERIA.equivalent / 2)
+    likely = {spot for one in classes if one.probability >= least for spot in one.places}
+    fitted = {candidates[k].law for k in fits if candidates[k].spot in likely}
+    known = {k: one.misfit for k, one in enumerate(promises) if one is not None and candidates[k].spot in likely}
+    best: dict[Law, int] = {}
+    for k in sorted(known, key=lambda k: known[k]):
+        if candidates[k].law not in fitted:
+            best.setdefault(candidates[k].law, k)
+    return list(best.values())
 
 
 def at_other_places(

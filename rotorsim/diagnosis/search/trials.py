@@ -18,6 +18,7 @@ from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
 from rotorsim.diagnosis.search.promises import (
     MOST_PROMISING,
+    at_likely_places,
     at_other_places,
     at_rival_places,
     likely_of,
@@ -103,8 +104,11 @@ class Trials:
             likely = likely_of(found, promises, before)
             promised = [np.inf if (one := promises[k]) is None else one.misfit for k in kept]
             begun = dict(zip(kept, self._begun([jobs[k] for k in kept], promised), strict=True))
-            others = at_other_places(found, promises, before, begun)
             effort = Effort(FIRST_EVALUATIONS, linear_only=True)
+            unsure = () if places is None or places.sure or is_adequate(before) else classes
+            others = at_likely_places(found, promises, unsure, begun)
+            begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
+            others = at_other_places(found, promises, before, begun)
             begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
             fits = [*begun.values()]
             elsewhere = [(found[k], jobs[k]) for k in at_rival_places(found, promises, before, [*begun])]
@@ -118,6 +122,7 @@ class Trials:
         for k, fit in zip(later, more, strict=True):
             fits[k] = fit
         fits, ended = self._refined(before, jobs, fits, [item.law for item in found])
+        found, fits = self._finer(found, fits)
         tried = [
             Candidate(item, fit, self._astray(before, fit), bool(fit.failure) or not fit.nonlinear or k in ended)
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
@@ -329,6 +334,21 @@ class Trials:
         self._again(jobs, fits, order, None)
         return fits, set(order)
 
+    def _finer(self, found: Sequence[Insertion], fits: Sequence[Fit]) -> tuple[list[Insertion], list[Fit]]:
+        """Return insertions and fits, the best with finer approximations of their laws where the data show it."""
+        found, fits = list(found), list(fits)
+        best = _bymisfit_of(fits)[:REFINED]
+        which = [k for k in best if found[k].fault.finer and not is_adequate(fits[k])]
+        finer = [found[k].finer for k in which]
+        jobs: list[Job] = []
+        for k, item in zip(which, finer, strict=True):
+            document = values_in(fits[k].document, fits[k].values)
+            jobs.append((item.approximated(document), [[{}]]))
+        for k, item, fit in zip(which, finer, self._fit(jobs, Effort()), strict=True):
+            if not fit.failure and fit.misfit < fits[k].misfit:
+                found[k], fits[k] = item, replace(fit, seconds=fit.seconds + fits[k].seconds)
+        return found, fits
+
     def _again(self, jobs: Sequence[Job], fits: list[Fit], which: Sequence[int], most: int | None) -> None:
         """Carry some fits on from where they are, in place."""
         continued: list[Job] = []
@@ -351,6 +371,7 @@ class Trials:
             again = next((other for other in here if other.key == item.insertion.key), None)
             if again is None:
                 return ()
+            again = again.finer if again.finer.values == item.insertion.values else again
             old, new = item.insertion.name, again.name
             had = near.document["blocks"][old].get("parameters", {})
             own = {key: near.values[f"{old}.{key}"] for key in again.fault.free if f"{old}.{key}" in near.values}

@@ -1,4 +1,11 @@
-"""Runs linearised about their simulation: what a signal added to any wire changes of all wires and of the outputs."""
+"""Linearised runs: what a signal that is added to any wire changes of all wires and of the outputs.
+
+About the simulation, or, of a nonlinear diagram that is far from what was measured, about the motion that was: that of
+an extended Kalman smoother whose states are all driven (Jazwinski, Stochastic Processes and Filtering Theory (1970),
+8.3). What the diagram itself does not make of that motion, w_k = X_(k+1) - f(X_k), is taken away from it again:
+
+x_(k+1) = F_k x_k - w_k,   residual = measured - g(X_k) - H_k x_k
+"""
 
 from __future__ import annotations
 
@@ -20,13 +27,14 @@ CONSTANT = 1e-9  # relative: Jacobians that change less along all runs are those
 
 @dataclass(frozen=True, eq=False)
 class LinearisedRun:
-    """Deviations of a run of N samples from its simulation, sample by sample.
+    """Deviations of a run of N samples from the motion that the diagram makes of itself, sample by sample.
 
     x_(k+1) = F_k x_k + G_k d_k,   y_k = H_k x_k + D_k d_k,   w_k = W_k x_k + E_k d_k,   d held between samples
 
     F (N, n, n), G (N, n, P), H (N, c, n), D (N, c, P): P signals, each added at a `Place`; W (N, P, n), E (N, P, P):
-    what the places carry, before anything is added. residual (N, c): measured less simulated; wires (N, P): simulated
-    values at the places. by_output (N, c, m), by_wire (N, P, m): derivatives by the m free parameters.
+    what the places carry, before anything is added. residual (N, c): measured less that motion; states (N, n) and wires
+    (N, P): of it, the latter at the places; carried (N, P): in the motion that it is linearised about. by_output
+    (N, c, m), by_wire (N, P, m): derivatives by the m free parameters.
     A linear diagram has one matrix for all even samples: N is 1 there. A sample that is missing has no H, D, residual.
     """
 
@@ -37,7 +45,9 @@ class LinearisedRun:
     W: np.ndarray
     E: np.ndarray
     residual: np.ndarray
+    states: np.ndarray
     wires: np.ndarray
+    carried: np.ndarray
     by_output: np.ndarray
     by_wire: np.ndarray
     dt: float
@@ -91,11 +101,16 @@ def places_of(diagram: Diagram, outputs: Sequence[str]) -> list[Place]:
 
 
 def linearised(
-    diagram: Diagram, search: OutputErrorSearch, evaluation: Evaluation, places: Sequence[Place]
+    diagram: Diagram,
+    search: OutputErrorSearch,
+    evaluation: Evaluation,
+    places: Sequence[Place],
+    motion: Sequence[np.ndarray] | None = None,
 ) -> list[LinearisedRun]:
     """Return the runs of a fitted diagram, linearised about their simulation; P places.
 
-    Raises RotorsimError for signals that the diagram does not have.
+    motion: states (N, n) in each run to linearise about instead. Raises RotorsimError for signals that the diagram does
+    not have.
     """
     given = search.systems[0].equations
     c, m = len(given.outputs), search.m
@@ -103,22 +118,30 @@ def linearised(
     outputs = [*given.outputs, *ports]
     whole, unknowns = with_outputs(diagram, search, evaluation, outputs)
     taken = [port for port in ports if any(place.taken for place in places if place.port == port)]
-    matrices = _Matrices.of(driven_equations(diagram, outputs, given.inputs, diagram.free, added=taken))
+    about = _About(driven_equations(diagram, outputs, given.inputs, diagram.free, added=taken), len(given.inputs))
     column = [taken.index(place.port) if place.taken else len(taken) for place in places]  # the last is no input
     row = [c + ports.index(place.port) for place in places]
     reading = np.array([[place.recorded and place.port == name for place in places] for name in given.outputs], float)
     runs = []
     for r, run in enumerate(search.runs):
         y, by = whole.simulated(unknowns, 0, r, evaluation.sub)
-        p = whole.systems[0].equations.parameters(search.p[r], unknowns[:m])
-        A, B, C, D = matrices.at(run.time, y[:, len(outputs) :], run.inputs(given.inputs, 1)[:, 0], p)
-        residual = evaluation.residuals[0][r]
+        y, x, by = y[:, : len(outputs)], y[:, len(outputs) :], by[:, :, :m]
+        p, v = whole.systems[0].equations.parameters(search.p[r], unknowns[:m]), run.inputs(given.inputs, 1)[:, 0]
+        steps = np.full(1, run.dt) if run.steps is None else np.append(run.steps, run.dt)
+        residual, carried = evaluation.residuals[0][r], y
+        A, B, C, D = about.matrices(run.time, x if motion is None else motion[r], v, p)
         lost = ~np.isfinite(residual)
+        if motion is not None:
+            left = about.left(run.time, x, v, p, steps)
+            moved, carried, by = about.moved(run.time, motion[r], v, p, steps, left)
+            beside = carried + (C @ moved[:, :, None])[:, :, 0]
+            residual = residual + y[:, :c] - beside[:, :c]
+            y, x = beside, motion[r] + moved
         if run.steps is not None or lost.any():
             A, B, C, D = (np.broadcast_to(M, (run.size, *M.shape[1:])).copy() for M in (A, B, C, D))
-        F, G = zero_order_hold(A, B, np.full(1, run.dt) if run.steps is None else np.append(run.steps, run.dt))
+        F, G = zero_order_hold(A, B, steps)
         G, D = (np.concatenate([M, np.zeros_like(M[:, :, :1])], axis=2)[:, :, column] for M in (G, D))
-        H, through, by_output = C[:, :c].copy(), D[:, :c] + reading, by[:, :c, :m].copy()
+        H, through, by_output = C[:, :c].copy(), D[:, :c] + reading, by[:, :c].copy()
         if lost.any():
             H[lost], through[lost], by_output[lost] = 0.0, 0.0, 0.0
         runs.append(
@@ -130,9 +153,11 @@ def linearised(
                 W=C[:, row],
                 E=D[:, row],
                 residual=np.where(lost, 0.0, residual),
+                states=x,
                 wires=y[:, row],
+                carried=carried[:, row],
                 by_output=by_output,
-                by_wire=by[:, row, :m],
+                by_wire=by[:, row],
                 dt=run.dt,
             )
         )
@@ -171,27 +196,52 @@ def with_outputs(
     return whole, unknowns
 
 
-@dataclass(frozen=True, eq=False)
-class _Matrices:
-    """The Jacobians of f and g by states and added signals, as functions of t, x, v, p."""
+class _About:
+    """Equations about a motion: states x (N, n), inputs v (N, n_v), parameters p, at N instants.
 
-    inputs: int
-    added: int
-    functions: Sequence[MatrixFunction]
+    given: how many inputs they are driven by; the others are signals that are added, and zero.
+    """
 
-    @classmethod
-    def of(cls, equations: DrivenEquations) -> _Matrices:
-        _, x, v, _ = equations.arguments
-        d = v[len(equations.inputs) :]
-        pairs = ((of, by) for of in (equations.f, equations.g) for by in (x, v))
-        cut = len(equations.inputs)
-        jacobians = [ca.jacobian(of, by) for of, by in pairs]
-        jacobians[1], jacobians[3] = jacobians[1][:, cut:], jacobians[3][:, cut:]
-        return cls(cut, d.numel(), [MatrixFunction(equations.arguments, jacobian) for jacobian in jacobians])
+    def __init__(self, equations: DrivenEquations, given: int) -> None:
+        _, x, v, _ = arguments = equations.arguments
+        self.added, self.n = v.numel() - given, x.numel()
+        pairs = ((of, by) for of in (equations.f, equations.g) for by in (x, v[given:]))
+        self._jacobians = [MatrixFunction(arguments, ca.jacobian(of, by)) for of, by in pairs]
+        self._motion = [  # f or g, then its derivatives by x and by the parameters
+            MatrixFunction(arguments, ca.horzcat(of, equations.jacobian(of))) for of in (equations.f, equations.g)
+        ]
 
-    def at(self, times: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
-        """Return A, B, C, D at N instants, at one where they do not change; infinite slopes are left out."""
+    def _at(
+        self, functions: Sequence[MatrixFunction], times: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray
+    ) -> list[np.ndarray]:
+        """Return functions at N instants; infinite slopes are left out."""
         v = np.concatenate([v, np.zeros((len(v), self.added))], axis=1)
-        at = [np.nan_to_num(f(times[None], x.T, v.T, p[:, None]), posinf=0.0, neginf=0.0) for f in self.functions]
+        return [np.nan_to_num(f(times[None], x.T, v.T, p[:, None]), posinf=0.0, neginf=0.0) for f in functions]
+
+    def matrices(self, times: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
+        """Return the Jacobians A, B, C, D at N instants, at one where they do not change."""
+        at = self._at(self._jacobians, times, x, v, p)
         changes = (np.abs(one - one[0]).max(initial=0.0) > CONSTANT * np.abs(one[0]).max(initial=0.0) for one in at)
         return at if any(changes) else [one[:1] for one in at]
+
+    def left(self, times: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Return what a motion has beside the equations from each sample to the next, (N - 1, n): w of the module.
+
+        Inputs and slopes are held over steps.
+        """
+        [given] = self._at(self._motion[:1], times, x, v, p)
+        _, moved = zero_order_hold(given[:, :, 1 : self.n + 1], given[:, :, :1], steps)
+        return np.asarray(np.diff(x, axis=0) - moved[:-1, :, 0])
+
+    def moved(
+        self, times: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray, steps: np.ndarray, known: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return how far the diagram of itself is from a motion (N, n), the outputs (N, c) there, and their derivatives
+        (N, c, m) by the parameters; known: what holding inputs gets wrong (`left` of a simulation)."""
+        [f, g] = self._at(self._motion, times, x, v, p)
+        F, moved = zero_order_hold(f[:, :, 1 : self.n + 1], f[:, :, self.n + 1 :], steps)
+        beside = np.append(self.left(times, x, v, p, steps) - known, np.zeros((1, self.n)), axis=0)
+        driven = np.concatenate([-beside[:, :, None], moved], axis=2)  # of each column the response
+        states = recursion(F, np.eye(self.n)[None].repeat(len(F), axis=0), driven)[:-1]
+        by = g[:, :, 1 : self.n + 1] @ states[:, :, 1:] + g[:, :, self.n + 1 :]
+        return states[:, :, 0], g[:, :, 0], by

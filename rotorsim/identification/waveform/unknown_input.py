@@ -28,6 +28,7 @@ TIMES_FORGOTTEN = (1.0, 3.0, 10.0)  # times in a run that a signal is forgotten,
 FROZEN = 5  # samples of each run whose transfer vectors are compared
 PARALLEL = 1e-9  # less than one: cosine between transfer vectors that are equal but for rounding
 LEAST_RESPONSE = 1e-12  # of the largest of all places: what has less does not show
+STATE_STRENGTHS = (0.1, 1.0, 10.0, 100.0)  # strengths of what drives all states, in noise of the outputs a sample
 REGULAR = 1e-3  # of the noise, by states that are driven at every sample: what nothing drives has no steady filter
 DOUBLINGS = 30  # of the samples that a steady filter has seen: 1e9. From 40 on rounding decides where there is none
 CONVERGED = 1e-12  # relative change from which on there is one
@@ -132,15 +133,38 @@ class Whitening:
         return np.asarray(self.root @ (y - self.H @ recursion(self.F, self.gain, y)[:-1]))
 
 
-class UnknownInputs:
-    """Runs in which a signal is missing at one of P places; noise (c,): standard deviation of each output."""
+def smoothed_motion(runs: Sequence[LinearisedRun], noise: np.ndarray) -> list[np.ndarray]:
+    """Return the states (N, n) of each run, given all samples, where whatever is missing may drive every state.
 
-    def __init__(self, runs: Sequence[LinearisedRun], noise: np.ndarray) -> None:
+    So much as is likeliest; noise (c,): standard deviation of each output.
+    """
+    driven = [UnknownInputs(runs, noise, strength) for strength in STATE_STRENGTHS]
+    return min(driven, key=lambda one: one.deviance_of_states()).motion()
+
+
+class UnknownInputs:
+    """Runs in which a signal is missing at one of P places; noise (c,): standard deviation of each output.
+
+    regular: what drives all states besides, in responses of the size of the noise at each sample.
+    """
+
+    def __init__(self, runs: Sequence[LinearisedRun], noise: np.ndarray, regular: float = REGULAR) -> None:
         self.runs, self.noise = runs, np.asarray(noise)
         F, G, H, D = (M.mean(axis=0) for M in (runs[0].F, runs[0].G, runs[0].H, runs[0].D))
         self.scales = self._scales(F, G, H, D)
         states = self._scales(F, np.eye(len(F)), H, np.zeros_like(H))
-        self.regular = np.where(np.isfinite(states), REGULAR * states, 0.0) ** 2
+        self.regular = np.where(np.isfinite(states), regular * states, 0.0) ** 2
+
+    def deviance_of_states(self) -> float:
+        """Return -2 log likelihood where nothing is missing but what drives all states; infinite without a filter."""
+        sums, log_dets, kept = self._innovations([(0, 0.0)])
+        return float(sums[0, 0, 0] + log_dets[0]) if kept else np.inf
+
+    def motion(self) -> list[np.ndarray]:
+        """Return the smoothed states (N, n) of each run, where nothing is missing but what drives all states."""
+        weights = np.eye(1, 1 + self.runs[0].by_output.shape[2])
+        of_runs = (self._smoothed(run, [(0, 0.0)], weights)[0] for run in self.runs)
+        return [run.states + states[:, 0, :-1] for run, states in zip(self.runs, of_runs, strict=True)]
 
     def _scales(self, F: np.ndarray, G: np.ndarray, H: np.ndarray, D: np.ndarray) -> np.ndarray:
         """Return the amplitudes of a sine whose largest response is the noise, infinite where none shows."""
@@ -189,7 +213,10 @@ class UnknownInputs:
         while left and strengths[-1] <= STRONGEST:
             sums, log_dets, kept = self._innovations([(place, q) for place in left for q in strengths])
             for (place, q), G, log_det in zip(kept, sums, log_dets, strict=True):
-                change = np.linalg.lstsq(G[1:, 1:], G[1:, 0], rcond=INFORMATION_RANK)[0]
+                size = np.sqrt(np.maximum(np.diag(G)[1:], 0.0))  # or units decide what can be told
+                size[size == 0] = 1.0
+                scaled = np.linalg.lstsq(G[1:, 1:] / np.outer(size, size), G[1:, 0] / size, rcond=INFORMATION_RANK)
+                change = scaled[0] / size
                 misfit = float(G[0, 0] - G[0, 1:] @ change)
                 found = SignalEstimate(place, misfit, misfit + float(log_det), q, float(self.scales[place]), change)
                 if place not in best or found.deviance < best[place].deviance:

@@ -125,6 +125,9 @@ def test_what_cannot_be_is_no_explanation():
     said = "its growth is not significantly different from 3: bend"
     assert candidate(4.6, 1.0, simpler={"growth": (3.0, "bend")}).unphysical == said
     assert candidate(4.7, 1.0, simpler={"growth": (3.0, "bend")}).physical
+    fast, said = {"growth": (np.inf, "bend")}, said.replace("3:", "inf:")  # 1/growth of 1/100 +- 1/100^2 std
+    assert candidate(100.0, 61.0, sizes=(), simpler=fast).unphysical == said
+    assert candidate(100.0, 60.0, sizes=(), simpler=fast).physical
     assert candidate(5.0, 1.0, at_bound=True).unphysical == "its growth ended at a physical bound"
     assert candidate(5.0, 1.0, astray="e 1e+04 times as large").unphysical == "needs e 1e+04 times as large"
 

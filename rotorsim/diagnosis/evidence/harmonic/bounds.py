@@ -25,7 +25,7 @@ from rotorsim.signals.covariance import real_vector
 class LowerBounds:
     """Bounds on the misfit for every place where something may act on a fitted linear diagram."""
 
-    by_law = False
+    by_law, sure = False, True
     classes = ()
     carried: Mapping[str, float] = {}
 

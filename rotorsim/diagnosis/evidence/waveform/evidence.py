@@ -33,6 +33,8 @@ from rotorsim.identification.waveform.noise_model import refined
 from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, Label, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 
+TRACKED = 2  # times that a nonlinear diagram is linearised anew, about the motion that was measured
+
 WAVEFORM_TERMS = Terms(
     left_out="stretches left out one by one",
     predicted="stretches left out",
@@ -114,6 +116,7 @@ class WaveformEvidence(WaveformFits, Defaults):
         here = self._linearised(document)
         if here is None:
             return None
+        here = here.about_the_motion(TRACKED)
         variance, sampled = here.noise**2, here.sampled
         weight = self.rows / sum(run.size for run in sampled) / len(self.variance)  # as if these samples were all
         roots = np.sqrt(weight / variance)

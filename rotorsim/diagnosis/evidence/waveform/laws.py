@@ -86,6 +86,11 @@ class LawBounds:
         self._plain: View | None = None
         self._beside_free: dict[int, View | None] = {}
 
+    @property
+    def sure(self) -> bool:
+        """Whether the diagram is linear along its runs: else laws and parameters change what others do."""
+        return all(run.constant for run in self.runs)
+
     @cached_property
     def estimates(self) -> list[SignalEstimate]:
         """Free signals at all places that show, the likeliest first."""
@@ -95,7 +100,7 @@ class LawBounds:
     def carried(self) -> Mapping[str, float]:
         """The largest magnitude of what each place carries, smoothed with the likeliest free signal, by flat name."""
         smoothed = [self._smoothed[item.place].wires for item in self.estimates[:1]]
-        wires = np.concatenate([*smoothed, [run.wires for run in self.runs]][0])
+        wires = np.concatenate([*smoothed, [run.carried for run in self.runs]][0])
         return {place.port: float(size) for place, size in zip(self.places, np.abs(wires).max(axis=0), strict=True)}
 
     @cached_property
@@ -253,7 +258,7 @@ class LawBounds:
             self._plain = View.of(self.runs, self.roots)
         likely = {item.place: item for item in self.estimates[:SMOOTHED_PLACES]}
         if place not in likely:
-            yield [run.wires for run in self.runs], self._plain
+            yield [run.carried for run in self.runs], self._plain
             return
         item = likely[place]
         carried = self._smoothed[place].wires

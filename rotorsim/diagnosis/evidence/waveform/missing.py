@@ -12,9 +12,9 @@ from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagnosis.evidence.waveform.laws import spot_of
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import SampledRun
-from rotorsim.identification.waveform.linearised import LinearisedRun, Place, simulated_signals
+from rotorsim.identification.waveform.linearised import LinearisedRun, Place, linearised, simulated_signals
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
-from rotorsim.identification.waveform.unknown_input import Smoothed, UnknownInputs
+from rotorsim.identification.waveform.unknown_input import Smoothed, UnknownInputs, smoothed_motion
 
 BINS = 20  # of equal numbers of samples, and of equal width, whose means are what a map of one signal explains
 OWN = 0.9  # of what the best explains: what explains as much and comes before it is drawn
@@ -35,6 +35,16 @@ class Linearised:
     def sampled(self) -> Sequence[SampledRun]:
         """The runs as they were measured."""
         return self.search.runs
+
+    def about_the_motion(self, times: int) -> Linearised:
+        """Return a nonlinear diagram linearised about the motion that was measured, found in some steps."""
+        here = self
+        for _ in range(0 if all(run.constant for run in self.runs) else times):
+            motion = smoothed_motion(here.runs, self.noise)
+            if not all(np.isfinite(states).all() for states in motion):
+                break
+            here = replace(here, runs=linearised(self.diagram, self.search, self.evaluation, self.places, motion))
+        return here
 
     def unknown(self, *, known: bool = False) -> UnknownInputs:
         """Return the hypotheses of a signal at each place; known: the parameters stay as they are."""
