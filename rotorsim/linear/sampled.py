@@ -1,8 +1,9 @@
 """Linear equations x' = A x + B v from sample to sample, exactly, and the recursion of what follows.
 
-With M = A h: phi_1 = int_0^1 exp((1 - s) M) ds, phi_2 = int_0^1 exp((1 - s) M) s ds, exp M = 1 + M phi_1,
-phi_1 = 1 + M phi_2, and for twice the step phi_1(2 M) = (1 + exp M) phi_1 / 2, phi_2(2 M) = (exp M phi_2 + phi_1 +
-phi_2) / 4. SciPy's expm, the same to rounding, takes matrices one by one and gives neither phi nor derivatives.
+With M = A h: phi_k = int_0^1 exp((1 - s) M) s^(k-1) / (k-1)! ds, exp M = 1 + M phi_1, phi_1 = 1 + M phi_2,
+phi_2 = 1/2 + M phi_3, and for twice the step phi_1(2 M) = (exp M phi_1 + phi_1) / 2, phi_2(2 M) = (exp M phi_2 + phi_1
++ phi_2) / 4, phi_3(2 M) = (exp M phi_3 + phi_1 / 2 + phi_2 + phi_3) / 8. SciPy's expm, the same to rounding, takes
+matrices one by one and gives neither phi nor derivatives.
 
 Source: Al-Mohy & Higham, SIAM J. Sci. Comput. 33 (2011) 488, 2; Van Loan, IEEE Trans. Autom. Control 23 (1978) 395;
 Skaflestad & Wright, Appl. Numer. Math. 59 (2009) 783 (doubling); Parlett & Reinsch, Numer. Math. 13 (1969) 293.
@@ -20,7 +21,7 @@ from scipy.linalg import matrix_balance
 
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 
-TERMS = 18  # of the series of phi_2 at a norm of 1: the next is 1/20! = 4e-19
+TERMS = 18  # of the series of phi_3 at a norm of 1: the next is 1/21! = 2e-20
 MOST_DOUBLINGS = 30  # of a step: each may double the rounding of slow modes beside fast ones, 2^30 eps = 2.4e-7
 
 _C = """
@@ -189,14 +190,38 @@ class Tangent:
         """Return a multiple."""
         return Tangent(self.value * factor, self.slopes * factor)
 
-    def plus_one(self) -> Tangent:
-        """Return it plus the unit matrix."""
-        return Tangent(self.value + np.eye(self.value.shape[-1]), self.slopes)
+    def plus(self, factor: float = 1.0) -> Tangent:
+        """Return it plus a multiple of the unit matrix."""
+        return Tangent(self.value + factor * np.eye(self.value.shape[-1]), self.slopes)
+
+
+@dataclass(frozen=True, eq=False)
+class Phi:
+    """exp M, phi_1, phi_2 and phi_3 of matrices M (.., n, n), with their derivatives."""
+
+    exp: Tangent
+    one: Tangent
+    two: Tangent
+    three: Tangent
+
+    def doubled(self) -> Phi:
+        """Return those of 2 M."""
+        F, one, two, three = self.exp, self.one, self.two, self.three
+        return Phi(
+            F @ F,
+            (F @ one + one).times(1 / 2),
+            (F @ two + one + two).times(1 / 4),
+            (F @ three + one.times(1 / 2) + two + three).times(1 / 8),
+        )
+
+    def times(self, factor: float | np.ndarray) -> Phi:
+        """Return all of them times a factor."""
+        return Phi(*(part.times(factor) for part in (self.exp, self.one, self.two, self.three)))
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def phi_functions(M: Tangent, most: float = np.inf) -> tuple[Tangent, Tangent, Tangent]:
-    """Return exp M, phi_1 and phi_2 of matrices (.., n, n), with their derivatives.
+def phi_functions(M: Tangent, most: float = np.inf) -> Phi:
+    """Return exp M, phi_1, phi_2 and phi_3 of matrices (.., n, n), with their derivatives.
 
     M is balanced first, since states have units of any size. NaN where so many doublings are not enough.
     """
@@ -209,26 +234,25 @@ def phi_functions(M: Tangent, most: float = np.inf) -> tuple[Tangent, Tangent, T
     doublings = max(int(np.ceil(np.log2(max(norm, 1e-300)))), 0) if np.isfinite(norm) else 0
     if doublings > most:
         nothing = M.times(np.nan)
-        return nothing, nothing, nothing
+        return Phi(nothing, nothing, nothing, nothing)
     M = M.times(0.5**doublings)
     series = Tangent(np.broadcast_to(np.eye(n), M.value.shape), np.zeros_like(M.slopes))
-    for k in range(TERMS, 2, -1):
-        series = (M @ series).times(1 / k).plus_one()
-    two = series.times(0.5)
-    one = (M @ two).plus_one()
-    F = (M @ one).plus_one()
+    for k in range(TERMS, 3, -1):
+        series = (M @ series).times(1 / k).plus()
+    three = series.times(1 / 6)
+    two = (M @ three).plus(1 / 2)
+    one = (M @ two).plus()
+    found = Phi((M @ one).plus(), one, two, three)
     for _ in range(doublings):
-        two = (F @ two + one + two).times(0.25)
-        one = (F @ one + one).times(0.5)
-        F = F @ F
-    return F.times(unscaled), one.times(unscaled), two.times(unscaled)
+        found = found.doubled()
+    return found.times(unscaled)
 
 
 def zero_order_hold(A: np.ndarray, B: np.ndarray, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return F = exp(A dt) and G = int exp(A s) ds B (N, n, ..) for inputs that are held over steps dt (N,)."""
     M = A * dt[:, None, None]
-    F, one, _ = phi_functions(Tangent(M, np.zeros((0, *M.shape))))
-    return F.value, one.value @ B * dt[:, None, None]
+    phi = phi_functions(Tangent(M, np.zeros((0, *M.shape))))
+    return phi.exp.value, phi.one.value @ B * dt[:, None, None]
 
 
 def first_order_hold(A: Tangent, B: Tangent, dt: float) -> tuple[Tangent, Tangent, Tangent]:
@@ -236,6 +260,6 @@ def first_order_hold(A: Tangent, B: Tangent, dt: float) -> tuple[Tangent, Tangen
 
     NaN where A dt is larger than 2^MOST_DOUBLINGS.
     """
-    F, one, two = phi_functions(A.times(dt), MOST_DOUBLINGS)
-    H = (two @ B).times(dt)
-    return F, (one @ B).times(dt) + H.times(-1.0), H
+    phi = phi_functions(A.times(dt), MOST_DOUBLINGS)
+    H = (phi.two @ B).times(dt)
+    return phi.exp, (phi.one @ B).times(dt) + H.times(-1.0), H

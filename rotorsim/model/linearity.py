@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import casadi as ca
@@ -28,3 +31,87 @@ def is_affine(of: Any, by: Any) -> bool:
             return False
         moves[to[0]] = any(held)
     return True
+
+
+@dataclass(frozen=True, eq=False)
+class SemiLinear:
+    """of = a + B [by; w], w = phi(by, fast, slow): what is linear in ``by``, and the laws of the rest.
+
+    of (k,), phi (r,): expressions, the former of by and of the symbols w (r,). B depends on neither by nor fast, a on
+    none of the three.
+    """
+
+    of: Any
+    w: Any
+    phi: Any
+
+
+class _Kind(IntEnum):
+    """What a term is: steady, of what changes slowly alone, linear in ``by`` and in laws, or a law itself."""
+
+    STEADY = 0
+    SLOW = 1
+    LINEAR = 2
+    LAW = 3
+
+
+@dataclass(frozen=True)
+class _Term:
+    kind: _Kind
+    value: Any  # as given
+    linear: Any  # with symbols for terms that are neither independent nor linear
+
+
+def semi_linear(of: Any, by: Any, fast: Any, slow: Any) -> SemiLinear:
+    """Return an expression with what is not linear in symbols ``by``, or changes with ``fast`` and ``slow``, apart."""
+    others = [one for one in ca.symvar(ca.SX(of)) if not ca.depends_on(one, ca.vertcat(by, fast, slow))]
+    given = [by, fast, slow, ca.vertcat(*others)]
+    kinds = (_Kind.LINEAR, _Kind.LAW, _Kind.SLOW, _Kind.STEADY)
+    function = ca.Function("f", given, [ca.cse(ca.densify(of))])
+    work: dict[int, _Term] = {}
+    symbols: list[Any] = []
+    laws: list[Any] = []
+    out = ca.SX.zeros(function.numel_out(0))
+
+    def linear(place: int, entering: bool = True) -> Any:
+        """Return a term that is linear, a symbol in the place of what is a law."""
+        term = work[place]
+        if term.kind == _Kind.LAW or (term.kind == _Kind.SLOW and entering):
+            symbols.append(ca.SX.sym("w"))
+            laws.append(term.value)
+            work[place] = term = _Term(_Kind.LINEAR, term.value, symbols[-1])
+        return term.linear
+
+    for k in range(function.n_instructions()):
+        op, places, to = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if op == ca.OP_OUTPUT:
+            out[to[1]] = linear(places[0])
+        elif op == ca.OP_INPUT:
+            symbol = given[places[0]][places[1]]
+            work[to[0]] = _Term(kinds[places[0]], symbol, symbol)
+        elif op == ca.OP_CONST:
+            constant = ca.SX(function.instruction_constant(k))
+            work[to[0]] = _Term(_Kind.STEADY, constant, constant)
+        else:
+            kind = _kind_of(op, [work[place].kind for place in places])
+            value = _applied(op, [work[place].value for place in places])
+            parts = [linear(place, op in _SUMS) for place in places] if kind == _Kind.LINEAR else []
+            work[to[0]] = _Term(kind, value, _applied(op, parts) if parts else value)
+    used = [k for k, symbol in enumerate(symbols) if ca.depends_on(out, symbol)]
+    w, phi = ca.vertcat(*[symbols[k] for k in used]), ca.vertcat(*[laws[k] for k in used])
+    return SemiLinear(out, ca.SX(w), ca.SX(phi))
+
+
+def _kind_of(op: int, kinds: Sequence[_Kind]) -> _Kind:
+    if max(kinds) <= _Kind.SLOW:
+        return max(kinds)
+    if op in _SUMS:
+        return _Kind.LINEAR if _Kind.LINEAR in kinds else _Kind.LAW
+    moves = [k for k, kind in enumerate(kinds) if kind > _Kind.SLOW]
+    factor = op == ca.OP_MUL or (op, *moves) in ((ca.OP_DIV, 0), (ca.OP_IF_ELSE_ZERO, 1))
+    forced = _Kind.LAW in kinds and _Kind.SLOW in kinds  # what drives is followed from instant to instant
+    return _Kind.LINEAR if len(moves) == 1 and factor and not forced else _Kind.LAW
+
+
+def _applied(op: int, values: Sequence[Any]) -> Any:
+    return ca.SX.unary(op, values[0]) if len(values) == 1 else ca.SX.binary(op, *values)

@@ -173,7 +173,8 @@ def _base(
         turned = [start.copy() for _ in starts]
         for point, other in zip(turned, starts, strict=True):
             point[search.angles] = other[search.angles]
-        start = min((search.minimise(point, ANGLE_STEPS) for point in turned), key=attrgetter("cost")).unknowns
+        still = replace(search, systems=tuple(replace(system, by_start=False) for system in systems), hold="starts")
+        start = min((still.minimise(point, ANGLE_STEPS) for point in turned), key=attrgetter("cost")).unknowns
     evaluation = search.minimise(start)
     if is_lost(search, evaluation):
         evaluation = min(evaluation, search.minimise(shot(search, start)), key=attrgetter("cost"))

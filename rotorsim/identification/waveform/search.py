@@ -198,6 +198,10 @@ class OutputErrorSearch:
             v = run.inputs(eq.inputs, 1)[:, ::2]
             return system.exact(p, own[eq.m :], v, run.dt, sensitivities=sensitivities)
         v = run.inputs(eq.inputs, sub)
+        if run.steps is None:
+            found = system.in_exponential_steps(p, own[eq.m :], v, run.dt, t0=run.start, sensitivities=sensitivities)
+            if found is not None:
+                return found
         steps = run.dt if run.steps is None else run.steps
         return system.simulate(p, own[eq.m :], v, steps, t0=run.start, sensitivities=sensitivities)
 

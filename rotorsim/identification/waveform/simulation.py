@@ -7,7 +7,7 @@ are those of the steps themselves. Without a C compiler CasADi's virtual machine
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -16,33 +16,15 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.identification.waveform.equations import DrivenEquations
-from rotorsim.linear.sampled import LARGE, SMALL, Tangent, first_order_hold, response
-from rotorsim.model.emit import program as ir
-from rotorsim.model.emit.program import Program
+from rotorsim.identification.waveform.exponential import ExponentialSteps, Split
+from rotorsim.identification.waveform.source import source_of
+from rotorsim.linear.sampled import LARGE, Tangent, first_order_hold, response
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
-from rotorsim.model.emit.writer import Writer, array_leaf
 from rotorsim.model.runge_kutta import RK4
 
 LONG = 1_000_000  # characters: of a shaft of finite elements -O3 takes five times as long, for code 15 % faster
 
 _RUNTIME = r"""
-/* out += (sparse value) S, whose last rows are the unit vectors of the parameters; RS_K columns. */
-#define RS_MULTIPLY(name, COUNT, rows, cols)                                              \
-  static inline void name(const double *value, const double *S, double *out) {            \
-    for (int e = 0; e < COUNT; ++e) {                                                     \
-      double *restrict to = out + rows[e] * RS_K;                                         \
-      const double a = value[e];                                                          \
-      if (cols[e] < RS_N) {                                                               \
-        const double *restrict from = S + cols[e] * RS_K;                                 \
-        for (int k = 0; k < RS_K; ++k) to[k] += a * from[k];                              \
-      } else {                                                                            \
-        to[cols[e] - RS_N] += a;                                                          \
-      }                                                                                   \
-    }                                                                                     \
-  }
-RS_MULTIPLY(rs_multiply_f, RS_F_COUNT, rs_f_rows, rs_f_cols)
-RS_MULTIPLY(rs_multiply_g, RS_G_COUNT, rs_g_rows, rs_g_cols)
-
 /* w = [x, S]: state and its sensitivities (S only with exact). */
 static inline void rs_rates(int exact, double t, const double *w, const double *v, const double *p, const double *c,
                             double *dw, double *jac, double *work) {
@@ -145,6 +127,18 @@ class Simulation:
         run.argtypes, run.restype = [ctypes.c_int, i64, i64, *[ptr] * 8], i64
         return run, size
 
+    @cached_property
+    def _exponential(self) -> ExponentialSteps | None:
+        split = Split.of(self.equations) if self.use_compiler and find_compiler() else None
+        return None if split is None else ExponentialSteps(self.equations, split, self.columns)
+
+    def in_exponential_steps(
+        self, p: np.ndarray, x0: np.ndarray, v: np.ndarray, dt: float, *, t0: float = 0.0, sensitivities: bool = True
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return what `simulate` does of a shaft that turns, its linear part exactly; None where that cannot be."""
+        steps = self._exponential
+        return None if steps is None else steps.simulate(p, x0, v, dt, t0, sensitivities)
+
     def simulate(
         self,
         p: np.ndarray,
@@ -245,57 +239,8 @@ def _interpreter(eq: DrivenEquations, N: int, sub: int, K: int) -> tuple[Any, An
 
 
 def _source(eq: DrivenEquations, columns: int) -> tuple[str, int]:
-    """Return the C source of a simulation with as many sensitivities, and the size of its memory beside the states."""
-    width = eq.n + eq.m
-    jacobians = {
-        key: eq.jacobian(of) if columns else ca.SX(of.shape[0], width) for key, of in (("f", eq.f), ("g", eq.g))
-    }
-    expressions = [eq.f, jacobians["f"].nz[:], eq.g, jacobians["g"].nz[:]]
-    function = ca.Function("f", list(eq.arguments), [ca.densify(expression) for expression in expressions])
-    program = Program()
-    f, f_jacobian, g, g_jacobian = program.load(function, ("t", "x", "v", "p"))
-    hoisted = program.boundary([*f, *f_jacobian, *g, *g_jacobian], ir.LEVEL_PARAMETER)
-    constants = [k for k in hoisted if program.nodes[k][0] != ir.INPUT]
-    given = {node: f"c[{k}]" for k, node in enumerate(constants)}
-    inputs = ("t", "x", "v", "p", "c")
-
-    def written(name: str, inputs: Sequence[str], known: Mapping[int, str], **out: Sequence[int]) -> tuple[str, int]:
-        arguments = ["double t" if key == "t" else f"const double *{key}" for key in inputs]
-        arguments += [f"double *{key}" for key in (*out, "work")]
-        targets = [(f"{key}[{k}]", node) for key, nodes in out.items() for k, node in enumerate(nodes)]
-        call = ", ".join([*inputs, *out, "work"])
-        return Writer(program, known, array_leaf).text(name, ", ".join(arguments), call, targets)
-
-    parts = [
-        written("rs_constants", ("p",), {}, c=constants),
-        written("rs_f", inputs, given, out=f),
-        written("rs_f_jacobian", inputs, given, out=f, jac=f_jacobian),
-        written("rs_g", inputs, given, out=g),
-        written("rs_g_jacobian", inputs, given, out=g, jac=g_jacobian),
-    ]
-    work, jac = max(size for _, size in parts), max(len(f_jacobian), len(g_jacobian))
-    sizes = {
-        "RS_N": eq.n,
-        "RS_K": columns,
-        "RS_C": len(eq.outputs),
-        "RS_NV": len(eq.inputs),
-        "RS_NC": len(constants),
-        "RS_WORK": work,
-        "RS_JAC": jac,
-        "RS_F_COUNT": len(f_jacobian),
-        "RS_G_COUNT": len(g_jacobian),
-        "RS_LARGE": LARGE,
-        "RS_SMALL": SMALL,
-    }
-    head = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
-    head += [f"#define {name} {value}" for name, value in sizes.items()]
-    head += ["#if defined(_WIN32)", "#define RS_EXPORT __declspec(dllexport)", "#else"]
-    head += ['#define RS_EXPORT __attribute__((visibility("default")))', "#endif"]
-    for name, jacobian in jacobians.items():
-        for key, places in zip(("rows", "cols"), jacobian.sparsity().get_triplet(), strict=True):
-            head.append(f"static const int rs_{name}_{key}[] = {{{', '.join(map(str, places)) or 0}}};")
-    text = "\n".join([*head, *(text for text, _ in parts), _RUNTIME.replace("RS_STEP", _step_in_c())])
-    return text, len(constants) + work + jac
+    """Return the C source of Runge-Kutta steps with as many sensitivities, and the size of its fixed memory."""
+    return source_of(eq, eq.f, eq.g, columns, _RUNTIME.replace("RS_STEP", _step_in_c()), {})
 
 
 def _step_in_c() -> str:

@@ -1,0 +1,166 @@
+"""Exponential steps of a turning shaft: against SciPy's integration, their order, derivatives, and fallbacks."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from rotorsim.identification.waveform import exponential
+from rotorsim.identification.waveform.equations import DrivenEquations, driven_equations
+from rotorsim.identification.waveform.exponential import Split
+from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.model.linearity import semi_linear
+from rotorsim.model.load import load
+
+DT, SAMPLES = 1e-3, 300
+OUTPUTS = ["rotor.displacement[1]", "rotor.displacement[2]"]
+INPUTS = ["clock.theta", "clock.speed", "clock.acceleration"]
+SPEED, ACCELERATION = 300.0, 400.0  # at first [rad/s], and after [rad/s^2]
+THETA = np.array([76.0, 24e-6, 2e14])  # damping, eccentricity, cubic stiffness
+START = np.array([2e-5, 1e-5, 1e-4, 0.0, 0.0, 0.01, 0.0, 0.02])
+ROTOR = {
+    "schema_version": 1,
+    "name": "disc",
+    "blocks": {
+        "clock": {"type": "clock", "parameters": {"speed": SPEED}},
+        "rotor": {"type": "rotor_4dof"},
+        "unbalance": {"type": "unbalance", "parameters": {"phase": 0.0}},
+        "spring": {"type": "cubic_stiffness", "parameters": {"stiffness": THETA[2]}},
+    },
+    "wires": [
+        ["clock.theta", "unbalance.theta"],
+        ["clock.speed", "unbalance.speed"],
+        ["clock.acceleration", "unbalance.acceleration"],
+        ["clock.speed", "rotor.speed"],
+        ["unbalance.force", "rotor.force"],
+        ["rotor.displacement", "spring.displacement"],
+        ["spring.force", "rotor.force"],
+    ],
+    "solver": {"method": "rk4", "step": "1 ms", "stop": "1 s"},
+    "record": ["rotor.displacement"],
+    "identify": {"rotor.viscous_damping": {}, "unbalance.eccentricity": {}, "spring.stiffness": {}},
+}
+
+
+def equations_of(document: dict = ROTOR) -> DrivenEquations:
+    diagram = load(document)
+    return driven_equations(diagram, OUTPUTS, INPUTS, diagram.free)
+
+
+@pytest.fixture(scope="module")
+def equations() -> DrivenEquations:
+    return equations_of()
+
+
+def driven(samples: int, sub: int, acceleration: float = ACCELERATION) -> np.ndarray:
+    """Return angle, speed and acceleration at ends and middles of steps, (N, 2 sub + 1, 3)."""
+    t = (np.arange(samples)[:, None] + np.arange(2 * sub + 1) / (2 * sub)) * DT
+    speed = SPEED + acceleration * t
+    return np.stack([SPEED * t + acceleration * t**2 / 2, speed, np.full_like(t, acceleration)], axis=2)
+
+
+def integrated(theta: np.ndarray, samples: int = SAMPLES, acceleration: float = ACCELERATION) -> np.ndarray:
+    """Return the displacements (N, 2) of the disc by SciPy; u and a are complex.
+
+    2 u'' + c u' + 11 a' + 7.6e5 u + 8900 a = -k |u|^2 u + 2 e (W^2 - i W') exp(i theta)
+    0.0024 a'' + 11 u' + 6 a' + 8900 u + 2350 a = 0.0048 i W a'
+    """
+    c, e, k = theta
+
+    def rates(t, x):
+        u, a, du, da = x[0] + 1j * x[1], x[2] + 1j * x[3], x[4] + 1j * x[5], x[6] + 1j * x[7]
+        speed, angle = SPEED + acceleration * t, SPEED * t + acceleration * t**2 / 2
+        force = 2.0 * e * (speed**2 - 1j * acceleration) * np.exp(1j * angle) - k * abs(u) ** 2 * u
+        ddu = (force - c * du - 11 * da - 7.6e5 * u - 8900 * a) / 2.0
+        dda = (0.0048j * speed * da - 11 * du - 6 * da - 8900 * u - 2350 * a) / 0.0024
+        return [part for z in (du, da, ddu, dda) for part in (z.real, z.imag)]
+
+    times = np.arange(samples) * DT
+    options = {"rtol": 1e-12, "atol": 1e-15, "method": "DOP853"}
+    return solve_ivp(rates, (0, times[-1]), START, t_eval=times, **options).y[:2].T
+
+
+def stepped(equations: DrivenEquations, theta: np.ndarray, sub: int, acceleration: float = ACCELERATION):
+    p, v = equations.parameters(equations.model.p0, theta), driven(SAMPLES, sub, acceleration)
+    return Simulation(equations).in_exponential_steps(p, START, v, DT)
+
+
+@pytest.mark.parametrize("cubic", [THETA[2], 0.0])
+def test_the_error_falls_with_the_fourth_power_of_the_step(equations, cubic):
+    theta = np.array([*THETA[:2], cubic])
+    exact = integrated(theta, acceleration=0.0)
+    errors = [np.abs(stepped(equations, theta, sub, 0.0)[0] - exact).max() for sub in (1, 2, 4)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.6)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(4, abs=0.6)
+
+
+def test_steps_are_more_accurate_than_those_of_runge_kutta_of_four_times_their_number():
+    """x' = A x + q: a tilt that is fast in a step of Runge-Kutta is exact here."""
+    document = {**ROTOR, "blocks": {k: b for k, b in ROTOR["blocks"].items() if k != "spring"}}
+    document["wires"] = [wire for wire in ROTOR["wires"] if "spring" not in "".join(wire)]
+    document["identify"] = {key: {} for key in ROTOR["identify"] if "spring" not in key}
+    linear, exact = equations_of(document), integrated(np.array([*THETA[:2], 0.0]), acceleration=0.0)
+    p = linear.parameters(linear.model.p0, THETA[:2])
+    own = Simulation(linear).in_exponential_steps(p, START, driven(SAMPLES, 1, 0.0), DT)[0]
+    steps = Simulation(linear).simulate(p, START, driven(SAMPLES, 4, 0.0), DT)[0]
+    assert np.abs(own - exact).max() < np.abs(steps - exact).max()
+
+
+def test_derivatives_are_those_of_the_steps(equations):
+    _, derivatives = stepped(equations, THETA, 2)
+    p, v = lambda theta: equations.parameters(equations.model.p0, theta), driven(SAMPLES, 2)
+    simulation = Simulation(equations)
+    for j in range(len(THETA) + len(START)):
+        step = 1e-5 * THETA[j] if j < len(THETA) else 1e-8
+        ends = []
+        for sign in (1, -1):
+            theta, start = THETA.copy(), START.copy()
+            (theta if j < len(theta) else start)[j if j < len(theta) else j - len(theta)] += sign * step
+            ends.append(simulation.in_exponential_steps(p(theta), start, v, DT, sensitivities=False)[0])
+        expected = (ends[0] - ends[1]) / (2 * step)
+        assert np.abs(derivatives[:, :, j] - expected).max() < 1e-5 * np.abs(expected).max()
+
+
+def test_blocks_of_samples_follow_a_shaft_that_runs_up_fast(equations, monkeypatch):
+    """In a block the speed is that of its middle: the error is of second order in its length."""
+    exact, errors = integrated(THETA), {}
+    for block in (exponential.BLOCK, 16, 32):
+        monkeypatch.setattr(exponential, "BLOCK", block)
+        errors[block] = np.abs(stepped(equations, THETA, 4)[0] - exact).max()
+    assert errors[32] / errors[16] == pytest.approx(4, rel=0.5)
+    assert errors[8] < 1e-4 * np.abs(exact).max()  # in 8 ms, in which the speed rises by 1 %
+
+
+def test_what_changes_with_the_angle_or_is_not_linear_is_a_law(equations):
+    split = Split.of(equations)
+    assert (split.laws, [equations.inputs[k] for k in split.slow]) == (2, ["clock.speed"])
+    assert split.q.numel() == 5  # the force of the spring and the unbalance in x and y, and 1
+
+
+def test_no_shaft_no_compiler_or_a_run_that_diverges(equations, monkeypatch):
+    p, v = equations.parameters(equations.model.p0, THETA), driven(SAMPLES, 1)
+    assert Simulation(equations, use_compiler=False).in_exponential_steps(p, START, v, DT) is None
+    soft = equations.parameters(equations.model.p0, np.array([-1e6, 24e-6, 0.0]))
+    y, dy = Simulation(equations).in_exponential_steps(soft, START, v, DT)
+    assert np.isfinite(y[0]).all()
+    assert np.isnan(y[-1]).all()
+    assert np.isnan(dy[-1]).all()
+    diagram = load(ROTOR)
+    still = driven_equations(diagram, OUTPUTS, [], diagram.free)
+    assert Split.of(still) is None
+
+
+def test_a_semi_linear_form_is_the_same_expression():
+    x, u, s, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("s"), ca.SX.sym("p")
+    touched = ca.fmax(x[0] - p, 0) * x[1]
+    of = ca.vertcat(p * s * x[0] + s**2 * ca.cos(u) - 3 * touched / p, u * x[0] + x[1] + ca.sin(x[1]), s / p + x[0])
+    found = semi_linear(of, x, u, s)
+    assert found.w.numel() == 5  # unbalance, contact, what the input multiplies, the sine, what is slow
+    B = ca.jacobian(found.of, ca.vertcat(x, found.w))
+    assert not ca.depends_on(B, ca.vertcat(x, u, found.w))
+    assert ca.depends_on(B, s)
+    assert not ca.depends_on(ca.substitute(found.of, ca.vertcat(x, found.w), ca.SX.zeros(7)), s)
+    both = [ca.Function("f", [x, u, s, p], [e]) for e in (of, ca.substitute(found.of, found.w, found.phi))]
+    for point in np.random.default_rng(1).normal(size=(5, 5)):
+        given = point[:2], point[2], point[3], abs(point[4])
+        np.testing.assert_allclose(both[0](*given), both[1](*given), rtol=1e-14)
