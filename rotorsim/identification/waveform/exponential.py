@@ -17,7 +17,7 @@ Berrut & Trefethen, SIAM Rev. 46 (2004) 501, eq. (4.2) and (5.4).
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -196,6 +196,7 @@ class ExponentialSteps:
         self.equations, self.split, self.columns = equations, split, columns
         self.n, self.c, self.r = equations.n, len(equations.outputs), split.q.numel()
         self._points: dict[tuple[Any, ...], list[np.ndarray]] = {}
+        self._known: dict[tuple[Any, ...], np.ndarray] = {}  # those of the run before, if they are the same
 
     @property
     def _shapes(self) -> dict[str, tuple[int, int]]:
@@ -224,19 +225,35 @@ class ExponentialSteps:
         return run, size + ends[-1] * (1 + self.equations.m)
 
     def simulate(
-        self, p: np.ndarray, x0: np.ndarray, v: np.ndarray, dt: float, t0: float, sensitivities: bool
+        self,
+        p: np.ndarray,
+        x0: np.ndarray,
+        v: np.ndarray,
+        dt: float,
+        t0: float,
+        sensitivities: bool,
+        ranges: Mapping[str, tuple[float, float]],
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return y (N, c) and its derivatives (N, c, columns), as `Simulation.simulate`; None where it cannot."""
+        """Return y (N, c) and its derivatives (N, c, columns), as `Simulation.simulate`; None where it cannot.
+
+        ranges: of inputs in all runs, whose matrices are then computed once; default those of this one.
+        """
         sub, K = v.shape[1] // 2, self.columns if sensitivities else 0
         slow = v[:, sub, self.split.slow]  # in the middle of what follows each sample
-        points = self._points_of(slow, p, dt / sub)
+        names = [self.equations.inputs[k] for k in self.split.slow]
+        own = zip(names, slow.min(axis=0, initial=np.inf), slow.max(axis=0, initial=-np.inf), strict=True)
+        points = self._points_of([ranges.get(name, (low, high)) for name, low, high in own], p, dt / sub)
         if self._library is None or points is None:
             return None
         run, size = self._library
         N, block = len(v), BLOCK if self.split.slow else len(v)
         means = np.add.reduceat(slow, np.arange(0, N, block)) / np.minimum(block, N - np.arange(0, N, block))[:, None]
         weights = _weights(points, means)
-        tables = self._tables(points, p, dt / sub, self.equations.m if K else 0)
+        m = self.equations.m if K else 0
+        key = (p.tobytes(), dt / sub, m, *(one.tobytes() for one in points))
+        if key not in self._known:
+            self._known = {key: self._tables(points, p, dt / sub, m)}
+        tables = self._known[key]
         state = np.concatenate([x0, np.eye(self.n, K, self.equations.m).ravel()])
         y, dy = np.empty((N, self.c)), np.empty((N, self.c, K))
         memory = np.zeros(size + (2 * self.n + 4 * self.r) * (1 + K))
@@ -246,14 +263,13 @@ class ExponentialSteps:
         y[done:], dy[done:] = np.nan, np.nan
         return y, dy
 
-    def _points_of(self, slow: np.ndarray, p: np.ndarray, h: float) -> list[np.ndarray] | None:
-        """Return the points of speed and of acceleration for the range in a run (N, k); None where too few do."""
-        low, high = slow.min(axis=0, initial=np.inf), slow.max(axis=0, initial=-np.inf)
-        key = (*low.tolist(), *high.tolist(), h)
+    def _points_of(self, ranges: list[tuple[float, float]], p: np.ndarray, h: float) -> list[np.ndarray] | None:
+        """Return the points of speed and of acceleration for their ranges; None where MOST_POINTS are too few."""
+        key = (*ranges, h)
         if key not in self._points:
-            middle = [np.array([(a + b) / 2]) for a, b in zip(low, high, strict=True)]
+            middle = [np.array([(a + b) / 2]) for a, b in ranges]
             found = list(middle)
-            for k, (a, b) in enumerate(zip(low, high, strict=True)):
+            for k, (a, b) in enumerate(ranges):
                 for count in range(1 if a == b else 2, MOST_POINTS + 1):
                     found[k] = _chebyshev(a, b, count)
                     alone = [*middle[:k], found[k], *middle[k + 1 :]]

@@ -94,6 +94,13 @@ class OutputErrorSearch:
         return [[run.measured(system.equations.outputs) for run in self.runs] for system in self.systems]
 
     @cached_property
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        """The least and the largest value of what drives the runs, in all of them."""
+        names = {name for run in self.runs for name in run.kinds if name in run.values}
+        every = {name: [run.values[name] for run in self.runs if name in run.values] for name in names}
+        return {name: (min(map(np.min, own)), max(map(np.max, own))) for name, own in every.items()}
+
+    @cached_property
     def p(self) -> list[np.ndarray]:
         """The parameters of the model in each run, (n_p,)."""
         return [self.systems[0].equations.model.parameter_vector(run.settings) for run in self.runs]
@@ -199,7 +206,10 @@ class OutputErrorSearch:
             return system.exact(p, own[eq.m :], v, run.dt, sensitivities=sensitivities)
         v = run.inputs(eq.inputs, sub)
         if run.steps is None:
-            found = system.in_exponential_steps(p, own[eq.m :], v, run.dt, t0=run.start, sensitivities=sensitivities)
+            start, ranges = own[eq.m :], self._ranges
+            found = system.in_exponential_steps(
+                p, start, v, run.dt, t0=run.start, sensitivities=sensitivities, ranges=ranges
+            )
             if found is not None:
                 return found
         steps = run.dt if run.steps is None else run.steps

@@ -7,7 +7,7 @@ are those of the steps themselves. Without a C compiler CasADi's virtual machine
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -133,11 +133,22 @@ class Simulation:
         return None if split is None else ExponentialSteps(self.equations, split, self.columns)
 
     def in_exponential_steps(
-        self, p: np.ndarray, x0: np.ndarray, v: np.ndarray, dt: float, *, t0: float = 0.0, sensitivities: bool = True
+        self,
+        p: np.ndarray,
+        x0: np.ndarray,
+        v: np.ndarray,
+        dt: float,
+        *,
+        t0: float = 0.0,
+        sensitivities: bool = True,
+        ranges: Mapping[str, tuple[float, float]] | None = None,
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return what `simulate` does of a shaft that turns, its linear part exactly; None where that cannot be."""
+        """Return what `simulate` does of a shaft that turns, its linear part exactly; None where that cannot be.
+
+        ranges: of inputs, in all runs that are simulated.
+        """
         steps = self._exponential
-        return None if steps is None else steps.simulate(p, x0, v, dt, t0, sensitivities)
+        return None if steps is None else steps.simulate(p, x0, v, dt, t0, sensitivities, ranges or {})
 
     def simulate(
         self,
