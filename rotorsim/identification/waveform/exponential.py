@@ -20,7 +20,7 @@ import ctypes
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import casadi as ca
@@ -33,6 +33,7 @@ from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compile
 from rotorsim.model.linearity import semi_linear
 from rotorsim.model.matrix_function import MatrixFunction
 
+DIGITS = 12  # of a step: the rest is rounding
 BLOCK = 8  # samples in which speed and acceleration are those of their mean: what is left is of second order in time
 INTERPOLATED = 1e-8  # relative error of interpolated matrices, far below what steps are good to
 MOST_POINTS = 9  # of speed, and of acceleration, between which matrices are interpolated
@@ -183,8 +184,10 @@ class Split:
         still = ca.substitute(found.of, ca.vertcat(x, found.w), ca.SX.zeros(eq.n + found.w.numel()))
         L = ca.sparsify(ca.horzcat(ca.jacobian(found.of, x), ca.jacobian(found.of, found.w), still))
         used = tuple(k for k in slow if ca.depends_on(L, v[k]))
-        slopes = [sum((ca.jacobian(ca.vec(L), p[slot]) for slot in own), ca.SX(L.numel(), 1)) for own in eq.slots]
-        whole = ca.horzcat(L, *(ca.reshape(one, *L.shape) for one in slopes))
+        slopes = ca.jacobian(L.nz[:], p[[slot for own in eq.slots for slot in own]])
+        ends = np.cumsum([0, *map(len, eq.slots)]).tolist()
+        by = (ca.sum2(slopes[:, first:last]) for first, last in pairwise(ends))
+        whole = ca.horzcat(L, *(ca.SX(L.sparsity(), ca.densify(one)) for one in by))
         given = [v, p]
         return cls(ca.vertcat(found.phi, 1), laws, used, (MatrixFunction(given, L), MatrixFunction(given, whole)))
 
@@ -239,10 +242,11 @@ class ExponentialSteps:
         ranges: of inputs in all runs, whose matrices are then computed once; default those of this one.
         """
         sub, K = v.shape[1] // 2, self.columns if sensitivities else 0
+        h = float(f"{dt / sub:.{DIGITS}g}")  # parts of one run have the same matrices
         slow = v[:, sub, self.split.slow]  # in the middle of what follows each sample
         names = [self.equations.inputs[k] for k in self.split.slow]
         own = zip(names, slow.min(axis=0, initial=np.inf), slow.max(axis=0, initial=-np.inf), strict=True)
-        points = self._points_of([ranges.get(name, (low, high)) for name, low, high in own], p, dt / sub)
+        points = self._points_of([ranges.get(name, (low, high)) for name, low, high in own], p, h)
         if self._library is None or points is None:
             return None
         run, size = self._library
@@ -250,9 +254,9 @@ class ExponentialSteps:
         means = np.add.reduceat(slow, np.arange(0, N, block)) / np.minimum(block, N - np.arange(0, N, block))[:, None]
         weights = _weights(points, means)
         m = self.equations.m if K else 0
-        key = (p.tobytes(), dt / sub, m, *(one.tobytes() for one in points))
+        key = (p.tobytes(), h, m, *(one.tobytes() for one in points))
         if key not in self._known:
-            self._known = {key: self._tables(points, p, dt / sub, m)}
+            self._known = {key: self._tables(points, p, h, m)}
         tables = self._known[key]
         state = np.concatenate([x0, np.eye(self.n, K, self.equations.m).ravel()])
         y, dy = np.empty((N, self.c)), np.empty((N, self.c, K))
