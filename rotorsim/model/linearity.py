@@ -64,7 +64,8 @@ class _Term:
 
 def semi_linear(of: Any, by: Any, fast: Any, slow: Any) -> SemiLinear:
     """Return an expression with what is not linear in symbols ``by``, or changes with ``fast`` and ``slow``, apart."""
-    others = [one for one in ca.symvar(ca.SX(of)) if not ca.depends_on(one, ca.vertcat(by, fast, slow))]
+    known = _hashes(ca.vertcat(by, fast, slow))
+    others = [one for one in ca.symvar(ca.SX(of)) if one.element_hash() not in known]
     given = [by, fast, slow, ca.vertcat(*others)]
     kinds = (_Kind.LINEAR, _Kind.LAW, _Kind.SLOW, _Kind.STEADY)
     function = ca.Function("f", given, [ca.cse(ca.densify(of))])
@@ -97,9 +98,15 @@ def semi_linear(of: Any, by: Any, fast: Any, slow: Any) -> SemiLinear:
             value = _applied(op, [work[place].value for place in places])
             parts = [linear(place, op in _SUMS) for place in places] if kind == _Kind.LINEAR else []
             work[to[0]] = _Term(kind, value, _applied(op, parts) if parts else value)
-    used = [k for k, symbol in enumerate(symbols) if ca.depends_on(out, symbol)]
+    entered = _hashes(out)
+    used = [k for k, symbol in enumerate(symbols) if symbol.element_hash() in entered]
     w, phi = ca.vertcat(*[symbols[k] for k in used]), ca.vertcat(*[laws[k] for k in used])
     return SemiLinear(out, ca.SX(w), ca.SX(phi))
+
+
+def _hashes(expression: Any) -> set[int]:
+    """Return what tells the symbols in an expression."""
+    return {symbol.element_hash() for symbol in ca.symvar(ca.SX(expression))}
 
 
 def _kind_of(op: int, kinds: Sequence[_Kind]) -> _Kind:

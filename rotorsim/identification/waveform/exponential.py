@@ -183,7 +183,8 @@ class Split:
             return None
         still = ca.substitute(found.of, ca.vertcat(x, found.w), ca.SX.zeros(eq.n + found.w.numel()))
         L = ca.sparsify(ca.horzcat(ca.jacobian(found.of, x), ca.jacobian(found.of, found.w), still))
-        used = tuple(k for k in slow if ca.depends_on(L, v[k]))
+        there = {symbol.element_hash() for symbol in ca.symvar(L)}
+        used = tuple(k for k in slow if v[k].element_hash() in there)
         slopes = ca.jacobian(L.nz[:], p[[slot for own in eq.slots for slot in own]])
         ends = np.cumsum([0, *map(len, eq.slots)]).tolist()
         by = (ca.sum2(slopes[:, first:last]) for first, last in pairwise(ends))

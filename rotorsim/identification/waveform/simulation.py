@@ -132,6 +132,11 @@ class Simulation:
         split = Split.of(self.equations) if self.use_compiler and find_compiler() else None
         return None if split is None else ExponentialSteps(self.equations, split, self.columns)
 
+    @property
+    def is_stable_in_any_step(self) -> bool:
+        """Whether steps are exact but for what drives them: exponential ones without laws of the states."""
+        return self._exponential is not None and not self._exponential.split.laws
+
     def in_exponential_steps(
         self,
         p: np.ndarray,
