@@ -109,6 +109,11 @@ class Insertion:
         return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Lines))
 
     @property
+    def begins_at_line(self) -> bool:
+        """Whether it begins at the line that stands out of the residual: what hum in one reading is, too."""
+        return any(isinstance(start, Dominant) for starts in self.fault.free.values() for start in starts)
+
+    @property
     def from_steps(self) -> tuple[str, ...]:
         """The parameters that take the quantisation step of readings."""
         return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Steps))
