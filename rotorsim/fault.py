@@ -50,6 +50,11 @@ class Sampled:
 
 
 @dataclass(frozen=True)
+class Dominant:
+    """A frequency [rad/s] that follows the data: of the line that stands out most of what the diagram leaves."""
+
+
+@dataclass(frozen=True)
 class Lines:
     """A value that follows the data: the frequency [rad/s] of lines that do not follow the shaft."""
 
@@ -82,11 +87,11 @@ class Fault:
       equal name keep their values.
     - "move": a block of this type acts at another place.
 
-    options: of the block where it enters. free: parameter -> starts (SI numbers, `Of`, `Longest` or `Sampled`), all of
-    them tried; bounds are those of the parameter; what is not free keeps its default. fixed: parameters that are set
-    once, to a number or by `Of` or `Sampled`, and not fitted, or by `Lines`: it is tried only where the recording has
-    lines that call for it. By `Steps`: the block is a converter, a "reading", which is put in where readings show its
-    steps; harmonics are compared with what goes into it.
+    options: of the block where it enters. free: parameter -> starts (SI numbers, `Of`, `Longest`, `Sampled`, or
+    `Dominant`), all of them tried; bounds are those of the parameter; what is not free keeps its default. fixed:
+    parameters that are set once, to a number or by `Of` or `Sampled`, and not fitted, or by `Lines`: it is tried only
+    where the recording has lines that call for it. By `Steps`: the block is a converter, a "reading", which is put in
+    where readings show its steps; harmonics are compared with what goes into it.
     most: what the magnitude of a free parameter can be at most, beside the bounds of the parameter. sizes: parameters
     that the effect is proportional to: where the data tell none of them from zero, there is no effect.
     simpler: parameter -> the value (or infinity) at which this is another physics, and which: where the data do not
@@ -102,7 +107,7 @@ class Fault:
 
     physics: str
     enters: str
-    free: Mapping[str, tuple[float | Of | Longest | Sampled, ...]] = field(default_factory=dict)
+    free: Mapping[str, tuple[float | Of | Longest | Sampled | Dominant, ...]] = field(default_factory=dict)
     fixed: Mapping[str, float | Of | Longest | Sampled | Lines | Steps] = field(default_factory=dict)
     most: Mapping[str, Of | Longest | Sampled] = field(default_factory=dict)
     sizes: tuple[str, ...] = ()

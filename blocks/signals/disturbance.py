@@ -1,10 +1,16 @@
 """A signal that is added to another: offset, drift, step, sine."""
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, cos, sin, tanh
-from rotorsim.fault import Fault, Longest, Of, Sampled
+from rotorsim.fault import Dominant, Fault, Longest, Of
 
+_NAMES = {"step": "step_disturbance", "line": "periodic_disturbance"}  # of the physics, where the law's is no name
 _LAWS = {
-    "offset": ({"offset": (Of("input", 0.01), Of("input", -0.01))}, {}, "a constant in all runs", ("drift", "step")),
+    "offset": (
+        {"offset": (Of("input", 0.01), Of("input", -0.01))},
+        {},
+        "a constant in all runs",
+        ("drift", "step_disturbance"),
+    ),
     "drift": (
         {
             "offset": (Of("input", 1e-3),),
@@ -22,9 +28,9 @@ _LAWS = {
     ),
     "line": (
         {
-            "sine": (Of("input", 0.1),),
-            "cosine": (Of("input", 0.01),),
-            "frequency": tuple(Sampled(part, power=-1) for part in (0.01, 0.06, 0.3)),
+            "sine": (Of("input", 0.1), Of("input", -0.1)),
+            "cosine": (Of("input", 0.1), Of("input", -0.1)),
+            "frequency": (Dominant(),),
         },
         {},
         "one frequency, whatever the inputs do",
@@ -46,7 +52,7 @@ class Disturbance(Block):
     source = "R. Isermann, Fault-Diagnosis Systems (2006), ch. 5 (additive faults of sensors and actuators)"
     faults = tuple(
         Fault(
-            physics=law,
+            physics=_NAMES.get(law, law),
             enters="signal",
             through={"input": "output"},
             options={"law": law},

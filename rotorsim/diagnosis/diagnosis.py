@@ -104,6 +104,8 @@ def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
     )
     if verdict == "consistent" and evidence.structure(selection.fit):
         verdict = "outside_catalogue"
+    if verdict == "missing_physics" and verdicts.is_no_explanation(selection, evidence.unexplained(selection.fit)):
+        verdict = "outside_catalogue"
     verdict = "outside_catalogue" if taken_twice(effects) else verdict
     unknown = verdicts.unknown_of(selection, effects, evidence) if verdict == "outside_catalogue" else None
     before = opened.before if converters else selection.base

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorsim.diagnosis.conclude.validation import is_faint, is_material, material_effects, prove
-from rotorsim.diagnosis.conclude.verdict import nearest, verdict_of
+from rotorsim.diagnosis.conclude.verdict import is_no_explanation, nearest, verdict_of
 from rotorsim.diagnosis.evidence.evidence import HeldScore
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_noise
 from rotorsim.diagnosis.evidence.harmonic import residual
@@ -218,3 +218,18 @@ def test_effects_that_do_not_predict_are_outside_the_catalogue():
     assert verdict_of(found, (EFFECT,), disproved=True) == "outside_catalogue"
     assert nearest(found, None) is found.fit
     assert nearest(found, None, disproved=True) is found.base
+
+
+@pytest.mark.parametrize(
+    ("effects", "share", "predicted", "expected"),
+    [
+        (1, 0.981, 0.3, False),  # details of one law
+        (1, 0.979, 0.3, True),
+        (2, 0.979, 0.06, True),
+        (2, 0.979, 0.0, False),
+        (0, 0.0, 0.5, False),
+    ],
+)
+def test_effects_that_leave_what_can_be_predicted_are_no_explanation(effects, share, predicted, expected):
+    found = SimpleNamespace(chosen=(None,) * effects, share=share)
+    assert is_no_explanation(found, predicted) is expected

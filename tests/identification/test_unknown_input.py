@@ -13,7 +13,7 @@ from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.identification.waveform.linearised import LinearisedRun, Place, linearised, places_of
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
-from rotorsim.identification.waveform.unknown_input import UnknownInputs, smoothed_motion
+from rotorsim.identification.waveform.unknown_input import UnknownInputs, _Filter, smoothed_motion
 from rotorsim.identification.waveform.unknown_input import _steady as riccati
 from rotorsim.linear import sampled
 from rotorsim.model.load import load
@@ -368,3 +368,27 @@ def test_units_of_parameters_do_not_decide_what_can_be_told_of_them(unit):
     assert found.deviance == pytest.approx(given.deviance, rel=1e-9)
     np.testing.assert_allclose(found.change / [unit, 1.0], given.change, rtol=1e-4)
     assert given.change[0] > 0.5  # from 2 towards 3
+
+
+def test_a_run_whose_beginning_shows_no_state_keeps_the_motion_that_was_simulated():
+    """FAULT: a cylinder at rest shows nothing of its position at first; no filter was steady, and a ValueError came."""
+    _, [run] = analysed(recorded(8, slow(9), 1), steps=0)
+    [G], [H], [D] = run.G, run.H, run.D
+    shown = np.tile(H, (SAMPLES, 1, 1))
+    shown[0] = 0.0
+    walks = np.tile(np.eye(2), (SAMPLES, 1, 1))
+    blind = replace(run, F=walks, G=np.tile(G, (SAMPLES, 1, 1)), H=shown, D=np.tile(D, (SAMPLES, 1, 1)))
+    [motion] = smoothed_motion([blind], NOISE)
+    np.testing.assert_array_equal(motion, run.states)
+    assert np.abs(smoothed_motion([run], NOISE)[0] - run.states).max() > 1e-2
+
+
+def test_a_filter_that_diverges_is_none_and_leaves_the_others():
+    """FAULT: the variance of one hypothesis that lost all digits stopped a diagnosis with a LinAlgError."""
+    F, H = np.tile(0.5 * np.eye(2), (3, 1, 1)), np.tile(np.array([[1.0, 1.0]]), (3, 1, 1))
+    good = np.diag([3.0, 0.0])
+    filters = _Filter.of(F, H, np.stack([np.full((2, 2), np.nan), good, -1e3 * np.eye(2)]))
+    assert filters.log_det.tolist() == [np.inf, pytest.approx(np.log(4.0)), np.inf]
+    np.testing.assert_allclose(filters.gain[1], [[0.5 * 3 / 4], [0.0]])
+    assert np.isfinite(filters.P).all()
+    assert np.isfinite(filters.gain).all()

@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 
 from rotorsim.block import Block
-from rotorsim.fault import Fault, Lines, Longest, Of, Sampled, Steps
+from rotorsim.fault import Dominant, Fault, Lines, Longest, Of, Sampled, Steps
 
 LEAST = "least"  # before the name of a signal: its size in the run in which it is smallest
 LONGEST = "longest run"  # among the largest magnitudes of signals: how long it is [s]
 SAMPLED = "step between samples"  # among the largest magnitudes of signals: the longest [s]
+DOMINANT = "dominant frequency"  # among the largest magnitudes of signals: of the line that stands out most [rad/s]
 LINES = "lines"  # among the largest magnitudes of signals: the frequency of asynchronous lines
 
+
+FAR_FROM_BOTH_ENDS = 0.06  # radians a sample: a frequency, where no line is known
 
 Law = tuple[str, int, bool]  # see `Insertion.law`
 
@@ -106,6 +109,11 @@ class Insertion:
         return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Lines))
 
     @property
+    def begins_at_line(self) -> bool:
+        """Whether it begins at the line that stands out of the residual: what hum in one reading is, too."""
+        return any(isinstance(start, Dominant) for starts in self.fault.free.values() for start in starts)
+
+    @property
     def from_steps(self) -> tuple[str, ...]:
         """The parameters that take the quantisation step of readings."""
         return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Steps))
@@ -152,10 +160,10 @@ def _plain(end: str) -> str:
 def sizes_at(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
     """Return the magnitudes of the inputs of an insertion that are known (at their node or any).
 
-    largest: magnitudes of signals by their flat names, and what `LEAST`, `LINES`, `LONGEST` and `SAMPLED` stand for.
-    Of signals that bound the insertion but do not feed it, those of the block where it acts.
+    largest: magnitudes of signals by their flat names, and what `LEAST`, `DOMINANT`, `LINES`, `LONGEST` and `SAMPLED`
+    stand for. Of signals that bound the insertion but do not feed it, those of the block where it acts.
     """
-    sizes = {key: value for key, value in largest.items() if key in (LINES, LONGEST, SAMPLED)}
+    sizes = {key: value for key, value in largest.items() if key in (DOMINANT, LINES, LONGEST, SAMPLED)}
     bounds = [item.input for item in insertion.fault.most.values() if isinstance(item, Of)]
     for key, source in (*((key, f"{insertion.spot.block}.{key}") for key in bounds), *insertion.feeds.items()):
         for which in ("", f"{LEAST} "):
@@ -205,9 +213,11 @@ def fixed_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, fl
     return {key: _number(item, largest) for key, item in fixed if not isinstance(item, Steps)}
 
 
-def _number(item: float | Of | Longest | Sampled | Lines, largest: Mapping[str, float]) -> float:
+def _number(item: float | Of | Longest | Sampled | Dominant | Lines, largest: Mapping[str, float]) -> float:
     if isinstance(item, Lines):
         return largest[LINES]
+    if isinstance(item, Dominant):
+        return largest.get(DOMINANT, FAR_FROM_BOTH_ENDS / largest.get(SAMPLED, 1e-3))
     if isinstance(item, Longest):
         return item.factor * largest.get(LONGEST, 1.0) ** item.power
     if isinstance(item, Sampled):

@@ -98,6 +98,15 @@ def verdict_of(
     return "missing_physics"
 
 
+def is_no_explanation(selection: Selection, predicted: float) -> bool:
+    """Return whether effects stand for a law that is none of them; predicted: the share of what they leave that can be.
+
+    A cause that explains most may leave details of its law. What explains less, and leaves what the motion predicts,
+    only imitates another law.
+    """
+    return predicted > 0 and bool(selection.chosen) and selection.share < CRITERIA.cause
+
+
 def unknown_of(selection: Selection, effects: Sequence[Effect], evidence: Evidence) -> UnknownForce | None:
     """Return what is known of a force outside the catalogue, at the likeliest place where a force can act."""
     tried = [item.insertion for found in selection.rounds for item in found.tried]

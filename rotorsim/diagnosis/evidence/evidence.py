@@ -210,6 +210,9 @@ class Evidence(Protocol):
     def structure(self, fit: Fit) -> float:
         """Return the share of the residual of a fit that is predictable, and no noise, 0 where it is not asked."""
 
+    def unexplained(self, fit: Fit) -> float:
+        """Return the share of what effects leave that is predictable, 0 where it is not asked of details of a law."""
+
     def recalibrated(self, fit: Fit) -> Evidence | None:
         """Return the evidence with noise estimated from a fit that leaves less than it assumed; None if it does not."""
 
@@ -281,6 +284,10 @@ class Defaults:
         return None
 
     def structure(self, fit: Fit) -> float:
+        """Return 0: the noise was measured, and the misfit says all."""
+        return 0.0
+
+    def unexplained(self, fit: Fit) -> float:
         """Return 0: the noise was measured, and the misfit says all."""
         return 0.0
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,8 +81,9 @@ class Round:
     """One round of the selection: what was tried on top of ``before``, the best first; classes: of free signals.
 
     hypotheses: how many, physics and places, were looked at, with those of which too little was promised to try them.
-    elsewhere: what was not tried, and promises nearly as much as the same law does at its best place. likely: the keys
-    of what another measure of the noise may make the most promising, None where promises are not known.
+    elsewhere: what was not tried, and promises nearly as much as the same law does at its best place; untried: all that
+    was not, where promises of laws are known. likely: the keys of what another measure of the noise may make the most
+    promising, None where promises are not known.
     """
 
     before: Fit
@@ -90,12 +91,25 @@ class Round:
     classes: tuple[PlaceClass, ...] = ()
     hypotheses: int = 0
     elsewhere: tuple[tuple[Insertion, Job], ...] = ()
+    untried: tuple[tuple[Insertion, Job], ...] = ()
     likely: frozenset[str] | None = None
 
     @property
     def best(self) -> Candidate | None:
         """The best candidate that is physical."""
         return next((item for item in self.tried if not item.fit.failure and item.physical), None)
+
+    def beside(self, chosen: Insertion, physics: Collection[str], *, every: bool) -> list[tuple[Insertion, Job]]:
+        """Return what is left to try beside a choice: its law where it promises as much, these physics in its place.
+
+        every: all physics there that depend on no further signal, or on the same one.
+        """
+        pairs = {item.key: (item, job) for item, job in self.elsewhere if item.law == chosen.law}
+        for item, job in self.untried:
+            named = item.physics in physics and item.depends_on == chosen.depends_on
+            if item.spot == chosen.spot and (named or (every and item.depends_on in ("", chosen.depends_on))):
+                pairs[item.key] = item, job
+        return [*pairs.values()]
 
 
 def simplest_first(tried: Sequence[Candidate], slack: float) -> list[Candidate]:

@@ -20,6 +20,7 @@ from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs, local_workers
 
 BEAM_WIDTH = 2  # hypotheses that the next round starts from
+TURNS = 3  # from a law to its places, and from a place to its laws
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,7 @@ def _selected(trials: Trials, base: Fit) -> Selection:
     trials.nominal = {item.name: item.value for item in base.free if item.unit != ANGLE_UNIT}
     trials.unsized = frozenset(item.name for item in base.free if not (item.scale or item.value))
     trials.slack = slack = CRITERIA.mesh_error * base.rows if trials.evidence.refines_meshes(base.document) else 0.0
-    first = trials.round(base)
+    first = _round(trials, base)
     level = _level(first)
     worth = _noticed(first.tried, base, level, slack) if is_adequate(base) else first.tried
     beam: list[tuple[Candidate, ...]] = [(item,) for item in _distinct(worth, base)[:BEAM_WIDTH]]
@@ -98,7 +99,7 @@ def _selected(trials: Trials, base: Fit) -> Selection:
     while not is_adequate(chosen[-1].fit) and len(chosen) < CRITERIA.most_effects:
         grown: list[tuple[tuple[Candidate, ...], Round]] = []
         for path in beam:
-            after = trials.round(path[-1].fit)
+            after = _round(trials, path[-1].fit)
             for item in _distinct(after.tried, path[-1].fit)[:1]:
                 grown.append(((*path, item), after))
             if grown and is_adequate(grown[-1][0][-1].fit):
@@ -118,6 +119,23 @@ def _selected(trials: Trials, base: Fit) -> Selection:
     return Selection(base, chosen, tuple(rounds), chosen[-1].fit, level, trials.counts, slack, first)
 
 
+def _round(trials: Trials, before: Fit) -> Round:
+    """Return a round whose best law was tried where it promises as much, and all laws at its place: none is better.
+
+    What imitates the law that is missing seldom does so at the place where that promises most; beside it another effect
+    would be looked for in vain. Not where what the best leaves is noise.
+    """
+    found = trials.round(before)
+    for _ in range(TURNS):
+        best = found.best
+        if best is None or not found.untried or _leaves_noise(best.fit):
+            break
+        found = trials.completed(found, (), best.insertion, every=True)
+        if found.best is best:
+            break
+    return found
+
+
 def _completed(
     trials: Trials, chosen: tuple[Candidate, ...], rounds: list[Round]
 ) -> tuple[tuple[Candidate, ...], list[Round]]:
@@ -127,7 +145,7 @@ def _completed(
     """
     rounds = list(rounds)
     for k, item in enumerate(chosen):
-        rounds[k] = trials.completed(rounds[k], _alike(item, rounds[k]), item.insertion.law)
+        rounds[k] = trials.completed(rounds[k], _alike(item, rounds[k]), item.insertion)
     best = rounds[len(chosen) - 1].best
     if best is not None and best.fit.criterion < chosen[-1].fit.criterion - trials.slack:
         chosen = (*chosen[:-1], best)
@@ -202,7 +220,7 @@ def _reconsidered(
             continue
         if k == len(chosen) - 1:  # it was found beside all the others
             break
-        again = trials.round(without)  # all: what was rejected before stood beside less
+        again = _round(trials, without)  # all: what was rejected before stood beside less
         rounds[k] = again
         best = again.best
         if best is not None and best.fit.criterion < chosen[-1].fit.criterion - CRITERIA.equivalent - trials.slack:

@@ -69,11 +69,7 @@ class Trials:
     def round(self, before: Fit) -> Round:
         """Try every insertion into a fitted diagram."""
         document, largest = values_in(before.document, before.values), self.evidence.largest()
-        found = [
-            item
-            for item in self.catalogue.candidates(self.evidence.load(document), self.evidence.recorded)
-            if (LINES in largest or not item.from_lines) and not item.from_steps
-        ]
+        found = self._candidates(before, document)
         self.counts["rounds"] += 1
         hypotheses = len({(item.physics, item.spot) for item in found})
         many = len(found) > MOST_FITS or self.evidence.costly or any(item.fault.enters == "signal" for item in found)
@@ -83,6 +79,7 @@ class Trials:
         away = self._off_bounds(before)
         classes: Sequence[PlaceClass] = ()
         elsewhere: list[tuple[Insertion, Job]] = []
+        untried: list[tuple[Insertion, Job]] = []
         likely: frozenset[str] | None = None
         for item in found:
             sizes = sizes_at(item, largest)
@@ -112,6 +109,8 @@ class Trials:
             begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
             fits = [*begun.values()]
             elsewhere = [(found[k], jobs[k]) for k in at_rival_places(found, promises, before, [*begun])]
+            left = [k for k, one in enumerate(promises) if one is not None and k not in begun]
+            untried = [(found[k], jobs[k]) for k in left]
             jobs, found = [jobs[k] for k in begun], [found[k] for k in begun]
         else:
             fits = self._begun(jobs, ())
@@ -129,31 +128,53 @@ class Trials:
         ]
         likely = None if likely is None else still_likely(likely, tried)
         ordered = tuple(simplest_first(tried, self.slack))
-        return Round(before, ordered, tuple(classes), hypotheses, tuple(elsewhere), likely)
+        return Round(before, ordered, tuple(classes), hypotheses, tuple(elsewhere), tuple(untried), likely)
 
-    def completed(self, found: Round, physics: Collection[str], law: Law | None = None) -> Round:
-        """Return a round with these physics carried to the end, each law at its best place, and one at its rivals'."""
+    def _candidates(self, before: Fit, document: dict[str, Any]) -> list[Insertion]:
+        """Return the insertions that a residual may call for: beside noise, a line is hum of the instruments."""
+        lines, quiet = LINES in self.evidence.largest(), is_adequate(before)
+        return [
+            item
+            for item in self.catalogue.candidates(self.evidence.load(document), self.evidence.recorded)
+            if (lines or not item.from_lines) and not item.from_steps and not (quiet and item.begins_at_line)
+        ]
+
+    def completed(
+        self, found: Round, physics: Collection[str], chosen: Insertion | None = None, *, every: bool = False
+    ) -> Round:
+        """Return a round with these physics carried to the end, each law at its best place and in that of a choice.
+
+        What was chosen is fitted at the rival places of its law, too; every: all laws in its place.
+        """
         tried = list(found.tried)
-        elsewhere = [pair for pair in found.elsewhere if pair[0].law == law]
+        more = [] if chosen is None else found.beside(chosen, physics, every=every)
         of_law: dict[Law, int] = {}
         for k in sorted(range(len(tried)), key=lambda k: tried[k].fit.misfit):
             item = tried[k]
             if item.insertion.physics in physics and not item.fit.failure:
                 of_law.setdefault(item.insertion.law, k)
         which = [k for k in of_law.values() if not tried[k].final]
-        if not which and not elsewhere:
+        if not which and not more:
             return found
         jobs: list[Job] = [(values_in(tried[k].fit.document, tried[k].fit.values), [[{}]]) for k in which]
-        effort = Effort(beyond=_no_rival([item.fit for item in tried]))
-        fits = self._fit([*jobs, *(job for _, job in elsewhere)], effort)
+        jobs += [job for _, job in more]
+        effort = Effort(FIRST_EVALUATIONS if every else None, beyond=_no_rival([item.fit for item in tried]))
+        fits = self._fit(jobs, effort)
+        ended = {*range(len(jobs))}
+        if every:  # of many laws few are carried to the end
+            ended = {*_bymisfit_of(fits)[:REFINED]}
+            self._again(jobs, fits, [*ended], None)
         for k, fit in zip(which, fits, strict=False):
             better = not fit.failure and fit.misfit <= tried[k].fit.misfit
             fit = fit if better else tried[k].fit
             tried[k] = Candidate(tried[k].insertion, fit, self._astray(found.before, fit))
-        for (insertion, _), fit in zip(elsewhere, fits[len(which) :], strict=True):
-            tried.append(Candidate(insertion, fit, self._astray(found.before, fit)))
-        left = tuple(pair for pair in found.elsewhere if pair not in elsewhere)
-        return replace(found, tried=tuple(simplest_first(tried, self.slack)), elsewhere=left)
+        for n, (insertion, _) in enumerate(more, start=len(which)):
+            tried.append(Candidate(insertion, fits[n], self._astray(found.before, fits[n]), n in ended))
+        done = {item.key for item, _ in more}
+        elsewhere, untried = (
+            tuple(pair for pair in pairs if pair[0].key not in done) for pairs in (found.elsewhere, found.untried)
+        )
+        return replace(found, tried=tuple(simplest_first(tried, self.slack)), elsewhere=elsewhere, untried=untried)
 
     def _astray(self, before: Fit, fit: Fit) -> str:
         """Return in words the parameters of the diagram that are ``astray`` times what was given and fitted.

@@ -83,11 +83,19 @@ class _Filter:
 
     @classmethod
     def of(cls, F: np.ndarray, H: np.ndarray, P: np.ndarray) -> _Filter:
-        """Return the filters with prediction variances P."""
-        PH = P @ H.swapaxes(1, 2)
-        root = np.linalg.inv(np.linalg.cholesky(H @ PH + np.eye(H.shape[1])))
+        """Return the filters with prediction variances P; log_det is infinite where they are none (they diverged)."""
+        PH, one, lost = P @ H.swapaxes(1, 2), np.eye(H.shape[1]), np.zeros(len(P), bool)
+        try:
+            factor = np.linalg.cholesky(H @ PH + one)
+        except np.linalg.LinAlgError:
+            V = H @ PH + one
+            lost = ~np.isfinite(V).all(axis=(1, 2))
+            lost[~lost] = np.linalg.eigvalsh(V[~lost]).min(axis=1) < 0.5  # 1 at least, but for rounding
+            P, PH, V = (np.where(lost[:, None, None], rest, M) for rest, M in ((0.0, P), (0.0, PH), (one, V)))
+            factor = np.linalg.cholesky(V)
+        root = np.linalg.inv(factor)
         gain = F @ PH @ root.swapaxes(1, 2) @ root
-        log_det = -2 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        log_det = np.where(lost, np.inf, -2 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1))
         return cls(F, H, P, gain, root, log_det)
 
 
@@ -136,10 +144,12 @@ class Whitening:
 def smoothed_motion(runs: Sequence[LinearisedRun], noise: np.ndarray) -> list[np.ndarray]:
     """Return the states (N, n) of each run, given all samples, where whatever is missing may drive every state.
 
-    So much as is likeliest; noise (c,): standard deviation of each output.
+    So much as is likeliest; noise (c,): standard deviation of each output. As simulated where there is no such filter.
     """
     driven = [UnknownInputs(runs, noise, strength) for strength in STATE_STRENGTHS]
-    return min(driven, key=lambda one: one.deviance_of_states()).motion()
+    deviances = [one.deviance_of_states() for one in driven]
+    least = int(np.argmin(deviances))
+    return driven[least].motion() if np.isfinite(deviances[least]) else [run.states for run in runs]
 
 
 class UnknownInputs:
@@ -219,7 +229,8 @@ class UnknownInputs:
                 change = scaled[0] / size
                 misfit = float(G[0, 0] - G[0, 1:] @ change)
                 found = SignalEstimate(place, misfit, misfit + float(log_det), q, float(self.scales[place]), change)
-                if place not in best or found.deviance < best[place].deviance:
+                lost = not np.isfinite(found.deviance)
+                if not lost and (place not in best or found.deviance < best[place].deviance):
                     best[place] = found
             left = [place for place in left if place in best and best[place].strength == strengths[-1]]
             strengths = [strengths[-1] * strengths[-1] / strengths[-2]]
@@ -357,6 +368,8 @@ class UnknownInputs:
             gain, H, root = (np.concatenate([getattr(f, key) for f in filters]) for key in ("gain", "H", "root"))
             F = np.concatenate([f.F for f in filters]) - gain @ H
             log_det = sum(float(f.log_det[0]) for f in filters) * (len(run.residual) if run.constant else 1)
+            if not np.isfinite(log_det):
+                return None
             found.append(Whitening(F, gain, H, root, log_det, self.noise))
         return found
 

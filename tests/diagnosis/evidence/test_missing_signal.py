@@ -212,7 +212,7 @@ def test_slow_and_small_machines_are_promised_the_same_laws(lacking, slow, size)
     made = recording([(run, "identify")], {name: (f"{name}.output", "1") for name in NAMES}, RATE / slow)
     evidence = waveform_evidence(load(document), made)
     before = evidence.fit(load(document).document, [])
-    physics = {"lag", "missing_mode", "delay", "play", "rate_limit", "line", "drift", "cross_talk"}
+    physics = {"lag", "missing_mode", "delay", "play", "rate_limit", "periodic_disturbance", "drift", "cross_talk"}
     found = []
     for here, fit in (lacking[:2], (evidence, before)):
         diagram = here.load(fit.document)

@@ -94,6 +94,10 @@ class WaveformEvidence(WaveformFits, Defaults):
         beside = None if fit.failure else self._beside(fit)
         return 0.0 if beside is None else self._unpredicted(fit, *beside).structure
 
+    def unexplained(self, fit: Fit) -> float:
+        """Return that share; 0, too, where noise is what a flexible force leaves: it explains details of any law."""
+        return 0.0 if self.by_force else self.structure(fit)
+
     def at(self, fit: Fit) -> Fit:
         """Return a fit to the evidence before recalibration as this one judges it, at the same parameters."""
         search = replace(self.search(values_in(fit.document, fit.values)), hold="theta")
@@ -240,7 +244,7 @@ class WaveformEvidence(WaveformFits, Defaults):
             for (controller, name), value in self.variance.items()
             if controller
         ]
-        share = 0.0 if self.by_force or not inserted else self.structure(after)
+        share = self.unexplained(after) if inserted else 0.0
         if share:
             text.append(f"What the repaired diagram leaves is not noise: {100 * share:.2g} % of it can be predicted.")
         units = {name.partition("[")[0]: self.recording.channels[c].unit for name, c in self.channels.columns.items()}

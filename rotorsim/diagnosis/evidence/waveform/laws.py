@@ -21,8 +21,18 @@ from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.ndimage import median_filter
 
-from rotorsim.diagnosis.catalogue.insertion import Insertion, Law, Spot, fixed_of, limits_of, sizes_at, starts_of
+from rotorsim.diagnosis.catalogue.insertion import (
+    DOMINANT,
+    Insertion,
+    Law,
+    Spot,
+    fixed_of,
+    limits_of,
+    sizes_at,
+    starts_of,
+)
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import FAILURES
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
@@ -35,6 +45,8 @@ from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.identification.waveform.unknown_input import SignalEstimate, Smoothed, UnknownInputs
 
 SMOOTHED_PLACES = 8  # the likeliest, where the signal that the place carries is estimated, too
+PADDED = 8  # times the samples of a run: of the frequencies of a periodogram
+AROUND = 25  # of the frequencies of a run: over which the background of a line is taken
 STEPS = 6  # Gauss-Newton steps from the best start
 SETTLED = 1e-3  # relative fall of the misfit in a step, below which it was the last
 ALIKE = 1e-9  # relative difference of -2 log likelihoods of places that no data tell apart, whose filters are the same
@@ -98,15 +110,21 @@ class LawBounds:
 
     @cached_property
     def carried(self) -> Mapping[str, float]:
-        """The largest magnitude of what each place carries, smoothed with the likeliest free signal, by flat name."""
+        """The largest magnitude of what each place carries, smoothed with the likeliest free signal; and `DOMINANT`."""
         smoothed = [self._smoothed[item.place].wires for item in self.estimates[:1]]
         wires = np.concatenate([*smoothed, [run.carried for run in self.runs]][0])
-        return {place.port: float(size) for place, size in zip(self.places, np.abs(wires).max(axis=0), strict=True)}
+        sizes = {place.port: float(size) for place, size in zip(self.places, np.abs(wires).max(axis=0), strict=True)}
+        return {**sizes, DOMINANT: self.dominant}
 
     @cached_property
     def sizes(self) -> Mapping[str, float]:
         """The largest magnitude of signals, and what `sizes_at` takes beside them."""
         return {**self.given, **self.carried}
+
+    @cached_property
+    def dominant(self) -> float:
+        """The frequency of the line that stands out most of the residual [rad/s]."""
+        return dominant_frequency([run.residual / self.unknown.noise for run in self.runs], self.runs[0].dt)
 
     @property
     def deviance(self) -> float:
@@ -315,6 +333,24 @@ class LawBounds:
             equations = driven_equations(diagram, [f"{LAW}.{given}"], names, diagram.free)
             self._laws[key] = DrivenLaw(Simulation(equations), item.fault)
         return self._laws[key]
+
+
+def dominant_frequency(parts: Sequence[np.ndarray], dt: float) -> float:
+    """Return the angular frequency of the line that stands out most of signals (N, c) of each run.
+
+    By the largest ratio of the periodograms of all runs (Hann windows) to their median over the frequencies around,
+    summed over the signals. The search for a line must begin within half a cycle over a run of it. Source: D. B.
+    Percival, A. T. Walden, Spectral Analysis for Physical Applications (1993), ch. 10.
+    """
+    size = next_fast_len(PADDED * max(map(len, parts)), real=True)
+    power = np.zeros((size // 2 + 1, parts[0].shape[1]))
+    for part in parts:
+        window = np.hanning(len(part))[:, None]
+        power += np.abs(rfft(window * np.nan_to_num(part - np.nanmean(part, axis=0)), size, axis=0)) ** 2
+    around = median_filter(power, (PADDED * AROUND, 1), mode="nearest")
+    ratio = (power / np.maximum(around, 1e-300 + 1e-12 * power.max(axis=0))).sum(axis=1)
+    first = 2 * PADDED  # two cycles in a run: what is slower is drift
+    return float(2 * np.pi * (first + np.argmax(ratio[first:])) / (size * dt))
 
 
 @dataclass(frozen=True, eq=False)
