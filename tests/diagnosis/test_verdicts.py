@@ -227,6 +227,8 @@ def test_effects_that_do_not_predict_are_outside_the_catalogue():
         (1, 0.979, 0.3, True),
         (2, 0.979, 0.06, True),
         (2, 0.979, 0.0, False),
+        (2, 0.999, 0.17, True),  # 1.2 times the noise
+        (2, 0.999, 0.16, False),
         (0, 0.0, 0.5, False),
     ],
 )

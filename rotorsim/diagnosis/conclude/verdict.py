@@ -102,9 +102,13 @@ def is_no_explanation(selection: Selection, predicted: float) -> bool:
     """Return whether effects stand for a law that is none of them; predicted: the share of what they leave that can be.
 
     A cause that explains most may leave details of its law. What explains less, and leaves what the motion predicts,
-    only imitates another law.
+    only imitates another law; so do several, since each was found in the details of those before it, that leave more
+    than noise that is not as modelled (`Criteria.slight`).
     """
-    return predicted > 0 and bool(selection.chosen) and selection.share < CRITERIA.cause
+    if not selection.chosen or not predicted:
+        return False
+    several = len(selection.chosen) > 1 and 1 / (1 - predicted) > CRITERIA.slight
+    return several or selection.share < CRITERIA.cause
 
 
 def unknown_of(selection: Selection, effects: Sequence[Effect], evidence: Evidence) -> UnknownForce | None:
