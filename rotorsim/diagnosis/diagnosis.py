@@ -124,7 +124,8 @@ def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
     if validation is not None and verdict in ("missing_physics", "consistent"):
         residual = residual_of(selection.base, after, validation)
     every = (*effects, *(verdicts.converter_effect(item, selection.fit) for item in converters))
-    terms = evidence.terms
+    terms, outside = evidence.terms, verdict == "outside_catalogue"
+    places = () if verdict == "consistent" else verdicts.places_of(selection, every, outside=outside)
     return Diagnosis(
         verdict=verdict,
         effects=every,
@@ -138,7 +139,7 @@ def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
         given=opened.given,
         recordings=(),
         held_out=opened.held_out,
-        places=() if verdict == "consistent" else verdicts.places_of(selection, every),
+        places=places,
         rejected=(*verdicts.rejected_of(selection, effects, terms), *(opened.screened if effects else ())),
         open=verdicts.unfinished(selection, effects, terms),
         warnings=tuple(opened.warnings),

@@ -6,11 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.conclude.validation import is_faint, is_material, material_effects, prove
-from rotorsim.diagnosis.conclude.verdict import is_no_explanation, nearest, verdict_of
+from rotorsim.diagnosis.conclude.verdict import is_no_explanation, nearest, places_of, verdict_of
 from rotorsim.diagnosis.evidence.evidence import HeldScore
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_noise
 from rotorsim.diagnosis.evidence.harmonic import residual
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.selection import Selection
 
 ROWS = 1000
@@ -235,3 +237,19 @@ def test_effects_that_do_not_predict_are_outside_the_catalogue():
 def test_effects_that_leave_what_can_be_predicted_are_no_explanation(effects, share, predicted, expected):
     found = SimpleNamespace(chosen=(None,) * effects, share=share)
     assert is_no_explanation(found, predicted) is expected
+
+
+def test_outside_the_catalogue_the_places_are_those_of_a_free_signal():
+    """FAULT: a fractional lag at an amplifier, which cross-talk and a mode imitate, was said to be where these were."""
+    amplifier, coil, velocity = Spot("amplifier", "output"), Spot("coil", "output"), Spot("velocity", "output")
+    classes = (
+        PlaceClass((amplifier, coil), 0.97),
+        PlaceClass((velocity,), 0.03),
+        PlaceClass((Spot("gap", "q"),), 1e-9),
+    )
+    effect = SimpleNamespace(places=((Spot("cross_talk", "output"), 1.0),))
+    found = selection(left(50.0), (None,), (), left(1.9), SimpleNamespace(classes=classes))
+    assert places_of(found, (effect,)) == ((Spot("cross_talk", "output"), 1.0),)
+    assert places_of(found, (effect,), outside=True) == ((amplifier, 0.97), (coil, 0.97), (velocity, 0.03))
+    unknown = selection(left(50.0), (None,), (), left(1.9), SimpleNamespace(classes=()))
+    assert places_of(unknown, (effect,), outside=True) == ((Spot("cross_talk", "output"), 1.0),)

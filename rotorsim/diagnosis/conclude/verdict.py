@@ -156,13 +156,22 @@ def nearest(selection: Selection, unknown: UnknownForce | None, *, disproved: bo
     return min(fits, key=lambda fit: fit.criterion)
 
 
-def places_of(selection: Selection, effects: Sequence[Effect]) -> tuple[tuple[Spot, float], ...]:
-    """Return the places of all effects, or of the best candidates where none was chosen, the likeliest first."""
+def places_of(
+    selection: Selection, effects: Sequence[Effect], *, outside: bool = False
+) -> tuple[tuple[Spot, float], ...]:
+    """Return the places of all effects, or of the best candidates where none was chosen, the likeliest first.
+
+    outside: of a law that is none of the effects, so that places are those of a free signal, if these are known; all of
+    a class have the probability of the class.
+    """
     found: dict[Spot, float] = {}
+    if outside and selection.first.classes:
+        found = {spot: one.probability for one in selection.first.classes for spot in one.places}
+        effects = ()
     for effect in effects:
         for spot, probability in effect.places:
             found[spot] = max(found.get(spot, 0.0), probability)
-    if not effects and not is_noise(selection.base):
+    if not found and not effects and not is_noise(selection.base):
         found = dict(probabilities(selection.rounds[0].tried, max(selection.base.excess_variance, 1.0)))
     return tuple(sorted(((s, p) for s, p in found.items() if p >= CRITERIA.listed), key=lambda pair: -pair[1]))
 
