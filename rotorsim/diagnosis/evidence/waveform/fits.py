@@ -33,6 +33,7 @@ SHORT = 8192  # samples of all runs on which a start is chosen and followed
 SHOT_SUBSTEPS = 4  # times the steps that the diagram needs: of what is faster, parts of runs are not fitted one by one
 LAST_STEPS = 12  # on all samples after that
 FEW_STEPS = 3  # on all samples, of runs that are long, until it is known which fits are worth more
+PROMISED_PARTS = 2  # of long runs what laws promise is judged on every second part
 FOLLOWED = 3  # starts of a law on parts of such runs: those that promise most
 REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
 DIVERGES, SENSITIVITIES_DIVERGE = "the simulation diverges", "the sensitivities of the simulation diverge"
@@ -128,13 +129,14 @@ class WaveformFits(SampledRuns):
             last = LAST_STEPS if effort.most is None else FEW_STEPS
         return self._summary(document, search, search.minimise(start, last))
 
-    def _short(self, search: OutputErrorSearch) -> tuple[OutputErrorSearch, np.ndarray]:
-        """Return a search on less of the runs, and its unknowns as the diagram states them."""
+    def _short(self, search: OutputErrorSearch, every: int = 1) -> tuple[OutputErrorSearch, np.ndarray]:
+        """Return a search on less of the runs, and its unknowns as the diagram states them; every: so many parts."""
         if not self.parts:
             return search.shortened(SHORT), self._first(search)
-        weights = weights_of(self.variance, self.parts, self.rows)
-        short = replace(search, runs=self.parts, weights=weights)
-        return short, short.first(self.part_starts)
+        parts = self.parts[::every]
+        starts = {(name, state, r // every): x for (name, state, r), x in self.part_starts.items() if r % every == 0}
+        short = replace(search, runs=parts, weights=weights_of(self.variance, parts, self.rows))
+        return short, short.first(starts)
 
     def _first(self, search: OutputErrorSearch) -> np.ndarray:
         """Return the unknowns that a diagram states, states at first samples as at first found or as measured.
@@ -151,7 +153,7 @@ class WaveformFits(SampledRuns):
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
         """Return the misfit after FIRST_STEPS steps from the best start, per sample as on all samples."""
         try:
-            short, first = self._short(self.search(document))
+            short, first = self._short(self.search(document), PROMISED_PARTS)
             if self.parts:
                 return self._first_order(short, first, [start for group in starts for start in group])[0].promise
             tried = self._followed(short, first, starts[0] if starts else [])
