@@ -91,14 +91,14 @@ class Trials:
             jobs.append((item.document(document, {**fixed, **starts[0]}, limits_of(item, sizes)), groups))
         if many:
             classes = () if places is None else places.classes
-            kept, promises = self._screened(before, found, jobs, places)
+            kept, every, promises = self._screened(before, found, jobs, places)
+            likely = likely_of(found, every, before)
             kept += [k for k, item in enumerate(found) if item.key in self.known and k not in kept]
             known = [{} if one is None else dict(one.start) for one in promises]
             jobs = [
                 (start, _led(groups, self.known.get(item.key) or near))
                 for item, (start, groups), near in zip(found, jobs, known, strict=True)
             ]
-            likely = likely_of(found, promises, before)
             promised = [np.inf if (one := promises[k]) is None else one.misfit for k in kept]
             begun = dict(zip(kept, self._begun([jobs[k] for k in kept], promised), strict=True))
             effort = Effort(FIRST_EVALUATIONS, linear_only=True)
@@ -203,16 +203,33 @@ class Trials:
 
     def _screened(
         self, before: Fit, candidates: Sequence[Insertion], jobs: Sequence[Job], places: Bounds | None
-    ) -> tuple[list[int], Sequence[Promise | None]]:
-        """Return which insertions are fitted, and what each promises where that is known of laws."""
-        if places is not None and places.by_law and not self.evidence.costly:
-            likely = [k for k, item in enumerate(candidates) if self.likely is None or item.key in self.likely]
-            promises: list[Promise | None] = [Promise(np.inf)] * len(candidates)
-            for k, one in zip(likely, self._promised([candidates[k] for k in likely], places), strict=True):
-                promises[k] = one
-            self.likely = None
-            return most_promising(candidates, [misfit_of(one) for one in promises], before), promises
-        return self._at_likely_places(before, candidates, jobs, places), [None] * len(candidates)
+    ) -> tuple[list[int], Sequence[Promise | None], Sequence[Promise | None]]:
+        """Return which insertions are fitted, what each promises, and so where that tells places of a law apart.
+
+        With another measure of the noise only those that were likely are looked at.
+        """
+        unknown: list[Promise | None] = [None] * len(candidates)
+        by_law = places is not None and places.by_law
+        if not by_law and not self.evidence.costly:
+            return self._at_likely_places(before, candidates, jobs, places), unknown, unknown
+        likely = [k for k, item in enumerate(candidates) if self.likely is None or item.key in self.likely]
+        promises: list[Promise | None] = [Promise(np.inf)] * len(candidates)
+        if self.evidence.costly or places is None:
+            found = self._by_sensitivities(before, [jobs[k] for k in likely])
+        else:
+            found = self._promised([candidates[k] for k in likely], places)
+        for k, one in zip(likely, found, strict=True):
+            promises[k] = one
+        self.likely = None
+        kept = most_promising(candidates, [misfit_of(one) for one in promises], before)
+        return kept, promises, unknown if self.evidence.costly else promises
+
+    def _by_sensitivities(self, before: Fit, jobs: Sequence[Job]) -> list[Promise | None]:
+        """Return what laws promise by their sensitivities, beside what the diagram without them does."""
+        [beside, *promises] = self._promises([(values_in(before.document, before.values), [[{}]]), *jobs])
+        least = HINT * len(before.free) if is_adequate(before) else 0.0  # below, it is noise
+        gains = (beside - promise if beside - promise > least else 0.0 for promise in promises)
+        return [Promise(before.misfit - gain) for gain in gains]
 
     def _promised(self, candidates: Sequence[Insertion], places: Bounds) -> list[Promise | None]:
         """Return what laws promise, shared out over all workers, all places of a law together.
@@ -241,11 +258,6 @@ class Trials:
 
         A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
         """
-        if self.evidence.costly:
-            [beside, *promises] = self._promises([(values_in(before.document, before.values), [[{}]]), *jobs])
-            least = HINT * len(before.free) if is_adequate(before) else 0.0  # below, it is noise
-            gains = (beside - promise if beside - promise > least else 0.0 for promise in promises)
-            return most_promising(candidates, [before.misfit - gain for gain in gains], before)
         if is_adequate(before):
             return self._promising(candidates, jobs, before.misfit - HINT * MOST_FITS)
         if places is None:

@@ -182,13 +182,18 @@ class WaveformFits(SampledRuns):
     ) -> list[Evaluation]:
         """Return where a few steps lead from each start of a group; on parts of runs from those that promise most.
 
-        There also from the first of those that name parameters of the diagram, with the best values of the effect.
+        There also from the first of those that name parameters of the diagram, with the best values of the effect; from
+        these as they are where there are no others.
         """
         if self.parts:
             promised, others = self._first_order(short, first, group)
             points = [start.point for start in promised.ranked[:FOLLOWED]]
-            best = points[0] if points else first
-            points += [short.stated(best, {k: v for k, v in start.items() if k in self.old}) for start in others[:1]]
+            if points:
+                points += [
+                    short.stated(points[0], {k: v for k, v in start.items() if k in self.old}) for start in others[:1]
+                ]
+            else:  # one that is known to be near
+                points = [short.stated(first, start) for start in others[:FOLLOWED]]
         else:
             points = [point for start in group if (point := short.started(first, start, self.old)) is not None]
             measured = short.first()[short.m :]  # states at first samples, where that is better
