@@ -158,7 +158,7 @@ def test_places_that_allow_ten_times_the_least_are_not_looked_at():
     )
     found = [SimpleNamespace(law=("rub", 0), spot=spot) for spot in ("beyond", "far", "near", "unknown")]
     trials = Trials(SimpleNamespace(bounds=lambda before: places, costly=False), Catalogue(), Jobs(1))
-    kept, _ = trials._screened(left(50.0), found, [], places)
+    kept, *_ = trials._screened(left(50.0), found, [], places)
     assert sorted(kept) == [1, 2, 3]
 
 
