@@ -15,8 +15,8 @@ import numpy as np
 
 from rotorsim.identification.waveform.along_angle import with_reaction
 from rotorsim.identification.waveform.data import STABLE_STEP
-from rotorsim.identification.waveform.equations import clock_ports, driven_equations
-from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.identification.waveform.driven.equations import clock_ports, driven_equations
+from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.model.load import load
 
 RATE, SECONDS = 5000.0, 1.0

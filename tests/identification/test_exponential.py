@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rotorsim.identification.waveform import exponential
-from rotorsim.identification.waveform.equations import DrivenEquations, driven_equations
-from rotorsim.identification.waveform.exponential import Split
-from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.identification.waveform.driven import exponential
+from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
+from rotorsim.identification.waveform.driven.exponential import Split
+from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.model.linearity import semi_linear
 from rotorsim.model.load import load
 

@@ -20,7 +20,7 @@ from rotorsim.identification.waveform.along_angle import (
     with_reaction,
 )
 from rotorsim.identification.waveform.data import SampledRun, channels_of
-from rotorsim.identification.waveform.equations import driven_equations
+from rotorsim.identification.waveform.driven.equations import driven_equations
 from rotorsim.identification.waveform.estimate import time_estimate, with_angle_errors, with_late_pulses
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import noise_model

@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.waveform.data import RATE_PREFIX, SampledRun, between_samples, channels_of
-from rotorsim.identification.waveform.equations import DrivenEquations, ForceMap, driven_equations
-from rotorsim.identification.waveform.simulation import Simulation, _source
+from rotorsim.identification.waveform.driven.equations import DrivenEquations, ForceMap, driven_equations
+from rotorsim.identification.waveform.driven.simulation import Simulation, _source
 from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.model.load import load
 from tests.diagnosis.evidence.machines import OSCILLATOR, POSITIONER, carriage_recording

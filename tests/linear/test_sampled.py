@@ -9,9 +9,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, expm_frechet
 
 from rotorsim.identification.waveform.data import SampledRun
-from rotorsim.identification.waveform.equations import DrivenEquations, driven_equations
+from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
+from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.search import OutputErrorSearch
-from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.linear import sampled
 from rotorsim.linear.sampled import Tangent, phi_functions, zero_order_hold
 from rotorsim.model.compiled import compile_diagram

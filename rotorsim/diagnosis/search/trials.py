@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, Law, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence, Promise
-from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, fit_from_plain, fit_to_plain, is_adequate
+from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, is_adequate
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
 from rotorsim.diagnosis.search.promises import (
@@ -26,9 +26,9 @@ from rotorsim.diagnosis.search.promises import (
     most_promising,
     still_likely,
 )
-from rotorsim.diagram.resolve.registry import is_built_in
+from rotorsim.diagnosis.search.work import Work
 from rotorsim.identification.coordinates import ANGLE_UNIT
-from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
+from rotorsim.jobs.jobs import Jobs
 from rotorsim.jobs.threads import one_thread
 
 MOST_FITS = 90  # in one round; places beyond are screened
@@ -37,7 +37,6 @@ MOST_FITS = 90  # in one round; places beyond are screened
 POSSIBLE = 10.0
 DECLARED = 2  # starts of a law that are tried beside one that is known to be near
 AGAIN = 8  # of the best of an earlier round
-BATCHES = 4  # of jobs, for every process
 FIRST_EVALUATIONS, SECOND_EVALUATIONS = 5, 15  # of a nonlinear diagram, before it is judged whether it is worth more
 LAST_EVALUATIONS = 3  # where the data are explained already, and only rivals are looked for
 SECOND_STAGE_FITS = 8  # nonlinear fits that get as far as the second
@@ -56,7 +55,7 @@ class Trials:
     """
 
     def __init__(self, evidence: Evidence, catalogue: Catalogue, jobs: Jobs, earlier: Round | None = None) -> None:
-        self.evidence, self.catalogue, self.jobs = evidence, catalogue, jobs
+        self.evidence, self.catalogue, self.work = evidence, catalogue, Work(evidence, jobs)
         self.likely = None if earlier is None else earlier.likely
         tried = () if earlier is None else (item for item in earlier.tried if not item.fit.failure)
         best = [item for item in tried if self.likely is None or item.insertion.key in self.likely][:AGAIN]
@@ -217,7 +216,7 @@ class Trials:
         if self.evidence.costly or places is None:
             found = self._by_sensitivities(before, [jobs[k] for k in likely])
         else:
-            found = self._promised([candidates[k] for k in likely], places)
+            found = self.work.promises_of_laws([candidates[k] for k in likely], places)
         for k, one in zip(likely, found, strict=True):
             promises[k] = one
         self.likely = None
@@ -226,30 +225,10 @@ class Trials:
 
     def _by_sensitivities(self, before: Fit, jobs: Sequence[Job]) -> list[Promise | None]:
         """Return what laws promise by their sensitivities, beside what the diagram without them does."""
-        [beside, *promises] = self._promises([(values_in(before.document, before.values), [[{}]]), *jobs])
+        [beside, *promises] = self.work.promises([(values_in(before.document, before.values), [[{}]]), *jobs])
         least = HINT * len(before.free) if is_adequate(before) else 0.0  # below, it is noise
         gains = (beside - promise if beside - promise > least else 0.0 for promise in promises)
         return [Promise(before.misfit - gain) for gain in gains]
-
-    def _promised(self, candidates: Sequence[Insertion], places: Bounds) -> list[Promise | None]:
-        """Return what laws promise, shared out over all workers, all places of a law together.
-
-        Blocks of the user are not known there.
-        """
-        of_law: dict[Law, list[int]] = {}
-        for k, item in enumerate(candidates):
-            of_law.setdefault(item.law if is_built_in(item.kind) else ("", 0, False), []).append(k)
-        here = of_law.pop(("", 0, False), [])
-        batches: list[list[int]] = [[] for _ in range(self.jobs.processes)]
-        for which in sorted(of_law.values(), key=len, reverse=True):
-            min(batches, key=len).extend(which)
-        arguments = [([candidates[k] for k in batch], places) for batch in (*batches, here)]
-        given = [*run_jobs(_promised_batch, arguments[:-1], jobs=self.jobs), _promised_batch(arguments[-1])]
-        found: list[Promise | None] = [None] * len(candidates)
-        for batch, promises in zip((*batches, here), given, strict=True):
-            for k, one in zip(batch, promises, strict=True):
-                found[k] = None if one is None else Promise(*one)
-        return found
 
     def _at_likely_places(
         self, before: Fit, candidates: Sequence[Insertion], jobs: Sequence[Job], places: Bounds | None
@@ -283,7 +262,7 @@ class Trials:
 
     def _promising(self, candidates: Sequence[Insertion], jobs: Sequence[Job], most: float = np.inf) -> list[int]:
         """Return the best place of each law, and the next best below ``most``, by what one step promises."""
-        promises = np.array(self._promises(jobs))
+        promises = np.array(self.work.promises(jobs))
         order = np.argsort(promises, kind="stable")
         seen: set[Law] = set()
         first: list[int] = []
@@ -298,9 +277,6 @@ class Trials:
                 second.append(k)
             seen.add(law)
         return [*first, *second[: max(MOST_FITS - len(first), MOST_FITS // 3)]]
-
-    def _promises(self, jobs: Sequence[Job]) -> list[float]:
-        return [np.inf if isinstance(item, Failure) else item for item in self._spread(_promise_batch, jobs, ())]
 
     def _begun(self, jobs: Sequence[Job], promised: Sequence[float]) -> list[Fit]:
         """Return first fits; where one of the most promising explains the data, no others that never will are followed.
@@ -318,25 +294,7 @@ class Trials:
         return [fits[k] for k in range(len(jobs))]
 
     def _fit(self, jobs: Sequence[Job], effort: Effort) -> list[Fit]:
-        fits = self._spread(_fit_batch, jobs, (effort,))
-        return [
-            Fit(document, failure=plain.text) if isinstance(plain, Failure) else fit_from_plain(document, plain)
-            for (document, _), plain in zip(jobs, fits, strict=True)
-        ]
-
-    def _spread(self, function: Callable[[Any], list[Any]], jobs: Sequence[Job], options: tuple[Any, ...]) -> list[Any]:
-        """Return what a function gives for every job, in batches over all workers; `Failure` where a batch is lost."""
-        if not jobs:
-            return []
-        count = min(len(jobs), BATCHES * (self.jobs.workers or 2))
-        batches = [list(jobs[k::count]) for k in range(count)]
-        results = run_jobs(
-            function, [(batch, self.evidence, *options) for batch in batches], jobs=self.jobs, on_error="return"
-        )
-        out: list[Any] = [None] * len(jobs)
-        for k, result in enumerate(results):
-            out[k::count] = [result] * len(batches[k]) if isinstance(result, Failure) else result
-        return out
+        return self.work.fits(jobs, effort)
 
     def _refined(
         self, before: Fit, jobs: Sequence[Job], fits: list[Fit], laws: Sequence[Law]
@@ -444,21 +402,3 @@ def _is_slow(fit: Fit, most: float) -> bool:
 
 def _bymisfit_of(fits: Sequence[Fit]) -> list[int]:
     return sorted((k for k, fit in enumerate(fits) if not fit.failure), key=lambda k: fits[k].misfit)
-
-
-def _promise_batch(argument: tuple[list[Job], Evidence]) -> list[float]:
-    batch, evidence = argument
-    with one_thread():
-        return [evidence.promise(document, starts) for document, starts in batch]
-
-
-def _promised_batch(argument: tuple[list[Insertion], Bounds]) -> list[tuple[float, dict[str, float]] | None]:
-    items, places = argument
-    with one_thread():
-        return [None if one is None else (one.misfit, dict(one.start)) for one in places.promises(items)]
-
-
-def _fit_batch(argument: tuple[list[Job], Evidence, Effort]) -> list[dict[str, Any]]:
-    batch, evidence, effort = argument
-    with one_thread():
-        return [fit_to_plain(evidence.fit(document, starts, effort)) for document, starts in batch]

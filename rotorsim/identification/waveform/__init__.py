@@ -1,1 +1,1 @@
-"""Samples in time: driven equations, their simulation with sensitivities, output-error search."""
+"""Samples in time: what drives a diagram, output-error search, what counts as noise, free signals."""

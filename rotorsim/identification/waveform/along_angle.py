@@ -10,7 +10,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram, Endpoint, Wire
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.data import SampledRun
-from rotorsim.identification.waveform.equations import clock_ports
+from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.signals.shaft_angle import pulses_of
 from rotorsim.signals.turning import is_run_up, turning

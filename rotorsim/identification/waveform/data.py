@@ -15,7 +15,7 @@ from scipy.signal import resample
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError, near_miss
-from rotorsim.identification.waveform.equations import clock_ports, driven_parameters, measured_expression
+from rotorsim.identification.waveform.driven.equations import clock_ports, driven_parameters, measured_expression
 from rotorsim.identification.waveform.gaps import EVEN_SAMPLES
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import Channel, Recording, Run

@@ -18,7 +18,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.along_angle import turned_later
 from rotorsim.identification.waveform.data import Channels, SampledRun
-from rotorsim.identification.waveform.equations import clock_ports
+from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.hum import with_mains_hum
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import NoiseModel, noise_model

@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.waveform.equations import DrivenEquations, driven_equations
+from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
+from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
-from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.linear.sampled import recursion, zero_order_hold
 from rotorsim.model.matrix_function import MatrixFunction
 

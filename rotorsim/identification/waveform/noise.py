@@ -30,7 +30,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.left_out import left_out
 from rotorsim.identification.waveform.data import SampledRun, mean_of
-from rotorsim.identification.waveform.equations import clock_ports
+from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.linearised import places_of, simulated_signals
 from rotorsim.identification.waveform.predictability import Predictability, predictability
 from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch

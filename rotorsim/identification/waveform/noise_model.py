@@ -18,7 +18,8 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.data import Channels, SampledRun, mean_of
-from rotorsim.identification.waveform.equations import ForceMap, driven_equations
+from rotorsim.identification.waveform.driven.equations import ForceMap, driven_equations
+from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.noise import (
     Stretch,
     Variance,
@@ -33,7 +34,6 @@ from rotorsim.identification.waveform.noise import (
 )
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, Evaluation, Label, OutputErrorSearch
 from rotorsim.identification.waveform.shooting import angle_starts, is_lost, shot
-from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.linear import linearisation as linear
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Free
 from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
-from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.identification.waveform.driven.simulation import Simulation
 
 MOST_SIMULATIONS = 60  # what data determine takes up to 25
 REFIT_EVALUATIONS = 15  # of a fit that starts where a similar one ended

@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import RATE_PREFIX, Channels
-from rotorsim.identification.waveform.equations import (
+from rotorsim.identification.waveform.driven.equations import (
     DrivenEquations,
     ForceMap,
     driven_equations,
@@ -17,7 +17,7 @@ from rotorsim.identification.waveform.equations import (
     measured_expression,
     rate_of,
 )
-from rotorsim.identification.waveform.simulation import Simulation
+from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
 

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import Channels
-from rotorsim.identification.waveform.equations import driven_equations
+from rotorsim.identification.waveform.driven.equations import driven_equations
 
 LOWEST = 1e-3  # Hz: below is no mode but a drift
 SEEN = 1e-9  # of the largest shape at the sensors

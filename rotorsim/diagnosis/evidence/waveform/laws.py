@@ -39,9 +39,9 @@ from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.evidence.waveform.driven_law import LAW, OTHER, WIRE, DrivenLaw, View
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import SampledRun
-from rotorsim.identification.waveform.equations import driven_equations
+from rotorsim.identification.waveform.driven.equations import driven_equations
+from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.linearised import LinearisedRun, Place
-from rotorsim.identification.waveform.simulation import Simulation
 from rotorsim.identification.waveform.unknown_input import SignalEstimate, Smoothed, UnknownInputs
 
 SMOOTHED_PLACES = 8  # the likeliest, where the signal that the place carries is estimated, too

@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from rotorsim.identification.waveform.equations import DrivenEquations
+from rotorsim.identification.waveform.driven.equations import DrivenEquations
 from rotorsim.linear.sampled import LARGE, SMALL
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program

@@ -15,9 +15,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rotorsim.identification.waveform.equations import DrivenEquations
-from rotorsim.identification.waveform.exponential import ExponentialSteps, Split
-from rotorsim.identification.waveform.source import source_of
+from rotorsim.identification.waveform.driven.equations import DrivenEquations
+from rotorsim.identification.waveform.driven.exponential import ExponentialSteps, Split
+from rotorsim.identification.waveform.driven.source import source_of
 from rotorsim.linear.sampled import LARGE, Tangent, first_order_hold, response
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.model.runge_kutta import RK4

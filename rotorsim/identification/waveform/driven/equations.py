@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.waveform.slow_modes import reduced
+from rotorsim.identification.waveform.driven.slow_modes import reduced
 from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.linearity import is_affine
@@ -94,7 +94,7 @@ class DrivenEquations:
     kept (n,): of the states of the model, with names. inputs: flat names of what v holds. p: parameters of the model,
     then the coefficients of a `ForceMap`; slots: the entries of p that each of the m parameters sets. arguments: t, x,
     v, p. f (n,), g (c,). fastest: frequency [rad/s] of modes beyond which only their flexibility stays
-    (`rotorsim.identification.waveform.slow_modes`); None: all stay.
+    (`rotorsim.identification.waveform.driven.slow_modes`); None: all stay.
     """
 
     model: Model

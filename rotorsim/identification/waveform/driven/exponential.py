@@ -26,8 +26,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rotorsim.identification.waveform.equations import OF_THE_ANGLE, DrivenEquations, clock_ports
-from rotorsim.identification.waveform.source import source_of
+from rotorsim.identification.waveform.driven.equations import OF_THE_ANGLE, DrivenEquations, clock_ports
+from rotorsim.identification.waveform.driven.source import source_of
 from rotorsim.linear.sampled import MOST_DOUBLINGS, Tangent, phi_functions
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.model.linearity import semi_linear
