@@ -40,7 +40,7 @@ from rotorsim.linear.eigenmodes import modes
 from rotorsim.model.load import load
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.recordings.orders import OrderRecording, load_orders
-from rotorsim.report.identification.orders import Curve, bode_figure
+from rotorsim.report.figures.bode import Curve, bode_figure
 
 RPM = 30 / np.pi
 MASS, GYROSCOPIC = 1.955, 0.0011552 * 5.27**2  # kg, of diagrams/rk4_first_mode.json

@@ -90,19 +90,19 @@ def command(
         return 0
     from rotorsim.diagnosis.diagnosis import diagnose
     from rotorsim.diagnosis.files import diagnosis_data, save_diagnosis
-    from rotorsim.recordings.loading import load_recording
+    from rotorsim.recordings.orders import load_any
 
     check_folder("--out", out)
     keep_diagram(out, chosen.name)
     loaded = chosen.open()
     _check_free(loaded)
-    measured = load_recording(_existing("RECORDING", recording or ""))
+    measured = load_any(_existing("RECORDING", recording or ""))
     refuse_if(
         measured.runs and not measured.select("identify"),
         f"RECORDING {recording}: all its runs are held out",
         hint='give runs to be scored only with --hold-out, or mark some of these "use": "identify"',
     )
-    held = None if hold_out is None else load_recording(_existing("--hold-out", hold_out))
+    held = None if hold_out is None else load_any(_existing("--hold-out", hold_out))
     if out:
         _make(out)
     with progress_bar("diagnose", progress) as bar:

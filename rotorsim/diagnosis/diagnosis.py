@@ -27,9 +27,9 @@ __all__ = ["Diagnosis", "diagnose"]
 
 def diagnose(
     diagram: Diagram,
-    recording: Recording,
+    recording: Recording | OrderRecording,
     *,
-    hold_out: Recording | None = None,
+    hold_out: Recording | OrderRecording | None = None,
     physics: Collection[str] | None = None,
     trust_blocks: bool = False,
     workers: int | None = None,
@@ -70,8 +70,7 @@ def diagnose(
 
 def _checked(recording: Recording | OrderRecording) -> list[Problem]:
     if isinstance(recording, OrderRecording):
-        what, hint = "orders over the speed cannot be diagnosed yet", "'identify' takes them; record samples in time"
-        raise RotorsimError(Problem(what, recording.name, hint=hint))
+        return [*recording.warnings]
     problems = [*recording.warnings, *check_signals(recording)]
     if any(problem.severity == "error" for problem in problems):
         raise RotorsimError(*problems, exit_code=1)

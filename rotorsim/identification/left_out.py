@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 RANK_TOLERANCE = 1e-12  # of the largest eigenvalue of a scaled information matrix
+ZERO_EIGENVALUE = 1e-13  # of the largest eigenvalue: below, it is rounding
+HELD_BY_NONE = 1e-8  # 1 - leverage of a direction that no other run determines: it is not predicted from them
 
 
 def left_out(residual: np.ndarray, jacobian: np.ndarray, sizes: Sequence[int]) -> np.ndarray:
@@ -24,3 +26,43 @@ def left_out(residual: np.ndarray, jacobian: np.ndarray, sizes: Sequence[int]) -
         predicted = r + rows @ (others @ (rows.T @ r))
         out.append(float(predicted @ predicted))
     return np.array(out)
+
+
+def surprise(known: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -> float | None:
+    """Return the misfit of data that took no part in a fit, with the noise and the uncertainty of its parameters.
+
+    e^T (I + J (S^T S)^-1 J^T)^-1 e = |e|^2 - e^T J (S^T S + J^T J)^-1 J^T e, with the whitened residual e (n,) and
+    Jacobian J (n, m), and the Jacobian S of the fitted data and of priors, known (k, m): chi-squared, if the structure
+    is true. None where anything is not finite.
+    """
+    S, e, J = known, residual, jacobian
+    if not (np.isfinite(e).all() and np.isfinite(J).all() and np.isfinite(S).all()):
+        return None
+    size = np.sqrt((S**2).sum(axis=0) + (J**2).sum(axis=0))
+    size[size == 0] = 1.0
+    S, J = S / size, J / size
+    onto = J.T @ e
+    inverse = np.linalg.pinv(S.T @ S + J.T @ J, rcond=ZERO_EIGENVALUE, hermitian=True)
+    return float(e @ e - onto @ inverse @ onto)
+
+
+def standardised(known: np.ndarray, residual: np.ndarray, sizes: Sequence[int]) -> list[tuple[float, float]]:
+    """Return of each run of fitted data the misfit when it is predicted from the others, and its equations.
+
+    By linear theory e_r = (I - H_r)^-1 r_r with covariance (I - H_r)^-1, H_r = J_r (J^T J)^-1 J_r^T, so that the misfit
+    r_r^T (I - H_r)^-1 r_r is chi-squared, if the structure is true (Cook & Weisberg, Residuals and Influence in
+    Regression, 1982, ch. 2). Directions that only this run determines count neither as misfit nor as equations. known:
+    the whitened Jacobian (n, m) of all runs, then that of priors; sizes: equations of each run.
+    """
+    norm = np.linalg.norm(known, axis=0)
+    S = known[:, norm > 0] / norm[norm > 0]
+    inverse = np.linalg.pinv(S.T @ S, rcond=ZERO_EIGENVALUE, hermitian=True)
+    out, at = [], 0
+    for size in sizes:
+        J, e = S[at : at + size], residual[at : at + size]
+        at += size
+        values, vectors = np.linalg.eigh(np.eye(size) - J @ inverse @ J.T)
+        shared = values > HELD_BY_NONE
+        parts = vectors[:, shared].T @ e
+        out.append((float((parts**2 / values[shared]).sum()), float(shared.sum())))
+    return out

@@ -117,7 +117,7 @@ def parse_recording(source: Source, folder: Path, *, files: bool = True) -> Docu
     if isinstance(source.data, dict) and source.data.get("kind") == "orders":
         what, hint = (
             "these are orders over the speed, not samples in time",
-            "'identify', 'run --input' and 'check' take them",
+            "'identify', 'diagnose', 'run --input' and 'check' take them",
         )
         raise RotorsimError(Problem(what, place=source.locate(("kind",)), hint=hint))
     parser = DocumentParser(source, folder, files)

@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorsim.diagnosis.diagnosis import diagnose
-from rotorsim.errors import RotorsimError
 from rotorsim.identification.identification import identify
 from rotorsim.model.load import load
 from rotorsim.recordings.orders import load_orders
@@ -90,17 +88,26 @@ def test_check_takes_orders_and_compares_them_with_a_diagram(case, run: Run):
     assert "channel x 1X: no such signal" in done.stderr
 
 
-@pytest.mark.parametrize("verb", ["diagnose", "locate"])
-def test_verbs_that_need_samples_refuse_orders(case, run: Run, verb):
-    done = run(verb, str(case / "disc.json"), str(case / "up"))
+def test_verbs_that_need_samples_refuse_orders(case, run: Run):
+    done = run("locate", str(case / "disc.json"), str(case / "up"))
     assert done.exit_code == 2
     assert "recording.json:2:10: error: these are orders over the speed, not samples in time" in done.stderr
-    assert "hint: 'identify', 'run --input' and 'check' take them" in done.stderr
+    assert "hint: 'identify', 'diagnose', 'run --input' and 'check' take them" in done.stderr
 
 
-def test_a_diagnosis_refuses_orders(case):
-    with pytest.raises(RotorsimError, match="orders over the speed cannot be diagnosed yet"):
-        diagnose(load(str(case / "disc.json")), load_orders(case / "up"))
+def test_diagnose_takes_orders_and_writes_bode_plots(case, run: Run, tmp_path):
+    physics = ("--physics", "cubic_stiffness", "--workers", "1")
+    with undrawn():
+        done = run("diagnose", str(case / "disc.json"), str(case / "up"), "--out", "out", *physics)
+    assert done.exit_code == 0, done.output
+    assert done.stdout.startswith("verdict: consistent")
+    data = json.loads((tmp_path / "out/diagnosis.json").read_text())
+    assert data["fit"]["before"]["adequate"]
+    assert data["fit"]["before"]["goodness"] > 1e-4
+    assert (tmp_path / "out/orders_up_1.png").exists()
+    assert (tmp_path / "out/residuals.png").exists()
+    assert "Amplitude (0-peak) and phase lag of order vectors" in (tmp_path / "out/report.html").read_text()
+    assert load(str(tmp_path / "out/diagram.json")).name == "disc"
 
 
 def test_the_example_of_the_page_is_a_recording_of_orders(tmp_path):

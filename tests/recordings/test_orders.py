@@ -119,7 +119,8 @@ def test_orders_are_not_read_as_samples(tmp_path):
         load_recording(folder)
     [problem] = error.value.problems
     assert problem.what == "these are orders over the speed, not samples in time"
-    assert (problem.place.line, problem.hint) == (2, "'identify', 'run --input' and 'check' take them")
+    hint = "'identify', 'diagnose', 'run --input' and 'check' take them"
+    assert (problem.place.line, problem.hint) == (2, hint)
 
 
 def test_the_schema_names_the_keys_that_are_read(tmp_path):

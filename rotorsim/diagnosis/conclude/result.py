@@ -19,6 +19,7 @@ from rotorsim.diagnosis.search.candidates import Candidate
 from rotorsim.diagnosis.search.selection import Selection
 from rotorsim.errors import Problem
 from rotorsim.identification.profile import Z90
+from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording
 
 VERDICTS = ("consistent", "missing_physics", "outside_catalogue", "not_identifiable")
@@ -75,7 +76,7 @@ class Diagnosis(Shown):
     selection: Selection
     evidence: Evidence
     given: Evidence
-    recordings: tuple[Recording, ...]
+    recordings: tuple[Recording | OrderRecording, ...]
     held_out: bool
     places: tuple[tuple[Spot, float], ...] = ()
     rejected: tuple[tuple[str, str], ...] = ()

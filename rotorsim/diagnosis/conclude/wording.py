@@ -127,7 +127,19 @@ def _consistent(diagnosis: Diagnosis) -> list[str]:
         parts.append(f"Whether that is all cannot be judged, though: {diagnosis.evidence.unjudged}.")
     if diagnosis.evidence.alike:
         parts.append(f"All its runs are alike, though: {ONE_SPEED}.")
-    return [*parts, _hold_out(diagnosis)]
+    return [*parts, _imitated(diagnosis), _hold_out(diagnosis)]
+
+
+def _imitated(diagnosis: Diagnosis) -> str:
+    """Return which physics change the recording only as what is free does, so that no size of them is known."""
+    open_ones: dict[str, bool] = {}
+    for item in diagnosis.selection.first.tried:
+        names, physics = [free.name for free in item.fit.free], item.insertion.physics
+        if not item.fit.failure:
+            spread = [item.fit.covariance[j, j] for j in map(names.index, item.parameters)]
+            open_ones[physics] = open_ones.get(physics, True) and bool(np.isinf(spread).all())
+    names = sorted(physics for physics, is_open in open_ones.items() if is_open)
+    return f"Nothing is said of {_list(names)}: what is free changes these data alike." if names else ""
 
 
 def _unexplained(diagnosis: Diagnosis) -> str:

@@ -1,1 +1,1 @@
-"""What recordings say: residuals and scores of a diagram against harmonics, samples in time, or resonances."""
+"""What recordings say: residuals and scores of a diagram against harmonics, samples in time, orders, or resonances."""

@@ -13,6 +13,7 @@ from rotorsim.diagnosis.evidence.change import Change
 from rotorsim.diagnosis.evidence.fit import TO_THE_END, Effort, Fit, Starts
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagram.diagram import Diagram
+from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording
 
 
@@ -142,13 +143,13 @@ class Validation(Protocol):
 class Evidence(Protocol):
     """Recorded signals, and how well a diagram predicts them.
 
-    A diagram is handed over as its document. Three implementations: `HarmonicEvidence` (a turning shaft),
-    `WaveformEvidence` (samples in time), `ResonanceEvidence` (frequencies and shapes of modes), chosen by
-    `open_evidence`.
+    A diagram is handed over as its document. Four implementations: `HarmonicEvidence` (a turning shaft),
+    `WaveformEvidence` (samples in time), `ResonanceEvidence` (frequencies and shapes of modes), `OrderEvidence` (order
+    vectors over the speed), chosen by `open_evidence`.
     """
 
     @property
-    def recording(self) -> Recording:
+    def recording(self) -> Recording | OrderRecording:
         """The recording that it was made from."""
 
     @property

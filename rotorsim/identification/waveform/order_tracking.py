@@ -24,6 +24,7 @@ from rotorsim.identification.waveform.driven.equations import DrivenEquations, d
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.reading import settings_of
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, Evaluation, Label, OutputErrorSearch
+from rotorsim.linear.linearisation import entry_names
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
 from rotorsim.recordings.recording import ANGLE
@@ -168,6 +169,41 @@ class OrderSearch(OutputErrorSearch):
         return vectors + (unknowns[self.m :] if self.constants else 0.0), derivatives
 
 
+def clock_of(diagram: Diagram) -> str:
+    """Return the name of the only clock of a diagram. Raises RotorsimError where there is not one."""
+    clocks = [name for name, node in diagram.nodes.items() if node.block.category == "clock"]
+    if len(clocks) != 1:
+        what = f"has {len(clocks) or 'no'} clock{'s' * (len(clocks) != 1)}: which one turns as recorded is not known"
+        raise RotorsimError(Problem(what, diagram.name, hint="one block 'clock' gives the angle of the shaft"))
+    return clocks[0]
+
+
+def order_equations(diagram: Diagram, outputs: Sequence[str], free: Sequence[Free]) -> DrivenEquations:
+    """Return the equations of a diagram whose clock gives what the angle of a run tells; outputs: flat names.
+
+    Raises RotorsimError for a diagram without one clock, and as `driven_equations` does.
+    """
+    ports = {"theta": ANGLE, "speed": SPEED, "acceleration": ACCELERATION}
+    cut = {f"{clock_of(diagram)}.{port}": [name] for port, name in ports.items()}
+    return driven_equations(diagram, outputs, [*ports.values()], free, cut=cut)
+
+
+def largest_of(tracked: TrackedOrders, diagram: Diagram) -> dict[str, float]:
+    """Return the largest magnitude of every output of a diagram in the rows of its runs, as it is, by flat name."""
+    model = tracked.simulation.equations.model
+    ports = [f"{name}.{port}" for name, node in diagram.nodes.items() for port in node.outputs]
+    names = [name for port in ports if port in model.signals for name in entry_names(port, model.signals[port].shape)]
+    simulation = Simulation(order_equations(diagram, names, ()), by_start=False, sensitive=False)
+    search, largest = order_search(tracked, {("", label): 1.0 for label in tracked.labels}), np.zeros(len(names))
+    eq, sub = simulation.equations, search.substeps(search.first())
+    for track, given in zip(tracked.tracks, search.p, strict=True):
+        p, run = eq.parameters(given, np.zeros(0)), track.run
+        v, x0 = run.inputs(eq.inputs, sub), eq.model.x0(given)[eq.kept]
+        y, _ = simulation.simulate(p, x0, v, np.diff(run.time), t0=run.start, sensitivities=False)
+        largest = np.maximum(largest, np.abs(y[track.first[0] :]).max(axis=0))
+    return {name: float(size) for name, size in zip(names, largest, strict=True) if np.isfinite(size)}
+
+
 def tracked_orders(
     diagram: Diagram, recording: OrderRecording, runs: Sequence[OrderRun], free: Sequence[Free]
 ) -> TrackedOrders:
@@ -175,11 +211,12 @@ def tracked_orders(
 
     Raises RotorsimError for channels that the diagram does not have, and a diagram without one clock.
     """
-    model, problems = compile_diagram(diagram), []
-    clocks = [name for name, node in diagram.nodes.items() if node.block.category == "clock"]
-    if len(clocks) != 1:
-        what = f"has {len(clocks) or 'no'} clock{'s' * (len(clocks) != 1)}: which one turns as recorded is not known"
-        problems.append(Problem(what, diagram.name, hint="one block 'clock' gives the angle of the shaft"))
+    model = compile_diagram(diagram)
+    problems: list[Problem] = []
+    try:
+        clock_of(diagram)
+    except RotorsimError as error:
+        problems += error.problems
     names: list[str] = []
     for column, channel in recording.channels.items():
         try:
@@ -191,9 +228,7 @@ def tracked_orders(
     if problems:
         raise RotorsimError(*problems)
     outputs = tuple(dict.fromkeys(names))
-    ports = {"theta": ANGLE, "speed": SPEED, "acceleration": ACCELERATION}
-    cut = {f"{clocks[0]}.{port}": [name] for port, name in ports.items()}
-    equations = driven_equations(diagram, outputs, [*ports.values()], free, cut=cut)
+    equations = order_equations(diagram, outputs, free)
     simulation = Simulation(equations, by_start=False)
     channels = tuple(recording.channels.values())
     samples = SAMPLES_OF_PERIOD * max(channel.order for channel in channels)

@@ -1,4 +1,4 @@
-"""The diagrams of a diagnosis beside what was measured: harmonics, samples in time, or resonances."""
+"""The diagrams of a diagnosis beside what was measured: harmonics, samples in time, order vectors, or resonances."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from rotorsim.diagnosis.evidence.fit import FAILURES
 from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagnosis.evidence.harmonic.scoring import predict
+from rotorsim.diagnosis.evidence.orders.evidence import OrderEvidence
 from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.errors import Problem, RotorsimError
@@ -23,6 +24,7 @@ from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.jobs.threads import one_thread
 from rotorsim.report.comparison.harmonics import Comparison, PredictedRuns, predicted_runs
 from rotorsim.report.comparison.samples import SampleComparison, Trace
+from rotorsim.report.figures.bode import Curve, bode_figure, residual_rows_figure
 from rotorsim.report.figures.orbits import orbits_figure
 from rotorsim.report.figures.samples import beside_figure, residuals_in_time_figure
 from rotorsim.report.figures.spectra import residuals_figure, spectra_figure
@@ -45,6 +47,14 @@ TRACES = "Each signal in the run that the diagram as given explains least, and t
 RESIDUALS = (
     "Measured less simulated, and its autocorrelation; that of white noise stays within the band at 95 % of the lags. "
     "Noise of a recorder may be coloured: the verdict asks what of the residual can be predicted."
+)
+BODE = (
+    "Amplitude (0-peak) and phase lag of order vectors over the speed, and what each diagram leaves; slow roll is in "
+    "the simulated ones where it was fitted along."
+)
+ROWS = (
+    "What is left of each row in standard deviations of the noise, and how alike rows are that lie some rows apart: "
+    "noise stays within the band."
 )
 
 
@@ -203,6 +213,57 @@ class OfSamples:
         return SampleComparison(looks, traces, title)
 
 
+# -- order vectors over the speed --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class OfOrders:
+    """Diagrams beside order vectors over the speed."""
+
+    found: Diagnosis
+    evidence: OrderEvidence
+    given: OrderEvidence
+    speeds: Sequence[float] = ()
+
+    def figures(self) -> Iterator[Drawn]:
+        """Return a Bode plot of every run and channel."""
+        evidence, looks = self.evidence, looks_of(self.found)
+        of = HELD if evidence.held else FITTED
+        with one_thread():
+            pairs = zip(looks, _documents(self.found), strict=False)
+            simulated = [(look, evidence.vectors(document)) for look, document in pairs]
+        for r, (run, columns) in enumerate(evidence.shown):
+            for c, (column, channel) in enumerate(columns.items()):
+                noise = evidence.noise[channel.label]
+                curves = [
+                    Curve(look.label, run.speed, vectors[r][:, c], look.line, look.colour)
+                    for look, vectors in simulated
+                    if vectors is not None
+                ]
+                measured = Curve("measured", run.speed, run.vectors[column])
+                title = f"{channel.label}, run {run.id}, {of}"
+                yield Drawn(
+                    f"orders_{run.id}_{c + 1}", bode_figure(measured, curves, title, channel.unit, noise.std), BODE
+                )
+
+    def residuals(self) -> Drawn | None:
+        """Return what is left of the rows of the first channel in the longest fitted run, and its autocorrelation."""
+        looks, evidence = looks_of(self.found), self.evidence
+        r = max(range(len(evidence.runs)), key=lambda k: len(evidence.runs[k].speed))
+        with one_thread():
+            parts = zip(looks, _documents(self.found), strict=False)
+            left = [(look, evidence.left_over(document)) for look, document in parts]
+        rows = [
+            Curve(look.label, evidence.runs[r].speed, parts[r][:, 0], look.line, look.colour)
+            for look, parts in left
+            if parts is not None
+        ]
+        if not rows:
+            return None
+        title = f"Residual of {next(iter(evidence.noise))}, run {evidence.runs[r].id}, {FITTED}"
+        return Drawn("residuals", residual_rows_figure(rows, title), ROWS)
+
+
 # -- resonances --------------------------------------------------------------------------------------------------------
 
 
@@ -226,6 +287,7 @@ class OfResonances:
 _BY_EVIDENCE: Mapping[type[Any], Callable[[Diagnosis, Any, Any], Compared]] = {
     HarmonicEvidence: OfHarmonics,
     WaveformEvidence: OfSamples,
+    OrderEvidence: OfOrders,
     ResonanceEvidence: OfResonances,
 }
 

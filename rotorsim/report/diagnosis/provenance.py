@@ -15,6 +15,7 @@ import numpy as np
 from rotorsim.diagnosis.conclude.result import Diagnosis
 from rotorsim.diagnosis.files import repaired_document
 from rotorsim.errors import escape
+from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording
 
 LIBRARIES = ("casadi", "numpy", "scipy", "matplotlib")
@@ -41,11 +42,15 @@ def _of_document(document: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(document, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def _of_samples(recording: Recording) -> str:
-    """Return the SHA-256 of all samples of a recording."""
+def _of_samples(recording: Recording | OrderRecording) -> str:
+    """Return the SHA-256 of all samples of a recording, or of all its order vectors and their speeds."""
     digest = hashlib.sha256()
-    for run in recording.runs:
-        for name in sorted(run.values):
+    if isinstance(recording, OrderRecording):
+        columns = [{"": run.speed, **run.vectors} for run in recording.runs]
+    else:
+        columns = [dict(run.values) for run in recording.runs]
+    for values in columns:
+        for name in sorted(values):
             digest.update(name.encode())
-            digest.update(np.ascontiguousarray(run.values[name]).tobytes())
+            digest.update(np.ascontiguousarray(values[name]).tobytes())
     return digest.hexdigest()

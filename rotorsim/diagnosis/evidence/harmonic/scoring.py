@@ -14,12 +14,11 @@ from rotorsim.diagnosis.evidence.fit import FAILURES, reason_of
 from rotorsim.diagnosis.evidence.harmonic.fitting import fit_document
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagnosis.evidence.harmonic.stability import unsettled
+from rotorsim.identification import left_out
 from rotorsim.identification.experiment import Experiment, open_experiment
 from rotorsim.identification.likelihood import Evaluation, Likelihood
 from rotorsim.signals.converters import before_converters
 
-ZERO_EIGENVALUE = 1e-13  # of the largest eigenvalue: below, it is rounding
-HELD_BY_NONE = 1e-8  # 1 - leverage of a direction that no other run determines: it is not predicted from them
 UNSETTLED = "it has no settled motion in the runs that were fitted"
 BOUND_TOLERANCE = 1e-9  # relative: such a parameter takes no part in linear theory
 
@@ -116,32 +115,16 @@ def _runs(experiment: Experiment, which: Sequence[int]) -> str:
 
 
 def surprise(fitted: Prediction, held: Sequence[Prediction]) -> float | None:
-    """Return the misfit of hold-out runs, with the noise and the uncertainty of the fitted parameters.
-
-    e^T (I + J (S^T S)^-1 J^T)^-1 e = |e|^2 - e^T J (S^T S + J^T J)^-1 J^T e, with the whitened residual e and
-    Jacobian J of the hold-out runs, and the Jacobian S of the fitted ones and of priors: chi-squared, if the structure
-    is true. None where a run has no settled motion.
-    """
+    """Return the misfit of hold-out runs, see `left_out.surprise`; None where a run has no settled motion."""
     e = np.concatenate([part.evaluation.residual for part in held])
     J = np.concatenate([part.evaluation.jacobian for part in held])
-    return _surprise(_known(fitted), e, J)
+    return left_out.surprise(_known(fitted), e, J)
 
 
 def _known(fitted: Prediction) -> np.ndarray:
     """Return the Jacobian of the fitted runs and of what is known of parameters beforehand, (n, m)."""
     priors = [0.0 if item.prior_std is None else 1 / item.prior_std for item in fitted.experiment.free]
     return np.concatenate([fitted.evaluation.jacobian, np.diag(priors)])
-
-
-def _surprise(S: np.ndarray, e: np.ndarray, J: np.ndarray) -> float | None:
-    if not (np.isfinite(e).all() and np.isfinite(J).all() and np.isfinite(S).all()):
-        return None
-    size = np.sqrt((S**2).sum(axis=0) + (J**2).sum(axis=0))
-    size[size == 0] = 1.0
-    S, J = S / size, J / size
-    onto = J.T @ e
-    known = np.linalg.pinv(S.T @ S + J.T @ J, rcond=ZERO_EIGENVALUE, hermitian=True)
-    return float(e @ e - onto @ known @ onto)
 
 
 def _misfits(fitted: Prediction, part: Prediction) -> list[tuple[float, float]]:
@@ -152,7 +135,7 @@ def _misfits(fitted: Prediction, part: Prediction) -> list[tuple[float, float]]:
     for size in sizes:
         own = slice(at, at + size)
         at += size
-        misfit = _surprise(S, part.evaluation.residual[own], part.evaluation.jacobian[own])
+        misfit = left_out.surprise(S, part.evaluation.residual[own], part.evaluation.jacobian[own])
         out.append((float("nan") if misfit is None else misfit, size - lost))
     return out
 
@@ -160,9 +143,7 @@ def _misfits(fitted: Prediction, part: Prediction) -> list[tuple[float, float]]:
 def standardised(fitted: Prediction) -> tuple[tuple[float, float], ...] | None:
     """Return of each fitted run the misfit when it is predicted from the others, and its equations.
 
-    By linear theory e_r = (I - H_r)^-1 r_r with covariance (I - H_r)^-1, H_r = J_r (J^T J)^-1 J_r^T, so that the misfit
-    r_r^T (I - H_r)^-1 r_r is chi-squared, if the structure is true (Cook & Weisberg, Residuals and Influence in
-    Regression, 1982, ch. 2). Directions that only this run determines count neither as misfit nor as equations.
+    See `left_out.standardised`; None where a run has no settled motion.
     """
     sizes = [len(white.keep) for white in fitted.likelihood.whiteners]
     S, residual = _known(fitted), fitted.evaluation.residual
@@ -170,19 +151,8 @@ def standardised(fitted: Prediction) -> tuple[tuple[float, float], ...] | None:
         return None
     theta, free = fitted.experiment.theta0, fitted.experiment.free
     S = S[:, [not _at_bound(v, item.low, item.high) for v, item in zip(theta, free, strict=True)]]
-    norm = np.linalg.norm(S, axis=0)
-    S = S[:, norm > 0] / norm[norm > 0]
-    inverse = np.linalg.pinv(S.T @ S, rcond=ZERO_EIGENVALUE, hermitian=True)
     lost = (sum(sizes) - fitted.evaluation.rows) / len(sizes)
-    out, at = [], 0
-    for size in sizes:
-        J, e = S[at : at + size], residual[at : at + size]
-        at += size
-        values, vectors = np.linalg.eigh(np.eye(size) - J @ inverse @ J.T)
-        shared = values > HELD_BY_NONE
-        parts = vectors[:, shared].T @ e
-        out.append((float((parts**2 / values[shared]).sum()), float(shared.sum()) - lost))
-    return tuple(out)
+    return tuple((misfit, equations - lost) for misfit, equations in left_out.standardised(S, residual, sizes))
 
 
 def _at_bound(value: float, low: float, high: float) -> bool:
