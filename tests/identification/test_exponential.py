@@ -124,8 +124,8 @@ def test_derivatives_are_those_of_the_steps(equations):
 def test_blocks_of_samples_follow_a_shaft_that_runs_up_fast(equations, monkeypatch):
     """In a block the speed is that of its middle: the error is of second order in its length."""
     exact, errors = integrated(THETA), {}
-    for block in (exponential.BLOCK, 16, 32):
-        monkeypatch.setattr(exponential, "BLOCK", block)
+    for block in (exponential.BLOCK_SAMPLES, 16, 32):
+        monkeypatch.setattr(exponential, "BLOCK_SAMPLES", block)
         errors[block] = np.abs(stepped(equations, THETA, 4)[0] - exact).max()
     assert errors[32] / errors[16] == pytest.approx(4, rel=0.5)
     assert errors[8] < 1e-4 * np.abs(exact).max()  # in 8 ms, in which the speed rises by 1 %

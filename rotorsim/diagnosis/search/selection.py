@@ -20,7 +20,7 @@ from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs, local_workers
 
 BEAM_WIDTH = 2  # hypotheses that the next round starts from
-TURNS = 3  # from a law to its places, and from a place to its laws
+LAW_AND_PLACE_TURNS = 3  # from a law to its places, and from a place to its laws
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +126,7 @@ def _round(trials: Trials, before: Fit) -> Round:
     would be looked for in vain. Not where what the best leaves is noise.
     """
     found = trials.round(before)
-    for _ in range(TURNS):
+    for _ in range(LAW_AND_PLACE_TURNS):
         best = found.best
         if best is None or not found.untried or _leaves_noise(best.fit):
             break

@@ -52,7 +52,7 @@ BODE = (
     "Amplitude (0-peak) and phase lag of order vectors over the speed, and what each diagram leaves; slow roll is in "
     "the simulated ones where it was fitted along."
 )
-ROWS = (
+ROWS_TITLE = (
     "What is left of each row in standard deviations of the noise, and how alike rows are that lie some rows apart: "
     "noise stays within the band."
 )
@@ -261,7 +261,7 @@ class OfOrders:
         if not rows:
             return None
         title = f"Residual of {next(iter(evidence.noise))}, run {evidence.runs[r].id}, {FITTED}"
-        return Drawn("residuals", residual_rows_figure(rows, title), ROWS)
+        return Drawn("residuals", residual_rows_figure(rows, title), ROWS_TITLE)
 
 
 # -- resonances --------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from rotorsim.units import conversion
 
 _RPM = 30 / np.pi
 LINE_COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE)
-LAGS = 20  # rows over which an autocorrelation is drawn
+ROW_LAGS = 20  # rows over which an autocorrelation is drawn
 LEAST_AMPLITUDE = 3.0  # times the noise, below which a phase is none
 
 
@@ -80,7 +80,7 @@ def residual_rows_figure(rows: Sequence[Curve], title: str) -> Figure:
                 curve.speed * _RPM, np.abs(curve.vectors), curve.line, color=curve.colour, lw=1.0, label=curve.label
             )
             e = np.nan_to_num(curve.vectors)
-            lags = np.arange(1, min(LAGS, len(e) - 1) + 1)
+            lags = np.arange(1, min(ROW_LAGS, len(e) - 1) + 1)
             square = max(float(np.vdot(e, e).real), 1e-300)
             r = [float(np.vdot(e[:-k], e[k:]).real) / square for k in lags]
             alike.plot(lags, r, curve.line, color=curve.colour, marker=".")

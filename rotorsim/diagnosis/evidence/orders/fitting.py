@@ -25,7 +25,7 @@ FOLLOWED = 3  # starts of a law: those that promise most
 REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
 # of the largest eigenvalue of the scaled information: below, a direction changes the rows by less than thrice what a
 # simulation may be wrong by, which does not know what was before the first row (FORGOTTEN)
-DETERMINED = 1e-7
+DETERMINED_BY_ROWS = 1e-7
 
 
 def fitted(
@@ -113,7 +113,7 @@ def covariance_of(search: OrderSearch, end: Evaluation) -> np.ndarray:
     information = end.information[np.ix_(searched, searched)]
     size = np.sqrt(np.where(np.diag(information) > 0, np.diag(information), 1.0))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    known = values > DETERMINED * max(float(values.max(initial=0.0)), 1.0)
+    known = values > DETERMINED_BY_ROWS * max(float(values.max(initial=0.0)), 1.0)
     spread = vectors[:, known] / size[:, None]
     own = spread / values[known] @ spread.T
     open_ones = (np.abs(vectors[:, ~known]) > PART).any(axis=1)

@@ -26,7 +26,7 @@ from rotorsim.identification.waveform.order_tracking import (
 from rotorsim.identification.waveform.search import Evaluation
 
 MOST_MEMORY = 0.95  # of a row, of the row before: twenty rows count as one
-LAGS = 20  # rows over which what is left is asked for structure, a quarter of all at most
+ROW_LAGS = 20  # rows over which what is left is asked for structure, a quarter of all at most
 DIFFERENCED = 3.17  # rows that count as one in a variance by sixth differences: C(24, 12) / C(12, 6)^2
 
 
@@ -156,7 +156,7 @@ def whiteness_of(left: Sequence[np.ndarray]) -> tuple[float, float]:
     """
     square = sum(float(np.nansum(np.abs(part) ** 2)) for part in left)
     count = sum(int(np.isfinite(part).sum()) for part in left)
-    lags = min(LAGS, count // 4)
+    lags = min(ROW_LAGS, count // 4)
     if square <= 0 or lags < 1:
         return 1.0, 0.0
     total, share = 0.0, 0.0

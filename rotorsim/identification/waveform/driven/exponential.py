@@ -33,12 +33,12 @@ from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compile
 from rotorsim.model.linearity import semi_linear
 from rotorsim.model.matrix_function import MatrixFunction
 
-DIGITS = 12  # of a step: the rest is rounding
-BLOCK = 8  # samples in which speed and acceleration are those of their mean: what is left is of second order in time
+STEP_DIGITS = 12  # of a step: the rest is rounding
+BLOCK_SAMPLES = 8  # in which speed and acceleration are those of their mean: what is left is of second order in time
 INTERPOLATED = 1e-8  # relative error of interpolated matrices, far below what steps are good to
 MOST_POINTS = 9  # of speed, and of acceleration, between which matrices are interpolated
-TRIED = (0.11, 0.37, 0.5, 0.83)  # of the range of speeds: where that error is looked at
-MOST_LAWS = 0.5  # of the states, that depend on them otherwise than linearly: beyond, steps of the whole cost less
+TRIED_SPEEDS = (0.11, 0.37, 0.5, 0.83)  # of the range of speeds: where that error is looked at
+MOST_LAWS_OF_STATES = 0.5  # that depend on them otherwise than linearly: beyond, steps of the whole cost less
 
 _RUNTIME = r"""
 #define RS_DRIVEN (RS_LAWS ? RS_K : RS_M) /* derivatives of q: by the start only where it depends on the states */
@@ -179,7 +179,7 @@ class Split:
         fast = ca.vertcat(t, *[v[k] for k in range(v.numel()) if k not in slow])
         found = semi_linear(ca.vertcat(eq.f, eq.g), x, fast, v[slow])
         laws = sum(ca.depends_on(law, x) for law in ca.vertsplit(found.phi))
-        if laws > MOST_LAWS * eq.n:
+        if laws > MOST_LAWS_OF_STATES * eq.n:
             return None
         still = ca.substitute(found.of, ca.vertcat(x, found.w), ca.SX.zeros(eq.n + found.w.numel()))
         L = ca.sparsify(ca.horzcat(ca.jacobian(found.of, x), ca.jacobian(found.of, found.w), still))
@@ -243,7 +243,7 @@ class ExponentialSteps:
         ranges: of inputs in all runs, whose matrices are then computed once; default those of this one.
         """
         sub, K = v.shape[1] // 2, self.columns if sensitivities else 0
-        h = float(f"{dt / sub:.{DIGITS}g}")  # parts of one run have the same matrices
+        h = float(f"{dt / sub:.{STEP_DIGITS}g}")  # parts of one run have the same matrices
         slow = v[:, sub, self.split.slow]  # in the middle of what follows each sample
         names = [self.equations.inputs[k] for k in self.split.slow]
         own = zip(names, slow.min(axis=0, initial=np.inf), slow.max(axis=0, initial=-np.inf), strict=True)
@@ -251,7 +251,7 @@ class ExponentialSteps:
         if self._library is None or points is None:
             return None
         run, size = self._library
-        N, block = len(v), BLOCK if self.split.slow else len(v)
+        N, block = len(v), BLOCK_SAMPLES if self.split.slow else len(v)
         means = np.add.reduceat(slow, np.arange(0, N, block)) / np.minimum(block, N - np.arange(0, N, block))[:, None]
         weights = _weights(points, means)
         m = self.equations.m if K else 0
@@ -278,7 +278,7 @@ class ExponentialSteps:
                 for count in range(1 if a == b else 2, MOST_POINTS + 1):
                     found[k] = _chebyshev(a, b, count)
                     alone = [*middle[:k], found[k], *middle[k + 1 :]]
-                    if self._error(alone, a + (b - a) * np.array(TRIED), k, p, h) < INTERPOLATED:
+                    if self._error(alone, a + (b - a) * np.array(TRIED_SPEEDS), k, p, h) < INTERPOLATED:
                         break
                 else:
                     return None
