@@ -24,17 +24,22 @@ def settled_by_shooting(model: Model, speed: float, n: int = 128, turns: int = 1
         return np.asarray(found.y.T)
 
     x = model.x0(p)
-    slope = np.empty((model.n_x, model.n_x))
-    for tries in range(50):
+    slope, last = np.empty((model.n_x, model.n_x)), np.inf
+    for _ in range(50):
         end = turn(x)[-1]
-        for k in range(model.n_x if tries % 8 == 0 else 0):  # seldom: it costs as much as all tries between
-            moved = x.copy()
-            step = 1e-7 * max(abs(x[k]), 1e-6)
-            moved[k] += step
-            slope[:, k] = (turn(moved)[-1] - end) / step
+        if last > 0.5:  # seldom: it costs as much as all tries between
+            for k in range(model.n_x):
+                moved = x.copy()
+                step = 1e-4 * max(abs(x[k]), abs(end[k]), 1e-6)  # far above the tolerance of the integration
+                moved[k] += step
+                slope[:, k] = (turn(moved)[-1] - end) / step
         change = np.linalg.solve(slope - np.eye(model.n_x), x - end)
         x = x + change
-        if np.max(np.abs(change) / (np.abs(x) + 1e-12)) < 1e-8:
+        now = float(np.max(np.abs(change) / (np.abs(x) + 1e-12)))
+        if now < 1e-8:
             break
+        last = now
+    else:
+        raise AssertionError(f"shooting did not converge: the last change was {now:.2g} of the state")
     times = np.arange(n) * period / n
     return np.asarray(np.fft.rfft(turn(x, times), axis=0) / n)
