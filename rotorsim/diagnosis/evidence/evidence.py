@@ -250,7 +250,11 @@ class Defaults:
 
     independent = True
     costly = False
-    unjudged = ""
+
+    @property
+    def unjudged(self) -> str:
+        """Nothing: structure of the residual would show."""
+        return ""
 
     @property
     def terms(self) -> Terms:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from rotorsim.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, RED, figure, styled
 from rotorsim.units import conversion
@@ -90,6 +91,7 @@ def residual_rows_figure(rows: Sequence[Curve], title: str) -> Figure:
         over.axhline(np.sqrt(2.0), color=INK, lw=0.8, ls="--", label="noise, rms")
         over.set(yscale="log", ylabel="|measured - simulated| / noise", xlabel="speed [rpm]")
         alike.set(ylabel="autocorrelation", xlabel="rows between")
+        alike.xaxis.set_major_locator(MaxNLocator(integer=True))
         handles, more = over.get_legend_handles_labels(), alike.get_legend_handles_labels()
         made.legend(handles[0] + more[0], handles[1] + more[1], loc="outside lower center", ncols=4)
         return made

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.change import Change
-from rotorsim.diagnosis.evidence.evidence import Defaults, HeldScore, Unknown
+from rotorsim.diagnosis.evidence.evidence import HeldScore, Unknown
 from rotorsim.diagnosis.evidence.fit import FAILURES, TO_THE_END, Effort, Fit, Starts
 from rotorsim.diagnosis.evidence.harmonic.bounds import LowerBounds, open_bounds
 from rotorsim.diagnosis.evidence.harmonic.fitting import fit_document, promise_of
@@ -21,13 +20,14 @@ from rotorsim.diagnosis.evidence.harmonic.residual import is_force, residual_pla
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns, has_mesh
 from rotorsim.diagnosis.evidence.harmonic.scoring import held_score, left_out_score, predict, standardised
 from rotorsim.diagnosis.evidence.harmonic.separation import best_change
+from rotorsim.diagnosis.evidence.validated import Validated
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonics import RunHarmonics
 
 
 @dataclass(frozen=True, eq=False)
-class HarmonicEvidence(HarmonicRuns, Defaults):
+class HarmonicEvidence(HarmonicRuns, Validated):
     """Harmonics of the runs to identify from, and of hold-out runs, recording by recording."""
 
     held: tuple[tuple[Recording, tuple[RunHarmonics, ...]], ...] = ()
@@ -76,26 +76,9 @@ class HarmonicEvidence(HarmonicRuns, Defaults):
 
     # -- validation ----------------------------------------------------------------------------------------------------
 
-    @property
-    def validation(self) -> HarmonicEvidence:
-        """Itself: the noise of its hold-out runs is known."""
-        return self
-
-    @property
-    def held_out(self) -> bool:
-        """Whether runs are held out for good."""
-        return bool(self.held)
-
-    def score(self, fit: Fit) -> HeldScore:
-        """Return the score of a fit on hold-out runs, or on runs left out one by one; computed once."""
-        if fit not in self._scores:
-            document = values_in(fit.document, fit.values)
-            self._scores[fit] = held_score(document, self, self.parts) if self.held else left_out_score(document, self)
-        return self._scores[fit]
-
-    @cached_property
-    def _scores(self) -> dict[Fit, HeldScore]:
-        return {}
+    def scored(self, document: Mapping[str, Any]) -> HeldScore:
+        """Return the score of a document on hold-out runs, or on runs left out one by one."""
+        return held_score(document, self, self.parts) if self.held else left_out_score(document, self)
 
     def runs_of(self, fit: Fit) -> Sequence[tuple[float, float]] | None:
         """Return misfit and equations of each hold-out run, or of each run when it is predicted from the others."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -16,19 +15,14 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.change import Change
-from rotorsim.diagnosis.evidence.evidence import Defaults, HeldScore, Terms
+from rotorsim.diagnosis.evidence.evidence import HeldScore, Terms
 from rotorsim.diagnosis.evidence.fit import FAILURES, TO_THE_END, Effort, Fit, Starts, reason_of
 from rotorsim.diagnosis.evidence.orders.fitting import covariance_of, fitted, promised, summary
-from rotorsim.diagnosis.evidence.orders.noise import (
-    RowNoise,
-    WhitenedSearch,
-    noise_beside,
-    plain,
-    whitened_search,
-    whiteness_of,
-)
+from rotorsim.diagnosis.evidence.orders.noise import RowNoise, WhitenedSearch, noise_beside, plain, whitened_search
 from rotorsim.diagnosis.evidence.orders.scoring import held_score, left_out_score, unpredicted
 from rotorsim.diagnosis.evidence.orders.separation import best_change
+from rotorsim.diagnosis.evidence.orders.whiteness import whiteness_of
+from rotorsim.diagnosis.evidence.validated import Validated
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.waveform.noise import stacked
@@ -52,10 +46,11 @@ ORDER_TERMS = Terms(
 
 
 @dataclass(frozen=True, eq=False)
-class OrderEvidence(Defaults):
+class OrderEvidence(Validated):
     """Order vectors of the runs to identify from, and of hold-out runs, recording by recording.
 
     noise: of each channel. old: names of the parameters that were free at first. sizes: largest magnitude of signals.
+    doubts: why something that is missing may not show, each with what would show it.
     """
 
     recording: OrderRecording
@@ -67,7 +62,12 @@ class OrderEvidence(Defaults):
     old: frozenset[str]
     held: tuple[tuple[OrderRecording, tuple[OrderRun, ...]], ...] = ()
     sizes: Mapping[str, float] = field(default_factory=dict)
-    unjudged: str = ""
+    doubts: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def unjudged(self) -> str:
+        """Why something that is missing may not show; empty: it would."""
+        return "; ".join(self.doubts)
 
     @property
     def terms(self) -> Terms:
@@ -171,27 +171,8 @@ class OrderEvidence(Defaults):
 
     # -- validation ----------------------------------------------------------------------------------------------------
 
-    @property
-    def validation(self) -> OrderEvidence:
-        """Itself: the noise of hold-out rows is known."""
-        return self
-
-    @property
-    def held_out(self) -> bool:
-        """Whether runs are held out for good."""
-        return bool(self.held)
-
-    def score(self, fit: Fit) -> HeldScore:
-        """Return the score of a fit on hold-out runs, or on stretches of speed left out; computed once."""
-        if fit not in self._scores:
-            self._scores[fit] = self._scored(values_in(fit.document, fit.values))
-        return self._scores[fit]
-
-    @cached_property
-    def _scores(self) -> dict[Fit, HeldScore]:
-        return {}
-
-    def _scored(self, document: Mapping[str, Any]) -> HeldScore:
+    def scored(self, document: Mapping[str, Any]) -> HeldScore:
+        """Return the score of a document on hold-out runs, or on stretches of speed left out."""
         try:
             search, at = self.as_it_is(document)
             if not self.held:
@@ -266,7 +247,11 @@ class OrderEvidence(Defaults):
             f"{_in_unit(self.noise[one.label].std, one.unit)} in a part of {one.label}{keeps[one.label]}"
             for one in channels
         ]
-        return [f"Noise: {'; '.join(said)}.", *self._slow_roll(after), *_unseen(channels)]
+        across = _across(channels)
+        text = [] if not across or (across in self.doubts and not inserted) else [f"{across[0].upper()}{across[1:]}."]
+        if all(one.order == 1 for one in channels):
+            text.append("Of orders other than 1X nothing was measured.")
+        return [f"Noise: {'; '.join(said)}.", *self._slow_roll(after), *text]
 
     def _slow_roll(self, fit: Fit) -> list[str]:
         """Return how large the constant vectors of the channels are, where they are in the data."""
@@ -287,9 +272,7 @@ class OrderEvidence(Defaults):
 
     def open_questions(self) -> str:
         """Return what would let a diagram be judged that these rows cannot judge."""
-        if not self.unjudged:
-            return ""
-        return f"rows at every turn, from slow roll to beyond a critical speed: {self.unjudged}"
+        return "; ".join(f"{wanted}: {why}" for why, wanted in self.doubts.items())
 
 
 def _in_unit(value: float, unit: str) -> str:
@@ -297,29 +280,26 @@ def _in_unit(value: float, unit: str) -> str:
     return f"{value / conversion(unit, None):.2g} {unit}"
 
 
-def _unseen(channels: Sequence[OrderChannel]) -> list[str]:
-    """Return what probes along one axis, or of the running speed alone, do not show."""
+def _across(channels: Sequence[OrderChannel]) -> str:
+    """Return what probes along one axis do not show; empty where every probe has one across."""
     axes = {(one.signal, one.node, one.axis) for one in channels}
-    text = []
     alone = [
         one.name
         for one in channels
         if one.axis and (one.signal, one.node, {"x": "y", "y": "x"}.get(one.axis)) not in axes
     ]
-    if alone:
-        names = ", ".join(dict.fromkeys(alone))
-        text.append(f"Across {names} nothing was measured: planes that differ, and whirl, show only in part.")
-    if all(one.order == 1 for one in channels):
-        text.append("Of orders other than 1X nothing was measured.")
-    return text
+    names = ", ".join(dict.fromkeys(alone))
+    return f"across {names} nothing was measured, and planes that differ, or whirl, show only in part" if alone else ""
 
 
-def unjudged_of(evidence: OrderEvidence, base: Fit) -> str:
-    """Return why something that is missing would not show beside a fit: few rows, little motion, loose parameters.
+def doubts_of(evidence: OrderEvidence, base: Fit) -> dict[str, str]:
+    """Return why something that is missing may not show beside a fit, each with what would show it.
 
-    A law of `Criteria.law_parameters` makes the misfit fall by its chi-squared quantile by chance, and a share s of the
-    noise in n real numbers by n s: as many are needed that the share beyond `Criteria.slight` shows.
+    Few rows: a law of `Criteria.law_parameters` makes the misfit fall by its chi-squared quantile by chance, and a
+    share s of the noise in n real numbers by n s: as many are needed that the share beyond `Criteria.slight` shows.
+    Loose parameters stand for what is missing; so do free ones for what one probe sees of planes that differ.
     """
+    found = {}
     share = 1 - 1 / CRITERIA.slight
     least = int(np.ceil(chi2.isf(CRITERIA.false_alarm, CRITERIA.law_parameters) / share / 2))
     tracked = evidence.tracked(base.document)
@@ -327,7 +307,8 @@ def unjudged_of(evidence: OrderEvidence, base: Fit) -> str:
         every = np.concatenate([track.vectors[:, c] for track in tracked.tracks])
         count = int(np.isfinite(every).sum())
         if count < least:
-            return f"{count} rows of {label} are too few to tell structure from noise: {least} are needed"
+            why = f"{count} rows of {label} are too few to tell structure from noise: {least} are needed"
+            found[why] = "rows at every turn, from slow roll to beyond a critical speed"
     loose = [
         item.name
         for j, item in enumerate(base.free)
@@ -335,5 +316,9 @@ def unjudged_of(evidence: OrderEvidence, base: Fit) -> str:
     ]
     if loose:
         verb = "is" if len(loose) == 1 else "are"
-        return f"{', '.join(loose)} {verb} not determined, and may stand for what is missing"
-    return ""
+        why = f"{', '.join(loose)} {verb} not determined, and may stand for what is missing"
+        found[why] = "rows at every turn through a critical speed, or those parameters as known"
+    across = _across([*evidence.recording.channels.values()])
+    if across:
+        found[across] = "a second probe at right angles"
+    return found

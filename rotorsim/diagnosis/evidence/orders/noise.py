@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.optimize import minimize
 
 from rotorsim.criteria import CRITERIA
+from rotorsim.diagnosis.evidence.orders.whiteness import whiteness_of
 from rotorsim.identification.waveform.order_tracking import (
     OrderSearch,
     TrackedOrders,
@@ -26,7 +27,7 @@ from rotorsim.identification.waveform.order_tracking import (
 from rotorsim.identification.waveform.search import Evaluation
 
 MOST_MEMORY = 0.95  # of a row, of the row before: twenty rows count as one
-ROW_LAGS = 20  # rows over which what is left is asked for structure, a quarter of all at most
+DETERMINED = 1e-6  # of the largest singular value of sensitivities: below, a direction does not change the rows
 DIFFERENCED = 3.17  # rows that count as one in a variance by sixth differences: C(24, 12) / C(12, 6)^2
 
 
@@ -75,14 +76,21 @@ class WhitenedSearch(OrderSearch):
         assert self.tracked is not None
         memory = self.memory or {}
         shares = np.repeat([memory.get(label, 0.0) for label in self.tracked.labels], 2)
-        if not shares.any():
-            return y
-        there = np.repeat(np.isfinite(self.tracked.tracks[r].vectors), 2, axis=1)
-        follows = there & np.concatenate([np.zeros((1, there.shape[1]), bool), there[:-1]])
-        shape = (*there.shape, *([1] * (y.ndim - 2)))
-        before = np.concatenate([np.zeros_like(y[:1]), y[:-1]])
-        alone = np.broadcast_to(np.sqrt(1 - shares**2), there.shape).reshape(shape) * y
-        return np.asarray(np.where(follows.reshape(shape), y - shares.reshape(1, -1, *shape[2:]) * before, alone))
+        return _without_memory(y, np.repeat(np.isfinite(self.tracked.tracks[r].vectors), 2, axis=1), shares)
+
+
+def _without_memory(y: np.ndarray, there: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Return y (n, c, ...) without the share (c,) that each row keeps of the one before; there: which are, (n, c).
+
+    The first after a gap keeps its variance.
+    """
+    if not shares.any():
+        return y
+    more = [1] * (y.ndim - 2)
+    follows = there & np.concatenate([np.zeros((1, there.shape[1]), bool), there[:-1]])
+    before = np.concatenate([np.zeros_like(y[:1]), y[:-1]])
+    alone = np.sqrt(1 - shares**2).reshape(1, -1, *more) * y
+    return np.asarray(np.where(follows.reshape(*there.shape, *more), y - shares.reshape(1, -1, *more) * before, alone))
 
 
 def whitened_search(tracked: TrackedOrders, noise: Mapping[str, RowNoise]) -> WhitenedSearch:
@@ -116,23 +124,77 @@ def noise_beside(search: OrderSearch, evaluation: Evaluation) -> dict[str, RowNo
     assert tracked is not None
     simulated = vectors_of(plain(search), evaluation)
     raw, beside = white_noise(tracked), white_noise(tracked, simulated)
+    left = [
+        [t.vectors[:, c] - y[:, c] for t, y in zip(tracked.tracks, simulated, strict=True)]
+        for c in range(len(tracked.labels))
+    ]
+    variances, memory = restricted(search, evaluation, np.array([memory_of(parts) for parts in left]))
     searched = int((~search.at_bound(evaluation.unknowns)).sum())
     found = {}
     for c, label in enumerate(tracked.labels):
-        left = [track.vectors[:, c] - y[:, c] for track, y in zip(tracked.tracks, simulated, strict=True)]
-        memory = memory_of(left)
-        white = [_without_memory(part, memory) for part in left]
+        white = [_without_memory(p[:, None], np.isfinite(p)[:, None], memory[c : c + 1])[:, 0] for p in left[c]]
         whiteness, _ = whiteness_of(white)
-        count = 2 * sum(int(np.isfinite(part).sum()) for part in white)
-        least = min(raw[label], beside[label], key=lambda one: one.variance)
-        if whiteness < CRITERIA.surprise:
+        # differences are right for white rows whatever the test says, but far too low for rows that are alike
+        if whiteness < (CRITERIA.not_explained if memory[c] else CRITERIA.surprise):
+            least = min(raw[label], beside[label], key=lambda one: one.variance)
             found[label] = replace(least, whiteness=whiteness)
             continue
-        rows = max(count - searched / len(tracked.labels), 1.0)
-        square = sum(float(np.nansum(np.abs(part) ** 2)) for part in white)
+        rows = max(2 * sum(int(np.isfinite(part).sum()) for part in white) - searched / len(left), 1.0)
         floor = CRITERIA.resolution**2 * _moved(tracked, c)
-        found[label] = RowNoise(max(square / rows, floor, 1e-300), memory, rows, whiteness)
+        found[label] = RowNoise(max(variances[c], floor, 1e-300), float(memory[c]), rows, whiteness)
     return found
+
+
+def restricted(search: OrderSearch, evaluation: Evaluation, begun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the variance of d and the memory of every channel, (c,) each, by restricted maximum likelihood.
+
+    -2 log L = r^T V^-1 r + log |V| + log |J^T V^-1 J|
+    r: what the fit, linearised and weighed by V, leaves; J: its sensitivities. A fit takes up some of slow noise, and
+    what is left is less slow: of rows that keep 0.8, it keeps 0.75 beside eight parameters.
+    begun: memory to begin at, (c,); zero stays.
+    Source: H. D. Patterson, R. Thompson, Biometrika 58 (1971) 545-554.
+    """
+    at = plain(search).evaluate(evaluation.unknowns, evaluation.sub)
+    searched = ~search.at_bound(evaluation.unknowns)
+    there = [np.isfinite(part) for part in at.residuals[0]]
+    residuals = [np.nan_to_num(part)[:, :, None] for part in at.residuals[0]]
+    sensitivities = [np.zeros((*here.shape, len(searched))) for here in there]
+    for r, J in enumerate(at.jacobians[0]):
+        sensitivities[r][:, :, search.columns(0, r)] = np.where(there[r][:, :, None], J, 0)
+    every = np.concatenate([J.reshape(-1, len(searched)) for J in sensitivities])[:, searched]
+    size = np.maximum(np.linalg.norm(every, axis=0), 1e-300)
+    _, values, directions = np.linalg.svd(every / size, full_matrices=False)
+    to_known = directions[values > DETERMINED * values.max(initial=0.0)].T / size[:, None]
+    both = [
+        np.concatenate([y, J[:, :, searched] @ to_known], axis=2) for y, J in zip(residuals, sensitivities, strict=True)
+    ]
+    rows = sum(here[:, ::2].sum(axis=0) for here in there)
+    alone = sum((here & ~np.concatenate([np.zeros_like(here[:1]), here[:-1]]))[:, ::2].sum(axis=0) for here in there)
+    squares = sum((part[:, :, 0] ** 2).sum(axis=0) for part in both)
+    level = np.sqrt(np.maximum((squares[::2] + squares[1::2]) / (2 * rows), 1e-300))
+    slow = begun > 0
+
+    def split(point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        memory = np.zeros(len(begun))
+        memory[slow] = point[len(begun) :]
+        return level * np.exp(point[: len(begun)]), memory
+
+    def likelihood(point: np.ndarray) -> float:
+        deviation, memory = split(point)
+        weighed = [
+            _without_memory(part, here, np.repeat(memory, 2)) / np.repeat(deviation, 2)[:, None]
+            for part, here in zip(both, there, strict=True)
+        ]
+        stack = np.concatenate([part.reshape(-1, part.shape[2]) for part in weighed])
+        basis, triangle = np.linalg.qr(stack[:, 1:])
+        left = stack[:, 0] - basis @ (basis.T @ stack[:, 0])
+        volume = 4 * rows @ np.log(deviation) - 2 * alone @ np.log(1 - memory**2)
+        return float(left @ left + volume + 2 * np.log(np.abs(np.diag(triangle))).sum())
+
+    start = np.concatenate([np.zeros(len(begun)), begun[slow]])
+    bounds = [(-12.0, 2.0)] * len(begun) + [(0.0, MOST_MEMORY)] * int(slow.sum())
+    deviation, memory = split(minimize(likelihood, start, method="L-BFGS-B", bounds=bounds).x)
+    return deviation**2, memory
 
 
 def memory_of(left: Sequence[np.ndarray]) -> float:
@@ -144,58 +206,6 @@ def memory_of(left: Sequence[np.ndarray]) -> float:
         count += int(np.isfinite(pairs).sum())
     share = inner / square if square > 0 else 0.0
     return min(share, MOST_MEMORY) if share * np.sqrt(2 * count) > CRITERIA.significant else 0.0
-
-
-def whiteness_of(left: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Return the probability that rows (n,) of some runs are white, and the largest share that a row predicts.
-
-    White rows are not alike over some rows, and hold no beat (`_beat_of`).
-    Q = 2 sum_k n_k |r_k|^2, chi-squared of 2 K: r_k the complex autocorrelation over k = 1 ... K rows, from n_k pairs;
-    share: max_k |r_k|^2.
-    Source: G. M. Ljung, G. E. P. Box, Biometrika 65 (1978) 297-303.
-    """
-    square = sum(float(np.nansum(np.abs(part) ** 2)) for part in left)
-    count = sum(int(np.isfinite(part).sum()) for part in left)
-    lags = min(ROW_LAGS, count // 4)
-    if square <= 0 or lags < 1:
-        return 1.0, 0.0
-    total, share = 0.0, 0.0
-    for k in range(1, lags + 1):
-        products = [np.conj(part[:-k]) * part[k:] for part in left if len(part) > k]
-        pairs = sum(int(np.isfinite(one).sum()) for one in products)
-        if not pairs:
-            continue
-        r = sum(complex(np.nansum(one)) for one in products) / square * count / pairs
-        total += 2 * pairs * abs(r) ** 2
-        share = max(share, abs(r) ** 2)
-    alike = float(chi2.sf(total, 2 * lags))
-    beat, part = _beat_of(left)
-    return min(2 * min(alike, beat), 1.0), min(share if alike <= beat else part, 1.0)
-
-
-def _beat_of(left: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Return the probability that rows (n,) of some runs hold no beat, and the share of the strongest.
-
-    A beat of what rings with what follows the shaft goes faster and faster, exp(i a n^2), so that its rows are not
-    alike, but products of neighbours are a line: z_n = conj(e_n) e_(n+1). Of n ordinates of the periodogram of z the
-    largest has a part g of the sum with probability n (1 - g)^(n - 1) at most. Source: R. A. Fisher, Proc. R. Soc. A
-    125 (1929) 54-59.
-    """
-    probability, share = 1.0, 0.0
-    for part in left:
-        power = np.abs(np.fft.fft(np.nan_to_num(np.conj(part[:-1]) * part[1:]))) ** 2
-        if power.sum() > 0:
-            g = float(power.max() / power.sum())
-            here = len(left) * len(power) * (1 - g) ** (len(power) - 1)
-            if here < probability:
-                probability, share = here, float(np.sqrt(g))
-    return probability, share
-
-
-def _without_memory(rows: np.ndarray, memory: float) -> np.ndarray:
-    """Return rows (n,) without what each keeps of the one before; the first after a gap at the same variance."""
-    before = np.concatenate([[np.nan], rows[:-1]])
-    return np.where(np.isfinite(before), rows - memory * before, np.sqrt(1 - memory**2) * rows)
 
 
 def _moved(tracked: TrackedOrders, c: int) -> float:

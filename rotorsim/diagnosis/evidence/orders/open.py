@@ -14,7 +14,7 @@ from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.base_fit import base_fit
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.opened import Opened
-from rotorsim.diagnosis.evidence.orders.evidence import OrderEvidence, unjudged_of
+from rotorsim.diagnosis.evidence.orders.evidence import OrderEvidence, doubts_of
 from rotorsim.diagnosis.evidence.orders.noise import white_noise
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
@@ -45,7 +45,7 @@ def open_orders(
         evidence = other
         base = evidence.fit(base.document, [[base.values]])
     if not base.failure:
-        evidence = replace(evidence, sizes=_sizes(evidence, base), unjudged=unjudged_of(evidence, base))
+        evidence = replace(evidence, sizes=_sizes(evidence, base), doubts=doubts_of(evidence, base))
     notes = [Problem(note, severity="warning") for note in refined]
     return Opened(evidence, base, base, evidence, catalogue, bool(evidence.held), [*warnings, *notes])
 
