@@ -383,6 +383,15 @@ def test_a_run_whose_beginning_shows_no_state_keeps_the_motion_that_was_simulate
     assert np.abs(smoothed_motion([run], NOISE)[0] - run.states).max() > 1e-2
 
 
+def test_the_motion_is_smoothed_whatever_the_first_place_shows():
+    """FAULT: where a signal at the first place changes nothing, its scale is infinite, and a LinAlgError came."""
+    _, [run] = analysed(recorded(8, slow(9), 1), steps=0)
+    G, D = run.G.copy(), run.D.copy()
+    G[:, :, 0], D[:, :, 0] = 0.0, 0.0
+    [motion] = smoothed_motion([replace(run, G=G, D=D)], NOISE)
+    np.testing.assert_array_equal(motion, smoothed_motion([run], NOISE)[0])
+
+
 def test_a_filter_that_diverges_is_none_and_leaves_the_others():
     """FAULT: the variance of one hypothesis that lost all digits stopped a diagnosis with a LinAlgError."""
     F, H = np.tile(0.5 * np.eye(2), (3, 1, 1)), np.tile(np.array([[1.0, 1.0]]), (3, 1, 1))

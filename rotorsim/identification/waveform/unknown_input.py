@@ -302,7 +302,7 @@ class UnknownInputs:
         """Return F and H of x and d at sample k, for each pair; left: the part of d that is left a sample later."""
         n, B = run.F.shape[1], len(pairs)
         place = [place for place, _ in pairs]
-        scale = self.scales[place]
+        scale = np.where(np.isfinite(self.scales[place]), self.scales[place], 0.0)  # what does not show drives nothing
         j = 0 if run.constant else k
         F, H = np.zeros((B, n + 1, n + 1)), np.zeros((B, run.H.shape[1], n + 1))
         F[:, :n, :n], F[:, :n, n], F[:, n, n] = run.F[j], (run.G[j][:, place] * scale).T, left
