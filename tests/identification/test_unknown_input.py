@@ -401,3 +401,12 @@ def test_a_filter_that_diverges_is_none_and_leaves_the_others():
     np.testing.assert_allclose(filters.gain[1], [[0.5 * 3 / 4], [0.0]])
     assert np.isfinite(filters.P).all()
     assert np.isfinite(filters.gain).all()
+
+
+def test_a_variance_that_rounding_spoils_is_that_of_no_filter():
+    """FAULT: its eigenvalues looked positive, but it has no Cholesky factor, and a diagnosis of a generator stopped."""
+    large = np.array([-77419083.4263313, -441149794.4708472, -815633915.1930069])
+    one = np.eye(3)
+    filters = _Filter.of(np.stack([one, one]), np.stack([one, one]), np.stack([np.outer(large, large), one]))
+    assert filters.log_det.tolist() == [np.inf, pytest.approx(3 * np.log(2.0))]
+    np.testing.assert_allclose(filters.gain[1], one / 2)

@@ -88,15 +88,24 @@ class _Filter:
         try:
             factor = np.linalg.cholesky(H @ PH + one)
         except np.linalg.LinAlgError:
-            V = H @ PH + one
-            lost = ~np.isfinite(V).all(axis=(1, 2))
-            lost[~lost] = np.linalg.eigvalsh(V[~lost]).min(axis=1) < 0.5  # 1 at least, but for rounding
-            P, PH, V = (np.where(lost[:, None, None], rest, M) for rest, M in ((0.0, P), (0.0, PH), (one, V)))
-            factor = np.linalg.cholesky(V)
+            factors = [_factor(V) for V in H @ PH + one]
+            lost = np.array([found is None for found in factors])
+            factor = np.stack([one if found is None else found for found in factors])
+            P, PH = (np.where(lost[:, None, None], 0.0, M) for M in (P, PH))
         root = np.linalg.inv(factor)
         gain = F @ PH @ root.swapaxes(1, 2) @ root
         log_det = np.where(lost, np.inf, -2 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1))
         return cls(F, H, P, gain, root, log_det)
+
+
+def _factor(V: np.ndarray) -> np.ndarray | None:
+    """Return the Cholesky factor of a variance of innovations (c, c), 1 at least; None where rounding made it less."""
+    if not np.isfinite(V).all() or np.linalg.eigvalsh(V).min() < 0.5:
+        return None
+    try:
+        return np.asarray(np.linalg.cholesky(V))
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _steady(F: np.ndarray, H: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
