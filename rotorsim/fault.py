@@ -64,6 +64,13 @@ class Steps:
     """A value that follows the data: the step between readings of the signal, where it is coarser than their noise."""
 
 
+@dataclass(frozen=True)
+class Course:
+    """A value that follows the data: of a free signal that nothing predicts, its "rms" or its "correlation_time"."""
+
+    value: str
+
+
 @dataclass(frozen=True, kw_only=True)
 class Fault:
     """Declare physics that a model may leave out, and how this block adds it to a diagram.
@@ -91,7 +98,8 @@ class Fault:
     `Dominant`), all of them tried; bounds are those of the parameter; what is not free keeps its default. fixed:
     parameters that are set once, to a number or by `Of` or `Sampled`, and not fitted, or by `Lines`: it is tried only
     where the recording has lines that call for it. By `Steps`: the block is a converter, a "reading", which is put in
-    where readings show its steps; harmonics are compared with what goes into it.
+    where readings show its steps; harmonics are compared with what goes into it. By `Course`: it is a "signal" of
+    which no simulation knows the course, put in where a free signal explains the data that nothing predicts.
     most: what the magnitude of a free parameter can be at most, beside the bounds of the parameter. sizes: parameters
     that the effect is proportional to: where the data tell none of them from zero, there is no effect.
     simpler: parameter -> the value (or infinity) at which this is another physics, and which: where the data do not
@@ -108,7 +116,7 @@ class Fault:
     physics: str
     enters: str
     free: Mapping[str, tuple[float | Of | Longest | Sampled | Dominant, ...]] = field(default_factory=dict)
-    fixed: Mapping[str, float | Of | Longest | Sampled | Lines | Steps] = field(default_factory=dict)
+    fixed: Mapping[str, float | Of | Longest | Sampled | Lines | Steps | Course] = field(default_factory=dict)
     most: Mapping[str, Of | Longest | Sampled] = field(default_factory=dict)
     sizes: tuple[str, ...] = ()
     simpler: Mapping[str, tuple[float, str]] = field(default_factory=dict)

@@ -1,9 +1,13 @@
 """A signal that is added to another: offset, drift, step, sine."""
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, cos, sin, tanh
-from rotorsim.fault import Dominant, Fault, Longest, Of
+from rotorsim.fault import Course, Dominant, Fault, Longest, Of
 
-_NAMES = {"step": "step_disturbance", "line": "periodic_disturbance"}  # of the physics, where the law's is no name
+_NAMES = {
+    "step": "step_disturbance",
+    "line": "periodic_disturbance",
+    "unmeasured": "unmeasured_disturbance",
+}  # of the physics, where the law's is no name
 _LAWS = {
     "offset": (
         {"offset": (Of("input", 0.01), Of("input", -0.01))},
@@ -36,6 +40,12 @@ _LAWS = {
         "one frequency, whatever the inputs do",
         ("missing_mode",),
     ),
+    "unmeasured": (
+        {},
+        {"rms": Course("rms"), "correlation_time": Course("correlation_time")},
+        "another course in every run, which no recorded signal predicts",
+        ("drift", "offset"),
+    ),
 }
 
 
@@ -46,6 +56,7 @@ class Disturbance(Block):
     law "drift":   d = offset + rate t
     law "step":    d = height (1 + tanh((t - time) / width)) / 2
     law "line":    d = sine sin(frequency t) + cosine cos(frequency t)
+    law "unmeasured":  d = 0, what is expected of a signal without a mean: no simulation knows its course
     output = input + d
     """
 
@@ -78,11 +89,15 @@ class Disturbance(Block):
     cosine = Param(0.0, unit=None, doc="amplitude of the cosine, unit of the input (law line)")
     frequency = Param(10.0, unit="rad/s", above=0.0, doc="angular frequency (law line)")
 
+    rms = Param(0.0, unit=None, low=0.0, doc="root mean square of all runs, unit of the input (law unmeasured)")
+    correlation_time = Param(1.0, unit="s", above=0.0, doc="after which 1/e of it is left (law unmeasured)")
+
     def equations(self, p, u, x, t):
         added = {
             "offset": lambda: p.offset,
             "drift": lambda: p.offset + p.rate * t,
             "step": lambda: p.height * (1 + tanh((t - p.time) / p.width)) / 2,
+            "unmeasured": lambda: 0.0,
             "line": lambda: p.sine * sin(p.frequency * t) + p.cosine * cos(p.frequency * t),
         }[self.option.law]()
         return Equations(outputs={"output": u.input + added})

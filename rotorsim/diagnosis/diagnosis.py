@@ -8,6 +8,7 @@ from dataclasses import replace
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.conclude import verdict as verdicts
+from rotorsim.diagnosis.conclude.disturbance import is_unpredicted, unmeasured
 from rotorsim.diagnosis.conclude.result import Diagnosis, taken_twice
 from rotorsim.diagnosis.conclude.shares import Explained, explanations, residual_of
 from rotorsim.diagnosis.conclude.validation import Proof, is_faint, material_effects, prove
@@ -122,6 +123,14 @@ def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
         explained = explanations(selection, validation)
     if validation is not None and verdict in ("missing_physics", "consistent"):
         residual = residual_of(selection.base, after, validation)
+    signals = verdicts.signals_of(selection, effects, after, evidence, verdict)
+    unpredicted = verdict == "outside_catalogue" and is_unpredicted(selection.base, signals, evidence)
+    if unpredicted and not converters:
+        disturbance = unmeasured(selection.base, signals[0], evidence, opened.catalogue)
+        if disturbance is not None:
+            verdict, unknown = "missing_physics", None
+            effects, signals = (disturbance[0],), (disturbance[1],)
+            after = disturbance[0].candidate.fit
     every = (*effects, *(verdicts.converter_effect(item, selection.fit) for item in converters))
     terms, outside = evidence.terms, verdict == "outside_catalogue"
     places = () if verdict == "consistent" else verdicts.places_of(selection, every, outside=outside)
@@ -143,8 +152,9 @@ def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
         open=verdicts.unfinished(selection, effects, terms),
         warnings=tuple(opened.warnings),
         detectable=verdicts.detectable_sizes(selection) if verdict == "consistent" else {},
-        signals=verdicts.signals_of(selection, effects, after, evidence, verdict),
+        signals=signals,
         unknown=unknown,
+        unpredicted=unpredicted,
         proof=proof,
         explained=explained,
         residual=residual,

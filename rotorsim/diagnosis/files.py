@@ -113,6 +113,10 @@ def _signal(signal: MissingSignal) -> dict[str, Any]:
         "physics": signal.physics or None,
         "over": {"signal": signal.over, "unit": signal.over_unit, "share": signal.share},
         "run": run.run,
+        "rms": signal.rms,
+        "excess_variance": {"without": signal.without, "with": signal.left},
+        "predicted": signal.predicted,
+        "repeated": signal.repeated,
         **{name: None if values is None else values[at].tolist() for name, values in columns.items()},
         "classes": [
             {"places": [_port(spot) for spot in one.places], "probability": one.probability} for one in signal.classes

@@ -99,8 +99,9 @@ def test_diagnose_takes_orders_and_writes_bode_plots(case, run: Run, tmp_path):
     physics = ("--physics", "cubic_stiffness", "--workers", "1")
     with undrawn():
         done = run("diagnose", str(case / "disc.json"), str(case / "up"), "--out", "out", *physics)
-    assert done.exit_code == 0, done.output
-    assert done.stdout.startswith("verdict: consistent")
+    assert done.exit_code == 1, done.output
+    assert done.stdout.startswith("verdict: not_identifiable")
+    assert "Next experiment: a second probe at right angles: " in done.stdout
     data = json.loads((tmp_path / "out/diagnosis.json").read_text())
     assert data["fit"]["before"]["adequate"]
     assert data["fit"]["before"]["goodness"] > 1e-4

@@ -482,8 +482,8 @@ def test_at_the_place_of_the_best_every_law_is_tried_before_another_effect_is_lo
 @pytest.mark.parametrize(("goodness", "tried"), [(0.5, ["lag"]), (0.0, ["lag", "hum"])])
 def test_beside_noise_a_line_is_hum_of_the_instruments(goodness, tried):
     """FAULT: of a healthy drive 50 Hz of 0.6 of the noise in one reading was called a periodic disturbance."""
-    lag = SimpleNamespace(physics="lag", from_lines=(), from_steps=(), begins_at_line=False)
-    hum = SimpleNamespace(physics="hum", from_lines=(), from_steps=(), begins_at_line=True)
+    lag = SimpleNamespace(physics="lag", from_lines=(), read_off=False, begins_at_line=False)
+    hum = SimpleNamespace(physics="hum", from_lines=(), read_off=False, begins_at_line=True)
     evidence = SimpleNamespace(largest=dict, load=lambda document: document, recorded=())
     trials = Trials(evidence, SimpleNamespace(candidates=lambda diagram, recorded: [lag, hum]), Jobs(1))
     assert [item.physics for item in trials._candidates(replace(left(1.2), goodness=goodness), {})] == tried
@@ -494,4 +494,10 @@ def test_what_begins_at_a_line_is_known_by_its_declaration():
         key: Insertion(Disturbance, fault, Spot("a", "output"), "a").begins_at_line
         for key, fault in ((fault.physics, fault) for fault in Disturbance.faults)
     }
-    assert of == {"offset": False, "drift": False, "step_disturbance": False, "periodic_disturbance": True}
+    assert of == {
+        "offset": False,
+        "drift": False,
+        "step_disturbance": False,
+        "unmeasured_disturbance": False,
+        "periodic_disturbance": True,
+    }

@@ -61,7 +61,7 @@ def test_wires_are_marked_with_the_class_of_places_that_a_missing_signal_may_act
     spots = [Spot("angle", "output", side="reading"), Spot("torque", "output"), Spot("friction", "output")]
     pairs = ((tuple(spots[1:]), 0.93), ((spots[0],), 0.07), ((Spot("speed", "output"),), 0.0))
     classes = tuple(PlaceClass(*pair) for pair in pairs)
-    signal = MissingSignal(spots[2], None, "time", "s", 0.5, (), classes)
+    signal = MissingSignal(spots[2], None, "time", "s", 0.5, (), classes, 1.0, 9.0, 0.0)
     assert [item[0] for item in place_classes([signal])] == ["A", "B"]
     assert [item[0] for item in place_classes([signal, signal])] == ["1A", "1B", "2A", "2B"]
     svg = block_diagram(load(SERVO), [(spots[2], 1.0)], [], [signal])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.block import Block
-from rotorsim.fault import Dominant, Fault, Lines, Longest, Of, Sampled, Steps
+from rotorsim.fault import Course, Dominant, Fault, Lines, Longest, Of, Sampled, Steps
 
 LEAST = "least"  # before the name of a signal: its size in the run in which it is smallest
 LONGEST = "longest run"  # among the largest magnitudes of signals: how long it is [s]
@@ -118,6 +118,16 @@ class Insertion:
         """The parameters that take the quantisation step of readings."""
         return tuple(key for key, item in self.fault.fixed.items() if isinstance(item, Steps))
 
+    @property
+    def from_course(self) -> dict[str, str]:
+        """The parameters that take a value of a free signal, and which."""
+        return {key: item.value for key, item in self.fault.fixed.items() if isinstance(item, Course)}
+
+    @property
+    def read_off(self) -> bool:
+        """Whether it is read off the data, and never fitted: steps of a converter, the course of a signal."""
+        return bool(self.from_steps or self.from_course)
+
     def document(
         self,
         document: Mapping[str, Any],
@@ -210,7 +220,7 @@ def limits_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, t
 def fixed_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
     """Return the parameters of an insertion that are set once and not fitted."""
     fixed = insertion.fault.fixed.items()
-    return {key: _number(item, largest) for key, item in fixed if not isinstance(item, Steps)}
+    return {key: _number(item, largest) for key, item in fixed if not isinstance(item, (Steps, Course))}
 
 
 def _number(item: float | Of | Longest | Sampled | Dominant | Lines, largest: Mapping[str, float]) -> float:

@@ -62,8 +62,9 @@ class Diagnosis(Shown):
     far it came), where a fit was not carried to the end. detectable: physics -> smallest size that would have been
     seen, where nothing was found. proof: what hold-out runs say; explained: by effect; residual: beyond noise.
     signals: what is missing, as signals in time: of each effect, or of what is outside the catalogue.
-    unknown: a force outside the catalogue. converters: whose quantisation steps the readings show; given: the evidence
-    without them. recordings: as they were given, held-out ones last.
+    unpredicted: whether nothing predicts the first of them. unknown: a force outside the catalogue. converters: whose
+    quantisation steps the readings show; given: the evidence without them. recordings: as they were given,
+    held-out ones last.
     """
 
     verdict: str
@@ -84,6 +85,7 @@ class Diagnosis(Shown):
     warnings: tuple[Problem, ...] = ()
     detectable: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     signals: tuple[MissingSignal, ...] = ()
+    unpredicted: bool = False
     unknown: UnknownForce | None = None
     proof: Proof | None = None
     explained: Sequence[Explained] = ()
@@ -99,8 +101,8 @@ class Diagnosis(Shown):
 
     @property
     def searched(self) -> tuple[Effect, ...]:
-        """The effects that a search found, without the converters that readings show."""
-        return tuple(effect for effect in self.effects if not effect.candidate.insertion.from_steps)
+        """The effects that a search found, without what is read off the data."""
+        return tuple(effect for effect in self.effects if not effect.candidate.insertion.read_off)
 
     @property
     def twice(self) -> bool:
@@ -111,6 +113,9 @@ class Diagnosis(Shown):
         """Return the parameters of an effect that the signals gave by themselves: value, standard deviation, unit."""
         insertion, line = effect.candidate.insertion, self.evidence.line
         values = {} if line is None else dict.fromkeys(insertion.from_lines, (*line, "rad/s"))
+        for signal in self.signals:
+            if insertion.from_course and signal.physics == insertion.physics:
+                values |= {key: signal.known(value) for key, value in insertion.from_course.items()}
         for converter in self.converters:
             if converter.insertion is insertion:
                 step, declared = converter.step, insertion.kind.parameters

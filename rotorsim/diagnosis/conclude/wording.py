@@ -35,8 +35,12 @@ def next_experiment(diagnosis: Diagnosis) -> str:
             here, there = (item.insertion.spot.words for item in (effect.candidate, other))
             how = _separating(effect, other, diagnosis)
             parts.append(f"to separate {effect.physics} at {here} from that at {there}: {how}")
+    if verdict == "outside_catalogue" and diagnosis.unpredicted and diagnosis.signals[0].repeated is None:
+        parts.append("a run with the inputs of another: a law adds the same again, an unmeasured disturbance does not")
     if verdict == "outside_catalogue":
         parts.append(_law_of_unknown(diagnosis))
+    if _is_unmeasured(diagnosis):
+        parts.append(f"record the signal that acts at {diagnosis.signals[0].place.words}: it is an input then")
     open_questions = evidence.open_questions()
     if parts or open_questions:
         return "; ".join([*parts, *([open_questions] if open_questions else [])])
@@ -103,6 +107,8 @@ def statement(diagnosis: Diagnosis) -> str:
         parts = _consistent(diagnosis)
     elif diagnosis.verdict == "outside_catalogue":
         parts = _outside(diagnosis)
+    elif _is_unmeasured(diagnosis):
+        parts = _disturbed(diagnosis)
     else:
         parts = _missing(diagnosis)
     return " ".join(part for part in parts if part)
@@ -157,7 +163,7 @@ def _outside(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.proof is not None and diagnosis.proof.status == "disproved":
         text += f"; hold-out runs disprove it: {diagnosis.proof.reason}"
     unknown = "" if diagnosis.unknown is None else diagnosis.unknown.description
-    return [_unexplained(diagnosis), f"{text}.", unknown, _hold_out(diagnosis)]
+    return [_unexplained(diagnosis), f"{text}.", unknown, _unpredicted(diagnosis), _hold_out(diagnosis)]
 
 
 def _missing(diagnosis: Diagnosis) -> list[str]:
@@ -182,6 +188,36 @@ def _missing(diagnosis: Diagnosis) -> list[str]:
         parts.append(f"The repaired diagram leaves a {ratio}: a further effect would be small beside this one; a")
         parts[-1] += " diagnosis of the repaired diagram looks for it."
     return parts
+
+
+def _is_unmeasured(diagnosis: Diagnosis) -> bool:
+    return any(effect.candidate.insertion.from_course for effect in diagnosis.effects)
+
+
+def _disturbed(diagnosis: Diagnosis) -> list[str]:
+    """Return what is known of a signal that nothing predicts: no simulation follows it, whatever is repaired."""
+    [effect], [signal] = diagnosis.effects, diagnosis.signals
+    left = f"Estimated from all outputs it leaves a {_variance(signal.left, diagnosis)}."
+    again = f"In runs with the same inputs it has another course (correlation {signal.repeated:.2g})"
+    return [
+        _unexplained(diagnosis),
+        _sentence(effect, diagnosis),
+        f"{again}, and nothing that is simulated predicts it: no simulation follows it. {left}",
+        _hold_out(diagnosis),
+    ]
+
+
+def _unpredicted(diagnosis: Diagnosis) -> str:
+    """Return that a missing signal outside the catalogue may be no law at all."""
+    if not diagnosis.unpredicted:
+        return ""
+    signal = diagnosis.signals[0]
+    size, memory = (_quantity(*signal.known(value)) for value in ("rms", "correlation_time"))
+    text = f"Nothing that is simulated, nor time, predicts the signal missing at {signal.place.words} (rms {size}, "
+    text += f"correlation time {memory}): "
+    if signal.repeated is None:
+        return f"{text}an unmeasured disturbance, or a law that no black box knows."
+    return f"{text}but it comes again in runs with the same inputs (correlation {signal.repeated:.2g}), as laws do."
 
 
 def _explains(item: Explained, diagnosis: Diagnosis) -> str:
@@ -262,7 +298,7 @@ def _hold_out(diagnosis: Diagnosis) -> str:
     kind, lost = _runs(diagnosis), "the repaired diagram has no settled motion there"
     of = diagnosis.evidence.terms.signals.format("" if floor is None else _percent(floor))
     of = of if floor is not None else of.partition(" (")[0]
-    if diagnosis.verdict == "consistent":
+    if diagnosis.verdict == "consistent" or _is_unmeasured(diagnosis):
         text = "" if before is None else f"On {kind} its error is {_percent(before)} {of}."
     elif before is None and after is None:
         text = f"On {kind} neither diagram has a settled motion."
@@ -282,7 +318,7 @@ def _errors(diagnosis: Diagnosis) -> str:
     """Return the errors of the simulation in the units of the signals."""
     text = []
     for name, (value, unit) in diagnosis.score_before.rms.items():
-        after = diagnosis.score_after.rms.get(name) if diagnosis.effects else None
+        after = diagnosis.score_after.rms.get(name) if diagnosis.searched else None
         more = "" if after is None else f", {format_quantity(*after, 3)} after"
         text.append(f"{name} {format_quantity(value, unit, 3)} rms{more}")
     return f"Error of the simulation there: {'; '.join(text)}." if text else ""

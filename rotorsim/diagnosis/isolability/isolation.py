@@ -92,7 +92,7 @@ def isolate(
     """
     recorded = entries_of(diagram, sensors)
     candidates = Catalogue.of(diagram, physics, trust_blocks).candidates(diagram, recorded)
-    faults = {item.key: item for item in candidates if not item.from_steps}  # readings show those
+    faults = {item.key: item for item in candidates if not item.read_off}  # the data themselves show those
     structure = structure_of(diagram, sensors, faults.values())
     laws, why = None, ""
     try:

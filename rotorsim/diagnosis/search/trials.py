@@ -135,7 +135,7 @@ class Trials:
         return [
             item
             for item in self.catalogue.candidates(self.evidence.load(document), self.evidence.recorded)
-            if (lines or not item.from_lines) and not item.from_steps and not (quiet and item.begins_at_line)
+            if (lines or not item.from_lines) and not item.read_off and not (quiet and item.begins_at_line)
         ]
 
     def completed(

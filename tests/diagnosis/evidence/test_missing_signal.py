@@ -134,7 +134,9 @@ def test_what_is_drawn(signal):
 
 def test_a_signal_without_a_law_has_none_in_its_figure(signal):
     runs = tuple(replace(run, law=None, law_over=None) for run in signal.runs)
-    made = missing_signal_figure(MissingSignal(signal.place, "A", "time", "s", 0.5, runs, signal.classes))
+    made = missing_signal_figure(
+        MissingSignal(signal.place, "A", "time", "s", 0.5, runs, signal.classes, 1.0, 9.0, 0.0)
+    )
     assert [text.get_text() for text in made.legends[0].get_texts()] == ["its 95 % band", "estimated, without a law"]
     assert made.axes[2].get_xlabel() == "time [s]"
     assert made.axes[0].get_ylabel() == "[A]"

@@ -104,7 +104,7 @@ def _screened(base: Fit, evidence: ResonanceEvidence, catalogue: Catalogue) -> t
     document, largest = values_in(base.document, base.values), evidence.largest()
     by_law: dict[Law, list[Insertion]] = {}
     for item in catalogue.candidates(evidence.load(document), evidence.recorded):
-        if not item.from_lines and not item.from_steps:
+        if not item.from_lines and not item.read_off:
             by_law.setdefault(item.law, []).append(item)
     least: dict[str, float] = {}
     for (name, *_), items in by_law.items():
