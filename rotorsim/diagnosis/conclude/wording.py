@@ -17,6 +17,7 @@ from rotorsim.units import format_quantity
 ELSEWHERE = 0.05  # probability of another place, from which an experiment is looked for that tells it apart
 WHOLE_SHARE = 0.999  # a share from which its digits say nothing
 ONE_SPEED = "at one speed unbalance imitates bow and runout, and force factors imitate stiffness and damping"
+REPEATED = "a run with the inputs and start of another: a law adds the same again, an unmeasured disturbance does not"
 MORE_RUNS = "runs at several speeds, from slow roll to above the first critical, and some with other gains"
 
 
@@ -36,7 +37,7 @@ def next_experiment(diagnosis: Diagnosis) -> str:
             how = _separating(effect, other, diagnosis)
             parts.append(f"to separate {effect.physics} at {here} from that at {there}: {how}")
     if verdict == "outside_catalogue" and diagnosis.unpredicted and diagnosis.signals[0].repeated is None:
-        parts.append("a run with the inputs of another: a law adds the same again, an unmeasured disturbance does not")
+        parts.append(REPEATED)
     if verdict == "outside_catalogue":
         parts.append(_law_of_unknown(diagnosis))
     if _is_unmeasured(diagnosis):

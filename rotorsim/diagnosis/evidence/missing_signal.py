@@ -45,8 +45,8 @@ class MissingSignal:
     that it is drawn against, share: how much of its variance a map of that explains. physics: the law that was found
     there, empty without one. left, without: residual variance of all outputs with and without it, of the noise's.
     predicted: share of it that a black box predicts where it was left out, of what is simulated and of time, 0 where
-    that may be chance. repeated: the largest correlation between its courses in runs with the same inputs; None without
-    any such runs.
+    that may be chance. repeated: the largest correlation between its courses in runs that are simulated alike (the same
+    inputs, from the same start); None without any such runs.
     """
 
     place: Spot

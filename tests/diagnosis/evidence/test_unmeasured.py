@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
+from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.conclude.disturbance import is_unpredicted, unmeasured
 from rotorsim.diagnosis.conclude.result import Diagnosis
 from rotorsim.diagnosis.diagnosis import diagnose
+from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
 from rotorsim.diagnosis.files import diagnosis_data, repaired_document
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
@@ -22,15 +24,20 @@ RMS, TAU = 6.0, 0.1  # of the force [its unit], and [s]
 SOME = ["unmeasured_disturbance", "offset", "dry_friction"]  # that are tried
 
 
-def run(drive_seed: int, seed: int, *, random_force: float = 0.0, ripple: float = 0.0) -> dict[str, np.ndarray]:
-    """Return a run by midpoint steps: x'' = u - 12 x' - 90 x + d; d: exp(-t / TAU) noise, or a ripple over x."""
+def run(
+    drive_seed: int, seed: int, *, random_force: float = 0.0, ripple: float = 0.0, start: float = 0.0
+) -> dict[str, np.ndarray]:
+    """Return a run by midpoint steps: x'' = u - 12 x' - 90 x + d; d: exp(-t / TAU) noise, or a ripple over x.
+
+    start: where x begins.
+    """
     u = np.repeat(np.random.default_rng(drive_seed).uniform(-1, 1, SAMPLES // 20) * 80, 20)
     random = np.random.default_rng(seed)
     left = np.exp(-1 / RATE / TAU)
     d, noise = np.zeros(SAMPLES), random.normal(size=SAMPLES) * np.sqrt(1 - left**2)
     for k in range(1, SAMPLES):
         d[k] = left * d[k - 1] + noise[k]
-    v = x = 0.0
+    v, x = 0.0, start
     out, h = np.empty((SAMPLES, 2)), 1 / RATE / FINE
     for k in range(SAMPLES):
         out[k] = v, x
@@ -107,8 +114,19 @@ def test_without_runs_that_come_again_it_may_be_a_law_that_no_black_box_knows():
     said = "Nothing that is simulated, nor time, predicts the signal missing at "
     assert said in found.statement
     assert "): an unmeasured disturbance, or a law that no black box knows." in found.statement
-    wanted = "a run with the inputs of another: a law adds the same again, an unmeasured disturbance does not"
+    wanted = "a run with the inputs and start of another: a law adds the same again, an unmeasured disturbance does not"
     assert found.next_experiment.startswith(wanted)
+
+
+def test_runs_that_begin_elsewhere_do_not_come_again():
+    """The same inputs, and another motion: what a law adds is another then, too."""
+    diagram, found = load(OSCILLATOR), []
+    for start in (0.0, 5.0):
+        evidence = waveform_evidence(diagram, made(run(1, 1, ripple=RMS), run(1, 2, ripple=RMS, start=start)))
+        fit = evidence.fit(diagram.document, [])
+        found.append(evidence.missing_signal(fit, fit, None, Spot("force", "output"), ()).repeated)
+    assert found[0] > 0.98
+    assert found[1] is None
 
 
 @pytest.mark.slow

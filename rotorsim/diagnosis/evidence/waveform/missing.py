@@ -19,7 +19,7 @@ from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearc
 from rotorsim.identification.waveform.unknown_input import Smoothed, UnknownInputs, smoothed_motion
 
 BINS = 20  # of equal numbers of samples, and of equal width, whose means are what a map of one signal explains
-SAME_INPUT = 0.03  # rms difference of inputs of two runs, of their standard deviation: a thousandth of the power
+ALIKE = 0.1  # rms difference of simulated signals of two runs, of their standard deviation: a hundredth of the power
 OWN = 0.9  # of what the best explains: what explains as much and comes before it is drawn
 
 
@@ -104,33 +104,31 @@ def missing_signal(
     share = explained_by(np.concatenate(values), np.concatenate(smoothed.added))
     residuals = np.concatenate([run.residual / here.noise for run in here.runs])
     without, left = float(np.mean(residuals**2)), estimates[0].misfit / residuals.size
-    predicted = _predicted(here, smoothed)
-    again = _repeated(here, smoothed)
+    ports = [*dict.fromkeys(place.port for place in here.places)]
+    simulated = simulated_signals(here.diagram, here.search, here.evaluation, ports)
+    predicted, again = _predicted(here, smoothed, simulated), _repeated(here, smoothed, simulated)
     return MissingSignal(
         at, unit, over, over_unit, share, tuple(runs), tuple(classes), left, without, predicted, again, physics
     )
 
 
-def _repeated(here: Linearised, smoothed: Smoothed) -> float | None:
-    """Return the largest correlation of a signal between two runs with the same inputs; None without such runs."""
-    inputs = here.search.systems[0].equations.inputs
-    driven = [np.column_stack([run.values[name] for name in inputs]) for run in here.sampled]
-    found = []
-    for a, b in combinations(range(len(driven)), 2):
-        if inputs and driven[a].shape == driven[b].shape and np.allclose(here.sampled[a].dt, here.sampled[b].dt):
-            off, spread = np.sqrt(((driven[a] - driven[b]) ** 2).mean(axis=0)), driven[a].std(axis=0)
-            if (off <= SAME_INPUT * spread).all() and (spread > 0).any():
-                found.append(float(np.corrcoef(smoothed.added[a], smoothed.added[b])[0, 1]))
-    return max(found, default=None)
-
-
-def _predicted(here: Linearised, smoothed: Smoothed) -> float:
+def _predicted(here: Linearised, smoothed: Smoothed, simulated: Sequence[np.ndarray]) -> float:
     """Return the share of a signal that a black box predicts of what is simulated without it, and of time."""
-    ports = [*dict.fromkeys(place.port for place in here.places)]
-    simulated = simulated_signals(here.diagram, here.search, here.evaluation, ports)
     beside = [np.column_stack([run.time - run.time[0], own]) for run, own in zip(here.sampled, simulated, strict=True)]
     poles = np.linalg.eigvals(here.runs[0].F.mean(axis=0))
     return predictability([added[:, None] for added in smoothed.added], beside, poles).structure
+
+
+def _repeated(here: Linearised, smoothed: Smoothed, simulated: Sequence[np.ndarray]) -> float | None:
+    """Return the largest correlation of a signal between two runs that are simulated alike; None without such runs."""
+    found = []
+    for a, b in combinations(range(len(simulated)), 2):
+        one, other = simulated[a], simulated[b]
+        if one.shape == other.shape and np.isclose(here.sampled[a].dt, here.sampled[b].dt):
+            off, spread = np.sqrt(((one - other) ** 2).mean(axis=0)), one.std(axis=0)
+            if (off <= ALIKE * spread).all() and spread.any():
+                found.append(float(np.corrcoef(smoothed.added[a], smoothed.added[b])[0, 1]))
+    return max(found, default=None)
 
 
 def _at_samples(smoothed: Smoothed, runs: Sequence[LinearisedRun]) -> Smoothed:
