@@ -19,7 +19,9 @@ from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearc
 from rotorsim.identification.waveform.unknown_input import Smoothed, UnknownInputs, smoothed_motion
 
 BINS = 20  # of equal numbers of samples, and of equal width, whose means are what a map of one signal explains
-ALIKE = 0.1  # rms difference of simulated signals of two runs, of their standard deviation: a hundredth of the power
+SAME_MOTION = (
+    0.1  # rms difference of simulated signals of two runs, of their standard deviation: a hundredth of the power
+)
 OWN = 0.9  # of what the best explains: what explains as much and comes before it is drawn
 
 
@@ -126,7 +128,7 @@ def _repeated(here: Linearised, smoothed: Smoothed, simulated: Sequence[np.ndarr
         one, other = simulated[a], simulated[b]
         if one.shape == other.shape and np.isclose(here.sampled[a].dt, here.sampled[b].dt):
             off, spread = np.sqrt(((one - other) ** 2).mean(axis=0)), one.std(axis=0)
-            if (off <= ALIKE * spread).all() and spread.any():
+            if (off <= SAME_MOTION * spread).all() and spread.any():
                 found.append(float(np.corrcoef(smoothed.added[a], smoothed.added[b])[0, 1]))
     return max(found, default=None)
 
