@@ -128,7 +128,7 @@ def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
     if unpredicted and not converters:
         disturbance = unmeasured(selection.base, signals[0], evidence, opened.catalogue)
         if disturbance is not None:
-            verdict, unknown = "missing_physics", None
+            verdict, unknown, proof = "missing_physics", None, None
             effects, signals = (disturbance[0],), (disturbance[1],)
             after = disturbance[0].candidate.fit
     every = (*effects, *(verdicts.converter_effect(item, selection.fit) for item in converters))

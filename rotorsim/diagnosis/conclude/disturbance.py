@@ -36,10 +36,10 @@ def unmeasured(
     """Return the unmeasured disturbance that a signal is which nothing predicts, and the signal with its name.
 
     None unless runs with the same inputs show that it does not come again, as that of a law does: less than
-    `Criteria.material` of it, three standard deviations of chance (sqrt(tau / T)) included.
+    `Criteria.material` of it, three standard deviations of chance included. Two courses that have nothing to do with
+    each other have a correlation of variance tau / T, T: of the shortest run (Bartlett, as in `MissingSignal.known`).
     """
-    tau, std, _ = signal.known("correlation_time")
-    chance = std / tau / 2**0.5
+    chance = (signal.correlation_time / min(run.time[-1] - run.time[0] for run in signal.runs)) ** 0.5
     if signal.repeated is None or signal.repeated + 3 * chance > CRITERIA.material:
         return None
     item = _insertion(base, signal, evidence, catalogue)

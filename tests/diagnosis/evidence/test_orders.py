@@ -6,13 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import chi2
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.diagnosis.evidence.open import open_evidence
-from rotorsim.diagnosis.evidence.orders.noise import RowNoise, memory_of, plain, white_noise, whitened_search
-from rotorsim.diagnosis.evidence.orders.whiteness import whiteness_of
+from rotorsim.diagnosis.evidence.orders.noise import (
+    RowNoise,
+    memory_of,
+    plain,
+    restricted,
+    white_noise,
+    whitened_search,
+)
+from rotorsim.diagnosis.evidence.orders.whiteness import _of_white, whiteness_of
 from rotorsim.diagnosis.files import diagnosis_data
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.left_out import standardised, surprise
@@ -76,6 +84,30 @@ def test_a_smooth_curve_and_a_beat_beside_white_rows_are_structure(smooth):
         white = np.append(rows[0], rows[1:] - memory * rows[:-1])
         low += whiteness_of([white])[0] < 0.01
     assert low >= 15
+
+
+def test_chi_squared_would_reject_white_rows_too_often():
+    """Why the probability is counted: of 100 rows and 20 lags, 0.2 % are beyond the quantile of 0.01 %."""
+    drawn = _of_white((np.ones(100, bool).tobytes(),), 20)
+    assert 1e-3 < (drawn > chi2.isf(1e-4, 40)).mean() < 3e-3
+
+
+def test_what_a_fit_takes_up_of_slow_noise_is_not_taken_from_its_memory():
+    """Eight slow curves beside rows that keep 0.8: what is left keeps less, its likelihood says 0.8 and 1."""
+    n, found = 100, []
+    curves = np.stack([np.cos(np.pi * k * (np.arange(n) + 0.5) / n) for k in range(4)], axis=1)
+    flat = np.concatenate([np.kron(curves, [[1.0], [0.0]]), np.kron(curves, [[0.0], [1.0]])], axis=1)  # (2 n, 8)
+    for seed in range(60):
+        rows = rows_of(0.8, seed, n)
+        y = np.stack([rows.real, rows.imag], axis=1)
+        left = (y.ravel() - flat @ np.linalg.lstsq(flat, y.ravel(), rcond=None)[0]).reshape(n, 2)
+        plain_one = memory_of([left[:, 0] + 1j * left[:, 1]])
+        [variance], [memory] = restricted([left], [flat.reshape(n, 2, 8)], np.array([plain_one]))
+        found.append((plain_one, memory, variance))
+    plain_one, memory, variance = np.mean(found, axis=0)
+    assert plain_one < 0.75
+    assert memory == pytest.approx(0.8, abs=0.022)  # 4 of sqrt((1 - m^2) / 2 n / 60)
+    assert variance == pytest.approx(1.0, abs=0.052)  # of 2 n numbers 60 times: 4 of sqrt(2 / 12000)
 
 
 def test_memory_is_what_a_row_keeps_of_the_row_before():

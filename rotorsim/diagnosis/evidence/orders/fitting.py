@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from rotorsim.diagnosis.evidence.fit import Effort, Fit, Starts
-from rotorsim.diagnosis.evidence.orders.noise import RowNoise
+from rotorsim.diagnosis.evidence.orders.noise import DETERMINED_BY_ROWS, RowNoise
 from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder
 from rotorsim.identification.in_orders import refuse_fast
 from rotorsim.identification.left_out import left_out
@@ -23,9 +23,6 @@ from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation
 FIRST_STEPS = 4  # from each start, before the best is followed
 FOLLOWED = 3  # starts of a law: those that promise most
 REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
-# of the largest eigenvalue of the scaled information: below, a direction changes the rows by less than thrice what a
-# simulation may be wrong by, which does not know what was before the first row (FORGOTTEN)
-DETERMINED_BY_ROWS = 1e-7
 
 
 def fitted(

@@ -27,7 +27,9 @@ from rotorsim.identification.waveform.order_tracking import (
 from rotorsim.identification.waveform.search import Evaluation
 
 MOST_MEMORY = 0.95  # of a row, of the row before: twenty rows count as one
-DETERMINED = 1e-6  # of the largest singular value of sensitivities: below, a direction does not change the rows
+# of the largest eigenvalue of the scaled information: below, a direction changes the rows by less than thrice what a
+# simulation may be wrong by, which does not know what was before the first row (FORGOTTEN)
+DETERMINED_BY_ROWS = 1e-7
 DIFFERENCED = 3.17  # rows that count as one in a variance by sixth differences: C(24, 12) / C(12, 6)^2
 
 
@@ -128,8 +130,14 @@ def noise_beside(search: OrderSearch, evaluation: Evaluation) -> dict[str, RowNo
         [t.vectors[:, c] - y[:, c] for t, y in zip(tracked.tracks, simulated, strict=True)]
         for c in range(len(tracked.labels))
     ]
-    variances, memory = restricted(search, evaluation, np.array([memory_of(parts) for parts in left]))
-    searched = int((~search.at_bound(evaluation.unknowns)).sum())
+    at = plain(search).evaluate(evaluation.unknowns, evaluation.sub)
+    open_ones = ~search.at_bound(evaluation.unknowns)
+    sensitivities = [np.zeros((*part.shape, len(open_ones))) for part in at.residuals[0]]
+    for r, J in enumerate(at.jacobians[0]):
+        sensitivities[r][:, :, search.columns(0, r)] = J
+    begun = np.array([memory_of(parts) for parts in left])
+    variances, memory = restricted(at.residuals[0], [J[:, :, open_ones] for J in sensitivities], begun)
+    searched = int(open_ones.sum())
     found = {}
     for c, label in enumerate(tracked.labels):
         white = [_without_memory(p[:, None], np.isfinite(p)[:, None], memory[c : c + 1])[:, 0] for p in left[c]]
@@ -145,29 +153,25 @@ def noise_beside(search: OrderSearch, evaluation: Evaluation) -> dict[str, RowNo
     return found
 
 
-def restricted(search: OrderSearch, evaluation: Evaluation, begun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def restricted(
+    left: Sequence[np.ndarray], sensitivities: Sequence[np.ndarray], begun: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the variance of d and the memory of every channel, (c,) each, by restricted maximum likelihood.
 
     -2 log L = r^T V^-1 r + log |V| + log |J^T V^-1 J|
-    r: what the fit, linearised and weighed by V, leaves; J: its sensitivities. A fit takes up some of slow noise, and
-    what is left is less slow: of rows that keep 0.8, it keeps 0.75 beside eight parameters.
-    begun: memory to begin at, (c,); zero stays.
+    r: left (n, 2 c) by a fit of each run, refitted by linear theory with the weights V^-1; J: sensitivities
+    (n, 2 c, q). A fit takes up some of slow noise, and what it leaves is less slow. begun: memory to begin at, (c,);
+    zero stays.
     Source: H. D. Patterson, R. Thompson, Biometrika 58 (1971) 545-554.
     """
-    at = plain(search).evaluate(evaluation.unknowns, evaluation.sub)
-    searched = ~search.at_bound(evaluation.unknowns)
-    there = [np.isfinite(part) for part in at.residuals[0]]
-    residuals = [np.nan_to_num(part)[:, :, None] for part in at.residuals[0]]
-    sensitivities = [np.zeros((*here.shape, len(searched))) for here in there]
-    for r, J in enumerate(at.jacobians[0]):
-        sensitivities[r][:, :, search.columns(0, r)] = np.where(there[r][:, :, None], J, 0)
-    every = np.concatenate([J.reshape(-1, len(searched)) for J in sensitivities])[:, searched]
+    there = [np.isfinite(part) for part in left]
+    residuals = [np.nan_to_num(part)[:, :, None] for part in left]
+    sensitivities = [np.where(here[:, :, None], J, 0) for here, J in zip(there, sensitivities, strict=True)]
+    every = np.concatenate([J.reshape(-1, J.shape[2]) for J in sensitivities])
     size = np.maximum(np.linalg.norm(every, axis=0), 1e-300)
     _, values, directions = np.linalg.svd(every / size, full_matrices=False)
-    to_known = directions[values > DETERMINED * values.max(initial=0.0)].T / size[:, None]
-    both = [
-        np.concatenate([y, J[:, :, searched] @ to_known], axis=2) for y, J in zip(residuals, sensitivities, strict=True)
-    ]
+    to_known = directions[values**2 > DETERMINED_BY_ROWS * values.max(initial=0.0) ** 2].T / size[:, None]
+    both = [np.concatenate([y, J @ to_known], axis=2) for y, J in zip(residuals, sensitivities, strict=True)]
     rows = sum(here[:, ::2].sum(axis=0) for here in there)
     alone = sum((here & ~np.concatenate([np.zeros_like(here[:1]), here[:-1]]))[:, ::2].sum(axis=0) for here in there)
     squares = sum((part[:, :, 0] ** 2).sum(axis=0) for part in both)
