@@ -87,9 +87,10 @@ class Fault:
       ``recorded`` "after" a recording of that signal means the block's output, with "before" its input.
     - "reading": only the recording sees the block's output (``through``), not the diagram.
     - "signal": the block's ``output`` takes the place of any scalar signal, its ``input``: for all blocks that take it,
-      for its recording, or for both. Of diagrams in which nothing turns. ``argument``: an input that takes another
-      scalar signal of the diagram, every one in turn. ``own``: the physics that is the same law of one signal, at which
-      it is tried instead where the other signal, behind gains, enters the same sum.
+      for one of several, for its recording, or for all of these. Of diagrams in which nothing turns. ``argument``: an
+      input that takes another scalar signal of the diagram, every one in turn. ``own``: the physics that is the same
+      law of one signal, at which it is tried instead where the other signal, behind gains, enters the same sum.
+      ``adds``: what it adds to a signal does not depend on that signal, so that behind a sum it is the same.
     - "replace": the block takes the place of one whose type is in ``of``, which may be its own type; parameters of
       equal name keep their values.
     - "move": a block of this type acts at another place.
@@ -130,6 +131,7 @@ class Fault:
     recorded: str = "after"
     inherits: tuple[str, ...] = ()
     law: str = ""
+    adds: bool = False
     confused_with: tuple[str, ...] = ()
     told_apart_by: str = ""
     told_apart_at_rest_by: str = ""

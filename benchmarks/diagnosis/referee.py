@@ -69,7 +69,7 @@ def judged(folder: Path, case: str, diagram: str) -> Judged:
     found = judged_beside(evidence.load(values), search, evaluation)
     share = float(found.share[found.level < CRITERIA.false_alarm].max(initial=0.0))
     bounds = evidence.bounds(fit) if truth["missing"] else None
-    ports = [bounds.places[item.place].port for item in bounds.unknown.estimates()] if bounds else []
+    ports = [str(bounds.places[item.place]) for item in bounds.unknown.estimates()] if bounds else []
     accepted = {place for effect in truth["effects"] for place in effect["accepted_locations"]}
     rank = next((k for k, port in enumerate(ports, 1) if port in accepted), 0)
     visible = float(truth.get("detectability") or 1.0)

@@ -74,6 +74,7 @@ class Coupling(Block):
             free=free,
             fixed=fixed,
             sizes=sizes,
+            adds=True,
             law=said,
             confused_with=like,
             told_apart_by="amplitude: the other signal over a wider range",

@@ -70,6 +70,7 @@ class Disturbance(Block):
             free=free,
             fixed=fixed,
             simpler={"rate": (0.0, "offset")} if law == "drift" else {},
+            adds=True,
             law=said,
             confused_with=like,
             told_apart_by="the same inputs again, another length of the run",

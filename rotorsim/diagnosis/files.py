@@ -130,7 +130,7 @@ def _port(spot: Spot) -> dict[str, str]:
 
 def _place(spot: Spot, probability: float) -> dict[str, Any]:
     node = spot.beside if spot.node is None else spot.node
-    side = {"side": spot.side} if spot.side else {}  # of a signal in time: "reading", or "both" it and what takes it
+    side = {"side": spot.side} if spot.side else {}  # of a signal in time
     return {"block": spot.block, "port": spot.port, "node": node, "axis": None, "probability": probability, **side}
 
 

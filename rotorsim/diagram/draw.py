@@ -98,8 +98,8 @@ def draw_svg(
     """Return the diagram as SVG text.
 
     Blocks stand where the document's ``layout`` says ([column, row]), else in layers from left to right.
-    highlight: block -> colour of its frame. marked: (block, output) -> colour of its wires, and what is written there.
-    Wires of one output share a line and branch at dots.
+    highlight: block -> colour of its frame. marked: (block, port) -> colour of the wires of an output, or of the one
+    into an input, and what is written there. Wires of one output share a line and branch at dots.
     """
     marked = marked or {}
     boxes = _boxes(diagram)
@@ -117,12 +117,15 @@ def draw_svg(
     lines: list[str] = []
     dots: dict[Key, list[list[tuple[float, float]]]] = {}
     written: dict[Key, str] = {}
-    for signal, steps, source, target in routes:
+    for signal, steps, source, target in sorted(routes, key=lambda route: (route[3].block, route[3].port) in marked):
         points = _points(boxes, signal, steps, source, target, channels, streets, left, top)
-        lines.append(_wire(points, colour[signal], source, target, MARKED if signal in marked else 1.3))
+        into = target.block, target.port
+        mark = into if into in marked else signal
+        shade = marked[into][0] if into in marked else colour[signal]
+        lines.append(_wire(points, shade, source, target, MARKED if mark in marked else 1.3))
         dots.setdefault(signal, []).append(points[1:-1])
-        if signal in marked and signal not in written:
-            written[signal] = _label(points[0], *marked[signal])
+        if mark in marked and mark not in written:
+            written[mark] = _label(points[0 if mark == signal else -1], *marked[mark], before=mark == into)
     marks = [_dot(point, colour[signal]) for signal, points in dots.items() for point in _branches(points)]
     title = escape(diagram.name)
     head = (
@@ -261,12 +264,13 @@ def _wire(
     return "\n".join(parts)
 
 
-def _label(point: tuple[float, float], colour: str, text: str) -> str:
-    """Return what is written on a wire where it begins, on white, so that lines behind it do not disturb."""
+def _label(point: tuple[float, float], colour: str, text: str, *, before: bool) -> str:
+    """Return what is written on a wire where it begins, or before it ends, on white: lines behind it do not disturb."""
     x, y = point
+    shift, anchor = (-9, "end") if before else (3, "start")
     return (
-        f'<text x="{x + 3:.1f}" y="{y - 5:.1f}" font-size="10.5" font-weight="bold" fill="{colour}" stroke="white" '
-        f'stroke-width="3" paint-order="stroke">{escape(text)}</text>'
+        f'<text x="{x + shift:.1f}" y="{y - 5:.1f}" font-size="10.5" font-weight="bold" fill="{colour}" stroke="white" '
+        f'stroke-width="3" paint-order="stroke" text-anchor="{anchor}">{escape(text)}</text>'
     )
 
 

@@ -160,6 +160,17 @@ def test_quantiser_gives_the_nearest_level(value: float, interval: float) -> Non
     assert level / interval == pytest.approx(round(float(level / interval)), abs=1e-9)
 
 
+@given(value=st.floats(-20, 20), interval=st.sampled_from([0.25, 3.0]))
+@settings(max_examples=25, deadline=None)
+def test_smooth_edges_are_the_fourier_series_of_rounding(value: float, interval: float) -> None:
+    """v - round(v) = sum_k (-1)^(k+1) sin(2 pi k v) / (pi k), its terms smaller by r^k: Abel's sum."""
+    k = np.arange(1, 2000)
+    for edges, r in (("steep", 0.99), ("smooth", 0.9)):
+        series = -((-r) ** k) * np.sin(2 * np.pi * k * value / interval) / (np.pi * k)
+        smooth = output("quantiser", {"interval": interval}, {"edges": edges}, input=value)
+        assert smooth == pytest.approx(value - interval * series.sum(), abs=1e-7)
+
+
 def test_absolute_and_sign() -> None:
     value = np.array([-2.0, 0.0, 3.0])
     np.testing.assert_array_equal(output("absolute", input=value), [2.0, 0.0, 3.0])

@@ -7,6 +7,7 @@ import json
 from functools import cache
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.registry import all_types
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.fault import Course, Dominant, Fault, Lines, Longest, Of, Sampled, Steps
+from rotorsim.identification.waveform.driven.equations import driven_equations
 from rotorsim.model.load import load
 from rotorsim.simulation.run import simulate
 
@@ -167,6 +169,24 @@ def test_starts_are_small_not_zero_and_within_bounds(cls: type[Block], fault: Fa
             assert declared.above is None or start > declared.above
 
 
+@pytest.mark.parametrize(("cls", "fault"), [pair for pair in FAULTS if pair[1].enters == "signal"], ids=str)
+def test_what_only_adds_to_a_signal_is_declared_so(cls: type[Block], fault: Fault) -> None:
+    """What it adds, and how fast its states move, does not depend on the signal."""
+    names = [*fault.through, *([fault.argument] if fault.argument else [])]
+    blocks = {name: {"type": "recorded", "parameters": {"interpolation": "hold"}} for name in names}
+    document = {
+        "schema_version": 1,
+        "name": "alone",
+        "blocks": {**blocks, "law": {"type": cls.type_name, "parameters": dict(fault.options)}},
+        "wires": [[f"{name}.output", f"law.{name}"] for name in names],
+    }
+    [output] = fault.through.values()
+    equations = driven_equations(load(document), [f"law.{output}"], [f"{name}.output" for name in names], [])
+    signal = equations.arguments[2][0]
+    moved = ca.vertcat(ca.simplify(equations.g - signal), equations.f)
+    assert fault.adds == (not ca.depends_on(moved, signal))
+
+
 def test_variants_of_one_effect_differ() -> None:
     said = [
         (cls.type_name, f.physics, f.enters, f.recorded, str(f.options), str(f.fixed), sorted(f.free))
@@ -266,7 +286,7 @@ def base_of(text: str, compiled: bool) -> np.ndarray:
             marks=pytest.mark.slow if compiled or each[1] is not each[0].faults[0] else (),
         )
         for each, name in zip(FAULTS, IDS, strict=True)
-        if each[1].physics not in SIGNALS
+        if each[1].physics not in SIGNALS and each[1].enters != "signal"
         for compiled in (False, True)
         if not compiled or each[1] is each[0].faults[0]
     ],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -14,9 +14,10 @@ from rotorsim.block import Block, In
 from rotorsim.diagnosis.catalogue.chains import ANY, Chain, Chains
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.catalogue.others import OtherSignals
-from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Port
+from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Port, Wire
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.fault import Fault
+from rotorsim.identification.waveform.linearised import branches_of
 
 Wires = list[tuple[str, str]]
 
@@ -27,11 +28,14 @@ def insertions(diagram: Diagram, recorded: Iterable[str], registry: Registry | N
     recorded: flat names of the recorded signals ("rotor.displacement[3,1]"): a sensor stands only in front of them.
     """
     chains, others, names = Chains(diagram), OtherSignals(diagram, recorded), frozenset(recorded)
+    branches = branches_of(diagram)
     candidates: list[Insertion] = []
     for kind in (registry or Registry()).all_types().values():
         counted: Counter[str] = Counter()
         for fault in kind.faults:
-            candidates += _Finder(diagram, names, chains, others, kind, fault, counted[fault.physics]).insertions()
+            candidates += _Finder(
+                diagram, names, chains, others, branches, kind, fault, counted[fault.physics]
+            ).insertions()
             counted[fault.physics] += 1
     return candidates
 
@@ -44,6 +48,7 @@ class _Finder:
     recorded: frozenset[str]
     chains: Chains
     others: OtherSignals
+    branches: Mapping[str, Sequence[Wire]]
     kind: type[Block]
     fault: Fault
     variant: int
@@ -251,7 +256,7 @@ class _Finder:
                 yield self._insertion(spot, name, wires, of=node, measured=measured, feeds={key: str(start)})
 
     def _signals(self, node: Node) -> Iterator[Insertion]:
-        """Yield the block behind every scalar signal: for what takes it, for its recording, and for both."""
+        """Yield the block behind every scalar signal: for all or one that take it, for its recording, or for both."""
         if self.diagram.turns:
             return  # of what turns, the physics are declared
         name, [(key, output)] = self._new_name(), self.fault.through.items()
@@ -281,6 +286,28 @@ class _Finder:
                     measured={str(start): f"{name}.{output}"} if side else None,
                     feeds=feeds,
                 )
+            for wire in self.branches.get(str(start), ()):
+                yield from self._branch(start, wire)
+
+    def _branch(self, start: Endpoint, wire: Wire) -> Iterator[Insertion]:
+        """Yield the block in one wire of a signal that several take; in front of a sum no law that only adds to it."""
+        target = self.diagram.nodes[wire.target.block]
+        if self.fault.adds and target.block.type_name == "sum":
+            return  # it is the same behind the sum
+        name, [(key, output)] = self._new_name(), self.fault.through.items()
+        ends = [Endpoint(target.name, port) for port in target.outputs]
+        for other in self.others.of(start) if self.fault.argument else (None,):
+            if other is not None and any(self.others.follows(other, end) for end in ends):
+                continue  # an algebraic loop
+            feeds = {key: str(start), **({} if other is None else {self.fault.argument: str(other)})}
+            wires = [(source, f"{name}.{k}") for k, source in feeds.items()]
+            yield self._insertion(
+                Spot(target.name, wire.target.port, side="branch"),
+                name,
+                [*wires, (f"{name}.{output}", str(wire.target))],
+                cut=[(str(wire.source), str(wire.target))],
+                feeds=feeds,
+            )
 
     # -- changes of a block ------------------------------------------------------------------------------------------
 

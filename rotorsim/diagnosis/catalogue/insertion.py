@@ -18,6 +18,7 @@ DOMINANT = "dominant frequency"  # among the largest magnitudes of signals: of t
 LINES = "lines"  # among the largest magnitudes of signals: the frequency of asynchronous lines
 
 
+STARTS_TRIED = 8  # of a law that are tried; of more, those that add most nearly what is missing, else the first
 FAR_FROM_BOTH_ENDS = 0.06  # radians a sample: a frequency, where no line is known
 
 Law = tuple[str, int, bool]  # see `Insertion.law`
@@ -28,7 +29,8 @@ class Spot:
     """A place in a diagram: a port of a block, and the node (from 1) where it has nodes.
 
     beside: the only node of another block to which this one is wired: where along the shaft it stands. side: of a
-    signal, what is behind the place: "" what takes it, "reading" its recording, "both".
+    signal, what is behind the place: "" what takes it, "reading" its recording, "both"; "branch": this input alone, of
+    several that take it.
     """
 
     block: str
@@ -43,7 +45,8 @@ class Spot:
     @property
     def words(self) -> str:
         """The place in words: what of a signal is meant."""
-        return {"reading": f"the reading of {self}", "both": f"{self}, its reading too"}.get(self.side, str(self))
+        words = {"reading": "the reading of {}", "both": "{}, its reading too", "branch": "the branch into {}"}
+        return words.get(self.side, "{}").format(self)
 
 
 @dataclass(frozen=True, eq=False)

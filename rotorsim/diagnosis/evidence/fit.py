@@ -37,12 +37,14 @@ class Effort:
     """How far a fit is carried. Evidence that fits at less than another's cost may do more.
 
     most: a limit of evaluations. linear_only: the failure of a diagram that is nonlinear is DEFERRED. beyond: a misfit;
-    what leaves more after the first steps is not followed.
+    what leaves more after the first steps is not followed. lost: whether a fit that has lost the measured motion is
+    begun again with short parts of the runs, which takes as long as two others.
     """
 
     most: int | None = None
     linear_only: bool = False
     beyond: float = np.inf
+    lost: bool = True
 
 
 TO_THE_END = Effort()

@@ -10,7 +10,16 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
-from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, Law, fixed_of, limits_of, sizes_at, starts_of
+from rotorsim.diagnosis.catalogue.insertion import (
+    LINES,
+    STARTS_TRIED,
+    Insertion,
+    Law,
+    fixed_of,
+    limits_of,
+    sizes_at,
+    starts_of,
+)
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence, Promise
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, is_adequate
@@ -83,7 +92,7 @@ class Trials:
         for item in found:
             sizes = sizes_at(item, largest)
             starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
-            here = [dict(zip(item.free, start.values(), strict=True)) for start in starts]
+            here = [dict(zip(item.free, start.values(), strict=True)) for start in starts[:STARTS_TRIED]]
             groups = [[{**off, **start} for off in (({}, away) if away else ({},)) for start in here]]
             if not before.nonlinear:  # else it costs too much to begin once more from values as given
                 groups.append([{**self.nominal, **away, **start} for start in here])
@@ -99,8 +108,9 @@ class Trials:
                 for item, (start, groups), near in zip(found, jobs, known, strict=True)
             ]
             promised = [np.inf if (one := promises[k]) is None else one.misfit for k in kept]
-            begun = dict(zip(kept, self._begun([jobs[k] for k in kept], promised), strict=True))
-            effort = Effort(FIRST_EVALUATIONS, linear_only=True)
+            begun = dict(zip(kept, self._begun(before, [jobs[k] for k in kept], promised), strict=True))
+            beyond = _beyond(before, [*begun.values()])
+            effort = Effort(FIRST_EVALUATIONS, linear_only=True, beyond=beyond, lost=False)
             unsure = () if places is None or places.sure or is_adequate(before) else classes
             others = at_likely_places(found, promises, unsure, begun)
             begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
@@ -112,7 +122,7 @@ class Trials:
             untried = [(found[k], jobs[k]) for k in left]
             jobs, found = [jobs[k] for k in begun], [found[k] for k in begun]
         else:
-            fits = self._begun(jobs, ())
+            fits = self._begun(before, jobs, ())
         self.counts["fits"] += len(found)
         later = [k for k, fit in enumerate(fits) if fit.failure == DEFERRED]
         explained = is_adequate(before) or any(is_adequate(fit) for fit in fits)
@@ -120,7 +130,7 @@ class Trials:
         for k, fit in zip(later, more, strict=True):
             fits[k] = fit
         fits, ended = self._refined(before, jobs, fits, [item.law for item in found])
-        found, fits = self._finer(found, fits)
+        found, fits = self._finer(before, found, fits)
         tried = [
             Candidate(item, fit, self._astray(before, fit), bool(fit.failure) or not fit.nonlinear or k in ended)
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
@@ -157,7 +167,8 @@ class Trials:
             return found
         jobs: list[Job] = [(values_in(tried[k].fit.document, tried[k].fit.values), [[{}]]) for k in which]
         jobs += [job for _, job in more]
-        effort = Effort(FIRST_EVALUATIONS if every else None, beyond=_no_rival([item.fit for item in tried]))
+        beyond = _beyond(found.before, [item.fit for item in tried])
+        effort = Effort(FIRST_EVALUATIONS if every else None, beyond=beyond, lost=not every)
         fits = self._fit(jobs, effort)
         ended = {*range(len(jobs))}
         if every:  # of many laws few are carried to the end
@@ -278,17 +289,18 @@ class Trials:
             seen.add(law)
         return [*first, *second[: max(MOST_FITS - len(first), MOST_FITS // 3)]]
 
-    def _begun(self, jobs: Sequence[Job], promised: Sequence[float]) -> list[Fit]:
+    def _begun(self, before: Fit, jobs: Sequence[Job], promised: Sequence[float]) -> list[Fit]:
         """Return first fits; where one of the most promising explains the data, no others that never will are followed.
 
-        promised: misfits, where something is known of them.
+        Of those that have lost the motion only the most promising are begun with short parts of the runs. promised:
+        misfits, where something is known of them.
         """
         known = [k for k, misfit in enumerate(promised) if misfit < np.inf]
         order = sorted(known, key=lambda k: promised[k])[:MOST_PROMISING]
         first = self._fit([jobs[k] for k in order], Effort(FIRST_EVALUATIONS, linear_only=True))
         fits = dict(zip(order, first, strict=True))
         others = [k for k in range(len(jobs)) if k not in fits]
-        effort = Effort(FIRST_EVALUATIONS, linear_only=True, beyond=_no_rival(first))
+        effort = Effort(FIRST_EVALUATIONS, linear_only=True, beyond=_beyond(before, first), lost=not known)
         rest = self._fit([jobs[k] for k in others], effort)
         fits |= dict(zip(others, rest, strict=True))
         return [fits[k] for k in range(len(jobs))]
@@ -325,11 +337,11 @@ class Trials:
         self._again(jobs, fits, order, None)
         return fits, set(order)
 
-    def _finer(self, found: Sequence[Insertion], fits: Sequence[Fit]) -> tuple[list[Insertion], list[Fit]]:
+    def _finer(self, before: Fit, found: Sequence[Insertion], fits: Sequence[Fit]) -> tuple[list[Insertion], list[Fit]]:
         """Return insertions and fits, the best with finer approximations of their laws where the data show it."""
         found, fits = list(found), list(fits)
         best = _bymisfit_of(fits)[:REFINED]
-        which = [k for k in best if found[k].fault.finer and not is_adequate(fits[k])]
+        which = [] if is_adequate(before) else [k for k in best if found[k].fault.finer]
         finer = [found[k].finer for k in which]
         jobs: list[Job] = []
         for k, item in zip(which, finer, strict=True):
@@ -390,9 +402,16 @@ def _led(groups: list[list[dict[str, float]]], start: dict[str, float]) -> list[
     return [[start, {**groups[-1][0], **start}, *({**start, **group[0]} for group in groups[:DECLARED])]]
 
 
-def _no_rival(fits: Sequence[Fit]) -> float:
-    """Return the misfit beyond which nothing is a rival of the best of some fits; infinite if none is adequate."""
-    return RIVAL_MISFIT * min((fit.misfit for fit in fits if is_adequate(fit)), default=np.inf)
+def _beyond(before: Fit, fits: Sequence[Fit]) -> float:
+    """Return the misfit beyond which a law is not followed after its first steps: it is no rival of the best fit.
+
+    Of one that explains the data RIVAL_MISFIT times its misfit; where none does, what explains STARTED of what the best
+    explains. Infinite where that has not begun.
+    """
+    least = min((fit.misfit for fit in fits if not fit.failure), default=np.inf)
+    if any(is_adequate(fit) for fit in fits):
+        return RIVAL_MISFIT * least
+    return before.misfit - STARTED * (before.misfit - least) if least < before.misfit else np.inf
 
 
 def _is_slow(fit: Fit, most: float) -> bool:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.diagram import Diagram, Node, Wire
 from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
@@ -65,31 +65,41 @@ class LinearisedRun:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a signal may be added: at an output port, to what takes it (side ""), its "reading", or "both"."""
+    """Where a signal may be added: at an output port, to what takes it (side ""), its "reading", or "both".
+
+    into: an input that alone sees it, of several that take the output (side "branch").
+    """
 
     port: str
     side: str = ""
+    into: str = ""
+
+    @property
+    def entry(self) -> str:
+        """The port that it is added to."""
+        return self.into or self.port
 
     @property
     def taken(self) -> bool:
-        """Whether the blocks behind the port see it."""
+        """Whether blocks behind the port see it."""
         return self.side != "reading"
 
     @property
     def recorded(self) -> bool:
         """Whether a recording of the port sees it."""
-        return self.side != ""
+        return self.side in ("reading", "both")
 
     def __str__(self) -> str:
-        return self.port
+        return self.entry
 
 
 def places_of(diagram: Diagram, outputs: Sequence[str]) -> list[Place]:
-    """Return every output port that is one number: where it is taken, where it is recorded, and both at once.
+    """Return every output port that is one number: where it is taken, where it is recorded, both at once, its branches.
 
     outputs: flat names of what was recorded and is compared.
     """
     sources = {f"{wire.source.block}.{wire.source.port}" for wire in diagram.wires}
+    branches = branches_of(diagram)
     ports = (port for node in diagram.nodes.values() for port in node.outputs.values())
     places = []
     for port in (str(port) for port in ports if port.shape == ()):
@@ -97,7 +107,29 @@ def places_of(diagram: Diagram, outputs: Sequence[str]) -> list[Place]:
         places += [Place(port)] if taken else []
         places += [Place(port, "reading")] if recorded else []
         places += [Place(port, "both")] if taken and recorded else []
+        places += [Place(port, "branch", str(wire.target)) for wire in branches.get(port, ())]
     return places
+
+
+def branches_of(diagram: Diagram) -> dict[str, list[Wire]]:
+    """Return the wires from scalar outputs that several wires take, each a place of its own.
+
+    Without those into a gain: what is wrong there is wrong behind it, in proportion; nor into a port that shares its
+    name with an output of the block.
+    """
+    wires: dict[str, list[Wire]] = {}
+    for wire in diagram.wires:
+        wires.setdefault(str(wire.source), []).append(wire)
+    found: dict[str, list[Wire]] = {}
+    for source, several in wires.items():
+        if len(several) > 1 and diagram.nodes[several[0].source.block].outputs[several[0].source.port].shape == ():
+            found[source] = [wire for wire in several if _is_place(diagram.nodes[wire.target.block], wire)]
+    return found
+
+
+def _is_place(node: Node, wire: Wire) -> bool:
+    port = wire.target.port
+    return node.block.type_name != "gain" and node.inputs[port].shape == () and port not in node.outputs
 
 
 def linearised(
@@ -117,9 +149,9 @@ def linearised(
     ports = list(dict.fromkeys(place.port for place in places))
     outputs = [*given.outputs, *ports]
     whole, unknowns = with_outputs(diagram, search, evaluation, outputs)
-    taken = [port for port in ports if any(place.taken for place in places if place.port == port)]
+    taken = list(dict.fromkeys(place.entry for place in places if place.taken))
     about = _About(driven_equations(diagram, outputs, given.inputs, diagram.free, added=taken), len(given.inputs))
-    column = [taken.index(place.port) if place.taken else len(taken) for place in places]  # the last is no input
+    column = [taken.index(place.entry) if place.taken else len(taken) for place in places]  # the last is no input
     row = [c + ports.index(place.port) for place in places]
     reading = np.array([[place.recorded and place.port == name for place in places] for name in given.outputs], float)
     runs = []

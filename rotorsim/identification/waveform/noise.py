@@ -35,12 +35,15 @@ from rotorsim.identification.waveform.linearised import places_of, simulated_sig
 from rotorsim.identification.waveform.predictability import Predictability, predictability
 from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
+from rotorsim.signals.quantisation import step_of
 
 STRETCHES = 20  # of all runs together; 4 of each run at least
 LEAST_STRETCH = 10  # samples, of one of these 4
 MOST_ROWS = 2000
 LEAST_ROWS = 4  # times the stretches
 REWEIGHTED = 4  # times that a fit and the weights follow one another
+QUIET_STRETCH = 25  # samples: white noise has 0.77 of its mean square, by differences, in the quietest quarter of such
+LOUDER = 2.0  # times the white part in the quietest quarter, that is still the same noise
 MOST_DIFFERENCES = 6  # order, of a shaft that turns: its motion is of low orders, and sampled much faster
 INVERTED = 1e-13  # smallest eigenvalue of the scaled information, of the largest, that counts
 
@@ -118,7 +121,7 @@ def unpredicted(
     judged = judged_beside(diagram, search, evaluation)
     rest = replace(evaluation, residuals=[judged.rest, *evaluation.residuals[1:]])
     turns = bool({*clock_ports(diagram)} & {*search.systems[0].equations.inputs})
-    changes = white_part(judged.rest, MOST_DIFFERENCES if turns else 1)
+    changes = white_part(judged.rest, MOST_DIFFERENCES) if turns else sensor_noise(judged.rest, search.measured[0])
     white = dict(zip(search.systems[0].signals, changes.tolist(), strict=True))
     most = CRITERIA.faint if judged.structure else CRITERIA.colour  # beside physics that are missing, less is certain
     variance = {
@@ -145,6 +148,19 @@ def white_part(parts: Sequence[np.ndarray], order: int) -> np.ndarray:
     """
     squares = (np.concatenate([np.diff(part, k, axis=0) for part in parts]) ** 2 for k in range(1, order + 1))
     return np.asarray(np.min([mean_of(square) / comb(2 * k, k) for k, square in enumerate(squares, start=1)], axis=0))
+
+
+def sensor_noise(parts: Sequence[np.ndarray], measured: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the mean squares (c,) of the white part of residuals (N, c) that sensors may have made.
+
+    What is white and much larger in some stretches than in the quietest quarter (at rest) is motion that jumps from
+    sample to sample: no more than LOUDER times the latter, or q^2 / 12 of readings that are multiples of q, is noise.
+    """
+    cut = [piece for part in parts for piece in np.array_split(part, max(len(part) // QUIET_STRETCH, 1))]
+    quiet = np.nanquantile([white_part([piece], 1) for piece in cut], 0.25, axis=0)
+    readings = (column[np.isfinite(column)] for column in np.concatenate(measured).T)
+    steps = [0.0 if (step := step_of(column)) is None else step.size for column in readings]
+    return np.asarray(np.minimum(white_part(parts, 1), np.maximum(LOUDER * quiet, np.square(steps) / 12)))
 
 
 def _unjudged(search: OutputErrorSearch, evaluation: Evaluation, variance: Variance) -> str:

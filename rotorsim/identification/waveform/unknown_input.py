@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -155,34 +156,39 @@ def smoothed_motion(runs: Sequence[LinearisedRun], noise: np.ndarray) -> list[np
 
     So much as is likeliest; noise (c,): standard deviation of each output. As simulated where there is no such filter.
     """
-    driven = [UnknownInputs(runs, noise, strength) for strength in STATE_STRENGTHS]
-    deviances = [one.deviance_of_states() for one in driven]
-    least = int(np.argmin(deviances))
-    return driven[least].motion() if np.isfinite(deviances[least]) else [run.states for run in runs]
+    return UnknownInputs(runs, noise).motion([Hypothesis(0, 0.0, strength) for strength in STATE_STRENGTHS])
+
+
+class Hypothesis(NamedTuple):
+    """A signal of some strength (q) is missing at a place; regular: what drives all states besides, in responses of the
+    size of the noise at each sample."""
+
+    place: int
+    strength: float
+    regular: float = REGULAR
 
 
 class UnknownInputs:
-    """Runs in which a signal is missing at one of P places; noise (c,): standard deviation of each output.
+    """Runs in which a signal is missing at one of P places; noise (c,): standard deviation of each output."""
 
-    regular: what drives all states besides, in responses of the size of the noise at each sample.
-    """
-
-    def __init__(self, runs: Sequence[LinearisedRun], noise: np.ndarray, regular: float = REGULAR) -> None:
+    def __init__(self, runs: Sequence[LinearisedRun], noise: np.ndarray) -> None:
         self.runs, self.noise = runs, np.asarray(noise)
         F, G, H, D = (M.mean(axis=0) for M in (runs[0].F, runs[0].G, runs[0].H, runs[0].D))
         self.scales = self._scales(F, G, H, D)
         states = self._scales(F, np.eye(len(F)), H, np.zeros_like(H))
-        self.regular = np.where(np.isfinite(states), regular * states, 0.0) ** 2
+        self.states = np.where(np.isfinite(states), states, 0.0)
 
-    def deviance_of_states(self) -> float:
-        """Return -2 log likelihood where nothing is missing but what drives all states; infinite without a filter."""
-        sums, log_dets, kept = self._innovations([(0, 0.0)])
-        return float(sums[0, 0, 0] + log_dets[0]) if kept else np.inf
+    def motion(self, items: Sequence[Hypothesis]) -> list[np.ndarray]:
+        """Return the smoothed states (N, n) of each run by the likeliest of some; as simulated where none has a filter.
 
-    def motion(self) -> list[np.ndarray]:
-        """Return the smoothed states (N, n) of each run, where nothing is missing but what drives all states."""
-        weights = np.eye(1, 1 + self.runs[0].by_output.shape[2])
-        of_runs = (self._smoothed(run, [(0, 0.0)], weights)[0] for run in self.runs)
+        The parameters stay as they are.
+        """
+        sums, log_dets, kept = self._innovations(items)
+        deviances = sums[:, 0, 0] + log_dets if kept else np.array([np.inf])
+        if not np.isfinite(deviances).any():
+            return [run.states for run in self.runs]
+        likeliest, weights = kept[int(np.nanargmin(deviances))], np.eye(1, 1 + self.runs[0].by_output.shape[2])
+        of_runs = (self._smoothed(run, [likeliest], weights)[0] for run in self.runs)
         return [run.states + states[:, 0, :-1] for run, states in zip(self.runs, of_runs, strict=True)]
 
     def _scales(self, F: np.ndarray, G: np.ndarray, H: np.ndarray, D: np.ndarray) -> np.ndarray:
@@ -230,8 +236,8 @@ class UnknownInputs:
         best: dict[int, SignalEstimate] = {}
         left = [*same]
         while left and strengths[-1] <= STRONGEST:
-            sums, log_dets, kept = self._innovations([(place, q) for place in left for q in strengths])
-            for (place, q), G, log_det in zip(kept, sums, log_dets, strict=True):
+            sums, log_dets, kept = self._innovations([Hypothesis(place, q) for place in left for q in strengths])
+            for (place, q, _), G, log_det in zip(kept, sums, log_dets, strict=True):
                 size = np.sqrt(np.maximum(np.diag(G)[1:], 0.0))  # or units decide what can be told
                 size[size == 0] = 1.0
                 scaled = np.linalg.lstsq(G[1:, 1:] / np.outer(size, size), G[1:, 0] / size, rcond=INFORMATION_RANK)
@@ -270,9 +276,7 @@ class UnknownInputs:
                 found.append((places[k], 1.0))
         return found
 
-    def _innovations(
-        self, pairs: Sequence[tuple[int, float]]
-    ) -> tuple[np.ndarray, np.ndarray, list[tuple[int, float]]]:
+    def _innovations(self, pairs: Sequence[Hypothesis]) -> tuple[np.ndarray, np.ndarray, list[Hypothesis]]:
         """Return the products (B, 1 + m, 1 + m) of the innovations of residual and sensitivities, and log variances."""
         total: np.ndarray | float = 0.0
         log_dets: np.ndarray | float = 0.0
@@ -306,11 +310,11 @@ class UnknownInputs:
         return np.asarray(np.concatenate([run.residual[:, :, None], run.by_output], axis=2) / self.noise[:, None])
 
     def _augmented(
-        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], k: int, left: np.ndarray | float = 1.0
+        self, run: LinearisedRun, pairs: Sequence[Hypothesis], k: int, left: np.ndarray | float = 1.0
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return F and H of x and d at sample k, for each pair; left: the part of d that is left a sample later."""
         n, B = run.F.shape[1], len(pairs)
-        place = [place for place, _ in pairs]
+        place = [item.place for item in pairs]
         scale = np.where(np.isfinite(self.scales[place]), self.scales[place], 0.0)  # what does not show drives nothing
         j = 0 if run.constant else k
         F, H = np.zeros((B, n + 1, n + 1)), np.zeros((B, run.H.shape[1], n + 1))
@@ -318,21 +322,22 @@ class UnknownInputs:
         H[:, :, :n], H[:, :, n] = run.H[j] / self.noise[:, None], (run.D[j][:, place] * scale).T / self.noise
         return F, H
 
-    def _entering(self, run: LinearisedRun, pairs: Sequence[tuple[int, float]]) -> np.ndarray:
+    def _entering(self, run: LinearisedRun, pairs: Sequence[Hypothesis]) -> np.ndarray:
         """Return the variance of what enters x and d at every sample, (B, n + 1, n + 1)."""
-        Q = np.tile(np.diag([*self.regular, 0.0]), (len(pairs), 1, 1))
-        Q[:, -1, -1] = np.array([q for _, q in pairs]) ** 2 * run.dt
+        Q = np.zeros((len(pairs), len(self.states) + 1, len(self.states) + 1))
+        for own, item in zip(Q, pairs, strict=True):
+            np.fill_diagonal(own, [*(item.regular * self.states) ** 2, item.strength**2 * run.dt])
         return Q
 
     def _started(
-        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], left: np.ndarray | float = 1.0
-    ) -> tuple[_Filter, list[tuple[int, float]]]:
+        self, run: LinearisedRun, pairs: Sequence[Hypothesis], left: np.ndarray | float = 1.0
+    ) -> tuple[_Filter, list[Hypothesis]]:
         """Return the steady filters of a run (of its first sample), and the pairs that have one."""
         F, H = self._augmented(run, pairs, 0, left)
         P, steady = _steady(F, H, self._entering(run, pairs))
         return _Filter.of(F[steady], H[steady], P[steady]), [pairs[b] for b in np.flatnonzero(steady).tolist()]
 
-    def _left(self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], times: Sequence[float]) -> np.ndarray:
+    def _left(self, run: LinearisedRun, pairs: Sequence[Hypothesis], times: Sequence[float]) -> np.ndarray:
         """Return the part of d that is left a sample later, (B,): the first that has a steady filter, else all.
 
         times: in the run that d is forgotten.
@@ -350,7 +355,7 @@ class UnknownInputs:
     def _advanced(
         self,
         run: LinearisedRun,
-        pairs: Sequence[tuple[int, float]],
+        pairs: Sequence[Hypothesis],
         Q: np.ndarray,
         before: _Filter,
         k: int,
@@ -366,7 +371,7 @@ class UnknownInputs:
         """Return the filters of a signal of some strength at a place in each run; None where there is none."""
         found = []
         for run in self.runs:
-            pair = [(place, strength)]
+            pair = [Hypothesis(place, strength)]
             left = self._left(run, pair, (0.0, *TIMES_FORGOTTEN))
             here, kept = self._started(run, pair, left)
             if not kept:
@@ -388,7 +393,7 @@ class UnknownInputs:
         They are forgotten within a run (`TIMES_FORGOTTEN`): a constant that a state makes up for (an angle that nothing
         measures) is zero then, with the standard deviation that it may have.
         """
-        pairs = [(item.place, item.strength) for item in items]
+        pairs = [Hypothesis(item.place, item.strength) for item in items]
         weights = np.array([[1.0, *-item.change] for item in items])
         of_runs = [self._smoothed(run, pairs, weights) for run in self.runs]
         found = []
@@ -404,7 +409,7 @@ class UnknownInputs:
         return found
 
     def _smoothed(
-        self, run: LinearisedRun, pairs: Sequence[tuple[int, float]], weights: np.ndarray
+        self, run: LinearisedRun, pairs: Sequence[Hypothesis], weights: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the smoothed states x and d (N, B, n + 1) of a run and the variance of d (N, B) for each pair."""
         y = np.einsum("kcm,bm->kbc", self._columns(run), weights)[..., None]

@@ -119,7 +119,7 @@ class _Tracer:
         self.wires_into: dict[Key, list[tuple[Endpoint, Endpoint]]] = {}
         for wire in diagram.wires:
             self.wires_into.setdefault((wire.target.block, wire.target.port), []).append((wire.source, wire.target))
-        self.inject = {self._port_key(name, additive=True): name for name in inject}
+        self.inject = {self._port_key(name, taken=True): name for name in inject}
         self.replace = {self._port_key(name): name for name in replace}
         self.external: dict[Key, Any] = {}
         for (block, port), name in {**self.inject, **self.replace}.items():
@@ -131,12 +131,11 @@ class _Tracer:
         self._declare()
         self.hit = ca.SX.sym("hit", len(self.samplers))
 
-    def _port_key(self, name: str, additive: bool = False) -> Key:
+    def _port_key(self, name: str, taken: bool = False) -> Key:
         block, _, port = name.rpartition(".")
         node = self.diagram.nodes.get(block)
-        if node is None or not (port in node.outputs or (additive and self._is_additive(block, port))):
-            ports = "output port or additive input" if additive else "output port"
-            raise RotorsimError(Problem(what=f"no such {ports}", subject=name))
+        if node is None or not (port in node.outputs or (taken and port in node.inputs)):
+            raise RotorsimError(Problem(what=f"no such {'port' if taken else 'output port'}", subject=name))
         return block, port
 
     def _is_additive(self, block: str, port: str) -> bool:
@@ -179,7 +178,8 @@ class _Tracer:
         declared = self.diagram.nodes[block].inputs[port]
         wires = self.wires_into.get((block, port), [])
         if not self._is_additive(block, port) and len(wires) == 1 and not wires[0][1].index:
-            return self._taken(wires[0][0], signals)
+            value = self._taken(wires[0][0], signals)
+            return value + self.external[block, port] if (block, port) in self.inject else value
         column = ca.SX.zeros(size_of(declared.shape))
         for source, target in wires:
             column[flat_indices(declared.shape, target.index).tolist()] += self._taken(source, signals)
@@ -241,8 +241,8 @@ def trace_diagram(diagram: Diagram, inject: Iterable[str] = (), replace: Iterabl
     """Trace a diagram.
 
     inject, replace: output ports ("controller.current") whose consumers see the port's value plus an
-    external input, or only the external input (the loop is opened there). An additive input ("rotor.force")
-    can be injected into as well. Raises RotorsimError.
+    external input, or only the external input (the loop is opened there). An input ("rotor.force") can be injected
+    into as well, unless an output of the block has its name. Raises RotorsimError.
     """
     replace = tuple(replace)
     _refuse_opaque(diagram, set(replace))

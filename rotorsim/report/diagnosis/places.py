@@ -21,7 +21,7 @@ SHADES = ((0.5, "#b33c00"), (0.1, "#f08a3c"), (0.0, "#f7c896"))  # probability f
 NEW = BLUE  # frame of blocks that the diagnosis put in
 PORTS = ((RED, "////"), (BLUE, "...."), (GREEN, "xxxx"), (PURPLE, "----"), (ORANGE, "++"))
 OTHERS = 8  # places elsewhere that are listed
-READING = {"": "", "reading": "(reading)", "both": "(reading too)"}  # what is written of a side of a wire
+READING = {"": "", "reading": "(reading)", "both": "(reading too)", "branch": ""}  # what is written of a side of a wire
 STEEL, DISC, MAGNET = "#c9d3dc", "#8fa3b5", "#d9c9e6"
 
 

@@ -58,6 +58,19 @@ def test_noise_is_a_few_times_its_white_part(tmp_path, monkeypatch, structure, m
     assert [*found.variance.values()] == pytest.approx((most * white).tolist(), rel=2e-3)
 
 
+def test_sensors_are_no_louder_in_motion_than_twice_as_at_rest():
+    """White noise is all of it; what jumps from sample to sample in motion only counts twice what is there at rest."""
+    random = np.random.default_rng(5)
+    rest = random.normal(size=(1000, 1))
+    assert noise.sensor_noise([rest], [rest]) == pytest.approx(noise.white_part([rest], 1))
+    jumps = np.concatenate([rest[:500], rest[500:] + 10 * random.choice([-1, 1], size=(500, 1))])
+    assert noise.white_part([jumps], 1).item() > 50
+    assert noise.sensor_noise([jumps], [jumps]).item() == pytest.approx(2.0 * 0.77, rel=0.15)
+    steps = np.round(jumps / 4) * 4  # readings of a coarse converter
+    assert noise.sensor_noise([0 * rest], [steps]).item() == 0.0
+    assert noise.sensor_noise([steps - jumps], [steps]).item() == pytest.approx(4.0**2 / 12, rel=0.05)
+
+
 def test_a_clock_without_a_wire_turns_no_shaft(tmp_path):
     taken, idle, wired = recording(tmp_path, 100), copy.deepcopy(SERVO), copy.deepcopy(SERVO)
     idle["blocks"]["clock"] = wired["blocks"]["clock"] = {"type": "clock", "parameters": {"speed": "100 rad/s"}}

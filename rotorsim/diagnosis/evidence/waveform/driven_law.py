@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
 from rotorsim.fault import Fault
@@ -89,13 +88,6 @@ class DrivenLaw:
     def sizes(self) -> np.ndarray:
         """Which free parameters what it adds is proportional to, (m,)."""
         return np.array([key in self.fault.sizes for key in self.fault.free], bool)
-
-    @cached_property
-    def adds(self) -> bool:
-        """Whether what it adds to its wire does not depend on it."""
-        equations = self.law.equations
-        added = ca.simplify(equations.g - equations.arguments[2][0])
-        return not ca.depends_on(ca.vertcat(added, equations.f), equations.arguments[2][0])
 
     def within(self, eta: np.ndarray) -> np.ndarray:
         """Return parameters within their bounds."""

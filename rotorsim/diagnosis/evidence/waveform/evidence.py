@@ -27,6 +27,7 @@ from rotorsim.diagnosis.evidence.waveform.separation import Hypothesis, SensorNo
 from rotorsim.diagnosis.evidence.waveform.units import stand_ins
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.advice_in_time import SMALL_NOISE
+from rotorsim.identification.profile import Z90
 from rotorsim.identification.waveform.linearised import linearised, places_of
 from rotorsim.identification.waveform.noise import Noise, left_over, reweighted, unpredicted, variance_scale, weights_of
 from rotorsim.identification.waveform.noise_model import refined
@@ -222,15 +223,26 @@ class WaveformEvidence(WaveformFits, Defaults):
         return {name: "" if unit == "1" else unit for name, unit in units.items()}
 
     def finished(self, fit: Fit, chosen: Sequence[Insertion]) -> Fit:
-        """Return the fit with what the faults state once (the width of a step) free as well, if that explains more."""
+        """Return the fit with what the faults state once (the width of a step) free as well, if that explains more.
+
+        What the data then leave open (the width of a step between two samples) stays as found.
+        """
         fixed = [f"{item.name}.{key}" for item in chosen for key in item.fault.fixed]
         if not fixed:
             return fit
         document = values_in(fit.document, fit.values)
         document["identify"] = {**document.get("identify", {}), **{name: {} for name in fixed}}
         freed = self.fit(document, [[{}]])
+        if not freed.failure:
+            std = dict(zip(freed.values, map(freed.std, range(len(freed.free))), strict=True))
+            open_ones = {name for name in fixed if abs(freed.values[name]) <= Z90 * std[name]}
+            if open_ones:
+                document = values_in(freed.document, freed.values)
+                document["identify"] = {k: v for k, v in document["identify"].items() if k not in open_ones}
+                freed = self.fit(document, [[{}]])
         better = not freed.failure and freed.criterion < fit.criterion
-        return freed if better and not freed.at_bound[-len(fixed) :].any() else fit
+        ended = {item.name for item, end in zip(freed.free, freed.at_bound, strict=True) if end}
+        return freed if better and not ended & {*fixed} else fit
 
     def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
         """Return how well controllers follow from measured motion alone, structure that is left, and units.

@@ -118,7 +118,7 @@ class WaveformFits(SampledRuns):
             return self._summary(document, search, search.evaluate(point, search.substeps(point)))
         ends = [short.minimise(one.unknowns, limit) for one in begun]
         stated = starts[0][0] if starts and starts[0] else {}
-        if stated and not self.parts and is_lost(short, min(ends, key=attrgetter("cost"))):
+        if stated and effort.lost and not self.parts and is_lost(short, min(ends, key=attrgetter("cost"))):
             point = short.stated(first, stated)
             if short.substeps(point) <= SHOT_SUBSTEPS * self.least:
                 ends.append(short.minimise(shot(short, point), limit))

@@ -25,6 +25,7 @@ from scipy.ndimage import median_filter
 
 from rotorsim.diagnosis.catalogue.insertion import (
     DOMINANT,
+    STARTS_TRIED,
     Insertion,
     Law,
     Spot,
@@ -66,7 +67,7 @@ def _scales(item: Insertion, start: Mapping[str, float]) -> dict[str, float]:
 
 def spot_of(place: Place) -> Spot:
     """Return where a signal is added, as a place of a diagnosis."""
-    block, _, port = place.port.rpartition(".")
+    block, _, port = place.entry.rpartition(".")
     return Spot(block, port, side=place.side)
 
 
@@ -93,6 +94,7 @@ class LawBounds:
         self.runs, self.sampled, self.places, self.unknown = runs, sampled, places, unknown
         self.moved, self.roots, self.given, self.load = moved, roots, sizes, load
         self.rows = sum(run.residual.shape[0] for run in runs) * float(np.sum((roots * unknown.noise) ** 2))
+        self._at = {spot_of(place): k for k, place in enumerate(places)}
         self._transfers: dict[tuple[View, int], np.ndarray] = {}
         self._laws: dict[tuple[Any, ...], DrivenLaw] = {}
         self._plain: View | None = None
@@ -170,15 +172,15 @@ class LawBounds:
 
     def _placed(self, item: Insertion) -> _Placed | None:
         """Return a law at its place; None where it is no law of a signal, or there is no such place or other signal."""
-        here = Place(f"{item.spot.block}.{item.spot.port}", item.spot.side)
+        place = self._at.get(item.spot) if item.fault.enters == "signal" else None
         others = [k for k, other in enumerate(self.places) if other.port == item.depends_on][:1]
-        if item.fault.enters != "signal" or here not in self.places or (item.depends_on and not others):
+        if place is None or (item.depends_on and not others):
             return None
-        sizes, place = sizes_at(item, self.sizes), self.places.index(here)
+        sizes = sizes_at(item, self.sizes)
         given = starts_of(item, sizes)
         law = self._law(item, {**_scales(item, given[0]), **fixed_of(item, sizes)}, limits_of(item, sizes))
         starts = [np.array([start[key] for key in item.fault.free]) for start in given]
-        first, factor = self._proportional[place] if item.depends_on and law.adds else (place, 1.0)
+        first, factor = self._proportional[place] if item.depends_on and item.fault.adds else (place, 1.0)
         return _Placed(item, law, (place, *others), starts, (item.law, item.depends_on, first), factor)
 
     @cached_property
@@ -231,8 +233,10 @@ class LawBounds:
             return self._beside(view, one.wires[0], law.added(eta, self.sampled, wires, slopes=slopes))
 
         law, residual, before = one.law, view.residual, view.before
-        trials = [law.within(eta) for eta in one.starts]
-        shapes = [added(eta)[:, 0] for eta in trials]
+        trials = self._likely_starts(one, wires)
+        every = [law.added(eta, self.sampled, wires, slopes=False) for eta in trials]
+        together = [np.concatenate(own, axis=1) for own in zip(*every, strict=True)]
+        shapes = [*self._beside(view, one.wires[0], together).T]
         gains = [max(float(a @ residual), 0.0) ** 2 / max(float(a @ a), 1e-300) for a in shapes]
         k = int(np.argmax(gains))
         eta, least = trials[k], before - gains[k]
@@ -265,6 +269,20 @@ class LawBounds:
                 break
         here += view.offset
         return (here if here < least or not np.isfinite(least) else max(least, 0.0)), eta
+
+    def _likely_starts(self, one: _Placed, wires: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Return the starts of a law; of many, those that add most nearly what is missing there, but for a constant.
+
+        Where that was not smoothed, the first of them.
+        """
+        starts = [one.law.within(eta) for eta in one.starts]
+        likely = {item.place for item in self.estimates[:SMOOTHED_PLACES]}
+        if len(starts) <= STARTS_TRIED or one.wires[0] not in likely:
+            return starts[:STARTS_TRIED]
+        missing = np.concatenate(self._smoothed[one.wires[0]].added)
+        added = (np.concatenate(one.law.added(eta, self.sampled, wires, slopes=False))[:, 0] for eta in starts)
+        left = [float(np.var(missing - each)) for each in added]
+        return [starts[k] for k in np.argsort(left, kind="stable")[:STARTS_TRIED]]
 
     def _ways(self, place: int) -> Iterator[tuple[list[np.ndarray], View]]:
         """Yield what all places carry in each run (N, P), and how misfits are judged.

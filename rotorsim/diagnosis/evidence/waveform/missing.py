@@ -146,12 +146,9 @@ def _at_samples(smoothed: Smoothed, runs: Sequence[LinearisedRun]) -> Smoothed:
 
 def _place(here: Linearised, spot: Spot) -> int | None:
     """Return the place of a spot: its port, or what is wired to an input."""
-    name = str(spot)
-    wired = (str(wire.source) for wire in here.diagram.wires if str(wire.target) == name)
-    for place in (Place(name, spot.side), *(Place(source) for source in wired)):
-        if place in here.places:
-            return here.places.index(place)
-    return None
+    wired = (wire.source for wire in here.diagram.wires if str(wire.target) == str(spot))
+    at = {spot_of(place): k for k, place in enumerate(here.places)}
+    return next((at[one] for one in (spot, *(Spot(end.block, end.port) for end in wired)) if one in at), None)
 
 
 def _law(effect: Insertion, repaired: tuple[Diagram, OutputErrorSearch, Evaluation]) -> _Law | None:

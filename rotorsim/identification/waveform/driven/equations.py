@@ -181,8 +181,8 @@ def driven_equations(
     """Return the equations of a diagram between recorded inputs and outputs (flat names).
 
     inputs: recorded values of input blocks, what clocks give, and entries of ``cut`` (output port -> names of its
-    entries in v), whose consumers see v instead. added: scalar output ports whose consumers see their value plus a
-    signal of its own, which follow the inputs in v. fastest: see `DrivenEquations`.
+    entries in v), whose consumers see v instead. added: scalar ports to which a signal is added, for an output's
+    consumers or for an input alone; these follow the inputs in v. fastest: see `DrivenEquations`.
     Raises RotorsimError for diagrams with sampled blocks and unknown signals.
     """
     cut = {**{port: [port] for port in clock_ports(diagram) if port in inputs}, **(cut or {})}
