@@ -235,7 +235,7 @@ def test_a_look_alike_is_carried_on_from_where_it_is_at_its_best_place():
 
 
 def test_what_can_be_no_rival_of_the_most_promising_is_not_followed():
-    """A hundred times the misfit of one that explains the data; without one, less than a tenth of what the best explains.
+    """A hundred times the misfit of one that explains the data; without one, a tenth of what the best explains.
 
     Where nothing is known of them all are followed.
     """

@@ -10,11 +10,12 @@ from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete
 
 from rotorsim.identification.waveform.data import Channels, SampledRun
+from rotorsim.identification.waveform.kalman_filters import Filters
+from rotorsim.identification.waveform.kalman_filters import steady_variance as riccati
 from rotorsim.identification.waveform.linearised import LinearisedRun, Place, linearised, places_of
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
-from rotorsim.identification.waveform.unknown_input import UnknownInputs, _Filter, smoothed_motion
-from rotorsim.identification.waveform.unknown_input import _steady as riccati
+from rotorsim.identification.waveform.unknown_input import UnknownInputs, smoothed_motion
 from rotorsim.linear import sampled
 from rotorsim.model.load import load
 
@@ -396,7 +397,7 @@ def test_a_filter_that_diverges_is_none_and_leaves_the_others():
     """FAULT: the variance of one hypothesis that lost all digits stopped a diagnosis with a LinAlgError."""
     F, H = np.tile(0.5 * np.eye(2), (3, 1, 1)), np.tile(np.array([[1.0, 1.0]]), (3, 1, 1))
     good = np.diag([3.0, 0.0])
-    filters = _Filter.of(F, H, np.stack([np.full((2, 2), np.nan), good, -1e3 * np.eye(2)]))
+    filters = Filters.of(F, H, np.stack([np.full((2, 2), np.nan), good, -1e3 * np.eye(2)]))
     assert filters.log_det.tolist() == [np.inf, pytest.approx(np.log(4.0)), np.inf]
     np.testing.assert_allclose(filters.gain[1], [[0.5 * 3 / 4], [0.0]])
     assert np.isfinite(filters.P).all()
@@ -407,6 +408,6 @@ def test_a_variance_that_rounding_spoils_is_that_of_no_filter():
     """FAULT: its eigenvalues looked positive, but it has no Cholesky factor, and a diagnosis of a generator stopped."""
     large = np.array([-77419083.4263313, -441149794.4708472, -815633915.1930069])
     one = np.eye(3)
-    filters = _Filter.of(np.stack([one, one]), np.stack([one, one]), np.stack([np.outer(large, large), one]))
+    filters = Filters.of(np.stack([one, one]), np.stack([one, one]), np.stack([np.outer(large, large), one]))
     assert filters.log_det.tolist() == [np.inf, pytest.approx(3 * np.log(2.0))]
     np.testing.assert_allclose(filters.gain[1], one / 2)

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorsim.identification.waveform.kalman_filters import Filters, Whitening, steady_variance
 from rotorsim.identification.waveform.linearised import LinearisedRun
-from rotorsim.linear.sampled import recursion
 
 STRENGTHS = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of the signal, in noise of the outputs and root seconds; of
 # nonlinear diagrams, whose filters change from sample to sample, every fourth
@@ -31,8 +31,6 @@ PARALLEL = 1e-9  # less than one: cosine between transfer vectors that are equal
 LEAST_RESPONSE = 1e-12  # of the largest of all places: what has less does not show
 STATE_STRENGTHS = (0.1, 1.0, 10.0, 100.0)  # strengths of what drives all states, in noise of the outputs a sample
 REGULAR = 1e-3  # of the noise, by states that are driven at every sample: what nothing drives has no steady filter
-DOUBLINGS = 30  # of the samples that a steady filter has seen: 1e9. From 40 on rounding decides where there is none
-CONVERGED = 1e-12  # relative change from which on there is one
 CHUNK = 64  # samples whose innovations are kept at a time
 INFORMATION_RANK = 1e-12  # of the information on parameters
 
@@ -66,89 +64,6 @@ class Smoothed:
     def wire(self) -> list[np.ndarray]:
         """What the place itself carries in each run, (N,)."""
         return [wires[:, self.place] for wires in self.wires]
-
-
-@dataclass(frozen=True, eq=False)
-class _Filter:
-    """Filters of B hypotheses (place, strength): F (B, n, n), H (B, c, n), P (B, n, n), noise of unit variance.
-
-    gain (B, n, c), root (B, c, c): inverse Cholesky factor of the variance of innovations; log_det (B,).
-    """
-
-    F: np.ndarray
-    H: np.ndarray
-    P: np.ndarray
-    gain: np.ndarray
-    root: np.ndarray
-    log_det: np.ndarray
-
-    @classmethod
-    def of(cls, F: np.ndarray, H: np.ndarray, P: np.ndarray) -> _Filter:
-        """Return the filters with prediction variances P; log_det is infinite where they are none (they diverged)."""
-        PH, one, lost = P @ H.swapaxes(1, 2), np.eye(H.shape[1]), np.zeros(len(P), bool)
-        try:
-            factor = np.linalg.cholesky(H @ PH + one)
-        except np.linalg.LinAlgError:
-            factors = [_factor(V) for V in H @ PH + one]
-            lost = np.array([found is None for found in factors])
-            factor = np.stack([one if found is None else found for found in factors])
-            P, PH = (np.where(lost[:, None, None], 0.0, M) for M in (P, PH))
-        root = np.linalg.inv(factor)
-        gain = F @ PH @ root.swapaxes(1, 2) @ root
-        log_det = np.where(lost, np.inf, -2 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1))
-        return cls(F, H, P, gain, root, log_det)
-
-
-def _factor(V: np.ndarray) -> np.ndarray | None:
-    """Return the Cholesky factor of a variance of innovations (c, c), 1 at least; None where rounding made it less."""
-    if not np.isfinite(V).all() or np.linalg.eigvalsh(V).min() < 0.5:
-        return None
-    try:
-        return np.asarray(np.linalg.cholesky(V))
-    except np.linalg.LinAlgError:
-        return None
-
-
-def _steady(F: np.ndarray, H: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return P of P = F (P - P H^T (H P H^T + I)^-1 H P) F^T + Q for B hypotheses, and which have one, (B,).
-
-    By doubling: after k steps it is that of 2^k samples. Source: E. K.-W. Chu et al., Int. J. Control 77 (2004) 767.
-    """
-    A, G, P = F.swapaxes(1, 2), H.swapaxes(1, 2) @ H, Q
-    one, done = np.eye(F.shape[1]), np.zeros(len(F), bool)
-    with np.errstate(all="ignore"):
-        for _ in range(DOUBLINGS):
-            W = np.where(np.isfinite(G).all(axis=(1, 2))[:, None, None], one + G @ P, one)
-            WA, WG = np.linalg.solve(W, A), np.linalg.solve(W, G)
-            more = A.swapaxes(1, 2) @ P @ WA
-            A, G, P = A @ WA, G + A @ WG @ A.swapaxes(1, 2), P + (more + more.swapaxes(1, 2)) / 2
-            done = np.abs(more).max(axis=(1, 2)) <= CONVERGED * np.abs(P).max(axis=(1, 2))
-            if done.all():
-                break
-    found = done & np.isfinite(P).all(axis=(1, 2))
-    V = H @ np.where(found[:, None, None], P, 0.0) @ H.swapaxes(1, 2) + np.eye(H.shape[1])
-    return P, found & (np.linalg.eigvalsh(V).min(axis=1) > 0.5)  # 1 at least, but for rounding
-
-
-@dataclass(frozen=True, eq=False)
-class Whitening:
-    """The steady or varying filter of one hypothesis along a run: signals (N, c, K) to innovations of unit variance.
-
-    F (N or 1, n, n): of the predicted states, gain (N or 1, n, c), H (N or 1, c, n), root (N or 1, c, c). log_det: sum
-    of the logarithms of their variances. noise (c,): of the outputs.
-    """
-
-    F: np.ndarray
-    gain: np.ndarray
-    H: np.ndarray
-    root: np.ndarray
-    log_det: float
-    noise: np.ndarray
-
-    def innovations(self, y: np.ndarray) -> np.ndarray:
-        """Return the innovations (N, c, K) of signals at the outputs."""
-        y = y / self.noise[:, None]
-        return np.asarray(self.root @ (y - self.H @ recursion(self.F, self.gain, y)[:-1]))
 
 
 def smoothed_motion(runs: Sequence[LinearisedRun], noise: np.ndarray) -> list[np.ndarray]:
@@ -331,11 +246,11 @@ class UnknownInputs:
 
     def _started(
         self, run: LinearisedRun, pairs: Sequence[Hypothesis], left: np.ndarray | float = 1.0
-    ) -> tuple[_Filter, list[Hypothesis]]:
+    ) -> tuple[Filters, list[Hypothesis]]:
         """Return the steady filters of a run (of its first sample), and the pairs that have one."""
         F, H = self._augmented(run, pairs, 0, left)
-        P, steady = _steady(F, H, self._entering(run, pairs))
-        return _Filter.of(F[steady], H[steady], P[steady]), [pairs[b] for b in np.flatnonzero(steady).tolist()]
+        P, steady = steady_variance(F, H, self._entering(run, pairs))
+        return Filters.of(F[steady], H[steady], P[steady]), [pairs[b] for b in np.flatnonzero(steady).tolist()]
 
     def _left(self, run: LinearisedRun, pairs: Sequence[Hypothesis], times: Sequence[float]) -> np.ndarray:
         """Return the part of d that is left a sample later, (B,): the first that has a steady filter, else all.
@@ -357,15 +272,15 @@ class UnknownInputs:
         run: LinearisedRun,
         pairs: Sequence[Hypothesis],
         Q: np.ndarray,
-        before: _Filter,
+        before: Filters,
         k: int,
         left: np.ndarray | float = 1.0,
-    ) -> _Filter:
+    ) -> Filters:
         """Return the filters of the next sample by the Riccati recursion; Q: of `_entering`."""
         F, H = self._augmented(run, pairs, k, left)
         rest = before.F - before.gain @ before.H  # in the form of Joseph: a sum of squares stays one
         P = rest @ before.P @ rest.swapaxes(1, 2) + before.gain @ before.gain.swapaxes(1, 2) + Q
-        return _Filter.of(F, H, (P + P.swapaxes(1, 2)) / 2)
+        return Filters.of(F, H, (P + P.swapaxes(1, 2)) / 2)
 
     def whitening(self, place: int, strength: float) -> list[Whitening] | None:
         """Return the filters of a signal of some strength at a place in each run; None where there is none."""

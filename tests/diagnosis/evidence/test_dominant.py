@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from rotorsim.diagnosis.catalogue.insertion import DOMINANT, SAMPLED, starts_of
-from rotorsim.diagnosis.evidence.waveform.laws import dominant_frequency
+from rotorsim.diagnosis.evidence.waveform.dominant_line import dominant_frequency
 from rotorsim.fault import Dominant, Fault
 
 DT, SIZES = 0.02, (1500, 1200)

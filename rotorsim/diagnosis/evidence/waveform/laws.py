@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.ndimage import median_filter
 
 from rotorsim.diagnosis.catalogue.insertion import (
     DOMINANT,
@@ -37,6 +36,7 @@ from rotorsim.diagnosis.catalogue.insertion import (
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import FAILURES
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
+from rotorsim.diagnosis.evidence.waveform.dominant_line import dominant_frequency
 from rotorsim.diagnosis.evidence.waveform.driven_law import LAW, OTHER, WIRE, DrivenLaw, View
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import SampledRun
@@ -46,8 +46,6 @@ from rotorsim.identification.waveform.linearised import LinearisedRun, Place
 from rotorsim.identification.waveform.unknown_input import SignalEstimate, Smoothed, UnknownInputs
 
 SMOOTHED_PLACES = 8  # the likeliest, where the signal that the place carries is estimated, too
-PADDED = 8  # times the samples of a run: of the frequencies of a periodogram
-AROUND = 25  # of the frequencies of a run: over which the background of a line is taken
 STEPS = 6  # Gauss-Newton steps from the best start
 SETTLED = 1e-3  # relative fall of the misfit in a step, below which it was the last
 ALIKE = 1e-9  # relative difference of -2 log likelihoods of places that no data tell apart, whose filters are the same
@@ -351,24 +349,6 @@ class LawBounds:
             equations = driven_equations(diagram, [f"{LAW}.{given}"], names, diagram.free)
             self._laws[key] = DrivenLaw(Simulation(equations), item.fault)
         return self._laws[key]
-
-
-def dominant_frequency(parts: Sequence[np.ndarray], dt: float) -> float:
-    """Return the angular frequency of the line that stands out most of signals (N, c) of each run.
-
-    By the largest ratio of the periodograms of all runs (Hann windows) to their median over the frequencies around,
-    summed over the signals. The search for a line must begin within half a cycle over a run of it. Source: D. B.
-    Percival, A. T. Walden, Spectral Analysis for Physical Applications (1993), ch. 10.
-    """
-    size = next_fast_len(PADDED * max(map(len, parts)), real=True)
-    power = np.zeros((size // 2 + 1, parts[0].shape[1]))
-    for part in parts:
-        window = np.hanning(len(part))[:, None]
-        power += np.abs(rfft(window * np.nan_to_num(part - np.nanmean(part, axis=0)), size, axis=0)) ** 2
-    around = median_filter(power, (PADDED * AROUND, 1), mode="nearest")
-    ratio = (power / np.maximum(around, 1e-300 + 1e-12 * power.max(axis=0))).sum(axis=1)
-    first = 2 * PADDED  # two cycles in a run: what is slower is drift
-    return float(2 * np.pi * (first + np.argmax(ratio[first:])) / (size * dt))
 
 
 @dataclass(frozen=True, eq=False)
