@@ -11,7 +11,8 @@ Nothing is known of the noise of a measured run, and what a good model leaves is
   residual of the flexible model does, and MOST_ROWS at most, so that what explains less than a percent counts as
   nothing.
 - A model is adequate unless it predicts stretches left out of the fit worse than ``no_worse`` times the flexible one
-  does, or than that by ``flexible_share`` of the square that the diagram left at first, by a t-test over the stretches.
+  does, or than that by ``flexible_share`` of the square that the diagram left at first, by a t-test over the stretches,
+  and by their sum.
 - Covariances are those of the stretches' own scatter (sandwich), so that they hold for coloured errors.
 """
 
@@ -305,9 +306,15 @@ def robust_covariance(
 
 
 def goodness_left_out(left: np.ndarray, allowed: np.ndarray) -> float:
-    """Return the probability of such misfits of stretches left out (B,) if a model is adequate; allowed (B,)."""
+    """Return the probability of such misfits of stretches left out (B,) if a model is adequate; allowed (B,).
+
+    By a t-test over the stretches, or that of their sum, if it is less: what acts in few of them makes all logarithms
+    scatter. A sum is that of LEAST_ROWS independent samples of each stretch, as few as anything is judged by.
+    """
     ratio = np.log(np.maximum(left, 1e-300) / np.maximum(allowed, 1e-300))
+    rows = LEAST_ROWS * len(left)
+    together = float(chi2.sf(rows * left.sum() / max(float(allowed.sum()), 1e-300), rows))
     spread = float(ratio.std(ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
     if spread <= 1e-12:
-        return float(ratio.mean() <= 1e-9)
-    return float(student.sf(float(ratio.mean()) / spread, len(ratio) - 1))
+        return min(float(ratio.mean() <= 1e-9), together)
+    return min(float(student.sf(float(ratio.mean()) / spread, len(ratio) - 1)), together)

@@ -58,6 +58,16 @@ def test_noise_is_a_few_times_its_white_part(tmp_path, monkeypatch, structure, m
     assert [*found.variance.values()] == pytest.approx((most * white).tolist(), rel=2e-3)
 
 
+def test_what_acts_in_few_stretches_is_no_noise():
+    """Two of twenty leave a hundred times what they may: the logarithms scatter, the sum does not hide it."""
+    allowed, left = np.ones(20), np.ones(20)
+    assert noise.goodness_left_out(left, allowed) > 0.4
+    left[[3, 11]] = 100.0
+    assert noise.goodness_left_out(left, allowed) < 1e-12
+    assert noise.goodness_left_out(np.full(20, 1.69) * (1 + 0.5 * np.resize([1, -1], 20)), allowed) > 1e-4
+    assert noise.goodness_left_out(np.full(20, 1.71) * (1 + 0.9 * np.resize([1, -1], 20)), allowed) < 1e-4
+
+
 def test_sensors_are_no_louder_in_motion_than_twice_as_at_rest():
     """White noise is all of it; what jumps from sample to sample in motion only counts twice what is there at rest."""
     random = np.random.default_rng(5)
