@@ -309,11 +309,11 @@ def goodness_left_out(left: np.ndarray, allowed: np.ndarray) -> float:
     """Return the probability of such misfits of stretches left out (B,) if a model is adequate; allowed (B,).
 
     By a t-test over the stretches, or that of their sum, if it is less: what acts in few of them makes all logarithms
-    scatter. A sum is that of LEAST_ROWS independent samples of each stretch, as few as anything is judged by.
+    scatter. The sum is that of one independent sample of each stretch, the least there can be: what is large at a
+    resonance (pulses that are late by parts of a sample) is noise as well.
     """
     ratio = np.log(np.maximum(left, 1e-300) / np.maximum(allowed, 1e-300))
-    rows = LEAST_ROWS * len(left)
-    together = float(chi2.sf(rows * left.sum() / max(float(allowed.sum()), 1e-300), rows))
+    together = float(chi2.sf(len(left) * left.sum() / max(float(allowed.sum()), 1e-300), len(left)))
     spread = float(ratio.std(ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
     if spread <= 1e-12:
         return min(float(ratio.mean() <= 1e-9), together)
