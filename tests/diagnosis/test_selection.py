@@ -39,7 +39,7 @@ def candidate(
         spot=Spot("rotor", "force"),
         key=physics,
         free=(),
-        fault=SimpleNamespace(confused_with=alike, simpler={}),
+        fault=SimpleNamespace(confused_with=alike, simpler={}, enters="force"),
     )
     return SimpleNamespace(fit=fit, insertion=insertion, physical=True, unphysical="", parameters=(), final=True)
 
@@ -403,6 +403,10 @@ def test_what_holds_a_law_as_a_special_case_is_no_rival_unless_it_explains_more(
     assert set(effect_of(found, Round(before, (found, wider)), 0.0).members) == {"lag", "missing_mode"}
     wider.insertion.fault.simpler = {"frequency": (np.inf, "lag")}
     assert set(effect_of(found, Round(before, (found, wider)), 0.0).members) == {"lag"}
+    signal, same = candidate("coupling", 980.0, 2), candidate("coupling", 980.0, 1)
+    signal.insertion.fault.enters = same.insertion.fault.enters = "signal"  # a force once more, with more parameters
+    assert set(effect_of(found, Round(before, (found, signal)), 0.0).members) == {"lag"}
+    assert set(effect_of(found, Round(before, (found, same)), 0.0).members) == {"lag", "coupling"}
     better = candidate("missing_mode", 970.0, 2)
     better.insertion.fault.simpler = wider.insertion.fault.simpler
     assert set(effect_of(better, Round(before, (better, found)), 0.0).members) == {"lag", "missing_mode"}

@@ -32,7 +32,8 @@ def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
     """Return an effect with the physics and places that explain the data as well; slack: see `Selection`.
 
     It is compared as it was in that round: its rivals stood beside the same others. What holds its law as a special
-    case, and explains no more than further parameters cost, is no rival.
+    case, and explains no more than further parameters cost, is no rival; nor is a force of a machine once more as a
+    signal, with more of them.
     """
     candidate = _as_tried(candidate, found)
     own = candidate.insertion.physics
@@ -41,6 +42,8 @@ def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
     best: dict[str, float] = {}
     for item in possible:
         wider = own in (other for _, other in item.insertion.fault.simpler.values())
+        more_free = len(item.fit.free) > len(candidate.fit.free)
+        wider |= more_free and (candidate.insertion.fault.enters, item.insertion.fault.enters) == ("force", "signal")
         if wider and item.fit.criterion >= candidate.fit.criterion:
             continue
         more = max(item.fit.criterion - candidate.fit.criterion - slack, 0.0) / scale
