@@ -125,6 +125,11 @@ class Criteria:
     # together (benchmarks/concealed, --nuisances all) make 1 + 2 + 4/3 + 1
     colour: float = 6.0
 
+    # of what all stretches together may leave, beyond which it is no noise however it scatters: a log-normal level with
+    # the median of noise leaves exp(s^2 / 2) = 5 where it changes sixfold from stretch to stretch (s = 1.8); pulses
+    # that are late by parts of a sample leave 2.2 (at a resonance), edges of a rounding that are not quite sharp 2.7
+    uneven: float = 5.0
+
     # -- resonances ----------------------------------------------------------------------------------------------------
     # relative error of a frequency: what a beam model from drawings is good for
     frequency: float = 0.03

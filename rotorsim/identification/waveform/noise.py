@@ -308,13 +308,13 @@ def robust_covariance(
 def goodness_left_out(left: np.ndarray, allowed: np.ndarray) -> float:
     """Return the probability of such misfits of stretches left out (B,) if a model is adequate; allowed (B,).
 
-    By a t-test over the stretches, or that of their sum, if it is less: what acts in few of them makes all logarithms
-    scatter. The sum is that of one independent sample of each stretch, the least there can be: what is large at a
-    resonance (pulses that are late by parts of a sample) is noise as well.
+    By a t-test over the stretches; zero where all together leave `Criteria.uneven` times what they may: what acts in
+    few stretches makes the logarithms scatter, and a t-test sees nothing.
     """
     ratio = np.log(np.maximum(left, 1e-300) / np.maximum(allowed, 1e-300))
-    together = float(chi2.sf(len(left) * left.sum() / max(float(allowed.sum()), 1e-300), len(left)))
+    if left.sum() > CRITERIA.uneven * allowed.sum():
+        return 0.0
     spread = float(ratio.std(ddof=1)) / np.sqrt(len(ratio)) if len(ratio) > 1 else 0.0
     if spread <= 1e-12:
-        return min(float(ratio.mean() <= 1e-9), together)
-    return min(float(student.sf(float(ratio.mean()) / spread, len(ratio) - 1)), together)
+        return float(ratio.mean() <= 1e-9)
+    return float(student.sf(float(ratio.mean()) / spread, len(ratio) - 1))

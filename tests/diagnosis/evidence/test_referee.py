@@ -59,12 +59,10 @@ def test_noise_is_a_few_times_its_white_part(tmp_path, monkeypatch, structure, m
 
 
 def test_what_acts_in_few_stretches_is_no_noise():
-    """Two of twenty leave a hundred times what they may: the logarithms scatter, the sum does not hide it."""
+    """Two of twenty leave up to a hundred times what they may: the logarithms scatter, the sum does not hide it."""
     allowed, left = np.ones(20), np.ones(20)
     assert noise.goodness_left_out(left, allowed) > 0.4
-    left[[3, 11]] = 100.0
-    assert noise.goodness_left_out(left, allowed) < 1e-12
-    for ratio, adequate in ((2.61, True), (2.63, False)):  # chi-squared of 20: 52.4 is exceeded once in 10 000
+    for ratio, adequate in ((4.9, True), (5.1, False), (10.9, False)):
         left[[3, 11]] = 1 + 10 * (ratio - 1)
         assert (noise.goodness_left_out(left, allowed) >= 1e-4) == adequate
 
