@@ -126,9 +126,9 @@ class Criteria:
     colour: float = 6.0
 
     # of what all stretches together may leave, beyond which it is no noise however it scatters: a log-normal level with
-    # the median of noise leaves exp(s^2 / 2) = 5 where it changes sixfold from stretch to stretch (s = 1.8); pulses
+    # the median of noise leaves exp(s^2 / 2) = 3 where it changes fourfold from stretch to stretch (s = 1.5); pulses
     # that are late by parts of a sample leave 2.2 (at a resonance), edges of a rounding that are not quite sharp 2.7
-    uneven: float = 5.0
+    uneven: float = 3.0
 
     # -- resonances ----------------------------------------------------------------------------------------------------
     # relative error of a frequency: what a beam model from drawings is good for
