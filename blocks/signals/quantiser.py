@@ -6,7 +6,7 @@ from rotorsim.block import Block, Equations, In, Option, Out, Param, arctan2, co
 from rotorsim.fault import Fault, Of
 
 _ROUND = {"steep": 0.99, "smooth": 0.9}  # r of the equations
-_LEVELS = (4.0, 16.0, *(0.5 + 0.25 * k for k in range(160)))  # in the largest value: a quarter of a step apart there
+_LEVELS = (4.0, 16.0, *(0.5 + 0.25 * k for k in range(160)))  # 40 in the largest value: a quarter of a step apart there
 
 
 class Quantiser(Block):
@@ -33,6 +33,7 @@ class Quantiser(Block):
             law="steps of one height; what lies between two levels is lost",
             confused_with=("play", "dead_zone"),
             told_apart_by="amplitude: slow and smaller than a step, nothing passes",
+            convention="edges are 1/200 of an interval wide: inside a loop the interval is known no better",
         ),
     )
 

@@ -11,8 +11,8 @@ Nothing is known of the noise of a measured run, and what a good model leaves is
   residual of the flexible model does, and MOST_ROWS at most, so that what explains less than a percent counts as
   nothing.
 - A model is adequate unless it predicts stretches left out of the fit worse than ``no_worse`` times the flexible one
-  does, or than that by ``flexible_share`` of the square that the diagram left at first, by a t-test over the stretches,
-  and by their sum.
+  does, or than that by ``flexible_share`` of the square that the diagram left at first, by a t-test over the stretches;
+  and unless all together leave more than ``uneven`` times that.
 - Covariances are those of the stretches' own scatter (sandwich), so that they hold for coloured errors.
 """
 
@@ -43,8 +43,8 @@ LEAST_STRETCH = 10  # samples, of one of these 4
 MOST_ROWS = 2000
 LEAST_ROWS = 4  # times the stretches
 REWEIGHTED = 4  # times that a fit and the weights follow one another
-QUIET_STRETCH = 25  # samples: white noise has 0.77 of its mean square, by differences, in the quietest quarter of such
-LOUDER = 2.0  # times the white part in the quietest quarter, that is still the same noise
+QUIET_STRETCH = 25  # samples: white noise has 0.76 of its mean square, by differences, in the quietest quarter of such
+LOUDER = 2.0  # times that: 1.5 times the mean square of steady noise, which is never cut, with 50 % for its own scatter
 MOST_DIFFERENCES = 6  # order, of a shaft that turns: its motion is of low orders, and sampled much faster
 INVERTED = 1e-13  # smallest eigenvalue of the scaled information, of the largest, that counts
 

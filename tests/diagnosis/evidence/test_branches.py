@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import casadi as ca
-import numpy as np
 import pytest
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
@@ -14,35 +13,14 @@ from rotorsim.diagram.draw import draw_svg
 from rotorsim.identification.waveform.driven.equations import driven_equations
 from rotorsim.identification.waveform.linearised import branches_of
 from rotorsim.model.load import load
-from tests.diagnosis.evidence.test_memory_laws import CONTROL, FINE, made
-
-
-def controlled(seed: int, limit: float) -> dict[str, np.ndarray]:
-    """Return a run of 800 samples of the control by midpoint steps; its error takes the level within limits."""
-    random = np.random.default_rng(seed)
-    reference = np.repeat(random.uniform(-1, 1, 8) * 4, 100)
-    y = z = 0.0
-    out, h = np.empty((800, 2)), 1 / 50 / FINE
-
-    def error(r: float, y: float) -> float:
-        return r - min(max(y, -limit), limit)
-
-    def rate(r: float, y: float, z: float) -> float:
-        return 2.0 * (1.5 * error(r, y) + 4.0 * z) - y
-
-    for k, r in enumerate(reference.tolist()):
-        out[k] = 1.5 * error(r, y) + 4.0 * z, y
-        for _ in range(FINE):
-            middle, z_middle = y + h / 2 * rate(r, y, z), z + h / 2 * error(r, y)
-            y, z = y + h * rate(r, middle, z_middle), z + h * error(r, middle)
-    noisy = out + random.normal(size=out.shape) * (5e-3, 2e-3)
-    return {"reference": reference, "control": noisy[:, 0], "level": noisy[:, 1]}
+from tests.diagnosis.evidence.level_control import CONTROL, controlled, made
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [3.0, math.inf])
 def test_a_limit_in_one_branch_of_a_signal_is_found_there(limit):
-    found = diagnose(load(CONTROL), made([controlled(seed, limit) for seed in (1, 2, 3)], 50), workers=1)
+    runs = [controlled(seed, fed_back=lambda y: min(max(y, -limit), limit)) for seed in (1, 2, 3)]
+    found = diagnose(load(CONTROL), made(runs, 50), workers=1)
     if math.isinf(limit):
         assert found.verdict == "consistent"
         return

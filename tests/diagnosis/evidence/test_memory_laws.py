@@ -11,7 +11,7 @@ from rotorsim.diagnosis.conclude.result import Diagnosis
 from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
-from tests.diagnosis.evidence.machines import recording
+from tests.diagnosis.evidence.level_control import CONTROL, controlled, made
 
 RATE, SAMPLES, FINE = 200, 1500, 20
 NOISE = {"speed": 4e-3, "position": 1e-3}
@@ -70,75 +70,14 @@ def simulated(seed: int, *, gap: float = 0.0, slider: float = 0.0) -> dict[str, 
     return {"drive": drive, **noisy}
 
 
-def made(runs: list[dict[str, np.ndarray]], rate: float) -> Recording:
-    """Return runs as a recording, the last one held out."""
-    uses = ["identify"] * (len(runs) - 1) + ["hold_out"]
-    return recording(list(zip(runs, uses, strict=True)), {name: (f"{name}.output", "1") for name in runs[0]}, rate)
-
-
 def oscillating(**missing: float) -> Recording:
     return made([simulated(seed, **missing) for seed in (1, 2, 3)], RATE)
-
-
-CONTROL = {  # y' = 2 u - y,  u = 1.5 e + 4 z,  z' = e = r - y, which overflows
-    "schema_version": 1,
-    "name": "control",
-    "blocks": {
-        "reference": {"type": "recorded", "parameters": {"interpolation": "hold"}},
-        "error": {"type": "sum", "parameters": {"signs": "+-"}},
-        "proportional": {"type": "gain", "parameters": {"gain": 1.5}},
-        "integral": {"type": "integrator"},
-        "share": {"type": "gain", "parameters": {"gain": 4.0}},
-        "control": {"type": "sum", "parameters": {"signs": "++"}},
-        "actuator": {"type": "gain", "parameters": {"gain": 1.5}},
-        "loss": {"type": "gain", "parameters": {"gain": 1.5}},
-        "rate": {"type": "sum", "parameters": {"signs": "+-"}},
-        "level": {"type": "integrator"},
-    },
-    "wires": [
-        ["reference.output", "error.input1"],
-        ["level.output", "error.input2"],
-        ["error.output", "proportional.input"],
-        ["error.output", "integral.input"],
-        ["integral.output", "share.input"],
-        ["proportional.output", "control.input1"],
-        ["share.output", "control.input2"],
-        ["control.output", "actuator.input"],
-        ["actuator.output", "rate.input1"],
-        ["loss.output", "rate.input2"],
-        ["rate.output", "level.input"],
-        ["level.output", "loss.input"],
-    ],
-    "solver": {"method": "rk4", "step": "1 ms", "stop": "1 s"},
-    "record": ["control.output", "level.output"],
-    "identify": {"actuator.gain": {"low": 0.0}, "loss.gain": {"low": 0.0}},
-}
-
-
-def controlled(seed: int, limit: float) -> dict[str, np.ndarray]:
-    """Return a run of 800 samples of the control by midpoint steps; its integral stays within the limits."""
-    random = np.random.default_rng(seed)
-    reference = np.repeat(random.uniform(-1, 1, 8) * 4, 100)
-    y = z = 0.0
-    out, h = np.empty((800, 2)), 1 / 50 / FINE
-
-    def rate(r: float, y: float, z: float) -> float:
-        return 2.0 * (1.5 * (r - y) + 4.0 * z) - y
-
-    for k, r in enumerate(reference.tolist()):
-        out[k] = 1.5 * (r - y) + 4.0 * z, y
-        for _ in range(FINE):
-            middle = y + h / 2 * rate(r, y, z)
-            z_middle = min(max(z + h / 2 * (r - y), -limit), limit)
-            y, z = y + h * rate(r, middle, z_middle), min(max(z + h * (r - middle), -limit), limit)
-    noisy = out + random.normal(size=out.shape) * (5e-3, 2e-3)
-    return {"reference": reference, "control": noisy[:, 0], "level": noisy[:, 1]}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [0.4, math.inf])
 def test_an_integral_that_overflows_is_found_and_no_other(limit):
-    runs = [controlled(seed, limit) for seed in (1, 2, 3)]
+    runs = [controlled(seed, overflow=limit) for seed in (1, 2, 3)]
     found = diagnose(load(CONTROL), made(runs, 50), workers=1)
     if math.isinf(limit):
         assert found.verdict == "consistent"

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import copy
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rotorsim.diagnosis.diagnosis import diagnose
+from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
+from rotorsim.diagram.diagram import Free
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.waveform import noise
 from rotorsim.identification.waveform.along_angle import is_in_time
@@ -98,3 +101,20 @@ def test_what_runs_away_is_said_to_diverge(tmp_path):
         "error: servo: its simulation diverges when it is driven as recorded\n\n"
         "hint: start from values nearer to the machine's, or check the signs and units of what drives it"
     )
+
+
+@pytest.mark.parametrize(("std", "free"), [(0.1, {"step.height", "step.width"}), (1e5, {"step.height"})])
+def test_what_the_data_leave_open_is_no_number_of_the_statement(std, free):
+    """FAULT: the width of a step between two samples was stated as 0 +- 130 ks."""
+
+    def fit(document, starts):
+        names = document["identify"]
+        items = tuple(Free(name, "", 0, 1.0, "s", 0.0, np.inf) for name in names)
+        variance = np.diag([std**2 if name == "step.width" else 1e-4 for name in names])
+        none = np.zeros(len(items), bool)
+        return Fit(document, items, np.ones(len(items)), variance, none, misfit=900.0, rows=1000, goodness=0.5)
+
+    before = Fit({"blocks": {"step": {}}, "identify": {"step.height": {}}}, misfit=1000.0, rows=1000, goodness=0.5)
+    item = SimpleNamespace(name="step", fault=SimpleNamespace(fixed={"width": 1e-3}))
+    found = WaveformEvidence.finished(SimpleNamespace(fit=fit), before, [item])
+    assert found.values.keys() == free
