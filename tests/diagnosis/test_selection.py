@@ -158,7 +158,7 @@ def test_places_that_allow_ten_times_the_least_are_not_looked_at():
     )
     found = [SimpleNamespace(law=("rub", 0), spot=spot) for spot in ("beyond", "far", "near", "unknown")]
     trials = Trials(SimpleNamespace(bounds=lambda before: places, costly=False), Catalogue(), Jobs(1))
-    kept, *_ = trials._screened(left(50.0), found, [], places)
+    kept, *_ = trials._screened(left(50.0), found, [], places, None)
     assert sorted(kept) == [1, 2, 3]
 
 
@@ -167,8 +167,7 @@ def test_what_was_best_with_another_measure_of_the_noise_is_fitted_again_from_wh
     best, failed = candidate("saturation", 30.0, 1), candidate("lag", 50.0, 1)
     best.fit, best.parameters = replace(best.fit, theta=np.array([11.0])), ("saturation0",)
     failed.fit = Fit({}, failure="diverges")
-    trials = Trials(SimpleNamespace(), Catalogue(), Jobs(1), Round(left(50.0), (best, failed)))
-    assert trials.known == {"saturation": {"saturation0": 11.0}}
+    assert Round(left(50.0), (best, failed)).worth_again(8) == {"saturation": {"saturation0": 11.0}}
 
 
 def test_where_noise_explains_all_only_what_it_cannot_make_is_named():

@@ -9,6 +9,7 @@ from rotorsim.identification.waveform.data import RATE_PREFIX, SampledRun, betwe
 from rotorsim.identification.waveform.driven.equations import DrivenEquations, ForceMap, driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation, _source
 from rotorsim.identification.waveform.subsystems import subsystems_of
+from rotorsim.model.emit import toolchain
 from rotorsim.model.load import load
 from tests.diagnosis.evidence.machines import OSCILLATOR, POSITIONER, carriage_recording
 
@@ -57,6 +58,15 @@ def test_without_derivatives_the_outputs_are_the_same_and_the_code_is_less(equat
     np.testing.assert_array_equal(y, Simulation(equations, use_compiler=compiled).simulate(p, START, v, DT)[0])
     assert dy.shape == (50, 2, 0)
     assert ["jac[0] = " in _source(equations, count)[0] for count in (0, 6)] == [False, True]
+
+
+def test_the_instructions_of_this_processor_change_no_digit(equations, monkeypatch):
+    p, v = parameters(equations, theta_of(equations)), inputs(500, 1)
+    y, dy = Simulation(equations).simulate(p, START, v, DT)
+    monkeypatch.setattr(toolchain, "_instructions", lambda compiler: "")
+    portable, by_them = Simulation(equations).simulate(p, START, v, DT)
+    np.testing.assert_array_equal(y, portable)
+    np.testing.assert_array_equal(dy, by_them)
 
 
 def test_the_error_falls_with_the_fourth_power_of_the_step(equations):

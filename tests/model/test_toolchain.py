@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rotorsim.errors import RotorsimError
+from rotorsim.model.emit import toolchain
 from rotorsim.model.emit.toolchain import cache_folder, find_compiler
 from rotorsim.model.load import load
 from rotorsim.simulation.run import simulate
@@ -112,6 +113,36 @@ def test_a_damaged_library_is_compiled_again(fresh_cache):
         assert [file.name for file in fresh_cache.iterdir()] == [library.name]
         assert library.read_bytes() == whole
         assert last() == (value, "from the cache)")
+
+
+def test_a_cache_that_is_full_loses_what_was_not_used_for_longest(fresh_cache, monkeypatch):
+    monkeypatch.setattr(toolchain, "MOST_KEPT", 4)
+    for k in range(4):
+        file = toolchain.keep(str(k).encode(), f"key{k}", ".so")
+        os.utime(file, (k, k))
+    assert toolchain.cached("key0", ".so") is not None  # used now
+    toolchain.keep(b"4", "key4", ".so")
+    assert sorted(file.name[:4] for file in fresh_cache.iterdir()) == ["key0", "key3", "key4"]
+
+
+def test_a_library_for_another_processor_is_not_loaded(fresh_cache, monkeypatch):
+    """A cache in a home folder that machines share: what one of them compiled may stop another."""
+    value, _ = last()
+    monkeypatch.setattr(toolchain, "_instructions", lambda compiler: "#define __ANOTHER__ 1")
+    assert last() == (value, "compiled now)")
+    assert len([*fresh_cache.iterdir()]) == 2
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a shell script as compiler")
+@pytest.mark.parametrize("refused", ["-march=*", "-O*"], ids=["no such flag", "an assembler that is too old"])
+def test_a_compiler_that_cannot_use_all_instructions_is_used_without(fresh_cache, tmp_path, monkeypatch, refused):
+    value, _ = last()
+    compiler = tmp_path / "old-cc"
+    told = f'for a in "$@"; do case "$a" in -march=*) native=1;; esac; case "$a" in {refused}) seen=1;; esac; done'
+    compiler.write_text(f'#!/bin/sh\n{told}\n[ "$native$seen" = 11 ] && exit 1\nexec cc "$@"\n')
+    compiler.chmod(0o755)
+    monkeypatch.setenv("ROTORSIM_CC", str(compiler))
+    assert last() == (value, "compiled now)")
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="owners and modes of POSIX")

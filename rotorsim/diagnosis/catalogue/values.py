@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,6 +20,12 @@ def values_in(document: Mapping[str, Any], values: Mapping[str, float]) -> dict[
             changed = {**own, key: _replaced(own.get(key), inside, float(value))}
             blocks[block] = {**blocks[block], "parameters": changed}
     return {**document, "parameters": parameters, "blocks": blocks}
+
+
+def structure_of(document: Mapping[str, Any]) -> str:
+    """Return what is the same of documents that differ in values alone: the types of blocks, and all wires."""
+    types = {name: block["type"] for name, block in document.get("blocks", {}).items()}
+    return json.dumps([types, document.get("wires"), document.get("measured")], sort_keys=True)
 
 
 def _replaced(before: Any, inside: str, value: float) -> Any:

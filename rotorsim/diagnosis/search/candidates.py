@@ -99,6 +99,12 @@ class Round:
         """The best candidate that is physical."""
         return next((item for item in self.tried if not item.fit.failure and item.physical), None)
 
+    def worth_again(self, most: int) -> dict[str, dict[str, float]]:
+        """Return the values of the best fits that another measure of the noise may make the best, by their keys."""
+        fitted = [item for item in self.tried if not item.fit.failure]
+        best = [item for item in fitted if self.likely is None or item.insertion.key in self.likely][:most]
+        return {item.insertion.key: item.fit.values for item in best}
+
     def beside(self, chosen: Insertion, physics: Collection[str], *, every: bool) -> list[tuple[Insertion, Job]]:
         """Return what is left to try beside a choice: its law where it promises as much, these physics in its place.
 

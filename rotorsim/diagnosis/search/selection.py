@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -29,6 +29,7 @@ class Selection:
 
     rounds: what was tried for each of them, with all others in place. level: probability of a false alarm for each.
     slack: of the misfit, what says nothing because meshes are not exact. first: the round in which all was tried.
+    searched: every round, by the diagram that it began with.
     """
 
     base: Fit
@@ -39,6 +40,7 @@ class Selection:
     counts: Mapping[str, int]
     slack: float
     first: Round
+    searched: Mapping[str, Round] = field(default_factory=dict)
 
     @property
     def explained(self) -> bool:
@@ -81,7 +83,8 @@ def select_effects(
     earlier: with another measure of the noise. Raises RotorsimError.
     """
     with local_workers(jobs) as shared:
-        return _selected(Trials(evidence, catalogue, shared, None if earlier is None else earlier.first), base)
+        trials = Trials(evidence, catalogue, shared, {} if earlier is None else earlier.searched)
+        return replace(_selected(trials, base), searched=trials.rounds)
 
 
 def _selected(trials: Trials, base: Fit) -> Selection:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from rotorsim.diagnosis.catalogue.insertion import (
     sizes_at,
     starts_of,
 )
-from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.catalogue.values import structure_of, values_in
 from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence, Promise
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, is_adequate
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
@@ -60,15 +60,15 @@ RIVAL_MISFIT = 100.0  # times the misfit of one that explains the data: beyond, 
 class Trials:
     """Insertions into fitted diagrams, each refitted; ``slack``: of the misfit, what says nothing.
 
-    earlier: a round with another measure of the noise, whose best candidates are fitted again, from where they were.
+    rounds: by the diagram that they begin with, those with another measure of the noise at first. Where one begins
+    again, what was likely is looked at, and the best candidates are fitted from where they were.
     """
 
-    def __init__(self, evidence: Evidence, catalogue: Catalogue, jobs: Jobs, earlier: Round | None = None) -> None:
+    def __init__(
+        self, evidence: Evidence, catalogue: Catalogue, jobs: Jobs, rounds: Mapping[str, Round] | None = None
+    ) -> None:
         self.evidence, self.catalogue, self.work = evidence, catalogue, Work(evidence, jobs)
-        self.likely = None if earlier is None else earlier.likely
-        tried = () if earlier is None else (item for item in earlier.tried if not item.fit.failure)
-        best = [item for item in tried if self.likely is None or item.insertion.key in self.likely][:AGAIN]
-        self.known = {item.insertion.key: item.fit.values for item in best}
+        self.rounds = dict(rounds or {})
         self.counts = {"fits": 0, "rounds": 0}
         self.nominal: dict[str, float] = {}
         self.unsized: frozenset[str] = frozenset()
@@ -77,6 +77,8 @@ class Trials:
     def round(self, before: Fit) -> Round:
         """Try every insertion into a fitted diagram."""
         document, largest = values_in(before.document, before.values), self.evidence.largest()
+        earlier = self.rounds.get(structure_of(before.document))
+        again = {} if earlier is None else earlier.worth_again(AGAIN)
         found = self._candidates(before, document)
         self.counts["rounds"] += 1
         hypotheses = len({(item.physics, item.spot) for item in found})
@@ -99,12 +101,12 @@ class Trials:
             jobs.append((item.document(document, {**fixed, **starts[0]}, limits_of(item, sizes)), groups))
         if many:
             classes = () if places is None else places.classes
-            kept, every, promises = self._screened(before, found, jobs, places)
+            kept, every, promises = self._screened(before, found, jobs, places, earlier)
             likely = likely_of(found, every, before)
-            kept += [k for k, item in enumerate(found) if item.key in self.known and k not in kept]
+            kept += [k for k, item in enumerate(found) if item.key in again and k not in kept]
             known = [{} if one is None else dict(one.start) for one in promises]
             jobs = [
-                (start, _led(groups, self.known.get(item.key) or near))
+                (start, _led(groups, again.get(item.key) or near))
                 for item, (start, groups), near in zip(found, jobs, known, strict=True)
             ]
             promised = [np.inf if (one := promises[k]) is None else one.misfit for k in kept]
@@ -137,7 +139,11 @@ class Trials:
         ]
         likely = None if likely is None else still_likely(likely, tried)
         ordered = tuple(simplest_first(tried, self.slack))
-        return Round(before, ordered, tuple(classes), hypotheses, tuple(elsewhere), tuple(untried), likely)
+        return self._kept(Round(before, ordered, tuple(classes), hypotheses, tuple(elsewhere), tuple(untried), likely))
+
+    def _kept(self, found: Round) -> Round:
+        self.rounds[structure_of(found.before.document)] = found
+        return found
 
     def _candidates(self, before: Fit, document: dict[str, Any]) -> list[Insertion]:
         """Return the insertions that a residual may call for: beside noise, a line is hum of the instruments."""
@@ -184,7 +190,8 @@ class Trials:
         elsewhere, untried = (
             tuple(pair for pair in pairs if pair[0].key not in done) for pairs in (found.elsewhere, found.untried)
         )
-        return replace(found, tried=tuple(simplest_first(tried, self.slack)), elsewhere=elsewhere, untried=untried)
+        tried = simplest_first(tried, self.slack)
+        return self._kept(replace(found, tried=tuple(tried), elsewhere=elsewhere, untried=untried))
 
     def _astray(self, before: Fit, fit: Fit) -> str:
         """Return in words the parameters of the diagram that are ``astray`` times what was given and fitted.
@@ -212,17 +219,23 @@ class Trials:
         return found
 
     def _screened(
-        self, before: Fit, candidates: Sequence[Insertion], jobs: Sequence[Job], places: Bounds | None
+        self,
+        before: Fit,
+        candidates: Sequence[Insertion],
+        jobs: Sequence[Job],
+        places: Bounds | None,
+        earlier: Round | None,
     ) -> tuple[list[int], Sequence[Promise | None], Sequence[Promise | None]]:
         """Return which insertions are fitted, what each promises, and so where that tells places of a law apart.
 
-        With another measure of the noise only those that were likely are looked at.
+        Of an earlier round from here only those that were likely are looked at.
         """
         unknown: list[Promise | None] = [None] * len(candidates)
         by_law = places is not None and places.by_law
         if not by_law and not self.evidence.costly:
             return self._at_likely_places(before, candidates, jobs, places), unknown, unknown
-        likely = [k for k, item in enumerate(candidates) if self.likely is None or item.key in self.likely]
+        known = None if earlier is None else earlier.likely
+        likely = [k for k, item in enumerate(candidates) if known is None or item.key in known]
         promises: list[Promise | None] = [Promise(np.inf)] * len(candidates)
         if self.evidence.costly or places is None:
             found = self._by_sensitivities(before, [jobs[k] for k in likely])
@@ -230,7 +243,6 @@ class Trials:
             found = self.work.promises_of_laws([candidates[k] for k in likely], places)
         for k, one in zip(likely, found, strict=True):
             promises[k] = one
-        self.likely = None
         kept = most_promising(candidates, [misfit_of(one) for one in promises], before)
         return kept, promises, unknown if self.evidence.costly else promises
 

@@ -245,7 +245,7 @@ def test_every_law_is_fitted_at_its_best_place_however_many_places_there_are(mon
     found = [SimpleNamespace(physics=p, law=(p, 0), node=node, left=left) for p, node, left in items]
     places = SimpleNamespace(by_law=False, promises=lambda items: [Promise(item.left) for item in items])
     trials = Trials(SimpleNamespace(costly=False), Catalogue(), Jobs())
-    kept, *_ = trials._screened(Fit({}, misfit=1e8, rows=9, equations=9), found, [({}, [])] * len(found), places)
+    kept, *_ = trials._screened(Fit({}, misfit=1e8, rows=9, equations=9), found, [({}, [])] * len(found), places, None)
     told = {(found[k].physics, found[k].node) for k in kept}
     assert told == {("second_crack", 2), ("rub", 4), ("runout", 1), ("seal", 0)}
     assert len(kept) == len(told)

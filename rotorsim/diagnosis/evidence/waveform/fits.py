@@ -102,9 +102,14 @@ class WaveformFits(SampledRuns):
         return [(measured - residual)[:, order] for measured, residual in pairs]
 
     def _fit(self, document: Mapping[str, Any], starts: Starts, effort: Effort) -> Fit:
-        """Follow the best of each group on the beginning of the runs, then the best of these on all samples."""
+        """Follow the best of each group on the beginning of the runs, then the best of these on all samples.
+
+        One that is only carried on, on all samples at once.
+        """
         limit = MOST_SIMULATIONS if effort.most is None else REFINED_EVALUATIONS * effort.most
         search = self.search(document)
+        if [*starts] == [[{}]] and not self.parts:
+            return self._summary(document, search, search.minimise(self._first(search), limit))
         short, first = self._short(search)
         groups = starts or [[{}, self.near]]
         groups = [[start for group in groups for start in group]] if self.parts else groups
@@ -123,10 +128,9 @@ class WaveformFits(SampledRuns):
             if short.substeps(point) <= SHOT_SUBSTEPS * self.least:
                 ends.append(short.minimise(shot(short, point), limit))
         start = min(ends, key=attrgetter("cost")).unknowns
-        last = limit if short is search else min(limit, LAST_STEPS)
         if self.parts:
             start = np.concatenate([start[: search.m], search.first(self.starts)[search.m :]])
-            last = LAST_STEPS if effort.most is None else FEW_STEPS
+        last = limit if short is search else LAST_STEPS if effort.most is None else FEW_STEPS
         return self._summary(document, search, search.minimise(start, last))
 
     def _short(self, search: OutputErrorSearch, every: int = 1) -> tuple[OutputErrorSearch, np.ndarray]:
