@@ -55,6 +55,16 @@ class Dominant:
 
 
 @dataclass(frozen=True)
+class Onset:
+    """A time [s] that follows the data: where what the diagram leaves changes in all runs; order: 0, 1, 2, ever faster.
+
+    An eighth, three or five eighths of the longest run where nothing is known of that.
+    """
+
+    order: int
+
+
+@dataclass(frozen=True)
 class Lines:
     """A value that follows the data: the frequency [rad/s] of lines that do not follow the shaft."""
 
@@ -116,7 +126,7 @@ class Fault:
 
     physics: str
     enters: str
-    free: Mapping[str, tuple[float | Of | Longest | Sampled | Dominant, ...]] = field(default_factory=dict)
+    free: Mapping[str, tuple[float | Of | Longest | Sampled | Dominant | Onset, ...]] = field(default_factory=dict)
     fixed: Mapping[str, float | Of | Longest | Sampled | Lines | Steps | Course] = field(default_factory=dict)
     most: Mapping[str, Of | Longest | Sampled] = field(default_factory=dict)
     sizes: tuple[str, ...] = ()

@@ -1,7 +1,7 @@
 """A signal that is added to another: offset, drift, step, sine."""
 
 from rotorsim.block import Block, Equations, In, Option, Out, Param, cos, sin, tanh
-from rotorsim.fault import Course, Dominant, Fault, Longest, Of
+from rotorsim.fault import Course, Dominant, Fault, Longest, Of, Onset
 
 _NAMES = {
     "step": "step_disturbance",
@@ -25,7 +25,7 @@ _LAWS = {
         ("offset", "gain_drift"),
     ),
     "step": (
-        {"height": (Of("input", 0.1), Of("input", -0.1)), "time": tuple(Longest(k / 8) for k in (1, 3, 5, 7))},
+        {"height": (Of("input", 0.1), Of("input", -0.1)), "time": (*map(Onset, range(3)), Longest(7 / 8))},
         {"width": Longest(1e-3)},
         "a jump at one time of every run",
         ("offset", "drift"),

@@ -97,7 +97,7 @@ class Judged(waveform.WaveformEvidence):
     """What stands for a recording in time."""
 
     def __init__(self, **values: object) -> None:
-        known = {"stretches": (), "starts": {}, "runs": (), "rows": 0, **values}
+        known = {"stretches": (), "starts": {}, "runs": (), "rows": 0, "beginning": 8192, **values}
         for item in fields(waveform.WaveformEvidence):
             object.__setattr__(self, item.name, known.get(item.name))
 

@@ -9,6 +9,7 @@ from rotorsim.blocks.signals.disturbance import Disturbance
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
+from rotorsim.diagnosis.catalogue.values import structure_of
 from rotorsim.diagnosis.conclude.verdict import effect_of, rejected_of, unfinished, verdict_of
 from rotorsim.diagnosis.evidence.evidence import Promise, Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
@@ -170,6 +171,18 @@ def test_what_was_best_with_another_measure_of_the_noise_is_fitted_again_from_wh
     assert Round(left(50.0), (best, failed)).worth_again(8) == {"saturation": {"saturation0": 11.0}}
 
 
+def test_a_round_from_the_same_diagram_begins_with_what_was_best_there():
+    """With another measure of the noise, whatever was put in before; of values alone a diagram is no other."""
+    of = {"blocks": {"lag": {"type": "lag", "parameters": {"time": 1.0}}}, "wires": [["a.b", "lag.input"]]}
+    moved = {**of, "blocks": {"lag": {"type": "lag", "parameters": {"time": 2.0}}}}
+    assert structure_of(of) == structure_of(moved) != structure_of({**of, "wires": [["a.c", "lag.input"]]})
+    first = Round(replace(left(50.0), document=of), (candidate("saturation", 30.0, 1),))
+    trials = Trials(SimpleNamespace(), Catalogue(), Jobs(1))
+    assert trials._kept(first) is trials.rounds[structure_of(moved)]
+    again = Trials(SimpleNamespace(), Catalogue(), Jobs(1), trials.rounds)
+    assert again.rounds == trials.rounds
+
+
 def test_where_noise_explains_all_only_what_it_cannot_make_is_named():
     """A law that leaves fewer means open has the better criterion, but explains nothing that noise does not."""
     fewer = candidate("hysteretic_damping", 1010.0, 0, nuisances=1)
@@ -198,13 +211,13 @@ def test_known_look_alikes_are_fitted_to_the_end_and_may_take_the_place():
     ended = candidate("control_delay", 1000.0, 1)
     asked = []
 
-    def completed(given: Round, physics: set[str], law: tuple[str, int]) -> Round:
-        asked.append(physics)
+    def completed(given: Round, physics: set[str], chosen: SimpleNamespace, *, every: bool = False) -> Round:
+        asked.append((set(physics), chosen.physics, every))
         return Round(before, (ended, found, bow))
 
     trials = SimpleNamespace(completed=completed, slack=0.0)
     chosen, rounds = _completed(trials, (found,), [Round(before, (found, delay, bow))])
-    assert asked == [{"control_delay"}]
+    assert asked == [({"control_delay"}, "amplifier_bandwidth", False), (set(), "control_delay", True)]
     assert [item.insertion.physics for item in chosen] == ["control_delay"]
     assert rounds[0].tried[0] is ended
 

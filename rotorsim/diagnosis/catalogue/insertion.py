@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from rotorsim.block import Block
-from rotorsim.fault import Course, Dominant, Fault, Lines, Longest, Of, Sampled, Steps
+from rotorsim.fault import Course, Dominant, Fault, Lines, Longest, Of, Onset, Sampled, Steps
 
 LEAST = "least"  # before the name of a signal: its size in the run in which it is smallest
 LONGEST = "longest run"  # among the largest magnitudes of signals: how long it is [s]
 SAMPLED = "step between samples"  # among the largest magnitudes of signals: the longest [s]
 DOMINANT = "dominant frequency"  # among the largest magnitudes of signals: of the line that stands out most [rad/s]
+ONSETS = ("first onset", "second onset", "third onset")  # among the largest magnitudes of signals: see `Onset` [s]
 LINES = "lines"  # among the largest magnitudes of signals: the frequency of asynchronous lines
 
 
@@ -173,10 +174,10 @@ def _plain(end: str) -> str:
 def sizes_at(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:
     """Return the magnitudes of the inputs of an insertion that are known (at their node or any).
 
-    largest: magnitudes of signals by their flat names, and what `LEAST`, `DOMINANT`, `LINES`, `LONGEST` and `SAMPLED`
-    stand for. Of signals that bound the insertion but do not feed it, those of the block where it acts.
+    largest: magnitudes of signals by their flat names, and what `LEAST`, `DOMINANT`, `ONSETS`, `LINES`, `LONGEST` and
+    `SAMPLED` stand for. Of signals that bound the insertion but do not feed it, those of the block where it acts.
     """
-    sizes = {key: value for key, value in largest.items() if key in (DOMINANT, LINES, LONGEST, SAMPLED)}
+    sizes = {key: value for key, value in largest.items() if key in (DOMINANT, *ONSETS, LINES, LONGEST, SAMPLED)}
     bounds = [item.input for item in insertion.fault.most.values() if isinstance(item, Of)]
     for key, source in (*((key, f"{insertion.spot.block}.{key}") for key in bounds), *insertion.feeds.items()):
         for which in ("", f"{LEAST} "):
@@ -226,11 +227,13 @@ def fixed_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, fl
     return {key: _number(item, largest) for key, item in fixed if not isinstance(item, (Steps, Course))}
 
 
-def _number(item: float | Of | Longest | Sampled | Dominant | Lines, largest: Mapping[str, float]) -> float:
+def _number(item: float | Of | Longest | Sampled | Dominant | Onset | Lines, largest: Mapping[str, float]) -> float:
     if isinstance(item, Lines):
         return largest[LINES]
     if isinstance(item, Dominant):
         return largest.get(DOMINANT, FAR_FROM_BOTH_ENDS / largest.get(SAMPLED, 1e-3))
+    if isinstance(item, Onset):
+        return largest.get(ONSETS[item.order], (2 * item.order + 1) / 8 * largest.get(LONGEST, 1.0))
     if isinstance(item, Longest):
         return item.factor * largest.get(LONGEST, 1.0) ** item.power
     if isinstance(item, Sampled):

@@ -144,14 +144,18 @@ def _completed(
 ) -> tuple[tuple[Candidate, ...], list[Round]]:
     """Return the choice with its known look-alikes fitted to the end beside the others; the last may give way to one.
 
-    Look-alikes: what a declaration names as ``confused_with``, one way or the other.
+    Look-alikes: what a declaration names as ``confused_with``, one way or the other; at a place where the last explains
+    more, all laws: what it imitates may not be declared.
     """
     rounds = list(rounds)
     for k, item in enumerate(chosen):
         rounds[k] = trials.completed(rounds[k], _alike(item, rounds[k]), item.insertion)
-    best = rounds[len(chosen) - 1].best
-    if best is not None and best.fit.criterion < chosen[-1].fit.criterion - trials.slack:
+    for _ in range(LAW_AND_PLACE_TURNS):
+        best = rounds[len(chosen) - 1].best
+        if best is None or best.fit.criterion >= chosen[-1].fit.criterion - trials.slack:
+            break
         chosen = (*chosen[:-1], best)
+        rounds[len(chosen) - 1] = trials.completed(rounds[len(chosen) - 1], (), best.insertion, every=True)
     return chosen, rounds
 
 

@@ -103,14 +103,17 @@ def test_what_runs_away_is_said_to_diverge(tmp_path):
     )
 
 
-@pytest.mark.parametrize(("std", "free"), [(0.1, {"step.height", "step.width"}), (1e5, {"step.height"})])
-def test_what_the_data_leave_open_is_no_number_of_the_statement(std, free):
-    """FAULT: the width of a step between two samples was stated as 0 +- 130 ks."""
+@pytest.mark.parametrize(
+    ("std", "other", "free"),
+    [(0.1, 0.01, {"step.height", "step.width"}), (1e5, 0.01, {"step.height"}), (0.1, 1e5, set())],
+)
+def test_what_the_data_leave_open_is_no_number_of_the_statement(std, other, free):
+    """FAULT: of a step between two samples the width was stated as 0 +- 130 ks, and then the time as 0 +- 1900000 s."""
 
     def fit(document, starts):
         names = document["identify"]
         items = tuple(Free(name, "", 0, 1.0, "s", 0.0, np.inf) for name in names)
-        variance = np.diag([std**2 if name == "step.width" else 1e-4 for name in names])
+        variance = np.diag([std**2 if name == "step.width" else other**2 for name in names])
         none = np.zeros(len(items), bool)
         return Fit(document, items, np.ones(len(items)), variance, none, misfit=900.0, rows=1000, goodness=0.5)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -75,10 +75,16 @@ class WaveformEvidence(WaveformFits, Defaults):
             noise, most = self._unpredicted(fit, *beside), CRITERIA.model_error
             ratio = [value / self.variance[signal] for signal, value in noise.variance.items()]
             alike = min(ratio) >= 1 / CRITERIA.slight and max(ratio) <= CRITERIA.slight
-            if alike and beside[0].least == self.least:
+            if alike and beside[0].least == self.least and self._beginning(fit) <= self.beginning:
                 return None
-        least = beside[0].least
-        return replace(self, variance=noise.variance, rows=noise.rows, allowed=most * noise.left, least=least)
+        allowed, least, beginning = most * noise.left, beside[0].least, max(self._beginning(fit), self.beginning)
+        return replace(
+            self, variance=noise.variance, rows=noise.rows, allowed=allowed, least=least, beginning=beginning
+        )
+
+    def where_it_shows(self, fit: Fit) -> Self:
+        """Return the evidence that looks at all of the runs where their beginning does not show what a fit leaves."""
+        return replace(self, beginning=self._beginning(fit))
 
     def _beside(self, fit: Fit) -> tuple[OutputErrorSearch, Evaluation] | None:
         """Return the search and the evaluation of a fit, whose weights follow what it leaves; None if it diverges."""
@@ -225,7 +231,8 @@ class WaveformEvidence(WaveformFits, Defaults):
     def finished(self, fit: Fit, chosen: Sequence[Insertion]) -> Fit:
         """Return the fit with what the faults state once (the width of a step) free as well, if that explains more.
 
-        What the data then leave open (the width of a step between two samples) stays as found.
+        What the data then leave open (the width of a step between two samples) stays as found; as stated, where it
+        leaves open what was known (the time of such a step).
         """
         fixed = [f"{item.name}.{key}" for item in chosen for key in item.fault.fixed]
         if not fixed:
@@ -233,16 +240,14 @@ class WaveformEvidence(WaveformFits, Defaults):
         document = values_in(fit.document, fit.values)
         document["identify"] = {**document.get("identify", {}), **{name: {} for name in fixed}}
         freed = self.fit(document, [[{}]])
-        if not freed.failure:
-            std = dict(zip(freed.values, map(freed.std, range(len(freed.free))), strict=True))
-            open_ones = {name for name in fixed if abs(freed.values[name]) <= Z90 * std[name]}
-            if open_ones:
-                document = values_in(freed.document, freed.values)
-                document["identify"] = {k: v for k, v in document["identify"].items() if k not in open_ones}
-                freed = self.fit(document, [[{}]])
+        open_ones = _open(freed) & {*fixed}
+        if open_ones:
+            document = values_in(freed.document, freed.values)
+            document["identify"] = {k: v for k, v in document["identify"].items() if k not in open_ones}
+            freed = self.fit(document, [[{}]])
         better = not freed.failure and freed.criterion < fit.criterion
         ended = {item.name for item, end in zip(freed.free, freed.at_bound, strict=True) if end}
-        return freed if better and not ended & {*fixed} else fit
+        return freed if better and not ended & {*fixed} and _open(freed) <= _open(fit) else fit
 
     def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
         """Return how well controllers follow from measured motion alone, structure that is left, and units.
@@ -261,3 +266,8 @@ class WaveformEvidence(WaveformFits, Defaults):
             text.append(f"What the repaired diagram leaves is not noise: {100 * share:.2g} % of it can be predicted.")
         units = {name.partition("[")[0]: self.recording.channels[c].unit for name, c in self.channels.columns.items()}
         return [*text, *stand_ins(self.load(after.document), inserted, units)]
+
+
+def _open(fit: Fit) -> set[str]:
+    """Return the parameters whose 90 % interval holds zero."""
+    return {name for j, (name, value) in enumerate(fit.values.items()) if abs(value) <= Z90 * fit.std(j)}

@@ -29,7 +29,8 @@ from rotorsim.identification.waveform.shooting import is_lost, shot
 from rotorsim.identification.waveform.subsystems import subsystems_of
 
 FIRST_STEPS = 4  # from each start, before the best is followed
-SHORT = 8192  # samples of all runs on which a start is chosen and followed
+SHORT = 8192  # samples of all runs, from their beginning, on which a start is chosen and followed
+LATER = 1.2  # times the mean square of their residual, of what follows: there acts what they do not show
 SHOT_SUBSTEPS = 4  # times the steps that the diagram needs: of what is faster, parts of runs are not fitted one by one
 LAST_STEPS = 12  # on all samples after that
 FEW_STEPS = 3  # on all samples, of runs that are long, until it is known which fits are worth more
@@ -48,7 +49,8 @@ class WaveformFits(SampledRuns):
     is left out. by_force: whether noise is what a diagram with a flexible force leaves. least: steps between samples.
     starts: states at the first samples. old: names of the parameters that were free at first. held: hold-out runs.
     parts: of long runs, at all speeds, on which starts are chosen and followed; part_starts: their states at first
-    samples. near, stated: parameters of the diagram that leave least, and as it was given.
+    samples. near, stated: parameters of the diagram that leave least, and as it was given. beginning: of the runs, as
+    many samples of all on which starts are chosen and followed where there are no parts.
     """
 
     variance: Variance
@@ -65,6 +67,7 @@ class WaveformFits(SampledRuns):
     part_starts: Mapping[Label, float] = field(default_factory=dict)
     near: Mapping[str, float] = field(default_factory=dict)
     stated: Mapping[str, float] = field(default_factory=dict)
+    beginning: int = SHORT
 
     def largest(self) -> Mapping[str, float]:
         """Return the largest magnitude of signals by flat name, the length of the longest run, and its longest step."""
@@ -136,7 +139,7 @@ class WaveformFits(SampledRuns):
     def _short(self, search: OutputErrorSearch, every: int = 1) -> tuple[OutputErrorSearch, np.ndarray]:
         """Return a search on less of the runs, and its unknowns as the diagram states them; every: so many parts."""
         if not self.parts:
-            return search.shortened(SHORT), self._first(search)
+            return search.shortened(self.beginning), self._first(search)
         parts = self.parts[::every]
         starts = {(name, state, r // every): x for (name, state, r), x in self.part_starts.items() if r % every == 0}
         short = replace(search, runs=parts, weights=weights_of(self.variance, parts, self.rows))
@@ -149,10 +152,26 @@ class WaveformFits(SampledRuns):
         """
         return _cheaper(search, search.first(self.starts), search.first())
 
+    def _beginning(self, fit: Fit) -> int:
+        """Return SHORT, or all samples where a fit leaves more of those that come later.
+
+        A step or a drift late in the runs, or what acts at the end of a sweep, shows nowhere else.
+        """
+        total = sum(run.size for run in self.runs)
+        if total <= SHORT or self.parts or fit.failure:
+            return SHORT
+        ends = [run.size * SHORT / total for run in self.runs]
+        later = np.array([(first + last) / 2 >= ends[r] for r, first, last in self.stretches])
+        sizes = np.array([last - first for _, first, last in self.stretches])
+        if not later.any() or later.all():
+            return SHORT
+        square = [fit.run_misfit[which].sum() / sizes[which].sum() for which in (~later, later)]
+        return total if square[1] > LATER * square[0] else SHORT
+
     def _held(self, document: Mapping[str, Any]) -> OutputErrorSearch:
         """Return the search on the beginning of the runs for the starts of the whole diagram alone."""
         whole = replace(self.search(document), hold="theta")
-        return replace(whole, systems=whole.systems[:1]).shortened(SHORT)
+        return replace(whole, systems=whole.systems[:1]).shortened(self.beginning)
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
         """Return the misfit after FIRST_STEPS steps from the best start, per sample as on all samples."""

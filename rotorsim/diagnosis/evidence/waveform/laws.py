@@ -24,6 +24,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from rotorsim.diagnosis.catalogue.insertion import (
     DOMINANT,
+    ONSETS,
     STARTS_TRIED,
     Insertion,
     Law,
@@ -38,6 +39,7 @@ from rotorsim.diagnosis.evidence.fit import FAILURES
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.evidence.waveform.dominant_line import dominant_frequency
 from rotorsim.diagnosis.evidence.waveform.driven_law import LAW, OTHER, WIRE, DrivenLaw, View
+from rotorsim.diagnosis.evidence.waveform.onset import onset_times
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.driven.equations import driven_equations
@@ -110,11 +112,11 @@ class LawBounds:
 
     @cached_property
     def carried(self) -> Mapping[str, float]:
-        """The largest magnitude of what each place carries, smoothed with the likeliest free signal; and `DOMINANT`."""
+        """What each place carries at most, smoothed with the likeliest free signal; `DOMINANT` and `ONSETS`."""
         smoothed = [self._smoothed[item.place].wires for item in self.estimates[:1]]
         wires = np.concatenate([*smoothed, [run.carried for run in self.runs]][0])
         sizes = {place.port: float(size) for place, size in zip(self.places, np.abs(wires).max(axis=0), strict=True)}
-        return {**sizes, DOMINANT: self.dominant}
+        return {**sizes, DOMINANT: self.dominant, **self.onsets}
 
     @cached_property
     def sizes(self) -> Mapping[str, float]:
@@ -125,6 +127,12 @@ class LawBounds:
     def dominant(self) -> float:
         """The frequency of the line that stands out most of the residual [rad/s]."""
         return dominant_frequency([run.residual / self.unknown.noise for run in self.runs], self.runs[0].dt)
+
+    @cached_property
+    def onsets(self) -> Mapping[str, float]:
+        """The times at which the residual changes alike in all runs [s]."""
+        residuals = [run.residual / self.unknown.noise for run in self.runs]
+        return dict(zip(ONSETS, onset_times(residuals, [run.time for run in self.sampled]), strict=True))
 
     @property
     def deviance(self) -> float:

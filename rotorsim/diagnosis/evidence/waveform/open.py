@@ -41,6 +41,7 @@ def open_waveforms(
         diagram = with_reaction(diagram)
     evidence = waveform_evidence(diagram, recording, hold_out, trust_blocks=catalogue.trust)
     base, refined = base_fit(diagram, evidence)
+    evidence = evidence.where_it_shows(base)
     notes = notes_of([*evidence.runs, *evidence.held])
     notes += [*unused_channels(diagram, recording), *diagram.warnings[len(given.warnings) :]]
     notes += [Problem(note, severity="warning") for note in refined]
