@@ -128,6 +128,12 @@ class Insertion:
         return {key: item.value for key, item in self.fault.fixed.items() if isinstance(item, Course)}
 
     @property
+    def stated_once(self) -> tuple[str, ...]:
+        """The names of the parameters that follow the size of the data and are not fitted at first."""
+        fixed = self.fault.fixed.items()
+        return tuple(f"{self.name}.{key}" for key, item in fixed if isinstance(item, (Of, Longest, Sampled)))
+
+    @property
     def read_off(self) -> bool:
         """Whether it is read off the data, and never fitted: steps of a converter, the course of a signal."""
         return bool(self.from_steps or self.from_course)

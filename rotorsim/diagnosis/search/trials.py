@@ -350,7 +350,11 @@ class Trials:
         return fits, set(order)
 
     def _finer(self, before: Fit, found: Sequence[Insertion], fits: Sequence[Fit]) -> tuple[list[Insertion], list[Fit]]:
-        """Return insertions and fits, the best with finer approximations of their laws where the data show it."""
+        """Return insertions and fits, the best with finer approximations of their laws where the data show it.
+
+        Where they leave more than noise, with what the laws state once (the width of a jump) free as well: what a wrong
+        width leaves must not be taken for another effect.
+        """
         found, fits = list(found), list(fits)
         best = _bymisfit_of(fits)[:REFINED]
         which = [] if is_adequate(before) else [k for k in best if found[k].fault.finer]
@@ -362,6 +366,10 @@ class Trials:
         for k, item, fit in zip(which, finer, self._fit(jobs, Effort()), strict=True):
             if not fit.failure and fit.misfit < fits[k].misfit:
                 found[k], fits[k] = item, replace(fit, seconds=fit.seconds + fits[k].seconds)
+        with one_thread():
+            for k in best:
+                if not is_adequate(before) and not is_adequate(fits[k]):
+                    fits[k] = self.evidence.finished(fits[k], [found[k]])
         return found, fits
 
     def _again(self, jobs: Sequence[Job], fits: list[Fit], which: Sequence[int], most: int | None) -> None:
@@ -390,7 +398,7 @@ class Trials:
             old, new = item.insertion.name, again.name
             had = near.document["blocks"][old].get("parameters", {})
             own = {key: near.values[f"{old}.{key}"] for key in again.fault.free if f"{old}.{key}" in near.values}
-            set_once = {key: had[key] for key in again.fault.fixed if key in had}
+            set_once = {key: near.values.get(f"{old}.{key}", had[key]) for key in again.fault.fixed if key in had}
             bounds = {key: near.document["identify"].get(f"{old}.{key}", {}) for key in again.fault.free}
             limits = {key: (given["low"], given["high"]) for key, given in bounds.items() if given}
             document = again.document(document, {**own, **set_once}, limits)

@@ -118,6 +118,6 @@ def test_what_the_data_leave_open_is_no_number_of_the_statement(std, other, free
         return Fit(document, items, np.ones(len(items)), variance, none, misfit=900.0, rows=1000, goodness=0.5)
 
     before = Fit({"blocks": {"step": {}}, "identify": {"step.height": {}}}, misfit=1000.0, rows=1000, goodness=0.5)
-    item = SimpleNamespace(name="step", fault=SimpleNamespace(fixed={"width": 1e-3}))
+    item = SimpleNamespace(stated_once=("step.width",))
     found = WaveformEvidence.finished(SimpleNamespace(fit=fit), before, [item])
     assert found.values.keys() == free

@@ -234,7 +234,7 @@ class WaveformEvidence(WaveformFits, Defaults):
         What the data then leave open (the width of a step between two samples) stays as found; as stated, where it
         leaves open what was known (the time of such a step).
         """
-        fixed = [f"{item.name}.{key}" for item in chosen for key in item.fault.fixed]
+        fixed = [name for item in chosen for name in item.stated_once]
         if not fixed:
             return fit
         document = values_in(fit.document, fit.values)
