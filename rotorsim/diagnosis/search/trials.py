@@ -352,7 +352,7 @@ class Trials:
     def _finer(self, before: Fit, found: Sequence[Insertion], fits: Sequence[Fit]) -> tuple[list[Insertion], list[Fit]]:
         """Return insertions and fits, the best with finer approximations of their laws where the data show it.
 
-        Where they leave more than noise, with what the laws state once (the width of a jump) free as well: what a wrong
+        Where all leave more than noise, with what the laws state once (the width of a jump) free as well: what a wrong
         width leaves must not be taken for another effect.
         """
         found, fits = list(found), list(fits)
@@ -366,9 +366,9 @@ class Trials:
         for k, item, fit in zip(which, finer, self._fit(jobs, Effort()), strict=True):
             if not fit.failure and fit.misfit < fits[k].misfit:
                 found[k], fits[k] = item, replace(fit, seconds=fit.seconds + fits[k].seconds)
-        with one_thread():
-            for k in best:
-                if not is_adequate(before) and not is_adequate(fits[k]):
+        if not any(map(is_adequate, (before, *(fits[k] for k in best)))):
+            with one_thread():
+                for k in best:
                     fits[k] = self.evidence.finished(fits[k], [found[k]])
         return found, fits
 
