@@ -176,6 +176,8 @@ def test_a_round_from_the_same_diagram_begins_with_what_was_best_there():
     of = {"blocks": {"lag": {"type": "lag", "parameters": {"time": 1.0}}}, "wires": [["a.b", "lag.input"]]}
     moved = {**of, "blocks": {"lag": {"type": "lag", "parameters": {"time": 2.0}}}}
     assert structure_of(of) == structure_of(moved) != structure_of({**of, "wires": [["a.c", "lag.input"]]})
+    coulomb, other = ({"blocks": {"dry": {"type": "dry", "parameters": {"law": law}}}} for law in ("axes", "resultant"))
+    assert structure_of(coulomb) != structure_of(other)
     first = Round(replace(left(50.0), document=of), (candidate("saturation", 30.0, 1),))
     trials = Trials(SimpleNamespace(), Catalogue(), Jobs(1))
     assert trials._kept(first) is trials.rounds[structure_of(moved)]

@@ -23,9 +23,12 @@ def values_in(document: Mapping[str, Any], values: Mapping[str, float]) -> dict[
 
 
 def structure_of(document: Mapping[str, Any]) -> str:
-    """Return what is the same of documents that differ in values alone: the types of blocks, and all wires."""
-    types = {name: block["type"] for name, block in document.get("blocks", {}).items()}
-    return json.dumps([types, document.get("wires"), document.get("measured")], sort_keys=True)
+    """Return what is the same of documents that differ in values alone: types and laws of blocks, and all wires."""
+    blocks = {
+        name: [block["type"], {k: v for k, v in block.get("parameters", {}).items() if k == "law"}]
+        for name, block in document.get("blocks", {}).items()
+    }
+    return json.dumps([blocks, document.get("wires"), document.get("measured")], sort_keys=True)
 
 
 def _replaced(before: Any, inside: str, value: float) -> Any:

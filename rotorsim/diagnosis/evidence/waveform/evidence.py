@@ -67,6 +67,7 @@ class WaveformEvidence(WaveformFits, Defaults):
         beside = self._beside(fit)
         if beside is None:
             return None
+        beginning = max(self._beginning(fit), self.beginning)
         if not self.parts:  # what was missing may be faster than the rest
             beside = refined(*beside, variance_scale(beside[0]))
         if self.by_force:
@@ -75,12 +76,10 @@ class WaveformEvidence(WaveformFits, Defaults):
             noise, most = self._unpredicted(fit, *beside), CRITERIA.model_error
             ratio = [value / self.variance[signal] for signal, value in noise.variance.items()]
             alike = min(ratio) >= 1 / CRITERIA.slight and max(ratio) <= CRITERIA.slight
-            if alike and beside[0].least == self.least and self._beginning(fit) <= self.beginning:
+            if alike and beside[0].least == self.least and beginning == self.beginning:
                 return None
-        allowed, least, beginning = most * noise.left, beside[0].least, max(self._beginning(fit), self.beginning)
-        return replace(
-            self, variance=noise.variance, rows=noise.rows, allowed=allowed, least=least, beginning=beginning
-        )
+        changed = replace(self, variance=noise.variance, rows=noise.rows, allowed=most * noise.left)
+        return replace(changed, least=beside[0].least, beginning=beginning)
 
     def where_it_shows(self, fit: Fit) -> Self:
         """Return the evidence that looks at all of the runs where their beginning does not show what a fit leaves."""

@@ -30,10 +30,12 @@ from rotorsim.identification.waveform.subsystems import subsystems_of
 
 FIRST_STEPS = 4  # from each start, before the best is followed
 SHORT = 8192  # samples of all runs, from their beginning, on which a start is chosen and followed
-LATER = 1.2  # times the mean square of their residual, of what follows: there acts what they do not show
+# times the mean square of their residual, of what follows: there acts what they do not show; white noise of 900 and 750
+# independent samples (of 2000 in all, as SHORT parts 15000) scatters by sqrt(2/900 + 2/750) = 7 %, a third of that
+LATER = 1.2
 SHOT_SUBSTEPS = 4  # times the steps that the diagram needs: of what is faster, parts of runs are not fitted one by one
 LAST_STEPS = 12  # on all samples after that
-FEW_STEPS = 3  # on all samples, of runs that are long, until it is known which fits are worth more
+FEW_STEPS = 3  # on all samples, until it is known which fits are worth more
 PROMISED_PARTS = 2  # of long runs what laws promise is judged on every second part
 FOLLOWED = 3  # starts of a law on parts of such runs: those that promise most
 REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
