@@ -105,6 +105,7 @@ def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, 
         "class_sizes": [],
         "credit": {},
         "places": None,
+        "wires": None,
     }
     if diagnosis is None:
         return result
@@ -130,7 +131,8 @@ def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, 
                         result["parameters"].append({"physics": first, "name": name, **_estimate(found, *known)})
     result["false_names"] = [first for first, names, _ in answers if not names & right and first != OUTSIDE]
     result["class_sizes"] = [len(names) for _, names, _ in answers]
-    result["places"] = len(diagnosis.get("where", [])) or None
+    result["places"] = len(_classes(diagnosis.get("where", []))) or None
+    result["wires"] = len(diagnosis.get("where", [])) or None
     result["right"] = _verdict_right(kind, diagnosis["verdict"], result)
     if kind == "outside" and "accepted" in truth:  # who names a law that others call outside is right as well
         result["right"] |= bool(answers) and all(names & right for _, names, _ in answers)
@@ -154,11 +156,11 @@ def _effect(truth: dict[str, Any], physics: str) -> dict[str, float]:
 def _located(truth: dict[str, Any], physics: str, where: list[dict[str, Any]]) -> bool | None:
     """Return whether a likely place is right: its block and, on a beam, the node. None if the truth has no place.
 
-    In a generic diagram: whether it is one of the ports that the data cannot tell apart.
+    In a generic diagram: whether it is in one of as many of the likeliest classes as effects are missing.
     """
     if physics in truth.get("accepted", {}):
         ports = truth["accepted"][physics]
-        best = sorted(where, key=lambda place: -float(place.get("probability") or 0))[: len(truth["missing"])]
+        best = [place for one in _classes(where)[: len(truth["missing"])] for place in one]
         return any(f"{place.get('block')}.{place.get('port')}" in ports for place in best)
     blocks, node = truth.get("blocks", {}).get(physics), truth["nodes"].get(physics)
     if not blocks and node is None:
@@ -169,6 +171,14 @@ def _located(truth: dict[str, Any], physics: str, where: list[dict[str, Any]]) -
         and (node is None or place.get("node") == node)
         for place in best
     )
+
+
+def _classes(where: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    """Return the places that a diagnosis lists by their classes, which its data do not tell apart, likeliest first."""
+    of_class: dict[Any, list[dict[str, Any]]] = {}
+    for number, place in enumerate(sorted(where, key=lambda place: -float(place.get("probability") or 0))):
+        of_class.setdefault(place.get("class", f"alone {number}"), []).append(place)
+    return [*of_class.values()]
 
 
 def _verdict_right(kind: str, verdict: str, result: dict[str, Any]) -> bool:

@@ -62,6 +62,7 @@ def summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
         "located": _count([item["located"].get(physics) for item, physics in rows]),
         "credit": _numbers([item["credit"].get(physics) for item, physics in rows]),
         "places": _numbers([item["places"] for item in known]),
+        "wires": _numbers([item["wires"] for item in known]),
         "false_name": _count([bool(item["false_names"]) for item in known]),
         "false_alarm": _count([item["verdict"] != "consistent" for item in kind["nothing"]]),
         "missed": _count([item["verdict"] == "consistent" for item in known]),
@@ -166,7 +167,11 @@ def markdown(result: dict[str, Any], title: str) -> str:
     lines.append(f"| size of the classes named | {_spread(result['class_size'], percent=False)} |")
     lines += [
         f"| {text} | mean {result[key]['mean']:.3g} ({result[key]['of']}) |"
-        for key, text in (("credit", "names, 1/n in a class of n"), ("places", "places reported"))
+        for key, text in (
+            ("credit", "names, 1/n in a class of n"),
+            ("places", "classes of places reported"),
+            ("wires", "places in them"),
+        )
         if result[key]["of"]
     ]
     gain = result["held_out_gain"]

@@ -204,7 +204,9 @@ def _text(diagnosis: Diagnosis) -> str:
     if rows and diagnosis.verdict != "outside_catalogue":
         parts.append(table(("missing", "probability", "at"), rows))
     elif diagnosis.places:
-        parts.append(table(("place", "probability"), [(str(s), f"{p:.2g}") for s, p in diagnosis.places[:8]]))
+        parts.append(
+            table(("place", "probability"), [(one.words, f"{one.probability:.2g}") for one in diagnosis.places[:8]])
+        )
     parts.append(diagnosis.statement)
     parts.append(f"Next experiment: {diagnosis.next_experiment}.")
     return "\n\n".join(parts)

@@ -35,7 +35,11 @@ def diagnosis_data(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return a diagnosis as plain data, in the form of diagnosis.json."""
     return {
         "verdict": diagnosis.verdict,
-        "where": [_place(spot, probability) for spot, probability in diagnosis.places],
+        "where": [
+            _place(spot, one.probability, number)
+            for number, one in enumerate(diagnosis.places, start=1)
+            for spot in one.places
+        ],
         "missing": _missing(diagnosis),
         "rejected": [{"physics": name, "why": why} for name, why in diagnosis.rejected],
         "open": [{"physics": name, "why": why} for name, why in diagnosis.open],
@@ -128,10 +132,11 @@ def _port(spot: Spot) -> dict[str, str]:
     return {"block": spot.block, "port": spot.port, "side": spot.side}
 
 
-def _place(spot: Spot, probability: float) -> dict[str, Any]:
+def _place(spot: Spot, probability: float, number: int) -> dict[str, Any]:
     node = spot.beside if spot.node is None else spot.node
     side = {"side": spot.side} if spot.side else {}  # of a signal in time
-    return {"block": spot.block, "port": spot.port, "node": node, "axis": None, "probability": probability, **side}
+    place = {"block": spot.block, "port": spot.port, "node": node, "axis": None, "probability": probability}
+    return {**place, "class": number, **side}
 
 
 def _effect_parameters(effect: Effect, fit: Fit) -> dict[str, Any]:

@@ -63,7 +63,7 @@ def test_a_bow_is_named_located_and_measured(physics):
     assert found.verdict == "missing_physics"
     [effect] = found.effects
     assert effect.physics == "residual_bow"
-    assert str(found.places[0][0]) == "rotor.force"
+    assert str(found.spots[0]) == "rotor.force"
     fit = found.after
     names = [item.name for item in fit.free]
     for key, value in (("amplitude", BOW), ("phase", BOW_PHASE)):
@@ -128,7 +128,7 @@ def test_the_files_are_what_others_read(tmp_path):
         "diagram",
     }
     assert set(data["parameters"]) == {"before", "after"}
-    assert set(data["where"][0]) == {"block", "port", "node", "axis", "probability"}
+    assert set(data["where"][0]) == {"block", "port", "node", "axis", "probability", "class"}
     [missing] = data["missing"]
     assert missing["physics"] in missing["class"]
     amplitude = missing["parameters"]["amplitude"]

@@ -170,7 +170,7 @@ def test_a_shaken_base_is_named_and_measured():
     assert found.verdict == "missing_physics"
     [effect] = found.effects
     assert list(effect.members) == ["base_excitation"]
-    assert str(found.places[0][0]) == "rotor.force"
+    assert str(found.spots[0]) == "rotor.force"
     assert abs(off(found, "base_excitation.acceleration", ACCELERATION)) < 3
     half = np.round((found.after.values["base_excitation.direction"] - DIRECTION) / np.pi) * np.pi
     assert abs(off(found, "base_excitation.direction", DIRECTION + half)) < 3

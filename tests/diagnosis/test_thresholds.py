@@ -136,7 +136,17 @@ def test_places_are_listed_from_one_percent_on(more, places):
     before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
     here, there = candidate("rub", 900.0, 1), candidate("rub", 900.0 + more, 1)
     there.insertion.spot = Spot("rotor", "elsewhere")
-    assert {str(spot) for spot, _ in effect_of(here, Round(before, (here, there)), 0.0).places} == places
+    assert {str(spot) for spot in effect_of(here, Round(before, (here, there)), 0.0).spots} == places
+
+
+@pytest.mark.parametrize(("more", "sizes"), [(0.009, [2]), (0.011, [1, 1])])
+def test_places_whose_criteria_are_a_hundredth_apart_are_one_class(more, sizes):
+    before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
+    here, there = candidate("rub", 900.0, 1), candidate("rub", 900.0 + more, 1)
+    there.insertion.spot = Spot("rotor", "elsewhere")
+    places = effect_of(here, Round(before, (here, there)), 0.0).places
+    assert [len(one.places) for one in places] == sizes
+    assert sum(one.probability for one in places) == pytest.approx(1.0)
 
 
 # --- lines that channels pick up --------------------------------------------------------------------------------------

@@ -247,9 +247,12 @@ def test_outside_the_catalogue_the_places_are_those_of_a_free_signal():
         PlaceClass((velocity,), 0.03),
         PlaceClass((Spot("gap", "q"),), 1e-9),
     )
-    effect = SimpleNamespace(places=((Spot("cross_talk", "output"), 1.0),))
+    imitation = PlaceClass((Spot("cross_talk", "output"),), 1.0)
+    effect = SimpleNamespace(places=(imitation,))
     found = selection(left(50.0), (None,), (), left(1.9), SimpleNamespace(classes=classes))
-    assert places_of(found, (effect,)) == ((Spot("cross_talk", "output"), 1.0),)
-    assert places_of(found, (effect,), outside=True) == ((amplifier, 0.97), (coil, 0.97), (velocity, 0.03))
+    assert places_of(found, (effect,)) == (imitation,)
+    assert places_of(found, (effect,), outside=True) == classes[:2]
+    again = SimpleNamespace(places=(PlaceClass((amplifier, velocity), 0.4),))
+    assert places_of(found, (effect, again, effect)) == (imitation, *again.places)  # each place once
     unknown = selection(left(50.0), (None,), (), left(1.9), SimpleNamespace(classes=()))
-    assert places_of(unknown, (effect,), outside=True) == ((Spot("cross_talk", "output"), 1.0),)
+    assert places_of(unknown, (effect,), outside=True) == (imitation,)

@@ -24,7 +24,7 @@ def test_the_step_of_a_converter_is_read_off_the_recording(tmp_path):
     recording, hold_out = load_recording(tmp_path / "case"), load_recording(tmp_path / "hold_out" / "case")
     found = diagnose(load("jeffcott"), recording, hold_out=hold_out, workers=1, physics=["quantisation", "runout"])
     assert (found.verdict, [effect.physics for effect in found.effects]) == ("missing_physics", ["quantisation"])
-    assert [str(spot) for spot, _ in found.places] == ["rotor.displacement"]
+    assert [str(spot) for spot in found.spots] == ["rotor.displacement"]
     assert found.before.goodness < 1e-4 < found.after.goodness
     size, std, unit = found.measured(found.effects[0])["interval"]
     assert unit == "m"

@@ -376,7 +376,11 @@ def test_scores_of_known_answers(tmp_path: Path) -> None:
     answer = {
         "verdict": "missing_physics",
         "missing": [{"physics": "lag", "class": ["lag", "delay", "mode", "gain"]}],
-        "where": [{"block": "valve", "port": "input", "probability": 0.6}, {"block": "valve", "port": "output"}],
+        "where": [
+            {"block": "pump", "port": "output", "probability": 0.6, "class": 1},
+            {"block": "valve", "port": "input", "probability": 0.6, "class": 1},
+            {"block": "valve", "port": "output", "probability": 0.4, "class": 2},
+        ],
         "fit": {"before": {"hold_out": 0.1}, "after": {"hold_out": 0.1 / 10**0.5}, "noise_floor": 0.01},
     }
     judged = score.judge(read, answer)
@@ -387,7 +391,8 @@ def test_scores_of_known_answers(tmp_path: Path) -> None:
     assert judged["achieved"] == pytest.approx(0.5)
     page = tables.markdown(tables.summary([judged]), "title")
     assert "| names, 1/n in a class of n | mean 0.25 (1) |" in page
-    assert "| places reported | mean 2 (1) |" in page
+    assert "| classes of places reported | mean 2 (1) |" in page
+    assert "| places in them | mean 3 (1) |" in page
 
 
 def test_diagrams_of_sets_are_found(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from matplotlib.patches import Rectangle
 
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.files import diagnosis_data
 from rotorsim.errors import RotorsimError
 from rotorsim.model.load import load
@@ -352,8 +353,9 @@ def test_an_unknown_force_is_told_with_units_and_speeds() -> None:
 
 def test_places_stand_at_their_nodes() -> None:
     probes = [f"rotor.displacement[{node},{axis}]" for node in (2, 4) for axis in (1, 2)]
-    spots = [(Spot("rotor", "force", 4), 0.7), (Spot("rotor", "displacement", 2), 0.2), (Spot("amb", "force"), 0.1)]
-    made = places_figure(shipped("fe_rigid"), spots, probes)
+    pairs = (Spot("rotor", "force", 4), 0.7), (Spot("rotor", "displacement", 2), 0.2), (Spot("amb", "force"), 0.1)
+    places = [PlaceClass((spot,), probability) for spot, probability in pairs]
+    made = places_figure(shipped("fe_rigid"), places, probes)
     bars = {round(p.get_height(), 3): p for axes in made.axes for p in axes.patches if isinstance(p, Rectangle)}
     assert bars[0.7].get_x() < 0.3 < bars[0.7].get_x() + bars[0.7].get_width()  # node 4 of elements of 100 mm
     assert abs(bars[0.2].get_x() + bars[0.2].get_width() / 2 - 0.1) < bars[0.2].get_width()  # beside bars of the force
@@ -371,12 +373,13 @@ def test_every_machine_is_drawn(name: str) -> None:
 
 
 def test_a_diagram_without_a_rotor_has_no_machine_to_draw() -> None:
-    assert places_figure(load(OSCILLATOR), [(Spot("spring", "force"), 0.8)], []) is None
+    assert places_figure(load(OSCILLATOR), [PlaceClass((Spot("spring", "force"),), 0.8)], []) is None
 
 
 def test_blocks_are_framed_by_probability() -> None:
-    spots = [(Spot("rotor", "force"), 0.9), (Spot("amb", "force"), 0.2), (Spot("clock", "theta"), 0.01)]
-    svg = block_diagram(shipped("jeffcott"), spots, ["bus"])
+    pairs = (Spot("rotor", "force"), 0.9), (Spot("amb", "force"), 0.2), (Spot("clock", "theta"), 0.01)
+    places = [PlaceClass((spot,), probability) for spot, probability in pairs]
+    svg = block_diagram(shipped("jeffcott"), places, ["bus"])
     frames = dict(re.findall(r'stroke="(#[0-9a-f]+)" stroke-width="3.0"/>\n<text[^>]*>(\w+)<', svg, re.IGNORECASE))
     assert {name: colour for colour, name in frames.items()} == {
         "rotor": SHADES[0][1],

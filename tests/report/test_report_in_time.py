@@ -64,9 +64,9 @@ def test_wires_are_marked_with_the_class_of_places_that_a_missing_signal_may_act
     signal = MissingSignal(spots[2], None, "time", "s", 0.5, (), classes, 1.0, 9.0, 0.0)
     assert [item[0] for item in place_classes([signal])] == ["A", "B"]
     assert [item[0] for item in place_classes([signal, signal])] == ["1A", "1B", "2A", "2B"]
-    svg = block_diagram(load(SERVO), [(spots[2], 1.0)], [], [signal])
+    svg = block_diagram(load(SERVO), [PlaceClass((spots[2],), 1.0)], [], [signal])
     written = re.findall(r'paint-order="stroke"[^>]*>([^<]*)<', svg)
     assert sorted(written) == ["A 0.93", "A 0.93", "B 0.07 (reading)"]
     assert svg.count('stroke-width="3.5"') == 3  # a wire of torque, one of friction, one of angle
     assert SHADES[0][1] not in re.findall(r'stroke="(#[0-9a-f]+)" stroke-width="3.0"', svg)  # no frame
-    assert block_diagram(load(SERVO), [(spots[2], 1.0)], []).count('stroke-width="3.5"') == 0
+    assert block_diagram(load(SERVO), [PlaceClass((spots[2],), 1.0)], []).count('stroke-width="3.5"') == 0

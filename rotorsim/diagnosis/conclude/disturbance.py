@@ -12,7 +12,7 @@ from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.conclude.result import Effect
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit
-from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate
 
 LEAST_VISIBLE = 2.0  # residual variance, of the noise's: half of it, or more, is what is missing
@@ -47,8 +47,8 @@ def unmeasured(
         return None
     values = {key: signal.known(value)[0] for key, value in item.from_course.items()}
     document = item.document(values_in(base.document, base.values), values)
-    places = tuple((spot, one.probability) for one in signal.classes for spot in one.places)
-    places = tuple((spot, p) for spot, p in places if p >= CRITERIA.listed) or ((item.spot, 1.0),)
+    places = tuple(one for one in signal.classes if one.probability >= CRITERIA.listed)
+    places = places or (PlaceClass((item.spot,), 1.0),)
     effect = Effect(Candidate(item, replace(base, document=document)), {item.physics: 1.0}, {}, places)
     return effect, replace(signal, physics=item.physics)
 

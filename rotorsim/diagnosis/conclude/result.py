@@ -13,7 +13,7 @@ from rotorsim.diagnosis.conclude.unknown_force import UnknownForce
 from rotorsim.diagnosis.conclude.validation import Proof
 from rotorsim.diagnosis.evidence.evidence import Evidence, Score
 from rotorsim.diagnosis.evidence.fit import Fit
-from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass, spots_of
 from rotorsim.diagnosis.evidence.opened import Converter
 from rotorsim.diagnosis.search.candidates import Candidate
 from rotorsim.diagnosis.search.selection import Selection
@@ -27,7 +27,7 @@ VERDICTS = ("consistent", "missing_physics", "outside_catalogue", "not_identifia
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """One missing effect: the chosen candidate, its equivalence class with probabilities, places with probabilities.
+    """One missing effect: the chosen candidate, its equivalence class with probabilities, classes of places.
 
     rivals: of the other members of the class the best candidate each.
     """
@@ -35,12 +35,17 @@ class Effect:
     candidate: Candidate
     members: Mapping[str, float]
     rivals: Mapping[str, Candidate]
-    places: tuple[tuple[Spot, float], ...]
+    places: tuple[PlaceClass, ...]
 
     @property
     def physics(self) -> str:
         """The name of the physics."""
         return self.candidate.insertion.physics
+
+    @property
+    def spots(self) -> tuple[Spot, ...]:
+        """Where it may act, the likeliest first."""
+        return spots_of(self.places)
 
     def spot_of(self, physics: str) -> Spot | None:
         """Return where a member of the class acts, as it explains the data best; None where it is not known."""
@@ -79,7 +84,7 @@ class Diagnosis(Shown):
     given: Evidence
     recordings: tuple[Recording | OrderRecording, ...]
     held_out: bool
-    places: tuple[tuple[Spot, float], ...] = ()
+    places: tuple[PlaceClass, ...] = ()
     rejected: tuple[tuple[str, str], ...] = ()
     open: tuple[tuple[str, str], ...] = ()
     warnings: tuple[Problem, ...] = ()
@@ -98,6 +103,11 @@ class Diagnosis(Shown):
 
     def __repr__(self) -> str:
         return f"Diagnosis({self.verdict}: {self.statement})"
+
+    @property
+    def spots(self) -> tuple[Spot, ...]:
+        """Where anything may act, the likeliest first."""
+        return spots_of(self.places)
 
     @property
     def searched(self) -> tuple[Effect, ...]:

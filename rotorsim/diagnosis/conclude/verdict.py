@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,10 @@ from rotorsim.diagnosis.conclude.result import Effect
 from rotorsim.diagnosis.conclude.unknown_force import UnknownForce, unknown_force
 from rotorsim.diagnosis.evidence.evidence import Evidence, Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_noise
-from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass, spots_of
 from rotorsim.diagnosis.evidence.opened import Converter
 from rotorsim.diagnosis.search.candidates import Candidate, Round
-from rotorsim.diagnosis.search.selection import Selection, least_gain, probabilities
+from rotorsim.diagnosis.search.selection import Selection, least_gain, likely_places
 from rotorsim.errors import Problem
 
 REJECTED = 12  # hypotheses that are listed
@@ -53,7 +54,7 @@ def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
     total = sum(weights.values())
     members = {name: weight / total for name, weight in sorted(weights.items(), key=lambda pair: -pair[1])}
     same = [candidate, *(item for item in found.tried if item.insertion.physics in members)]  # it is there, if all fail
-    places = tuple((spot, p) for spot, p in probabilities(same, scale) if p >= CRITERIA.listed)
+    places = tuple(one for one in likely_places(same, scale) if one.probability >= CRITERIA.listed)
     rivals: dict[str, Candidate] = {}
     for item in possible:
         if item.insertion.physics in members and item.insertion.physics != own:
@@ -70,7 +71,7 @@ def _as_tried(candidate: Candidate, found: Round) -> Candidate:
 def converter_effect(converter: Converter, fit: Fit) -> Effect:
     """Return a converter as an effect that nothing else explains: readings are steps or they are not."""
     item = converter.insertion
-    return Effect(Candidate(item, fit), {item.physics: 1.0}, {}, ((item.spot, 1.0),))
+    return Effect(Candidate(item, fit), {item.physics: 1.0}, {}, (PlaceClass((item.spot,), 1.0),))
 
 
 def verdict_of(
@@ -118,7 +119,7 @@ def unknown_of(selection: Selection, effects: Sequence[Effect], evidence: Eviden
     """Return what is known of a force outside the catalogue, at the likeliest place where a force can act."""
     tried = [item.insertion for found in selection.rounds for item in found.tried]
     acting = {item.spot for item in tried if item.fault.enters == "force"}
-    spots = [spot for spot, _ in places_of(selection, effects) if spot in acting] or sorted(acting, key=str)
+    spots = [spot for spot in spots_of(places_of(selection, effects)) if spot in acting] or sorted(acting, key=str)
     return unknown_force(selection.base, evidence, spots[0]) if spots else None
 
 
@@ -140,16 +141,17 @@ def signals_of(
     return tuple(signal for signal in found if signal is not None)
 
 
-def _likeliest(classes: Sequence[PlaceClass], places: Sequence[tuple[Spot, float]]) -> Spot | None:
+def _likeliest(classes: Sequence[PlaceClass], places: Sequence[PlaceClass]) -> Spot | None:
     """Return the likeliest place of a free signal; of those that the data do not separate, where a law explains most.
 
     places: of laws, the likeliest first.
     """
+    spots = spots_of(places)
     if not classes:
-        return next((spot for spot, _ in places), None)
+        return next(iter(spots), None)
     least = classes[0].probability * np.exp(-CRITERIA.equivalent / 2)
     alike = [spot for one in classes if one.probability >= least for spot in one.places]
-    return next((spot for spot, _ in places if spot in alike), alike[0])
+    return next((spot for spot in spots if spot in alike), alike[0])
 
 
 def nearest(selection: Selection, unknown: UnknownForce | None, *, disproved: bool = False) -> Fit:
@@ -159,24 +161,27 @@ def nearest(selection: Selection, unknown: UnknownForce | None, *, disproved: bo
     return min(fits, key=lambda fit: fit.criterion)
 
 
-def places_of(
-    selection: Selection, effects: Sequence[Effect], *, outside: bool = False
-) -> tuple[tuple[Spot, float], ...]:
+def places_of(selection: Selection, effects: Sequence[Effect], *, outside: bool = False) -> tuple[PlaceClass, ...]:
     """Return the places of all effects, or of the best candidates where none was chosen, the likeliest first.
 
-    outside: of a law that is none of the effects, so that places are those of a free signal, if these are known; all of
-    a class have the probability of the class.
+    outside: of a law that is none of the effects, so that places are those of a free signal, if these are known.
     """
-    found: dict[Spot, float] = {}
     if outside and selection.first.classes:
-        found = {spot: one.probability for one in selection.first.classes for spot in one.places}
-        effects = ()
-    for effect in effects:
-        for spot, probability in effect.places:
-            found[spot] = max(found.get(spot, 0.0), probability)
-    if not found and not effects and not is_noise(selection.base):
-        found = dict(probabilities(selection.rounds[0].tried, max(selection.base.excess_variance, 1.0)))
-    return tuple(sorted(((s, p) for s, p in found.items() if p >= CRITERIA.listed), key=lambda pair: -pair[1]))
+        found = selection.first.classes
+    elif effects:
+        found = tuple(one for effect in effects for one in effect.places)
+    elif is_noise(selection.base):
+        found = ()
+    else:
+        found = likely_places(selection.rounds[0].tried, max(selection.base.excess_variance, 1.0))
+    seen: set[Spot] = set()
+    places = []
+    for one in sorted(found, key=lambda one: -one.probability):
+        spots = tuple(spot for spot in one.places if spot not in seen)
+        if spots and one.probability >= CRITERIA.listed:
+            places.append(replace(one, places=spots))
+            seen.update(spots)
+    return tuple(places)
 
 
 def detectable_sizes(selection: Selection) -> dict[str, dict[str, Any]]:

@@ -10,6 +10,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, estimates
 from rotorsim.diagnosis.conclude.shares import Explained
 from rotorsim.diagnosis.evidence.fit import is_noise
+from rotorsim.diagnosis.evidence.missing_signal import spots_of
 from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.fault import Fault
 from rotorsim.units import format_quantity
@@ -67,7 +68,7 @@ def _law_of_unknown(diagnosis: Diagnosis) -> str:
 
 def _elsewhere(effect: Effect, found: Round) -> Candidate | None:
     """Return the same physics at the likeliest other place, where that is nearly as likely; None where it is not."""
-    spots = [spot for spot, probability in effect.places if probability >= ELSEWHERE]
+    spots = spots_of(one for one in effect.places if one.probability >= ELSEWHERE)
     best = effect.candidate.insertion
     others = (item for item in found.tried if item.insertion.physics == best.physics and not item.fit.failure)
     return next((item for item in others if item.insertion.spot in spots and item.insertion.spot != best.spot), None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +14,21 @@ from rotorsim.diagnosis.catalogue.insertion import Spot
 class PlaceClass:
     """Places whose signals change all recorded outputs alike, so that no data separate them, the likeliest first.
 
-    probability: that a free signal acts at one of them, among all classes.
+    probability: that a free signal, or a law, acts at one of them, among all classes.
     """
 
     places: tuple[Spot, ...]
     probability: float
+
+    @property
+    def words(self) -> str:
+        """The places in words."""
+        return " or ".join(spot.words for spot in self.places)
+
+
+def spots_of(classes: Iterable[PlaceClass]) -> tuple[Spot, ...]:
+    """Return the places of classes, each once, in their order."""
+    return tuple(dict.fromkeys(spot for one in classes for spot in one.places))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -14,7 +14,8 @@ from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_noise
-from rotorsim.diagnosis.search.candidates import Candidate, Round
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
+from rotorsim.diagnosis.search.candidates import SAME, Candidate, Round
 from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs, local_workers
@@ -283,16 +284,23 @@ def _distinct(tried: Sequence[Candidate], before: Fit) -> list[Candidate]:
     return list(best.values())
 
 
-def probabilities(tried: Sequence[Candidate], scale: float) -> list[tuple[Spot, float]]:
-    """Return the probability of every spot, by the best candidate there; scale: variance of the noise, as a factor."""
+def likely_places(tried: Sequence[Candidate], scale: float) -> tuple[PlaceClass, ...]:
+    """Return places by the best candidate at each, the likeliest first; those that explain the same are one class.
+
+    scale: variance of the noise, as a factor.
+    """
     best: dict[Spot, float] = {}
     for item in tried:
         if not item.fit.failure:
             spot = item.insertion.spot
             best[spot] = min(best.get(spot, np.inf), item.fit.criterion)
-    if not best:
-        return []
-    least = min(best.values())
-    weights = {spot: float(np.exp(-0.5 * (value - least) / max(scale, 1.0))) for spot, value in best.items()}
-    total = sum(weights.values())
-    return sorted(((spot, weight / total) for spot, weight in weights.items()), key=lambda pair: -pair[1])
+    classes: list[list[Spot]] = []
+    for spot in sorted(best, key=lambda spot: best[spot]):
+        if classes and best[spot] - best[classes[-1][0]] <= SAME:
+            classes[-1].append(spot)
+        else:
+            classes.append([spot])
+    far = np.array([best[spots[0]] - best[classes[0][0]] for spots in classes])
+    weights = np.exp(-0.5 * far / max(scale, 1.0))
+    pairs = zip(classes, weights / weights.sum(), strict=True)
+    return tuple(PlaceClass(tuple(spots), float(weight)) for spots, weight in pairs)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Spot
-from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagram.diagram import Diagram, Node
 from rotorsim.diagram.draw import draw_svg
 from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, figure, legend_below, styled
@@ -42,7 +42,7 @@ class _Shaft:
 
 
 @styled()
-def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], recorded: Iterable[str]) -> Figure | None:
+def places_figure(diagram: Diagram, places: Sequence[PlaceClass], recorded: Iterable[str]) -> Figure | None:
     """Return the machine along its shaft with the probability of each place, and other places beside it.
 
     diagram: as given. recorded: flat names of the measured signals. None without a rotor.
@@ -50,8 +50,9 @@ def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], record
     shaft = _shaft(diagram)
     if shaft is None:
         return None
-    here = [(spot, p) for spot, p in places if spot.block == shaft.block]
-    there = [(spot, p) for spot, p in places if (spot, p) not in here][:OTHERS]
+    every = [(spot, one.probability) for one in places for spot in one.places]
+    here = [(spot, p) for spot, p in every if spot.block == shaft.block]
+    there = [(spot, p) for spot, p in every if spot.block != shaft.block][:OTHERS]
     left, right = [*(["bars"] if here else []), "machine"], ["others"] if there else []
     made = figure(10.5, 4.4 if here else 3.0, _title(places))
     mosaic: list[Any] = [[name, *right] for name in left]
@@ -67,11 +68,10 @@ def places_figure(diagram: Diagram, places: Sequence[tuple[Spot, float]], record
     return made
 
 
-def _title(places: Sequence[tuple[Spot, float]]) -> str:
+def _title(places: Sequence[PlaceClass]) -> str:
     if not places:
         return "The machine as the diagram has it; no place is suspect"
-    spot, probability = places[0]
-    return f"Where it acts: {spot.words} with probability {probability:.2f}"
+    return f"Where it acts: {places[0].words} with probability {places[0].probability:.2f}"
 
 
 # -- the machine -------------------------------------------------------------------------------------------------------
@@ -191,7 +191,7 @@ def _draw_others(axes: Axes, places: Sequence[tuple[Spot, float]]) -> None:
 
 
 def block_diagram(
-    diagram: Diagram, places: Sequence[tuple[Spot, float]], new: Iterable[str], signals: Sequence[MissingSignal] = ()
+    diagram: Diagram, places: Sequence[PlaceClass], new: Iterable[str], signals: Sequence[MissingSignal] = ()
 ) -> str:
     """Return the SVG of a diagram: blocks framed by the probability that the fault acts there, new ones in blue.
 
@@ -203,8 +203,9 @@ def block_diagram(
         for spot in spots
     }
     frames = {
-        spot.block: shade(probability)
-        for spot, probability in sorted(places, key=lambda place: place[1])
+        spot.block: shade(one.probability)
+        for one in sorted(places, key=lambda one: one.probability)
+        for spot in one.places
         if (spot.block, spot.port) not in wires
     }
     frames |= dict.fromkeys(new, NEW)

@@ -98,7 +98,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
             f"The diagram explains the recording within its noise{f'; its error is {before} in {runs}' * bool(before)}."
         )
     if diagnosis.verdict == "outside_catalogue":
-        place = f"; it acts most likely at {diagnosis.places[0][0]}" if diagnosis.places else ""
+        place = f"; it acts most likely at {diagnosis.places[0].words}" if diagnosis.places else ""
         return f"No fault candidate of the catalogue explains the residual{place}."
     effects = ", and ".join(
         " or ".join(f"{plain_words(name)} at {effect.spot_of(name)}" for name in effect.members)
@@ -120,7 +120,9 @@ def _where(diagnosis: Diagnosis, page: Page) -> str:
         made = places_figure(given, diagnosis.places, diagnosis.evidence.recorded)
         parts.append(page.figure(Drawn("where", made, "Places where faults were tried, by the best fault at each.")))
     if diagnosis.places:
-        parts.append(table(["place", "probability"], [[spot.words, f"{p:.2f}"] for spot, p in diagnosis.places[:10]]))
+        parts.append(
+            table(["place", "probability"], [[one.words, f"{one.probability:.2f}"] for one in diagnosis.places[:10]])
+        )
     repaired = _loaded(diagnosis.evidence, repaired_document(diagnosis))
     if repaired is not None:
         parts.append(_diagram(diagnosis, repaired, page))

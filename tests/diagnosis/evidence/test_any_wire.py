@@ -95,7 +95,7 @@ def test_what_a_wire_hides_is_named_located_and_sized(tmp_path, missing, physics
     assert found.verdict == "missing_physics"
     [effect] = found.effects
     assert effect.physics == physics
-    size = places[str(found.places[0][0])]  # a gain that is known lies between places that no data separate
+    size = places[str(found.spots[0])]  # a gain that is known lies between places that no data separate
     fit = found.after
     names = [item.name for item in fit.free]
     for key, value in values.items():
@@ -104,7 +104,7 @@ def test_what_a_wire_hides_is_named_located_and_sized(tmp_path, missing, physics
     j = names.index("friction.gain")
     assert abs(fit.theta[j] - 4.4) < max(4 * fit.std(j), 0.01 * 4.4)
     [signal] = found.signals
-    assert (signal.physics, signal.place) == (physics, found.places[0][0])
+    assert (signal.physics, signal.place) == (physics, found.spots[0])
     data = json.loads(json.dumps(diagnosis_data(found), allow_nan=False))
     jsonschema.Draft202012Validator(diagnosis_schema()).validate(data)
     [written] = data["signals"]

@@ -18,6 +18,7 @@ from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Effort, Fit, fit_from_plain, fit_to_plain
 from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
 from rotorsim.diagnosis.evidence.harmonic.fitting import _alone
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.diagnosis.search.selection import least_gain
 from rotorsim.diagnosis.search.trials import SECOND_EVALUATIONS, Trials
@@ -235,7 +236,7 @@ def test_an_effect_is_where_it_was_put_though_its_other_places_fail():
     good = SimpleNamespace(insertion=insertion, fit=Fit({}, misfit=1.0, rows=9, equations=9), physical=True)
     failed = SimpleNamespace(insertion=insertion, fit=Fit({}, failure="was not fitted"), physical=True)
     found = effect_of(good, Round(good.fit, (failed,)), 0.0)
-    assert found.places == ((spot, 1.0),)
+    assert found.places == (PlaceClass((spot,), 1.0),)
 
 
 def test_every_law_is_fitted_at_its_best_place_however_many_places_there_are(monkeypatch):

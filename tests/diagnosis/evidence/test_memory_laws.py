@@ -86,7 +86,7 @@ def test_an_integral_that_overflows_is_found_and_no_other(limit):
     assert found.verdict == "missing_physics"
     [effect] = found.effects
     assert effect.physics == "integrator_limit"
-    assert {str(spot) for spot, _ in found.places} == {"integral.output"}
+    assert {str(spot) for spot in found.spots} == {"integral.output"}
     values = found.after.values
     assert math.isclose(values["integral.upper"], 0.4, rel_tol=0.02)
     assert math.isclose(values["integral.lower"], -0.4, rel_tol=0.02)
@@ -110,9 +110,9 @@ def test_memory_at_the_spring_is_named_and_measured(physics, missing, near):
     assert found.verdict == "missing_physics"
     [effect] = found.effects
     assert effect.physics == physics
-    assert {str(spot) for spot, _ in found.places} <= {"position.output", "spring.output"}
+    assert {str(spot) for spot in found.spots} <= {"position.output", "spring.output"}
     values = sizes(found)
-    gain = {"position.output": 1.0, "spring.output": values["spring.gain"]}[str(found.places[0][0])]
+    gain = {"position.output": 1.0, "spring.output": values["spring.gain"]}[str(found.spots[0])]
     assert math.isclose(values["width"] / gain, 0.4, rel_tol=near)
     assert math.isclose(values["spring.gain"], 90.0, rel_tol=0.4 * near)
     if physics == "hysteresis":

@@ -137,7 +137,7 @@ def test_a_torque_that_depends_on_the_angle_is_named_with_the_angle(tmp_path):
     [effect] = found.effects
     item = effect.candidate.insertion
     assert (item.physics, item.depends_on) == ("position_ripple", "angle.output")
-    assert {str(spot) for spot, _ in found.places} <= {*ADDED, "torque.output"}
+    assert {str(spot) for spot in found.spots} <= {*ADDED, "torque.output"}
     assert "position_ripple at" in found.statement
     assert "(depends on angle.output)" in found.statement
     values, factor = found.after.values, ADDED.get(str(item.spot), -1.0)
@@ -154,7 +154,7 @@ def test_an_inductance_that_depends_on_the_current_is_located_at_the_coil(tmp_pa
     [effect] = found.effects
     item = effect.candidate.insertion
     assert (item.physics, item.depends_on) == ("signal_dependent_gain", "coil.output")
-    assert {str(spot) for spot, _ in found.places} <= {"voltage.output", "inductance.output"}
+    assert {str(spot) for spot in found.spots} <= {"voltage.output", "inductance.output"}
     before, after = found.score_before.total, found.score_after.total
     assert before > 10 * after
     values = found.after.values

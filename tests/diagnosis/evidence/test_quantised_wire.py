@@ -32,7 +32,7 @@ def test_steps_are_named_where_they_are(at, steps):
     assert found.verdict == "missing_physics"
     [effect] = found.effects
     assert effect.physics == "quantisation"
-    assert {spot.words for spot, _ in effect.places} == steps.keys()
+    assert {spot.words for spot in effect.spots} == steps.keys()
     there = effect.spot_of("quantisation").words
     interval = found.after.values["quantisation.interval"]
     assert interval == pytest.approx(steps[there], rel=1 / 200)  # the width of an edge

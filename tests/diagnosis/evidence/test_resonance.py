@@ -138,7 +138,7 @@ def test_the_rotary_inertia_of_discs_is_named_and_measured():
     found = diagnosed(1.0)
     assert found.verdict == "missing_physics"
     assert [effect.physics for effect in found.effects] == ["disc_rotary_inertia"]
-    assert found.places[0][0].block == "rotor"
+    assert found.spots[0].block == "rotor"
     assert found.after.values["rotor.disc_inertia_factor"] == pytest.approx(1.0, rel=0.02)
     assert found.after.values["left"] == pytest.approx(LEFT, rel=0.03)
     assert found.after.values["right"] == pytest.approx(RIGHT, rel=0.03)

@@ -11,6 +11,7 @@ import pytest
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.conclude.wording import _elsewhere, _separating
 from rotorsim.diagnosis.evidence.change import Change, best_of
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
 from rotorsim.diagnosis.evidence.waveform.separation import Contrast, sensors_of
 from rotorsim.model.load import load
@@ -150,11 +151,14 @@ def test_the_same_physics_elsewhere_is_told_apart_where_it_is_nearly_as_likely()
         return SimpleNamespace(insertion=insertion, fit=SimpleNamespace(failure=failure))
 
     best, far, gone, other = item("a"), item("b"), item("c", failure="diverges"), item("d", "delay")
-    effect = SimpleNamespace(candidate=best, places=((Spot("a", "output"), 0.6), (Spot("b", "output"), 0.4)))
+    here, there = Spot("a", "output"), Spot("b", "output")
+    effect = SimpleNamespace(candidate=best, places=(PlaceClass((here,), 0.6), PlaceClass((there,), 0.4)))
     found = SimpleNamespace(tried=(best, other, gone, far))
     assert _elsewhere(effect, found) is far
-    sure = SimpleNamespace(candidate=best, places=((Spot("a", "output"), 0.98), (Spot("b", "output"), 0.02)))
+    sure = SimpleNamespace(candidate=best, places=(PlaceClass((here,), 0.98), PlaceClass((there,), 0.02)))
     assert _elsewhere(sure, found) is None
+    alike = SimpleNamespace(candidate=best, places=(PlaceClass((here, there), 1.0),))
+    assert _elsewhere(alike, found) is far
 
 
 def test_runs_that_show_an_unknown_law_are_named(servo):

@@ -74,7 +74,7 @@ def test_a_step_behind_the_samples_that_starts_are_chosen_on_is_found(monkeypatc
     )
     [effect] = done.effects
     assert effect.physics == "step_disturbance"
-    assert {spot.words for spot, _ in effect.places} == {"the reading of level.output"}
+    assert {spot.words for spot in effect.spots} == {"the reading of level.output"}
     assert done.after.values["step_disturbance.time"] == pytest.approx(TIME, abs=0.02)
     assert done.after.values["step_disturbance.height"] == pytest.approx(0.03, rel=0.05)
     assert done.after.std([*done.after.values].index("step_disturbance.time")) < 0.02  # between two samples, not open

@@ -70,7 +70,7 @@ def test_a_force_that_does_not_come_again_is_an_unmeasured_disturbance(disturbed
     assert found.verdict == "missing_physics"
     [effect] = found.effects
     assert effect.members == {"unmeasured_disturbance": 1.0}
-    assert "force.output" in {str(spot) for spot, _ in found.places}
+    assert "force.output" in {str(spot) for spot in found.spots}
     known = found.measured(effect)
     for key, truth in (("rms", RMS), ("correlation_time", TAU)):
         value, std, _ = known[key]

@@ -30,7 +30,7 @@ from tests.diagnosis.evidence.machines import OSCILLATOR, POSITIONER, carriage_r
 PHYSICS = ("cubic_stiffness", "coulomb_friction", "hysteretic_damping", "clearance")
 KEYS = {  # of diagnosis.json
     "": {"verdict", "where", "missing", "rejected", "parameters", "fit", "next_experiment", "statement", "diagram"},
-    "where": {"block", "port", "node", "axis", "probability"},
+    "where": {"block", "port", "node", "axis", "probability", "class"},
     "missing": {"physics", "class", "probability", "parameters"},
     "fit": {"before", "after", "noise_floor"},
 }
@@ -68,7 +68,7 @@ def test_the_cubic_spring_of_a_duffing_oscillator_is_named_and_measured(noise, p
     [effect] = found.effects
     assert effect.physics == "cubic_stiffness"
     assert dict(effect.members) == {"cubic_stiffness": 1.0}
-    assert [(str(spot), p) for spot, p in found.places] == [("oscillator.force", 1.0)]
+    assert [(one.words, one.probability) for one in found.places] == [("oscillator.force", 1.0)]
     name = f"{effect.candidate.insertion.name}.stiffness"
     assert abs(found.after.values[name] - machines.CUBIC) < 4 * std_of(found, name)
     assert std_of(found, name) < 0.01 * machines.CUBIC
@@ -126,7 +126,7 @@ def test_a_law_outside_the_catalogue_is_mapped_and_not_named():
     made = oscillator_recording(lambda q, v: 3.0 * abs(v) * v)
     found = diagnose(load(OSCILLATOR), made, physics={"cubic_stiffness", "clearance"}, workers=1)
     assert found.verdict == "outside_catalogue"
-    assert [str(spot) for spot, _ in found.places] == ["oscillator.force"]
+    assert [str(spot) for spot in found.spots] == ["oscillator.force"]
     assert list(found.unknown.data["map"]["terms"]) == ["drag"]
     assert found.unknown.data["map"]["terms"]["drag"] == pytest.approx(3.0, rel=0.02)
     assert found.score_after.total == pytest.approx(machines.NOISE, rel=0.1)
@@ -162,7 +162,7 @@ def test_dry_friction_is_named_at_the_carriage_and_the_controller_is_cleared():
     assert found.verdict == "missing_physics"
     [effect] = found.effects
     assert effect.physics == "coulomb_friction"
-    assert [str(spot) for spot, _ in found.places] == ["carriage.force"]
+    assert [str(spot) for spot in found.spots] == ["carriage.force"]
     name = effect.candidate.insertion.name
     truth = {
         f"{name}.friction": machines.COULOMB,
