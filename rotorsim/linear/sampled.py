@@ -47,6 +47,37 @@ void rs_recursion(int64_t N, int64_t n, int64_t P, int64_t K, int64_t varying, c
     }
   }
 }
+#if defined(_WIN32)
+__declspec(dllexport)
+#else
+__attribute__((visibility("default")))
+#endif
+/* y (N, c, K): y_k = H_k x_k + D_k d_k of that recursion, H (N, c, n), D (N, c, P); x: room for 2 n K. */
+void rs_outputs(int64_t N, int64_t n, int64_t P, int64_t c, int64_t K, int64_t varying, const double *F,
+                const double *G, const double *H, const double *D, const double *d, double *x, double *y) {
+  double *to = x + n * K;
+  for (int64_t i = 0; i < n * K; ++i) x[i] = 0.0;
+  for (int64_t k = 0; k < N; ++k, d += P * K, y += c * K) {
+    const double *f = F + varying * k * n * n, *g = G + varying * k * n * P;
+    const double *h = H + varying * k * c * n, *e = D + varying * k * c * P;
+    for (int64_t i = 0; i < c; ++i)
+      for (int64_t q = 0; q < K; ++q) {
+        double sum = 0.0;
+        for (int64_t j = 0; j < n; ++j) sum += h[i * n + j] * x[j * K + q];
+        for (int64_t j = 0; j < P; ++j) sum += e[i * P + j] * d[j * K + q];
+        y[i * K + q] = sum;
+      }
+    for (int64_t i = 0; i < n; ++i)
+      for (int64_t q = 0; q < K; ++q) {
+        double sum = 0.0;
+        for (int64_t j = 0; j < P; ++j) sum += g[i * P + j] * d[j * K + q];
+        for (int64_t j = 0; j < n; ++j) sum += f[i * n + j] * x[j * K + q];
+        to[i * K + q] = sum;
+      }
+    double *last = x;
+    x = to, to = last;
+  }
+}
 """
 
 _RESPONSE = """
@@ -101,16 +132,17 @@ SMALL = 1e-200  # a derivative below is zero: denormal numbers are slow
 
 @cache
 def _recursion() -> Any:
-    """Return the recursion of the states in C, which takes a hundredth of the time of a loop here; None without."""
+    """Return the recursion in C, which takes a hundredth of the time of a loop here; None without a compiler."""
     if (compiler := find_compiler()) is None:
         return None
     try:
-        function = compile_c(_C, compiler, "-O3")[0].rs_recursion
+        library = compile_c(_C, compiler, "-O3")[0]
     except CompilerError:
         return None
     i64, ptr = ctypes.c_int64, ctypes.c_void_p
-    function.argtypes, function.restype = [i64, i64, i64, i64, i64, ptr, ptr, ptr, ptr], None
-    return function
+    library.rs_recursion.argtypes, library.rs_recursion.restype = [*[i64] * 5, *[ptr] * 4], None
+    library.rs_outputs.argtypes, library.rs_outputs.restype = [*[i64] * 6, *[ptr] * 7], None
+    return library
 
 
 def recursion(F: np.ndarray, G: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -118,13 +150,24 @@ def recursion(F: np.ndarray, G: np.ndarray, d: np.ndarray) -> np.ndarray:
     (N, P, K), n = d.shape, F.shape[1]
     states = np.zeros((N + 1, n, K))
     arrays = [np.ascontiguousarray(a, float) for a in (F, G, d)]
-    if (run := _recursion()) is not None:
-        run(N, n, P, K, int(len(F) > 1), *(a.ctypes.data for a in arrays), states.ctypes.data)
+    if (library := _recursion()) is not None:
+        library.rs_recursion(N, n, P, K, int(len(F) > 1), *(a.ctypes.data for a in arrays), states.ctypes.data)
     else:
         for k in range(N):
             j = k if len(F) > 1 else 0
             states[k + 1] = F[j] @ states[k] + G[j] @ d[k]
     return states
+
+
+def outputs(F: np.ndarray, G: np.ndarray, H: np.ndarray, D: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return y (N, c, K) of y_k = H_k x_k + D_k d_k of the same recursion; H (N or 1, c, n), D (N or 1, c, P)."""
+    if (library := _recursion()) is None:
+        return np.asarray(H @ recursion(F, G, d)[:-1] + D @ d)
+    (N, P, K), n, c = d.shape, F.shape[1], H.shape[1]
+    y, x = np.empty((N, c, K)), np.empty(2 * n * K)
+    arrays = [np.ascontiguousarray(a, float) for a in (F, G, H, D, d)]
+    library.rs_outputs(N, n, P, c, K, int(len(F) > 1), *(a.ctypes.data for a in (*arrays, x, y)))
+    return y
 
 
 @cache

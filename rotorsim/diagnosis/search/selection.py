@@ -85,10 +85,10 @@ def select_effects(
     """
     with local_workers(jobs) as shared:
         trials = Trials(evidence, catalogue, shared, {} if earlier is None else earlier.searched)
-        return replace(_selected(trials, base), searched=trials.rounds)
+        return replace(_selected(trials, base, earlier), searched=trials.rounds)
 
 
-def _selected(trials: Trials, base: Fit) -> Selection:
+def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Selection:
     trials.nominal = {item.name: item.value for item in base.free if item.unit != ANGLE_UNIT}
     trials.unsized = frozenset(item.name for item in base.free if not (item.scale or item.value))
     trials.slack = slack = CRITERIA.mesh_error * base.rows if trials.evidence.refines_meshes(base.document) else 0.0
@@ -100,6 +100,8 @@ def _selected(trials: Trials, base: Fit) -> Selection:
         return Selection(base, (), (first,), base, level, trials.counts, slack, first)
     chosen: tuple[Candidate, ...] = beam[0]
     rounds = [first]
+    if earlier is not None and len(earlier.chosen) > 1:
+        chosen, rounds = _found_before(trials, base, first, earlier) or (chosen, rounds)
     while not is_adequate(chosen[-1].fit) and len(chosen) < CRITERIA.most_effects:
         grown: list[tuple[tuple[Candidate, ...], Round]] = []
         for path in beam:
@@ -110,17 +112,53 @@ def _selected(trials: Trials, base: Fit) -> Selection:
                 break
         if not grown:
             break
+        if len(chosen) == 1 and not any(_leaves_noise(path[-1].fit) for path, _ in grown):
+            grown += _begun_anew(trials, base, [path for path, _ in grown])
         grown.sort(key=lambda pair: pair[0][-1].fit.criterion)
         best, after = grown[0]
         if not _leaves_noise(best[-1].fit) and _share(best[-1].fit, chosen[-1].fit) < CRITERIA.worth:
             break
-        beam, chosen = [path for path, _ in grown], best
+        beam, chosen = [path for path, _ in grown[:BEAM_WIDTH]], best
         rounds = [*rounds, after]
     if is_adequate(chosen[-1].fit) or _share(chosen[-1].fit, base) >= CRITERIA.cause:
         chosen, rounds = _reconsidered(trials, base, chosen, rounds)
         chosen, rounds = _completed(trials, chosen, rounds)
         chosen = _simplified(trials, chosen)
     return Selection(base, chosen, tuple(rounds), chosen[-1].fit, level, trials.counts, slack, first)
+
+
+def _found_before(
+    trials: Trials, base: Fit, first: Round, earlier: Selection
+) -> tuple[tuple[Candidate, ...], list[Round]] | None:
+    """Return several effects of a selection by another measure of the noise, if they leave noise by this one, too.
+
+    With the round of the last; `_reconsidered` looks for each of the others again.
+    """
+    again = trials.refitted(base, earlier.chosen, earlier.fit)
+    if not again or not _leaves_noise(again[-1].fit):
+        return None
+    others = trials.refitted(base, again[:-1], again[-1].fit)
+    if not others:
+        return None
+    last = _round(trials, others[-1].fit)
+    better = last.best is not None and last.best.fit.criterion < again[-1].fit.criterion
+    chosen = (*others, last.best) if better and last.best is not None else again
+    return chosen, [*[first] * len(others), last]
+
+
+def _begun_anew(
+    trials: Trials, base: Fit, pairs: Sequence[tuple[Candidate, ...]]
+) -> list[tuple[tuple[Candidate, ...], Round]]:
+    """Return pairs that begin with the second effect of pairs: the first, found alone, may imitate two at once."""
+    found: list[tuple[tuple[Candidate, ...], Round]] = []
+    for pair in sorted(pairs, key=lambda pair: pair[-1].fit.criterion):
+        alone = trials.refitted(base, pair[1:], pair[-1].fit)
+        if alone and alone[0].insertion.key not in {path[0].insertion.key for path, _ in found}:
+            after = _round(trials, alone[0].fit)
+            found += [((*alone, item), after) for item in _distinct(after.tried, alone[0].fit)[:1]]
+            if found and _leaves_noise(found[-1][0][-1].fit):
+                break
+    return found
 
 
 def _round(trials: Trials, before: Fit) -> Round:

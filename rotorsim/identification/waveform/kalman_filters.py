@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorsim.linear.sampled import recursion
+from rotorsim.linear.sampled import outputs
 
 DOUBLINGS = 30  # of the samples that a steady filter has seen: 1e9. From 40 on rounding decides where there is none
 CONVERGED = 1e-12  # relative change from which on there is one
@@ -91,5 +91,4 @@ class Whitening:
 
     def innovations(self, y: np.ndarray) -> np.ndarray:
         """Return the innovations (N, c, K) of signals at the outputs."""
-        y = y / self.noise[:, None]
-        return np.asarray(self.root @ (y - self.H @ recursion(self.F, self.gain, y)[:-1]))
+        return outputs(self.F, self.gain, -self.root @ self.H, self.root, y / self.noise[:, None])

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -19,7 +20,7 @@ from rotorsim.diagram.diagram import Diagram, Node, Wire
 from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
-from rotorsim.linear.sampled import recursion, zero_order_hold
+from rotorsim.linear.sampled import outputs, recursion, zero_order_hold
 from rotorsim.model.matrix_function import MatrixFunction
 
 CONSTANT = 1e-9  # relative: Jacobians that change less along all runs are those of a linear diagram
@@ -59,8 +60,14 @@ class LinearisedRun:
 
     def responses(self, place: int, added: np.ndarray) -> np.ndarray:
         """Return the outputs (N, c, K) of signals (N, K) that are added to one wire."""
-        states = recursion(self.F, self.G[:, :, [place]], added[:, None, :])
-        return np.asarray(self.H @ states[:-1] + self.D[:, :, place, None] * added[:, None, :])
+        G, D = self._entering
+        return outputs(self.F, G[place], self.H, D[place], added[:, None, :])
+
+    @cached_property
+    def _entering(self) -> tuple[np.ndarray, np.ndarray]:
+        """G (P, N or 1, n, 1) and D (P, N or 1, c, 1), those of one place side by side."""
+        G, D = (np.moveaxis(M, 2, 0)[..., None].copy() for M in (self.G, self.D))
+        return G, D
 
 
 @dataclass(frozen=True)
