@@ -104,8 +104,8 @@ def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, 
         "false_names": [],
         "class_sizes": [],
         "credit": {},
+        "place_classes": None,
         "places": None,
-        "wires": None,
     }
     if diagnosis is None:
         return result
@@ -131,8 +131,8 @@ def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, 
                         result["parameters"].append({"physics": first, "name": name, **_estimate(found, *known)})
     result["false_names"] = [first for first, names, _ in answers if not names & right and first != OUTSIDE]
     result["class_sizes"] = [len(names) for _, names, _ in answers]
-    result["places"] = len(_classes(diagnosis.get("where", []))) or None
-    result["wires"] = len(diagnosis.get("where", [])) or None
+    result["place_classes"] = len(_classes(diagnosis.get("where", []))) or None
+    result["places"] = len(diagnosis.get("where", [])) or None
     result["right"] = _verdict_right(kind, diagnosis["verdict"], result)
     if kind == "outside" and "accepted" in truth:  # who names a law that others call outside is right as well
         result["right"] |= bool(answers) and all(names & right for _, names, _ in answers)
@@ -156,16 +156,15 @@ def _effect(truth: dict[str, Any], physics: str) -> dict[str, float]:
 def _located(truth: dict[str, Any], physics: str, where: list[dict[str, Any]]) -> bool | None:
     """Return whether a likely place is right: its block and, on a beam, the node. None if the truth has no place.
 
-    In a generic diagram: whether it is in one of as many of the likeliest classes as effects are missing.
+    Likely are as many of the likeliest classes of places as effects are missing.
     """
+    best = [place for one in _classes(where)[: len(truth["missing"])] for place in one]
     if physics in truth.get("accepted", {}):
         ports = truth["accepted"][physics]
-        best = [place for one in _classes(where)[: len(truth["missing"])] for place in one]
         return any(f"{place.get('block')}.{place.get('port')}" in ports for place in best)
     blocks, node = truth.get("blocks", {}).get(physics), truth["nodes"].get(physics)
     if not blocks and node is None:
         return None
-    best = sorted(where, key=lambda place: -float(place.get("probability") or 0))[: len(truth["missing"])]
     return any(
         (not blocks or place.get("block") in blocks or place.get("block") == physics)
         and (node is None or place.get("node") == node)

@@ -61,8 +61,8 @@ def summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
         "named_exactly": _count([item["exact"][physics] for item, physics in rows]),
         "located": _count([item["located"].get(physics) for item, physics in rows]),
         "credit": _numbers([item["credit"].get(physics) for item, physics in rows]),
+        "place_classes": _numbers([item["place_classes"] for item in known]),
         "places": _numbers([item["places"] for item in known]),
-        "wires": _numbers([item["wires"] for item in known]),
         "false_name": _count([bool(item["false_names"]) for item in known]),
         "false_alarm": _count([item["verdict"] != "consistent" for item in kind["nothing"]]),
         "missed": _count([item["verdict"] == "consistent" for item in known]),
@@ -169,8 +169,8 @@ def markdown(result: dict[str, Any], title: str) -> str:
         f"| {text} | mean {result[key]['mean']:.3g} ({result[key]['of']}) |"
         for key, text in (
             ("credit", "names, 1/n in a class of n"),
-            ("places", "classes of places reported"),
-            ("wires", "places in them"),
+            ("place_classes", "classes of places reported"),
+            ("places", "places in them"),
         )
         if result[key]["of"]
     ]

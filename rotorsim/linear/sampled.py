@@ -27,55 +27,38 @@ MOST_DOUBLINGS = 30  # of a step: each may double the rounding of slow modes bes
 _C = """
 #include <stdint.h>
 #if defined(_WIN32)
-__declspec(dllexport)
+#define EXPORT __declspec(dllexport)
 #else
-__attribute__((visibility("default")))
+#define EXPORT __attribute__((visibility("default")))
 #endif
-/* x (N + 1, n, K): x_(k+1) = F_k x_k + G_k d_k, F (N, n, n), G (N, n, P), d (N, P, K); varying 0: F and G have one
- * sample. */
-void rs_recursion(int64_t N, int64_t n, int64_t P, int64_t K, int64_t varying, const double *F, const double *G,
-                  const double *d, double *x) {
-  for (int64_t k = 0; k < N; ++k, x += n * K, d += P * K) {
-    const double *f = F + varying * k * n * n, *g = G + varying * k * n * P;
-    double *to = x + n * K;
-    for (int64_t i = 0; i < n; ++i, to += K) {
-      for (int64_t c = 0; c < K; ++c) to[c] = 0.0;
-      for (int64_t j = 0; j < P; ++j)
-        for (int64_t c = 0; c < K; ++c) to[c] += g[i * P + j] * d[j * K + c];
-      for (int64_t j = 0; j < n; ++j)
-        for (int64_t c = 0; c < K; ++c) to[c] += f[i * n + j] * x[j * K + c];
-    }
+/* to (m, K) = A x + B d, A (m, n), x (n, K), B (m, P), d (P, K). */
+static void rs_sum(int64_t m, int64_t n, int64_t P, int64_t K, const double *A, const double *x, const double *B,
+                   const double *d, double *to) {
+  for (int64_t i = 0; i < m; ++i, to += K) {
+    for (int64_t c = 0; c < K; ++c) to[c] = 0.0;
+    for (int64_t j = 0; j < P; ++j)
+      for (int64_t c = 0; c < K; ++c) to[c] += B[i * P + j] * d[j * K + c];
+    for (int64_t j = 0; j < n; ++j)
+      for (int64_t c = 0; c < K; ++c) to[c] += A[i * n + j] * x[j * K + c];
   }
 }
-#if defined(_WIN32)
-__declspec(dllexport)
-#else
-__attribute__((visibility("default")))
-#endif
+/* x (N + 1, n, K): x_(k+1) = F_k x_k + G_k d_k, F (N, n, n), G (N, n, P), d (N, P, K); varying 0: F and G have one
+ * sample. */
+EXPORT void rs_recursion(int64_t N, int64_t n, int64_t P, int64_t K, int64_t varying, const double *F, const double *G,
+                         const double *d, double *x) {
+  for (int64_t k = 0; k < N; ++k, x += n * K, d += P * K, F += varying * n * n, G += varying * n * P)
+    rs_sum(n, n, P, K, F, x, G, d, x + n * K);
+}
 /* y (N, c, K): y_k = H_k x_k + D_k d_k of that recursion, H (N, c, n), D (N, c, P); x: room for 2 n K. */
-void rs_outputs(int64_t N, int64_t n, int64_t P, int64_t c, int64_t K, int64_t varying, const double *F,
-                const double *G, const double *H, const double *D, const double *d, double *x, double *y) {
-  double *to = x + n * K;
+EXPORT void rs_outputs(int64_t N, int64_t n, int64_t P, int64_t c, int64_t K, int64_t varying, const double *F,
+                       const double *G, const double *H, const double *D, const double *d, double *x, double *y) {
+  double *next = x + n * K;
   for (int64_t i = 0; i < n * K; ++i) x[i] = 0.0;
   for (int64_t k = 0; k < N; ++k, d += P * K, y += c * K) {
-    const double *f = F + varying * k * n * n, *g = G + varying * k * n * P;
-    const double *h = H + varying * k * c * n, *e = D + varying * k * c * P;
-    for (int64_t i = 0; i < c; ++i)
-      for (int64_t q = 0; q < K; ++q) {
-        double sum = 0.0;
-        for (int64_t j = 0; j < n; ++j) sum += h[i * n + j] * x[j * K + q];
-        for (int64_t j = 0; j < P; ++j) sum += e[i * P + j] * d[j * K + q];
-        y[i * K + q] = sum;
-      }
-    for (int64_t i = 0; i < n; ++i)
-      for (int64_t q = 0; q < K; ++q) {
-        double sum = 0.0;
-        for (int64_t j = 0; j < P; ++j) sum += g[i * P + j] * d[j * K + q];
-        for (int64_t j = 0; j < n; ++j) sum += f[i * n + j] * x[j * K + q];
-        to[i * K + q] = sum;
-      }
+    rs_sum(c, n, P, K, H + varying * k * c * n, x, D + varying * k * c * P, d, y);
+    rs_sum(n, n, P, K, F + varying * k * n * n, x, G + varying * k * n * P, d, next);
     double *last = x;
-    x = to, to = last;
+    x = next, next = last;
   }
 }
 """

@@ -19,6 +19,7 @@ from rotorsim.diagnosis.evidence.harmonic.residual import taken_at
 from rotorsim.diagnosis.evidence.harmonic.scoring import standardised
 from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
 from rotorsim.diagnosis.search.candidates import Round
+from rotorsim.diagnosis.search.selection import likely_places
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Place, Problem
 from rotorsim.identification.waveform.search import OutputErrorSearch
@@ -139,14 +140,17 @@ def test_places_are_listed_from_one_percent_on(more, places):
     assert {str(spot) for spot in effect_of(here, Round(before, (here, there)), 0.0).spots} == places
 
 
-@pytest.mark.parametrize(("more", "sizes"), [(0.009, [2]), (0.011, [1, 1])])
-def test_places_whose_criteria_are_a_hundredth_apart_are_one_class(more, sizes):
-    before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
+@pytest.mark.parametrize(
+    ("scale", "more", "sizes"), [(1.0, 0.009, [2]), (1.0, 0.011, [1, 1]), (5.0, 0.049, [2]), (5.0, 0.051, [1, 1])]
+)
+def test_places_whose_criteria_are_a_hundredth_apart_are_one_class(scale, more, sizes):
+    """In units of the noise: odds of e^0.005, 1.005 to 1."""
     here, there = candidate("rub", 900.0, 1), candidate("rub", 900.0 + more, 1)
     there.insertion.spot = Spot("rotor", "elsewhere")
-    places = effect_of(here, Round(before, (here, there)), 0.0).places
+    places = likely_places((here, there), scale)
     assert [len(one.places) for one in places] == sizes
     assert sum(one.probability for one in places) == pytest.approx(1.0)
+    assert likely_places((), scale) == ()
 
 
 # --- lines that channels pick up --------------------------------------------------------------------------------------

@@ -191,3 +191,20 @@ def test_a_sign_in_a_loop_is_not_linear_for_any_analysis(law):
     model = compile_diagram(load(document))
     assert model.linear == (law == "gain")
     assert is_linear(model, ["speed.output"]) == (law == "gain")
+
+
+@pytest.mark.parametrize("varying", [False, True])
+@pytest.mark.parametrize("use_compiler", [True, False])
+def test_outputs_are_those_of_the_recursion_written_out(varying, use_compiler, monkeypatch):
+    N, n, P, c, K = 7, 3, 2, 4, 5
+    draw = np.random.default_rng(4).normal
+    F, G, H, D = (draw(size=(N if varying else 1, *shape)) for shape in ((n, n), (n, P), (c, n), (c, P)))
+    d = draw(size=(N, P, K))
+    if not use_compiler:
+        monkeypatch.setattr(sampled, "_recursion", lambda: None)
+    found = sampled.outputs(F, G, H, D, d)
+    x = np.zeros((n, K))
+    for k in range(N):
+        j = k if varying else 0
+        np.testing.assert_allclose(found[k], H[j] @ x + D[j] @ d[k], rtol=1e-12, atol=1e-12)
+        x = F[j] @ x + G[j] @ d[k]

@@ -141,9 +141,9 @@ def _found_before(
     if not others:
         return None
     last = _round(trials, others[-1].fit)
-    better = last.best is not None and last.best.fit.criterion < again[-1].fit.criterion
-    chosen = (*others, last.best) if better and last.best is not None else again
-    return chosen, [*[first] * len(others), last]
+    best = last.best
+    kept = best is None or best.fit.criterion >= again[-1].fit.criterion
+    return again if kept or best is None else (*others, best), [*[first] * len(others), last]
 
 
 def _begun_anew(
@@ -327,6 +327,7 @@ def likely_places(tried: Sequence[Candidate], scale: float) -> tuple[PlaceClass,
 
     scale: variance of the noise, as a factor.
     """
+    scale = max(scale, 1.0)
     best: dict[Spot, float] = {}
     for item in tried:
         if not item.fit.failure:
@@ -334,11 +335,11 @@ def likely_places(tried: Sequence[Candidate], scale: float) -> tuple[PlaceClass,
             best[spot] = min(best.get(spot, np.inf), item.fit.criterion)
     classes: list[list[Spot]] = []
     for spot in sorted(best, key=lambda spot: best[spot]):
-        if classes and best[spot] - best[classes[-1][0]] <= SAME:
+        if classes and best[spot] - best[classes[-1][0]] <= SAME * scale:
             classes[-1].append(spot)
         else:
             classes.append([spot])
     far = np.array([best[spots[0]] - best[classes[0][0]] for spots in classes])
-    weights = np.exp(-0.5 * far / max(scale, 1.0))
+    weights = np.exp(-0.5 * far / scale)
     pairs = zip(classes, weights / weights.sum(), strict=True)
     return tuple(PlaceClass(tuple(spots), float(weight)) for spots, weight in pairs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -91,4 +92,9 @@ class Whitening:
 
     def innovations(self, y: np.ndarray) -> np.ndarray:
         """Return the innovations (N, c, K) of signals at the outputs."""
-        return outputs(self.F, self.gain, -self.root @ self.H, self.root, y / self.noise[:, None])
+        return outputs(self.F, self.gain, self._predicting, self.root, y / self.noise[:, None])
+
+    @cached_property
+    def _predicting(self) -> np.ndarray:
+        """What takes predicted states to the innovations, (N or 1, c, n)."""
+        return np.asarray(-self.root @ self.H)
