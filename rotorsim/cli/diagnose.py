@@ -197,7 +197,7 @@ def _text(diagnosis: Diagnosis) -> str:
     """Return verdict, table of what is missing, places, and the statement."""
     parts = [f"verdict: {diagnosis.verdict}"]
     rows = [
-        (name, f"{probability:.2g}", spot.words if (spot := effect.spot_of(name)) else "")
+        (name, f"{probability:.2g}", effect.at(name))
         for effect in diagnosis.effects
         for name, probability in effect.members.items()
     ]

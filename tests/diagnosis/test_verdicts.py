@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rotorsim.diagnosis.catalogue.insertion import Spot
+from rotorsim.diagnosis.conclude.result import Effect
 from rotorsim.diagnosis.conclude.validation import is_faint, is_material, material_effects, prove
 from rotorsim.diagnosis.conclude.verdict import is_no_explanation, nearest, places_of, verdict_of
 from rotorsim.diagnosis.evidence.evidence import HeldScore
@@ -256,3 +257,16 @@ def test_outside_the_catalogue_the_places_are_those_of_a_free_signal():
     assert places_of(found, (effect, again, effect)) == (imitation, *again.places)  # each place once
     unknown = selection(left(50.0), (None,), (), left(1.9), SimpleNamespace(classes=()))
     assert places_of(unknown, (effect,), outside=True) == (imitation,)
+
+
+def test_an_effect_is_said_to_be_at_all_places_that_no_data_tell_apart():
+    """FAULT: the table named one wire of a chain of three, with nothing of the other two."""
+    amplifier, coil, velocity = Spot("amplifier", "output"), Spot("coil", "output"), Spot("velocity", "output")
+    candidates = [
+        SimpleNamespace(insertion=SimpleNamespace(physics=name, spot=spot))
+        for name, spot in (("lag", amplifier), ("delay", velocity), ("unknown", None))
+    ]
+    rivals = {item.insertion.physics: item for item in candidates[1:]}
+    members = {"lag": 0.6, "delay": 0.3, "unknown": 0.1}
+    effect = Effect(candidates[0], members, rivals, (PlaceClass((amplifier, coil), 0.97),))
+    assert [effect.at(name) for name in members] == ["amplifier.output or coil.output", "velocity.output", ""]

@@ -52,6 +52,13 @@ class Effect:
         item = self.candidate if physics == self.physics else self.rivals.get(physics)
         return None if item is None else item.insertion.spot
 
+    def at(self, physics: str) -> str:
+        """Return in words where a member of the class acts: its place, with all that no data tell from it."""
+        spot = self.spot_of(physics)
+        if spot is None:
+            return ""
+        return next((one.words for one in self.places if spot in one.places), spot.words)
+
     def depends_on(self, physics: str) -> str:
         """Return the signal, beside that of its place, which a member of the class depends on; empty where on none."""
         item = self.candidate if physics == self.physics else self.rivals.get(physics)
