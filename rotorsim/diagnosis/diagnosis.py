@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.conclude import verdict as verdicts
 from rotorsim.diagnosis.conclude.disturbance import is_unpredicted, unmeasured
-from rotorsim.diagnosis.conclude.result import Diagnosis, taken_twice
+from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, taken_twice
 from rotorsim.diagnosis.conclude.shares import Explained, explanations, residual_of
+from rotorsim.diagnosis.conclude.unknown_force import UnknownForce
 from rotorsim.diagnosis.conclude.validation import Proof, is_faint, material_effects, prove
 from rotorsim.diagnosis.conclude.wording import next_experiment, statement
+from rotorsim.diagnosis.evidence.evidence import Evidence
+from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.open import Opened, open_evidence
 from rotorsim.diagnosis.search.selection import Selection, select_effects, without_effects
 from rotorsim.diagram.diagram import Diagram
@@ -78,8 +81,26 @@ def _checked(recording: Recording | OrderRecording) -> list[Problem]:
     return problems
 
 
-def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
-    """Return the diagnosis without its words."""
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A selection with its effects, what hold-out runs say of them, and the verdict."""
+
+    selection: Selection
+    effects: tuple[Effect, ...]
+    verdict: str
+    proof: Proof | None
+
+    @property
+    def disproved(self) -> bool:
+        return self.proof is not None and self.proof.status == "disproved"
+
+    @property
+    def outside(self) -> bool:
+        return self.verdict == "outside_catalogue"
+
+
+def _judged(opened: Opened, selection: Selection) -> _Judged:
+    """Return a selection without what hold-out runs do not show, and the verdict that follows."""
     evidence, validation, converters = opened.evidence, opened.evidence.validation, opened.converters
     proof: Proof | None = None
     faint = False
@@ -104,19 +125,35 @@ def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
     )
     if verdict == "consistent" and evidence.structure(selection.fit):
         verdict = "outside_catalogue"
-    if verdict == "missing_physics" and verdicts.is_no_explanation(selection, evidence.unexplained(selection.fit)):
-        verdict = "outside_catalogue"
-    verdict = "outside_catalogue" if taken_twice(effects) else verdict
-    unknown = verdicts.unknown_of(selection, effects, evidence) if verdict == "outside_catalogue" else None
-    before = opened.before if converters else selection.base
-    after = verdicts.nearest(selection, unknown, disproved=disproved)
-    if verdict != "outside_catalogue" and selection.chosen:
-        after = evidence.finished(after, [item.insertion for item in selection.chosen])
-        quieter = evidence.recalibrated(after)  # its residual is the better measure of the noise
-        if quieter is not None:
-            evidence, before, after = quieter, quieter.at(before), quieter.fit(after.document, [[after.values]])
-        if after is not selection.fit:
-            effects = tuple(replace(item, candidate=replace(item.candidate, fit=after)) for item in effects)
+    if verdict == "missing_physics":
+        imitates = verdicts.is_no_explanation(selection, evidence.unexplained(selection.fit))
+        verdict = "outside_catalogue" if imitates or taken_twice(effects) else verdict
+    return _Judged(selection, effects, verdict, proof)
+
+
+def _repaired(opened: Opened, judged: _Judged, unknown: UnknownForce | None) -> tuple[Evidence, Fit, Fit]:
+    """Return the fits of the diagram as given and repaired, and the evidence, whose noise is what the better leaves."""
+    evidence, selection = opened.evidence, judged.selection
+    before = opened.before if opened.converters else selection.base
+    after = verdicts.nearest(selection, unknown, disproved=judged.disproved)
+    if judged.outside or not selection.chosen:
+        return evidence, before, after
+    after = evidence.finished(after, [item.insertion for item in selection.chosen])
+    quieter = evidence.recalibrated(after)
+    if quieter is None:
+        return evidence, before, after
+    return quieter, quieter.at(before), quieter.fit(after.document, [[after.values]])
+
+
+def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
+    """Return the diagnosis without its words."""
+    validation, converters = opened.evidence.validation, opened.converters
+    judged = _judged(opened, selection)
+    selection, effects, verdict, proof = judged.selection, judged.effects, judged.verdict, judged.proof
+    unknown = verdicts.unknown_of(selection, effects, opened.evidence) if judged.outside else None
+    evidence, before, after = _repaired(opened, judged, unknown)
+    if not judged.outside and after is not selection.fit:
+        effects = tuple(replace(item, candidate=replace(item.candidate, fit=after)) for item in effects)
     explained: tuple[Explained, ...] = ()
     residual = None
     if validation is not None and verdict == "missing_physics":
