@@ -24,42 +24,66 @@ from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compile
 TERMS = 18  # of the series of phi_3 at a norm of 1: the next is 1/21! = 2e-20
 MOST_DOUBLINGS = 30  # of a step: each may double the rounding of slow modes beside fast ones, 2^30 eps = 2.4e-7
 
-_C = """
+_C = r"""
 #include <stdint.h>
 #if defined(_WIN32)
 #define EXPORT __declspec(dllexport)
 #else
 #define EXPORT __attribute__((visibility("default")))
 #endif
-/* to (m, K) = A x + B d, A (m, n), x (n, K), B (m, P), d (P, K). */
-static void rs_sum(int64_t m, int64_t n, int64_t P, int64_t K, const double *A, const double *x, const double *B,
-                   const double *d, double *to) {
-  for (int64_t i = 0; i < m; ++i, to += K) {
-    for (int64_t c = 0; c < K; ++c) to[c] = 0.0;
+#define INLINE static inline __attribute__((always_inline))
+/* w columns of to = A x + B d, A (m, n), B (m, P); of what has K columns in all. */
+INLINE void rs_sum(int64_t m, int64_t n, int64_t P, int64_t K, int w, const double *A, const double *x, int64_t x_K,
+                   const double *B, const double *d, double *to, int64_t to_K) {
+  for (int64_t i = 0; i < m; ++i) {
+    double sum[8] = {0};
     for (int64_t j = 0; j < P; ++j)
-      for (int64_t c = 0; c < K; ++c) to[c] += B[i * P + j] * d[j * K + c];
+      for (int c = 0; c < w; ++c) sum[c] += B[i * P + j] * d[j * K + c];
     for (int64_t j = 0; j < n; ++j)
-      for (int64_t c = 0; c < K; ++c) to[c] += A[i * n + j] * x[j * K + c];
+      for (int c = 0; c < w; ++c) sum[c] += A[i * n + j] * x[j * x_K + c];
+    for (int c = 0; c < w; ++c) to[i * to_K + c] = sum[c];
   }
 }
+INLINE void rs_states(int64_t N, int64_t n, int64_t P, int64_t K, int w, int64_t varying, const double *F,
+                      const double *G, const double *d, double *x) {
+  for (int64_t k = 0; k < N; ++k, x += n * K, d += P * K, F += varying * n * n, G += varying * n * P)
+    rs_sum(n, n, P, K, w, F, x, K, G, d, x + n * K, K);
+}
+INLINE void rs_shown(int64_t N, int64_t n, int64_t P, int64_t c, int64_t K, int w, int64_t varying, const double *F,
+                     const double *G, const double *H, const double *D, const double *d, double *x, double *y) {
+  double *next = x + n * 8;
+  for (int64_t i = 0; i < n * 8; ++i) x[i] = 0.0;
+  for (int64_t k = 0; k < N; ++k, d += P * K, y += c * K) {
+    rs_sum(c, n, P, K, w, H + varying * k * c * n, x, 8, D + varying * k * c * P, d, y, K);
+    rs_sum(n, n, P, K, w, F + varying * k * n * n, x, 8, G + varying * k * n * P, d, next, 8);
+    double *last = x;
+    x = next, next = last;
+  }
+}
+/* call(w) for each eight columns from b on, with the number of columns known to the compiler. */
+#define EACH_EIGHT(call) \
+  for (int64_t b = 0; b < K; b += 8) switch (K - b) { \
+    case 1: call(1); break; \
+    case 2: call(2); break; \
+    case 3: call(3); break; \
+    case 4: call(4); break; \
+    case 5: call(5); break; \
+    case 6: call(6); break; \
+    case 7: call(7); break; \
+    default: call(8); \
+    }
 /* x (N + 1, n, K): x_(k+1) = F_k x_k + G_k d_k, F (N, n, n), G (N, n, P), d (N, P, K); varying 0: F and G have one
  * sample. */
 EXPORT void rs_recursion(int64_t N, int64_t n, int64_t P, int64_t K, int64_t varying, const double *F, const double *G,
                          const double *d, double *x) {
-  for (int64_t k = 0; k < N; ++k, x += n * K, d += P * K, F += varying * n * n, G += varying * n * P)
-    rs_sum(n, n, P, K, F, x, G, d, x + n * K);
+#define STATES(w) rs_states(N, n, P, K, w, varying, F, G, d + b, x + b)
+  EACH_EIGHT(STATES)
 }
-/* y (N, c, K): y_k = H_k x_k + D_k d_k of that recursion, H (N, c, n), D (N, c, P); x: room for 2 n K. */
+/* y (N, c, K): y_k = H_k x_k + D_k d_k of that recursion, H (N, c, n), D (N, c, P); x: room for 16 n. */
 EXPORT void rs_outputs(int64_t N, int64_t n, int64_t P, int64_t c, int64_t K, int64_t varying, const double *F,
                        const double *G, const double *H, const double *D, const double *d, double *x, double *y) {
-  double *next = x + n * K;
-  for (int64_t i = 0; i < n * K; ++i) x[i] = 0.0;
-  for (int64_t k = 0; k < N; ++k, d += P * K, y += c * K) {
-    rs_sum(c, n, P, K, H + varying * k * c * n, x, D + varying * k * c * P, d, y);
-    rs_sum(n, n, P, K, F + varying * k * n * n, x, G + varying * k * n * P, d, next);
-    double *last = x;
-    x = next, next = last;
-  }
+#define SHOWN(w) rs_shown(N, n, P, c, K, w, varying, F, G, H, D, d + b, x, y + b)
+  EACH_EIGHT(SHOWN)
 }
 """
 
@@ -147,7 +171,7 @@ def outputs(F: np.ndarray, G: np.ndarray, H: np.ndarray, D: np.ndarray, d: np.nd
     if (library := _recursion()) is None:
         return np.asarray(H @ recursion(F, G, d)[:-1] + D @ d)
     (N, P, K), n, c = d.shape, F.shape[1], H.shape[1]
-    y, x = np.empty((N, c, K)), np.empty(2 * n * K)
+    y, x = np.empty((N, c, K)), np.empty(16 * n)
     arrays = [np.ascontiguousarray(a, float) for a in (F, G, H, D, d)]
     library.rs_outputs(N, n, P, c, K, int(len(F) > 1), *(a.ctypes.data for a in (*arrays, x, y)))
     return y
