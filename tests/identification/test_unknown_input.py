@@ -6,12 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete
 
 from rotorsim.identification.waveform.data import Channels, SampledRun
-from rotorsim.identification.waveform.kalman_filters import Filters
-from rotorsim.identification.waveform.kalman_filters import steady_variance as riccati
 from rotorsim.identification.waveform.linearised import LinearisedRun, Place, linearised, places_of
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
@@ -222,41 +219,6 @@ def test_places_in_proportion_have_one_likelihood_and_are_one_class():
     assert not {"first.output", "second.outputreading"} <= next(one for one in classes if "first.output" in one)
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e-6])
-def test_what_nothing_observes_has_no_steady_filter_in_any_unit(unit):
-    """FAULT: a constant added to a servo's speed, where it is read and taken, moves nothing once the speed is its
-    opposite; after 40 doublings rounding decided that some of its filters were steady, which ones hung on the unit."""
-    F = np.array([[0.97516, -0.0592532, -1.2e-4 * unit], [4.93777e-3, 0.999851, 2.4e-5 * unit], [0.0, 0.0, 1.0]])
-    constant = np.array([-0.98 * unit / 202.0, 0.0, 1.0])  # is not read, and stays
-    F[:2, 2] = ((np.eye(3) - F) @ constant)[:2] + F[:2, 2]
-    H = np.array([[202.0 / unit, 0.0, 0.98], [0.0, 400.0 / unit, 0.0]])
-    assert H @ constant == pytest.approx([0, 0], abs=1e-12)
-    assert F @ constant == pytest.approx(constant)
-    filters = [np.diag([1e-14 * unit**2, 4e-16 * unit**2, q]) for q in 10.0 ** np.arange(-7, 4)]
-    for left, steady in ((1.0, False), (0.999, True)):
-        F[2, 2] = left
-        count = len(filters)
-        assert (riccati(np.tile(F, (count, 1, 1)), np.tile(H, (count, 1, 1)), np.stack(filters))[1] == steady).all()
-
-
-def test_steady_filters_are_those_of_the_riccati_equation():
-    """Of SciPy; where two integrators and a free signal leave every eigenvalue at one, too, where SciPy finds none."""
-    random = np.random.default_rng(3)
-    F, H = random.normal(size=(4, 3, 3)) * 0.4, random.normal(size=(4, 2, 3))
-    Q = np.tile(np.diag([1e-3, 1e-2, 4.0]), (4, 1, 1))
-    found, steady = riccati(F, H, Q)
-    assert steady.all()
-    for b in range(4):
-        np.testing.assert_allclose(found[b], solve_discrete_are(F[b].T, H[b].T, Q[b], np.eye(2)), rtol=1e-9)
-    dt = 0.025
-    F = np.array([[[1.0, 0.0, dt], [dt, 1.0, dt**2 / 2], [0.0, 0.0, 1.0]]])
-    H, Q = np.array([[[0.0, 10.0, 0.0]]]), np.diag([1e-14, 1e-14, 1e-4])[None]
-    [P], steady = riccati(F, H, Q)
-    assert steady.all()
-    K = F[0] @ P @ H[0].T / (H[0] @ P @ H[0].T + 1)
-    np.testing.assert_allclose(F[0] @ P @ (F[0] - K @ H[0]).T + Q[0], P, rtol=1e-9, atol=1e-9 * np.abs(P).max())
-
-
 @pytest.mark.parametrize("document", [SERVO, pytest.param(CURVED, marks=pytest.mark.slow)], ids=["linear", "nonlinear"])
 def test_innovations_of_a_filter_have_the_misfit_and_the_variances_of_its_estimate(document):
     _, runs = analysed(recorded(6, slow(7), 1), document)
@@ -391,23 +353,3 @@ def test_the_motion_is_smoothed_whatever_the_first_place_shows():
     G[:, :, 0], D[:, :, 0] = 0.0, 0.0
     [motion] = smoothed_motion([replace(run, G=G, D=D)], NOISE)
     np.testing.assert_array_equal(motion, smoothed_motion([run], NOISE)[0])
-
-
-def test_a_filter_that_diverges_is_none_and_leaves_the_others():
-    """FAULT: the variance of one hypothesis that lost all digits stopped a diagnosis with a LinAlgError."""
-    F, H = np.tile(0.5 * np.eye(2), (3, 1, 1)), np.tile(np.array([[1.0, 1.0]]), (3, 1, 1))
-    good = np.diag([3.0, 0.0])
-    filters = Filters.of(F, H, np.stack([np.full((2, 2), np.nan), good, -1e3 * np.eye(2)]))
-    assert filters.log_det.tolist() == [np.inf, pytest.approx(np.log(4.0)), np.inf]
-    np.testing.assert_allclose(filters.gain[1], [[0.5 * 3 / 4], [0.0]])
-    assert np.isfinite(filters.P).all()
-    assert np.isfinite(filters.gain).all()
-
-
-def test_a_variance_that_rounding_spoils_is_that_of_no_filter():
-    """FAULT: its eigenvalues looked positive, but it has no Cholesky factor, and a diagnosis of a generator stopped."""
-    large = np.array([-77419083.4263313, -441149794.4708472, -815633915.1930069])
-    one = np.eye(3)
-    filters = Filters.of(np.stack([one, one]), np.stack([one, one]), np.stack([np.outer(large, large), one]))
-    assert filters.log_det.tolist() == [np.inf, pytest.approx(3 * np.log(2.0))]
-    np.testing.assert_allclose(filters.gain[1], one / 2)

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorsim.identification.waveform.kalman_filters import Filters, Whitening, steady_variance
 from rotorsim.identification.waveform.linearised import LinearisedRun
+from rotorsim.linear.kalman import Systems, Whitening
 
 STRENGTHS = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of the signal, in noise of the outputs and root seconds; of
 # nonlinear diagrams, whose filters change from sample to sample, every fourth
@@ -31,7 +31,6 @@ PARALLEL = 1e-9  # less than one: cosine between transfer vectors that are equal
 LEAST_RESPONSE = 1e-12  # of the largest of all places: what has less does not show
 STATE_STRENGTHS = (0.1, 1.0, 10.0, 100.0)  # strengths of what drives all states, in noise of the outputs a sample
 REGULAR = 1e-3  # of the noise, by states that are driven at every sample: what nothing drives has no steady filter
-CHUNK = 64  # samples whose innovations are kept at a time
 INFORMATION_RANK = 1e-12  # of the information on parameters
 
 
@@ -193,113 +192,60 @@ class UnknownInputs:
 
     def _innovations(self, pairs: Sequence[Hypothesis]) -> tuple[np.ndarray, np.ndarray, list[Hypothesis]]:
         """Return the products (B, 1 + m, 1 + m) of the innovations of residual and sensitivities, and log variances."""
-        total: np.ndarray | float = 0.0
-        log_dets: np.ndarray | float = 0.0
-        kept = list(pairs)
+        kept, columns = list(pairs), 1 + self.runs[0].by_output.shape[2]
+        total, log_dets = np.zeros((len(kept), columns, columns)), np.zeros(len(kept))
         for run in self.runs:
-            columns = self._columns(run)
-            left = self._left(run, kept, (0.0, *TIMES_FORGOTTEN))
-            steady, here = self._started(run, kept, left)
-            left = left[[pair in here for pair in kept]]
-            if len(here) < len(kept):  # without a steady filter in one run: none in all
-                chosen = [kept.index(pair) for pair in here]
-                total, log_dets = (np.asarray(part)[chosen] if np.ndim(part) else part for part in (total, log_dets))
-                kept = here
-            entering = self._entering(run, kept)
-            x = np.zeros((len(kept), steady.F.shape[1], columns.shape[2]))
-            parts: list[np.ndarray] = []
-            for k, y in enumerate(columns):
-                if not run.constant and k:
-                    steady = self._advanced(run, kept, entering, steady, k, left)
-                difference = y - steady.H @ x
-                parts.append(steady.root @ difference)
-                x = steady.F @ x + steady.gain @ difference
-                log_dets = log_dets + steady.log_det
-                if len(parts) == CHUNK or k == len(columns) - 1:
-                    v = np.concatenate(parts, axis=1)
-                    total, parts = total + v.swapaxes(1, 2) @ v, []
-        return np.asarray(total), np.asarray(log_dets), kept
+            systems, P, steady = self._started(run, kept, (0.0, *TIMES_FORGOTTEN))
+            products, log_det = systems.of(steady).products(P[steady], self._columns(run))
+            total, log_dets = total[steady] + products, log_dets[steady] + log_det
+            kept = [pair for pair, found in zip(kept, steady, strict=True) if found]  # without one in one run: in none
+        return total, log_dets, kept
 
     def _columns(self, run: LinearisedRun) -> np.ndarray:
         """Return residual and derivatives of a run in units of the noise, (N, c, 1 + m)."""
         return np.asarray(np.concatenate([run.residual[:, :, None], run.by_output], axis=2) / self.noise[:, None])
 
-    def _augmented(
-        self, run: LinearisedRun, pairs: Sequence[Hypothesis], k: int, left: np.ndarray | float = 1.0
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return F and H of x and d at sample k, for each pair; left: the part of d that is left a sample later."""
-        n, B = run.F.shape[1], len(pairs)
+    def _systems(self, run: LinearisedRun, pairs: Sequence[Hypothesis], kept: np.ndarray) -> Systems:
+        """Return a run with a signal for each pair, outputs in their noise; kept (B,): its part a sample later."""
         place = [item.place for item in pairs]
         scale = np.where(np.isfinite(self.scales[place]), self.scales[place], 0.0)  # what does not show drives nothing
-        j = 0 if run.constant else k
-        F, H = np.zeros((B, n + 1, n + 1)), np.zeros((B, run.H.shape[1], n + 1))
-        F[:, :n, :n], F[:, :n, n], F[:, n, n] = run.F[j], (run.G[j][:, place] * scale).T, left
-        H[:, :, :n], H[:, :, n] = run.H[j] / self.noise[:, None], (run.D[j][:, place] * scale).T / self.noise
-        return F, H
-
-    def _entering(self, run: LinearisedRun, pairs: Sequence[Hypothesis]) -> np.ndarray:
-        """Return the variance of what enters x and d at every sample, (B, n + 1, n + 1)."""
-        Q = np.zeros((len(pairs), len(self.states) + 1, len(self.states) + 1))
-        for own, item in zip(Q, pairs, strict=True):
-            np.fill_diagonal(own, [*(item.regular * self.states) ** 2, item.strength**2 * run.dt])
-        return Q
+        noise = self.noise[:, None]
+        enters = [[*(item.regular * self.states) ** 2, item.strength**2 * run.dt] for item in pairs]
+        G, D = run.G[:, :, place] * scale, run.D[:, :, place] * scale / noise
+        return Systems(run.F, G, run.H / noise, D, kept, np.array(enters).reshape(len(pairs), -1))
 
     def _started(
-        self, run: LinearisedRun, pairs: Sequence[Hypothesis], left: np.ndarray | float = 1.0
-    ) -> tuple[Filters, list[Hypothesis]]:
-        """Return the steady filters of a run (of its first sample), and the pairs that have one."""
-        F, H = self._augmented(run, pairs, 0, left)
-        P, steady = steady_variance(F, H, self._entering(run, pairs))
-        return Filters.of(F[steady], H[steady], P[steady]), [pairs[b] for b in np.flatnonzero(steady).tolist()]
+        self, run: LinearisedRun, pairs: Sequence[Hypothesis], times: Sequence[float]
+    ) -> tuple[Systems, np.ndarray, np.ndarray]:
+        """Return a run with a signal for each pair, the variances P of the steady filters, and which have one.
 
-    def _left(self, run: LinearisedRun, pairs: Sequence[Hypothesis], times: Sequence[float]) -> np.ndarray:
-        """Return the part of d that is left a sample later, (B,): the first that has a steady filter, else all.
-
-        times: in the run that d is forgotten.
+        times: in the run that a signal is forgotten; the first that leaves it a steady filter, else never.
         """
-        left, open_ones = np.ones(len(pairs)), [*range(len(pairs))]
+        size = len(self.states) + 1
+        kept, P, found = np.ones(len(pairs)), np.zeros((len(pairs), size, size)), np.zeros(len(pairs), bool)
         for forgotten in times:
-            part = float(np.exp(-forgotten / len(run.residual)))
-            _, kept = self._started(run, [pairs[k] for k in open_ones], part)
-            left[[k for k in open_ones if pairs[k] in kept]] = part
-            open_ones = [k for k in open_ones if pairs[k] not in kept]
-            if not open_ones:
+            left = np.flatnonzero(~found)
+            part = np.full(len(left), np.exp(-forgotten / len(run.residual)))
+            first, steady = self._systems(run, [pairs[k] for k in left.tolist()], part).steady()
+            now = left[steady]
+            kept[now], P[now], found[now] = part[steady], first[steady], True
+            if found.all():
                 break
-        return left
-
-    def _advanced(
-        self,
-        run: LinearisedRun,
-        pairs: Sequence[Hypothesis],
-        Q: np.ndarray,
-        before: Filters,
-        k: int,
-        left: np.ndarray | float = 1.0,
-    ) -> Filters:
-        """Return the filters of the next sample by the Riccati recursion; Q: of `_entering`."""
-        F, H = self._augmented(run, pairs, k, left)
-        rest = before.F - before.gain @ before.H  # in the form of Joseph: a sum of squares stays one
-        P = rest @ before.P @ rest.swapaxes(1, 2) + before.gain @ before.gain.swapaxes(1, 2) + Q
-        return Filters.of(F, H, (P + P.swapaxes(1, 2)) / 2)
+        return self._systems(run, pairs, kept), P, found
 
     def whitening(self, place: int, strength: float) -> list[Whitening] | None:
         """Return the filters of a signal of some strength at a place in each run; None where there is none."""
         found = []
         for run in self.runs:
-            pair = [Hypothesis(place, strength)]
-            left = self._left(run, pair, (0.0, *TIMES_FORGOTTEN))
-            here, kept = self._started(run, pair, left)
-            if not kept:
+            systems, P, steady = self._started(run, [Hypothesis(place, strength)], (0.0, *TIMES_FORGOTTEN))
+            if not steady.all():
                 return None
-            filters, entering = [here], self._entering(run, pair)
-            for k in range(1, 1 if run.constant else len(run.residual)):
-                filters.append(self._advanced(run, pair, entering, filters[-1], k, left))
-            gain, H, root = (np.concatenate([getattr(f, key) for f in filters]) for key in ("gain", "H", "root"))
-            F = np.concatenate([f.F for f in filters]) - gain @ H
-            log_det = sum(float(f.log_det[0]) for f in filters) * (len(run.residual) if run.constant else 1)
+            gain, root, [log_det] = systems.gains(P, len(run.residual))
             if not np.isfinite(log_det):
                 return None
-            found.append(Whitening(F, gain, H, root, log_det, self.noise))
+            gain, root = gain[:, 0], root[:, 0]
+            F, H = (np.concatenate(parts) for parts in zip(*map(systems.augmented, range(len(gain))), strict=True))
+            found.append(Whitening(F - gain @ H, gain, H, root, float(log_det), self.noise))
         return found
 
     def smoothed(self, items: Sequence[SignalEstimate]) -> list[Smoothed]:
@@ -327,27 +273,6 @@ class UnknownInputs:
         self, run: LinearisedRun, pairs: Sequence[Hypothesis], weights: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the smoothed states x and d (N, B, n + 1) of a run and the variance of d (N, B) for each pair."""
-        y = np.einsum("kcm,bm->kbc", self._columns(run), weights)[..., None]
-        left = self._left(run, pairs, TIMES_FORGOTTEN)
-        here, _ = self._started(run, pairs, left)
-        entering = self._entering(run, pairs)
-        filters, predicted, innovations = [], [], []
-        x = np.zeros((len(pairs), here.F.shape[1], 1))
-        for k, row in enumerate(y):
-            here = here if run.constant or not k else self._advanced(run, pairs, entering, here, k, left)
-            difference = row - here.H @ x
-            filters.append(here)
-            predicted.append(x)
-            innovations.append(here.root @ difference)
-            x = here.F @ x + here.gain @ difference
-        r, N = np.zeros_like(x), np.zeros_like(here.P)
-        states, spread = np.empty((len(y), *x.shape[:2])), np.empty((len(y), len(pairs)))
-        for k in range(len(y) - 1, -1, -1):
-            one = filters[k]
-            rest, HL = one.F - one.gain @ one.H, (one.root @ one.H).swapaxes(1, 2)
-            back = rest.swapaxes(1, 2)
-            r, N = back @ r + HL @ innovations[k], back @ N @ rest + HL @ HL.swapaxes(1, 2)
-            states[k] = (predicted[k] + one.P @ r)[..., 0]
-            last = one.P[:, -1:]
-            spread[k] = (last[:, :, -1:] - last @ N @ last.swapaxes(1, 2))[:, 0, 0]
-        return states, spread
+        systems, P, _ = self._started(run, pairs, TIMES_FORGOTTEN)
+        states, spread = systems.smoothed(P, self._columns(run))
+        return np.einsum("kbim,bm->kbi", states, weights), spread
