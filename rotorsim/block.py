@@ -174,6 +174,8 @@ class State(Declaration):
     unless_wired: the state exists only while this optional input is not wired.
     when: function of the options; the state exists only where it returns True.
     fresh: it begins from ``init`` with the first sample of every recorded run, however slow it is.
+    begins: the input whose value at the first sample of a recorded run is the first guess of where it begins there, if
+    ``init`` is zero: that of a machine at rest, and inside a gap.
     """
 
     discrete: ClassVar[bool] = False
@@ -181,6 +183,7 @@ class State(Declaration):
     unless_wired: str | None = None
     when: Callable[[Any], bool] | None = None
     fresh: bool = False
+    begins: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

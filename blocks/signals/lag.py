@@ -28,7 +28,7 @@ class Lag(Block):
     output = Out(shape="signal", unit=None, doc="signal behind the lag, shape of the input")
     time_constant = Param(1e-2, unit="s", above=0.0, doc="time constant T")
     initial = Param(0.0, shape="signal", unit=None, doc="output at the start")
-    value = State(shape="signal", unit=None, init="initial", doc="output")
+    value = State(shape="signal", unit=None, init="initial", begins="input", doc="output")
 
     def equations(self, p, u, x, t):
         return Equations(outputs={"output": x.value}, derivatives={"value": (u.input - x.value) / p.time_constant})

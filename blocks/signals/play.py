@@ -60,7 +60,9 @@ class Play(Block):
     share = Param(1.0, doc="of the signal that goes through the gap (law hysteresis)")
     time_constant = Param(1e-3, unit="s", above=0.0, doc="time constant with which the value follows on a flank")
     initial = Param(0.0, shape="signal", unit=None, doc="value at the start")
-    value = State(shape="signal", unit=None, init="initial", doc="where the other side of the gap was left")
+    value = State(
+        shape="signal", unit=None, init="initial", begins="input", doc="where the other side of the gap was left"
+    )
 
     def equations(self, p, u, x, t):
         apart, half = u.input - x.value, p.width / 2

@@ -35,7 +35,7 @@ class RateLimiter(Block):
     falling = Param(-1.0, unit=None, high=0.0, doc="largest rate downwards, per second, not positive")
     time_constant = Param(1e-3, unit="s", above=0.0, doc="time constant of the lag")
     initial = Param(0.0, shape="signal", unit=None, doc="output at the start")
-    value = State(shape="signal", unit=None, init="initial", doc="output")
+    value = State(shape="signal", unit=None, init="initial", begins="input", doc="output")
 
     def check(self, values):
         """Refuse a limiter that can never move."""

@@ -5,6 +5,13 @@ from math import inf, pi
 from rotorsim.block import Block, Equations, In, Out, Param, State
 from rotorsim.fault import Fault, Sampled
 
+_FREQUENCIES = (
+    0.03,
+    0.15,
+    0.75,
+    *(0.004 * 1.5**k for k in range(16)),
+)  # times the rate: a mode of half a damping ratio off
+
 
 class SecondOrder(Block):
     """Pass a signal through a mode, entry by entry.
@@ -18,7 +25,7 @@ class SecondOrder(Block):
             physics="missing_mode",
             enters="signal",
             through={"input": "output"},
-            free={"frequency": tuple(Sampled(part, power=-1) for part in (0.03, 0.15, 0.75)), "damping_ratio": (0.1,)},
+            free={"frequency": tuple(Sampled(part, power=-1) for part in _FREQUENCIES), "damping_ratio": (0.3,)},
             most={"frequency": Sampled(pi, power=-1)},  # of Nyquist
             simpler={"frequency": (inf, "lag")},
             law="resonance at its frequency, nothing far below it",
@@ -31,7 +38,7 @@ class SecondOrder(Block):
     output = Out(shape="signal", unit=None, doc="signal behind the mode, shape of the input")
     frequency = Param(100.0, unit="rad/s", above=0.0, doc="natural frequency w")
     damping_ratio = Param(0.1, unit=None, above=0.0, doc="damping ratio")
-    value = State(shape="signal", unit=None, doc="output")
+    value = State(shape="signal", unit=None, begins="input", doc="output")
     rate = State(shape="signal", unit="1/s", doc="its rate")
 
     def equations(self, p, u, x, t):

@@ -66,14 +66,23 @@ class Candidate:
         if sizes and not any(significant):
             keys = " and ".join(name.rpartition(".")[2] for name in sizes)
             return f"its {keys} is not significantly different from zero"
+        if self.simpler is not None:
+            key, value, other = self.simpler
+            return f"its {key} is not significantly different from {value:g}: {other}"
+        return f"needs {self.astray}" if self.astray else ""
+
+    @property
+    def simpler(self) -> tuple[str, float, str] | None:
+        """The parameter whose 90 % interval holds a simpler law, its value there, and the physics of that law."""
+        names = [item.name for item in self.fit.free]
         for name in self.parameters:
             key, j = name.rpartition(".")[2], names.index(name)
             value, other = self.insertion.fault.simpler.get(key, (np.nan, ""))
-            found, half = fit.values[name], Z90 * float(np.sqrt(max(fit.covariance[j, j], 0.0)))
+            found, half = self.fit.values[name], Z90 * float(np.sqrt(max(self.fit.covariance[j, j], 0.0)))
             off = abs(found) if np.isinf(value) else abs(found - value)  # 1/found is off 0 by half / found^2
             if half >= off:
-                return f"its {key} is not significantly different from {value:g}: {other}"
-        return f"needs {self.astray}" if self.astray else ""
+                return key, value, other
+        return None
 
 
 @dataclass(frozen=True, eq=False)

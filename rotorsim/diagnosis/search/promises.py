@@ -23,6 +23,7 @@ DISTINCT = 1e-3  # relative: what promises the same does the same
 RIVAL_PLACES = 5  # of a law that is chosen, with a promise within
 NEAR_PROMISE = 2.0  # times that at its best place, as linear theory may err
 UNLIKELY = 10.0  # times the least promise, or fit, of a round: beyond, a law is not looked at with another noise
+NEXT_CLASSES, NEXT_LAWS = 3, 6  # of places, and of laws at each, that are fitted where a round explains less than half
 PROMISED = 3.0  # times the least misfit that is promised: within, each law is fitted at its best place
 
 
@@ -77,6 +78,27 @@ def at_likely_places(
         if candidates[k].law not in fitted:
             best.setdefault(candidates[k].law, k)
     return list(best.values())
+
+
+def at_next_places(
+    candidates: Sequence[Insertion],
+    promises: Sequence[Promise | None],
+    places: PlaceClass,
+    before: Fit,
+    fits: Mapping[int, Fit],
+) -> list[int]:
+    """Return the insertions of the NEXT_LAWS laws that promise most at a class of places, without those with a fit.
+
+    None where a fit explains half of the residual. What a free signal explains at one place a law there may not: of an
+    integrator whose output is recorded, a free signal explains all.
+    """
+    if any(not fit.failure and fit.misfit <= before.misfit / 2 for fit in fits.values()):
+        return []
+    known = {k: one.misfit for k, one in enumerate(promises) if one is not None and candidates[k].spot in places.places}
+    best: dict[Law, int] = {}
+    for k in sorted(known, key=lambda k: known[k]):
+        best.setdefault(candidates[k].law, k)
+    return [k for k in [*best.values()][:NEXT_LAWS] if k not in fits and known[k] < before.misfit]
 
 
 def at_other_places(

@@ -27,7 +27,9 @@ from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
 from rotorsim.diagnosis.search.promises import (
     MOST_PROMISING,
+    NEXT_CLASSES,
     at_likely_places,
+    at_next_places,
     at_other_places,
     at_rival_places,
     likely_of,
@@ -116,6 +118,9 @@ class Trials:
             unsure = () if places is None or places.sure or is_adequate(before) else classes
             others = at_likely_places(found, promises, unsure, begun)
             begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
+            for places_of_class in unsure[:NEXT_CLASSES]:
+                others = at_next_places(found, promises, places_of_class, before, begun)
+                begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
             others = at_other_places(found, promises, before, begun)
             begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
             fits = [*begun.values()]
@@ -137,6 +142,8 @@ class Trials:
             Candidate(item, fit, self._astray(before, fit), bool(fit.failure) or not fit.nonlinear or k in ended)
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
         ]
+        tried += self._meant(before, tried, untried)
+        untried = [pair for pair in untried if pair[0].key not in {item.insertion.key for item in tried}]
         likely = None if likely is None else still_likely(likely, tried)
         ordered = tuple(simplest_first(tried, self.slack))
         return self._kept(Round(before, ordered, tuple(classes), hypotheses, tuple(elsewhere), tuple(untried), likely))
@@ -371,6 +378,25 @@ class Trials:
                 for k in best:
                     fits[k] = self.evidence.finished(fits[k], [found[k]])
         return found, fits
+
+    def _meant(
+        self, before: Fit, tried: Sequence[Candidate], untried: Sequence[tuple[Insertion, Job]]
+    ) -> list[Candidate]:
+        """Return the simpler laws that the best fits stand for, where these were not tried, from what was found."""
+        fitted = [item for item in tried if not item.fit.failure]
+        found: dict[str, tuple[Insertion, Job]] = {}
+        for best in sorted(fitted, key=lambda item: item.fit.misfit)[:REFINED]:
+            physics, values = best.simpler[2] if best.simpler else "", best.fit.values
+            here = best.insertion.spot, best.insertion.depends_on
+            for item, (document, _) in untried:
+                if item.physics == physics and (item.spot, item.depends_on) == here:
+                    start = {name: value for name, value in values.items() if name not in best.parameters}
+                    pairs = ((f"{item.name}.{key}", f"{best.insertion.name}.{key}") for key in item.fault.free)
+                    start |= {own: values[other] for own, other in pairs if other in values}
+                    found.setdefault(item.key, (item, (document, [[start]])))
+        fits = self._fit([job for _, job in found.values()], Effort())
+        fitted_now = zip(found.values(), fits, strict=True)
+        return [Candidate(item, fit, self._astray(before, fit)) for (item, _), fit in fitted_now]
 
     def _again(self, jobs: Sequence[Job], fits: list[Fit], which: Sequence[int], most: int | None) -> None:
         """Carry some fits on from where they are, in place."""

@@ -29,6 +29,9 @@ LEAP = 4.0  # factor by which a positive parameter may change in a step
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8  # of the scaled information: nearly none, none, no step
 AMPLITUDES = tuple(10.0**-k for k in range(0, 25, 2))  # of what is stated, of an effect that is made smaller
 NEARBY = (100.0, 30.0, 10.0, 3.0, 0.3, 0.1)  # of that which is small enough: sizes within a step of AMPLITUDES
+WEAK = (
+    1e-8  # times the information on the state that shows best: to show as much, it would have to move 1e4 times as far
+)
 WORSE = 4.0  # times the cost without the effect, of a start that is taken
 
 Label = tuple[str, str, int]  # subsystem, state, run
@@ -67,7 +70,7 @@ class OutputErrorSearch:
 
     weights: of the squares of residuals by (subsystem, output). least: steps between samples, at least. hold: "theta"
     or "starts" are not searched. unused: samples of each run that count nothing. stepped: whether linear subsystems are
-    simulated in steps, too.
+    simulated in steps, too. continued: whether laws go on beyond where they are defined.
     """
 
     systems: tuple[Simulation, ...]
@@ -77,6 +80,7 @@ class OutputErrorSearch:
     hold: str = ""
     unused: Sequence[slice] = ()
     stepped: bool = False
+    continued: bool = False
 
     @property
     def free(self) -> tuple[Free, ...]:
@@ -144,16 +148,22 @@ class OutputErrorSearch:
     def first(self, known: Mapping[Label, float] | None = None) -> np.ndarray:
         """Return the unknowns that the diagram states; known: states at the first samples, as `starts` returns them."""
         starts: list[float] = []
+        known, theta = known or {}, [item.value for item in self.free] + [0.0] * (self.m - len(self.free))
         for system, (r, run) in product(self.systems, enumerate(self.runs)):
             eq = system.equations
             start = eq.model.x0(self.p[r])[eq.kept]
             for k, (output, factor) in eq.measured_states.items():
                 there = np.flatnonzero(np.isfinite(run.values.get(output, ())))
                 start[k] = run.values[output][there[0]] / factor if len(there) else start[k]
+            labels = [(system.name, state, r) for state in eq.state_names]
+            start = np.array([known.get(label, x) for label, x in zip(labels, start, strict=True)])
+            open_ones = [k for k in eq.begun if k not in eq.measured_states and labels[k] not in known]
+            for _ in open_ones:  # one may begin where another does
+                p, v = eq.parameters(self.p[r], np.array(theta[: eq.m])), run.inputs(eq.inputs, 1)[0, 0]
+                begun = dict(zip(eq.begun, eq.beginning(run.start, start, v, p)[0, :, 0], strict=True))
+                start[open_ones] = [begun[k] if np.isfinite(begun[k]) else start[k] for k in open_ones]
             starts += start.tolist()
-        theta = [item.value for item in self.free] + [0.0] * (self.m - len(self.free))
-        known = known or {}
-        return np.array([*theta, *(known.get(label, x) for label, x in zip(self.labels, starts, strict=True))])
+        return np.array([*theta, *starts])
 
     def starts(self, unknowns: np.ndarray) -> dict[Label, float]:
         """Return the states at the first samples."""
@@ -201,7 +211,7 @@ class OutputErrorSearch:
         """Return the outputs of a subsystem in a run (N, c), and their derivatives by parameters and start."""
         system, run, own = self.systems[k], self.runs[r], unknowns[self.columns(k, r)]
         eq = system.equations
-        p = eq.parameters(self.p[r], own[: eq.m])
+        p = eq.parameters(self.p[r], own[: eq.m], continued=self.continued)
         if self.is_exact(k, r):
             v = run.inputs(eq.inputs, 1)[:, ::2]
             return system.exact(p, own[eq.m :], v, run.dt, sensitivities=sensitivities)
@@ -247,8 +257,23 @@ class OutputErrorSearch:
                 information[j, j] += 1 / item.prior_std**2
         return Evaluation(unknowns, sub, cost, residuals, jacobians, gradient, information)
 
+    @cached_property
+    def beyond(self) -> OutputErrorSearch:
+        """The search in which laws go on beyond where they are defined; itself where all are defined everywhere."""
+        limited = any(system.equations.limited for system in self.systems)
+        return replace(self, continued=True) if limited and not self.continued else self
+
     def minimise(self, start: np.ndarray, most: int = MOST_SIMULATIONS) -> Evaluation:
-        """Return the evaluation where the cost is least, as found from a start within the bounds."""
+        """Return the evaluation where the cost is least, as found from a start within the bounds.
+
+        On the way laws may go on beyond where they are defined; not in what is found.
+        """
+        found = self.beyond._minimised(start, most)
+        if self.beyond is self or np.isfinite(self.evaluate(found.unknowns, found.sub, sensitivities=False).cost):
+            return found
+        return self._minimised(start, most)
+
+    def _minimised(self, start: np.ndarray, most: int) -> Evaluation:
         here = self.evaluate(start, self.substeps(start))
         damping, calm, used = FIRST_DAMPING, 0, 1
         known = np.zeros(len(start))  # information on starts, the most so far: where none is left they stay
@@ -256,6 +281,9 @@ class OutputErrorSearch:
             known[self.m :] = np.maximum(known, np.diag(here.information))[self.m :]
             step = self._step(here, damping, known)
             after = self.evaluate(self._moved(here.unknowns, step), here.sub, sensitivities=False)
+            if not after.cost < here.cost and (weak := self._weak(here)).any():
+                step = self._step(here, damping, known, weak)
+                after = self.evaluate(self._moved(here.unknowns, step), here.sub, sensitivities=False)
             if after.cost < here.cost:
                 calm = calm + 1 if after.cost > here.cost * (1 - SEARCH_COST_TOLERANCE) else 0
                 here = self.evaluate(after.unknowns, here.sub)
@@ -266,15 +294,27 @@ class OutputErrorSearch:
             used += 1
         return here
 
-    def _step(self, here: Evaluation, damping: float, known: np.ndarray) -> np.ndarray:
+    def _weak(self, here: Evaluation) -> np.ndarray:
+        """Return which unknowns are states at first samples that hardly show, (q,): any step there is one too far.
+
+        So is what a play holds before the first reversal, of which the flank leaves exp(-t / time_constant).
+        """
+        information = np.diag(here.information)
+        weak = information < WEAK * information[self.m :].max(initial=0.0)
+        weak[: self.m] = False
+        return np.asarray(weak)
+
+    def _step(self, here: Evaluation, damping: float, known: np.ndarray, stay: np.ndarray | None = None) -> np.ndarray:
         """Return the step -(J^T J + damping D)^-1 J^T r, D = diag(J^T J), ``known`` at least, of what is not held.
 
-        Source of the latter: J. J. More, Lecture Notes in Mathematics 630 (1978) 105-116, section 6.
+        stay (q,): what is held besides.
+        Source of ``known``: J. J. More, Lecture Notes in Mathematics 630 (1978) 105-116, section 6.
         """
         outwards = np.where(here.unknowns <= self.bounds[0], 1, -1) * here.gradient > 0
         held = self.at_bound(here.unknowns) & outwards
         held[: self.m] |= self.hold == "theta"
         held[self.m :] |= self.hold == "starts"
+        held |= False if stay is None else stay
         scale = np.sqrt(np.maximum(np.diag(here.information), known))
         scale = np.where(scale > 0, scale, 1.0)
         H = here.information / np.outer(scale, scale) + damping * np.eye(len(scale))

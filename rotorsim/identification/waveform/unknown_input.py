@@ -212,7 +212,7 @@ class UnknownInputs:
         noise = self.noise[:, None]
         enters = [[*(item.regular * self.states) ** 2, item.strength**2 * run.dt] for item in pairs]
         G, D = run.G[:, :, place] * scale, run.D[:, :, place] * scale / noise
-        return Systems(run.F, G, run.H / noise, D, kept, np.array(enters).reshape(len(pairs), -1))
+        return Systems(run.F, G, run.H / noise, D, kept, np.reshape(enters, (len(pairs), len(self.states) + 1)))
 
     def _started(
         self, run: LinearisedRun, pairs: Sequence[Hypothesis], times: Sequence[float]

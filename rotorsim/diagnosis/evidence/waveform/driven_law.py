@@ -74,10 +74,12 @@ class DrivenLaw:
         """The parameters of its model, (n_p,)."""
         return self.law.equations.model.parameter_vector()
 
-    @cached_property
-    def start(self) -> np.ndarray:
-        """Its states at the first sample."""
-        return np.asarray(self.law.equations.model.x0(self.p)[self.law.equations.kept])
+    def _start(self, p: np.ndarray, first: np.ndarray) -> np.ndarray:
+        """Return its states at the first sample, of which its inputs (n_v,) are given; p: of its equations."""
+        equations = self.law.equations
+        start = np.array(equations.model.x0(self.p)[equations.kept])
+        start[[*equations.begun]] = equations.beginning(0.0, start, first, p)[0, :, 0]
+        return start
 
     @cached_property
     def bounds(self) -> np.ndarray:
@@ -110,11 +112,12 @@ class DrivenLaw:
         equations = self.law.equations
         names = equations.inputs
         driven = SampledRun(run.id, dict(zip(names, wire.T, strict=True)), dict.fromkeys(names, "linear"), run.time, {})
+        p = equations.parameters(self.p, eta)
+        start = self._start(p, wire[0])
         if run.steps is None and equations.linear is not None:
-            p = equations.parameters(self.p, eta)
-            exact = self.law.exact(p, self.start, driven.inputs(names, 1)[:, ::2], run.dt, sensitivities=slopes)
+            exact = self.law.exact(p, start, driven.inputs(names, 1)[:, ::2], run.dt, sensitivities=slopes)
             return self._change(*exact, wire, slopes)
-        A = equations.matrices[0](run.start, self.start, wire[0], equations.parameters(self.p, eta))[0]
+        A = equations.matrices[0](run.start, start, wire[0], p)[0]
         fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) * run.dt
         sub = min(2 ** max(int(np.ceil(np.log2(max(fastest / STABLE_STEP, 1.0)))), 0), SIMULATION_SUBSTEPS)
         return self._simulated(eta, driven.inputs(names, sub), run.time, slopes)
@@ -122,7 +125,8 @@ class DrivenLaw:
     def _simulated(self, eta: np.ndarray, v: np.ndarray, times: np.ndarray, slopes: bool) -> np.ndarray:
         equations = self.law.equations
         p = equations.parameters(self.p, eta)
-        y, by = self.law.simulate(p, self.start, v, np.diff(times), t0=float(times[0]), sensitivities=slopes)
+        start = self._start(p, v[0, 0])
+        y, by = self.law.simulate(p, start, v, np.diff(times), t0=float(times[0]), sensitivities=slopes)
         return self._change(y, by, v[:, 0], slopes)
 
     def _change(self, y: np.ndarray, by: np.ndarray, wires: np.ndarray, slopes: bool) -> np.ndarray:

@@ -249,9 +249,10 @@ class WaveformEvidence(WaveformFits, Defaults):
         return freed if better and not ended & {*fixed} and _open(freed) <= _open(fit) else fit
 
     def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
-        """Return how well controllers follow from measured motion alone, structure that is left, and units.
+        """Return how well controllers follow from measured motion alone, structure that is left, laws, and units.
 
-        Which units stand for others is said of the blocks that are put in.
+        Of laws, in which runs they are taken beyond where they are defined; of units, which stand for others in the
+        blocks that are put in.
         """
         measured = {name: np.concatenate([run.values[name] for run in self.runs]) for name in self.channels.outputs}
         text = [
@@ -263,8 +264,23 @@ class WaveformEvidence(WaveformFits, Defaults):
         share = self.unexplained(after) if inserted else 0.0
         if share:
             text.append(f"What the repaired diagram leaves is not noise: {100 * share:.2g} % of it can be predicted.")
+        if lost := self._undefined(after):
+            text.append(
+                f"In {', '.join(lost)} it takes the root or the logarithm of a number below zero, as of a tank that "
+                "runs empty. Here it is that of zero; a run of the diagram stops there: put a max with 0 in front."
+            )
         units = {name.partition("[")[0]: self.recording.channels[c].unit for name, c in self.channels.columns.items()}
         return [*text, *stand_ins(self.load(after.document), inserted, units)]
+
+    def _undefined(self, fit: Fit) -> list[str]:
+        """Return the runs that a fitted diagram only gets through as its laws go on beyond where they are defined."""
+        search = replace(self.search(values_in(fit.document, fit.values)), hold="theta")
+        if not search.continued:
+            return []
+        found = search.minimise(self._first(search))
+        as_given = replace(search, continued=False)
+        outputs = (as_given.simulated(found.unknowns, 0, r, found.sub, False)[0] for r in range(len(self.runs)))
+        return [run.id for run, y in zip(self.runs, outputs, strict=True) if not np.isfinite(y).all()]
 
 
 def _open(fit: Fit) -> set[str]:

@@ -78,19 +78,23 @@ class WaveformFits(SampledRuns):
         return {**self.sizes, LONGEST: length, SAMPLED: step}
 
     def search(self, document: Mapping[str, Any]) -> OutputErrorSearch:
-        """Return the search for the free parameters of a document. Raises RotorsimError."""
+        """Return the search for the free parameters of a document; laws go on beyond where they are defined.
+
+        Raises RotorsimError.
+        """
         diagram = self.load(document)
         systems = subsystems_of(diagram, self.channels)
         if [signal for system in systems for signal in system.signals] != list(self.variance):
             what = "its controllers can no longer be told from the rest by what was measured"
             raise RotorsimError(Problem(what, diagram.name))
-        return OutputErrorSearch(systems, self.runs, weights_of(self.variance, self.runs, self.rows), self.least)
+        weights = weights_of(self.variance, self.runs, self.rows)
+        return OutputErrorSearch(systems, self.runs, weights, self.least).beyond
 
     def simulation(self, document: Mapping[str, Any], runs: Sequence[SampledRun]) -> OutputErrorSearch:
         """Return a document as it is beside some runs, of which only the starts are searched. Raises RotorsimError."""
         systems = subsystems_of(self.load(document), self.channels)[:1]
         weights = {signal: 1 / value for signal, value in self.variance.items()}
-        return OutputErrorSearch(systems, runs, weights, self.least, hold="theta")
+        return OutputErrorSearch(systems, runs, weights, self.least, hold="theta").beyond
 
     def simulated(self, document: Mapping[str, Any], runs: Sequence[SampledRun]) -> list[np.ndarray] | None:
         """Return the outputs of a document as it is in every run, (N, c), from the best starts; None if it diverges."""

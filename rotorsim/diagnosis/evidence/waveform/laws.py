@@ -50,6 +50,7 @@ from rotorsim.identification.waveform.unknown_input import SignalEstimate, Smoot
 SMOOTHED_PLACES = 8  # the likeliest, where the signal that the place carries is estimated, too
 STEPS = 6  # Gauss-Newton steps from the best start
 SETTLED = 1e-3  # relative fall of the misfit in a step, below which it was the last
+STARTS_COMPARED = 24  # of a law at a likely place, by what they leave of the outputs
 ALIKE = 1e-9  # relative difference of -2 log likelihoods of places that no data tell apart, whose filters are the same
 DAMPED = (0.0, 0.03, 1.0)  # of the scaled information, until a step helps (Levenberg, Marquardt)
 WEAKER = 0.1  # times the strength of the likeliest free signal: beside the law, a hundredth of its power is left
@@ -243,8 +244,12 @@ class LawBounds:
         every = [law.added(eta, self.sampled, wires, slopes=False) for eta in trials]
         together = [np.concatenate(own, axis=1) for own in zip(*every, strict=True)]
         shapes = [*self._beside(view, one.wires[0], together).T]
-        gains = [max(float(a @ residual), 0.0) ** 2 / max(float(a @ a), 1e-300) for a in shapes]
+        products = [(float(a @ residual), float(a @ a)) for a in shapes]
+        gains = [max(by, 0.0) ** 2 / max(square, 1e-300) for by, square in products]
         k = int(np.argmax(gains))
+        if not law.sizes.any():  # what it adds is of its size; where none of them helps, the shape tells
+            falls = [2 * by - square for by, square in products]
+            k = int(np.argmax(falls)) if max(falls) > 0 else k
         eta, least = trials[k], before - gains[k]
         if not np.isfinite(gains[k]) or gains[k] < WORTH:
             return least, eta
@@ -277,14 +282,16 @@ class LawBounds:
         return (here if here < least or not np.isfinite(least) else max(least, 0.0)), eta
 
     def _likely_starts(self, one: _Placed, wires: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Return the starts of a law; of many, those that add most nearly what is missing there, but for a constant.
+        """Return the starts of a law; of very many, those that add most nearly what is missing, but for a constant.
 
         Where that was not smoothed, the first of them.
         """
         starts = [one.law.within(eta) for eta in one.starts]
         likely = {item.place for item in self.estimates[:SMOOTHED_PLACES]}
-        if len(starts) <= STARTS_TRIED or one.wires[0] not in likely:
+        if one.wires[0] not in likely:
             return starts[:STARTS_TRIED]
+        if len(starts) <= STARTS_COMPARED:
+            return starts
         missing = np.concatenate(self._smoothed[one.wires[0]].added)
         added = (np.concatenate(one.law.added(eta, self.sampled, wires, slopes=False))[:, 0] for eta in starts)
         left = [float(np.var(missing - each)) for each in added]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.waveform.driven.domain import AT_ZERO, continued
 from rotorsim.identification.waveform.driven.slow_modes import reduced
 from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
@@ -94,7 +95,9 @@ class DrivenEquations:
     kept (n,): of the states of the model, with names. inputs: flat names of what v holds. p: parameters of the model,
     then the coefficients of a `ForceMap`; slots: the entries of p that each of the m parameters sets. arguments: t, x,
     v, p. f (n,), g (c,). fastest: frequency [rad/s] of modes beyond which only their flexibility stays
-    (`rotorsim.identification.waveform.driven.slow_modes`); None: all stay.
+    (`rotorsim.identification.waveform.driven.slow_modes`); None: all stay. begun: expressions of where states begin,
+    {state: of the arguments} (`State.begins`). limited: whether p has a last entry, below
+    which laws are not defined (`rotorsim.identification.waveform.driven.domain`).
     """
 
     model: Model
@@ -108,6 +111,8 @@ class DrivenEquations:
     f: Any
     g: Any
     fastest: float | None = None
+    begun: Mapping[int, Any] = field(default_factory=dict)
+    limited: bool = False
 
     @property
     def n(self) -> int:
@@ -130,6 +135,11 @@ class DrivenEquations:
                 if (y - factor * x[k]).is_zero():
                     measured[k] = output, factor
         return measured
+
+    @cached_property
+    def beginning(self) -> MatrixFunction:
+        """Where the states of `begun` begin, (1, count, 1), as a function of t, x, v, p."""
+        return MatrixFunction(self.arguments, ca.vertcat(*self.begun.values()))
 
     @cached_property
     def matrices(self) -> tuple[MatrixFunction, MatrixFunction]:
@@ -159,9 +169,14 @@ class DrivenEquations:
         by_slots = [sum((ca.jacobian(of, p[slot]) for slot in own), ca.SX(*of.shape)) for own in self.slots]
         return ca.sparsify(ca.horzcat(ca.jacobian(of, x), *by_slots))
 
-    def parameters(self, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """Return p of the equations from p (n_p,) of the model and the m free parameters."""
+    def parameters(self, p: np.ndarray, theta: np.ndarray, *, continued: bool = False) -> np.ndarray:
+        """Return p of the equations from p (n_p,) of the model and the m free parameters.
+
+        continued: laws go on beyond where they are defined.
+        """
         out = np.concatenate([p, np.zeros(self.arguments[3].numel() - len(p))])
+        if self.limited:
+            out[-1] = AT_ZERO if continued else -np.inf
         for value, slots in zip(theta, self.slots, strict=True):
             out[slots] = value
         return out
@@ -211,10 +226,14 @@ def driven_equations(
     xdot, y = ca.substitute([trace.xdot, y], [trace.v], [external])
     kept = reached_states(ca.jacobian(xdot, trace.x).sparsity(), ca.jacobian(y, trace.x).sparsity())
     keep = kept.tolist()
+    begins = {keep.index(k): value for k, value in _begun(model).items() if k in keep}
     x = ca.SX.sym("x", len(keep))
     states = ca.SX.zeros(*trace.x.shape)
     states[keep] = x
-    f, g = ca.substitute([xdot[keep], y], [trace.p, trace.x], [driven, states])
+    *values, f, g = ca.substitute(
+        [*ca.substitute([*begins.values()], [trace.v], [external]), xdot[keep], y], [trace.p, trace.x], [driven, states]
+    )
+    begun = dict(zip(begins, values, strict=True))
     known = tuple(item for item in free if slots_of(model, item))
     slots = [slots_of(model, item) for item in known] + [[model.n_p + k] for k in range(coefficients.numel())]
     names = tuple(linear.state_names(model)[k] for k in keep)
@@ -223,9 +242,29 @@ def driven_equations(
         p0 = np.concatenate([model.parameter_vector(), np.zeros(coefficients.numel())])
         less = reduced(arguments, f, g, p0, _rates(diagram, inputs, v), fastest)
         if less is not None:
-            arguments, f, g = (trace.t, less.x, v, arguments[3]), less.f, less.g
+            arguments, f, g, begun = (trace.t, less.x, v, arguments[3]), less.f, less.g, {}
             kept, names = kept[less.kept], tuple(names[k] for k in less.kept)
-    return DrivenEquations(model, tuple(outputs), tuple(inputs), known, kept, names, slots, arguments, f, g, fastest)
+    least = ca.SX.sym("least")
+    if (beyond := continued(arguments, (f, g, *begun.values()), least)) is not None:
+        (f, g, *values), arguments = beyond, (*arguments[:3], ca.vertcat(arguments[3], least))
+        begun = dict(zip(begun, values, strict=True))
+    given = model, tuple(outputs), tuple(inputs), known, kept, names, slots, arguments, f, g, fastest, begun
+    return DrivenEquations(*given, limited=beyond is not None)
+
+
+def _begun(model: Model) -> dict[int, Any]:
+    """Return where states begin, as they declare it, {state: expression of the trace}."""
+    found: dict[int, Any] = {}
+    wires = {(wire.target.block, wire.target.port): wire for wire in model.diagram.wires if not wire.target.index}
+    for name, node in model.diagram.nodes.items():
+        for key, state in node.block.active_states().items():
+            wire = wires.get((name, state.begins))
+            given = node.values.get(state.init, 0.0) if isinstance(state.init, str) else state.init
+            if wire is None or np.any(given) or node.inputs[state.begins].additive:
+                continue
+            value, part = model.expression(str(wire.source)), model.states[f"{name}.{key}"].part
+            found |= zip(range(part.start, part.stop), ca.vertsplit(value), strict=True)
+    return found
 
 
 def _rates(diagram: Diagram, inputs: Sequence[str], v: Any) -> Any:
