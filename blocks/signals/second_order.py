@@ -5,12 +5,8 @@ from math import inf, pi
 from rotorsim.block import Block, Equations, In, Out, Param, State
 from rotorsim.fault import Fault, Sampled
 
-_FREQUENCIES = (
-    0.03,
-    0.15,
-    0.75,
-    *(0.004 * 1.5**k for k in range(16)),
-)  # times the rate: a mode of half a damping ratio off
+# Times the rate of samples. A search meets a mode from half an octave off.
+_FREQUENCIES = (0.03, 0.15, 0.75, *(0.004 * 1.5**k for k in range(16)))
 
 
 class SecondOrder(Block):

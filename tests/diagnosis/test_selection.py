@@ -5,27 +5,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rotorsim.blocks.signals.disturbance import Disturbance
 
-from rotorsim.diagnosis.catalogue.catalogue import Catalogue
-from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
-from rotorsim.diagnosis.catalogue.values import structure_of
+from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.conclude.verdict import effect_of, rejected_of, unfinished, verdict_of
-from rotorsim.diagnosis.evidence.evidence import Promise, Terms
+from rotorsim.diagnosis.evidence.evidence import Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
-from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate, Round, simplest_first
-from rotorsim.diagnosis.search.promises import (
-    at_likely_places,
-    at_other_places,
-    at_rival_places,
-    likely_of,
-    still_likely,
-)
 from rotorsim.diagnosis.search.selection import _completed, _level, _reconsidered, _selected, _simplified, least_gain
-from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.diagram.diagram import Free
-from rotorsim.jobs.jobs import Jobs
 from tests.diagnosis.test_verdicts import ROWS, left, named, selection
 
 
@@ -207,40 +194,6 @@ def test_several_effects_that_leave_noise_by_another_measure_of_it_are_not_searc
     assert seen == [1e6, 9e5]  # not beside the imitation
 
 
-def test_places_that_allow_ten_times_the_least_are_not_looked_at():
-    bounds = {"near": 1000.0, "far": 9990.0, "beyond": 10010.0}
-    places = SimpleNamespace(
-        by_law=False,
-        promises=lambda items: [Promise(bounds[item.spot]) if item.spot in bounds else None for item in items],
-    )
-    found = [SimpleNamespace(law=("rub", 0), spot=spot) for spot in ("beyond", "far", "near", "unknown")]
-    trials = Trials(SimpleNamespace(bounds=lambda before: places, costly=False), Catalogue(), Jobs(1))
-    kept, *_ = trials._screened(left(50.0), found, [], places, None)
-    assert sorted(kept) == [1, 2, 3]
-
-
-def test_what_was_best_with_another_measure_of_the_noise_is_fitted_again_from_where_it_was():
-    """FAULT: a saturation that explained all was not among those that promised most once the noise was known."""
-    best, failed = candidate("saturation", 30.0, 1), candidate("lag", 50.0, 1)
-    best.fit, best.parameters = replace(best.fit, theta=np.array([11.0])), ("saturation0",)
-    failed.fit = Fit({}, failure="diverges")
-    assert Round(left(50.0), (best, failed)).worth_again(8) == {"saturation": {"saturation0": 11.0}}
-
-
-def test_a_round_from_the_same_diagram_begins_with_what_was_best_there():
-    """With another measure of the noise, whatever was put in before; of values alone a diagram is no other."""
-    of = {"blocks": {"lag": {"type": "lag", "parameters": {"time": 1.0}}}, "wires": [["a.b", "lag.input"]]}
-    moved = {**of, "blocks": {"lag": {"type": "lag", "parameters": {"time": 2.0}}}}
-    assert structure_of(of) == structure_of(moved) != structure_of({**of, "wires": [["a.c", "lag.input"]]})
-    coulomb, other = ({"blocks": {"dry": {"type": "dry", "parameters": {"law": law}}}} for law in ("axes", "resultant"))
-    assert structure_of(coulomb) != structure_of(other)
-    first = Round(replace(left(50.0), document=of), (candidate("saturation", 30.0, 1),))
-    trials = Trials(SimpleNamespace(), Catalogue(), Jobs(1))
-    assert trials._kept(first) is trials.rounds[structure_of(moved)]
-    again = Trials(SimpleNamespace(), Catalogue(), Jobs(1), trials.rounds)
-    assert again.rounds == trials.rounds
-
-
 def test_where_noise_explains_all_only_what_it_cannot_make_is_named():
     """A law that leaves fewer means open has the better criterion, but explains nothing that noise does not."""
     fewer = candidate("hysteretic_damping", 1010.0, 0, nuisances=1)
@@ -278,54 +231,6 @@ def test_known_look_alikes_are_fitted_to_the_end_and_may_take_the_place():
     assert asked == [({"control_delay"}, "amplifier_bandwidth", False), (set(), "control_delay", True)]
     assert [item.insertion.physics for item in chosen] == ["control_delay"]
     assert rounds[0].tried[0] is ended
-
-
-def test_a_look_alike_is_carried_on_from_where_it_is_at_its_best_place():
-    def tried(spot: str, misfit: float) -> SimpleNamespace:
-        fit = Fit({"blocks": {}}, misfit=misfit, rows=ROWS, equations=ROWS, nonlinear=True)
-        fault = SimpleNamespace(sizes=())
-        insertion = SimpleNamespace(physics="rub", law=("rub", 0), spot=Spot(spot, ""), free=(), fault=fault)
-        return SimpleNamespace(insertion=insertion, fit=fit, final=False, physical=True)
-
-    far, near = tried("far", 9e5), tried("near", 9e4)
-    better = replace(near.fit, misfit=1000.0)
-    jobs = []
-
-    class Carried(Trials):
-        def _fit(self, given, effort):
-            jobs.append((len(given), effort.most))
-            return [better]
-
-    found = Carried(None, Catalogue(), Jobs(1)).completed(Round(Fit({}), (far, near)), {"rub"})
-    assert jobs == [(1, None)]
-    assert [(item.insertion.spot.block, item.fit.misfit, item.final) for item in found.tried] == [
-        ("near", 1000.0, True),
-        ("far", 9e5, False),
-    ]
-
-
-def test_what_can_be_no_rival_of_the_most_promising_is_not_followed():
-    """A hundred times the misfit of one that explains the data; without one, a tenth of what the best explains.
-
-    Where nothing is known of them all are followed.
-    """
-    asked, before = [], Fit({}, misfit=1e6, rows=ROWS, equations=ROWS)
-
-    class Counted(Trials):
-        def _fit(self, given, effort):
-            asked.append((list(given), effort.beyond))
-            return [Fit({}, misfit=job, rows=ROWS, equations=ROWS, goodness=float(job <= 1.1 * ROWS)) for job in given]
-
-    jobs = [9e5, 1e3, 8e5, 2e4, 7e5, 6e5]
-    fits = Counted(None, Catalogue(), Jobs(1))._begun(before, jobs, [5e4, 2e3, np.inf, 1e3, 3e4, 4e4])
-    assert asked == [([2e4, 1e3, 7e5, 6e5], np.inf), ([9e5, 8e5], 1e5)]
-    assert [fit.misfit for fit in fits] == jobs
-    asked.clear()
-    Counted(None, Catalogue(), Jobs(1))._begun(before, jobs, [5e4, np.inf, np.inf, 1e3, 3e4, 4e4])
-    assert asked == [([2e4, 7e5, 6e5, 9e5], np.inf), ([1e3, 8e5], pytest.approx(1e6 - 0.1 * (1e6 - 2e4)))]
-    asked.clear()
-    Counted(None, Catalogue(), Jobs(1))._begun(before, jobs, [])
-    assert asked == [([], np.inf), (jobs, np.inf)]
 
 
 def test_what_was_not_fitted_to_the_end_is_not_rejected():
@@ -415,57 +320,6 @@ def test_a_class_is_judged_as_the_effect_stood_in_its_round():
     assert effect.candidate.fit is in_round.fit
 
 
-def placed(law: str, spot: str) -> SimpleNamespace:
-    return SimpleNamespace(law=(law, 0), spot=spot, key=f"{law}@{spot}")
-
-
-def test_another_measure_of_the_noise_looks_again_at_what_promised_within_ten_times_the_least():
-    found = [placed("lag", spot) for spot in ("best", "within", "beyond", "unknown")]
-    promises = [Promise(2e4), Promise(1.9e5), Promise(2.1e5), None]
-    assert likely_of(found, promises, left(1e6)) == {"lag@best", "lag@within", "lag@unknown"}
-
-
-def test_with_another_noise_fits_say_more_than_promises():
-    """What leaves ten times the best is not looked at, unless its fit was stopped early: it may have begun far away.
-
-    FAULT: a delay that promised little and was fitted best was forgotten with another noise.
-    """
-    tried = [candidate(name, misfit, 1) for name, misfit in {"delay": 50.0, "lag": 499.0, "offset": 501.0}.items()]
-    stopped = candidate("play", 501.0, 1)
-    stopped.final = False
-    promised = frozenset({"lag", "offset", "play", "drift"})
-    assert still_likely(promised, [*tried, stopped]) == {"delay", "lag", "play", "drift"}
-
-
-def test_the_two_best_laws_are_fitted_at_four_other_places_before_one_is_chosen():
-    """FAULT: a dead zone promised 557 behind a torque and 583 at the stiffness that made it; fitted at the torque
-    alone it left 1340 instead of 268, and two effects more were looked for in vain."""
-    found = [placed("play", "here"), *(placed("dead_zone", spot) for spot in ("torque", "same", "a", "b", "c", "d"))]
-    found += [placed(law, spot) for law in ("lag", "offset") for spot in ("here", "there")]
-    promises = [Promise(value) for value in (400.0, 557.0, 557.5, 583.0, 600.0, 610.0, 9e5, 700.0, 710.0, 720.0, 730.0)]
-    fits = {0: left(900.0), 1: left(1.3), 7: left(3.0), 9: left(9.0)}
-    kept = at_other_places(found, promises, left(1e4), fits)
-    assert [found[k].key for k in kept] == ["dead_zone@a", "dead_zone@b", "dead_zone@c", "dead_zone@d", "lag@there"]
-    assert at_other_places(found, promises, left(1e4), {0: Fit({}, failure="diverges")}) == []
-
-
-def test_far_from_the_runs_every_law_is_fitted_at_the_places_where_a_free_signal_explains_them():
-    """FAULT: a delay of 48 s in a pump promised nothing beside outlets that were fitted without it; a free signal
-    there explained everything, and at no other place."""
-    found = [placed(law, spot) for law in ("play", "delay") for spot in ("pump", "balance", "level")]
-    promises = [Promise(value) for value in (9e5, 8e5, 2e3, 9e5, 9e5 + 1, 1e3)]
-    pump = PlaceClass((found[0].spot, found[1].spot), 0.99)
-    level = PlaceClass((found[2].spot,), 0.99 * np.exp(-5.1))
-    assert [found[k].key for k in at_likely_places(found, promises, (pump, level), {2: left(1e3)})] == [
-        "play@balance",
-        "delay@pump",
-    ]
-    near = replace(level, probability=0.99 * np.exp(-4.9))
-    assert [found[k].key for k in at_likely_places(found, promises, (pump, near), {2: left(1e3)})] == ["delay@level"]
-    assert at_likely_places(found, promises, (pump, level), {2: left(1.0)}) == []  # explained
-    assert at_likely_places(found, promises, (), {2: left(1e3)}) == []  # promises are sure
-
-
 def test_what_holds_a_law_as_a_special_case_is_no_rival_unless_it_explains_more():
     """Odds of e^4 = 55 to 1 against one more parameter would list a mode beside every lag."""
     before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
@@ -490,48 +344,6 @@ def test_of_fits_that_nothing_tells_apart_the_one_whose_reading_is_right_comes_f
     assert simplest_first([both, worse], 0.0) == [both, worse]
 
 
-def test_a_law_that_is_chosen_is_fitted_at_more_places_that_promise_half_as_much():
-    """So that places that data cannot tell apart are named together, though each law was fitted at its best place."""
-    found = [placed("lag", spot) for spot in "abcdef"] + [placed("delay", "a")]
-    promises = [*(Promise(value) for value in (2.0e4, 2.1e4, 3.9e4, 3.0e4, 2.2e4, 4.1e4)), Promise(9e4)]
-    assert at_rival_places(found, promises, left(1e6), kept=[0, 6]) == [1, 4, 3, 2]
-
-
-def test_a_law_is_fitted_where_rivals_promise_as_much(monkeypatch):
-    own = {"spot": Spot("servo", "output"), "free": (), "fault": SimpleNamespace(sizes=()), "depends_on": ""}
-    insertion = SimpleNamespace(physics="lag", law=("lag", 0), key="lag", **own)
-    other = SimpleNamespace(physics="delay", law=("delay", 0), key="delay", **own)
-    best = SimpleNamespace(insertion=insertion, fit=left(100.0), final=True, physical=True)
-    trials = Trials(SimpleNamespace(), Catalogue(), Jobs(1))
-    monkeypatch.setattr(trials, "_fit", lambda jobs, effort: [left(101.0)] * len(jobs))
-    before = Round(left(1e6), (best,), elsewhere=((insertion, ({}, [])), (other, ({}, []))))
-    after = trials.completed(before, set(), insertion)
-    assert [item.fit.misfit for item in after.tried] == [left(100.0).misfit, left(101.0).misfit]
-    assert [item for item, _ in after.elsewhere] == [other]
-
-
-def test_look_alikes_of_a_choice_are_fitted_in_its_very_place():
-    """Cross-talk promised more elsewhere; where a ripple of small wave number was chosen, it explains as much."""
-
-    def untried(physics: str, spot: str, other: str) -> SimpleNamespace:
-        own = {"law": (physics, 0, True), "free": (), "fault": SimpleNamespace(sizes=())}
-        return SimpleNamespace(
-            physics=physics, spot=Spot(spot, ""), depends_on=other, key=f"{physics}({other})@{spot}", **own
-        )
-
-    ripple = SimpleNamespace(insertion=untried("ripple", "a", "level"), fit=left(100.0), final=True, physical=True)
-    here = untried("cross_talk", "a", "level")
-    others = [untried("cross_talk", "b", "level"), untried("cross_talk", "a", "pump"), untried("stop", "a", "level")]
-    trials = Trials(SimpleNamespace(), Catalogue(), Jobs(1))
-    trials._fit = lambda jobs, effort: [left(99.0)] * len(jobs)
-    before = Round(left(1e6), (ripple,), untried=tuple((item, ({"blocks": {}}, [])) for item in (*others, here)))
-    after = trials.completed(before, {"cross_talk"}, ripple.insertion)
-    assert [item.insertion for item in after.tried] == [here, ripple.insertion]
-    assert [item for item, _ in after.untried] == others
-    [every] = [trials.completed(before, set(), ripple.insertion, every=True)]
-    assert {item.insertion.key for item in every.tried} == {ripple.insertion.key, here.key, others[2].key}
-
-
 def test_at_the_place_of_the_best_every_law_is_tried_before_another_effect_is_looked_for():
     """A mode imitated a delay at the place where that promised most: the delay was fitted elsewhere only."""
     base = left(1e4)
@@ -554,27 +366,3 @@ def test_at_the_place_of_the_best_every_law_is_tried_before_another_effect_is_lo
     )
     assert [item.insertion.physics for item in _selected(trials, base).chosen] == ["delay"]
     assert asked == [("mode", True), ("delay", False)]
-
-
-@pytest.mark.parametrize(("goodness", "tried"), [(0.5, ["lag"]), (0.0, ["lag", "hum"])])
-def test_beside_noise_a_line_is_hum_of_the_instruments(goodness, tried):
-    """FAULT: of a healthy drive 50 Hz of 0.6 of the noise in one reading was called a periodic disturbance."""
-    lag = SimpleNamespace(physics="lag", from_lines=(), read_off=False, begins_at_line=False)
-    hum = SimpleNamespace(physics="hum", from_lines=(), read_off=False, begins_at_line=True)
-    evidence = SimpleNamespace(largest=dict, load=lambda document: document, recorded=())
-    trials = Trials(evidence, SimpleNamespace(candidates=lambda diagram, recorded: [lag, hum]), Jobs(1))
-    assert [item.physics for item in trials._candidates(replace(left(1.2), goodness=goodness), {})] == tried
-
-
-def test_what_begins_at_a_line_is_known_by_its_declaration():
-    of = {
-        key: Insertion(Disturbance, fault, Spot("a", "output"), "a").begins_at_line
-        for key, fault in ((fault.physics, fault) for fault in Disturbance.faults)
-    }
-    assert of == {
-        "offset": False,
-        "drift": False,
-        "step_disturbance": False,
-        "unmeasured_disturbance": False,
-        "periodic_disturbance": True,
-    }

@@ -341,8 +341,8 @@ def test_a_run_whose_beginning_shows_no_state_keeps_the_motion_that_was_simulate
     shown[0] = 0.0
     walks = np.tile(np.eye(2), (SAMPLES, 1, 1))
     blind = replace(run, F=walks, G=np.tile(G, (SAMPLES, 1, 1)), H=shown, D=np.tile(D, (SAMPLES, 1, 1)))
-    [motion] = smoothed_motion([blind], NOISE)
-    np.testing.assert_array_equal(motion, run.states)
+    for motion in smoothed_motion([blind, blind], NOISE):
+        np.testing.assert_array_equal(motion, run.states)
     assert np.abs(smoothed_motion([run], NOISE)[0] - run.states).max() > 1e-2
 
 

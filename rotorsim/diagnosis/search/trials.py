@@ -21,7 +21,7 @@ from rotorsim.diagnosis.catalogue.insertion import (
     starts_of,
 )
 from rotorsim.diagnosis.catalogue.values import structure_of, values_in
-from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence, Promise
+from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, is_adequate
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
@@ -33,19 +33,14 @@ from rotorsim.diagnosis.search.promises import (
     at_other_places,
     at_rival_places,
     likely_of,
-    misfit_of,
-    most_promising,
     still_likely,
 )
+from rotorsim.diagnosis.search.screening import HINT, MOST_FITS, Screening
 from rotorsim.diagnosis.search.work import Work
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs
 from rotorsim.jobs.threads import one_thread
 
-MOST_FITS = 90  # in one round; places beyond are screened
-# times the least misfit that any place allows: places that allow no less are not looked at. The bound is that of free
-# harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it
-POSSIBLE = 10.0
 DECLARED = 2  # starts of a law that are tried beside one that is known to be near
 AGAIN = 8  # of the best of an earlier round
 FIRST_EVALUATIONS, SECOND_EVALUATIONS = 5, 15  # of a nonlinear diagram, before it is judged whether it is worth more
@@ -53,7 +48,6 @@ LAST_EVALUATIONS = 3  # where the data are explained already, and only rivals ar
 SECOND_STAGE_FITS = 8  # nonlinear fits that get as far as the second
 REFINED = 3  # fits carried to the end at least
 PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
-HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
 STARTED = 0.1  # share of what the best explains: of nonlinear laws below, SECOND_EVALUATIONS are the last
 RESTART = 0.1  # of its scale: how far off a bound a parameter of the diagram begins again
 RIVAL_MISFIT = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
@@ -103,7 +97,7 @@ class Trials:
             jobs.append((item.document(document, {**fixed, **starts[0]}, limits_of(item, sizes)), groups))
         if many:
             classes = () if places is None else places.classes
-            kept, every, promises = self._screened(before, found, jobs, places, earlier)
+            kept, every, promises = Screening(self.evidence, self.work).screened(before, found, jobs, places, earlier)
             likely = likely_of(found, every, before)
             kept += [k for k, item in enumerate(found) if item.key in again and k not in kept]
             known = [{} if one is None else dict(one.start) for one in promises]
@@ -224,89 +218,6 @@ class Trials:
                 off = min(RESTART * (item.scale or 1.0), (item.high - item.low) / 2)
                 found[item.name] = float(np.clip(self.nominal[item.name], item.low + off, item.high - off))
         return found
-
-    def _screened(
-        self,
-        before: Fit,
-        candidates: Sequence[Insertion],
-        jobs: Sequence[Job],
-        places: Bounds | None,
-        earlier: Round | None,
-    ) -> tuple[list[int], Sequence[Promise | None], Sequence[Promise | None]]:
-        """Return which insertions are fitted, what each promises, and so where that tells places of a law apart.
-
-        Of an earlier round from here only those that were likely are looked at.
-        """
-        unknown: list[Promise | None] = [None] * len(candidates)
-        by_law = places is not None and places.by_law
-        if not by_law and not self.evidence.costly:
-            return self._at_likely_places(before, candidates, jobs, places), unknown, unknown
-        known = None if earlier is None else earlier.likely
-        likely = [k for k, item in enumerate(candidates) if known is None or item.key in known]
-        promises: list[Promise | None] = [Promise(np.inf)] * len(candidates)
-        if self.evidence.costly or places is None:
-            found = self._by_sensitivities(before, [jobs[k] for k in likely])
-        else:
-            found = self.work.promises_of_laws([candidates[k] for k in likely], places)
-        for k, one in zip(likely, found, strict=True):
-            promises[k] = one
-        kept = most_promising(candidates, [misfit_of(one) for one in promises], before)
-        return kept, promises, unknown if self.evidence.costly else promises
-
-    def _by_sensitivities(self, before: Fit, jobs: Sequence[Job]) -> list[Promise | None]:
-        """Return what laws promise by their sensitivities, beside what the diagram without them does."""
-        [beside, *promises] = self.work.promises([(values_in(before.document, before.values), [[{}]]), *jobs])
-        least = HINT * len(before.free) if is_adequate(before) else 0.0  # below, it is noise
-        gains = (beside - promise if beside - promise > least else 0.0 for promise in promises)
-        return [Promise(before.misfit - gain) for gain in gains]
-
-    def _at_likely_places(
-        self, before: Fit, candidates: Sequence[Insertion], jobs: Sequence[Job], places: Bounds | None
-    ) -> list[int]:
-        """Return which insertions are fitted where places are many: each law at its best place, then the best places.
-
-        A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
-        """
-        if is_adequate(before):
-            return self._promising(candidates, jobs, before.misfit - HINT * MOST_FITS)
-        if places is None:
-            return self._promising(candidates, jobs)
-        with one_thread():
-            bounds = [misfit_of(one) for one in places.promises(candidates)]
-        known = sorted({bound for bound in bounds if bound is not None})
-        if not known:
-            return self._promising(candidates, jobs)
-        kept = [k for k, bound in enumerate(bounds) if bound is None]
-        best: dict[Law, int] = {}
-        for k in sorted((k for k in range(len(candidates)) if bounds[k] is not None), key=lambda k: bounds[k] or 0.0):
-            best.setdefault(candidates[k].law, k)
-        kept += best.values()
-        for least in known:
-            if least > POSSIBLE * known[0]:
-                break
-            here = [k for k, bound in enumerate(bounds) if bound == least and k not in kept]
-            if least > known[0] and len(kept) + len(here) > MOST_FITS:
-                break
-            kept += here
-        return kept
-
-    def _promising(self, candidates: Sequence[Insertion], jobs: Sequence[Job], most: float = np.inf) -> list[int]:
-        """Return the best place of each law, and the next best below ``most``, by what one step promises."""
-        promises = np.array(self.work.promises(jobs))
-        order = np.argsort(promises, kind="stable")
-        seen: set[Law] = set()
-        first: list[int] = []
-        second: list[int] = []
-        for k in order.tolist():
-            law = candidates[k].law
-            if not np.isfinite(promises[k]):
-                continue
-            if law not in seen:
-                first.append(k)
-            elif promises[k] < most:
-                second.append(k)
-            seen.add(law)
-        return [*first, *second[: max(MOST_FITS - len(first), MOST_FITS // 3)]]
 
     def _begun(self, before: Fit, jobs: Sequence[Job], promised: Sequence[float]) -> list[Fit]:
         """Return first fits; where one of the most promising explains the data, no others that never will are followed.

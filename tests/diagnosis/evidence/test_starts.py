@@ -17,7 +17,7 @@ from rotorsim.diagnosis.evidence.waveform.fits import WaveformFits
 from rotorsim.diagnosis.evidence.waveform.onset import onset_times
 from rotorsim.fault import Dominant, Fault, Onset
 from rotorsim.model.load import load
-from tests.diagnosis.evidence.level_control import CONTROL, controlled, made
+from tests.diagnosis.evidence.level_control import CONTROL, FINE, controlled, made
 
 DT, SIZES = 0.02, (1500, 1200)
 
@@ -111,3 +111,37 @@ def test_without_a_residual_the_onsets_are_eighths_of_the_longest_run():
     item = type("Item", (), {"fault": fault, "kind": None, "spot": None})()
     assert [start["time"] for start in starts_of(item, {LONGEST: 8.0})] == [1.0, 3.0, 5.0]
     assert [start["time"] for start in starts_of(item, {LONGEST: 8.0, ONSETS[1]: 2.5})] == [1.0, 2.5, 5.0]
+
+
+@pytest.mark.parametrize("frequency", [17.0, pytest.param(60.0, marks=pytest.mark.slow)])
+def test_a_mode_that_is_broad_is_found_at_any_frequency(frequency):
+    """FAULT: searched from 1.5, 7.5 and 37.5 rad/s with a damping ratio of 0.1, one with 0.3 was called a delay, two
+    effects, or outside the catalogue."""
+    damping = 0.3
+
+    def behind_a_mode(seed: int) -> dict[str, np.ndarray]:
+        random = np.random.default_rng(seed)
+        reference = np.repeat(random.uniform(-1, 1, 8) * 4, 100)
+        x, h, out = np.zeros(4), 1 / 50 / FINE, np.empty((800, 2))  # level, integral, and the mode with its rate
+
+        def rates(x: np.ndarray, r: float) -> np.ndarray:
+            level, integral, value, rate = x
+            u = 1.5 * (r - level) + 4.0 * integral
+            force = frequency**2 * (u - value) - 2 * damping * frequency * rate
+            return np.array([2.0 * value - level, r - level, rate, force])
+
+        for k, r in enumerate(reference.tolist()):
+            out[k] = 1.5 * (r - x[0]) + 4.0 * x[1], x[0]
+            for _ in range(FINE):
+                x = x + h * rates(x + h / 2 * rates(x, r), r)
+        noisy = out + random.normal(size=out.shape) * (5e-3, 2e-3)
+        return {"reference": reference, "control": noisy[:, 0], "level": noisy[:, 1]}
+
+    runs = [behind_a_mode(seed) for seed in (1, 2, 3)]
+    done = diagnose(load(CONTROL), made(runs, 50), physics=["missing_mode", "lag", "delay", "cross_talk"], workers=1)
+    [effect] = done.effects
+    assert effect.physics == "missing_mode"
+    assert "control.output" in {str(spot) for spot in effect.spots}
+    name = effect.candidate.insertion.name
+    assert done.after.values[f"{name}.frequency"] == pytest.approx(frequency, rel=0.01)
+    assert done.after.values[f"{name}.damping_ratio"] == pytest.approx(damping, rel=0.02)
