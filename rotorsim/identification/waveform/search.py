@@ -155,14 +155,12 @@ class OutputErrorSearch:
             for k, (output, factor) in eq.measured_states.items():
                 there = np.flatnonzero(np.isfinite(run.values.get(output, ())))
                 start[k] = run.values[output][there[0]] / factor if len(there) else start[k]
-            labels = [(system.name, state, r) for state in eq.state_names]
-            start = np.array([known.get(label, x) for label, x in zip(labels, start, strict=True)])
-            open_ones = [k for k in eq.begun if k not in eq.measured_states and labels[k] not in known]
-            for _ in open_ones:  # one may begin where another does
-                p, v = eq.parameters(self.p[r], np.array(theta[: eq.m])), run.inputs(eq.inputs, 1)[0, 0]
-                begun = dict(zip(eq.begun, eq.beginning(run.start, start, v, p)[0, :, 0], strict=True))
-                start[open_ones] = [begun[k] if np.isfinite(begun[k]) else start[k] for k in open_ones]
-            starts += start.tolist()
+            given = {
+                k: known[label] for k, name in enumerate(eq.state_names) if (label := (system.name, name, r)) in known
+            }
+            start[[*given]] = [*given.values()]
+            p, v = eq.parameters(self.p[r], np.array(theta[: eq.m])), run.inputs(eq.inputs, 1)[0, 0]
+            starts += eq.beginning(run.start, start, v, p, given.keys() | eq.measured_states.keys()).tolist()
         return np.array([*theta, *starts])
 
     def starts(self, unknowns: np.ndarray) -> dict[Label, float]:

@@ -77,9 +77,7 @@ class DrivenLaw:
     def _start(self, p: np.ndarray, first: np.ndarray) -> np.ndarray:
         """Return its states at the first sample, of which its inputs (n_v,) are given; p: of its equations."""
         equations = self.law.equations
-        start = np.array(equations.model.x0(self.p)[equations.kept])
-        start[[*equations.begun]] = equations.beginning(0.0, start, first, p)[0, :, 0]
-        return start
+        return equations.beginning(0.0, equations.model.x0(self.p)[equations.kept], first, p)
 
     @cached_property
     def bounds(self) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -136,9 +136,18 @@ class DrivenEquations:
                     measured[k] = output, factor
         return measured
 
+    def beginning(
+        self, t: float, x: np.ndarray, v: np.ndarray, p: np.ndarray, known: Collection[int] = ()
+    ) -> np.ndarray:
+        """Return the states x (n,) at the first sample, those of `begun` that are not known as the others say."""
+        x, wanted = np.array(x, float), [k for k in self.begun if k not in known]
+        for _ in wanted:  # one may begin where another does
+            found = dict(zip(self.begun, self._begun(t, x, v, p)[0, :, 0].tolist(), strict=True))
+            x[wanted] = [found[k] if np.isfinite(found[k]) else x[k] for k in wanted]
+        return x
+
     @cached_property
-    def beginning(self) -> MatrixFunction:
-        """Where the states of `begun` begin, (1, count, 1), as a function of t, x, v, p."""
+    def _begun(self) -> MatrixFunction:
         return MatrixFunction(self.arguments, ca.vertcat(*self.begun.values()))
 
     @cached_property
