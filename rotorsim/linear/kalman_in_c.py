@@ -1,4 +1,4 @@
-"""Kalman filters and smoothers in C: eight systems side by side, a fiftieth of the time of a loop here.
+"""Kalman filters and smoothers in C, eight systems side by side.
 
 What they return is said in `rotorsim.linear.kalman`; None without a compiler.
 """
