@@ -32,9 +32,7 @@ class Play(Block):
             through={"input": "output"},
             options={"law": physics},
             free=free,
-            fixed={
-                "time_constant": Sampled(0.8)
-            },  # from 0.772 on no stage of RK4 jumps through the gap, a step a sample
+            fixed={"time_constant": Sampled(0.8)},  # 1/1.25: with a step a sample no stage overtakes the flank
             sizes=tuple(free)[:1],
             simpler={"share": (1.0, "play")} if physics == "hysteresis" else {},
             law=law,

@@ -5,8 +5,9 @@ from math import inf, pi
 from rotorsim.block import Block, Equations, In, Out, Param, State
 from rotorsim.fault import Fault, Sampled
 
-# Times the rate of samples. A search meets a mode from half an octave off.
-_FREQUENCIES = (0.03, 0.15, 0.75, *(0.004 * 1.5**k for k in range(16)))
+# Times the rate of samples, a factor of 1.5 apart: the resonance of a damping ratio of 0.3 is 2 * 0.3 of its frequency
+# wide (half power). The first few are tried wherever little is known, and span the whole range.
+_FREQUENCIES = tuple(0.004 * 1.5**k for k in (5, 9, 13, 1, 3, 7, 11, 15, *range(0, 16, 2)))
 
 
 class SecondOrder(Block):

@@ -1,4 +1,4 @@
-/* Kalman filters and smoothers of rotorsim.linear.kalman, eight systems side by side. */
+/* Kalman filters and smoothers of rotorsim.linear.kalman, W systems side by side (kalman_in_c.py). */
 #include <math.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -7,7 +7,6 @@
 #else
 #define EXPORT __attribute__((visibility("default")))
 #endif
-#define W 8
 #define EACH for (int w = 0; w < W; ++w)
 /* Every matrix has W lanes, the last index, but F (n, n), H (c, n) and y (c, K), which all systems share. */
 typedef double (*lanes)[W];
@@ -15,10 +14,10 @@ typedef const double (*given)[W];
 typedef struct {
   int64_t n, c; /* states without the input, outputs */
   const double *F, *H;
-  given G, D, kept;
+  given G, D, pole;
 } sample;
 
-/* Z (n + 1, p) = [F G; 0 kept] X. */
+/* Z (n + 1, p) = [F G; 0 pole] X. */
 static void moved(const sample *s, int64_t p, given X, lanes Z) {
   const int64_t n = s->n;
   for (int64_t i = 0; i < n; ++i)
@@ -28,7 +27,7 @@ static void moved(const sample *s, int64_t p, given X, lanes Z) {
       for (int64_t j = 0; j < n; ++j) EACH sum[w] += s->F[i * n + j] * X[j * p + a][w];
       EACH Z[i * p + a][w] = sum[w];
     }
-  for (int64_t a = 0; a < p; ++a) EACH Z[n * p + a][w] = s->kept[0][w] * X[n * p + a][w];
+  for (int64_t a = 0; a < p; ++a) EACH Z[n * p + a][w] = s->pole[0][w] * X[n * p + a][w];
 }
 /* Z (c, p) = [H D] X. */
 static void seen(const sample *s, int64_t p, given X, lanes Z) {
@@ -54,13 +53,13 @@ static void product(int64_t r, int64_t q, int64_t p, given A, given B, int turne
       EACH Z[i * p + a][w] = sum[w];
     }
 }
-/* rest (n + 1, n + 1) = [F G; 0 kept] - gain [H D]. */
+/* rest (n + 1, n + 1) = [F G; 0 pole] - gain [H D]. */
 static void closed(const sample *s, given gain, lanes rest) {
   const int64_t n = s->n, m = n + 1;
   for (int64_t i = 0; i < m; ++i)
     for (int64_t j = 0; j < m; ++j) {
       double sum[W];
-      EACH sum[w] = j < n ? (i < n ? s->F[i * n + j] : 0.0) : (i < n ? s->G[i][w] : s->kept[0][w]);
+      EACH sum[w] = j < n ? (i < n ? s->F[i * n + j] : 0.0) : (i < n ? s->G[i][w] : s->pole[0][w]);
       for (int64_t a = 0; a < s->c; ++a) EACH sum[w] -= gain[i * s->c + a][w] * (j < n ? s->H[a * n + j] : s->D[a][w]);
       EACH rest[i * m + j][w] = sum[w];
     }
@@ -117,7 +116,7 @@ static void advanced(const sample *s, given gain, given Q, lanes P, lanes T, lan
  * every sample, where it is not NULL: variances (n + 1, n + 1), gains (n + 1, c), roots (c, c), x (n + 1, K), v (c, K).
  * Returns 1 where there is no memory. */
 EXPORT int rs_filter(int64_t N, int64_t n, int64_t c, int64_t K, int64_t varying, const double *F, given G,
-                     const double *H, given D, given kept, given Q, lanes P, const double *y, lanes products,
+                     const double *H, given D, given pole, given Q, lanes P, const double *y, lanes products,
                      lanes log_det, lanes variances, lanes gains, lanes roots, lanes x_kept, lanes v_kept) {
   const int64_t m = n + 1;
   double *memory = calloc((size_t)(W * (3 * c * m + 2 * c * c + 2 * m * m + 2 * m * K + 2 * c * K)), sizeof *memory);
@@ -126,7 +125,7 @@ EXPORT int rs_filter(int64_t N, int64_t n, int64_t c, int64_t K, int64_t varying
   lanes rest = T + m * m, x = rest + m * m, next = x + m * K, e = next + m * K, v = e + c * K;
   for (int64_t k = 0; k < N; ++k, y += c * K) {
     const int64_t j = varying ? k : 0;
-    const sample s = {n, c, F + j * n * n, H + j * c * n, G + j * n, D + j * c, kept};
+    const sample s = {n, c, F + j * n * n, H + j * c * n, G + j * n, D + j * c, pole};
     if (k == 0 || varying) {
       filter_of(&s, P, gain, root, log_det, HP, M, S);
       for (int64_t i = 0; gains && i < m * c; ++i) EACH gains[j * m * c + i][w] = gain[i][w];
@@ -151,7 +150,7 @@ EXPORT int rs_filter(int64_t N, int64_t n, int64_t c, int64_t K, int64_t varying
 }
 /* Back from the last sample: x (N, n + 1, K), predicted, becomes what all samples tell; spread (N): variance of d. */
 EXPORT int rs_smooth(int64_t N, int64_t n, int64_t c, int64_t K, int64_t varying, const double *F, given G,
-                     const double *H, given D, given kept, given variances, given gains, given roots, lanes x, given v,
+                     const double *H, given D, given pole, given variances, given gains, given roots, lanes x, given v,
                      lanes spread) {
   const int64_t m = n + 1;
   double *memory = calloc((size_t)(W * (c * m + 3 * m * m + 2 * m * K + m)), sizeof *memory);
@@ -160,7 +159,7 @@ EXPORT int rs_smooth(int64_t N, int64_t n, int64_t c, int64_t K, int64_t varying
   lanes q = next + m * K;
   for (int64_t k = N - 1; k >= 0; --k) {
     const int64_t j = varying ? k : 0;
-    const sample s = {n, c, F + j * n * n, H + j * c * n, G + j * n, D + j * c, kept};
+    const sample s = {n, c, F + j * n * n, H + j * c * n, G + j * n, D + j * c, pole};
     given P = variances + j * m * m, root = roots + j * c * c;
     if (k == N - 1 || varying) {
       closed(&s, gains + j * m * c, rest);

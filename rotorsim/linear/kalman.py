@@ -1,6 +1,6 @@
 """Kalman filters and smoothers of several systems at once that differ in one unknown input.
 
-x_(k+1) = F_k x_k + G_k d_k + w,   d_(k+1) = kept d_k + w,   y_k = H_k x_k + D_k d_k + v,   v of unit variance
+x_(k+1) = F_k x_k + G_k d_k + w,   d_(k+1) = pole d_k + w,   y_k = H_k x_k + D_k d_k + v,   v of unit variance
 
 Source: Durbin & Koopman, Time Series Analysis by State Space Methods (2012), 4.3, 4.4; the variance in the form of
 Joseph, in which a sum of squares stays one.
@@ -34,39 +34,39 @@ class Gains(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Systems:
-    """B systems of n states: F (N or 1, n, n), G (N or 1, n, B), H (N or 1, c, n), D (N or 1, c, B), kept (B,).
+    """B systems of n states: F (N or 1, n, n), G (N or 1, n, B), H (N or 1, c, n), D (N or 1, c, B), pole (B,).
 
-    entering (B, n + 1): the variance of what enters x and d at every sample.
+    Q (B, n + 1): the variance of what enters x and d at every sample.
     """
 
     F: np.ndarray
     G: np.ndarray
     H: np.ndarray
     D: np.ndarray
-    kept: np.ndarray
-    entering: np.ndarray
+    pole: np.ndarray
+    Q: np.ndarray
 
     @property
     def _arrays(self) -> kalman_in_c.Given:
-        return self.F, self.G, self.H, self.D, self.kept, self.entering
+        return self.F, self.G, self.H, self.D, self.pole, self.Q
 
     def of(self, which: np.ndarray) -> Systems:
         """Return some of the systems; which: a mask or a slice of them."""
         G, D = self.G[:, :, which], self.D[:, :, which]
-        return replace(self, G=G, D=D, kept=self.kept[which], entering=self.entering[which])
+        return replace(self, G=G, D=D, pole=self.pole[which], Q=self.Q[which])
 
     def augmented(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Return F (B, n + 1, n + 1) and H (B, c, n + 1) of x and d at sample k."""
         k = k if len(self.F) > 1 else 0
-        (_, c, n), B = self.H.shape, len(self.kept)
+        (_, c, n), B = self.H.shape, len(self.pole)
         F, H = np.zeros((B, n + 1, n + 1)), np.zeros((B, c, n + 1))
-        F[:, :n, :n], F[:, :n, n], F[:, n, n] = self.F[k], self.G[k].T, self.kept
+        F[:, :n, :n], F[:, :n, n], F[:, n, n] = self.F[k], self.G[k].T, self.pole
         H[:, :, :n], H[:, :, n] = self.H[k], self.D[k].T
         return F, H
 
     def steady(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the variances P of x and d, as steady filters predict them at the first sample, and which have one."""
-        return steady_variance(*self.augmented(0), self.entering[:, :, None] * np.eye(self.entering.shape[1]))
+        return steady_variance(*self.augmented(0), self.Q[:, :, None] * np.eye(self.Q.shape[1]))
 
     def products(self, P: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the products (B, K, K) of the innovations of signals y (N, c, K), and the logarithms of variances.
@@ -108,7 +108,7 @@ class Systems:
     def _filtered(self, P: np.ndarray, y: np.ndarray) -> Iterator[tuple[Filters, np.ndarray, np.ndarray]]:
         """Yield the filters at each sample, predicted x and d (B, n + 1, K), and innovations (B, c, K)."""
         one = Filters.of(*self.augmented(0), P)
-        Q, x = self.entering[:, :, None] * np.eye(P.shape[1]), np.zeros((*P.shape[:2], y.shape[2]))
+        Q, x = self.Q[:, :, None] * np.eye(P.shape[1]), np.zeros((*P.shape[:2], y.shape[2]))
         for k, row in enumerate(y):
             one = one.advanced(*self.augmented(k), Q) if k and len(self.F) > 1 else one
             difference = row - one.H @ x

@@ -15,7 +15,7 @@ import numpy as np
 
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 
-LANES = 8  # W of kalman.c: systems side by side, of which a vector of the processor holds two to eight
+LANES = 8  # systems side by side, of which a vector of the processor holds two to eight
 
 
 @cache
@@ -24,7 +24,8 @@ def _library() -> Any:
     if (compiler := find_compiler()) is None:
         return None
     try:
-        library = compile_c(files("rotorsim.linear").joinpath("kalman.c").read_text("utf-8"), compiler, "-O3")[0]
+        source = files("rotorsim.linear").joinpath("kalman.c").read_text("utf-8")
+        library = compile_c(f"#define W {LANES}\n{source}", compiler, "-O3")[0]
     except CompilerError:
         return None
     i64, ptr = ctypes.c_int64, ctypes.c_void_p
@@ -33,21 +34,21 @@ def _library() -> Any:
     return library
 
 
-Given = tuple[np.ndarray, ...]  # F, G, H, D, kept, entering of `rotorsim.linear.kalman.Systems`
+Given = tuple[np.ndarray, ...]  # F, G, H, D, pole, Q of `rotorsim.linear.kalman.Systems`
 
 
 class _Lanes:
     """Some of the systems, at most as many as there are lanes; the last fills those that are left."""
 
     def __init__(self, given: Given, P: np.ndarray, which: np.ndarray, y: np.ndarray) -> None:
-        F, G, H, D, kept, entering = given
+        F, G, H, D, pole, Q = given
         self.count = len(which)
         which = np.append(which, np.repeat(which[-1:], LANES - len(which)))
         self.N, c, self.K = y.shape
         n = F.shape[1]
-        arrays = F, G[:, :, which], H, D[:, :, which], kept[which]
+        arrays = F, G[:, :, which], H, D[:, :, which], pole[which]
         self.arrays = [np.ascontiguousarray(a, float) for a in arrays]
-        self.entering, self.y = np.ascontiguousarray(entering[which].T, float), np.ascontiguousarray(y, float)
+        self.Q, self.y = np.ascontiguousarray(Q[which].T, float), np.ascontiguousarray(y, float)
         self.P = np.array(np.moveaxis(P[which], 0, -1), float, order="C")
         self.sizes = self.N, n, c, self.K, int(len(F) > 1)
         own = self.N if len(F) > 1 else 1
@@ -57,7 +58,7 @@ class _Lanes:
         """Return products, logarithms of variances, and what is kept, by its number in the arguments in C."""
         products, log_det = np.zeros((self.K, self.K, LANES)), np.zeros(LANES)
         parts = {k: np.empty((*self.shapes[k], LANES)) for k in kept}
-        given = [*self.arrays, self.entering, self.P, self.y, products, log_det]
+        given = [*self.arrays, self.Q, self.P, self.y, products, log_det]
         pointers = [parts[k].ctypes.data if k in parts else None for k in range(len(self.shapes))]
         if _library().rs_filter(*self.sizes, *(a.ctypes.data for a in given), *pointers):
             raise MemoryError

@@ -161,3 +161,28 @@ def test_a_size_that_nothing_tells_is_a_mistake(folder: Path) -> None:
     assert mistakes(document, trust_blocks=True) == [
         ": w: size 'n' of input, output is not known | wire it, or give a parameter that has this size"
     ]
+
+
+def test_a_state_that_begins_where_it_cannot_is_reported(folder: Path) -> None:
+    """FAULT: of another shape, a diagnosis of a diagram with the block ended with a traceback."""
+    head = "from rotorsim.block import Block, Equations, In, Out, State, vec\n"
+    body = """
+class {name}(Block):
+    input = In()
+    output = Out()
+    value = State({declared})
+    def equations(self, p, u, x, t):
+        return Equations(outputs={{"output": u.input}}, derivatives={{"value": 0 * x.value}})
+"""
+    (folder / "begins.py").write_text(
+        head
+        + body.format(name="Lost", declared='begins="nothing"')
+        + body.format(name="Wide", declared='shape=2, begins="input"')
+    )
+    wires = [("c.output", "l.input"), ("c.output", "w.input")]
+    document = diagram({"c": "constant", "l": "lost", "w": "wide"}, *wires, block_folders=["my_blocks"])
+    assert [line for line in mistakes(document, trust_blocks=True) if "unit" not in line] == [
+        ": l: block type 'lost': state 'value' begins at 'nothing', which is no input | correct the block file",
+        ": w: block type 'wide': state 'value' has shape (2,), input 'input' that it begins at () "
+        "| correct the block file",
+    ]

@@ -8,15 +8,14 @@ from rotorsim.linear import kalman_in_c
 from rotorsim.linear.kalman import Filters, Systems
 from rotorsim.linear.kalman import steady_variance as riccati
 
-RANDOM = np.random.default_rng(8)
 
-
-def systems(samples: int, count: int, n: int = 3, c: int = 2) -> Systems:
-    """Systems near the limit of stability; samples: of matrices that change, or 1."""
-    F = np.diag([0.97, 0.9, 0.5])[:n, :n] + 0.05 * RANDOM.normal(size=(samples, n, n))
+def systems(samples: int, count: int, rows: int, n: int = 3, c: int = 2) -> tuple[Systems, np.ndarray]:
+    """Systems near the limit of stability, and a signal (rows, c, 3); samples: of matrices that change, or 1."""
+    random = np.random.default_rng(8)
+    F = np.diag([0.97, 0.9, 0.5])[:n, :n] + 0.05 * random.normal(size=(samples, n, n))
     sizes = (samples, n, count), (samples, c, n), (samples, c, count)
-    kept, entering = np.where(np.arange(count) % 2, 0.99, 1.0), RANDOM.uniform(0.01, 1.0, size=(count, n + 1))
-    return Systems(F, *(RANDOM.normal(size=size) for size in sizes), kept, entering)
+    pole, Q = np.where(np.arange(count) % 2, 0.99, 1.0), random.uniform(0.01, 1.0, size=(count, n + 1))
+    return Systems(F, *(random.normal(size=size) for size in sizes), pole, Q), random.normal(size=(rows, c, 3))
 
 
 @pytest.fixture(params=["in C", "in NumPy"])
@@ -30,7 +29,7 @@ def language(request, monkeypatch) -> str:
 def test_filters_and_smoothers_are_those_of_all_samples_at_once(language, samples):
     """The states of N samples are one Gaussian vector, of which all outputs are linear combinations and noise."""
     N, count, K = 12, 11, 3  # more than go side by side
-    some, y = systems(samples, count), RANDOM.normal(size=(N, 2, K))
+    some, y = systems(samples, count, N)
     P, steady = some.steady()
     assert steady.all()
     found, log_det = some.products(P, y)
@@ -47,7 +46,7 @@ def test_filters_and_smoothers_are_those_of_all_samples_at_once(language, sample
             H = some.augmented(k)[1]
             own = slice(k * m, (k + 1) * m)
             from_all[own, own] = np.eye(m)
-            variance[own, own] = P[b] if k == 0 else np.diag(some.entering[b])
+            variance[own, own] = P[b] if k == 0 else np.diag(some.Q[b])
             if k:
                 before = some.augmented(k - 1)[0][b]
                 from_all[own, : k * m] = before @ from_all[(k - 1) * m : k * m, : k * m]
@@ -64,7 +63,7 @@ def test_filters_and_smoothers_are_those_of_all_samples_at_once(language, sample
 
 
 def test_a_system_that_diverges_leaves_the_others_beside_it(language):
-    some, y = systems(20, 3), RANDOM.normal(size=(20, 2, 1))
+    some, y = systems(20, 3, 20)
     P, _ = some.steady()
     products, log_det = some.products(P, y)
     P[1] = -1e3 * np.eye(4)
@@ -77,7 +76,7 @@ def test_a_system_that_diverges_leaves_the_others_beside_it(language):
 
 
 def test_some_of_the_systems_are_those_alone(language):
-    some, y = systems(20, 5), RANDOM.normal(size=(20, 2, 1))
+    some, y = systems(20, 5, 20)
     P, _ = some.steady()
     which = np.array([False, True, False, True, True])
     for whole, part in zip(some.products(P, y), some.of(which).products(P[which], y), strict=True):

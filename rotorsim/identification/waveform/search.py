@@ -32,6 +32,7 @@ NEARBY = (100.0, 30.0, 10.0, 3.0, 0.3, 0.1)  # of that which is small enough: si
 WEAK = (
     1e-8  # times the information on the state that shows best: to show as much, it would have to move 1e4 times as far
 )
+DIFFERENCE = 1e-3  # of an unknown: what it changes is far above what a level at zero jitters, and its square far below
 WORSE = 4.0  # times the cost without the effect, of a start that is taken
 
 Label = tuple[str, str, int]  # subsystem, state, run
@@ -227,8 +228,6 @@ class OutputErrorSearch:
     @np.errstate(over="ignore", invalid="ignore")
     def evaluate(self, unknowns: np.ndarray, sub: int, sensitivities: bool = True) -> Evaluation:
         """Return residuals and Jacobians at a point; the cost is infinite where a run diverges."""
-        cost = 0.0
-        gradient, information = np.zeros(len(unknowns)), np.zeros((len(unknowns), len(unknowns)))
         residuals: list[list[np.ndarray]] = [[] for _ in self.systems]
         jacobians: list[list[np.ndarray]] = [[] for _ in self.systems]
         for k, r in product(range(len(self.systems)), range(len(self.runs))):
@@ -238,6 +237,19 @@ class OutputErrorSearch:
             jacobians[k].append(self.runs[r].beside_lines(-dy, known))
             if not (np.isfinite(y).all() and np.isfinite(dy).all()):
                 return Evaluation(unknowns, sub)
+        return self._summed(unknowns, sub, residuals, jacobians)
+
+    def _summed(
+        self,
+        unknowns: np.ndarray,
+        sub: int,
+        residuals: Sequence[Sequence[np.ndarray]],
+        jacobians: Sequence[Sequence[np.ndarray]],
+    ) -> Evaluation:
+        """Return the evaluation of residuals and Jacobians, with what priors say; of infinite cost where it is none."""
+        cost = 0.0
+        gradient, information = np.zeros(len(unknowns)), np.zeros((len(unknowns), len(unknowns)))
+        for k, r in product(range(len(self.systems)), range(len(self.runs))):
             root = self.root(k, r)
             e = (root * np.nan_to_num(residuals[k][r])).ravel()
             J = (root[:, :, None] * jacobians[k][r]).reshape(root.size, -1)
@@ -255,8 +267,31 @@ class OutputErrorSearch:
                 information[j, j] += 1 / item.prior_std**2
         return Evaluation(unknowns, sub, cost, residuals, jacobians, gradient, information)
 
+    def is_beyond(self, here: Evaluation) -> bool:
+        """Return whether an evaluation needs laws beyond where they are defined."""
+        as_given = replace(self, continued=False)
+        return self.continued and not np.isfinite(as_given.evaluate(here.unknowns, here.sub, False).cost)
+
+    def by_differences(self, here: Evaluation) -> Evaluation:
+        """Return an evaluation whose Jacobians are central differences, over `DIFFERENCE` of each unknown.
+
+        A level that stays at zero crosses it in every step, each time with a slope of the root there: exact derivatives
+        of the steps grow beyond all bounds, and say that the parameters are known to the last digit.
+        """
+        jacobians = [[part.copy() for part in own] for own in here.jacobians]
+        for j in np.flatnonzero(here.unknowns).tolist():
+            move = np.zeros(len(here.unknowns))
+            move[j] = DIFFERENCE * abs(here.unknowns[j])
+            up, down = (self.evaluate(here.unknowns + sign * move, here.sub, False).residuals for sign in (1, -1))
+            if not (up and down):
+                continue
+            for k, r in product(range(len(self.systems)), range(len(self.runs))):
+                own = np.flatnonzero(self.columns(k, r) == j)
+                jacobians[k][r][:, :, own] = ((up[k][r] - down[k][r]) / (2 * move[j]))[:, :, None]
+        return self._summed(here.unknowns, here.sub, here.residuals, jacobians)
+
     @cached_property
-    def beyond(self) -> OutputErrorSearch:
+    def unlimited(self) -> OutputErrorSearch:
         """The search in which laws go on beyond where they are defined; itself where all are defined everywhere."""
         limited = any(system.equations.limited for system in self.systems)
         return replace(self, continued=True) if limited and not self.continued else self
@@ -266,8 +301,8 @@ class OutputErrorSearch:
 
         On the way laws may go on beyond where they are defined; not in what is found.
         """
-        found = self.beyond._minimised(start, most)
-        if self.beyond is self or np.isfinite(self.evaluate(found.unknowns, found.sub, sensitivities=False).cost):
+        found = self.unlimited._minimised(start, most)
+        if self.unlimited is self or np.isfinite(self.evaluate(found.unknowns, found.sub, sensitivities=False).cost):
             return found
         return self._minimised(start, most)
 

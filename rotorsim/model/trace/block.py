@@ -118,6 +118,7 @@ def trace_block(
     continuous = {name: shape for name, shape in states.items() if name not in discrete}
     _refuse_unknown("derivative", equations.derivatives, continuous)
     _refuse_unknown("update", equations.update, discrete)
+    _check_beginnings(block, {name: active[name].begins for name in states if active[name].begins}, inputs, states)
     return BlockTrace(
         inputs=flat_u,
         parameters=flat_p,
@@ -146,6 +147,19 @@ def _column(kind: str, name: str, value: Any, shape: Shape) -> Any:
     if symbol.shape != expected:
         raise TraceError(f"{kind} '{name}' has shape {symbol.shape}, declared {expected}")
     return flatten(ca.densify(symbol))
+
+
+def _check_beginnings(
+    block: Block, begins: Mapping[str, str], inputs: Mapping[str, Shape], states: Mapping[str, Shape]
+) -> None:
+    ports = {port for declaration in block.inputs.values() for port in block.port_names(declaration)}
+    for name, port in begins.items():
+        if port not in ports:
+            raise TraceError(f"state '{name}' begins at '{port}', which is no input")
+        if port in inputs and inputs[port] != states[name]:
+            raise TraceError(
+                f"state '{name}' has shape {states[name]}, input '{port}' that it begins at {inputs[port]}"
+            )
 
 
 def _refuse_unknown(kind: str, given: Mapping[str, Any], declared: Any) -> None:

@@ -142,6 +142,7 @@ def test_a_mode_that_is_broad_is_found_at_any_frequency(frequency):
     [effect] = done.effects
     assert effect.physics == "missing_mode"
     assert "control.output" in {str(spot) for spot in effect.spots}
-    name = effect.candidate.insertion.name
-    assert done.after.values[f"{name}.frequency"] == pytest.approx(frequency, rel=0.01)
-    assert done.after.values[f"{name}.damping_ratio"] == pytest.approx(damping, rel=0.02)
+    for key, truth in (("frequency", frequency), ("damping_ratio", damping)):
+        name = f"{effect.candidate.insertion.name}.{key}"
+        std = done.after.std([*done.after.values].index(name))
+        assert abs(done.after.values[name] - truth) < 4 * std < 0.1 * truth

@@ -273,14 +273,15 @@ class WaveformEvidence(WaveformFits, Defaults):
         return [*text, *stand_ins(self.load(after.document), inserted, units)]
 
     def _undefined(self, fit: Fit) -> list[str]:
-        """Return the runs that a fitted diagram only gets through as its laws go on beyond where they are defined."""
-        search = replace(self.search(values_in(fit.document, fit.values)), hold="theta")
+        """Return the runs, hold-out too, that a fitted diagram gets through only as laws go on where they end."""
+        runs = (*self.runs, *self.held)
+        search = self.simulation(values_in(fit.document, fit.values), runs)
         if not search.continued:
             return []
-        found = search.minimise(self._first(search))
+        found = search.minimise(search.first())
         as_given = replace(search, continued=False)
-        outputs = (as_given.simulated(found.unknowns, 0, r, found.sub, False)[0] for r in range(len(self.runs)))
-        return [run.id for run, y in zip(self.runs, outputs, strict=True) if not np.isfinite(y).all()]
+        outputs = (as_given.simulated(found.unknowns, 0, r, found.sub, False)[0] for r in range(len(runs)))
+        return [run.id for run, y in zip(runs, outputs, strict=True) if not np.isfinite(y).all()]
 
 
 def _open(fit: Fit) -> set[str]:

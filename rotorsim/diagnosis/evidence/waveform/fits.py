@@ -88,13 +88,13 @@ class WaveformFits(SampledRuns):
             what = "its controllers can no longer be told from the rest by what was measured"
             raise RotorsimError(Problem(what, diagram.name))
         weights = weights_of(self.variance, self.runs, self.rows)
-        return OutputErrorSearch(systems, self.runs, weights, self.least).beyond
+        return OutputErrorSearch(systems, self.runs, weights, self.least).unlimited
 
     def simulation(self, document: Mapping[str, Any], runs: Sequence[SampledRun]) -> OutputErrorSearch:
         """Return a document as it is beside some runs, of which only the starts are searched. Raises RotorsimError."""
         systems = subsystems_of(self.load(document), self.channels)[:1]
         weights = {signal: 1 / value for signal, value in self.variance.items()}
-        return OutputErrorSearch(systems, runs, weights, self.least, hold="theta").beyond
+        return OutputErrorSearch(systems, runs, weights, self.least, hold="theta").unlimited
 
     def simulated(self, document: Mapping[str, Any], runs: Sequence[SampledRun]) -> list[np.ndarray] | None:
         """Return the outputs of a document as it is in every run, (N, c), from the best starts; None if it diverges."""
@@ -235,6 +235,8 @@ class WaveformFits(SampledRuns):
         """Return a fit from the end of a search."""
         if not np.isfinite(evaluation.cost):
             return Fit(document, failure=DIVERGES)
+        if search.is_beyond(evaluation):
+            evaluation = search.by_differences(evaluation)
         m, count = search.m, len(search.free)
         residual, J, sizes = stacked(search, evaluation, self.stretches)
         at_bound = search.at_bound(evaluation.unknowns)

@@ -96,8 +96,8 @@ class DrivenEquations:
     then the coefficients of a `ForceMap`; slots: the entries of p that each of the m parameters sets. arguments: t, x,
     v, p. f (n,), g (c,). fastest: frequency [rad/s] of modes beyond which only their flexibility stays
     (`rotorsim.identification.waveform.driven.slow_modes`); None: all stay. begun: expressions of where states begin,
-    {state: of the arguments} (`State.begins`). limited: whether p has a last entry, below
-    which laws are not defined (`rotorsim.identification.waveform.driven.domain`).
+    {state: of the arguments} (`State.begins`). limited: whether p has a last entry, the least argument of laws that are
+    not defined below zero (`rotorsim.identification.waveform.driven.domain`).
     """
 
     model: Model
@@ -142,12 +142,12 @@ class DrivenEquations:
         """Return the states x (n,) at the first sample, those of `begun` that are not known as the others say."""
         x, wanted = np.array(x, float), [k for k in self.begun if k not in known]
         for _ in wanted:  # one may begin where another does
-            found = dict(zip(self.begun, self._begun(t, x, v, p)[0, :, 0].tolist(), strict=True))
+            found = dict(zip(self.begun, self._beginnings(t, x, v, p)[0, :, 0].tolist(), strict=True))
             x[wanted] = [found[k] if np.isfinite(found[k]) else x[k] for k in wanted]
         return x
 
     @cached_property
-    def _begun(self) -> MatrixFunction:
+    def _beginnings(self) -> MatrixFunction:
         return MatrixFunction(self.arguments, ca.vertcat(*self.begun.values()))
 
     @cached_property
@@ -235,7 +235,7 @@ def driven_equations(
     xdot, y = ca.substitute([trace.xdot, y], [trace.v], [external])
     kept = reached_states(ca.jacobian(xdot, trace.x).sparsity(), ca.jacobian(y, trace.x).sparsity())
     keep = kept.tolist()
-    begins = {keep.index(k): value for k, value in _begun(model).items() if k in keep}
+    begins = {keep.index(k): value for k, value in _beginnings(model).items() if k in keep}
     x = ca.SX.sym("x", len(keep))
     states = ca.SX.zeros(*trace.x.shape)
     states[keep] = x
@@ -261,7 +261,7 @@ def driven_equations(
     return DrivenEquations(*given, limited=beyond is not None)
 
 
-def _begun(model: Model) -> dict[int, Any]:
+def _beginnings(model: Model) -> dict[int, Any]:
     """Return where states begin, as they declare it, {state: expression of the trace}."""
     found: dict[int, Any] = {}
     wires = {(wire.target.block, wire.target.port): wire for wire in model.diagram.wires if not wire.target.index}
