@@ -25,6 +25,7 @@ from rotorsim.identification.waveform.along_angle import (
     with_reaction,
 )
 from rotorsim.identification.waveform.data import Channels, SampledRun, channels_of, chosen_runs
+from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.errors import errors_of
 from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate, with_angle_errors, with_late_pulses
 from rotorsim.identification.waveform.hum import with_mains_hum
@@ -183,7 +184,10 @@ def _estimated(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun],
     _refuse_unseen(search, diagram)
     start = search.first(noise.starts)
     start[: search.m] = noise.theta
-    return time_estimate(search, search.minimise(start), noise)
+    found = search.minimise(start)
+    if search.limited and not clock_ports(diagram):
+        found = search.by_differences(found)
+    return time_estimate(search, found, noise)
 
 
 def _refuse_unseen(search: OutputErrorSearch, diagram: Diagram) -> None:

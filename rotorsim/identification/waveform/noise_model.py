@@ -83,6 +83,9 @@ def noise_model(
         raise RotorsimError(Problem(what, diagram.name, hint=hint))
     if not np.isfinite(evaluation.cost):
         hint = "start from values nearer to the machine's, or check the signs and units of what drives it"
+        if np.isfinite(base.unlimited.evaluate(evaluation.unknowns, evaluation.sub).cost):
+            hint = "it takes the root or the logarithm of a number below zero, as of a tank that runs empty: put a max "
+            hint += "with 0 in front (block min_max), or start from other values"
         raise RotorsimError(Problem(f"{SIMULATION_DIVERGES} when it is driven as recorded", diagram.name, hint=hint))
     sizes = _sizes(diagram, channels, base, evaluation)
     weights = {signal: 1 / value for signal, value in residual_variance(base, evaluation).items()}

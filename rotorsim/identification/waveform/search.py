@@ -267,34 +267,41 @@ class OutputErrorSearch:
                 information[j, j] += 1 / item.prior_std**2
         return Evaluation(unknowns, sub, cost, residuals, jacobians, gradient, information)
 
-    def is_beyond(self, here: Evaluation) -> bool:
-        """Return whether an evaluation needs laws beyond where they are defined."""
-        as_given = replace(self, continued=False)
-        return self.continued and not np.isfinite(as_given.evaluate(here.unknowns, here.sub, False).cost)
-
     def by_differences(self, here: Evaluation) -> Evaluation:
-        """Return an evaluation whose Jacobians are central differences, over `DIFFERENCE` of each unknown.
+        """Return an evaluation whose Jacobians are central differences.
 
-        A level that stays at zero crosses it in every step, each time with a slope of the root there: exact derivatives
-        of the steps grow beyond all bounds, and say that the parameters are known to the last digit.
+        Over `DIFFERENCE` of each unknown, or less where that changes more than the residual. A level that stays at zero
+        crosses it in every step, each time with the derivative of the root there: exact sensitivities of the steps grow
+        beyond all bounds, and say that the parameters are known to the last digit.
         """
-        jacobians = [[part.copy() for part in own] for own in here.jacobians]
+        jacobians, search = [[part.copy() for part in own] for own in here.jacobians], self.unlimited
+        pairs = [*product(range(len(self.systems)), range(len(self.runs)))]
+
+        def moved(j: int, by: float) -> Sequence[Sequence[np.ndarray]]:
+            point = here.unknowns.copy()
+            point[j] += by
+            return search.evaluate(point, here.sub, False).residuals
+
         for j in np.flatnonzero(here.unknowns).tolist():
-            move = np.zeros(len(here.unknowns))
-            move[j] = DIFFERENCE * abs(here.unknowns[j])
-            up, down = (self.evaluate(here.unknowns + sign * move, here.sub, False).residuals for sign in (1, -1))
-            if not (up and down):
-                continue
-            for k, r in product(range(len(self.systems)), range(len(self.runs))):
+            step = DIFFERENCE * abs(here.unknowns[j])
+            if up := moved(j, step):
+                parts = (self.root(k, r) * np.nan_to_num(up[k][r] - here.residuals[k][r]) for k, r in pairs)
+                step /= max(np.sqrt(sum(float((part**2).sum()) for part in parts) / max(here.cost, 1e-300)), 1.0)
+            up, down = moved(j, step), moved(j, -step)
+            for k, r in pairs if up and down else ():
                 own = np.flatnonzero(self.columns(k, r) == j)
-                jacobians[k][r][:, :, own] = ((up[k][r] - down[k][r]) / (2 * move[j]))[:, :, None]
+                jacobians[k][r][:, :, own] = ((up[k][r] - down[k][r]) / (2 * step))[:, :, None]
         return self._summed(here.unknowns, here.sub, here.residuals, jacobians)
 
     @cached_property
     def unlimited(self) -> OutputErrorSearch:
         """The search in which laws go on beyond where they are defined; itself where all are defined everywhere."""
-        limited = any(system.equations.limited for system in self.systems)
-        return replace(self, continued=True) if limited and not self.continued else self
+        return replace(self, continued=True) if self.limited and not self.continued else self
+
+    @property
+    def limited(self) -> bool:
+        """Whether there are laws that are not defined everywhere."""
+        return any(system.equations.limited for system in self.systems)
 
     def minimise(self, start: np.ndarray, most: int = MOST_SIMULATIONS) -> Evaluation:
         """Return the evaluation where the cost is least, as found from a start within the bounds.

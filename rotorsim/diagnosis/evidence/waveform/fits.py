@@ -235,7 +235,7 @@ class WaveformFits(SampledRuns):
         """Return a fit from the end of a search."""
         if not np.isfinite(evaluation.cost):
             return Fit(document, failure=DIVERGES)
-        if search.is_beyond(evaluation):
+        if search.limited and not self.parts:
             evaluation = search.by_differences(evaluation)
         m, count = search.m, len(search.free)
         residual, J, sizes = stacked(search, evaluation, self.stretches)
