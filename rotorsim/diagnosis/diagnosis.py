@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.conclude import verdict as verdicts
-from rotorsim.diagnosis.conclude.disturbance import is_unpredicted, unmeasured
+from rotorsim.diagnosis.conclude.disturbance import disturbed
 from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, taken_twice
 from rotorsim.diagnosis.conclude.shares import Explained, explanations, residual_of
 from rotorsim.diagnosis.conclude.unknown_force import UnknownForce
-from rotorsim.diagnosis.conclude.validation import Proof, is_faint, material_effects, prove
+from rotorsim.diagnosis.conclude.validation import Proof, is_faint, material_effects, prove, prove_by_error
 from rotorsim.diagnosis.conclude.wording import next_experiment, statement
+from rotorsim.diagnosis.evidence.disturbance import is_unpredicted
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.open import Opened, open_evidence
@@ -27,6 +29,8 @@ from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording
 
 __all__ = ["Diagnosis", "diagnose"]
+
+RECALIBRATIONS = 2  # of the noise by what the effects leave, each of which begins the search anew
 
 
 def diagnose(
@@ -54,10 +58,14 @@ def diagnose(
     if opened.base.failure:
         raise RotorsimError(Problem(opened.base.failure, diagram.name))
     evidence, selection = opened.evidence, select_effects(opened.base, opened.evidence, opened.catalogue, jobs)
-    with one_thread():
-        quieter = evidence.recalibrated(selection.fit) if selection.chosen else None
-        base = opened.base if quieter is None else quieter.at(opened.base)
-    if quieter is not None:
+    base = opened.base
+    for n in range(RECALIBRATIONS):
+        with one_thread():
+            worth = selection.explains if n else bool(selection.chosen)
+            quieter = evidence.recalibrated(selection.fit) if worth else None
+            base = base if quieter is None else quieter.at(opened.base)
+        if quieter is None:
+            break
         evidence, selection = quieter, select_effects(base, quieter, opened.catalogue, jobs, selection)
     with one_thread():
         diagnosis = _concluded(replace(opened, evidence=evidence, base=base), selection)
@@ -111,6 +119,8 @@ def _judged(opened: Opened, selection: Selection) -> _Judged:
             scores = validation.score(selection.base), validation.score(selection.fit)
             proof = prove(*scores, left=left, held=validation.held_out)
         faint = is_faint(selection.base, validation.score(selection.base)) and not validation.is_force(selection.base)
+    elif opened.held_out and selection.chosen and selection.explains:
+        proof = prove_by_error(evidence.score(selection.base), evidence.score(selection.fit))
     disproved = proof is not None and proof.status == "disproved"
     if faint and (disproved or not selection.explains):
         selection = without_effects(selection)
@@ -162,12 +172,13 @@ def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
         residual = residual_of(selection.base, after, validation)
     signals = verdicts.signals_of(selection, effects, after, evidence, verdict)
     unpredicted = verdict == "outside_catalogue" and is_unpredicted(selection.base, signals, evidence)
-    if unpredicted and not converters:
-        disturbance = unmeasured(selection.base, signals[0], evidence, opened.catalogue)
-        if disturbance is not None:
-            verdict, unknown, proof = "missing_physics", None, None
-            effects, signals = (disturbance[0],), (disturbance[1],)
-            after = disturbance[0].candidate.fit
+    found = disturbed(selection, evidence, opened.catalogue) if judged.outside and not converters else None
+    beside = effects[: 0 if found is None else len(found.selection.chosen)]
+    if found is not None and all(len(item.members) <= CRITERIA.most_equivalent for item in beside):
+        verdict, unknown, proof, after = "missing_physics", None, None, found.fit
+        effects = tuple(replace(item, candidate=replace(item.candidate, fit=after)) for item in beside)
+        signals = verdicts.signals_of(found.selection, effects, after, evidence, verdict) if effects else ()
+        effects, signals = (*effects, found.effect), (*signals, found.signal)
     every = (*effects, *(verdicts.converter_effect(item, selection.fit) for item in converters))
     terms, outside = evidence.terms, verdict == "outside_catalogue"
     places = () if verdict == "consistent" else verdicts.places_of(selection, every, outside=outside)

@@ -12,9 +12,10 @@ from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.catalogue.values import structure_of
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Fit
-from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass, likely_spots
 from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.diagnosis.search.promises import (
+    as_promising,
     at_likely_places,
     at_next_places,
     at_other_places,
@@ -46,6 +47,30 @@ def test_places_that_allow_ten_times_the_least_are_not_looked_at():
     assert sorted(kept) == [1, 2, 3]
 
 
+def test_beside_a_fit_what_promises_as_much_is_tried_but_once():
+    """FAULT: beside a cross-talk that imitated it, a cross-talk from another signal promised a seventh more."""
+    found = [placed("lag", "fitted"), placed("delay", "fitted")]
+    found += [placed(law, spot) for law in ("lag", "delay", "play") for spot in ("behind a gain", "a", "b", "c", "d")]
+    lags, delays, plays = (
+        (100.00001, 105.0, 90.0, 91.0, 92.0),
+        (111.0, 95.0, 96.0, 97.0, 98.0),
+        (50.0, 51.0, 52.0, 53.0),
+    )
+    promises = [Promise(value) for value in (100.0, 200.0, *lags, *delays, *plays)] + [None]
+    kept = [found[k].key for k in as_promising(found, promises, 2, 110.0)]
+    plays = ["play@behind a gain", "play@a", "play@b"]  # three of a law, eight in all
+    assert kept == [*plays, "lag@b", "lag@c", "lag@d", "delay@a", "delay@b"]  # not the lag that promises as one fitted
+    assert [found[k].key for k in as_promising(found, promises, 2, 54.0)] == plays
+
+
+def test_places_are_likely_within_odds_of_e5():
+    pump, level, far = (
+        PlaceClass((spot,), share) for spot, share in (("a", 0.9), ("b", 0.9 * np.exp(-4.9)), ("c", 0.9 * np.exp(-5.1)))
+    )
+    assert likely_spots((pump, level, far)) == {"a", "b"}
+    assert likely_spots(()) == frozenset()
+
+
 def test_what_was_best_with_another_measure_of_the_noise_is_fitted_again_from_where_it_was():
     """FAULT: a saturation that explained all was not among those that promised most once the noise was known."""
     best, failed = candidate("saturation", 30.0, 1), candidate("lag", 50.0, 1)
@@ -72,7 +97,7 @@ def test_a_look_alike_is_carried_on_from_where_it_is_at_its_best_place():
     def tried(spot: str, misfit: float) -> SimpleNamespace:
         fit = Fit({"blocks": {}}, misfit=misfit, rows=ROWS, equations=ROWS, nonlinear=True)
         fault = SimpleNamespace(sizes=())
-        insertion = SimpleNamespace(physics="rub", law=("rub", 0), spot=Spot(spot, ""), free=(), fault=fault)
+        insertion = SimpleNamespace(physics="rub", law=("rub", 0), spot=Spot(spot, ""), key=spot, free=(), fault=fault)
         return SimpleNamespace(insertion=insertion, fit=fit, final=False, physical=True)
 
     far, near = tried("far", 9e5), tried("near", 9e4)

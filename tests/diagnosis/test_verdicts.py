@@ -8,9 +8,9 @@ import pytest
 
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.conclude.result import Effect
-from rotorsim.diagnosis.conclude.validation import is_faint, is_material, material_effects, prove
+from rotorsim.diagnosis.conclude.validation import Proof, is_faint, is_material, material_effects, prove, prove_by_error
 from rotorsim.diagnosis.conclude.verdict import is_no_explanation, nearest, places_of, verdict_of
-from rotorsim.diagnosis.evidence.evidence import HeldScore
+from rotorsim.diagnosis.evidence.evidence import HeldScore, Score
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_noise
 from rotorsim.diagnosis.evidence.harmonic import residual
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
@@ -145,6 +145,26 @@ def test_small_orders_do_not_outweigh_the_motion():
     for share, status in ((0.0199, "proved"), (0.0201, "disproved")):
         error = np.sqrt(floor + share * (0.4**2 - floor))
         assert prove(before, scored(1e4, error), left=0.005).status == status
+
+
+def test_in_time_a_repair_is_disproved_that_makes_hold_out_runs_worse():
+    """FAULT: a gain that depends on a speed was named for a stop; the error of hold-out runs went up 2.4 times."""
+    given = scored(None, 0.04)
+    for rise, status in (
+        (0.25, "proved"),
+        (0.99, "proved"),
+        (1.0, "unproved"),
+        (1.049, "unproved"),
+        (1.051, "disproved"),
+    ):
+        found = prove_by_error(given, scored(None, 0.04 * np.sqrt(rise)))
+        assert found.status == status
+    assert found.reason == "its squared error there is 1.05 times that of the diagram as given"
+    lost = Score({"": float("nan")}, {}, reason="tank.level diverges")
+    assert prove_by_error(given, lost) == Proof(
+        "unproved", "the repaired diagram predicts nothing: tank.level diverges"
+    )
+    assert prove_by_error(lost, given).status == "unproved"
 
 
 def test_what_could_not_run_is_not_proved_and_says_why():

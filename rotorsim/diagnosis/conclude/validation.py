@@ -53,6 +53,23 @@ def prove(before: HeldScore, after: HeldScore, *, left: float = 0.0, held: bool 
     return Proof("disproved" if held else "unproved", reason)
 
 
+def prove_by_error(before: Score, after: Score) -> Proof:
+    """Return whether a repaired diagram predicts hold-out runs whose samples are not independent, by its error there.
+
+    Disproved: the squared error rises by more than a model of the noise may be wrong by (`Criteria.model_error`); it
+    must fall to be proved.
+    """
+    if after.total is None:
+        return Proof("unproved", f"the repaired diagram predicts nothing: {after.reason or 'it diverges'}")
+    if before.total is None:
+        return Proof("unproved", f"the diagram as given cannot be compared: {before.reason or 'it diverges'}")
+    ratio = (after.total / before.total) ** 2
+    reason = f"its squared error there is {ratio:.3g} times that of the diagram as given"
+    if ratio > CRITERIA.model_error:
+        return Proof("disproved", reason)
+    return Proof("proved" if ratio < 1 else "unproved", reason)
+
+
 def _error_left(before: Score, after: Score) -> float:
     """Return the share of the squared error beyond the noise floor that a repair leaves; 0 where it is not known."""
     if before.total is None or after.total is None or before.noise is None or after.noise is None:

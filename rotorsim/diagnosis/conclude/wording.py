@@ -10,7 +10,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, estimates
 from rotorsim.diagnosis.conclude.shares import Explained
 from rotorsim.diagnosis.evidence.fit import is_noise
-from rotorsim.diagnosis.evidence.missing_signal import spots_of
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, spots_of
 from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.fault import Fault
 from rotorsim.units import format_quantity
@@ -41,8 +41,8 @@ def next_experiment(diagnosis: Diagnosis) -> str:
         parts.append(REPEATED)
     if verdict == "outside_catalogue":
         parts.append(_law_of_unknown(diagnosis))
-    if _is_unmeasured(diagnosis):
-        parts.append(f"record the signal that acts at {diagnosis.signals[0].place.words}: it is an input then")
+    if (signal := _disturbance(diagnosis)) is not None:
+        parts.append(f"record the signal that acts at {signal.place.words}: it is an input then")
     open_questions = evidence.open_questions()
     if parts or open_questions:
         return "; ".join([*parts, *([open_questions] if open_questions else [])])
@@ -109,8 +109,8 @@ def statement(diagnosis: Diagnosis) -> str:
         parts = _consistent(diagnosis)
     elif diagnosis.verdict == "outside_catalogue":
         parts = _outside(diagnosis)
-    elif _is_unmeasured(diagnosis):
-        parts = _disturbed(diagnosis)
+    elif (signal := _disturbance(diagnosis)) is not None:
+        parts = _disturbed(diagnosis, signal)
     else:
         parts = _missing(diagnosis)
     return " ".join(part for part in parts if part)
@@ -192,19 +192,25 @@ def _missing(diagnosis: Diagnosis) -> list[str]:
     return parts
 
 
-def _is_unmeasured(diagnosis: Diagnosis) -> bool:
-    return any(effect.candidate.insertion.from_course for effect in diagnosis.effects)
+def _disturbance(diagnosis: Diagnosis) -> MissingSignal | None:
+    """Return the signal of an unmeasured disturbance; None where none was found."""
+    names = {one.physics for one in diagnosis.effects if one.candidate.insertion.from_course}
+    return next((signal for signal in diagnosis.signals if signal.physics in names), None)
 
 
-def _disturbed(diagnosis: Diagnosis) -> list[str]:
-    """Return what is known of a signal that nothing predicts: no simulation follows it, whatever is repaired."""
-    [effect], [signal] = diagnosis.effects, diagnosis.signals
+def _disturbed(diagnosis: Diagnosis, signal: MissingSignal) -> list[str]:
+    """Return the effects, and what is known of a signal that no simulation follows, whatever is repaired."""
     left = f"Estimated from all outputs it leaves a {_variance(signal.left, diagnosis)}."
-    again = f"In runs with the same inputs it has another course (correlation {signal.repeated:.2g})"
+    if signal.repeated is None:
+        follows = "{:.2g} +- {:.2g}".format(*signal.follows)
+        of = f"(exponent {follows}, of what is proportional to it 1)"
+        known = f"It is Gaussian, its power does not follow that of the motion {of}"
+    else:
+        known = f"In runs with the same inputs it has another course (correlation {signal.repeated:.2g})"
     return [
         _unexplained(diagnosis),
-        _sentence(effect, diagnosis),
-        f"{again}, and nothing that is simulated predicts it: no simulation follows it. {left}",
+        *(_sentence(effect, diagnosis) for effect in diagnosis.effects),
+        f"{known}, and nothing that is simulated predicts it: no simulation follows it. {left}",
         _hold_out(diagnosis),
     ]
 
@@ -300,7 +306,8 @@ def _hold_out(diagnosis: Diagnosis) -> str:
     kind, lost = _runs(diagnosis), "the repaired diagram has no settled motion there"
     of = diagnosis.evidence.terms.signals.format("" if floor is None else _percent(floor))
     of = of if floor is not None else of.partition(" (")[0]
-    if diagnosis.verdict == "consistent" or _is_unmeasured(diagnosis):
+    alone = len(diagnosis.searched) == 1 and _disturbance(diagnosis) is not None
+    if diagnosis.verdict == "consistent" or alone:
         text = "" if before is None else f"On {kind} its error is {_percent(before)} {of}."
     elif before is None and after is None:
         text = f"On {kind} neither diagram has a settled motion."

@@ -110,6 +110,10 @@ class Bounds(Protocol):
         """The classes of places of which a free signal explains the same; none where that was not asked."""
 
     @property
+    def deviance(self) -> float:
+        """-2 log likelihood of the likeliest free signal; infinite where that was not asked, or none shows."""
+
+    @property
     def carried(self) -> Mapping[str, float]:
         """The largest magnitude of signals as measured outputs show them, by flat name; none where nothing is known."""
 
@@ -205,8 +209,11 @@ class Evidence(Protocol):
     def refines_meshes(self, document: Mapping[str, Any]) -> bool:
         """Return whether errors of a mesh in the diagram may show in the residual."""
 
-    def bounds(self, fit: Fit) -> Bounds | None:
-        """Return lower bounds of the misfit beside a fit, None where there are none (it is not linear)."""
+    def bounds(self, fit: Fit, better: Fit | None = None) -> Bounds | None:
+        """Return lower bounds of the misfit beside a fit, None where there are none (it is not linear).
+
+        better: a fit with more, whose parameters of the diagram are right; of laws they are promises then.
+        """
 
     def structure(self, fit: Fit) -> float:
         """Return the share of the residual of a fit that is predictable, and no noise, 0 where it is not asked."""
@@ -284,7 +291,7 @@ class Defaults:
         """Return False: errors of meshes are below those of the evidence."""
         return False
 
-    def bounds(self, fit: Fit) -> Bounds | None:
+    def bounds(self, fit: Fit, better: Fit | None = None) -> Bounds | None:
         """Return None: nothing is known of places but by trying them."""
         return None
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Spot
 
 
@@ -24,6 +25,12 @@ class PlaceClass:
     def words(self) -> str:
         """The places in words."""
         return " or ".join(spot.words for spot in self.places)
+
+
+def likely_spots(classes: Sequence[PlaceClass]) -> frozenset[Spot]:
+    """Return the places of classes, the likeliest first, that the data do not rule out."""
+    least = classes[0].probability * np.exp(-CRITERIA.equivalent / 2) if classes else 0.0
+    return frozenset(spot for one in classes if one.probability >= least for spot in one.places)
 
 
 def spots_of(classes: Iterable[PlaceClass]) -> tuple[Spot, ...]:
@@ -56,8 +63,11 @@ class MissingSignal:
     that it is drawn against, share: how much of its variance a map of that explains. physics: the law that was found
     there, empty without one. left, without: residual variance of all outputs with and without it, of the noise's.
     predicted: share of it that a black box predicts where it was left out, of what is simulated and of time, 0 where
-    that may be chance. repeated: the largest correlation between its courses in runs that are simulated alike (the same
-    inputs, from the same start); None without any such runs.
+    that may be chance. follows: the exponent by which its power follows that of what is simulated without it, from
+    stretch to stretch, and its standard deviation: 1 of what is proportional, 0 of what has nothing to do with it.
+    line: power of the line that stands out of it most, 1 of what chance makes.
+    repeated: the largest correlation between its courses in runs that are simulated alike (the same inputs, from the
+    same start); None without any such runs.
     """
 
     place: Spot
@@ -72,6 +82,8 @@ class MissingSignal:
     predicted: float
     repeated: float | None = None
     physics: str = ""
+    follows: tuple[float, float] = (0.0, np.inf)
+    line: float = 0.0
 
     @property
     def rms(self) -> float:
@@ -97,16 +109,26 @@ class MissingSignal:
     def known(self, value: str) -> tuple[float, float, str]:
         """Return "rms" or "correlation_time" with its standard deviation and unit.
 
-        In a time T, where the autocorrelation is exp(-t / tau): var(rms^2) = 2 tau / T rms^4, var(tau) = 2 tau^3 / T.
+        In a time T, where the autocorrelation is exp(-t / tau): var(rms^2) = 2 tau / T rms^4; the variance of the
+        autocorrelation at tau is (1 - 3 / e^2) tau / T, hence var(tau) = (e^2 - 3) tau^3 / T.
         Source: M. S. Bartlett, J. R. Stat. Soc. Suppl. 8 (1946) 27-41.
         """
         tau, length = self.correlation_time, float(sum(np.ptp(run.time) for run in self.runs))
-        spread = float(np.sqrt(2 * tau / length))
-        return (
-            (tau, tau * spread, "s")
-            if value == "correlation_time"
-            else (self.rms, self.rms * spread / 2, self.unit or "")
-        )
+        if value == "correlation_time":
+            return tau, float(np.sqrt((np.e**2 - 3) * tau**3 / length)), "s"
+        return self.rms, self.rms * float(np.sqrt(tau / length / 2)), self.unit or ""
+
+    @property
+    def kurtosis(self) -> tuple[float, float]:
+        """Its excess kurtosis about its mean in all runs, 0 of Gaussian noise, and the standard deviation of that.
+
+        Of n samples 24 / n times the sum of rho^4: in a time T, where rho = exp(-t / tau), 12 tau / T.
+        Source: Z. A. Lomnicki, Metrika 4 (1961) 37-62.
+        """
+        added = np.concatenate([run.added for run in self.runs])
+        added, length = added - added.mean(), sum(np.ptp(run.time) for run in self.runs)
+        excess = float(np.mean(added**4) / np.mean(added**2) ** 2 - 3)
+        return excess, float(np.sqrt(12 * self.correlation_time / length))
 
     @property
     def loudest(self) -> SignalRun:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -108,11 +108,25 @@ class Round:
         """The best candidate that is physical."""
         return next((item for item in self.tried if not item.fit.failure and item.physical), None)
 
+    @property
+    def nearest(self) -> Candidate | None:
+        """The candidate that leaves least, be it physical or not."""
+        fitted = [item for item in self.tried if not item.fit.failure]
+        return min(fitted, key=lambda item: item.fit.misfit, default=None)
+
     def worth_again(self, most: int) -> dict[str, dict[str, float]]:
         """Return the values of the best fits that another measure of the noise may make the best, by their keys."""
         fitted = [item for item in self.tried if not item.fit.failure]
         best = [item for item in fitted if self.likely is None or item.insertion.key in self.likely][:most]
         return {item.insertion.key: item.fit.values for item in best}
+
+    def with_tried(self, tried: Sequence[Candidate], slack: float) -> Round:
+        """Return the round with what was tried until now; slack: see `simplest_first`."""
+        done = {item.insertion.key for item in tried}
+        elsewhere, untried = (
+            tuple(pair for pair in pairs if pair[0].key not in done) for pairs in (self.elsewhere, self.untried)
+        )
+        return replace(self, tried=tuple(simplest_first(tried, slack)), elsewhere=elsewhere, untried=untried)
 
     def beside(self, chosen: Insertion, physics: Collection[str], *, every: bool) -> list[tuple[Insertion, Job]]:
         """Return what is left to try beside a choice: its law where it promises as much, these physics in its place.

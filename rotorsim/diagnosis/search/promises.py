@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from math import isclose
 
-import numpy as np
-
-from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Law
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
-from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass, likely_spots
 from rotorsim.diagnosis.search.candidates import Candidate
 
 MOST_LAWS = 16  # fitted in one round, each at its best place, where what laws promise is known
@@ -22,6 +20,9 @@ OTHER_PLACES = 4  # of each of these, of promises that differ by more than
 DISTINCT = 1e-3  # relative: what promises the same does the same
 RIVAL_PLACES = 5  # of a law that is chosen, with a promise within
 NEAR_PROMISE = 2.0  # times that at its best place, as linear theory may err
+NEARLY = 1.1  # times what the best fit leaves: within, laws promise as much beside it, where linear theory hardly errs
+SAME_PROMISE = 1e-6  # relative: what promises so nearly the same beside a fit does the same, but for units
+RIVALS, RIVALS_OF_LAW = 8, 3  # that are tried beside the best fit at once, and of one law at different places
 UNLIKELY = 10.0  # times the least promise, or fit, of a round: beyond, a law is not looked at with another noise
 NEXT_CLASSES, NEXT_LAWS = 3, 6  # of places, and of laws at each, that are fitted where a round explains less than half
 PROMISED = 3.0  # times the least misfit that is promised: within, each law is fitted at its best place
@@ -56,6 +57,29 @@ def at_rival_places(
     return near
 
 
+def as_promising(
+    candidates: Sequence[Insertion], promises: Sequence[Promise | None], tried: int, most: float
+) -> list[int]:
+    """Return the RIVALS that promise at most ``most``; the first ``tried`` were fitted.
+
+    Not what promises the same as its law does where it is fitted: a wire and the one behind a gain.
+    """
+    known = {k: one.misfit for k, one in enumerate(promises) if one is not None}
+    of_law: dict[Law, list[float]] = {}
+    for k in (k for k in known if k < tried):
+        of_law.setdefault(candidates[k].law, []).append(known[k])
+    more: Counter[Law] = Counter()
+    found: list[int] = []
+    for k in sorted((k for k in known if k >= tried and known[k] <= most), key=known.__getitem__):
+        law, misfit = candidates[k].law, known[k]
+        same = any(isclose(misfit, one, rel_tol=SAME_PROMISE) for one in of_law.get(law, ()))
+        if not same and more[law] < RIVALS_OF_LAW and len(found) < RIVALS:
+            found.append(k)
+            more[law] += 1
+            of_law.setdefault(law, []).append(misfit)
+    return found
+
+
 def at_likely_places(
     candidates: Sequence[Insertion],
     promises: Sequence[Promise | None],
@@ -69,8 +93,7 @@ def at_likely_places(
     """
     if not classes or any(is_adequate(fit) for fit in fits.values()):
         return []
-    least = classes[0].probability * np.exp(-CRITERIA.equivalent / 2)
-    likely = {spot for one in classes if one.probability >= least for spot in one.places}
+    likely = likely_spots(classes)
     fitted = {candidates[k].law for k in fits if candidates[k].spot in likely}
     known = {k: one.misfit for k, one in enumerate(promises) if one is not None and candidates[k].spot in likely}
     best: dict[Law, int] = {}

@@ -12,6 +12,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.evidence.disturbance import disturbance
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_noise
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
@@ -98,11 +99,16 @@ def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Se
     beam: list[tuple[Candidate, ...]] = [(item,) for item in _distinct(worth, base)[:BEAM_WIDTH]]
     if not beam:
         return Selection(base, (), (first,), base, level, trials.counts, slack, first)
+    nearest = beam[0][0].fit
+    if nearest.misfit > base.misfit / 2 and disturbance(base, first.classes, trials.evidence) is not None:
+        return Selection(base, (), (first,), base, level, trials.counts, slack, first)
     chosen: tuple[Candidate, ...] = beam[0]
     rounds = [first]
     if earlier is not None and len(earlier.chosen) > 1:
         chosen, rounds = _found_before(trials, base, first, earlier) or (chosen, rounds)
     while not is_adequate(chosen[-1].fit) and len(chosen) < CRITERIA.most_effects:
+        if first.classes and _is_disturbed(chosen[-1].fit, trials.evidence):
+            break
         grown: list[tuple[tuple[Candidate, ...], Round]] = []
         for path in beam:
             after = _round(trials, path[-1].fit)
@@ -125,6 +131,12 @@ def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Se
         chosen, rounds = _completed(trials, chosen, rounds)
         chosen = _simplified(trials, chosen)
     return Selection(base, chosen, tuple(rounds), chosen[-1].fit, level, trials.counts, slack, first)
+
+
+def _is_disturbed(fit: Fit, evidence: Evidence) -> bool:
+    """Return whether what a fit leaves is an unmeasured disturbance, which no further law explains."""
+    places = evidence.bounds(fit)
+    return places is not None and disturbance(fit, places.classes, evidence) is not None
 
 
 def _found_before(
@@ -162,18 +174,25 @@ def _begun_anew(
 
 
 def _round(trials: Trials, before: Fit) -> Round:
-    """Return a round whose best law was tried where it promises as much, and all laws at its place: none is better.
+    """Return a round in which nothing that promises as much as the best was left out.
 
     What imitates the law that is missing seldom does so at the place where that promises most; beside it another effect
-    would be looked for in vain. Not where what the best leaves is noise.
+    would be looked for in vain. Beside one that explains half, promises are those of its parameters and motion; beside
+    one that explains less, all laws are tried at its place, and it where it promises as much.
     """
     found = trials.round(before)
+    beside: Candidate | None = None
     for _ in range(LAW_AND_PLACE_TURNS):
-        best = found.best
-        if best is None or not found.untried or _leaves_noise(best.fit):
+        best, nearest = found.best, found.nearest
+        if best is None or nearest is None or not found.untried:
             break
-        found = trials.completed(found, (), best.insertion, every=True)
-        if found.best is best:
+        if nearest.fit.misfit <= before.misfit / 2:
+            if nearest is beside:
+                break
+            found, beside = trials.beside(found, nearest), nearest
+        elif not _leaves_noise(best.fit):
+            found = trials.completed(found, (), best.insertion, every=True)
+        if found.best is best and found.nearest is nearest:
             break
     return found
 

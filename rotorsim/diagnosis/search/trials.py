@@ -23,11 +23,14 @@ from rotorsim.diagnosis.catalogue.insertion import (
 from rotorsim.diagnosis.catalogue.values import structure_of, values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, is_adequate
-from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
+from rotorsim.diagnosis.evidence.missing_signal import PlaceClass, likely_spots
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
 from rotorsim.diagnosis.search.promises import (
     MOST_PROMISING,
+    NEAR_PROMISE,
+    NEARLY,
     NEXT_CLASSES,
+    as_promising,
     at_likely_places,
     at_next_places,
     at_other_places,
@@ -187,12 +190,29 @@ class Trials:
             tried[k] = Candidate(tried[k].insertion, fit, self._astray(found.before, fit))
         for n, (insertion, _) in enumerate(more, start=len(which)):
             tried.append(Candidate(insertion, fits[n], self._astray(found.before, fits[n]), n in ended))
-        done = {item.key for item, _ in more}
-        elsewhere, untried = (
-            tuple(pair for pair in pairs if pair[0].key not in done) for pairs in (found.elsewhere, found.untried)
-        )
-        tried = simplest_first(tried, self.slack)
-        return self._kept(replace(found, tried=tuple(tried), elsewhere=elsewhere, untried=untried))
+        return self._kept(found.with_tried(tried, self.slack))
+
+    def beside(self, found: Round, nearest: Candidate) -> Round:
+        """Return a round with the laws that promise as much as the nearest leaves, beside its parameters and motion.
+
+        At the places that are likely beside these. A fit without what is missing may have gone anywhere, and what laws
+        promise beside it goes astray with it.
+        """
+        with one_thread():
+            places = self.evidence.bounds(found.before, nearest.fit)
+            likely = likely_spots(() if places is None else places.classes)
+            jobs = {item.key: (item, job) for item, job in (*found.elsewhere, *found.untried) if item.spot in likely}
+            tried = [item.insertion for item in found.tried if item.insertion.spot in likely]
+            every = [*tried, *(item for item, _ in jobs.values())]
+            promises = [] if places is None else places.promises(every)
+        which = as_promising(every, promises, len(tried), NEARLY * nearest.fit.misfit)
+        led = []
+        for k in which:
+            (_, (document, groups)), promise = jobs[every[k].key], promises[k]
+            led.append((document, _led(groups, {} if promise is None else dict(promise.start))))
+        fits = self._fit(led, Effort(beyond=NEAR_PROMISE * nearest.fit.misfit))
+        more = [Candidate(every[k], fit, self._astray(found.before, fit)) for k, fit in zip(which, fits, strict=True)]
+        return self._kept(found.with_tried([*found.tried, *more], self.slack)) if more else found
 
     def _astray(self, before: Fit, fit: Fit) -> str:
         """Return in words the parameters of the diagram that are ``astray`` times what was given and fitted.

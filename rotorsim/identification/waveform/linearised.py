@@ -212,6 +212,17 @@ def simulated_signals(
     return [whole.simulated(unknowns, 0, r, evaluation.sub, sensitivities=False)[0][:, : len(names)] for r in runs]
 
 
+def simulated_states(
+    diagram: Diagram, search: OutputErrorSearch, evaluation: Evaluation
+) -> list[dict[str, np.ndarray]]:
+    """Return the states (N,) of each run of a fitted diagram, as simulated, by name."""
+    given = search.systems[0].equations.outputs
+    whole, unknowns = with_outputs(diagram, search, evaluation, given, sensitive=False)
+    names, runs = whole.systems[0].equations.state_names, range(len(search.runs))
+    values = (whole.simulated(unknowns, 0, r, evaluation.sub, sensitivities=False)[0] for r in runs)
+    return [dict(zip(names, of_run[:, len(given) :].T, strict=True)) for of_run in values]
+
+
 def with_outputs(
     diagram: Diagram,
     search: OutputErrorSearch,

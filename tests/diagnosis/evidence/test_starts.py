@@ -12,7 +12,7 @@ from rotorsim.diagnosis.catalogue.insertion import DOMINANT, LONGEST, ONSETS, SA
 from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.waveform import fits
-from rotorsim.diagnosis.evidence.waveform.dominant_line import dominant_frequency
+from rotorsim.diagnosis.evidence.waveform.dominant_line import dominant_line, line_beside_noise
 from rotorsim.diagnosis.evidence.waveform.fits import WaveformFits
 from rotorsim.diagnosis.evidence.waveform.onset import onset_times
 from rotorsim.fault import Dominant, Fault, Onset
@@ -37,14 +37,30 @@ def noisy(seed: int, frequency: float, amplitude: float) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("frequency", [1.7, 23.4, 140.0])
 def test_a_search_for_a_line_begins_within_a_quarter_of_a_cycle_over_the_run(frequency):
-    found = dominant_frequency(noisy(1, frequency, 2.0), DT)
+    found = dominant_line(noisy(1, frequency, 2.0), DT).frequency
     assert abs(found - frequency) * SIZES[0] * DT < np.pi / 2
 
 
 def test_samples_that_are_missing_do_not_hide_a_line():
     parts = noisy(2, 23.4, 2.0)
     parts[0][100:140] = np.nan
-    assert abs(dominant_frequency(parts, DT) - 23.4) * SIZES[0] * DT < np.pi / 2
+    assert abs(dominant_line(parts, DT).frequency - 23.4) * SIZES[0] * DT < np.pi / 2
+
+
+@pytest.mark.parametrize("tau", [1.5, 20.0, 400.0])
+def test_noise_of_any_memory_has_no_line_and_a_line_stands_out_unless_it_is_hum(tau):
+    """Ninety draws of a level of 10^-4 in all. The line has 2 % of the power of the noise, or 0.1 % of slow noise."""
+    dt, left = 1e-3, np.exp(-1 / tau)
+    random = np.random.default_rng(5)
+    largest = []
+    for _ in range(30):
+        runs = [lfilter([1], [1, -left], random.normal(size=4000 + int(20 * tau)))[-4000:] for _ in range(3)]
+        largest.append(line_beside_noise(runs, dt, tau * dt))
+    assert max(largest) < 1.0
+    for frequency, seen in ((83.0, True), (50.3, False), (179.0, False), (220.0, True)):
+        size = 0.2 * runs[0].std() if tau < 100 else 0.05 * runs[0].std()
+        lined = [run + size * np.sin(2 * np.pi * frequency * np.arange(4000) * dt) for run in runs]
+        assert (line_beside_noise(lined, dt, tau * dt) > 1.0) == seen
 
 
 def test_a_frequency_begins_at_the_line_or_far_from_both_ends():

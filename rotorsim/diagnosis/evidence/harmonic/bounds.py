@@ -26,7 +26,7 @@ class LowerBounds:
     """Bounds on the misfit for every place where something may act on a fitted linear diagram."""
 
     by_law, sure = False, True
-    classes = ()
+    classes, deviance = (), np.inf
     carried: Mapping[str, float] = {}
 
     def __init__(self, likelihood: Likelihood, theta: np.ndarray, targets: list[str]) -> None:

@@ -62,9 +62,9 @@ class HarmonicEvidence(HarmonicRuns, Validated):
         """Return whether a block of the diagram is a mesh, which is never exact."""
         return has_mesh(self.load(document))
 
-    def bounds(self, fit: Fit) -> LowerBounds | None:
-        """Return lower bounds of the misfit for every place; see `open_bounds`."""
-        return open_bounds(fit, self)
+    def bounds(self, fit: Fit, better: Fit | None = None) -> LowerBounds | None:
+        """Return lower bounds of the misfit for every place, see `open_bounds`; none of laws, beside a better fit."""
+        return open_bounds(fit, self) if better is None else None
 
     def separation(self, first: Fit, second: Fit) -> Change | None:
         """Return the speed or gain that separates two hypotheses most; see `best_change`."""

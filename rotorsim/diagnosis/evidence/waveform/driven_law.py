@@ -76,8 +76,12 @@ class DrivenLaw:
 
     def _start(self, p: np.ndarray, first: np.ndarray) -> np.ndarray:
         """Return its states at the first sample, of which its inputs (n_v,) are given; p: of its equations."""
-        equations = self.law.equations
-        return equations.beginning(0.0, equations.model.x0(self.p)[equations.kept], first, p)
+        return self.law.equations.beginning(0.0, self._x0, first, p)
+
+    @cached_property
+    def _x0(self) -> np.ndarray:
+        """Its initial states as they are declared, (n,)."""
+        return np.asarray(self.law.equations.model.x0(self.p)[self.law.equations.kept])
 
     @cached_property
     def bounds(self) -> np.ndarray:

@@ -28,7 +28,7 @@ from rotorsim.diagnosis.evidence.waveform.units import stand_ins
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.advice_in_time import SMALL_NOISE
 from rotorsim.identification.profile import Z90
-from rotorsim.identification.waveform.linearised import linearised, places_of
+from rotorsim.identification.waveform.linearised import linearised, places_of, simulated_signals, simulated_states
 from rotorsim.identification.waveform.noise import Noise, left_over, reweighted, unpredicted, variance_scale, weights_of
 from rotorsim.identification.waveform.noise_model import refined
 from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, Label, OutputErrorSearch
@@ -110,34 +110,58 @@ class WaveformEvidence(WaveformFits, Defaults):
         evaluation = search.minimise(self._first(search))
         return replace(self._summary(fit.document, search, evaluation), free=fit.free, seconds=fit.seconds)
 
-    def bounds(self, fit: Fit) -> LawBounds | None:
+    def bounds(self, fit: Fit, better: Fit | None = None) -> LawBounds | None:
         """Return what the laws of signals promise beside a fit; None where its diagram has no scalar signals.
 
         Beside parameters as fitted or as stated: of these, where a free signal explains more. A fit without what is
-        missing may have gone anywhere.
+        missing may have gone anywhere; better: beside the parameters and starts of one that explains more.
         """
         document = values_in(fit.document, fit.values)
+        if better is not None:
+            return self._bounds_beside(document, better)
         points = ({},) if is_adequate(fit) else ({}, self.stated)
-        found = [here for moved in points if (here := self._bounds(values_in(document, moved), moved)) is not None]
+        found: list[LawBounds] = []
+        for moved in points:
+            here = self._linearised(values_in(document, moved))
+            found += [] if here is None else [self._law_bounds(here.about_the_motion(TRACKED), moved)]
         return min(found, key=attrgetter("deviance"), default=None)
 
-    def _bounds(self, document: Mapping[str, Any], moved: Mapping[str, float]) -> LawBounds | None:
-        """Return what the laws of signals promise beside a document as it is; moved: what is not as fitted."""
-        here = self._linearised(document)
-        if here is None:
+    def _bounds_beside(self, document: Mapping[str, Any], better: Fit) -> LawBounds | None:
+        """Return what laws promise beside the parameters of a fit that explains more, and about its motion."""
+        moved = {name: value for name, value in better.values.items() if name in document.get("identify", {})}
+        search, evaluation, starts = self._starts(values_in(better.document, better.values))
+        here = self._linearised(values_in(document, moved), starts)
+        if here is None or not np.isfinite(evaluation.cost):
             return None
-        here = here.about_the_motion(TRACKED)
+        right = self.load(better.document)
+        if not all(run.constant for run in here.runs):
+            here = here.about(simulated_states(right, search, evaluation))
+        motion = simulated_signals(right, search, evaluation, [place.port for place in here.places])
+        return self._law_bounds(here, moved, motion)
+
+    def _starts(self, document: Mapping[str, Any]) -> tuple[OutputErrorSearch, Evaluation, dict[Label, float]]:
+        """Return the search of a document, its evaluation, and where the runs begin best."""
+        search = self._held(document)
+        evaluation = search.minimise(self._first(search), REFIT_EVALUATIONS)
+        return search, evaluation, search.starts(evaluation.unknowns)
+
+    def _law_bounds(
+        self, here: Linearised, moved: Mapping[str, float], motion: Sequence[np.ndarray] | None = None
+    ) -> LawBounds:
+        """Return what laws promise along linearised runs; moved: what is not as fitted; motion: if known."""
         variance, sampled = here.noise**2, here.sampled
         weight = self.rows / sum(run.size for run in sampled) / len(self.variance)  # as if these samples were all
         roots = np.sqrt(weight / variance)
-        return LawBounds(here.runs, sampled, here.places, here.unknown(), moved, roots, self.largest(), self.load)
+        return LawBounds(
+            here.runs, sampled, here.places, here.unknown(), moved, roots, self.largest(), self.load, motion
+        )
 
     def _linearised(
         self, document: Mapping[str, Any], starts: Mapping[Label, float] | None = None
     ) -> Linearised | None:
         """Return a document along the beginning of the runs; None where it diverges, or no signal is one number.
 
-        starts: where the runs of a linear diagram begin (default, and else: where they fit best).
+        starts: where the runs begin (default: where they fit best).
         """
         diagram, search = self.load(document), self._held(document)
         places = places_of(diagram, self.channels.outputs)
@@ -149,8 +173,6 @@ class WaveformEvidence(WaveformFits, Defaults):
         if not places or not np.isfinite(evaluation.cost):
             return None
         runs = linearised(diagram, search, evaluation, places)
-        if starts is not None and not all(run.constant for run in runs):
-            return self._linearised(document)
         variance = [self.variance[WHOLE_DIAGRAM, name] for name in search.systems[0].equations.outputs]
         return Linearised(diagram, search, evaluation, places, runs, np.sqrt(variance))
 
@@ -165,10 +187,11 @@ class WaveformEvidence(WaveformFits, Defaults):
         try:
             if effect is not None:
                 document = values_in(after.document, after.values)
-                search = self._held(document)
-                evaluation = search.minimise(self._first(search), REFIT_EVALUATIONS)
-                starts = search.starts(evaluation.unknowns)
-                here = self._linearised(values_in(without.document, {**without.values, **after.values}), starts)
+                search, evaluation, starts = self._starts(document)
+                beside = values_in(without.document, {**without.values, **after.values})
+                here = self._linearised(beside, starts)
+                if here is not None and not all(run.constant for run in here.runs):
+                    here = self._linearised(beside)
                 if here is not None and np.isfinite(evaluation.cost):
                     unread = {key: value for key, value in document.items() if key != "measured"}
                     repaired = self.load(unread), search, evaluation  # signals are those before any reading

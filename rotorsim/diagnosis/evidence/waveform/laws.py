@@ -37,7 +37,7 @@ from rotorsim.diagnosis.catalogue.insertion import (
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import FAILURES
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
-from rotorsim.diagnosis.evidence.waveform.dominant_line import dominant_frequency
+from rotorsim.diagnosis.evidence.waveform.dominant_line import dominant_line
 from rotorsim.diagnosis.evidence.waveform.driven_law import LAW, OTHER, WIRE, DrivenLaw, View
 from rotorsim.diagnosis.evidence.waveform.onset import onset_times
 from rotorsim.diagram.diagram import Diagram
@@ -76,7 +76,8 @@ class LawBounds:
     """Misfits that the laws of signals promise; places (P,), estimates: of free signals there, the likeliest first.
 
     moved: free parameters of the diagram that are not as fitted, {name: SI value}. roots (c,): of the weights of
-    squares. load: document -> diagram. sizes: see `sizes_at`.
+    squares. load: document -> diagram. sizes: see `sizes_at`. motion: what the places carry in each run (N, P), where a
+    fit is at hand that explains more; laws are judged by that alone then.
     """
 
     by_law = True
@@ -91,7 +92,9 @@ class LawBounds:
         roots: np.ndarray,
         sizes: Mapping[str, float],
         load: Callable[[Mapping[str, Any]], Diagram],
+        motion: Sequence[np.ndarray] | None = None,
     ) -> None:
+        self.motion = motion
         self.runs, self.sampled, self.places, self.unknown = runs, sampled, places, unknown
         self.moved, self.roots, self.given, self.load = moved, roots, sizes, load
         self.rows = sum(run.residual.shape[0] for run in runs) * float(np.sum((roots * unknown.noise) ** 2))
@@ -126,8 +129,12 @@ class LawBounds:
 
     @cached_property
     def dominant(self) -> float:
-        """The frequency of the line that stands out most of the residual [rad/s]."""
-        return dominant_frequency([run.residual / self.unknown.noise for run in self.runs], self.runs[0].dt)
+        """The frequency of the line that stands out most of the residual, or of the likeliest free signal [rad/s]."""
+        dt = self.runs[0].dt
+        lines = [dominant_line([run.residual / self.unknown.noise for run in self.runs], dt)]
+        for item in self.estimates[:1]:
+            lines.append(dominant_line([added[:, None] for added in self._smoothed[item.place].added], dt))
+        return max(lines, key=lambda line: line.ratio).frequency
 
     @cached_property
     def onsets(self) -> Mapping[str, float]:
@@ -301,10 +308,13 @@ class LawBounds:
         """Yield what all places carry in each run (N, P), and how misfits are judged.
 
         As simulated, by the outputs; at a likely place as smoothed with the free signal there, by the outputs, and
-        beside a weaker free signal.
+        beside a weaker free signal. By the outputs alone where the motion is known.
         """
         if self._plain is None:
             self._plain = View.of(self.runs, self.roots)
+        if self.motion is not None:
+            yield [*self.motion], self._plain
+            return
         likely = {item.place: item for item in self.estimates[:SMOOTHED_PLACES]}
         if place not in likely:
             yield [run.carried for run in self.runs], self._plain

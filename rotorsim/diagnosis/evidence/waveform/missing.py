@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass, SignalRun
+from rotorsim.diagnosis.evidence.waveform.dominant_line import line_beside_noise
 from rotorsim.diagnosis.evidence.waveform.laws import spot_of
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import SampledRun
@@ -22,6 +23,8 @@ BINS = 20  # of equal numbers of samples, and of equal width, whose means are wh
 SAME_MOTION = (
     0.1  # rms difference of simulated signals of two runs, of their standard deviation: a hundredth of the power
 )
+EIGHTHS = 8  # of each run, whose powers are compared
+AT_REST = 1e-4  # of the mean square of a simulated signal: what it has at least, a hundredth of its amplitude
 OWN = 0.9  # of what the best explains: what explains as much and comes before it is drawn
 
 
@@ -50,6 +53,14 @@ class Linearised:
                 break
             here = replace(here, runs=linearised(self.diagram, self.search, self.evaluation, self.places, motion))
         return here
+
+    def about(self, motion: Sequence[Mapping[str, np.ndarray]]) -> Linearised:
+        """Return a diagram linearised about a motion, states (N,) by name; itself where that lacks some of them."""
+        names = self.search.systems[0].equations.state_names
+        if not all({*names} <= {*states} for states in motion):
+            return self
+        states = [np.column_stack([of_run[name] for name in names]) for of_run in motion]
+        return replace(self, runs=linearised(self.diagram, self.search, self.evaluation, self.places, states))
 
     def unknown(self, *, known: bool = False) -> UnknownInputs:
         """Return the hypotheses of a signal at each place; known: the parameters stay as they are."""
@@ -109,9 +120,11 @@ def missing_signal(
     ports = [*dict.fromkeys(place.port for place in here.places)]
     simulated = simulated_signals(here.diagram, here.search, here.evaluation, ports)
     predicted, again = _predicted(here, smoothed, simulated), _repeated(here, smoothed, simulated)
-    return MissingSignal(
+    found = MissingSignal(
         at, unit, over, over_unit, share, tuple(runs), tuple(classes), left, without, predicted, again, physics
     )
+    line = line_beside_noise(smoothed.added, here.runs[0].dt, found.correlation_time)
+    return replace(found, follows=power_exponent(found, simulated), line=line)
 
 
 def _predicted(here: Linearised, smoothed: Smoothed, simulated: Sequence[np.ndarray]) -> float:
@@ -119,6 +132,30 @@ def _predicted(here: Linearised, smoothed: Smoothed, simulated: Sequence[np.ndar
     beside = [np.column_stack([run.time - run.time[0], own]) for run, own in zip(here.sampled, simulated, strict=True)]
     poles = np.linalg.eigvals(here.runs[0].F.mean(axis=0))
     return predictability([added[:, None] for added in smoothed.added], beside, poles).structure
+
+
+def power_exponent(signal: MissingSignal, simulated: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Return the exponent by which the power of a signal follows that of what is simulated, and its standard deviation.
+
+    By least squares of the logarithms of mean squares of `EIGHTHS` of each run, of what is simulated averaged over
+    all that moves. That of a signal scatters by 2 tau / T in a stretch of T (`MissingSignal.known`), if not by more.
+    """
+    whole, added = np.concatenate(simulated), np.concatenate([run.added for run in signal.runs])
+    mean, size = whole.mean(axis=0), whole.std(axis=0)
+    moves = size > 0
+    powers, own, spread = [], [], []
+    for run, values in zip(signal.runs, simulated, strict=True):
+        for part in np.array_split(np.arange(len(run.time)), EIGHTHS):
+            squares = np.mean(((values[part][:, moves] - mean[moves]) / size[moves]) ** 2, axis=0)
+            powers.append(float(np.mean(np.log(squares + AT_REST))))
+            own.append(float(np.log(np.mean((run.added[part] - added.mean()) ** 2) + AT_REST**2 * added.var())))
+            spread.append(2 * signal.correlation_time / (len(part) * float(np.median(np.diff(run.time)))))
+    x, y = np.array(powers) - np.mean(powers), np.array(own) - np.mean(own)
+    if not moves.any() or not x.any():
+        return 0.0, np.inf
+    exponent = float(x @ y / (x @ x))
+    scatter = max(float(np.mean(spread)), float(np.sum((y - exponent * x) ** 2)) / (len(x) - 2))
+    return exponent, float(np.sqrt(scatter / (x @ x)))
 
 
 def _repeated(here: Linearised, smoothed: Smoothed, simulated: Sequence[np.ndarray]) -> float | None:

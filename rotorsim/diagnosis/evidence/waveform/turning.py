@@ -20,5 +20,5 @@ class TurningEvidence(WaveformEvidence):
     terms = TURNING_TERMS
     costly = True
 
-    def bounds(self, fit: Fit) -> None:
+    def bounds(self, fit: Fit, better: Fit | None = None) -> None:
         """Return None: nothing is known of places but by the sensitivities of each law."""
