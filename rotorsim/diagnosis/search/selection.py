@@ -177,8 +177,8 @@ def _round(trials: Trials, before: Fit) -> Round:
     """Return a round in which nothing that promises as much as the best was left out.
 
     What imitates the law that is missing seldom does so at the place where that promises most; beside it another effect
-    would be looked for in vain. Beside one that explains half, promises are those of its parameters and motion; beside
-    one that explains less, all laws are tried at its place, and it where it promises as much.
+    would be looked for in vain. Where the best leaves more than noise, all laws are tried at its place, and it where it
+    promises as much; beside one that explains half, promises are those of its parameters and motion.
     """
     found = trials.round(before)
     beside: Candidate | None = None
@@ -186,12 +186,11 @@ def _round(trials: Trials, before: Fit) -> Round:
         best, nearest = found.best, found.nearest
         if best is None or nearest is None or not found.untried:
             break
-        if nearest.fit.misfit <= before.misfit / 2:
-            if nearest is beside:
-                break
-            found, beside = trials.beside(found, nearest), nearest
-        elif not _leaves_noise(best.fit):
+        if not _leaves_noise(best.fit):
             found = trials.completed(found, (), best.insertion, every=True)
+            nearest = found.nearest or nearest
+        if nearest.fit.misfit <= before.misfit / 2 and nearest is not beside:
+            found, beside = trials.beside(found, nearest), nearest
         if found.best is best and found.nearest is nearest:
             break
     return found
