@@ -306,7 +306,7 @@ def _hold_out(diagnosis: Diagnosis) -> str:
     kind, lost = _runs(diagnosis), "the repaired diagram has no settled motion there"
     of = diagnosis.evidence.terms.signals.format("" if floor is None else _percent(floor))
     of = of if floor is not None else of.partition(" (")[0]
-    alone = len(diagnosis.searched) == 1 and _disturbance(diagnosis) is not None
+    alone = len(diagnosis.effects) == 1 and _disturbance(diagnosis) is not None
     if diagnosis.verdict == "consistent" or alone:
         text = "" if before is None else f"On {kind} its error is {_percent(before)} {of}."
     elif before is None and after is None:

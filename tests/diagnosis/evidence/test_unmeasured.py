@@ -155,6 +155,7 @@ def test_noise_whose_power_does_not_follow_the_motion_is_a_disturbance_beside_wh
         [offset] = [value for name, value in found.after.values.items() if name.endswith(".offset")]
         assert abs(offset) == pytest.approx(read_off, rel=0.1)  # of what is read, or the opposite of what is integrated
         assert found.score_after.total < found.score_before.total
+        assert "the error falls from" in found.statement
     assert len(diagnosis_data(found)["missing"]) == len(names)
 
 
