@@ -119,7 +119,7 @@ def _judged(opened: Opened, selection: Selection) -> _Judged:
             scores = validation.score(selection.base), validation.score(selection.fit)
             proof = prove(*scores, left=left, held=validation.held_out)
         faint = is_faint(selection.base, validation.score(selection.base)) and not validation.is_force(selection.base)
-    elif opened.held_out and selection.chosen and selection.explains:
+    elif opened.held_out and not evidence.independent and selection.chosen and selection.explains:
         proof = prove_by_error(evidence.score(selection.base), evidence.score(selection.fit))
     disproved = proof is not None and proof.status == "disproved"
     if faint and (disproved or not selection.explains):
@@ -172,9 +172,11 @@ def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
         residual = residual_of(selection.base, after, validation)
     signals = verdicts.signals_of(selection, effects, after, evidence, verdict)
     unpredicted = verdict == "outside_catalogue" and is_unpredicted(selection.base, signals, evidence)
-    found = disturbed(selection, evidence, opened.catalogue) if judged.outside and not converters else None
+    open_ = judged.outside or (selection.mostly and not selection.explained)
+    found = disturbed(selection, evidence, opened.catalogue) if open_ and not converters else None
     beside = effects[: 0 if found is None else len(found.selection.chosen)]
-    if found is not None and all(len(item.members) <= CRITERIA.most_equivalent for item in beside):
+    named = all(len(item.members) <= CRITERIA.most_equivalent for item in beside) and not taken_twice(beside)
+    if found is not None and named:
         verdict, unknown, proof, after = "missing_physics", None, None, found.fit
         effects = tuple(replace(item, candidate=replace(item.candidate, fit=after)) for item in beside)
         signals = verdicts.signals_of(found.selection, effects, after, evidence, verdict) if effects else ()

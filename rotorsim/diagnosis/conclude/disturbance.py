@@ -49,16 +49,18 @@ def _beside_a_signal(selection: Selection, evidence: Evidence) -> tuple[Selectio
     """Return a selection without effects that a free signal explains as well, and the classes of places of that.
 
     An effect must raise its likelihood by more than noise lets the best of all candidates (`least_gain`), and show in
-    hold-out runs: their squared error must fall by `Criteria.material` of the part that the misfit falls by.
+    hold-out runs, beside those before it and all of them together: the squared error there must fall by
+    `Criteria.material` of the part that the misfit falls by.
     """
+    given = evidence.score(selection.base) if selection.chosen else None
     bounds = evidence.bounds(selection.fit) if selection.chosen else None
-    while bounds is not None and selection.chosen:
-        less = without_last(selection)
+    while bounds is not None and given is not None and selection.chosen:
+        less, score = without_last(selection), evidence.score(selection.fit)
         beside = evidence.bounds(less.fit)
-        likelier = beside is not None and beside.deviance - bounds.deviance > least_gain(
-            selection.chosen[-1], less.fit, selection.level
-        )
-        if likelier and _shows(evidence.score(less.fit), evidence.score(selection.fit), less.fit, selection.fit):
+        least = least_gain(selection.chosen[-1], less.fit, selection.level)
+        likelier = beside is not None and beside.deviance - bounds.deviance > least
+        together = _shows(given, score, selection.base, selection.fit)
+        if likelier and together and _shows(evidence.score(less.fit), score, less.fit, selection.fit):
             return selection, bounds.classes
         selection, bounds = less, beside
     return selection, selection.first.classes

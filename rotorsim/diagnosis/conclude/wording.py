@@ -203,7 +203,7 @@ def _disturbed(diagnosis: Diagnosis, signal: MissingSignal) -> list[str]:
     left = f"Estimated from all outputs it leaves a {_variance(signal.left, diagnosis)}."
     if signal.repeated is None:
         follows = "{:.2g} +- {:.2g}".format(*signal.follows)
-        of = f"(exponent {follows}, of what is proportional to it 1)"
+        of = f"(exponent {follows}; 1 of a signal in proportion to it)"
         known = f"It is Gaussian, its power does not follow that of the motion {of}"
     else:
         known = f"In runs with the same inputs it has another course (correlation {signal.repeated:.2g})"

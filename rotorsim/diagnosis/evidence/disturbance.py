@@ -13,6 +13,7 @@ from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 
 LEAST_VISIBLE = 2.0  # residual variance, of the noise's: half of it, or more, is what is missing
 SURE = 3.0  # standard deviations of chance that a disturbance must be away from what a law does
+SINE = 1.5  # excess kurtosis of a sine, with the other sign: of a ripple over an angle
 
 
 def disturbance(fit: Fit, classes: Sequence[PlaceClass], evidence: Evidence) -> MissingSignal | None:
@@ -27,7 +28,7 @@ def disturbance(fit: Fit, classes: Sequence[PlaceClass], evidence: Evidence) -> 
         total = sum(other.probability for other in classes[n:])  # at those before it is none
         here = [replace(other, probability=other.probability / total) for other in classes[n:]]
         signal = evidence.missing_signal(fit, fit, None, one.places[0], here)
-        if signal is not None and is_unpredicted(fit, (signal,), evidence) and not may_be_a_law(signal):
+        if signal is not None and not may_be_a_law(signal) and is_unpredicted(fit, (signal,), evidence):
             return signal
     return None
 
@@ -50,12 +51,14 @@ def may_be_a_law(signal: MissingSignal) -> bool:
     In runs with the same inputs a law adds the same again: a disturbance comes again by less than `Criteria.material`,
     `SURE` standard deviations of chance included. Two courses that have nothing to do with each other have a
     correlation of variance tau / T, T: of the shortest run (Bartlett, as in `MissingSignal.known`). Without such runs
-    it must be noise that has nothing to do with the motion: Gaussian, without lines (but for the mains'), and its power
-    must follow that of the motion by less than `Criteria.material` of what is proportional. A ripple is bounded; most
-    laws are larger where more moves.
+    it must be noise that has nothing to do with the motion: Gaussian, as far as chance tells, and surely no sine;
+    without lines (but for the mains'); and its power must follow that of the motion by less than `Criteria.material` of
+    what is proportional. A ripple is bounded; most laws are larger where more moves.
     """
     if signal.repeated is not None:
         chance = sqrt(signal.correlation_time / min(run.time[-1] - run.time[0] for run in signal.runs))
-        return signal.repeated + SURE * chance > CRITERIA.material
+        return not signal.repeated + SURE * chance <= CRITERIA.material
     (exponent, off), (kurtosis, chance) = signal.follows, signal.kurtosis
-    return abs(exponent) + SURE * off > CRITERIA.material or abs(kurtosis) > SURE * chance or signal.line > 1
+    follows = not abs(exponent) + SURE * off <= CRITERIA.material
+    gaussian = abs(kurtosis) <= SURE * chance and abs(kurtosis) + SURE * chance < SINE
+    return follows or not gaussian or not signal.line <= 1

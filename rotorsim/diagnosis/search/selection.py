@@ -99,8 +99,8 @@ def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Se
     beam: list[tuple[Candidate, ...]] = [(item,) for item in _distinct(worth, base)[:BEAM_WIDTH]]
     if not beam:
         return Selection(base, (), (first,), base, level, trials.counts, slack, first)
-    nearest = beam[0][0].fit
-    if nearest.misfit > base.misfit / 2 and disturbance(base, first.classes, trials.evidence) is not None:
+    little = beam[0][0].fit.misfit > base.misfit / 2
+    if little and not is_adequate(base) and disturbance(base, first.classes, trials.evidence) is not None:
         return Selection(base, (), (first,), base, level, trials.counts, slack, first)
     chosen: tuple[Candidate, ...] = beam[0]
     rounds = [first]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
@@ -32,3 +33,21 @@ def test_beside_the_motion_of_a_fit_that_explains_promises_are_what_fits_leave()
     assert beside.misfit == pytest.approx(right.misfit, rel=0.01)
     assert far.misfit > 7 * right.misfit
     assert beside.start[f"{item.name}.linear"] == pytest.approx(0.04, rel=0.02)
+
+
+def test_beside_a_law_of_a_reading_the_motion_is_that_before_it():
+    """FAULT: the motion was what was read, so that another law of that reading had nothing left to do."""
+    runs = [filled(seed) for seed in (1, 2)]
+    for run in runs:
+        run["level"] = np.minimum(run["level"], np.quantile(run["level"], 0.6))
+    diagram = load(TANK)
+    evidence = waveform_evidence(diagram, made([*runs, filled(3)], 1.0))
+    before = evidence.fit(diagram.document, [])
+    every = Catalogue.of(diagram, ["saturation"]).candidates(evidence.load(before.document), evidence.recorded)
+    [item] = [one for one in every if one.spot.side == "reading"]
+    top = float(runs[0]["level"].max())
+    document = item.document(values_in(before.document, before.values), {"lower": -1.0, "upper": top})
+    right = evidence.fit(document, [[{}]])
+    [beside] = evidence.bounds(before, right).promises([item])
+    assert right.misfit < before.misfit / 10
+    assert beside.misfit < 2 * right.misfit

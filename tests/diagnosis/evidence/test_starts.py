@@ -55,12 +55,14 @@ def test_noise_of_any_memory_has_no_line_and_a_line_stands_out_unless_it_is_hum(
     largest = []
     for _ in range(30):
         runs = [lfilter([1], [1, -left], random.normal(size=4000 + int(20 * tau)))[-4000:] for _ in range(3)]
-        largest.append(line_beside_noise(runs, dt, tau * dt))
+        largest.append(line_beside_noise(runs, dt))
     assert max(largest) < 1.0
+    unlike = [runs[0], 3 * runs[1][:1000], 0.1 * runs[2][:1000]]
+    assert line_beside_noise(unlike, dt) < 1.0
     for frequency, seen in ((83.0, True), (50.3, False), (179.0, False), (220.0, True)):
         size = 0.2 * runs[0].std() if tau < 100 else 0.05 * runs[0].std()
         lined = [run + size * np.sin(2 * np.pi * frequency * np.arange(4000) * dt) for run in runs]
-        assert (line_beside_noise(lined, dt, tau * dt) > 1.0) == seen
+        assert (line_beside_noise(lined, dt) > 1.0) == seen
 
 
 def test_a_frequency_begins_at_the_line_or_far_from_both_ends():

@@ -214,6 +214,19 @@ def test_gaussian_noise_beside_any_motion_is_a_disturbance_and_what_laws_make_is
         assert all(may_be_a_law(tried(seed, law)) for seed in range(10))
 
 
+def test_what_is_too_short_to_tell_may_be_a_law():
+    """FAULT: with a run of 7 samples, an eighth of which has none, a diagnosis ended in a traceback."""
+    signal, motion = signal_of([noise_of(1, 5.0, 7)]), noise_of(2, 5.0, 7)[:, None]
+    exponent, std = power_exponent(signal, [motion])
+    assert np.isfinite(exponent)
+    assert power_exponent(signal_of([noise_of(1, 5.0, 2)]), [motion[:2]]) == (0.0, np.inf)
+    assert may_be_a_law(replace(signal, follows=(exponent, std)))
+    assert may_be_a_law(replace(signal, follows=(np.nan, 0.1)))
+    short = replace(signal_of([noise_of(5, 20.0, 900)]), follows=(0.0, 0.01))  # T = 45 tau: a sine is not ruled out
+    assert abs(short.kurtosis[0]) < 3 * short.kurtosis[1]
+    assert may_be_a_law(short)
+
+
 def test_rms_and_correlation_time_are_as_uncertain_as_is_said():
     """var(rms^2) = 2 tau / T rms^4, var(tau) = (e^2 - 3) tau^3 / T; FAULT: 2 instead of e^2 - 3 = 4.4."""
     drawn = [signal_of([noise_of(seed, 20.0, 4000)]) for seed in range(300)]

@@ -133,10 +133,14 @@ class WaveformEvidence(WaveformFits, Defaults):
         here = self._linearised(values_in(document, moved), starts)
         if here is None or not np.isfinite(evaluation.cost):
             return None
-        right = self.load(better.document)
+        readings = {"measured": document["measured"]} if "measured" in document else {}  # a further one is no motion
+        unread = {key: value for key, value in better.document.items() if key != "measured"}
+        right = self.load({**unread, **readings})
         if not all(run.constant for run in here.runs):
             here = here.about(simulated_states(right, search, evaluation))
-        motion = simulated_signals(right, search, evaluation, [place.port for place in here.places])
+        ports = [*dict.fromkeys(place.port for place in here.places)]
+        column = [ports.index(place.port) for place in here.places]
+        motion = [values[:, column] for values in simulated_signals(right, search, evaluation, ports)]
         return self._law_bounds(here, moved, motion)
 
     def _starts(self, document: Mapping[str, Any]) -> tuple[OutputErrorSearch, Evaluation, dict[Label, float]]:

@@ -37,7 +37,7 @@ from rotorsim.diagnosis.catalogue.insertion import (
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import FAILURES
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
-from rotorsim.diagnosis.evidence.waveform.dominant_line import dominant_line
+from rotorsim.diagnosis.evidence.waveform.dominant_line import dominant_line, white
 from rotorsim.diagnosis.evidence.waveform.driven_law import LAW, OTHER, WIRE, DrivenLaw, View
 from rotorsim.diagnosis.evidence.waveform.onset import onset_times
 from rotorsim.diagram.diagram import Diagram
@@ -133,7 +133,7 @@ class LawBounds:
         dt = self.runs[0].dt
         lines = [dominant_line([run.residual / self.unknown.noise for run in self.runs], dt)]
         for item in self.estimates[:1]:
-            lines.append(dominant_line([added[:, None] for added in self._smoothed[item.place].added], dt))
+            lines.append(dominant_line(white(self._smoothed[item.place].added), dt))
         return max(lines, key=lambda line: line.ratio).frequency
 
     @cached_property
@@ -144,8 +144,13 @@ class LawBounds:
 
     @property
     def deviance(self) -> float:
-        """-2 log likelihood of the likeliest free signal; infinite where none shows."""
-        return min((item.deviance for item in self.estimates), default=np.inf)
+        """-2 log likelihood of the likeliest free signal, in the units of a misfit; infinite where none shows."""
+        return self._factor * min((item.deviance for item in self.estimates), default=np.inf)
+
+    @cached_property
+    def _factor(self) -> float:
+        """Misfit of a fit, of the squares of all samples in units of the noise: as many as are independent."""
+        return float(np.mean((self.roots * self.unknown.noise) ** 2))
 
     def promises(self, items: Sequence[Insertion]) -> list[Promise | None]:
         """Return what laws promise at their places, None of what is no law of a signal there.
@@ -218,8 +223,7 @@ class LawBounds:
     @property
     def classes(self) -> tuple[PlaceClass, ...]:
         """The classes of places that no data separate, with their probabilities, the likeliest first."""
-        factor = float(np.mean((self.roots * self.unknown.noise) ** 2))
-        deviance = {item.place: factor * item.deviance for item in self.estimates}
+        deviance = {item.place: self._factor * item.deviance for item in self.estimates}
         sorted_ones = [
             sorted((k for k in one if k in deviance), key=deviance.__getitem__) for one in self.unknown.classes()
         ]
@@ -233,8 +237,7 @@ class LawBounds:
     @cached_property
     def _free(self) -> dict[int, float]:
         """The misfit of a free signal at each place, in the units of a fit; of those that have a steady filter."""
-        factor = float(np.mean((self.roots * self.unknown.noise) ** 2))
-        return {item.place: factor * item.misfit for item in self.estimates}
+        return {item.place: self._factor * item.misfit for item in self.estimates}
 
     def _fitted(self, one: _Placed, wires: Sequence[np.ndarray], view: View, steps: int) -> tuple[float, np.ndarray]:
         """Return the misfit and the parameters of a law: the best start, then Gauss-Newton steps where it is worth it.

@@ -23,7 +23,7 @@ BINS = 20  # of equal numbers of samples, and of equal width, whose means are wh
 SAME_MOTION = (
     0.1  # rms difference of simulated signals of two runs, of their standard deviation: a hundredth of the power
 )
-EIGHTHS = 8  # of each run, whose powers are compared
+EIGHTHS = 8  # of each run, as far as it has samples, whose powers are compared
 AT_REST = 1e-4  # of the mean square of a simulated signal: what it has at least, a hundredth of its amplitude
 OWN = 0.9  # of what the best explains: what explains as much and comes before it is drawn
 
@@ -123,7 +123,7 @@ def missing_signal(
     found = MissingSignal(
         at, unit, over, over_unit, share, tuple(runs), tuple(classes), left, without, predicted, again, physics
     )
-    line = line_beside_noise(smoothed.added, here.runs[0].dt, found.correlation_time)
+    line = line_beside_noise(smoothed.added, here.runs[0].dt)
     return replace(found, follows=power_exponent(found, simulated), line=line)
 
 
@@ -145,13 +145,13 @@ def power_exponent(signal: MissingSignal, simulated: Sequence[np.ndarray]) -> tu
     moves = size > 0
     powers, own, spread = [], [], []
     for run, values in zip(signal.runs, simulated, strict=True):
-        for part in np.array_split(np.arange(len(run.time)), EIGHTHS):
+        for part in np.array_split(np.arange(len(run.time)), min(EIGHTHS, len(run.time))):
             squares = np.mean(((values[part][:, moves] - mean[moves]) / size[moves]) ** 2, axis=0)
             powers.append(float(np.mean(np.log(squares + AT_REST))))
             own.append(float(np.log(np.mean((run.added[part] - added.mean()) ** 2) + AT_REST**2 * added.var())))
             spread.append(2 * signal.correlation_time / (len(part) * float(np.median(np.diff(run.time)))))
     x, y = np.array(powers) - np.mean(powers), np.array(own) - np.mean(own)
-    if not moves.any() or not x.any():
+    if len(x) < 3 or not moves.any() or not x.any():
         return 0.0, np.inf
     exponent = float(x @ y / (x @ x))
     scatter = max(float(np.mean(spread)), float(np.sum((y - exponent * x) ** 2)) / (len(x) - 2))
