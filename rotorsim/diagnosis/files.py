@@ -121,6 +121,9 @@ def _signal(signal: MissingSignal) -> dict[str, Any]:
         "excess_variance": {"without": signal.without, "with": signal.left},
         "predicted": signal.predicted,
         "repeated": signal.repeated,
+        "follows": dict(zip(("exponent", "std"), map(_finite, signal.follows), strict=True)),
+        "kurtosis": dict(zip(("excess", "std"), map(_finite, signal.kurtosis), strict=True)),
+        "line": signal.line,
         **{name: None if values is None else values[at].tolist() for name, values in columns.items()},
         "classes": [
             {"places": [_port(spot) for spot in one.places], "probability": one.probability} for one in signal.classes

@@ -14,7 +14,7 @@ from rotorsim.diagnosis.conclude.result import Effect
 from rotorsim.diagnosis.conclude.unknown_force import UnknownForce, unknown_force
 from rotorsim.diagnosis.evidence.evidence import Evidence, Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_noise
-from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass, spots_of
+from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass, likely_spots, spots_of
 from rotorsim.diagnosis.evidence.opened import Converter
 from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.diagnosis.search.selection import Selection, least_gain, likely_places
@@ -149,9 +149,8 @@ def _likeliest(classes: Sequence[PlaceClass], places: Sequence[PlaceClass]) -> S
     spots = spots_of(places)
     if not classes:
         return next(iter(spots), None)
-    least = classes[0].probability * np.exp(-CRITERIA.equivalent / 2)
-    alike = [spot for one in classes if one.probability >= least for spot in one.places]
-    return next((spot for spot in spots if spot in alike), alike[0])
+    likely = likely_spots(classes)
+    return next((spot for spot in spots if spot in likely), classes[0].places[0])
 
 
 def nearest(selection: Selection, unknown: UnknownForce | None, *, disproved: bool = False) -> Fit:

@@ -42,7 +42,7 @@ def next_experiment(diagnosis: Diagnosis) -> str:
     if verdict == "outside_catalogue":
         parts.append(_law_of_unknown(diagnosis))
     if (signal := _disturbance(diagnosis)) is not None:
-        parts.append(f"record the signal that acts at {signal.place.words}: it is an input then")
+        parts.append(_recorded(signal))
     open_questions = evidence.open_questions()
     if parts or open_questions:
         return "; ".join([*parts, *([open_questions] if open_questions else [])])
@@ -54,6 +54,13 @@ def next_experiment(diagnosis: Diagnosis) -> str:
     if verdict == "consistent":
         return "none is needed for what the diagram states; smaller effects need lower noise or longer runs"
     return "none is needed: one hypothesis is left"
+
+
+def _recorded(signal: MissingSignal) -> str:
+    """Return what a disturbance asks for: an input is recorded, what one sensor alone shows may be its own."""
+    if signal.place.side == "reading":
+        return f"measure what {signal.place} shows with a second sensor: nothing else sees the signal"
+    return f"record the signal that acts at {signal.place.words}: it is an input then"
 
 
 def _law_of_unknown(diagnosis: Diagnosis) -> str:

@@ -127,7 +127,8 @@ class MissingSignal:
         """
         added = np.concatenate([run.added for run in self.runs])
         added, length = added - added.mean(), sum(np.ptp(run.time) for run in self.runs)
-        excess = float(np.mean(added**4) / np.mean(added**2) ** 2 - 3)
+        square = float(np.mean(added**2))
+        excess = float(np.mean(added**4)) / square**2 - 3 if square > 0 else 0.0
         return excess, float(np.sqrt(12 * self.correlation_time / length))
 
     @property

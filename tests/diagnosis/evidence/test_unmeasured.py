@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from jsonschema import Draft202012Validator
 from scipy.signal import lfilter
 
 from rotorsim.diagnosis.catalogue.insertion import Spot
@@ -16,7 +17,7 @@ from rotorsim.diagnosis.evidence.disturbance import is_unpredicted, may_be_a_law
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, SignalRun
 from rotorsim.diagnosis.evidence.waveform.missing import power_exponent
 from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
-from rotorsim.diagnosis.files import diagnosis_data, repaired_document
+from rotorsim.diagnosis.files import diagnosis_data, diagnosis_schema, repaired_document
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 from tests.diagnosis.evidence.machines import recording
@@ -157,6 +158,26 @@ def test_noise_whose_power_does_not_follow_the_motion_is_a_disturbance_beside_wh
         assert found.score_after.total < found.score_before.total
         assert "the error falls from" in found.statement
     assert len(diagnosis_data(found)["missing"]) == len(names)
+
+
+@pytest.mark.slow
+def test_what_one_sensor_alone_shows_asks_for_a_second_sensor():
+    """Slow noise of a sensor, 80 times its white part, in place of a force: no input to record."""
+    runs = [run(k, k + 10, drive=np.roll((0.1, 1.5, 0.3), k).tolist()) for k in range(1, 4)]
+    for k, one in enumerate(runs):
+        one["position"] = one["position"] + 80 * NOISE["position"] * noise_of(50 + k, 2 * TAU * RATE, SAMPLES)
+    found = diagnosed(*runs)
+    [effect] = found.effects
+    assert [(str(spot), spot.side) for spot in effect.spots] == [("position.output", "reading")]
+    assert found.next_experiment == (
+        "measure what position.output shows with a second sensor: nothing else sees the signal"
+    )
+    data = diagnosis_data(found)
+    Draft202012Validator(diagnosis_schema()).validate(data)
+    [signal] = data["signals"]
+    assert abs(signal["follows"]["exponent"]) < 3 * signal["follows"]["std"] < 0.5
+    assert abs(signal["kurtosis"]["excess"]) < 3 * signal["kurtosis"]["std"] < 1.5
+    assert signal["line"] < 1
 
 
 def test_runs_that_begin_elsewhere_do_not_come_again():
