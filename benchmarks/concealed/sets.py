@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.concealed.compact import read_diagnoses
 from benchmarks.concealed.generator import KINDS, MIX, make_case
 from benchmarks.concealed.writing import write_case
 
@@ -130,7 +131,8 @@ def diagnose(
     diagrams = diagrams_of(folder, diagram)
     program = Path(sys.executable).with_name("rotorsim")
     diagnoses.mkdir(parents=True, exist_ok=True)
-    todo = [name for name in sorted(diagrams) if not (diagnoses / name / "diagnosis.json").exists()]
+    there = read_diagnoses(diagnoses)  # of an earlier session, too, compacted to lines
+    todo = [name for name in sorted(diagrams) if not there.get(name)]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
     def run(name: str) -> int:

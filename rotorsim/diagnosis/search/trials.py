@@ -204,7 +204,7 @@ class Trials:
             jobs = {item.key: (item, job) for item, job in (*found.elsewhere, *found.untried) if item.spot in likely}
             tried = [item.insertion for item in found.tried if item.insertion.spot in likely]
             every = [*tried, *(item for item, _ in jobs.values())]
-            promises = [] if places is None else places.promises(every)
+        promises = [] if places is None else self.work.promises_of_laws(every, places)
         which = as_promising(every, promises, len(tried), NEARLY * nearest.fit.misfit)
         led = []
         for k in which:

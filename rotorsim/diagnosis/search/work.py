@@ -35,7 +35,7 @@ class Work:
         for k, item in enumerate(candidates):
             of_law.setdefault(item.law if is_built_in(item.kind) else ("", 0, False), []).append(k)
         here = of_law.pop(("", 0, False), [])
-        batches: list[list[int]] = [[] for _ in range(self.jobs.processes)]
+        batches: list[list[int]] = [[] for _ in range(min(len(of_law), BATCHES * self.jobs.processes))]
         for which in sorted(of_law.values(), key=len, reverse=True):
             min(batches, key=len).extend(which)
         arguments = [([candidates[k] for k in batch], places) for batch in (*batches, here)]

@@ -86,12 +86,14 @@ def _left_out(X: np.ndarray, Y: np.ndarray, fold: np.ndarray) -> np.ndarray:
     predicted = np.zeros((len(PENALTIES), *Y.shape))
     if not X.size:  # nothing moves
         return np.zeros(Y.shape)
-    products, moments = X.T @ X, X.T @ Y
-    for here in _each(fold):
-        values, vectors = np.linalg.eigh(products - X[here].T @ X[here])
-        turned, along = X[here] @ vectors, vectors.T @ (moments - X[here].T @ Y[here])
-        for k, penalty in enumerate(PENALTIES):
-            predicted[k, here] = turned @ (along / (np.maximum(values, 0.0) + penalty * values[-1])[:, None])
+    folds = [(here, X[here], Y[here]) for here in _each(fold)]
+    products, moments = [x.T @ x for _, x, _ in folds], [x.T @ y for _, x, y in folds]
+    products_of_all, moments_of_all = sum(products), sum(moments)
+    for (here, x, _), product, moment in zip(folds, products, moments, strict=True):
+        values, vectors = np.linalg.eigh(products_of_all - product)
+        along = vectors.T @ (moments_of_all - moment)
+        stiff = np.maximum(values, 0.0) + PENALTIES[:, None] * values[-1]
+        predicted[:, here] = x @ (vectors @ (along / stiff[:, :, None]))
     best = ((Y - predicted) ** 2).sum(axis=1).argmin(axis=0)
     return np.stack([predicted[k, :, j] for j, k in enumerate(best)], axis=1)
 
@@ -108,9 +110,12 @@ def _features(signals: Sequence[np.ndarray], poles: np.ndarray) -> np.ndarray:
     parts = [_filtered(_nonlinear((part[:, kept] - mean[kept]) / size[kept]), every) for part in signals]
     X = np.concatenate(parts)
     X -= X.mean(axis=0)
-    scale = np.sqrt((X**2).sum(axis=0))
+    scale = np.sqrt(np.einsum("nf,nf->f", X, X))
     moving = scale > 1e-9 * scale.max(initial=0.0)
-    return np.asarray(X[:, moving] / scale[moving])
+    if not moving.all():
+        X, scale = X[:, moving], scale[moving]
+    X /= scale
+    return X
 
 
 def _unlike(z: np.ndarray, size: np.ndarray) -> list[int]:
@@ -134,6 +139,10 @@ def _filtered(F: np.ndarray, poles: Sequence[complex]) -> np.ndarray:
     """Return signals and what is behind a first-order filter with each pole, real and imaginary parts."""
     parts = [F]
     for z in poles:
-        y = lfilter([1 - abs(z)], [1, -z], F, axis=0)
-        parts += [y.real, y.imag] if abs(np.imag(z)) > 1e-9 else [y.real]
+        gain, damped = 1 - abs(z), [1.0, -z.real]
+        if abs(z.imag) <= 1e-9:
+            parts.append(lfilter([gain], damped, F, axis=0))
+            continue
+        both = [1.0, -2 * z.real, abs(z) ** 2]
+        parts += [lfilter(gain * np.array(b), both, F, axis=0) for b in (damped, [0.0, z.imag])]
     return np.concatenate(parts, axis=1)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from operator import attrgetter
 from typing import Any, Self
 
@@ -64,16 +65,14 @@ class WaveformEvidence(WaveformFits, Defaults):
         """
         if self.by_force and fit.misfit >= CRITERIA.surpassed * fit.freedom:
             return None
-        beside = self._beside(fit)
+        beside = _beside(self, fit)
         if beside is None:
             return None
         beginning = max(self._beginning(fit), self.beginning)
-        if not self.parts:  # what was missing may be faster than the rest
-            beside = refined(*beside, variance_scale(beside[0]))
         if self.by_force:
             noise, most = left_over(*beside, self.stretches), CRITERIA.no_worse**2
         else:
-            noise, most = self._unpredicted(fit, *beside), CRITERIA.model_error
+            noise, most = _unpredicted(self, fit), CRITERIA.model_error
             ratio = [value / self.variance[signal] for signal, value in noise.variance.items()]
             alike = min(ratio) >= 1 / CRITERIA.slight and max(ratio) <= CRITERIA.slight
             if alike and beside[0].least == self.least and beginning == self.beginning:
@@ -85,20 +84,9 @@ class WaveformEvidence(WaveformFits, Defaults):
         """Return the evidence that looks at all of the runs where their beginning does not show what a fit leaves."""
         return replace(self, beginning=self._beginning(fit))
 
-    def _beside(self, fit: Fit) -> tuple[OutputErrorSearch, Evaluation] | None:
-        """Return the search and the evaluation of a fit, whose weights follow what it leaves; None if it diverges."""
-        search = self.search(values_in(fit.document, fit.values))
-        search, evaluation = reweighted(search, self._first(search))
-        return (search, evaluation) if np.isfinite(evaluation.cost) else None
-
-    def _unpredicted(self, fit: Fit, search: OutputErrorSearch, evaluation: Evaluation) -> Noise:
-        """Return what no black box predicts beside a fit."""
-        return unpredicted(self.load(values_in(fit.document, fit.values)), search, evaluation, self.stretches)
-
     def structure(self, fit: Fit) -> float:
         """Return the share of what a fit leaves that a black box predicts, 0 where that may be chance."""
-        beside = None if fit.failure else self._beside(fit)
-        return 0.0 if beside is None else self._unpredicted(fit, *beside).structure
+        return 0.0 if fit.failure or _beside(self, fit) is None else _unpredicted(self, fit).structure
 
     def unexplained(self, fit: Fit) -> float:
         """Return that share; 0, too, where noise is what a flexible force leaves: it explains details of any law."""
@@ -107,7 +95,7 @@ class WaveformEvidence(WaveformFits, Defaults):
     def at(self, fit: Fit) -> Fit:
         """Return a fit to the evidence before recalibration as this one judges it, at the same parameters."""
         search = replace(self.search(values_in(fit.document, fit.values)), hold="theta")
-        evaluation = search.minimise(self._first(search))
+        evaluation = search.minimise(self.first_point(search))
         return replace(self._summary(fit.document, search, evaluation), free=fit.free, seconds=fit.seconds)
 
     def bounds(self, fit: Fit, better: Fit | None = None) -> LawBounds | None:
@@ -146,7 +134,7 @@ class WaveformEvidence(WaveformFits, Defaults):
     def _starts(self, document: Mapping[str, Any]) -> tuple[OutputErrorSearch, Evaluation, dict[Label, float]]:
         """Return the search of a document, its evaluation, and where the runs begin best."""
         search = self._held(document)
-        evaluation = search.minimise(self._first(search), REFIT_EVALUATIONS)
+        evaluation = search.minimise(self.first_point(search), REFIT_EVALUATIONS)
         return search, evaluation, search.starts(evaluation.unknowns)
 
     def _law_bounds(
@@ -170,7 +158,7 @@ class WaveformEvidence(WaveformFits, Defaults):
         diagram, search = self.load(document), self._held(document)
         places = places_of(diagram, self.channels.outputs)
         if starts is None:
-            evaluation = search.minimise(self._first(search))
+            evaluation = search.minimise(self.first_point(search))
         else:
             first = search.first(starts)
             evaluation = search.evaluate(first, search.substeps(first))
@@ -216,7 +204,7 @@ class WaveformEvidence(WaveformFits, Defaults):
         pair = []
         for fit, document, diagram in zip((first, second), documents, diagrams, strict=True):
             search = self._held(document)
-            evaluation = search.minimise(self._first(search), REFIT_EVALUATIONS)
+            evaluation = search.minimise(self.first_point(search), REFIT_EVALUATIONS)
             pair.append(Hypothesis.of(fit, diagram, search, evaluation, signals))
         of_sample = weights_of(self.variance, self.runs, self.rows)
         longer = sum(run.size for run in self.runs) / sum(run.size for run in pair[0].whole.runs)  # than what is shown
@@ -244,7 +232,7 @@ class WaveformEvidence(WaveformFits, Defaults):
             if self.held:
                 return held_score(self.simulation(document, self.held), self.variance, self.units)
             search = self.search(document)
-            return left_out_score(search, self._first(search), self.variance, self.units)
+            return left_out_score(search, self.first_point(search), self.variance, self.units)
         except FAILURES as error:
             return Score({"": float("nan")}, {}, reason=reason_of(error))
 
@@ -314,3 +302,23 @@ class WaveformEvidence(WaveformFits, Defaults):
 def _open(fit: Fit) -> set[str]:
     """Return the parameters whose 90 % interval holds zero."""
     return {name for j, (name, value) in enumerate(fit.values.items()) if abs(value) <= Z90 * fit.std(j)}
+
+
+@lru_cache(maxsize=2)  # of each fit it is asked for the noise, for the verdict and for the report
+def _beside(evidence: WaveformEvidence, fit: Fit) -> tuple[OutputErrorSearch, Evaluation] | None:
+    """Return the search and the evaluation of a fit, whose weights follow what it leaves; None if it diverges."""
+    search = evidence.search(values_in(fit.document, fit.values))
+    search, evaluation = reweighted(search, evidence.first_point(search))
+    if not np.isfinite(evaluation.cost):
+        return None
+    if evidence.parts:
+        return search, evaluation
+    return refined(search, evaluation, variance_scale(search))  # what was missing may be faster than the rest
+
+
+@lru_cache(maxsize=2)
+def _unpredicted(evidence: WaveformEvidence, fit: Fit) -> Noise:
+    """Return what no black box predicts beside a fit that does not diverge."""
+    beside = _beside(evidence, fit)
+    assert beside is not None
+    return unpredicted(evidence.load(values_in(fit.document, fit.values)), *beside, evidence.stretches)

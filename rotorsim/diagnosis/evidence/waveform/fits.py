@@ -118,7 +118,7 @@ class WaveformFits(SampledRuns):
         limit = MOST_SIMULATIONS if effort.most is None else REFINED_EVALUATIONS * effort.most
         search = self.search(document)
         if [*starts] == [[{}]] and not self.parts:
-            return self._summary(document, search, search.minimise(self._first(search), limit))
+            return self._summary(document, search, search.minimise(self.first_point(search), limit))
         short, first = self._short(search)
         groups = starts or [[{}, self.near]]
         groups = [[start for group in groups for start in group]] if self.parts else groups
@@ -145,13 +145,13 @@ class WaveformFits(SampledRuns):
     def _short(self, search: OutputErrorSearch, every: int = 1) -> tuple[OutputErrorSearch, np.ndarray]:
         """Return a search on less of the runs, and its unknowns as the diagram states them; every: so many parts."""
         if not self.parts:
-            return search.shortened(self.beginning), self._first(search)
+            return search.shortened(self.beginning), self.first_point(search)
         parts = self.parts[::every]
         starts = {(name, state, r // every): x for (name, state, r), x in self.part_starts.items() if r % every == 0}
         short = replace(search, runs=parts, weights=weights_of(self.variance, parts, self.rows))
         return short, short.first(starts)
 
-    def _first(self, search: OutputErrorSearch) -> np.ndarray:
+    def first_point(self, search: OutputErrorSearch) -> np.ndarray:
         """Return the unknowns that a diagram states, states at first samples as at first found or as measured.
 
         Those of a diagram that lacks much may be far from any motion of the repaired one.
@@ -203,7 +203,7 @@ class WaveformFits(SampledRuns):
             search = replace(self.search(document), hold="theta")
         except FAILURES:
             return None
-        evaluation = search.minimise(self._first(search))
+        evaluation = search.minimise(self.first_point(search))
         return stacked(search, evaluation, self.stretches)[0] if np.isfinite(evaluation.cost) else None
 
     def _followed(
