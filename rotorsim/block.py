@@ -243,7 +243,7 @@ class Block:
     faults: ClassVar[tuple[Any, ...]] = ()  # rotorsim.fault.Fault: physics that a diagnosis may add by this block
     refinement: ClassVar[str | None] = None  # option that makes the block more exact as it grows (a finer mesh)
     no_signals: ClassVar[Mapping[str, str]] = {}  # names that may be taken for outputs, and what they are
-    opaque: ClassVar[bool] = False  # its equations are elsewhere (an FMU): only a co-simulation can run it
+    opaque: ClassVar[bool] = False  # its equations are elsewhere (an FMU): they are called, or co-simulated
 
     inputs: ClassVar[dict[str, In]] = {}
     outputs: ClassVar[dict[str, Out]] = {}
@@ -281,6 +281,14 @@ class Block:
         p: parameters, u: inputs, x: states (continuous, discrete, random), each by attribute; t: time [s].
         """
         raise NotImplementedError
+
+    def starts(self, p: Any) -> Mapping[str, Symbol]:
+        """Return where states begin whose ``init`` does not say it, as expressions of p (default: none)."""
+        return {}
+
+    def untraced(self) -> tuple[str, str]:
+        """Return why an opaque block has no equations that can be called, with a hint; empty where it has."""
+        return "", ""
 
     def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
         """Return messages on options and parameter values that contradict one another (default: none)."""

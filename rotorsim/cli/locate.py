@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -76,7 +75,7 @@ def _save(best: Location, diagram: Diagram, file: str, trust_blocks: bool) -> No
     from rotorsim.identification.files import with_values
     from rotorsim.model.load import load
 
-    folder = Path(diagram.file).parent if diagram.file else None
+    folder = diagram.folder
     placed = load(best.document, folder=folder, trust_blocks=trust_blocks)
     values = list(zip(best.estimate.free, best.estimate.theta.tolist(), strict=True))
     write_atomically(file, format_document(with_values(placed, values)))

@@ -17,6 +17,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.linear.linearisation import entry_names
 from rotorsim.model.part import open_part
+from rotorsim.model.trace.diagram import FOREIGN_CODE
 
 
 def couple(
@@ -116,8 +117,7 @@ def sources_of(diagram: Diagram, name: str) -> list[str]:
 
 def _refuse_foreign_code(diagram: Diagram) -> None:
     """Refuse to run the FMUs of a diagram that nobody vouches for: a process of their own is no wall against malice."""
-    what = "FMUs are programs; they are not run unless you say so"
-    hint = "if you trust where they come from, add --trust-blocks (trust_blocks=True)"
+    what, hint = FOREIGN_CODE
     foreign = [(name, node.place) for name, node in diagram.nodes.items() if node.block.opaque]
     if foreign and not diagram.trusted:
         raise RotorsimError(*[Problem(what, name, place, hint) for name, place in foreign])

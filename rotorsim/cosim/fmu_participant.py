@@ -61,7 +61,7 @@ class FmuParticipant(Participant):
         own = self.kind.fixed_step or description.experiment.step
         self.internal = min(self.internal, own) if own else self.internal
         shape = len(self._y_names), len(self._u_names)
-        depends = [_depends(description, y, u) for y in self._y_names for u in self._u_names]
+        depends = [description.follows(y, u) for y in self._y_names for u in self._u_names]
         self.feedthrough = np.array(depends, bool).reshape(shape)
         self.moving = np.array([not port.discrete for port in ports[1] for _ in port.entries], bool)
         self.following = self.feedthrough & self.moving[:, None]
@@ -325,14 +325,3 @@ def _scales(ports: dict[str, FmuPort]) -> np.ndarray | None:
     """Return factors and offsets (n, 2) of all entries, or None where all are 1 and 0."""
     found = np.concatenate([np.zeros((0, 2)), *(port.scales for port in ports.values())])
     return None if (found == (1.0, 0.0)).all() else found
-
-
-def _depends(description: ModelDescription, output: str, name: str) -> bool:
-    """Return whether an output follows an input at once, as the model structure says (not said: it does).
-
-    Of variables inside, which the structure does not list, nothing is said.
-    """
-    base, dependencies = output.partition("[")[0], description.dependencies
-    inside = description.resolve([output])[0].variable.causality == "local"
-    known = dependencies.get(output, dependencies.get(base, None if inside else ()))
-    return known is None or name in known or name.partition("[")[0] in known

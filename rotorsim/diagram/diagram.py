@@ -139,7 +139,8 @@ class Diagram:
     """A validated diagram; made by `rotorsim.model.load`, never by hand.
 
     parameters: diagram parameters as SI arrays. cut: input ports cut by ``--without`` (they read zero).
-    document: the JSON it came from, with ``set`` in it (for fmt, swap, diff and provenance). file: its name.
+    document: the JSON it came from, with ``set`` in it (for fmt, swap, diff and provenance). file: its name. folder: of
+    the files that it names.
     warnings: what is odd but no mistake. free: what ``identify`` leaves to be estimated. measured: what a recording
     calls the first signal is the second one here, behind the model of a sensor. trusted: whether the code that it
     brings along may run (its FMUs).
@@ -156,6 +157,7 @@ class Diagram:
     cut: frozenset[tuple[str, str]] = frozenset()
     document: Mapping[str, Any] = field(default_factory=dict)
     file: str = ""
+    folder: str | None = None
     warnings: tuple[Problem, ...] = ()
     free: tuple[Free, ...] = ()
     measured: Mapping[Endpoint, Endpoint] = field(default_factory=dict)

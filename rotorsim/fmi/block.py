@@ -15,11 +15,26 @@ from math import prod
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from rotorsim.block import Block, Equations, In, Option, Out, Param, Shape
+from rotorsim.block import (
+    Block,
+    Equations,
+    In,
+    Option,
+    Out,
+    Param,
+    Shape,
+    State,
+    concatenate,
+    matrix_shape,
+    unflatten,
+    zeros,
+)
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.model import FLOATS, INTEGERS, NUMERIC, Entry, FmuVariable, ModelDescription
+from rotorsim.fmi.equations import functions_of, held_inputs, moving_inputs
 from rotorsim.fmi.runtime.slave import describe_fmu
 
 _INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")
@@ -249,20 +264,107 @@ def _made(
             unit=port.unit,
             doc=port.description,
         )
-    body["equations"] = _equations
+    n_x = len(description.states)
+    if n_x:
+        body["_x"] = State(
+            name="states",
+            shape=(n_x,),
+            unit=None,
+            when=lambda option: _has_states(option, description),
+            doc="those of the FMU, in its units",
+        )
+    body |= {"equations": _equations, "starts": _starts, "untraced": _not_traced}
     return type("Fmu", (Block,), body)
 
 
-def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
-    """Return zeros: a co-simulation puts what the FMU says in their place."""
-    import casadi as ca
+def _not_traced(block: Any) -> tuple[str, str]:
+    """Return why an FMU has no equations that a trace can call, with a hint; nothing where it has."""
+    description, interface = block.fmu_description, block.option.interface
+    cosim = "`rotorsim cosim` runs it"
+    if interface == "cs" or "me" not in description.kinds:
+        hidden = "for Co-Simulation, which hides its states and equations"
+        if interface == "cs" and "me" in description.kinds:
+            return f"is an FMU {hidden}", f'it offers Model Exchange, too: "interface": "me"; {cosim} as it is'
+        return f"is an FMU {hidden}", f"{cosim}; export it for Model Exchange, too"
+    stepped = [name for name in held_inputs(block) if name in block.wired]
+    if stepped:
+        return f"is an FMU that takes its input {stepped[0]} at events only", cosim
+    return "", ""
 
-    ports: Mapping[str, FmuPort] = self.fmu_outputs  # type: ignore[attr-defined]
-    zeros = {}
+
+def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
+    """Return calls of an FMU for Model Exchange; zeros where only a co-simulation can run it."""
+    block: Any = self
+    description, ports = block.fmu_description, block.fmu_outputs
+    n_x = len(description.states) if _has_states(block.option, description) else 0
+    state = x.states if n_x else ca.SX(0, 1)
+    if block.untraced()[0]:
+        rates = {"states": zeros(n_x)} if n_x else {}
+        return Equations({name: zeros(*_two(port.shape)) for name, port in ports.items()}, rates)
+    functions = functions_of(block)
+    moving, held = moving_inputs(block), held_inputs(block)
+    fed = {name: concatenate([getattr(u, name) + _unfed(block, p, name, port)]) for name, port in moving.items()}
+    values = _values(block, p, held)
+    given = [t, state, concatenate([ca.SX(0, 1), *fed.values()]), values]
+    together: dict[frozenset[str], dict[str, range]] = {}  # outputs that follow the same inputs at once
+    at = n_x
     for name, port in ports.items():
-        rows, columns = (*port.shape, 1, 1)[:2] if len(port.shape) < 3 else (prod(port.shape), 1)
-        zeros[name] = ca.SX.zeros(rows, columns)
-    return Equations(outputs=zeros)
+        rows, at = range(at, at + len(port.entries)), at + len(port.entries)
+        follows = frozenset(
+            other
+            for other, its in moving.items()
+            if any(description.follows(y, one) for y in port.entries for one in its.entries)
+        )
+        together.setdefault(follows, {})[name] = rows
+    outputs: dict[str, Any] = {}
+    for follows, members in together.items():
+        seen = [value if name in follows else ca.SX(*value.shape) for name, value in fed.items()]
+        rows_of_all = [k for rows in members.values() for k in rows]
+        groups = (True, bool(n_x), bool(follows), True)
+        column = functions.call("y", rows_of_all, groups, [t, state, concatenate([ca.SX(0, 1), *seen]), values])
+        for name, part in zip(members, _split(column, [len(rows) for rows in members.values()]), strict=True):
+            outputs[name] = unflatten(part, _two(ports[name].shape))
+    return Equations(outputs, {"states": functions.call("f", range(n_x), (True,) * 4, given)} if n_x else {})
+
+
+def _starts(self: Block, p: Any) -> dict[str, Any]:
+    """Return where the states begin, as the FMU says."""
+    block: Any = self
+    if block.untraced()[0] or not block.fmu_description.states:
+        return {}
+    moving = moving_inputs(block).items()
+    fed = concatenate([ca.SX(0, 1), *(_unfed(block, p, name, port, start=True) for name, port in moving)])
+    given = [ca.SX(0, 1), ca.SX(0, 1), fed, _values(block, p, held_inputs(block))]
+    return {"states": functions_of(block).call("x0", None, (False, False, True, True), given)}
+
+
+def _values(block: Any, p: Any, held: Mapping[str, FmuPort]) -> Any:
+    """Return the values of parameters, then of inputs that are set once."""
+    own = [getattr(p, name) for name in block.fmu_parameters]
+    return concatenate([ca.SX(0, 1), *own, *(_unfed(block, p, name, port) for name, port in held.items())])
+
+
+def _unfed(block: Any, p: Any, name: str, port: FmuPort, start: bool = False) -> Any:
+    """Return what is added to an input: its value where nothing feeds it; start: that with which it begins."""
+    alone = name not in block.wired
+    if alone and name in block.parameters and name not in block.fmu_parameters:
+        return getattr(p, name)
+    value = np.zeros(_two(port.shape)) if port.start is None else np.reshape(port.start, _two(port.shape))
+    return ca.SX(value if alone or start else np.zeros_like(value))
+
+
+def _two(shape: Shape) -> tuple[int, int]:
+    """Return rows and columns of the symbol of a port, whose last index runs fastest."""
+    return matrix_shape(shape) if len(shape) < 3 else (prod(shape), 1)
+
+
+def _split(column: Any, sizes: Sequence[int]) -> list[Any]:
+    return list(ca.vertsplit(column, np.cumsum([0, *sizes]).tolist()))
+
+
+def _has_states(option: Any, description: ModelDescription) -> bool:
+    """Return whether the states of an FMU are states of the diagram."""
+    return bool(option.interface != "cs" and "me" in description.kinds and description.states)
 
 
 def block_class(

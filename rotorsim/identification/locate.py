@@ -6,7 +6,6 @@ import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -71,7 +70,7 @@ def locate(
     with one_thread():
         for places in combinations(nodes, count):
             moved = _placed(document, diagram, block, wires, places)
-            model = load(moved, folder=Path(diagram.file).parent if diagram.file else None, trust_blocks=trust_blocks)
+            model = load(moved, folder=diagram.folder, trust_blocks=trust_blocks)
             experiment = open_experiment(model, recording, given=given, harmonics=harmonics)
             tried.append((places, estimate(Search(Likelihood(experiment)), tries=1), moved))
     best = min(item.misfit for _, item, _ in tried)

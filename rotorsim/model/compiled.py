@@ -13,6 +13,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.diagram.resolve.values import ValueProblem, bounds_problem, numeric
 from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.model.called import connect, forget_failures, raise_failure
 from rotorsim.model.emit.emit import Kernel, build_kernel, emit_c
 from rotorsim.model.emit.toolchain import Compiler, CompilerError, compile_c, compiler_error, find_compiler
 from rotorsim.model.linearity import is_affine
@@ -43,6 +44,7 @@ class Library:
             if function is None:
                 raise compiler_error(compiler.command[0], f"wrote a library without {name}")
             function.argtypes, function.restype = arguments, result
+        connect(self.handle, kernel.called)
 
     def memory(self) -> np.ndarray:
         """Return zeroed memory of one instance."""
@@ -139,7 +141,9 @@ class Model:
 
     def initial(self, p: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the initial states x (n_x,) and z (n_z,)."""
+        forget_failures()
         x, z = self._initial(self.p0 if p is None else p)
+        raise_failure()
         return np.array(x).ravel(), np.array(z).ravel()
 
     def x0(self, p: np.ndarray | None = None) -> np.ndarray:
@@ -254,16 +258,19 @@ class Model:
 
     def rhs_batch(self, t: np.ndarray, x: np.ndarray, z: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return dx/dt of n instants: t (n,), x (n, n_x), z (n_z,), p (n, n_p) -> (n, n_x)."""
+        forget_failures()
         t, x, p, z = (np.ascontiguousarray(a, float) for a in (t, x, p, z))
         compiled = (library for library in self._libraries.values() if library is not None)
         library = next(compiled, None) or self.library()  # whatever it records
         if library is None:
             columns = self.rhs(t[None, :], x.T, np.repeat(z[:, None], len(t), 1), p.T)
+            raise_failure()
             return np.array(columns).T
         out = np.empty((len(t), self.n_x))
         m = library.memory()
         addresses = [a.ctypes.data for a in (t, x, z, p)]
         library.handle.rs_derivatives(len(t), *addresses, self.n_p, m.ctypes.data, out.ctypes.data)
+        raise_failure()
         return out
 
     def block_of_state(self, position: int) -> str:

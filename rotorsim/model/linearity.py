@@ -9,6 +9,8 @@ from typing import Any
 
 import casadi as ca
 
+from rotorsim.model.called import called_with
+
 _SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_TWICE, ca.OP_ASSIGN)
 
 
@@ -29,7 +31,8 @@ def is_affine(of: Any, by: Any) -> bool:
         factor = (op == ca.OP_DIV and not held[-1]) or (op == ca.OP_IF_ELSE_ZERO and not held[0])
         if any(held) and not (op in _SUMS or product or factor):
             return False
-        moves[to[0]] = any(held)
+        for place in (place for place in to if place >= 0):
+            moves[place] = any(held)
     return True
 
 
@@ -83,9 +86,16 @@ def semi_linear(of: Any, by: Any, fast: Any, slow: Any) -> SemiLinear:
             work[place] = term = _Term(_Kind.LINEAR, term.value, symbols[-1])
         return term.linear
 
+    called: Any = function.instructions_sx() if function.get_function() else ()
     for k in range(function.n_instructions()):
         op, places, to = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-        if op == ca.OP_OUTPUT:
+        if op == ca.OP_CALL:  # of a part without an expression: a law of whatever moves
+            terms = [work[place] for place in places]
+            kind = max((term.kind for term in terms), default=_Kind.STEADY)
+            kind = kind if kind <= _Kind.SLOW else _Kind.LAW
+            results = called_with(called[k].which_function(), [term.value for term in terms])
+            work |= {place: _Term(kind, one, one) for place, one in zip(to, results, strict=True) if place >= 0}
+        elif op == ca.OP_OUTPUT:
             out[to[1]] = linear(places[0])
         elif op == ca.OP_INPUT:
             symbol = given[places[0]][places[1]]

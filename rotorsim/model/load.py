@@ -24,7 +24,7 @@ def load(
 
     set: "speed", "block.param" or "solver.step" -> number or text with a unit. without: blocks removed
     with their wires; inputs cut that way read zero. trust_blocks: run the code that comes with it: the
-    block files of ``block_folders`` here, its FMUs in a co-simulation. folder: of the files that a
+    block files of ``block_folders`` here, its FMUs when it runs. folder: of the files that a
     document in memory names.
     Raises RotorsimError with every mistake found; warnings are in ``diagram.warnings``.
     """
@@ -33,5 +33,6 @@ def load(
         block_traces(diagram)
     except RotorsimError as error:
         raise_errors([*diagram.warnings, *error.problems])
-    evaluation_order(diagram)
+    opaque = ((name, port) for name, node in diagram.nodes.items() if node.block.opaque for port in node.outputs)
+    evaluation_order(diagram, opaque)  # loops through these are solved by some masters of a co-simulation
     return diagram

@@ -9,6 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rotorsim.model.called import forget_failures, raise_failure
+
 
 class MatrixFunction:
     """A matrix expression evaluated at many points at once; only its nonzeros are computed.
@@ -71,7 +73,9 @@ class MatrixFunction:
             if array.size:
                 buffer.set_arg(k, _memory(array))
         buffer.set_res(0, _memory(result))
+        forget_failures()
         trigger()
+        raise_failure()
         return result
 
     def _paired(self, columns: tuple[Any, ...]) -> list[tuple[Any, int]]:

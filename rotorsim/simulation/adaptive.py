@@ -11,9 +11,10 @@ from scipy.integrate import solve_ivp
 
 from rotorsim.diagram.solver import ADAPTIVE, SOLVER_METHODS
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.model.called import raise_failure
 from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
-from rotorsim.simulation.failure import Verdict, growth, interrupted
+from rotorsim.simulation.failure import Verdict, failed_inside, growth, interrupted
 
 IMPLICIT = {"radau", "bdf", "lsoda"}
 MOST_EVENTS = 1_000_000
@@ -41,17 +42,21 @@ def run_adaptive(
     crossing = _events(model, p, instance)
     options: dict[str, Any] = {"method": ADAPTIVE[method], "rtol": solver.rtol, "atol": solver.atol}
     if method in IMPLICIT:
-        options["jac"] = lambda t, x: np.array(model.jacobian(t, x, instance.z, p))
+        options["jac"] = lambda t, x: _sound(np.array(model.jacobian(t, x, instance.z, p)))
     grid = np.arange(n_steps // every + 1) * every * h
     rows = np.empty((len(grid), instance.n_y))
     counters = {"steps": 0, "evaluations": 0, "events": 0, "jacobians": 0}
     t, filled, verdict = 0.0, 0, Verdict()
+
+    def slope(t: float, x: np.ndarray) -> np.ndarray:
+        return _sound(instance.derivative(t, x))
+
     instance.start(0.0)
     x = np.array(instance.x)
     try:
         while t < end:
             stop = min(instance.next_hit(), end)
-            part = solve_ivp(instance.derivative, (t, stop), x, events=crossing, dense_output=True, **options)
+            part = solve_ivp(slope, (t, stop), x, events=crossing, dense_output=True, **options)
             counters["steps"] += len(part.t) - 1
             counters["evaluations"] += part.nfev
             counters["jacobians"] += part.njev
@@ -77,11 +82,19 @@ def run_adaptive(
                 progress(t / end)
     except KeyboardInterrupt:
         verdict = interrupted(t)
+    except RotorsimError as error:
+        verdict = failed_inside(error, t)
     instance.x[:] = x
     if verdict.status == "finished" and filled == len(grid) - 1:  # the last crossing lay on the end
         rows[filled] = instance.record(grid[filled], x)
         filled += 1
     return grid[:filled], rows[:filled], verdict, counters
+
+
+def _sound(values: np.ndarray) -> np.ndarray:
+    """Return values, unless a part has failed while they were computed."""
+    raise_failure()
+    return values
 
 
 def _events(model: Model, p: np.ndarray, instance: Instance) -> list[Callable[[float, np.ndarray], float]]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorsim.errors import RotorsimError
 from rotorsim.linear.stability import growing, largest_stable_step, rounded_down
 from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
@@ -24,6 +25,14 @@ class Verdict:
 def interrupted(t: float) -> Verdict:
     """Return that a run was stopped at a time [s]."""
     return Verdict("stopped", f"interrupted at t = {t:.6g} s; what was computed until then is kept")
+
+
+def failed_inside(error: RotorsimError, t: float) -> Verdict:
+    """Return that a part whose equations are elsewhere has failed before a time [s]."""
+    problem = error.problems[0]
+    what = ": ".join(part for part in (problem.subject, problem.what) if part)
+    hint = f"\n\nhint: {problem.hint}" if problem.hint else ""
+    return Verdict("stopped", f"{what}; what was computed until t = {t:.6g} s is kept{hint}", cause="part")
 
 
 def describe_failure(

@@ -12,10 +12,11 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.linearisation import as_model
+from rotorsim.model.called import forget_failures, raise_failure
 from rotorsim.model.compiled import Model
 from rotorsim.model.input_limits import input_limits, passed_limit
 from rotorsim.model.instance import Instance, make_instance
-from rotorsim.simulation.failure import Verdict, describe_failure, interrupted
+from rotorsim.simulation.failure import Verdict, describe_failure, failed_inside, interrupted
 from rotorsim.simulation.result import Result, cut
 from rotorsim.simulation.validity import Run, Stretch, judge, loose_tolerance, stretches_of
 
@@ -59,6 +60,7 @@ def simulate(
     limits = input_limits(model.diagram, {name: p[part] for name, part in model.parameters.items()})
     watched = (*names, *dict.fromkeys(str(item.source) for item in limits if str(item.source) not in names))
     begun = clock.process_time()
+    forget_failures()
     instance = make_instance(model, watched, p, use_compiler=use_compiler)
     prepared = clock.process_time()
     if initial is not None:
@@ -188,7 +190,8 @@ def _run_rk4(
     """Take the steps; ``stretches`` receives the states from which parts of them can be repeated."""
     ahead = stretches_of(n_steps)
     rows = np.empty((n_steps // every + 1, instance.n_y))
-    n, chunk, verdict = 0, n_steps if progress is None else 1000, Verdict()
+    n = first = 0
+    chunk, verdict = n_steps if progress is None else 1000, Verdict()
     chunk = min(chunk, 10_000_000)
     try:
         instance.start(0.0)
@@ -200,6 +203,7 @@ def _run_rk4(
             until = min(n + chunk, n_steps, *(start for start, _ in ahead))
             begun = clock.perf_counter()
             n = instance.run(n, until, 0.0, h, every, rows[-(-n // every) :])
+            raise_failure()
             if not np.isfinite(instance.x).all():
                 instance.restore(saved)
                 n = first
@@ -211,6 +215,9 @@ def _run_rk4(
                 chunk = int(chunk * min(max(0.1 / max(elapsed, 1e-6), 0.5), 10.0)) + 1
     except KeyboardInterrupt:
         verdict = interrupted(n * h)
+    except RotorsimError as error:  # in a step of the stretch that was run last
+        n = min(max(int((getattr(error, "time", None) or 0.0) / h + 1e-9), first), n)
+        verdict = failed_inside(error, n * h)
     if verdict.status == "finished" and n_steps % every == 0:
         rows[n_steps // every] = instance.record(n_steps * h, instance.x)
         kept = n_steps // every + 1

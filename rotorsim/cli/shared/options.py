@@ -37,7 +37,7 @@ without_option = click.option(
 trust_option = click.option(
     "--trust-blocks",
     is_flag=True,
-    help="Run what the diagram brings along, block files in its folders and (cosim) FMUs: they are code.",
+    help="Run what the diagram brings along, block files in its folders and its FMUs: they are code.",
 )
 hold_out_option = click.option("--hold-out", metavar="RECORDING", help="Further runs, on which the fit is only scored.")
 measured_input_option = click.option(

@@ -15,7 +15,6 @@ import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -176,7 +175,7 @@ def signatures_of(
     Free are the parameters that ``identify`` of the diagram names, and those that blocks declare with a tolerance.
     Raises RotorsimError for diagrams that are sampled, not linear, or do not follow the shaft.
     """
-    folder = Path(diagram.file).parent if diagram.file else None
+    folder = diagram.folder
 
     def opened(document: Mapping[str, Any]) -> Diagram:
         return load(document, folder=folder, trust_blocks=trust_blocks)

@@ -127,6 +127,7 @@ def resolve(
         cut=frozenset(wiring.cut),
         document=settings.written_in(flat.data),
         file=document.file,
+        folder=None if root is None else str(root),
         warnings=tuple(p for p in problems if p.severity == "warning"),
         free=free,
         measured=measured,

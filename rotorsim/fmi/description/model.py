@@ -244,6 +244,16 @@ class ModelDescription:
             raise RotorsimError(*problems)
         return found
 
+    def follows(self, unknown: str, name: str) -> bool:
+        """Return whether an output follows an input at once, as the model structure says (not said: it does).
+
+        Of variables inside, which the structure does not list, nothing is said.
+        """
+        base = unknown.partition("[")[0]
+        inside = self.resolve([unknown])[0].variable.causality == "local"
+        known = self.dependencies.get(unknown, self.dependencies.get(base, None if inside else ()))
+        return known is None or name in known or name.partition("[")[0] in known
+
     def unit_of(self, variable: FmuVariable) -> FmuUnit | None:
         """Return the unit of a variable, or None where it has none, or one that is neither defined nor known.
 

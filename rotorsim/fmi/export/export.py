@@ -36,6 +36,9 @@ class Exported:
     warnings: tuple[Problem, ...] = ()
 
 
+NESTED = "export the others by --block: what comes from it becomes an input"
+
+
 def export_fmu(
     diagram: Diagram,
     file: str | Path,
@@ -110,6 +113,11 @@ def _check(diagram: Diagram, blocks: Sequence[str], version: str, arrays: bool, 
             else []
         ),
         *(Problem("no such block", block, hint=near_miss(block, diagram.nodes)) for block in unknown),
+        *(
+            Problem("is an FMU: one inside another is not exported", block, diagram.nodes[block].place, NESTED)
+            for block in blocks
+            if block not in unknown and diagram.nodes[block].block.opaque
+        ),
     ]
     for name in (name for name in inputs if name not in additive):
         feeding = [w.source.block for w in diagram.wires if f"{w.target.block}.{w.target.port}" == name]

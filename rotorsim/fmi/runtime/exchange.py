@@ -219,6 +219,11 @@ class Slave(Instance):
         self._note_end()
         return self.last_event()
 
+    def event_refused(self, what: str, t: float) -> FmuError:
+        """Return the failure of equations that hold between events alone."""
+        hint = "`rotorsim cosim` carries events out; here there are equations between events alone"
+        return self.step_failed("-", what, "event", t, hint)
+
     def last_event(self) -> EventUpdate:
         """Return what the last event, or the initialisation, said."""
         said = self._said

@@ -84,9 +84,9 @@ def _each(stretch: np.ndarray) -> list[np.ndarray]:
 def _left_out(X: np.ndarray, Y: np.ndarray, fold: np.ndarray) -> np.ndarray:
     """Return what a ridge regression from the other folds predicts of each, (n, c), at the best penalties."""
     predicted = np.zeros((len(PENALTIES), *Y.shape))
-    if not X.size:  # nothing moves
-        return np.zeros(Y.shape)
     folds = [(here, X[here], Y[here]) for here in _each(fold)]
+    if not X.size or len(folds) < 2:  # nothing moves, or nothing is left to learn from
+        return np.zeros(Y.shape)
     products, moments = [x.T @ x for _, x, _ in folds], [x.T @ y for _, x, y in folds]
     products_of_all, moments_of_all = sum(products), sum(moments)
     for (here, x, _), product, moment in zip(folds, products, moments, strict=True):

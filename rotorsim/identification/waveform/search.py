@@ -16,6 +16,7 @@ from math import pi, tau
 import numpy as np
 
 from rotorsim.diagram.diagram import Free
+from rotorsim.errors import RotorsimError
 from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
 from rotorsim.identification.waveform.driven.simulation import Simulation
 
@@ -320,10 +321,10 @@ class OutputErrorSearch:
         while np.isfinite(here.cost) and used < most and calm < 2:
             known[self.m :] = np.maximum(known, np.diag(here.information))[self.m :]
             step = self._step(here, damping, known)
-            after = self.evaluate(self._moved(here.unknowns, step), here.sub, sensitivities=False)
+            after = self._tried(self._moved(here.unknowns, step), here.sub)
             if not after.cost < here.cost and (weak := self._weak(here)).any():
                 step = self._step(here, damping, known, weak)
-                after = self.evaluate(self._moved(here.unknowns, step), here.sub, sensitivities=False)
+                after = self._tried(self._moved(here.unknowns, step), here.sub)
             if after.cost < here.cost:
                 calm = calm + 1 if after.cost > here.cost * (1 - SEARCH_COST_TOLERANCE) else 0
                 here = self.evaluate(after.unknowns, here.sub)
@@ -333,6 +334,13 @@ class OutputErrorSearch:
                 calm += damping > MOST_DAMPING or not step.any()
             used += 1
         return here
+
+    def _tried(self, unknowns: np.ndarray, sub: int) -> Evaluation:
+        """Return the evaluation of a trial; of infinite cost, too, where a part whose equations are elsewhere fails."""
+        try:
+            return self.evaluate(unknowns, sub, sensitivities=False)
+        except RotorsimError:
+            return Evaluation(unknowns, sub)
 
     def _weak(self, here: Evaluation) -> np.ndarray:
         """Return which unknowns are states at first samples that hardly show, (q,): any step there is one too far.

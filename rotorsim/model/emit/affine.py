@@ -48,8 +48,11 @@ def _form(old: Program, new: Program, number: int, forms: dict[int, Form]) -> Fo
         return {}, new.copied(old.nodes[number], {k: forms[k][1] for k in old.operands(number)})
     if op == ir.INPUT:
         return {new.input(str(a), b): new.constant(1.0)}, zero
-    left = forms[int(a)]
-    right = forms[b] if b >= 0 else ({}, zero)
+    if op in (ir.CALL, ir.RESULT):
+        atom = new.copied(old.nodes[number], {k: _node(new, forms[k]) for k in old.operands(number)})
+        return {atom: new.constant(1.0)}, zero
+    left, *others = (forms[k] for k in old.operands(number))
+    right = others[0] if others else ({}, zero)
     if op in (ir.ADD, ir.SUB):
         return _combined(new, left, right, op)
     if op in (ir.NEG, ir.TWICE):

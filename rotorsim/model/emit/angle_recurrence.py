@@ -47,15 +47,16 @@ def _linear_form(program: Program, number: int) -> Form:
     stack = [(number, 1.0)]
     while stack:
         node, factor = stack.pop()
-        op, a, b = program.nodes[node]
+        op = program.nodes[node][0]
+        a, b = (*program.operands(node), -1, -1)[:2]
         if op in (ir.ADD, ir.SUB):
-            stack += [(int(a), factor), (b, factor if op == ir.ADD else -factor)]
+            stack += [(a, factor), (b, factor if op == ir.ADD else -factor)]
         elif op in (ir.NEG, ir.TWICE):
-            stack.append((int(a), -factor if op == ir.NEG else 2 * factor))
-        elif op == ir.MUL and program.is_constant(int(a)):
-            stack.append((b, factor * program.value(int(a))))
+            stack.append((a, -factor if op == ir.NEG else 2 * factor))
+        elif op == ir.MUL and program.is_constant(a):
+            stack.append((b, factor * program.value(a)))
         elif op == ir.MUL and program.is_constant(b):
-            stack.append((int(a), factor * program.value(b)))
+            stack.append((a, factor * program.value(b)))
         else:
             form[node] = form.get(node, 0.0) + factor
     return {node: factor for node, factor in form.items() if factor != 0.0}

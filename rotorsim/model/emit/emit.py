@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial, reduce
 from importlib import resources
+from typing import Any
 
 import casadi as ca
 
@@ -20,7 +21,7 @@ from rotorsim.model.emit.affine import collapse_linear
 from rotorsim.model.emit.angle_recurrence import share_harmonics
 from rotorsim.model.emit.pairing import paired_constants, paired_states
 from rotorsim.model.emit.program import Pass, Program
-from rotorsim.model.emit.writer import Writer, array_leaf
+from rotorsim.model.emit.writer import Writer, array_leaf, call_table, called_functions
 from rotorsim.model.runge_kutta import RK4
 from rotorsim.model.trace.diagram import Trace
 
@@ -57,6 +58,11 @@ class Kernel:
         """Whether the whole RK4 step is one function."""
         given = dict.fromkeys((*self.constants, *self.forcing))
         return len(self.program.needed(self.xdot, given)) <= UNROLL_LIMIT
+
+    @property
+    def called(self) -> dict[str, Any]:
+        """The functions that it calls, by name."""
+        return called_functions([self.program])
 
 
 def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
@@ -98,7 +104,7 @@ def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
 
 def emit_c(kernel: Kernel) -> str:
     """Return the whole C source of a diagram: generated functions, then the runtime."""
-    program = kernel.program
+    program, called = kernel.program, kernel.called
     constants = {node: f"c[{k}]" for k, node in enumerate(kernel.constants)}
     forcing = {node: f"g[{k}]" for k, node in enumerate(kernel.forcing)}
     given = {**forcing, **constants}
@@ -109,7 +115,7 @@ def emit_c(kernel: Kernel) -> str:
     ) -> tuple[str, int]:
         targets = [(f"{out}[{k}]", node) for k, node in enumerate(nodes)]
         arguments = f"{inputs}, double *restrict {out}, double *restrict work"
-        return Writer(program, known, array_leaf).text(name, arguments, f"{call}, {out}, work", targets)
+        return Writer(program, known, array_leaf, [*called]).text(name, arguments, f"{call}, {out}, work", targets)
 
     at_time = "double t, const double *restrict p, const double *restrict c"
     parts = [
@@ -143,7 +149,8 @@ def emit_c(kernel: Kernel) -> str:
         if values:
             head.append(f"static const int {name}[] = {{{', '.join(map(str, values))}}};")
     runtime = resources.files("rotorsim.model.emit").joinpath("runtime.c").read_text(encoding="utf-8")
-    return "\n".join([*head, *(text for text, _ in parts), runtime])
+    table, connect = call_table(called)
+    return "\n".join([*head, table, *(text for text, _ in parts), runtime, connect])
 
 
 @dataclass(frozen=True)
@@ -176,12 +183,8 @@ def step_program(kernel: Kernel) -> StepProgram:
             if number in known:
                 continue
             op, a, b = old.nodes[number]
-            if op == ir.INPUT:
-                known[number] = state[b] if a == "x" else step.input(str(a), b)
-            elif op == ir.CONSTANT:
-                known[number] = step.constant(float(a))
-            else:
-                known[number] = step.apply(op, known[int(a)], known[b] if b >= 0 else -1)
+            is_state = op == ir.INPUT and a == "x"
+            known[number] = state[b] if is_state else step.copied(old.nodes[number], known)
         return [known[node] for node in nodes]
 
     stages: list[list[int]] = []
@@ -221,7 +224,7 @@ def _unrolled_step(kernel: Kernel) -> tuple[str, int]:
     given = {node: f"x_{i}" for i, node in enumerate(step.x)}
     targets = [(f"y[{k}]", node) for k, node in enumerate(step.y)]
     targets += [(f"x[{k}]", step.new[i]) for k, i in enumerate(kernel.order)]
-    writer = Writer(step.program, given, leaf)
+    writer = Writer(step.program, given, leaf, [*kernel.called])
     text, size = writer.text("rs_step", STEP_ARGUMENTS, "x, z, p, c, g0, gm, g1, h, y, k, work", targets, whole=True)
     return text.replace("{\n", "{\n" + loads + "  (void)k;\n", 1), size
 

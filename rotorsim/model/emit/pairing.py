@@ -45,7 +45,8 @@ def _forms(program: Program, rates: Sequence[int], colours: Sequence[int]) -> di
             form = ("x", colours[b]) if a == "x" else (str(a),)
         else:
             parts = [form_of[k] for k in program.operands(number)]
-            form = (op, *(sorted(parts) if op in (ir.ADD, ir.MUL) else parts))
+            which = a.name if isinstance(a, ir.Call) else b if op == ir.RESULT else None
+            form = (op, which, *(sorted(parts) if op in (ir.ADD, ir.MUL) else parts))
         form_of[number] = numbers.setdefault(form, len(numbers))
     return form_of
 

@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import casadi as ca
 
-INPUT, CONSTANT = ca.OP_INPUT, ca.OP_CONST
+from rotorsim.model.called import called_with
+
+INPUT, CONSTANT, CALL = ca.OP_INPUT, ca.OP_CONST, ca.OP_CALL
+RESULT = -1  # no operation of CasADi: one number of what a call gives
 LEVEL_CONSTANT, LEVEL_PARAMETER, LEVEL_TIME, LEVEL_STATE = 0, 1, 2, 3
 _LEVEL_OF_VECTOR = {"p": LEVEL_PARAMETER, "t": LEVEL_TIME}
 
@@ -66,14 +70,29 @@ _FOLD: dict[int, Callable[[float, float], float]] = {
     ca.OP_SQRT: lambda a, _: math.sqrt(a),
     ca.OP_EXP: lambda a, _: math.exp(a),
 }
-Node = tuple[int, int | str | float, int]
+
+
+@dataclass(frozen=True)
+class Call:
+    """A call of a function that has no expression (a part of a diagram that is opaque), told by its name.
+
+    operands: nodes of the nonzeros of all arguments; it gives the nonzeros of all results.
+    """
+
+    name: str
+    operands: tuple[int, ...]
+    function: Any = field(compare=False)
+
+
+Node = tuple[int, int | str | float | Call, int]
 
 
 class Program:
     """Operations in evaluation order.
 
     nodes[k] = (op, a, b): for INPUT a is the vector's name and b the position; for CONSTANT a is the
-    value; else a, b are node numbers (b = -1 for one operand). levels[k]: what it depends on.
+    value; for CALL a is a `Call`, whose results follow as (RESULT, node of the call, position); else a, b
+    are node numbers (b = -1 for one operand). levels[k]: what it depends on.
     ``reassociate`` allows sums and products to be regrouped so that what changes less often is joined first.
     """
 
@@ -105,15 +124,36 @@ class Program:
         if op == INPUT:
             return self.input(str(a), b)
         if op == CONSTANT:
-            return self.constant(float(a))
-        return self.apply(op, operands[int(a)], operands[b] if b >= 0 else -1)
+            return self.constant(_number(a))
+        if isinstance(a, Call):
+            return self.call(a.function, [operands[k] for k in a.operands])
+        if op == RESULT:
+            return self.result(operands[_node(a)], b)
+        return self.apply(op, operands[_node(a)], operands[b] if b >= 0 else -1)
+
+    def call(self, function: Any, operands: Sequence[int]) -> int:
+        """Return the node of a call of a CasADi function that cannot be written out; its results are behind it."""
+        call = Call(function.name(), tuple(operands), function)
+        known = self._known.get((CALL, call, -1))
+        if known is None:
+            level = max((self.levels[k] for k in operands), default=LEVEL_CONSTANT)
+            known = self._add((CALL, call, -1), level)
+            for position in range(function.nnz_out()):
+                self._add((RESULT, known, position), level)
+        return known
+
+    def result(self, call: int, position: int) -> int:
+        """Return the node of a number that a call gives."""
+        return self._known[RESULT, call, position]
 
     def operands(self, number: int) -> tuple[int, ...]:
         """Return the nodes that an operation is applied to; none of an input or a constant."""
         op, a, b = self.nodes[number]
         if op in (INPUT, CONSTANT):
             return ()
-        return (int(a), b) if b >= 0 else (int(a),)
+        if isinstance(a, Call):
+            return a.operands
+        return (_node(a), b) if b >= 0 and op != RESULT else (_node(a),)
 
     def is_constant(self, number: int, value: float | None = None) -> bool:
         """Return whether a node is a constant (of this value)."""
@@ -122,7 +162,7 @@ class Program:
 
     def value(self, number: int) -> float:
         """Return the value of a constant node."""
-        return float(self.nodes[number][1])
+        return _number(self.nodes[number][1])
 
     def apply(self, op: int, a: int, b: int = -1) -> int:
         """Return the node of an operation, simplified."""
@@ -184,7 +224,7 @@ class Program:
 
     def _operand(self, number: int, op: int) -> int | None:
         node = self.nodes[number]
-        return int(node[1]) if node[0] == op else None
+        return _node(node[1]) if node[0] == op else None
 
     def _regrouped(self, op: int, a: int, b: int) -> int | None:
         """Join operands that change less often: (s + q) + r = s + (q + r) when q and r are below s."""
@@ -225,6 +265,7 @@ class Program:
         work: list[int] = [0] * function.sz_w()
         outputs = [[self.constant(0.0)] * function.numel_out(k) for k in range(function.n_out())]
         rows = [_dense_positions(function.sparsity_out(k)) for k in range(function.n_out())]
+        called: Any = function.instructions_sx() if function.get_function() else ()
         for k in range(function.n_instructions()):
             op = function.instruction_id(k)
             into, out = function.instruction_input(k), function.instruction_output(k)
@@ -234,6 +275,11 @@ class Program:
                 work[out[0]] = self.constant(function.instruction_constant(k))
             elif op == ca.OP_OUTPUT:
                 outputs[out[0]][rows[out[0]][out[1]]] = work[into[0]]
+            elif op == CALL:
+                call = self.call(called[k].which_function(), [work[place] for place in into])
+                for position, place in enumerate(out):
+                    if place >= 0:  # else nobody wants it
+                        work[place] = self.result(call, position)
             else:
                 work[out[0]] = self.apply(op, work[into[0]], work[into[1]] if len(into) > 1 else -1)
         return outputs
@@ -241,7 +287,7 @@ class Program:
     def to_casadi(self, outputs: Iterable[int], symbols: Mapping[str, Any], given: Mapping[int, ca.SX]) -> ca.SX:
         """Return nodes as one CasADi column; symbols: vector name -> column, given: nodes that are known already."""
         wanted = list(outputs)
-        value: dict[int, ca.SX] = dict(given)
+        value: dict[int, Any] = dict(given)
         for number in self.needed(wanted, given):
             if number in value:
                 continue
@@ -249,11 +295,15 @@ class Program:
             if op == INPUT:
                 value[number] = symbols[str(a)][b]
             elif op == CONSTANT:
-                value[number] = ca.SX(float(a))
+                value[number] = ca.SX(_number(a))
+            elif isinstance(a, Call):
+                value[number] = called_with(a.function, [value[k] for k in a.operands])
+            elif op == RESULT:
+                value[number] = value[_node(a)][b]
             elif b >= 0:
-                value[number] = ca.SX.binary(op, value[int(a)], value[b])
+                value[number] = ca.SX.binary(op, value[_node(a)], value[b])
             else:
-                value[number] = ca.SX.unary(op, value[int(a)])
+                value[number] = ca.SX.unary(op, value[_node(a)])
         return ca.densify(ca.vertcat(*[value[k] for k in wanted])) if wanted else ca.SX(0, 1)
 
     def reached(self, outputs: Iterable[int], is_end: Callable[[int], bool]) -> list[int]:
@@ -292,6 +342,18 @@ class Pass(Protocol):
     """A rewriting of a program: returns an equal program, and its nodes for the outputs given."""
 
     def __call__(self, program: Program, outputs: Sequence[int], /) -> tuple[Program, list[int]]: ...
+
+
+def _node(operand: int | str | float | Call) -> int:
+    """Return an operand that is a node."""
+    assert isinstance(operand, int)
+    return operand
+
+
+def _number(operand: int | str | float | Call) -> float:
+    """Return an operand that is a value."""
+    assert isinstance(operand, int | float)
+    return float(operand)
 
 
 def _dense_positions(sparsity: ca.Sparsity) -> list[int]:

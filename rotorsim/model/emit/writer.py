@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import casadi as ca
 
@@ -72,12 +73,16 @@ class Writer:
     """Writes nodes of a program as one C function (several, when it is long).
 
     given: node -> C text of what is computed before. leaf: C text of an input of the program, such as `array_leaf`.
+    called: functions that are called by their number, `called_functions` of all programs of the source.
     """
 
-    def __init__(self, program: Program, given: Mapping[int, str], leaf: Callable[[ir.Node], str]) -> None:
+    def __init__(
+        self, program: Program, given: Mapping[int, str], leaf: Callable[[ir.Node], str], called: Sequence[str] = ()
+    ) -> None:
         self.program = program
         self.given = given
         self.leaf = leaf
+        self.called = called
 
     def text(
         self, name: str, arguments: str, call: str, targets: Sequence[tuple[str, int]], whole: bool = False
@@ -92,7 +97,7 @@ class Writer:
             if k not in self.given and self.program.nodes[k][0] not in (ir.INPUT, ir.CONSTANT)
         ]
         if whole or len(order) <= 6 * STATEMENTS_PER_FUNCTION:
-            lines = [f"  const double v{k} = {self._expression(k, self._operand)};" for k in order]
+            lines = [self._statement(k, self._operand) for k in order]
             lines += [f"  {target} = {self._operand(node)};" for target, node in targets]
             return f"static void {name}({arguments}) {{\n" + "\n".join(lines) + "\n  (void)work;\n}\n", 0
         return self._chunked(name, arguments, call, targets, order)
@@ -101,6 +106,9 @@ class Writer:
         self, name: str, arguments: str, call: str, targets: Sequence[tuple[str, int]], order: list[int]
     ) -> tuple[str, int]:
         where = {k: i // STATEMENTS_PER_FUNCTION for i, k in enumerate(order)}
+        for k in order:
+            if self.program.nodes[k][0] == ir.RESULT:  # is told where the call is
+                where[k] = where[self.program.operands(k)[0]]
         last_use = dict(where)
         for k in order:
             for operand in self.program.operands(k):
@@ -117,9 +125,10 @@ class Writer:
         size = 0
         for chunk in range(n_chunks):
             lines = []
-            for k in order[chunk * STATEMENTS_PER_FUNCTION : (chunk + 1) * STATEMENTS_PER_FUNCTION]:
-                expression = self._expression(k, partial(self._chunk_operand, where, slots, chunk))
-                lines.append(f"  const double v{k} = {expression};")
+            for k in (k for k in order if where[k] == chunk):
+                lines.append(self._statement(k, partial(self._chunk_operand, where, slots, chunk)))
+                if isinstance(self.program.nodes[k][1], ir.Call):
+                    continue
                 if last_use[k] > chunk:
                     if not free:
                         free, size = [size], size + 1
@@ -145,19 +154,49 @@ class Writer:
     def _operand(self, number: int) -> str:
         if number in self.given:
             return self.given[number]
-        op, a, _ = self.program.nodes[number]
+        op = self.program.nodes[number][0]
         if op == ir.CONSTANT:
-            return _literal(float(a))
+            return _literal(self.program.value(number))
         return self.leaf(self.program.nodes[number]) if op == ir.INPUT else f"v{number}"
 
+    def _statement(self, number: int, operand: Callable[[int], str]) -> str:
+        """Return what computes a node: of a call, all that it gives."""
+        call = self.program.nodes[number][1]
+        if not isinstance(call, ir.Call):
+            return f"  const double v{number} = {self._expression(number, operand)};"
+        given = ", ".join(map(operand, call.operands)) or "0.0"
+        which, size = self.called.index(call.name), max(call.function.nnz_out(), 1)
+        return (
+            f"  const double a{number}[] = {{{given}}};\n  double v{number}[{size}];\n"
+            f"  rs_called[{which}].function(rs_called[{which}].context, a{number}, v{number});"
+        )
+
     def _expression(self, number: int, operand: Callable[[int], str]) -> str:
-        op = self.program.nodes[number][0]
+        op, a, b = self.program.nodes[number]
+        if op == ir.RESULT:
+            return f"v{a}[{b}]"
         left, right = (*map(operand, self.program.operands(number)), "")[:2]
         if op in _INFIX:
             return f"{left} {_INFIX[op]} {right}"
         if op in _CALL:
             return f"{_CALL[op]}({left}, {right})" if right else f"{_CALL[op]}({left})"
         return _FORMAT[op](left, right)
+
+
+def called_functions(programs: Iterable[Program]) -> dict[str, Any]:
+    """Return the functions that programs call, by name."""
+    nodes = (node[1] for program in programs for node in program.nodes)
+    return {call.name: call.function for call in nodes if isinstance(call, ir.Call)}
+
+
+def call_table(called: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the C text of the table of called functions, and of `rs_connect`, by which a program fills it."""
+    if not called:
+        return "", ""
+    names = "".join(f"/* {name} */\n" for name in called)
+    entry = "struct rs_entry { void (*function)(void *, const double *, double *); void *context; };\n"
+    table = f"{names}{entry}static struct rs_entry rs_called[{len(called)}];\n"
+    return table, "RS_EXPORT void rs_connect(const void *from) { memcpy(rs_called, from, sizeof rs_called); }\n"
 
 
 def _literal(value: float) -> str:

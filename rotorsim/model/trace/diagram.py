@@ -8,17 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from rotorsim.block import Shape, size_of
+from rotorsim.block import Shape, flatten, size_of, unflatten
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.trace.block import BlockTrace
 from rotorsim.model.trace.loops import solve_loop
 from rotorsim.model.trace.order import Key, block_traces, evaluation_groups, evaluation_order, feedthrough_graph
+
+FOREIGN_CODE = (
+    "FMUs are programs; they are not run unless you say so",
+    "if you trust where they come from, add --trust-blocks (trust_blocks=True)",
+)
 
 
 @dataclass(frozen=True)
@@ -225,13 +231,22 @@ class _Tracer:
         ends = (end for fed in self.traces[block].feedthrough[port] for end in self.wires_into.get((block, fed), ()))
         return dict.fromkeys((source.block, source.port) for source, _ in ends)
 
+    def _starts(self, name: str) -> Mapping[str, Any]:
+        """Return where states of a block begin that says it itself."""
+        node = self.diagram.nodes[name]
+        values = {key: unflatten(self.arguments[name][key], np.shape(value)) for key, value in node.values.items()}
+        return node.block.starts(SimpleNamespace(**values))
+
     def start(self, layout: _Layout) -> Any:
         """Return the initial states as expressions of p."""
         values = []
         for full_name, signal in layout.parts.items():
             block, _, state = full_name.rpartition(".")
-            init = self.diagram.nodes[block].block.states[state].init
             n = size_of(signal.shape)
+            if state in (own := self._starts(block)):
+                values.append(flatten(ca.SX(own[state])))
+                continue
+            init = self.diagram.nodes[block].block.states[state].init
             value = self.arguments[block][init] if isinstance(init, str) else ca.SX(float(init))
             values.append(value if value.shape[0] == n else ca.repmat(value, n, 1))
         return _column(values)
@@ -247,7 +262,7 @@ def trace_diagram(diagram: Diagram, inject: Iterable[str] = (), replace: Iterabl
     replace = tuple(replace)
     _refuse_opaque(diagram, set(replace))
     tracer = _Tracer(diagram, inject, replace)
-    signals, residuals = tracer.propagate(evaluation_order(diagram), tracer.output)
+    signals, residuals = tracer.propagate(evaluation_order(diagram, tracer.replace), tracer.output)
 
     shown = {f"{block}.{port}": value for (block, port), value in signals.items()}
     ports = {str(port): port for node in diagram.nodes.values() for port in node.outputs.values()}
@@ -290,14 +305,17 @@ def trace_diagram(diagram: Diagram, inject: Iterable[str] = (), replace: Iterabl
 
 
 def _refuse_opaque(diagram: Diagram, replaced: set[str]) -> None:
-    """Raise RotorsimError for blocks without equations of their own whose outputs somebody needs."""
-    needed = {wire.source.block for wire in diagram.wires if f"{wire.source.block}.{wire.source.port}" not in replaced}
-    hint = "`rotorsim cosim` runs diagrams with FMUs"
-    problems = [
-        Problem("is an FMU: its equations are not at hand", name, node.place, hint)
-        for name, node in diagram.nodes.items()
-        if node.block.opaque and name in needed
-    ]
+    """Raise RotorsimError for opaque blocks without equations to call, or not trusted, whose outputs somebody needs."""
+    wanted = {f"{wire.source.block}.{wire.source.port}" for wire in diagram.wires} - replaced
+    needed = {name.rpartition(".")[0] for name in wanted}
+    problems = []
+    for name, node in diagram.nodes.items():
+        if not node.block.opaque or name not in needed:
+            continue
+        what, hint = node.block.untraced()
+        if not what and not diagram.trusted:
+            what, hint = FOREIGN_CODE
+        problems += [Problem(what, name, node.place, hint)] if what else []
     if problems:
         raise RotorsimError(*problems)
 

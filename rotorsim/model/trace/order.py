@@ -111,13 +111,15 @@ def evaluation_groups(graph: nx.DiGraph) -> tuple[tuple[Key, ...], ...]:
     return tuple(tuple(sorted(group, key=position.__getitem__)) for group in members)
 
 
-def evaluation_order(diagram: Diagram) -> tuple[tuple[Key, ...], ...]:
+def evaluation_order(diagram: Diagram, given: Iterable[Key] = ()) -> tuple[tuple[Key, ...], ...]:
     """Return groups of (block, output port) in evaluation order; a group of several, or of one that feeds
     itself, is an algebraic loop.
 
+    given: outputs whose consumers see something else, so that no loop passes through them.
     Raises RotorsimError that prints every loop hop by hop unless the diagram solves its loops.
     """
     graph = feedthrough_graph(diagram, {name: trace.feedthrough for name, trace in block_traces(diagram).items()})
+    graph.remove_edges_from([edge for key in given for edge in graph.out_edges(key)])
     groups = evaluation_groups(graph)
     loops = [group for group in groups if len(group) > 1 or graph.has_edge(group[0], group[0])]
     if loops and not diagram.solve_loops:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
@@ -54,7 +53,7 @@ def open_harmonics(
     quantisation steps that the readings show and the diagram lacks are taken out by a converter.
     Raises RotorsimError where no run has a settled motion, or signals do not fit the diagram.
     """
-    folder = str(Path(diagram.file).parent) if diagram.file else None
+    folder = diagram.folder
     empty = HarmonicEvidence(recording, (), folder, catalogue.trust)
     steps, unseen = stated_steps(diagram, recording)
     notes = [*warnings, *unseen]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -66,7 +65,7 @@ def _evidence(
     return OrderEvidence(
         recording=recording,
         runs=runs,
-        folder=str(Path(diagram.file).parent) if diagram.file else None,
+        folder=diagram.folder,
         trust_blocks=trust_blocks,
         recorded=tuple(dict.fromkeys(channel.name for channel in recording.channels.values())),
         noise=white_noise(tracked),

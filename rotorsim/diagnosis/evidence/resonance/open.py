@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,7 +71,7 @@ def _evidence(
         hint = "its modes are too fast to be simulated at this sample rate; what is compared are resonances"
         raise RotorsimError(Problem("no resonance stands out in the recording", recording.name, hint=hint))
     sizes = {name: float(np.abs(values).max()) for run in runs for name, values in run.values.items()}
-    folder = str(Path(diagram.file).parent) if diagram.file else None
+    folder = diagram.folder
     weak = tuple(item for item in every if not item.strong)
     return ResonanceEvidence(recording, runs, channels, sizes, folder, trust_blocks, strong, weak, held)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.evidence.base_fit import base_fit
@@ -69,7 +68,7 @@ def waveform_evidence(
     parts, part_starts = parts_of(diagram, channels, runs, noise) if turns else ((), {})
     return (TurningEvidence if turns else WaveformEvidence)(
         channels=channels,
-        folder=str(Path(diagram.file).parent) if diagram.file else None,
+        folder=diagram.folder,
         trust_blocks=trust_blocks,
         recording=recording,
         runs=runs,

@@ -11,6 +11,8 @@ from typing import Any
 
 import casadi as ca
 
+from rotorsim.model.called import called_with
+
 AT_ZERO = 1e-30  # the least argument: its root is far below any signal, and its slope, which is zero below, is finite
 _LIMITED = (ca.OP_SQRT, ca.OP_LOG)
 _POWERS = (ca.OP_POW, ca.OP_CONSTPOW)
@@ -25,10 +27,14 @@ def continued(arguments: Sequence[Any], expressions: Sequence[Any], least: Any) 
     known: dict[int, Any] = {}
     found = [ca.SX(one) for one in expressions]
     limited = False
+    called: Any = function.instructions_sx() if function.get_function() else ()
     for k in range(function.n_instructions()):
         op, taken, given = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
         if op == ca.OP_OUTPUT:
             found[given[0]].nz[given[1]] = known[taken[0]]
+        elif op == ca.OP_CALL:
+            results = called_with(called[k].which_function(), [known[j] for j in taken])
+            known |= {place: one for place, one in zip(given, results, strict=True) if place >= 0}
         elif op == ca.OP_CONST:
             known[given[0]] = ca.SX(function.instruction_constant(k))
         elif op == ca.OP_INPUT:

@@ -29,6 +29,7 @@ import numpy as np
 from rotorsim.identification.waveform.driven.equations import OF_THE_ANGLE, DrivenEquations, clock_ports
 from rotorsim.identification.waveform.driven.source import source_of
 from rotorsim.linear.sampled import MOST_DOUBLINGS, Tangent, phi_functions
+from rotorsim.model.called import connect, forget_failures, raise_failure
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.model.linearity import semi_linear
 from rotorsim.model.matrix_function import MatrixFunction
@@ -219,9 +220,11 @@ class ExponentialSteps:
         ends = np.cumsum([0, *sizes.values()]).tolist()
         macros = {f"RS_AT_{key}": at for key, at in zip(sizes, ends, strict=False)}
         macros |= {"RS_T": ends[-1], "RS_M": self.equations.m, "RS_Q": self.r, "RS_LAWS": self.split.laws}
-        source, size = source_of(self.equations, self.split.q, ca.SX(0, 1), self.columns, _RUNTIME, macros)
+        source, size, called = source_of(self.equations, self.split.q, ca.SX(0, 1), self.columns, _RUNTIME, macros)
         try:
-            run = compile_c(source, compiler, "-O3")[0].rs_run
+            library = compile_c(source, compiler, "-O3")[0]
+            connect(library, called)
+            run = library.rs_run
         except CompilerError:
             return None
         i64, ptr, number = ctypes.c_int64, ctypes.c_void_p, ctypes.c_double
@@ -264,7 +267,9 @@ class ExponentialSteps:
         memory = np.zeros(size + (2 * self.n + 4 * self.r) * (1 + K))
         given = [np.ascontiguousarray(a, float) for a in (v, p, tables, weights)]
         arrays = [array.ctypes.data for array in (*given, state, y, dy, memory)]
+        forget_failures()
         done = run(int(K > 0), N, sub, block, len(tables), t0, dt, *arrays)
+        raise_failure()
         y[done:], dy[done:] = np.nan, np.nan
         return y, dy
 

@@ -19,6 +19,7 @@ from rotorsim.identification.waveform.driven.equations import DrivenEquations
 from rotorsim.identification.waveform.driven.exponential import ExponentialSteps, Split
 from rotorsim.identification.waveform.driven.source import source_of
 from rotorsim.linear.sampled import LARGE, Tangent, first_order_hold, response
+from rotorsim.model.called import connect, forget_failures, raise_failure
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.model.runge_kutta import RK4
 
@@ -117,9 +118,11 @@ class Simulation:
         compiler = find_compiler() if self.use_compiler else None
         if compiler is None:
             return None
-        source, size = _source(self.equations, self.columns)
+        source, size, called = _source(self.equations, self.columns)
         try:
-            run = compile_c(source, compiler, "-O3" if len(source) < LONG else "-O1")[0].rs_run
+            library = compile_c(source, compiler, "-O3" if len(source) < LONG else "-O1")[0]
+            connect(library, called)
+            run = library.rs_run
         except CompilerError as failure:
             failure.warn("the fit runs on CasADi's virtual machine: the same numbers, several times slower")
             return None
@@ -184,7 +187,9 @@ class Simulation:
         y, dy = np.empty((N, len(eq.outputs))), np.empty((N, len(eq.outputs), K))
         memory = np.zeros(size + (1 + len(RK4.b)) * len(state))
         arrays = [array.ctypes.data for array in (times, steps, v, p, state, y, dy, memory)]
+        forget_failures()
         done = run(int(sensitivities), N, v.shape[1] // 2, *arrays)
+        raise_failure()
         y[done:], dy[done:] = np.nan, np.nan
         return y, dy
 
@@ -254,8 +259,8 @@ def _interpreter(eq: DrivenEquations, N: int, sub: int, K: int) -> tuple[Any, An
     return step.mapaccum("steps", N, [0], [0]), read.map("reads", "serial", N, [3], [])
 
 
-def _source(eq: DrivenEquations, columns: int) -> tuple[str, int]:
-    """Return the C source of Runge-Kutta steps with as many sensitivities, and the size of its fixed memory."""
+def _source(eq: DrivenEquations, columns: int) -> tuple[str, int, dict[str, Any]]:
+    """Return `source_of` Runge-Kutta steps with as many sensitivities."""
     return source_of(eq, eq.f, eq.g, columns, _RUNTIME.replace("RS_STEP", _step_in_c()), {})
 
 

@@ -11,7 +11,7 @@ from rotorsim.identification.waveform.driven.equations import DrivenEquations
 from rotorsim.linear.sampled import LARGE, SMALL
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
-from rotorsim.model.emit.writer import Writer, array_leaf
+from rotorsim.model.emit.writer import Writer, array_leaf, call_table, called_functions
 
 INPUTS = ("t", "x", "v", "p", "c")
 MULTIPLY = r"""
@@ -36,8 +36,8 @@ RS_MULTIPLY(rs_multiply_g, RS_G_COUNT, rs_g_rows, rs_g_cols)
 
 def source_of(
     eq: DrivenEquations, f: Any, g: Any, columns: int, runtime: str, sizes: Mapping[str, float]
-) -> tuple[str, int]:
-    """Return the C source of a simulation with so many sensitivities, and the size of its fixed memory.
+) -> tuple[str, int, dict[str, Any]]:
+    """Return the C source of a simulation with so many sensitivities, the size of its fixed memory, what it calls.
 
     f, g: expressions of the arguments of the equations, for rs_f and rs_g; with rs_f_jacobian and rs_g_jacobian, whose
     places are in rs_f_rows, rs_f_cols ... runtime: what steps them. sizes: further macros. Constants of the parameters
@@ -52,13 +52,15 @@ def source_of(
     hoisted = program.boundary([*values, *slopes, *outputs, *output_slopes], ir.LEVEL_PARAMETER)
     constants = [k for k in hoisted if program.nodes[k][0] != ir.INPUT]
     given = {node: f"c[{k}]" for k, node in enumerate(constants)}
+    called = called_functions([program])
+    table, connect = call_table(called)
 
     def written(name: str, inputs: Sequence[str], known: Mapping[int, str], **out: Sequence[int]) -> tuple[str, int]:
         arguments = ["double t" if key == "t" else f"const double *{key}" for key in inputs]
         arguments += [f"double *{key}" for key in (*out, "work")]
         targets = [(f"{key}[{k}]", node) for key, nodes in out.items() for k, node in enumerate(nodes)]
         call = ", ".join([*inputs, *out, "work"])
-        return Writer(program, known, array_leaf).text(name, ", ".join(arguments), call, targets)
+        return Writer(program, known, array_leaf, [*called]).text(name, ", ".join(arguments), call, targets)
 
     parts = [
         written("rs_constants", ("p",), {}, c=constants),
@@ -89,4 +91,5 @@ def source_of(
     for name, jacobian in jacobians.items():
         for key, places in zip(("rows", "cols"), jacobian.sparsity().get_triplet(), strict=True):
             head.append(f"static const int rs_{name}_{key}[] = {{{', '.join(map(str, places)) or 0}}};")
-    return "\n".join([*head, *(text for text, _ in parts), MULTIPLY, runtime]), len(constants) + work + jac
+    source = "\n".join([*head, table, *(text for text, _ in parts), MULTIPLY, runtime, connect])
+    return source, len(constants) + work + jac, called

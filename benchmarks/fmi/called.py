@@ -1,0 +1,106 @@
+"""What it costs that equations are inside an FMU for Model Exchange, and how far off the answers are.
+
+``python -m benchmarks.fmi.called [--steps 20000]``: the cracked rotor of `jeffcott` as it is, with its rotor and with
+its controller replaced by their own FMUs (2.0 and 3.0), in this process and in processes of their own: CPU time above
+the plain diagram of an RK4 step (of a process of its own: wall time), and the largest differences of the run, the
+modes and the settled motion.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import Line, at_most
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.fmi.export.export import export_fmu
+from rotorsim.linear.eigenmodes import modes
+from rotorsim.model.compiled import compile_diagram
+from rotorsim.model.instance import make_instance
+from rotorsim.model.load import load
+from rotorsim.settled.periodic import periodic
+from rotorsim.simulation.run import simulate
+
+H, REPEATS = 1e-4, 5
+IN_PROCESS, ISOLATED = 0.5, 15.0  # us a step above the plain diagram
+
+
+def replaced(folder: Path, block: str, version: str, *, in_process: bool) -> Diagram:
+    """Return jeffcott with a block replaced by its FMU."""
+    plain, file = load("jeffcott"), folder / f"{block}{version[0]}.fmu"
+    if not file.exists():
+        export_fmu(plain, file, blocks=[block], version=version)
+    document = copy.deepcopy(dict(plain.document))
+    document["blocks"][block] = {"type": "fmu", "file": file.name, "parameters": {"in_process": in_process}}
+    return load(document, folder=folder, trust_blocks=True)
+
+
+def microseconds(diagram: Diagram, steps: int) -> float:
+    """Return the least time of an RK4 step [us] of several runs."""
+    model = compile_diagram(diagram)
+    instance = make_instance(model, [], model.p0)
+    instance.start(0.0)
+    rows, least = np.empty((steps + 1, 0)), np.inf
+    for _ in range(REPEATS):
+        begun = time.perf_counter()
+        instance.run(0, steps, 0.0, H, steps, rows)
+        least = min(least, time.perf_counter() - begun)
+    return 1e6 * least / steps
+
+
+def off(plain: Diagram, other: Diagram) -> tuple[float, float, float]:
+    """Return the largest relative differences of a run, the poles and the settled motion."""
+    runs, poles, motions = (
+        [simulate(one, stop=0.05) for one in (plain, other)],
+        [np.array([mode.eigenvalue for mode in modes(one).modes]) for one in (plain, other)],
+        [periodic(one, speeds=[150.0], harmonics=9) for one in (plain, other)],
+    )
+
+    def largest(a: np.ndarray, b: np.ndarray) -> float:
+        return float(np.abs(a - b).max() / np.abs(a).max())
+
+    return (
+        max(largest(values, runs[1].signals[name]) for name, values in runs[0].signals.items()),
+        largest(*poles),
+        max(largest(values, motions[1].harmonics[name]) for name, values in motions[0].harmonics.items()),
+    )
+
+
+def main() -> int:
+    """Print the figures; return 1 if one misses its target."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--steps", type=int, default=20_000)
+    steps = parser.parse_args().steps
+    lines: list[Line] = []
+    with tempfile.TemporaryDirectory() as name:
+        plain = load("jeffcott")
+        base = microseconds(plain, steps)
+        lines.append(Line("jeffcott as it is: a step", f"{base:.3g} us"))
+        for block in ("rotor", "controller"):
+            for version in ("2.0", "3.0"):
+                what = f"{block} as an FMU {version}"
+                here = replaced(Path(name), block, version, in_process=True)
+                run, poles, motion = off(plain, here)
+                lines += [
+                    at_most(f"{what}: run off by", run, 1e-9),
+                    at_most(f"{what}: poles off by", poles, 1e-6),
+                    at_most(f"{what}: settled motion off by", motion, 1e-6),
+                    at_most(
+                        f"{what}, in process: a step above", microseconds(here, steps) - base, IN_PROCESS, unit="us"
+                    ),
+                ]
+            apart = replaced(Path(name), block, "2.0", in_process=False)
+            above = microseconds(apart, steps // 100) - base
+            lines.append(at_most(f"{block}, in a process of its own: a step above", above, ISOLATED, unit="us"))
+    print(*lines, sep="\n")
+    return int(any(line.ok is False for line in lines))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

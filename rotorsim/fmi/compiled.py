@@ -1,0 +1,197 @@
+"""The equations of an FMU in this process, called from compiled code without Python between them (equations.c)."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from rotorsim.fmi.description.model import FLOATS, ModelDescription
+from rotorsim.fmi.runtime.calls import references
+from rotorsim.fmi.runtime.process import LocalWorker
+from rotorsim.fmi.runtime.runs import make_runs
+from rotorsim.fmi.runtime.slave import Slave
+from rotorsim.model.called import CALLED
+from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
+
+LEAST_PAIRS = 32  # directions of parameters whose instances are known
+_INT, _POINTER = ctypes.c_int64, ctypes.c_void_p
+
+
+class _Instance(ctypes.Structure):
+    _fields_ = [("instance", _POINTER), ("sides", _POINTER), ("due", ctypes.c_double)]
+
+
+class _Pair(ctypes.Structure):
+    _fields_ = [("p", _POINTER), ("seed", _POINTER), ("high", _Instance), ("low", _Instance), ("step", ctypes.c_double)]
+
+
+class _Fmu(ctypes.Structure):
+    _fields_ = [
+        *((n, _INT) for n in ("version", "n_x", "n_u", "n_y", "n_z", "n_p", "exact", "timed", "n_pairs")),
+        ("counts", _INT * 4),
+        *((n, _POINTER) for n in ("set_time", "set_x", "get_xdot", "get_z", "set_real", "get_real", "directional")),
+        ("refs", _POINTER * 4),
+        *((n, _POINTER) for n in ("u_scales", "y_scales", "nominals")),
+        ("relative", ctypes.c_double),
+        ("p", _POINTER),
+        ("now", _Instance),
+        ("pairs", _POINTER),
+        ("work", _POINTER),
+    ]
+
+
+class _Function(ctypes.Structure):
+    _fields_ = [("fmu", _POINTER), ("n_rows", _INT), ("rows", _POINTER), ("groups", _INT * 4), ("slow", _POINTER)]
+
+
+@cache
+def _library() -> ctypes.CDLL | None:
+    compiler = find_compiler()
+    if compiler is None:
+        return None
+    source = files("rotorsim.fmi").joinpath("equations.c").read_text(encoding="utf-8")
+    try:
+        return compile_c(source, compiler, "-O3")[0]
+    except CompilerError:
+        return None
+
+
+class InProcess:
+    """What equations.c knows of an FMU: its functions, its present instance, and pairs of instances beside it.
+
+    u, y, p_size: names of inputs and outputs, number of parameters; scales (n, 2).
+    """
+
+    def __init__(self, description: ModelDescription, u: Sequence[str], y: Sequence[str], p_size: int) -> None:
+        self.description, self.u, self.y = description, list(u), list(y)
+        self.made = _Fmu()
+        self._keep: list[Any] = []
+        self._p = np.zeros(p_size)
+        self._sides: dict[int, np.ndarray] = {}
+        self._most = max(LEAST_PAIRS, 2 * p_size)
+        self._pairs = (_Pair * self._most)()
+        self._pair_of: list[tuple[np.ndarray, np.ndarray, Slave, Slave] | None] = [None] * self._most
+        self._next = 0
+        self._bound = False
+        self._now: Slave | None = None
+
+    @staticmethod
+    def why_not(description: ModelDescription, u: Sequence[str], y: Sequence[str]) -> str:
+        """Return why an FMU in this process cannot be called from C, or nothing."""
+        if _library() is None:
+            return "no C compiler"
+        every = [*make_runs(description.resolve(u), "input"), *make_runs(description.resolve(y), "output")]
+        if any(run["type"] != FLOATS[0] or run["index"] is not None for run in every):
+            return "has inputs or outputs that are not Float64, or entries of an array"
+        return ""
+
+    def bind(
+        self,
+        slave: Slave,
+        scales: Sequence[np.ndarray],
+        nominals: np.ndarray,
+        relative: float,
+        *,
+        exact: bool,
+        timed: bool,
+    ) -> None:
+        """Take the functions of the library of an instance.
+
+        scales: of inputs and outputs, (n, 2); nominals (n_x,); relative: step of central differences.
+        """
+        calls = slave.worker.session.calls  # type: ignore[attr-defined]
+        description, made = self.description, self.made
+        made.version = int(calls.version[0])
+        n_x, n_u, n_y, n_p = len(description.states), len(self.u), len(self.y), len(self._p)
+        made.n_x, made.n_u, made.n_y, made.n_z, made.n_p = n_x, n_u, n_y, description.n_events, n_p
+        made.exact, made.timed, made.n_pairs = int(exact), int(timed), self._most
+        names = (self.u, self.y, [*description.derivatives, *self.y], [*description.states, *self.u])
+        for k, own in enumerate(names):
+            numbers = [ref for run in make_runs(description.resolve(own), "") for ref in run["refs"]] if own else []
+            array = references(numbers)
+            self._keep.append(array)
+            made.refs[k], made.counts[k] = ctypes.addressof(array), len(numbers)
+        wanted = {
+            "set_time": "SetTime",
+            "set_x": "SetContinuousStates",
+            "get_xdot": "GetDerivatives",
+            "get_z": "GetEventIndicators",
+            "set_real": f"Set{calls.type_of(FLOATS[0])[0]}",
+            "get_real": f"Get{calls.type_of(FLOATS[0])[0]}",
+        }
+        wanted |= {"directional": "GetDirectionalDerivative"} if exact else {}
+        for field, name in wanted.items():
+            setattr(made, field, ctypes.cast(calls.function(name), _POINTER).value)
+        n, m = n_x + n_y, n_x + n_u
+        # raw inputs, indicators, two times [x'; y], a point; zeros; a direction, rows, a direction in p
+        work = np.zeros(n_u + description.n_events + 2 * n + m + (n_p + m + 1) + m + n + n_p)
+        held = [np.array(array, float) for array in (*scales, nominals)]
+        self._keep += [work, *held]
+        made.u_scales, made.y_scales, made.nominals = (array.ctypes.data for array in held)
+        made.relative = relative
+        made.work, made.p, made.pairs = work.ctypes.data, self._p.ctypes.data, ctypes.addressof(self._pairs)
+        self._bound = True
+
+    @property
+    def is_bound(self) -> bool:
+        """Whether it knows the library."""
+        return self._bound
+
+    def choose(self, slave: Slave, p: np.ndarray, sides: np.ndarray, due: float) -> None:
+        """Take an instance with parameters p as the present one."""
+        if self._now is not slave:
+            self._now, self._p[:], self.made.now = slave, p, self._instance(slave, sides, due)
+
+    def pair(
+        self, p: np.ndarray, seed: np.ndarray, ends: Sequence[tuple[Slave, np.ndarray, float]], step: float
+    ) -> None:
+        """Take the instances at p + step seed and p - step seed."""
+        k, self._next = self._next, (self._next + 1) % self._most
+        own = np.array(p, float), np.array(seed, float)
+        self._pair_of[k] = (*own, ends[0][0], ends[1][0])
+        pair = self._pairs[k]
+        pair.p, pair.seed = (array.ctypes.data for array in own)
+        pair.high, pair.low = (self._instance(*end) for end in ends)
+        pair.step = step
+
+    def forget(self, slave: Slave) -> None:
+        """Forget an instance that is freed."""
+        if self._now is slave:
+            self._now, self.made.now = None, _Instance()
+        for k, known in enumerate(self._pair_of):
+            if known is not None and slave in known[2:]:
+                self._pair_of[k], self._pairs[k].step = None, 0.0
+        self._sides.pop(id(slave), None)
+
+    def _instance(self, slave: Slave, sides: np.ndarray, due: float) -> _Instance:
+        worker = slave.worker
+        assert isinstance(worker, LocalWorker)
+        self._sides[id(slave)] = own = np.array(sides, float)
+        return _Instance(worker.session.calls.instance, own.ctypes.data, due)
+
+    def function(
+        self, rows: Sequence[int], groups: Sequence[bool], slow: Callable[[Any, Any, Any], None], what: str
+    ) -> tuple[int, int, Any]:
+        """Return addresses of a C function and of its context, and what both need as long as they are called.
+
+        what: values, forward or reverse. slow: gets the context, the arguments and the results, and answers where C
+        cannot.
+        """
+        library = _library()
+        assert library is not None
+        indices = np.array(rows, np.int64)
+        trampoline = CALLED(slow)
+        made = _Function(
+            ctypes.addressof(self.made),
+            len(indices),
+            indices.ctypes.data,
+            (_INT * 4)(*map(int, groups)),
+            ctypes.cast(trampoline, _POINTER).value,
+        )
+        function = getattr(library, f"rs_fmu_{what}")
+        return ctypes.cast(function, _POINTER).value or 0, ctypes.addressof(made), (made, indices, trampoline, self)

@@ -1,0 +1,270 @@
+/* The equations of an FMU for Model Exchange in this process, as functions that compiled code calls: its present
+   instance is asked at once, and whoever made these structures (compiled.py) for all that is unusual: other parameters,
+   events, failures. A function says so by leaving to `slow`, which answers in its place. */
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#if defined _WIN32
+#define RS_EXPORT __declspec(dllexport)
+#else
+#define RS_EXPORT __attribute__((visibility("default")))
+#endif
+
+/* An instance with its parameters: sides (n_z) of its event indicators, the time of its next event. */
+typedef struct {
+    void *instance;
+    const double *sides;
+    double due;
+} rs_instance;
+
+/* What is known of a direction in p: instances on both sides of p, over a step each way. */
+typedef struct {
+    const double *p, *seed;
+    rs_instance high, low;
+    double step;
+} rs_pair;
+
+/* n: states, inputs, outputs, event indicators, parameters. exact: it offers directional derivatives; timed: it may
+   follow the time itself. relative: step of central differences, of a value or else its nominal. Scales (n, 2): SI = factor value + offset. refs: of inputs, outputs, [x'; y] and [x; u], how
+   many of each, which with arrays are fewer than the values. work: zeros, `work_size` in compiled.py. */
+typedef struct {
+    int64_t version, n_x, n_u, n_y, n_z, n_p, exact, timed, n_pairs;
+    int64_t counts[4];
+    void *set_time, *set_x, *get_xdot, *get_z, *set_real, *get_real, *directional;
+    const uint32_t *refs[4];
+    const double *u_scales, *y_scales, *nominals;
+    double relative;
+    const double *p;
+    rs_instance now;
+    rs_pair *pairs;
+    double *work;
+} rs_fmu;
+
+/* Some rows of [x'; y]; groups: whether t, x, u, p are arguments. slow: gets self, arguments and results. */
+typedef struct rs_function {
+    rs_fmu *fmu;
+    int64_t n_rows;
+    const int64_t *rows;
+    int64_t groups[4];
+    void (*slow)(void *, const double *, double *);
+} rs_function;
+
+typedef int (*time_)(void *, double);
+typedef int (*set_)(void *, const double *, size_t);
+typedef int (*get_)(void *, double *, size_t);
+typedef int (*real2)(void *, const uint32_t *, size_t, double *);
+typedef int (*real3)(void *, const uint32_t *, size_t, double *, size_t);
+typedef int (*along2)(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *, double *);
+typedef int (*along3)(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *, size_t, double *,
+                      size_t);
+
+static int access_real(const rs_fmu *f, void *function, void *instance, int which, double *values, int64_t n) {
+    const uint32_t *refs = f->refs[which];
+    size_t count = (size_t)f->counts[which];
+    return f->version == 2 ? ((real2)function)(instance, refs, count, values)
+                           : ((real3)function)(instance, refs, count, values, (size_t)n);
+}
+
+/* Set a point; return the worst status. */
+static int set_point(const rs_fmu *f, const rs_instance *i, double t, const double *x, const double *u) {
+    double *raw = f->work;
+    int worst = ((time_)f->set_time)(i->instance, t), status;
+    if (f->n_x && (status = ((set_)f->set_x)(i->instance, x, (size_t)f->n_x)) > worst) worst = status;
+    if (f->n_u) {
+        for (int64_t k = 0; k < f->n_u; k++) raw[k] = (u[k] - f->u_scales[2 * k + 1]) / f->u_scales[2 * k];
+        if ((status = access_real(f, f->set_real, i->instance, 0, raw, f->n_u)) > worst) worst = status;
+    }
+    return worst;
+}
+
+/* Put [x'; y] at a point into out, as far as it is wanted; return whether all is well and no event is due. */
+static int evaluated(const rs_fmu *f, const rs_instance *i, double t, const double *x, const double *u, int rates,
+                     int outputs, double *out) {
+    if (t >= i->due || set_point(f, i, t, x, u) > 1) return 0;
+    if (rates && f->n_x && ((get_)f->get_xdot)(i->instance, out, (size_t)f->n_x) > 1) return 0;
+    if (rates && f->n_z) {
+        double *z = f->work + f->n_u;
+        if (((get_)f->get_z)(i->instance, z, (size_t)f->n_z) > 1) return 0;
+        for (int64_t k = 0; k < f->n_z; k++)
+            if ((z[k] > 0.0) != (i->sides[k] > 0.0)) return 0;
+    }
+    if (outputs && f->n_y) {
+        double *y = out + f->n_x;
+        if (access_real(f, f->get_real, i->instance, 1, y, f->n_y) > 1) return 0;
+        for (int64_t k = 0; k < f->n_y; k++) y[k] = f->y_scales[2 * k] * y[k] + f->y_scales[2 * k + 1];
+    }
+    return 1;
+}
+
+/* Take the rows out of [x'; y]; return whether they are numbers. */
+static int taken(const rs_function *self, const double *from, double *to) {
+    int sound = 1;
+    for (int64_t k = 0; k < self->n_rows; k++) {
+        to[k] = from[self->rows[k]];
+        sound = sound && isfinite(to[k]);
+    }
+    return sound;
+}
+
+static void wanted(const rs_function *self, int *rates, int *outputs) {
+    *rates = *outputs = 0;
+    for (int64_t k = 0; k < self->n_rows; k++) {
+        *rates = *rates || self->rows[k] < self->fmu->n_x;
+        *outputs = *outputs || self->rows[k] >= self->fmu->n_x;
+    }
+}
+
+/* The parts of arguments, t, x, u, p; those that are none point to zeros. */
+static const double *parts(const rs_function *self, const double *a, const double **part, const double *zeros) {
+    const rs_fmu *f = self->fmu;
+    const int64_t sizes[4] = {1, f->n_x, f->n_u, f->n_p};
+    for (int g = 0; g < 4; g++) {
+        part[g] = self->groups[g] ? a : zeros;
+        if (self->groups[g]) a += sizes[g];
+    }
+    return a;
+}
+
+static int is_now(const rs_fmu *f, const double *p) {
+    return f->now.instance && memcmp(p, f->p, (size_t)f->n_p * sizeof *p) == 0;
+}
+
+static int any(const double *a, int64_t n) {
+    for (int64_t k = 0; k < n; k++)
+        if (a[k] != 0.0) return 1;
+    return 0;
+}
+
+/* arguments -> rows of [x'; y] */
+RS_EXPORT void rs_fmu_values(void *context, const double *arguments, double *results) {
+    const rs_function *self = context;
+    const rs_fmu *f = self->fmu;
+    double *out = f->work + f->n_u + f->n_z, *zeros = out + 2 * (f->n_x + f->n_y) + f->n_x + f->n_u;
+    const double *part[4];
+    int rates, outputs;
+    parts(self, arguments, part, zeros);
+    wanted(self, &rates, &outputs);
+    if (!is_now(f, part[3]) || !evaluated(f, &f->now, *part[0], part[1], part[2], rates, outputs, out) ||
+        !taken(self, out, results))
+        self->slow(context, arguments, results);
+}
+
+/* Put the derivatives of [x'; y] in a direction of x and u into out, from directional derivatives, else by a central
+   difference over a step that is small beside every entry that moves; return whether all is well. direction: n_x + n_u. */
+static int along_states(const rs_fmu *f, const double *const *part, double *direction, int rates, int outputs,
+                        double *out) {
+    const int64_t n = f->n_x + f->n_y, m = f->n_x + f->n_u;
+    double room = INFINITY, *other = out + n;
+    if (!is_now(f, part[3]) || *part[0] >= f->now.due) return 0;
+    if (f->exact) {
+        if (set_point(f, &f->now, *part[0], part[1], part[2]) > 1) return 0;
+        for (int64_t k = 0; k < f->n_u; k++) direction[f->n_x + k] /= f->u_scales[2 * k];
+        const size_t c2 = (size_t)f->counts[2], c3 = (size_t)f->counts[3];
+        int status = f->version == 2
+                         ? ((along2)f->directional)(f->now.instance, f->refs[2], c2, f->refs[3], c3, direction, out)
+                         : ((along3)f->directional)(f->now.instance, f->refs[2], c2, f->refs[3], c3, direction,
+                                                    (size_t)m, out, (size_t)n);
+        for (int64_t k = 0; k < f->n_y; k++) out[f->n_x + k] *= f->y_scales[2 * k];
+        return status <= 1;
+    }
+    double *moved = other + n;
+    for (int64_t k = 0; k < m; k++) {
+        const double value = k < f->n_x ? part[1][k] : part[2][k - f->n_x];
+        const double size = value != 0.0 ? fabs(value) : k < f->n_x ? f->nominals[k] : 1.0;
+        if (direction[k] != 0.0 && size / fabs(direction[k]) < room) room = size / fabs(direction[k]);
+    }
+    const double step = f->relative * room;
+    for (int side = 0; side < 2; side++) {
+        for (int64_t k = 0; k < m; k++) {
+            const double value = k < f->n_x ? part[1][k] : part[2][k - f->n_x];
+            moved[k] = value + (side ? -step : step) * direction[k];
+        }
+        if (!evaluated(f, &f->now, *part[0], moved, moved + f->n_x, rates, outputs, side ? other : out)) return 0;
+    }
+    for (int64_t k = 0; k < n; k++) out[k] = (out[k] - other[k]) / (2.0 * step);
+    return 1;
+}
+
+/* The same in a direction of p whose instances are known. */
+static int along_parameters(const rs_fmu *f, const double *const *part, const double *seed, int rates, int outputs,
+                            double *out) {
+    const int64_t n = f->n_x + f->n_y;
+    const size_t size = (size_t)f->n_p * sizeof(double);
+    double *other = out + n;
+    for (int64_t k = 0; k < f->n_pairs; k++) {
+        const rs_pair *pair = f->pairs + k;
+        if (pair->step == 0.0 || memcmp(pair->p, part[3], size) || memcmp(pair->seed, seed, size)) continue;
+        if (!evaluated(f, &pair->high, *part[0], part[1], part[2], rates, outputs, out) ||
+            !evaluated(f, &pair->low, *part[0], part[1], part[2], rates, outputs, other))
+            return 0;
+        for (int64_t j = 0; j < n; j++) out[j] = (out[j] - other[j]) / (2.0 * pair->step);
+        return 1;
+    }
+    return 0;
+}
+
+/* The same by the time. */
+static int along_time(const rs_fmu *f, const double *const *part, int rates, int outputs, double *out) {
+    const double t = *part[0], step = f->relative * (t != 0.0 ? fabs(t) : 1.0);
+    double *other = out + f->n_x + f->n_y;
+    if (!is_now(f, part[3]) || !evaluated(f, &f->now, t + step, part[1], part[2], rates, outputs, out) ||
+        !evaluated(f, &f->now, t - step, part[1], part[2], rates, outputs, other))
+        return 0;
+    for (int64_t j = 0; j < f->n_x + f->n_y; j++) out[j] = (out[j] - other[j]) / (2.0 * step);
+    return 1;
+}
+
+/* arguments, results at them, directions -> derivatives of rows of [x'; y] in a direction */
+RS_EXPORT void rs_fmu_forward(void *context, const double *arguments, double *results) {
+    const rs_function *self = context;
+    const rs_fmu *f = self->fmu;
+    const int64_t n = f->n_x + f->n_y, m = f->n_x + f->n_u;
+    double *out = f->work + f->n_u + f->n_z, *zeros = out + 2 * n + m, *direction = zeros + f->n_p + m + 1;
+    const double *part[4], *seed[4];
+    const double *rest = parts(self, arguments, part, zeros);
+    int rates, outputs;
+    parts(self, rest + self->n_rows, seed, zeros);
+    wanted(self, &rates, &outputs);
+    const int in_t = f->timed && seed[0][0] != 0.0, in_p = any(seed[3], f->n_p);
+    const int in_xu = any(seed[1], f->n_x) || any(seed[2], f->n_u);
+    if (!in_t && !in_p && !in_xu) {
+        for (int64_t k = 0; k < self->n_rows; k++) results[k] = 0.0;
+        return;
+    }
+    for (int64_t k = 0; k < m; k++) direction[k] = k < f->n_x ? seed[1][k] : seed[2][k - f->n_x];
+    if (in_t || (in_p && in_xu) ||
+        !(in_p ? along_parameters(f, part, seed[3], rates, outputs, out)
+               : along_states(f, part, direction, rates, outputs, out)) ||
+        !taken(self, out, results))
+        self->slow(context, arguments, results);
+}
+
+/* arguments, results at them, weights of rows of [x'; y] -> the weighted sums of their derivatives by all arguments */
+RS_EXPORT void rs_fmu_reverse(void *context, const double *arguments, double *results) {
+    const rs_function *self = context;
+    const rs_fmu *f = self->fmu;
+    const int64_t n = f->n_x + f->n_y, m = f->n_x + f->n_u, sizes[4] = {1, f->n_x, f->n_u, f->n_p};
+    double *out = f->work + f->n_u + f->n_z, *zeros = out + 2 * n + m, *direction = zeros + f->n_p + m + 1;
+    double *rows = direction + m, *seed = rows + n, *to = results;
+    const double *part[4];
+    const double *weights = parts(self, arguments, part, zeros) + self->n_rows;
+    int rates, outputs, sound = 1;
+    wanted(self, &rates, &outputs);
+    for (int g = 0; g < 4 && sound; g++)
+        for (int64_t c = 0; self->groups[g] && c < sizes[g] && sound; c++) {
+            double sum = 0.0;
+            if (g || f->timed) {
+                for (int64_t k = 0; k < m; k++) direction[k] = (g == 1 || g == 2) && k == c + (g == 2 ? f->n_x : 0) ? 1.0 : 0.0;
+                for (int64_t k = 0; k < f->n_p; k++) seed[k] = g == 3 && k == c ? 1.0 : 0.0;
+                sound = (g == 0   ? along_time(f, part, rates, outputs, out)
+                         : g == 3 ? along_parameters(f, part, seed, rates, outputs, out)
+                                  : along_states(f, part, direction, rates, outputs, out)) &&
+                        taken(self, out, rows);
+                for (int64_t k = 0; k < self->n_rows && sound; k++) sum += weights[k] * rows[k];
+            }
+            *to++ = sum;
+        }
+    if (!sound) self->slow(context, arguments, results);
+}

@@ -1,0 +1,221 @@
+"""A diagram whose rotor or controller is its own FMU for Model Exchange is the diagram that it was."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import butter, lfilter
+
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import RotorsimError
+from rotorsim.fmi.equations import functions_of
+from rotorsim.fmi.export.export import export_fmu
+from rotorsim.identification.identification import identify
+from rotorsim.linear.eigenmodes import modes
+from rotorsim.model.compiled import compile_diagram
+from rotorsim.model.load import load
+from rotorsim.recordings.loading import load_recording
+from rotorsim.settled.periodic import periodic
+from rotorsim.simulation.run import simulate
+from tests.fmi.conftest import Make
+from tests.fmi.plant import FAULTS, make_fmu
+
+BOTH = pytest.mark.parametrize("version", ["2.0", "3.0"])
+REPLACED = pytest.mark.parametrize("block", ["rotor", "controller"])
+
+
+def with_fmu(fmu: Make, block: str, version: str = "2.0", *, trust: bool = True, **values: Any) -> Diagram:
+    """Return jeffcott with a block replaced by its FMU, in this process unless the values say otherwise."""
+    made = fmu("jeffcott", version, blocks=[block])
+    document = copy.deepcopy(dict(load("jeffcott").document))
+    document["blocks"][block] = {"type": "fmu", "file": str(made), "parameters": {"in_process": True, **values}}
+    document["identify"].pop("viscous_damping" if block == "rotor" else "", None)
+    return load(document, trust_blocks=trust)
+
+
+@BOTH
+@REPLACED
+def test_a_run_is_that_of_the_plain_diagram(fmu: Make, block: str, version: str) -> None:
+    plain, made = (simulate(one, stop=0.02) for one in (load("jeffcott"), with_fmu(fmu, block, version)))
+    for name, values in plain.signals.items():
+        np.testing.assert_allclose(made.signals[name], values, atol=1e-9 * np.abs(values).max(), rtol=0)
+
+
+@pytest.mark.parametrize("method", ["dop853", "radau"])
+def test_methods_that_choose_their_steps(fmu: Make, method: str) -> None:
+    diagrams = load("jeffcott"), with_fmu(fmu, "controller", "3.0")
+    plain, made = (simulate(one, stop=0.01, method=method) for one in diagrams)
+    for name, values in plain.signals.items():
+        np.testing.assert_allclose(made.signals[name], values, atol=1e-5 * np.abs(values).max(), rtol=0)
+
+
+def test_a_run_without_a_compiler(fmu: Make) -> None:
+    diagram = with_fmu(fmu, "controller")
+    compiled, interpreted = (simulate(diagram, stop=2e-3, use_compiler=use) for use in (True, False))
+    for name, values in compiled.signals.items():
+        np.testing.assert_allclose(interpreted.signals[name], values, atol=1e-9 * np.abs(values).max(), rtol=0)
+
+
+@BOTH
+@REPLACED
+def test_modes_are_those_of_the_plain_diagram(fmu: Make, block: str, version: str) -> None:
+    plain, made = (modes(one) for one in (load("jeffcott"), with_fmu(fmu, block, version)))
+    np.testing.assert_allclose(made.real_poles, plain.real_poles, rtol=1e-6)
+    np.testing.assert_allclose([m.eigenvalue for m in made.modes], [m.eigenvalue for m in plain.modes], rtol=1e-6)
+
+
+@BOTH
+def test_settled_motion_is_that_of_the_plain_diagram(fmu: Make, version: str) -> None:
+    diagrams = load("jeffcott"), with_fmu(fmu, "rotor", version)
+    plain, made = (periodic(one, speeds=[150.0], harmonics=9) for one in diagrams)
+    for name, values in plain.harmonics.items():
+        np.testing.assert_allclose(made.harmonics[name], values, atol=1e-6 * np.abs(values).max(), rtol=0)
+
+
+def test_where_states_begin_follows_from_parameters(fmu: Make) -> None:
+    model = compile_diagram(with_fmu(fmu, "rotor", initial_displacement=[1e-5, -2e-5]))
+    part = model.states["rotor.states"].part
+    assert model.x0()[part].tolist() == [1e-5, -2e-5, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_derivatives_are_those_of_the_plain_equations(fmu: Make, exact: bool) -> None:
+    """By states, time and parameters: directional derivatives of the FMU, or central differences, against the trace."""
+    diagram = with_fmu(fmu, "rotor")
+    functions_of(diagram.nodes["rotor"].block).equations._exact = exact
+    found = []
+    for model in (compile_diagram(load("jeffcott")), compile_diagram(diagram)):
+        t, x, z, p = model.trace.t, model.trace.x, model.trace.z, model.trace.p
+        own = p[model.parameters["rotor.mass"]]
+        J = ca.Function("J", [t, x, z, p], [ca.jacobian(model.trace.xdot, ca.vertcat(x, t, own))])
+        found.append(np.array(J(0.01, 1e-5 * np.arange(1, model.n_x + 1), model.z0(), model.p0)))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-6, atol=1e-6 * np.abs(found[0]).max(axis=0).min())
+
+
+def test_foreign_code_runs_by_consent_alone(fmu: Make) -> None:
+    with pytest.raises(RotorsimError) as caught:
+        simulate(with_fmu(fmu, "rotor", trust=False))
+    assert str(caught.value) == (
+        "error: rotor: FMUs are programs; they are not run unless you say so\n\n"
+        "hint: if you trust where they come from, add --trust-blocks (trust_blocks=True)"
+    )
+
+
+def test_an_fmu_that_hides_its_states_is_refused(fmu: Make) -> None:
+    with pytest.raises(RotorsimError) as caught:
+        modes(with_fmu(fmu, "rotor", interface="cs"))
+    assert str(caught.value) == (
+        "error: rotor: is an FMU for Co-Simulation, which hides its states and equations\n\n"
+        'hint: it offers Model Exchange, too: "interface": "me"; `rotorsim cosim` runs it as it is'
+    )
+
+
+@pytest.fixture(scope="module")
+def plants(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the plant of tests/fmi/c, which has events, as plant2.fmu and plant3.fmu."""
+    folder = tmp_path_factory.mktemp("plants")
+    for version in ("2.0", "3.0"):
+        make_fmu(folder / f"plant{version[0]}.fmu", version)
+    return folder
+
+
+def of_plant(folder: Path, version: str = "2.0", blocks: Any = None, wires: Any = (), **values: Any) -> Diagram:
+    """Return a diagram of the plant alone, or of more blocks."""
+    values = {"interface": "me", "in_process": True, **values}
+    document = {
+        "name": "of_plant",
+        "blocks": {"it": {"type": "fmu", "file": f"plant{version[0]}.fmu", "parameters": values}, **(blocks or {})},
+        "wires": list(wires),
+        "solver": {"step": 1e-3, "stop": 0.5},
+        "record": ["it.y"],
+    }
+    return load(document, folder=folder, trust_blocks=True)
+
+
+def decay(t: np.ndarray) -> np.ndarray:
+    """Return x of x'' = -100 x - 0.5 x', x(0) = 1, x'(0) = 0."""
+    a, w = 0.25, np.sqrt(100 - 0.25**2)
+    return np.exp(-a * t) * (np.cos(w * t) + a / w * np.sin(w * t))
+
+
+@BOTH
+def test_between_events_there_are_equations(plants: Path, version: str) -> None:
+    found = simulate(of_plant(plants, version))
+    y = found.signals["it.y"].reshape(len(found.time), -1)[:, 0]
+    np.testing.assert_allclose(y, decay(found.time), atol=1e-7)
+
+
+CARRIED_OUT = "\n\nhint: `rotorsim cosim` carries events out; here there are equations between events alone"
+EVENTS = [
+    ({"wall": 0.5}, "plant: has an event: indicator 1 changes its side (t = 0.106 s)", 0.106),
+    ({"tick": 0.1}, "plant: has a time event at t = 0.1 s (t = 0.1 s)", 0.1),
+]
+FAULTY = {
+    "fail": "fmi2GetDerivatives returned fmi2Error (t = 0.1 s)",
+    "nan": "gives der(v) = nan (t = 0.1 s)",
+    "segv": "its process was ended by SIGSEGV (it used memory that is not its own), in fmi2GetDerivatives (t = 0.1 s)",
+    "discard": "fmi2GetDerivatives returned fmi2Discard (t = 0.1 s)",
+}
+
+
+@pytest.mark.parametrize(("values", "said", "until"), EVENTS)
+def test_an_event_ends_a_run_by_equations(plants: Path, values: Any, said: str, until: float) -> None:
+    """x(t) = 0.5 at 0.1059 s; the ticks begin at 0.1 s."""
+    found = simulate(of_plant(plants, wall=values.get("wall", 1e9), tick=values.get("tick", 0.0)))
+    assert (found.status, found.message) == (
+        "stopped",
+        f"{said}; what was computed until t = {until} s is kept{CARRIED_OUT}",
+    )
+
+
+@pytest.mark.parametrize("fault", FAULTY)
+def test_a_failure_inside_ends_the_run_with_what_there_is(plants: Path, fault: str) -> None:
+    diagram = of_plant(plants, in_process=fault in ("fail", "nan"), fault=FAULTS.index(fault), fault_time=0.1)
+    found = simulate(diagram)
+    said = f"plant: {FAULTY[fault]}; what was computed until t = 0.1 s is kept"
+    assert (found.status, found.message.partition("\n")[0]) == ("stopped", said)
+    assert found.time[-1] == pytest.approx(0.099)
+    again = simulate(of_plant(plants, in_process=False))  # nothing is left behind
+    np.testing.assert_allclose(again.signals["it.y"], decay(again.time), atol=1e-7)
+
+
+def test_parameters_of_an_fmu_are_identified(plants: Path, tmp_path: Path) -> None:
+    """The motion of another spring and damper, integrated here: x'' = u - 130 x - 0.9 x'."""
+    chance = np.random.default_rng(1)
+    t = np.arange(600) * 0.01
+    u = lfilter(*butter(2, 0.1), 300.0 * chance.standard_normal(len(t)))
+
+    def slope(s: float, x: np.ndarray) -> list[float]:
+        return [x[1], float(np.interp(s, t, u)) - 130.0 * x[0] - 0.9 * x[1]]
+
+    x = solve_ivp(slope, (0, t[-1]), [1.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-10, max_step=0.01).y[0]
+    y = x + 0.005 * x.std() * chance.standard_normal(len(t))
+    np.savetxt(tmp_path / "run.csv", np.column_stack([u, y]), delimiter=",", header="u,y", comments="")
+    signals = {"u": {"signal": "force.output", "unit": "N"}, "y": {"signal": "it.y", "unit": "m"}}
+    runs = [{"id": "run", "file": "run.csv", "sample_rate": "100 Hz"}]
+    document = {"name": "run", "source": "integrated in this test", "channels": signals, "runs": runs}
+    (tmp_path / "recording.json").write_text(json.dumps(document))
+    force = {"type": "recorded", "parameters": {"interpolation": "linear"}}
+    diagram = of_plant(plants, blocks={"force": force}, wires=[["force.output", "it.u"]])
+    free = {**diagram.document, "identify": {"it.stiffness": {}, "it.damping": {}}}
+    found = identify(load(free, folder=plants, trust_blocks=True), load_recording(tmp_path))
+    for name, true in (("it.stiffness", 130.0), ("it.damping", 0.9)):
+        item = found.parameters[name]
+        assert abs(item.value - true) < 4 * item.std
+        assert item.std < 0.005 * true
+
+
+def test_an_fmu_inside_an_fmu_is_refused(fmu: Make, tmp_path: Path) -> None:
+    with pytest.raises(RotorsimError) as caught:
+        export_fmu(with_fmu(fmu, "rotor"), tmp_path / "nested.fmu")
+    assert str(caught.value) == (
+        "error: rotor: is an FMU: one inside another is not exported\n\n"
+        "hint: export the others by --block: what comes from it becomes an input"
+    )
