@@ -117,13 +117,19 @@ def _with_fmu(old: dict[str, Any], block: str, given: dict[str, Any], folder: Pa
 
     folder: of the new diagram, to which its file is relative; the one given is relative to the current folder.
     """
+    from rotorsim.fmi.block import block_class
+
     refuse_if(block not in old["blocks"], f"no block '{block}'", block, hint=near_miss(block, old["blocks"]))
     is_text = isinstance(given.get("file"), str)
     refuse_if(not is_text, "an FMU needs its file", block, hint="add --set file=controller.fmu")
     file, hint = str(given["file"]), f"it is taken from where you stand, {Path.cwd()}"
     refuse_if(os.path.isdir(file), f"--set file={file}: is a folder", hint=hint)
     refuse_if(not os.path.isfile(file), f"--set file={file}: there is no such file", hint=hint)
-    rest = {name: value for name, value in given.items() if name != "file"}
+    declared = block_class(file)
+    known = declared.parameters.keys() | declared.options.keys()
+    before = old["blocks"][block].get("parameters", {})
+    rest = {name: value for name, value in before.items() if name in known} | given
+    rest.pop("file")
     entry = {"type": "fmu", "file": _from(folder, file), **({"parameters": rest} if rest else {})}
     return {**old, "blocks": {**old["blocks"], block: entry}}
 
