@@ -21,6 +21,7 @@ from rotorsim.cli.shared import (
     named_values,
     note,
     parameter_options,
+    plot_option,
     progress_bar,
     progress_option,
     quantity,
@@ -76,6 +77,7 @@ Hear = Callable[[str, float, str, str, str], None]  # block, time, status, categ
 )
 @click.option("--no-check", is_flag=True, help="Run even if the linearised coupled loop is unstable.")
 @file_option("--out", suffixes=RESULTS, help="Write the signals: .csv, .h5 or .npz.")
+@plot_option("the recorded signals")
 @click.option("--log", "log", metavar="FILE", help="Write all that the FMUs say, every category; - is the terminal.")
 @parameter_options
 @progress_option
@@ -93,6 +95,7 @@ def command(
     solver: str,
     no_check: bool,
     out: str | None,
+    plot: str | None,
     log: str | None,
     progress: bool | None,
     as_json: bool,
@@ -138,6 +141,11 @@ def command(
 
         save(result, out)
         note(f"written: {out}")
+    if plot and len(result.time) > 1:
+        from rotorsim.report.figures.run import overview, save_figure
+
+        save_figure(overview(_recorded(loaded, result)), plot)
+        note(f"written: {plot}")
     made = dict(result.provenance)
     show_problems(_warnings(made, log))
     head = f"{result.status}: {result.counters['steps']} communication steps to {result.time[-1]:g} s, {master}"
@@ -223,11 +231,16 @@ def _peaks(diagram: Diagram, result: Result) -> list[str]:
     from rotorsim.report.text.run import peaks_table
 
     clock = clock_of(diagram)
+    text = peaks_table(_recorded(diagram, result), f"{clock}.theta" if clock else "")
+    return ["", text] if text else []
+
+
+def _recorded(diagram: Diagram, result: Result) -> Result:
+    """Return a result with the recorded signals alone."""
     wanted = dict.fromkeys(str(name).partition("[")[0] for name in diagram.record)
     names = [name for base in wanted for name in result.signals if name.partition("[")[0] == base]
-    recorded = replace(result, signals={name: result.signals[name] for name in names})
-    text = peaks_table(recorded, f"{clock}.theta" if clock else "")
-    return ["", text] if text else []
+    provenance = {**result.provenance, "diagram": diagram.name}
+    return replace(result, signals={name: result.signals[name] for name in names}, provenance=provenance)
 
 
 def _rates(texts: Sequence[str]) -> dict[str, int]:

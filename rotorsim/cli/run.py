@@ -263,9 +263,11 @@ def _report(model: Model, result: Result, wanted: Output) -> int:
     if not result.message:
         return 0
     fine = result.status == "finished"
-    subject, hint = str(result.provenance.get("diagram", "")), _hint(result, wanted.out)
-    show_problems([Problem(result.message, subject, hint=hint, severity="warning" if fine else "error")])
-    return 0 if fine else 130 if result.status == "stopped" else 1
+    what, _, said = result.message.partition("\n\nhint: ")
+    hint = "; ".join(part for part in (said, _hint(result, wanted.out)) if part)
+    subject = str(result.provenance.get("diagram", ""))
+    show_problems([Problem(what, subject, hint=hint, severity="warning" if fine else "error")])
+    return 0 if fine else 130 if result.status == "stopped" and not result.cause else 1
 
 
 def _hint(result: Result, out: str | None) -> str:

@@ -34,7 +34,7 @@ from rotorsim.block import (
 )
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.model import FLOATS, INTEGERS, NUMERIC, Entry, FmuVariable, ModelDescription
-from rotorsim.fmi.equations import functions_of, held_inputs, moving_inputs
+from rotorsim.fmi.functions import functions_of, held_inputs, moving_inputs
 from rotorsim.fmi.runtime.slave import describe_fmu
 
 _INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")

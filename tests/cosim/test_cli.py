@@ -38,6 +38,15 @@ def test_what_it_says(run: Run) -> None:
     assert data["units"]["rotor.displacement"] == "m"
 
 
+def test_the_recorded_signals_are_drawn(run) -> None:
+    done = run("cosim", "jeffcott", *PART, "--step", "0.1 ms", "--stop", "10 ms", "--plot", "both.svg")
+    assert (done.exit_code, done.stderr) == (0, "written: both.svg\n")
+    drawn = Path("both.svg").read_text()
+    assert all(
+        f"<!-- {text} -->" in drawn for text in ("jeffcott, 1500 rpm", "rotor.displacement", "controller.current")
+    )
+
+
 def test_rates(run: Run) -> None:
     done = run("cosim", "jeffcott", *PART, "--step", "20 us", "--rate", "controller=5", "--order", "1", "--json")
     assert done.exit_code == 0

@@ -15,8 +15,8 @@ from scipy.signal import butter, lfilter
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
-from rotorsim.fmi.equations import functions_of
 from rotorsim.fmi.export.export import export_fmu
+from rotorsim.fmi.functions import functions_of
 from rotorsim.identification.identification import identify
 from rotorsim.linear.eigenmodes import modes
 from rotorsim.model.compiled import compile_diagram
@@ -184,6 +184,19 @@ def test_a_failure_inside_ends_the_run_with_what_there_is(plants: Path, fault: s
     assert found.time[-1] == pytest.approx(0.099)
     again = simulate(of_plant(plants, in_process=False))  # nothing is left behind
     np.testing.assert_allclose(again.signals["it.y"], decay(again.time), atol=1e-7)
+
+
+def test_the_command_says_what_failed_and_where_the_rest_is(plants: Path, run: Any) -> None:
+    diagram = of_plant(plants, fault=FAULTS.index("fail"), fault_time=0.1)
+    make_fmu(Path("plant2.fmu"))
+    Path("it.json").write_text(json.dumps(dict(diagram.document)))
+    done = run("run", "it.json", "--trust-blocks", "--out", "it.csv")
+    assert done.exit_code == 1
+    assert done.stderr.endswith(
+        "error: of_plant: plant: fmi2GetDerivatives returned fmi2Error (t = 0.1 s); what was computed until t = 0.1 s "
+        "is kept\n\nhint: what was computed until then is in it.csv\n"
+    )
+    assert len(np.loadtxt("it.csv", delimiter=",", skiprows=1)) == 100
 
 
 def test_parameters_of_an_fmu_are_identified(plants: Path, tmp_path: Path) -> None:

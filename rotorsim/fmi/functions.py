@@ -1,0 +1,316 @@
+"""The equations of an FMU for Model Exchange as functions without an expression, which a trace calls.
+
+CasADi sees numbers go in and come out; derivatives in a direction, and weighted sums of derivatives, are further
+functions. Compiled code calls C where there is an instance in this process (`rotorsim.fmi.compiled`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rotorsim.errors import RotorsimError
+from rotorsim.fmi.compiled import InProcess
+from rotorsim.fmi.equations import RELATIVE_STEP, FmuEquations
+from rotorsim.fmi.runtime.binding import CallError
+from rotorsim.model.called import CALLED_AT, has_failed, note_failure, register
+
+OF_FMUS = (RotorsimError, CallError)
+
+
+class _Function(ca.Callback):
+    """A function of t, x, u, p, and what follows them, for CasADi, on buffers of numbers.
+
+    A failure cannot pass through: it is kept (`note_failure`), and the results are not numbers.
+    """
+
+    def __init__(self, name: str, arguments: Sequence[int], results: Sequence[tuple[int, int]], **options: Any) -> None:
+        """arguments: sizes of columns; results: shapes."""
+        ca.Callback.__init__(self)
+        self.arguments, self.results = tuple(arguments), tuple(results)
+        self.native: Callable[[], None] | None = None
+        self._parts: Sequence[np.ndarray] = ()
+        self._found: Sequence[np.ndarray] = ()
+        self.construct(name, options)
+
+    def get_n_in(self) -> int:
+        return len(self.arguments)
+
+    def get_n_out(self) -> int:
+        return len(self.results)
+
+    def get_sparsity_in(self, k: int) -> Any:
+        return ca.Sparsity.dense(self.arguments[k], 1)
+
+    def get_sparsity_out(self, k: int) -> Any:
+        return ca.Sparsity.dense(*self.results[k])
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, given: Sequence[Any], out: Sequence[Any]) -> int:
+        if self.native is not None:
+            for part, one in zip(self._parts, given, strict=True):
+                part[:] = np.frombuffer(one) if part.size else _NOTHING
+            self.native()
+            for own, target in zip(self._found, out, strict=True):
+                if own.size and target is not None:
+                    np.frombuffer(target)[:] = own
+            return 0
+        arguments = [np.frombuffer(one) if size else _NOTHING for one, size in zip(given, self.arguments, strict=True)]
+        for target, value, (rows, columns) in zip(out, self.sound(arguments), self.results, strict=True):
+            if rows * columns and target is not None:
+                np.frombuffer(target)[:] = np.ravel(value, order="F")
+        return 0
+
+    def sound(self, arguments: Sequence[np.ndarray]) -> Sequence[np.ndarray]:
+        """Return the results at arguments; what is not a number where something has failed."""
+        try:
+            if not has_failed():
+                return self.evaluate(*arguments)
+        except OF_FMUS as error:
+            note_failure(error)
+        return [np.full(shape, np.nan) for shape in self.results]
+
+    def call_from_c(self, native: InProcess, rows: Sequence[int], groups: Sequence[bool], what: str) -> None:
+        """Let C answer for this function, whose results are columns, and this function where C cannot."""
+        n_in, n_out = sum(self.arguments), sum(rows for rows, _ in self.results)
+
+        def slow(_: Any, arguments: Any, results: Any) -> None:
+            flat = np.ctypeslib.as_array(arguments, (max(n_in, 1),))[:n_in]
+            try:
+                found = np.concatenate([np.ravel(one) for one in self.sound(np.split(flat, ends))])
+            except BaseException as error:  # nothing may pass through C
+                note_failure(error)
+                found = np.full(n_out, np.nan)
+            np.ctypeslib.as_array(results, (max(n_out, 1),))[:n_out] = found
+
+        ends = np.cumsum(self.arguments)[:-1]
+        function, context, keep = native.function(rows, groups, slow, what)
+        register(self.name(), function, context, keep)
+        given, found = np.zeros(max(n_in, 1)), np.zeros(max(n_out, 1))
+        self._parts = np.split(given[:n_in], ends)
+        self._found = np.split(found[:n_out], np.cumsum([rows for rows, _ in self.results])[:-1])
+        self.native = partial(CALLED_AT(function), context, given.ctypes.data, found.ctypes.data)
+        self._keep = keep, given, found
+
+    def evaluate(self, *arguments: np.ndarray) -> Sequence[np.ndarray]:
+        """Return the results at arguments."""
+        raise NotImplementedError
+
+
+_NOTHING = np.zeros(0)
+
+
+class _Called(_Function):
+    """Some of x' and y of an FMU, or where it begins.
+
+    rows: of x' and y, None: the states at the start. groups: whether t, x, u and p are arguments.
+    """
+
+    def __init__(self, name: str, equations: FmuEquations, rows: Sequence[int] | None, groups: Sequence[bool]) -> None:
+        self.equations, self.rows, self.groups = equations, None if rows is None else list(rows), tuple(groups)
+        self.sizes = (1, equations.n_x, equations.n_u, equations.n_p)
+        self.size = equations.n_x if rows is None else len(rows)
+        self._derivatives: list[Any] = []  # CasADi does not hold them
+        self._point: tuple[bytes, np.ndarray] = (b"", _NOTHING)
+        own = [size if one else 0 for size, one in zip(self.sizes, groups, strict=True)]
+        super().__init__(name, own, [(self.size, 1)], never_inline=True)
+
+    def whole(self, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Return t, x, u, p; zeros for what is no argument."""
+        pairs = zip(arguments, self.sizes, self.groups, strict=True)
+        return [one if given else np.zeros(size) for one, size, given in pairs]
+
+    def evaluate(self, *arguments: np.ndarray) -> Sequence[np.ndarray]:
+        t, x, u, p = self.whole(arguments)
+        found = self._values(float(t[0]), x, u, p)
+        self.equations.prefer(p)
+        return [found]
+
+    def _values(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
+        n_x = self.equations.n_x
+        if self.rows is None:
+            return self.equations.start(u, p)
+        if max(self.rows) < n_x:
+            return self.equations.rates(t, x, u, p)[self.rows]
+        if min(self.rows) >= n_x:
+            return self.equations.values(t, x, u, p)[[k - n_x for k in self.rows]]
+        return self.equations.both(t, x, u, p)[self.rows]
+
+    def has_forward(self, directions: int) -> bool:
+        return directions == 1
+
+    def get_forward(self, _: int, name: str, _in: Any, _out: Any, _options: Any) -> Any:
+        made = _Forward(name, self)
+        self._derivatives.append(made)
+        self.answer_in_c(made, "forward")
+        return made
+
+    def answer_in_c(self, function: _Function, what: str) -> None:
+        """Let C answer for a function of these rows, where there is an instance in this process."""
+        native, row_of = self.equations.native, self.equations.native_row
+        if native is not None and self.rows and all(k in row_of for k in self.rows):
+            function.call_from_c(native, [row_of[k] for k in self.rows], self.groups, what)
+
+    def has_reverse(self, directions: int) -> bool:
+        return directions == 1
+
+    def get_reverse(self, _: int, name: str, _in: Any, _out: Any, _options: Any) -> Any:
+        made = _Reverse(name, self)
+        self._derivatives.append(made)
+        self.answer_in_c(made, "reverse")
+        return made
+
+    def along(self, point: Sequence[np.ndarray], seeds: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the derivative in a direction of t, x, u, p; what does not move costs nothing."""
+        moves = [bool(seed.any()) for seed in seeds]
+        moves[0] = moves[0] and self.equations.timed
+        if not any(moves):
+            return np.zeros(self.size)
+        if not (moves[0] or moves[3]):
+            J = self.jacobian_at(point, (False, True, True, False))
+            self.equations.prefer(point[3])
+            return np.asarray(J @ np.concatenate(seeds))
+        return self._difference(point, seeds)
+
+    def _difference(self, point: Sequence[np.ndarray], seeds: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the central difference in a direction, over a step that is small beside every entry that moves."""
+        room = [
+            (abs(float(value)) or 1.0) / abs(float(by))
+            for group, own in zip(point, seeds, strict=True)
+            for value, by in zip(group, own, strict=True)
+            if by
+        ]
+        step = RELATIVE_STEP * min(room)
+        ends = []
+        for sign in (1.0, -1.0):
+            t, x, u, p = (one + sign * step * seed for one, seed in zip(point, seeds, strict=True))
+            ends.append(self._values(float(t[0]), x, u, p))
+        if not (seeds[0].any() or seeds[1].any() or seeds[2].any()):
+            self.equations.know(point[3], seeds[3], step)
+        return np.asarray((ends[0] - ends[1]) / (2 * step))
+
+    def jacobian_at(self, point: Sequence[np.ndarray], wanted: Sequence[bool]) -> np.ndarray:
+        """Return the derivatives by t, x, u and p; those of the last point once more, where it is asked for again."""
+        key = np.concatenate([*point, np.array(wanted, float)]).tobytes()
+        if self._point[0] != key:
+            self._point = key, self._jacobian(point, wanted)
+        return self._point[1]
+
+    def _jacobian(self, point: Sequence[np.ndarray], wanted: Sequence[bool]) -> np.ndarray:
+        if self.rows is not None:
+            t, x, u, p = point
+            return self.equations.jacobian(float(t[0]), x, u, p, wanted)[self.rows]
+        columns = np.eye(sum(self.sizes))
+        ends = np.cumsum(self.sizes)[:-1]
+        J = np.zeros((self.size, len(columns)))
+        for k in range(self.sizes[0] + self.sizes[1], len(columns)):
+            J[:, k] = self._difference(point, np.split(columns[k], ends))
+        return J
+
+
+class _Forward(_Function):
+    """The derivative of a function of an FMU in a direction; derivatives of it are central differences."""
+
+    def __init__(self, name: str, of: _Called) -> None:
+        self.of = of
+        sizes = [*of.arguments, of.size, *of.arguments]
+        super().__init__(name, sizes, [(of.size, 1)], enable_fd=True, fd_method="central", never_inline=True)
+
+    def evaluate(self, *arguments: np.ndarray) -> Sequence[np.ndarray]:
+        return [self.of.along(self.of.whole(arguments[:4]), self.of.whole(arguments[5:]))]
+
+
+class _Reverse(_Function):
+    """Weighted sums of the derivatives of a function of an FMU by its arguments."""
+
+    def __init__(self, name: str, of: _Called) -> None:
+        self.of = of
+        shapes = [(size, 1) for size in of.arguments]
+        options = {"enable_fd": True, "fd_method": "central", "never_inline": True}
+        super().__init__(name, [*of.arguments, of.size, of.size], shapes, **options)
+
+    def evaluate(self, *arguments: np.ndarray) -> Sequence[np.ndarray]:
+        point, groups = self.of.whole(arguments[:4]), self.of.groups
+        sums = self.of.jacobian_at(point, groups).T @ arguments[5]
+        self.of.equations.prefer(point[3])
+        parts = np.split(sums, np.cumsum(self.of.sizes)[:-1])
+        return [part if given else _NOTHING for part, given in zip(parts, groups, strict=True)]
+
+
+class FmuFunctions:
+    """The functions of an FMU that a trace calls: x', groups of outputs that depend on the same inputs, the start."""
+
+    def __init__(self, equations: FmuEquations, identity: str) -> None:
+        self.equations, self._identity = equations, identity
+        self._made: dict[tuple[str, tuple[int, ...] | None, tuple[bool, ...]], _Called] = {}
+
+    def call(self, what: str, rows: Sequence[int] | None, groups: Sequence[bool], arguments: Sequence[Any]) -> Any:
+        """Return rows of x' and y (None: of where it begins) at expressions of t, x, u and p, a column."""
+        key = what, None if rows is None else tuple(rows), tuple(groups)
+        if key not in self._made:
+            digest = hashlib.sha256(repr((self._identity, key)).encode()).hexdigest()[:16]
+            name = f"fmu_{what}_{digest}"
+            self._made[key] = made = _Called(name, self.equations, rows, groups)
+            made.answer_in_c(made, "values")
+        given = [value if one else ca.SX(0, 1) for value, one in zip(arguments, groups, strict=True)]
+        return self._made[key](*given)
+
+
+@lru_cache(maxsize=64)
+def _digest(path: str, _stamp: tuple[int, int]) -> str:
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+_known: dict[str, FmuFunctions] = {}
+
+
+def held_inputs(block: Any) -> dict[str, Any]:
+    """Return the input ports of a block of type fmu that change at events only, and so are set once."""
+    description = block.fmu_description
+    return {
+        name: port
+        for name, port in block.fmu_inputs.items()
+        if any(entry.variable.variability != "continuous" for entry in description.resolve(port.entries))
+    }
+
+
+def moving_inputs(block: Any) -> dict[str, Any]:
+    """Return the other input ports of a block of type fmu."""
+    held = held_inputs(block)
+    return {name: port for name, port in block.fmu_inputs.items() if name not in held}
+
+
+def functions_of(block: Any) -> FmuFunctions:
+    """Return the functions of a block of type fmu; the same for the same file with equal options."""
+    option = block.option
+    texts = {
+        item.variable.name: item.of_fmu(getattr(option, key))
+        for key, item in block.fmu_options.items()
+        if item.variable.causality != "structuralParameter"
+        and key not in block.wired
+        and getattr(option, key) != item.default
+    }
+    stat, sizes = block.fmu_path.stat(), sorted(block.fmu_description.sizes.items())
+    digest = _digest(str(block.fmu_path), (stat.st_mtime_ns, stat.st_size))
+    ports = [*block.fmu_outputs]
+    identity = repr((digest, bool(option.in_process), sorted(texts.items(), key=str), sizes, ports))
+    if identity not in _known:
+        equations = FmuEquations(
+            block.fmu_path,
+            block.fmu_description,
+            bool(option.in_process),
+            texts,
+            [*moving_inputs(block).values()],
+            [*block.fmu_outputs.values()],
+            [*block.fmu_parameters.values(), *held_inputs(block).values()],
+        )
+        _known[identity] = FmuFunctions(equations, identity)
+    return _known[identity]
