@@ -18,6 +18,7 @@ from rotorsim.fmi.runtime.slave import Slave
 from rotorsim.model.called import CALLED
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 
+READY = 8  # instances that are asked without Python, as of blocks with one file and parameters of their own
 LEAST_PAIRS = 32  # directions of parameters whose instances are known
 _INT, _POINTER = ctypes.c_int64, ctypes.c_void_p
 
@@ -30,6 +31,10 @@ class _Pair(ctypes.Structure):
     _fields_ = [("p", _POINTER), ("seed", _POINTER), ("high", _Instance), ("low", _Instance), ("step", ctypes.c_double)]
 
 
+class _Ready(ctypes.Structure):
+    _fields_ = [("p", _POINTER), ("of", _Instance)]
+
+
 class _Fmu(ctypes.Structure):
     _fields_ = [
         *((n, _INT) for n in ("version", "n_x", "n_u", "n_y", "n_z", "n_p", "exact", "timed", "n_pairs")),
@@ -38,8 +43,8 @@ class _Fmu(ctypes.Structure):
         ("refs", _POINTER * 4),
         *((n, _POINTER) for n in ("u_scales", "y_scales", "nominals")),
         ("relative", ctypes.c_double),
-        ("p", _POINTER),
-        ("now", _Instance),
+        ("n_ready", _INT),
+        ("ready", _POINTER),
         ("pairs", _POINTER),
         ("work", _POINTER),
     ]
@@ -62,7 +67,7 @@ def _library() -> ctypes.CDLL | None:
 
 
 class InProcess:
-    """What equations.c knows of an FMU: its functions, its present instance, and pairs of instances beside it.
+    """What equations.c knows of an FMU: its functions, its last instances, and pairs of instances beside it.
 
     u, y, p_size: names of inputs and outputs, number of parameters; scales (n, 2).
     """
@@ -71,14 +76,16 @@ class InProcess:
         self.description, self.u, self.y = description, list(u), list(y)
         self.made = _Fmu()
         self._keep: list[Any] = []
-        self._p = np.zeros(p_size)
+        self._n_p = p_size
+        self._ready = (_Ready * READY)()
+        self._chosen: list[tuple[np.ndarray, Slave] | None] = [None] * READY
+        self._oldest = 0
         self._sides: dict[int, np.ndarray] = {}
         self._most = max(LEAST_PAIRS, 2 * p_size)
         self._pairs = (_Pair * self._most)()
         self._pair_of: list[tuple[np.ndarray, np.ndarray, Slave, Slave] | None] = [None] * self._most
         self._next = 0
         self._bound = False
-        self._now: Slave | None = None
 
     @staticmethod
     def why_not(description: ModelDescription, u: Sequence[str], y: Sequence[str]) -> str:
@@ -107,7 +114,7 @@ class InProcess:
         calls = slave.worker.session.calls  # type: ignore[attr-defined]
         description, made = self.description, self.made
         made.version = int(calls.version[0])
-        n_x, n_u, n_y, n_p = len(description.states), len(self.u), len(self.y), len(self._p)
+        n_x, n_u, n_y, n_p = len(description.states), len(self.u), len(self.y), self._n_p
         made.n_x, made.n_u, made.n_y, made.n_z, made.n_p = n_x, n_u, n_y, description.n_events, n_p
         made.exact, made.timed, made.n_pairs = int(exact), int(timed), self._most
         names = (self.u, self.y, [*description.derivatives, *self.y], [*description.states, *self.u])
@@ -134,7 +141,8 @@ class InProcess:
         self._keep += [work, *held]
         made.u_scales, made.y_scales, made.nominals = (array.ctypes.data for array in held)
         made.relative = relative
-        made.work, made.p, made.pairs = work.ctypes.data, self._p.ctypes.data, ctypes.addressof(self._pairs)
+        made.work, made.pairs = work.ctypes.data, ctypes.addressof(self._pairs)
+        made.ready, made.n_ready = ctypes.addressof(self._ready), READY
         self._bound = True
 
     @property
@@ -143,9 +151,13 @@ class InProcess:
         return self._bound
 
     def choose(self, slave: Slave, p: np.ndarray, sides: np.ndarray, due: float) -> None:
-        """Take an instance with parameters p as the present one."""
-        if self._now is not slave:
-            self._now, self._p[:], self.made.now = slave, p, self._instance(slave, sides, due)
+        """Ask an instance with parameters p without Python from now on, instead of the one chosen first of all."""
+        if any(known is not None and known[1] is slave for known in self._chosen):
+            return
+        k, self._oldest = self._oldest, (self._oldest + 1) % READY
+        own = np.array(p, float)
+        self._chosen[k] = own, slave
+        self._ready[k] = _Ready(own.ctypes.data, self._instance(slave, sides, due))
 
     def pair(
         self, p: np.ndarray, seed: np.ndarray, ends: Sequence[tuple[Slave, np.ndarray, float]], step: float
@@ -161,8 +173,9 @@ class InProcess:
 
     def forget(self, slave: Slave) -> None:
         """Forget an instance that is freed."""
-        if self._now is slave:
-            self._now, self.made.now = None, _Instance()
+        for k, chosen in enumerate(self._chosen):
+            if chosen is not None and chosen[1] is slave:
+                self._chosen[k], self._ready[k] = None, _Ready()
         for k, known in enumerate(self._pair_of):
             if known is not None and slave in known[2:]:
                 self._pair_of[k], self._pairs[k].step = None, 0.0
@@ -171,7 +184,7 @@ class InProcess:
     def _instance(self, slave: Slave, sides: np.ndarray, due: float) -> _Instance:
         worker = slave.worker
         assert isinstance(worker, LocalWorker)
-        self._sides[id(slave)] = own = np.array(sides, float)
+        own = self._sides.setdefault(id(slave), np.array(sides, float))
         return _Instance(worker.session.calls.instance, own.ctypes.data, due)
 
     def function(

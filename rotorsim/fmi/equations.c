@@ -1,5 +1,5 @@
-/* The equations of an FMU for Model Exchange in this process, as functions that compiled code calls: its present
-   instance is asked at once, and whoever made these structures (compiled.py) for all that is unusual: other parameters,
+/* The equations of an FMU for Model Exchange in this process, as functions that compiled code calls: its last
+   instances are asked at once, and whoever made these structures (compiled.py) for all that is unusual: other parameters,
    events, failures. A function says so by leaving to `slow`, which answers in its place. */
 #include <math.h>
 #include <stddef.h>
@@ -26,6 +26,12 @@ typedef struct {
     double step;
 } rs_pair;
 
+/* An instance that is asked at these p; none where p is null. */
+typedef struct {
+    const double *p;
+    rs_instance of;
+} rs_ready;
+
 /* n: states, inputs, outputs, event indicators, parameters. exact: it offers directional derivatives; timed: it may
    follow the time itself. relative: step of central differences, of a value or else its nominal. Scales (n, 2): SI = factor value + offset. refs: of inputs, outputs, [x'; y] and [x; u], how
    many of each, which with arrays are fewer than the values. work: zeros, `work_size` in compiled.py. */
@@ -36,9 +42,9 @@ typedef struct {
     const uint32_t *refs[4];
     const double *u_scales, *y_scales, *nominals;
     double relative;
-    const double *p;
-    rs_instance now;
-    rs_pair *pairs;
+    int64_t n_ready;
+    const rs_ready *ready;
+    const rs_pair *pairs;
     double *work;
 } rs_fmu;
 
@@ -127,8 +133,11 @@ static const double *parts(const rs_function *self, const double *a, const doubl
     return a;
 }
 
-static int is_now(const rs_fmu *f, const double *p) {
-    return f->now.instance && memcmp(p, f->p, (size_t)f->n_p * sizeof *p) == 0;
+/* The instance with parameters p, or null. */
+static const rs_instance *ready(const rs_fmu *f, const double *p) {
+    for (int64_t k = 0; k < f->n_ready; k++)
+        if (f->ready[k].p && memcmp(p, f->ready[k].p, (size_t)f->n_p * sizeof *p) == 0) return &f->ready[k].of;
+    return NULL;
 }
 
 static int any(const double *a, int64_t n) {
@@ -146,7 +155,8 @@ RS_EXPORT void rs_fmu_values(void *context, const double *arguments, double *res
     int rates, outputs;
     parts(self, arguments, part, zeros);
     wanted(self, &rates, &outputs);
-    if (!is_now(f, part[3]) || !evaluated(f, &f->now, *part[0], part[1], part[2], rates, outputs, out) ||
+    const rs_instance *i = ready(f, part[3]);
+    if (!i || !evaluated(f, i, *part[0], part[1], part[2], rates, outputs, out) ||
         !taken(self, out, results))
         self->slow(context, arguments, results);
 }
@@ -157,14 +167,15 @@ static int along_states(const rs_fmu *f, const double *const *part, double *dire
                         double *out) {
     const int64_t n = f->n_x + f->n_y, m = f->n_x + f->n_u;
     double room = INFINITY, *other = out + n;
-    if (!is_now(f, part[3]) || *part[0] >= f->now.due) return 0;
+    const rs_instance *i = ready(f, part[3]);
+    if (!i || *part[0] >= i->due) return 0;
     if (f->exact) {
-        if (set_point(f, &f->now, *part[0], part[1], part[2]) > 1) return 0;
+        if (set_point(f, i, *part[0], part[1], part[2]) > 1) return 0;
         for (int64_t k = 0; k < f->n_u; k++) direction[f->n_x + k] /= f->u_scales[2 * k];
         const size_t c2 = (size_t)f->counts[2], c3 = (size_t)f->counts[3];
         int status = f->version == 2
-                         ? ((along2)f->directional)(f->now.instance, f->refs[2], c2, f->refs[3], c3, direction, out)
-                         : ((along3)f->directional)(f->now.instance, f->refs[2], c2, f->refs[3], c3, direction,
+                         ? ((along2)f->directional)(i->instance, f->refs[2], c2, f->refs[3], c3, direction, out)
+                         : ((along3)f->directional)(i->instance, f->refs[2], c2, f->refs[3], c3, direction,
                                                     (size_t)m, out, (size_t)n);
         for (int64_t k = 0; k < f->n_y; k++) out[f->n_x + k] *= f->y_scales[2 * k];
         return status <= 1;
@@ -181,7 +192,7 @@ static int along_states(const rs_fmu *f, const double *const *part, double *dire
             const double value = k < f->n_x ? part[1][k] : part[2][k - f->n_x];
             moved[k] = value + (side ? -step : step) * direction[k];
         }
-        if (!evaluated(f, &f->now, *part[0], moved, moved + f->n_x, rates, outputs, side ? other : out)) return 0;
+        if (!evaluated(f, i, *part[0], moved, moved + f->n_x, rates, outputs, side ? other : out)) return 0;
     }
     for (int64_t k = 0; k < n; k++) out[k] = (out[k] - other[k]) / (2.0 * step);
     return 1;
@@ -209,8 +220,9 @@ static int along_parameters(const rs_fmu *f, const double *const *part, const do
 static int along_time(const rs_fmu *f, const double *const *part, int rates, int outputs, double *out) {
     const double t = *part[0], step = f->relative * (t != 0.0 ? fabs(t) : 1.0);
     double *other = out + f->n_x + f->n_y;
-    if (!is_now(f, part[3]) || !evaluated(f, &f->now, t + step, part[1], part[2], rates, outputs, out) ||
-        !evaluated(f, &f->now, t - step, part[1], part[2], rates, outputs, other))
+    const rs_instance *i = ready(f, part[3]);
+    if (!i || !evaluated(f, i, t + step, part[1], part[2], rates, outputs, out) ||
+        !evaluated(f, i, t - step, part[1], part[2], rates, outputs, other))
         return 0;
     for (int64_t j = 0; j < f->n_x + f->n_y; j++) out[j] = (out[j] - other[j]) / (2.0 * step);
     return 1;

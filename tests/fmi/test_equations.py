@@ -152,6 +152,26 @@ def test_between_events_there_are_equations(plants: Path, version: str) -> None:
     np.testing.assert_allclose(y, decay(found.time), atol=1e-7)
 
 
+@BOTH
+def test_one_file_in_two_blocks_with_parameters_of_their_own(plants: Path, version: str) -> None:
+    """x_a'' = -100 x_a - x_a' / 2 drives x_b'' = x_a - 49 x_b - x_b' / 2."""
+    parameters = {"interface": "me", "in_process": True, "stiffness": 49.0}
+    blocks = {
+        "other": {"type": "fmu", "file": f"plant{version[0]}.fmu", "parameters": parameters},
+        "gain": {"type": "gain", "parameters": {"gain": "1 N/m"}},
+    }
+    diagram = of_plant(plants, version, blocks, [["it.y", "gain.input"], ["gain.output", "other.u"]])
+    found = simulate(diagram, record=["it.y", "other.y"])
+
+    def slope(_: float, x: np.ndarray) -> list[float]:
+        return [x[1], -100 * x[0] - 0.5 * x[1], x[3], x[0] - 49 * x[2] - 0.5 * x[3]]
+
+    x = solve_ivp(slope, (0, 0.5), [1.0, 0.0, 1.0, 0.0], t_eval=found.time, rtol=1e-11, atol=1e-12).y
+    for name, right in (("it.y", x[0]), ("other.y", x[2])):
+        y = found.signals[name].reshape(len(found.time), -1)[:, 0]
+        np.testing.assert_allclose(y, right, atol=1e-8)
+
+
 CARRIED_OUT = "\n\nhint: `rotorsim cosim` carries events out; here there are equations between events alone"
 EVENTS = [
     ({"wall": 0.5}, "plant: has an event: indicator 1 changes its side (t = 0.106 s)", 0.106),
