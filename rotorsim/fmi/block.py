@@ -286,6 +286,8 @@ def _not_traced(block: Any) -> tuple[str, str]:
         if interface == "cs" and "me" in description.kinds:
             return f"is an FMU {hidden}", f'it offers Model Exchange, too: "interface": "me"; {cosim} as it is'
         return f"is an FMU {hidden}", f"{cosim}; export it for Model Exchange, too"
+    if description.n_events and not description.states:
+        return "is an FMU with events and without states, which only a co-simulation carries out", cosim
     stepped = [name for name in held_inputs(block) if name in block.wired]
     if stepped:
         return f"is an FMU that takes its input {stepped[0]} at events only", cosim

@@ -95,6 +95,10 @@ class InProcess:
         every = [*make_runs(description.resolve(u), "input"), *make_runs(description.resolve(y), "output")]
         if any(run["type"] != FLOATS[0] or run["index"] is not None for run in every):
             return "has inputs or outputs that are not Float64, or entries of an array"
+        for names in ([*description.derivatives, *y], [*description.states, *u]):
+            runs = make_runs(description.resolve(names), "") if names else []
+            if len(runs) > 1 or any(run["index"] is not None or run["n"] != len(names) for run in runs):
+                return "has an output that is a derivative"
         return ""
 
     def bind(

@@ -13,20 +13,23 @@ changes its side or a time event is due, there are none, and that is an error.
 
 from __future__ import annotations
 
+import warnings
 import weakref
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
 
+from rotorsim.errors import RotorsimError
 from rotorsim.fmi.compiled import InProcess
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
 from rotorsim.fmi.runtime.slave import Fmu, Slave, open_fmu
 
 MOST_INSTANCES = 24  # that one block keeps open, those used last
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
+CHECKED = 1e-3  # of a column: far above the error of differences, far below a derivative that was forgotten
 
 
 class FmuEquations:
@@ -57,7 +60,7 @@ class FmuEquations:
         self._fmu: Fmu | None = None
         self._slaves: OrderedDict[bytes, Slave] = OrderedDict()
         self._modes: dict[int, tuple[np.ndarray, float]] = {}  # sides of event indicators, next time event
-        self._exact = self._has_directional()
+        self._exact, self._checked = self._has_directional(), False
         stated = [entry.variable.nominal for entry in description.resolve(description.states)]
         self._nominals = np.array([abs(value) if value else 1.0 for value in stated], float)
         entries = description.resolve(self.y_names)
@@ -92,6 +95,8 @@ class FmuEquations:
     def values(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return y (n_y,), SI."""
         with self._instance(p) as slave:
+            if t >= (due := self._modes[id(slave)][1]) > -np.inf:
+                raise slave.event_refused(f"has a time event at t = {due:.6g} s", t)
             y = slave.outputs(t, x, self._of_fmu(u))
         return np.asarray(self.y_scales[:, 0] * y + self.y_scales[:, 1])
 
@@ -114,7 +119,10 @@ class FmuEquations:
         point = [np.array([t]), x, u, p]
         for group, first, one in ((0, 0, wanted[0] and self.timed), (3, 1 + n_x + n_u, wanted[3])):
             for k in range(len(point[group]) if one else 0):
-                J[:, first + k] = self._difference(point, group, k, self._scale(group, k, point[group][k]))
+                try:
+                    J[:, first + k] = self._difference(point, group, k, self._scale(group, k, point[group][k]))
+                except RotorsimError:  # a whole number, or one that has to stay as it is: perhaps nobody asks for it
+                    J[:, first + k] = np.nan
         return J
 
     def _by_states_and_inputs(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -135,6 +143,27 @@ class FmuEquations:
         columns = [self._difference(point, 1, k, self._scale(1, k, x[k])) for k in range(n_x)]
         columns += [self._difference(point, 2, k, self._scale(2, k, u[k])) for k in range(n_u)]
         return np.stack(columns, axis=1)
+
+    def _check_derivatives(self, x: np.ndarray, p: np.ndarray) -> None:
+        """Once, where an FMU begins: do without directional derivatives that are not those of its equations."""
+        checked, self._checked = self._checked, True
+        if checked or not self._exact:
+            return
+        u = np.nan_to_num(self._u_starts)
+        told = np.full((self.n_x + self.n_y, self.n_x + self.n_u), np.nan)
+        with suppress(RotorsimError):
+            told = self._by_states_and_inputs(0.0, x, u, p)
+        self._exact = False
+        try:
+            found = self._by_states_and_inputs(0.0, x, u, p)
+        except RotorsimError:  # no differences here, such as beside an event: nothing speaks against them
+            self._exact = True
+            return
+        off = np.abs(told - found)[[*range(self.n_x), *(self.n_x + k for k in self._smooth)]]
+        self._exact = bool((off <= CHECKED * np.abs(found).max(axis=0, initial=0.0)).all())
+        if not self._exact:
+            what = "its directional derivatives are not those of its equations: central differences are taken"
+            warnings.warn(f"{self.description.name}: {what}", RuntimeWarning, stacklevel=2)
 
     def _difference(self, point: Sequence[np.ndarray], group: int, k: int, scale: float) -> np.ndarray:
         """Return the central difference of x' and y over an entry of t, x, u or p."""
@@ -184,9 +213,14 @@ class FmuEquations:
         if slave is None:
             while len(self._slaves) >= MOST_INSTANCES:
                 self._free(self._slaves.popitem(last=False)[1])
-            slave = self._slaves[key] = self._initialised(self._u_starts, p)
-            sides = slave.event_indicators(0.0, None) > 0 if self.description.n_events else np.zeros(0, bool)
-            self._modes[id(slave)] = sides, slave.last_event().next_time
+            slave = self._initialised(self._u_starts, p)
+            try:
+                sides = slave.event_indicators(0.0, None) > 0 if self.description.n_events else np.zeros(0, bool)
+            except BaseException:
+                slave.free()
+                raise
+            self._slaves[key], self._modes[id(slave)] = slave, (sides, slave.last_event().next_time)
+            self._check_derivatives(slave.states(), p)
         elif len(self._slaves) > 1:
             self._slaves.move_to_end(key)
         try:
@@ -235,8 +269,10 @@ class FmuEquations:
         description = self.description
         if not description.kinds["me"].directional_derivatives:
             return False
-        types = [entry.variable.type for entry in description.resolve([*self.y_names, *self.u_names])]
-        return FLOATS[1] not in types and all(kind == FLOATS[0] for kind in types[self.n_y :])
+        inputs, outputs = (description.resolve(names) for names in (self.u_names, self.y_names))
+        moving = [entry.variable for entry in outputs if entry.variable.type in FLOATS]
+        shown = all(v.type == FLOATS[0] and v.causality == "output" for v in moving)  # of others FMI has none
+        return shown and all(entry.variable.type == FLOATS[0] for entry in inputs)
 
 
 def _scales(ports: Sequence[Any]) -> np.ndarray:
@@ -247,7 +283,11 @@ def _scales(ports: Sequence[Any]) -> np.ndarray:
 def _changed(names: Sequence[str], si: np.ndarray, starts: np.ndarray, scales: np.ndarray) -> dict[str, Any]:
     """Return the values, in the units of the FMU, that are not the start values of variables."""
     rows = zip(names, si.tolist(), ((si - scales[:, 1]) / scales[:, 0]).tolist(), starts.tolist(), strict=True)
-    return {name: raw for name, value, raw, start in rows if not (value == start or (start != start and value == 0))}
+    return {
+        name: raw
+        for name, value, raw, start in rows
+        if value != start and not (np.isnan(start) and (np.isnan(value) or value == 0.0))
+    }
 
 
 def _start_of(port: Any) -> np.ndarray:

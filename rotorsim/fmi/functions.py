@@ -14,13 +14,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rotorsim.errors import RotorsimError
 from rotorsim.fmi.compiled import InProcess
 from rotorsim.fmi.equations import RELATIVE_STEP, FmuEquations
-from rotorsim.fmi.runtime.binding import CallError
 from rotorsim.model.called import CALLED_AT, has_failed, note_failure, register
-
-OF_FMUS = (RotorsimError, CallError)
 
 
 class _Function(ca.Callback):
@@ -73,7 +69,7 @@ class _Function(ca.Callback):
         try:
             if not has_failed():
                 return self.evaluate(*arguments)
-        except OF_FMUS as error:
+        except BaseException as error:  # nothing may pass through CasADi, Ctrl-C neither
             note_failure(error)
         return [np.full(shape, np.nan) for shape in self.results]
 

@@ -62,7 +62,7 @@ def run_adaptive(
             counters["jacobians"] += part.njev
             reached = float(part.t[-1])
             while filled < len(grid) and (grid[filled] < reached or (grid[filled] <= reached and reached >= end)):
-                rows[filled] = instance.record(grid[filled], part.sol(grid[filled]))
+                rows[filled] = _sound(instance.record(grid[filled], part.sol(grid[filled])))
                 filled += 1
             if part.status < 0 or not np.isfinite(part.y[:, -1]).all():
                 verdict = Verdict("diverged", _failure(model, instance, part, reached))
@@ -86,8 +86,11 @@ def run_adaptive(
         verdict = failed_inside(error, t)
     instance.x[:] = x
     if verdict.status == "finished" and filled == len(grid) - 1:  # the last crossing lay on the end
-        rows[filled] = instance.record(grid[filled], x)
-        filled += 1
+        try:
+            rows[filled] = _sound(instance.record(grid[filled], x))
+            filled += 1
+        except RotorsimError as error:
+            verdict = failed_inside(error, t)
     return grid[:filled], rows[:filled], verdict, counters
 
 

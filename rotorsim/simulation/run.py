@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,10 @@ def simulate(
     signals, residuals = cut(rows, {name: model.shape_of(name) for name in watched})
     if verdict.status == "finished":
         run = Run(model, instance, watched, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
-        verdict = judge(run)
+        try:
+            verdict = judge(run)
+        except RotorsimError as error:
+            verdict = replace(verdict, message=f"it was not checked: {error.problems[0].what}")
         if verdict.error is not None:
             counters["step_error"] = verdict.error
         too_far = passed_limit(limits, time, signals)
@@ -213,16 +217,24 @@ def _run_rk4(
             if progress is not None:
                 progress(n / n_steps)
                 chunk = int(chunk * min(max(0.1 / max(elapsed, 1e-6), 0.5), 10.0)) + 1
+        if verdict.status == "finished" and n_steps % every == 0:
+            rows[n_steps // every] = instance.record(n_steps * h, instance.x)
+            raise_failure()
     except KeyboardInterrupt:
+        n = _sound_until(rows, first, n, every)
         verdict = interrupted(n * h)
     except RotorsimError as error:  # in a step of the stretch that was run last
-        n = min(max(int((getattr(error, "time", None) or 0.0) / h + 1e-9), first), n)
+        at = int((getattr(error, "time", None) or 0.0) / h + 1e-9)
+        n = _sound_until(rows, first, min(max(at, first), n), every)
         verdict = failed_inside(error, n * h)
-    if verdict.status == "finished" and n_steps % every == 0:
-        rows[n_steps // every] = instance.record(n_steps * h, instance.x)
-        kept = n_steps // every + 1
-    else:
-        kept = -(-n // every)
+    kept = n_steps // every + 1 if verdict.status == "finished" and n_steps % every == 0 else -(-n // every)
     time = np.arange(kept) * every * h
     counters = {"steps": n, "evaluations": 4 * n}
     return time, rows[:kept], verdict, counters
+
+
+def _sound_until(rows: np.ndarray, first: int, n: int, every: int) -> int:
+    """Return the step up to which rows are numbers, between a first one and n."""
+    at = -(-first // every)
+    bad = np.flatnonzero(~np.isfinite(rows[at : -(-n // every)]).all(axis=1))
+    return min(n, (at + int(bad[0])) * every) if bad.size else n

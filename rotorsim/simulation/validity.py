@@ -17,6 +17,7 @@ import numpy as np
 
 from rotorsim.linear.linearisation import jacobians, speed_of
 from rotorsim.linear.stability import Growing, growing, largest_stable_step, rounded_down, step_factor
+from rotorsim.model.called import raise_failure
 from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
 from rotorsim.simulation.failure import Verdict
@@ -47,6 +48,7 @@ class Stretch:
         instance.restore(self.saved)
         rows = np.empty((self.last - self.first, instance.n_y))
         instance.run(self.first * parts, self.last * parts, 0.0, h / parts, parts, rows)
+        raise_failure()
         return rows
 
 
@@ -250,6 +252,7 @@ def _transition_rate(run: Run, at_end: Any, x: np.ndarray, z: np.ndarray, period
         instance.x[:], instance.z[:] = state[: len(x)], state[len(x) :]
         instance.start(begin)
         instance.run(0, steps, begin, period / steps, steps + 1, rows)
+        raise_failure()
         return np.concatenate([instance.x, instance.z])
 
     at = np.concatenate([x, z])

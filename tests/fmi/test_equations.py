@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from collections import OrderedDict
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.export.export import export_fmu
 from rotorsim.fmi.functions import functions_of
+from rotorsim.fmi.runtime.slave import Slave
 from rotorsim.identification.identification import identify
 from rotorsim.linear.eigenmodes import modes
 from rotorsim.model.compiled import compile_diagram
@@ -204,6 +206,50 @@ def test_a_failure_inside_ends_the_run_with_what_there_is(plants: Path, fault: s
     assert found.time[-1] == pytest.approx(0.099)
     again = simulate(of_plant(plants, in_process=False))  # nothing is left behind
     np.testing.assert_allclose(again.signals["it.y"], decay(again.time), atol=1e-7)
+
+
+def test_an_fmu_that_nothing_is_wired_to_needs_consent_too(plants: Path) -> None:
+    untrusted = load(dict(of_plant(plants).document), folder=plants)
+    for work in (simulate, modes):
+        with pytest.raises(RotorsimError, match="FMUs are programs; they are not run unless you say so"):
+            work(untrusted)
+
+
+@BOTH
+@pytest.mark.parametrize("in_process", [True, False])
+@pytest.mark.parametrize(
+    ("signal", "right"), [("x", [1.0, 0.0]), ("der_v_", [-100.0, -0.5]), ("y", [1.0, 0.0]), ("v", [0.0, 1.0])]
+)
+def test_variables_inside_have_derivatives(
+    plants: Path, version: str, in_process: bool, signal: str, right: Any
+) -> None:
+    """FMI has no directional derivatives of those that are no outputs: states, derivatives."""
+    document = {**of_plant(plants, version, in_process=in_process).document, "record": [f"it.{signal}"]}
+    model = compile_diagram(load(document, folder=plants, trust_blocks=True))
+    y = model.expression(f"it.{signal}")[0]
+    own = model.trace.x[[0, model.n_x // 2]]  # of FMI 3.0 there are two directions
+    arguments = [model.trace.t, model.trace.x, model.trace.z, model.trace.p]
+    J = ca.Function("J", arguments, [ca.jacobian(y, own)])
+    found = np.array(J(0.1, np.linspace(0.1, 0.4, model.n_x), model.z0(), model.p0)).ravel()
+    np.testing.assert_allclose(found, right, atol=1e-6)
+
+
+def test_derivatives_that_are_not_those_of_the_equations_are_not_used(fmu: Make, monkeypatch: Any) -> None:
+    monkeypatch.setattr(Slave, "jacobian", lambda self, of, by: np.zeros((len(of), len(by))))
+    equations = copy.copy(functions_of(with_fmu(fmu, "rotor", "3.0").nodes["rotor"].block).equations)
+    equations._slaves, equations._modes, equations._fmu = OrderedDict(), {}, None
+    equations._exact, equations._checked, equations.native = True, False, None
+    said = "its directional derivatives are not those of its equations: central differences are taken"
+    with pytest.warns(RuntimeWarning, match=said):
+        equations.rates(0.0, np.zeros(4), np.zeros(2), equations._p_starts)
+    assert not equations._exact
+
+
+@pytest.mark.parametrize("method", ["rk4", "dop853"])
+def test_a_failure_at_the_end_is_one(plants: Path, method: str) -> None:
+    """The last row is recorded behind the last step."""
+    found = simulate(of_plant(plants, fault=FAULTS.index("fail"), fault_time=0.0995), stop=0.1, method=method)
+    assert (found.status, np.isfinite(found.signals["it.y"]).all()) == ("stopped", True)
 
 
 def test_the_command_says_what_failed_and_where_the_rest_is(plants: Path, run: Any) -> None:

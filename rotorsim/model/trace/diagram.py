@@ -252,15 +252,18 @@ class _Tracer:
         return _column(values)
 
 
-def trace_diagram(diagram: Diagram, inject: Iterable[str] = (), replace: Iterable[str] = ()) -> Trace:
+def trace_diagram(
+    diagram: Diagram, inject: Iterable[str] = (), replace: Iterable[str] = (), foreign: Iterable[str] = ()
+) -> Trace:
     """Trace a diagram.
 
     inject, replace: output ports ("controller.current") whose consumers see the port's value plus an
     external input, or only the external input (the loop is opened there). An input ("rotor.force") can be injected
-    into as well, unless an output of the block has its name. Raises RotorsimError.
+    into as well, unless an output of the block has its name. foreign: opaque blocks that are run elsewhere.
+    Raises RotorsimError.
     """
     replace = tuple(replace)
-    _refuse_opaque(diagram, set(replace))
+    _refuse_opaque(diagram, set(foreign))
     tracer = _Tracer(diagram, inject, replace)
     signals, residuals = tracer.propagate(evaluation_order(diagram, tracer.replace), tracer.output)
 
@@ -304,13 +307,11 @@ def trace_diagram(diagram: Diagram, inject: Iterable[str] = (), replace: Iterabl
     )
 
 
-def _refuse_opaque(diagram: Diagram, replaced: set[str]) -> None:
-    """Raise RotorsimError for opaque blocks without equations to call, or not trusted, whose outputs somebody needs."""
-    wanted = {f"{wire.source.block}.{wire.source.port}" for wire in diagram.wires} - replaced
-    needed = {name.rpartition(".")[0] for name in wanted}
+def _refuse_opaque(diagram: Diagram, foreign: set[str]) -> None:
+    """Raise RotorsimError for opaque blocks without equations to call, or not trusted, but for those run elsewhere."""
     problems = []
     for name, node in diagram.nodes.items():
-        if not node.block.opaque or name not in needed:
+        if not node.block.opaque or name in foreign:
             continue
         what, hint = node.block.untraced()
         if not what and not diagram.trusted:

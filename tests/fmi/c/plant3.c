@@ -101,13 +101,20 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte data[], size_t
     return fmi3OK;
 }
 /* Only of der(v) by u, x and v: arrays of N numbers each. */
+/* Of der(x) (3), der(v) (4) and y (6), by x (1), v (2) and u (5). */
+static double slope_by(const Plant *p, unsigned of, unsigned by) {
+    if (of == 3) return by == 2 ? 1.0 : 0.0;
+    if (of == 6) return by == 1 ? 1.0 : by == 5 ? p->gain : 0.0;
+    return of != 4 ? 0.0 : by == 5 ? 1.0 : by == 1 ? -p->stiffness : -p->damping;
+}
+
 fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference of[], size_t n,
         const fmi3ValueReference by[], size_t m, const fmi3Float64 seed[], size_t ns, fmi3Float64 out[], size_t no) {
     for (size_t k = 0; k < no; k++) out[k] = 0.0;
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < m; j++)
             for (int k = 0; k < N; k++)
-                out[N * i + k] += seed[N * j + k] * (of[i] != 4 ? 0.0 : by[j] == 5 ? 1.0 : by[j] == 1 ? -P->stiffness : -P->damping);
+                out[N * i + k] += seed[N * j + k] * slope_by(P, of[i], by[j]);
     return fmi3OK;
 }
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *more, fmi3Boolean *end, fmi3Boolean *nominals,
