@@ -241,7 +241,12 @@ def _made(
             if v.type == "String" and not v.clocked
         },
         "file": Option(str(path), kind=str, doc="file of the FMU"),
-        "interface": Option("any", choices=("any", "cs", "me"), kind=str, doc="cs, me, or any: cs where it is offered"),
+        "interface": Option(
+            "any",
+            choices=("any", "cs", "me"),
+            kind=str,
+            doc="cs, me, or any: me where equations are asked for, cs to cosim",
+        ),
         "in_process": Option(False, kind=bool, doc="load its code into this process: faster, but a crash is ours"),
     }
     for port in inputs.values():

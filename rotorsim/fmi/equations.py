@@ -27,7 +27,7 @@ from rotorsim.fmi.compiled import InProcess
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
 from rotorsim.fmi.runtime.slave import Fmu, Slave, open_fmu
 
-MOST_INSTANCES = 24  # that one block keeps open, those used last
+MOST_INSTANCES = 24  # that one file keeps open, those used last; in process enough for a difference by every parameter
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
 CHECKED = 1e-3  # of a column: far above the error of differences, far below a derivative that was forgotten
 
@@ -57,6 +57,7 @@ class FmuEquations:
         self._u_starts, self._p_starts = (
             np.concatenate([np.zeros(0), *map(_start_of, ports)]) for ports in (self.inputs, self.parameters)
         )
+        self._most = max(MOST_INSTANCES, 2 * self.n_p + 2 if in_process else 0)
         self._fmu: Fmu | None = None
         self._slaves: OrderedDict[bytes, Slave] = OrderedDict()
         self._modes: dict[int, tuple[np.ndarray, float]] = {}  # sides of event indicators, next time event
@@ -95,8 +96,7 @@ class FmuEquations:
     def values(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return y (n_y,), SI."""
         with self._instance(p) as slave:
-            if t >= (due := self._modes[id(slave)][1]) > -np.inf:
-                raise slave.event_refused(f"has a time event at t = {due:.6g} s", t)
+            self._refuse_time_event(slave, t)
             y = slave.outputs(t, x, self._of_fmu(u))
         return np.asarray(self.y_scales[:, 0] * y + self.y_scales[:, 1])
 
@@ -211,7 +211,7 @@ class FmuEquations:
         key = p.tobytes()
         slave = self._slaves.get(key)
         if slave is None:
-            while len(self._slaves) >= MOST_INSTANCES:
+            while len(self._slaves) >= self._most:
                 self._free(self._slaves.popitem(last=False)[1])
             slave = self._initialised(self._u_starts, p)
             try:
@@ -238,14 +238,18 @@ class FmuEquations:
 
     def _refuse_events(self, slave: Slave, t: float) -> None:
         """Raise FmuError where the mode of an instance would change at its present point."""
-        sides, due = self._modes[id(slave)]
-        if t >= due > -np.inf:
-            raise slave.event_refused(f"has a time event at t = {due:.6g} s", t)
+        self._refuse_time_event(slave, t)
+        sides = self._modes[id(slave)][0]
         if not sides.size:
             return
         left = np.flatnonzero((slave.event_indicators(t, None) > 0) != sides)
         if left.size:
             raise slave.event_refused(f"has an event: indicator {left[0] + 1} changes its side", t)
+
+    def _refuse_time_event(self, slave: Slave, t: float) -> None:
+        due = self._modes[id(slave)][1]
+        if t >= due:
+            raise slave.event_refused(f"has a time event at t = {due:.6g} s", t)
 
     def _initialised(self, u: np.ndarray, p: np.ndarray) -> Slave:
         """Return a new instance with parameters p, initialised with inputs u."""

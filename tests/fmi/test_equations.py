@@ -190,7 +190,7 @@ FAULTY = {
 @pytest.mark.parametrize(("values", "said", "until"), EVENTS)
 def test_an_event_ends_a_run_by_equations(plants: Path, values: Any, said: str, until: float) -> None:
     """x(t) = 0.5 at 0.1059 s; the ticks begin at 0.1 s."""
-    found = simulate(of_plant(plants, wall=values.get("wall", 1e9), tick=values.get("tick", 0.0)))
+    found = simulate(of_plant(plants, **values))
     assert (found.status, found.message) == (
         "stopped",
         f"{said}; what was computed until t = {until} s is kept{CARRIED_OUT}",
